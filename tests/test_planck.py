@@ -1,0 +1,116 @@
+"""Planck's law against 30-digit references, closed forms and its own inverse."""
+
+import csv
+
+import mpmath
+import numpy as np
+import pytest
+from conftest import shared_data
+
+from thermorender.errors import ThermorenderError
+from thermorender.physics import planck
+
+BAND = (7.5, 13.5)
+
+
+def exact_band_radiance(temperature, lower_um, upper_um):
+    """30-digit band radiance and derivative through the polylogarithm series of x³/(eˣ−1)."""
+    with mpmath.workdps(40):
+        h, c, k = mpmath.mpf("6.62607015e-34"), mpmath.mpf(299792458), mpmath.mpf("1.380649e-23")
+        c1 = 2 * h * c**2 * mpmath.mpf(10) ** 24
+        c2 = h * c / k * mpmath.mpf(10) ** 6
+        temperature = mpmath.mpf(temperature)
+
+        def tail(x):
+            return mpmath.nsum(
+                lambda n: mpmath.exp(-n * x) * (x**3 / n + 3 * x**2 / n**2 + 6 * x / n**3 + 6 / n**4), [1, mpmath.inf]
+            )
+
+        integral = tail(c2 / (upper_um * temperature)) - tail(c2 / (lower_um * temperature))
+        return c1 * (temperature / c2) ** 4 * integral
+
+
+def test_reference_table():
+    with open(shared_data("planck_reference.csv"), newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) > 50
+    held = 0
+    for row in rows:
+        band = float(row["lambda1_um"]), float(row["lambda2_um"])
+        temperature = float(row["T_K"])
+        for column, function in (
+            ("L_W_m2_sr", planck.band_radiance),
+            ("dLdT_W_m2_sr_K", planck.band_radiance_derivative),
+        ):
+            exact = mpmath.mpf(row[column])
+            value = function(temperature, *band)
+            if exact < np.finfo(float).tiny:
+                assert value < np.finfo(float).tiny
+                continue
+            held += 1
+            assert abs(value / exact - 1) < 1e-12, (row["T_K"], band, column)
+    assert held > 100
+
+
+@pytest.mark.parametrize("temperature", [2, 3, 4, 5, 6, 7, 8, 9])
+@pytest.mark.parametrize("band", [(7.5, 13.5), (8.0, 12.0), (3.0, 5.0)])
+def test_cold_end(temperature, band):
+    exact = exact_band_radiance(temperature, *band)
+    value = planck.band_radiance(float(temperature), *band)
+    if exact < np.finfo(float).tiny:
+        assert value < np.finfo(float).tiny
+    else:
+        assert abs(value / exact - 1) < 1e-12
+
+
+def test_whole_spectrum_is_stefan_boltzmann():
+    sigma = 5.670374419e-8
+    for temperature in (50.0, 300.0, 5772.0):
+        total = planck.band_radiance(temperature, 1e-3, 10.0) + planck.band_radiance(temperature, 10.0, 1e7)
+        assert np.pi * total == pytest.approx(sigma * temperature**4, rel=1e-9)
+
+
+def test_spectral_integrates_to_band():
+    wavelength, weight = np.polynomial.legendre.leggauss(200)
+    wavelength, weight = 10.5 + 3.0 * wavelength, 3.0 * weight
+    temperature = np.array([150.0, 300.0, 1000.0])
+    integral = planck.spectral_radiance(wavelength, temperature[:, None]) @ weight
+    np.testing.assert_allclose(integral, planck.band_radiance(temperature, *BAND), rtol=1e-12)
+
+
+def test_published_derivative_at_300_k():
+    assert planck.band_radiance_derivative(300.0, *BAND) == pytest.approx(0.8825, abs=5e-5)
+
+
+def test_inverse_returns_temperature():
+    temperature = np.geomspace(100.0, 3000.0, 5000)
+    for band in (BAND, (8.0, 12.0), (3.0, 5.0)):
+        back = planck.brightness_temperature(planck.band_radiance(temperature, *band), *band)
+        assert np.abs(back - temperature).max() < 1e-9
+
+
+@pytest.mark.parametrize("temperature", [3.0, 20.0, 1e5])
+def test_inverse_at_the_extremes(temperature):
+    assert planck.brightness_temperature(planck.band_radiance(temperature, *BAND), *BAND) == pytest.approx(
+        temperature, rel=1e-11
+    )
+
+
+def test_shapes_and_odd_values():
+    assert isinstance(planck.band_radiance(300.0, *BAND), float)
+    assert planck.band_radiance(np.full((2, 3), 300.0), *BAND).shape == (2, 3)
+    assert planck.band_radiance(0.0, *BAND) == 0.0
+    assert planck.spectral_radiance(10.0, 0.0) == 0.0
+    values = planck.band_radiance(np.array([np.nan, 300.0]), *BAND)
+    assert np.isnan(values[0]) and values[1] > 0
+    back = planck.brightness_temperature(np.array([0.0, -1.0, np.nan]), *BAND)
+    assert back[0] == 0.0 and np.isnan(back[1:]).all()
+
+
+def test_errors_name_the_argument():
+    with pytest.raises(ThermorenderError, match="temperature=-5 is below 0 K.*add 273.15"):
+        planck.band_radiance(-5.0, *BAND)
+    with pytest.raises(ThermorenderError, match="band 13.5–7.5 µm.*lower < upper"):
+        planck.band_radiance(300.0, 13.5, 7.5)
+    with pytest.raises(ThermorenderError, match="wavelength_um=0"):
+        planck.spectral_radiance(0.0, 300.0)

@@ -1,0 +1,55 @@
+"""From a learned map's apparent radiance to each texel's kinetic temperature, flagged where that is ill-posed."""
+
+import numpy as np
+
+from thermorender.physics.band import emitted_radiance
+from thermorender.physics.planck import band_radiance
+from thermorender.physics.surface import kinetic_temperature
+
+# Below this band emissivity an apparent temperature says little about the kinetic one: an error of 1 K in the
+# apparent becomes more than 2 K, and an error in the assumed sky counts for as much as the surface.
+LOWEST_EMISSIVITY = 0.5
+# Kinetic temperatures are believed up to twice the width of the trained range beyond its ends.
+BELIEVED_MARGIN = 2.0
+
+
+def kinetic_from_map(model, rgb, material, materials, texel_m):
+    """Return (temperature (h, w) float64 [K], trusted (h, w) bool, share of intensities outside 0…1).
+
+    The map gives *apparent* temperature under the sky it was trained under; the reflection of that sky is taken
+    out per material. Where the map cannot be trusted (low emissivity, no temperature, or one far outside the
+    trained range) the material's own temperature stands in and `trusted` is False.
+
+    Parameters
+    ----------
+    model : Correlation
+    rgb : (h, w, 3) uint8
+    material : (h, w) uint8
+        Index into `materials`.
+    materials : sequence of Material
+    texel_m : float
+        Side of a texel [m].
+    """
+    intensity = model.intensity(rgb, texel_m)
+    apparent = model.radiance(intensity)
+    temperature = np.empty(intensity.shape)
+    low, high = model.range_k
+    margin = BELIEVED_MARGIN * (high - low)
+    believed = (max(low - margin, 100.0), high + margin)
+    middle = 0.5 * (low + high)
+    trusted = np.zeros(intensity.shape, dtype=bool)
+    for index in np.unique(material):
+        here = material == index
+        own = materials[index]
+        band_emissivity = emitted_radiance(own.emissivity_at, middle, *model.band_um) / band_radiance(
+            middle, *model.band_um
+        )
+        temperature[here] = own.temperature
+        if band_emissivity >= LOWEST_EMISSIVITY:
+            kinetic = kinetic_temperature(
+                apparent[here], own.emissivity_at, model.sky_temperature, model.band_um, believed
+            )
+            trusted[here] = np.isfinite(kinetic)
+            temperature[here] = np.where(np.isfinite(kinetic), kinetic, own.temperature)
+    outside = float(np.mean((intensity < 0.0) | (intensity > 1.0)))
+    return temperature, trusted, outside

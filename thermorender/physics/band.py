@@ -1,0 +1,93 @@
+"""Radiance of a real material in a camera's band: fine spectral quadrature, and tables of it against temperature."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from thermorender.physics.planck import band_radiance, spectral_radiance
+
+_PANELS = 200
+
+
+def quadrature(lower_um, upper_um):
+    """Return (wavelength, weight), each (800,) [µm]: composite 4-point Gauss–Legendre over 200 panels.
+
+    Fine enough that the integral of Planck's law times a measured emissivity (points every 0.05 µm, linear
+    between) is exact to 1e-6.
+    """
+    node, weight = np.polynomial.legendre.leggauss(4)
+    edge = np.linspace(lower_um, upper_um, _PANELS + 1)
+    half = 0.5 * np.diff(edge)[:, None]
+    middle = 0.5 * (edge[:-1] + edge[1:])[:, None]
+    return (middle + half * node).ravel(), (half * weight).ravel()
+
+
+def emitted_radiance(emissivity, temperature, lower_um, upper_um):
+    """Return the band radiance a material emits [W m⁻² sr⁻¹], in the shape of `temperature`.
+
+    Parameters
+    ----------
+    emissivity : callable
+        Wavelengths [µm] → emissivity.
+    temperature : array
+        Kinetic temperature [K].
+    lower_um, upper_um : float
+        Limits of the band [µm].
+
+    Notes
+    -----
+    ∫ ε(λ) B(λ, T) dλ, the product taken per wavelength.
+    """
+    wavelength, weight = quadrature(lower_um, upper_um)
+    weight = weight * emissivity(wavelength)
+    temperature = np.asarray(temperature, dtype=np.float64)
+    return spectral_radiance(wavelength, temperature[..., None]) @ weight
+
+
+@dataclass(frozen=True)
+class RadianceTable:
+    """Radiance against temperature on a uniform grid, and its inverse, by linear interpolation.
+
+    Attributes
+    ----------
+    temperature : (n,) float64
+        Increasing, evenly spaced [K].
+    radiance : (n,) float64
+        [W m⁻² sr⁻¹], increasing.
+
+    Notes
+    -----
+    Linear interpolation errs by at most h²/8 · L″/L′ kelvin, h being the spacing: 4 µK at 300 K and 45 µK at
+    100 K for the 0.05 K used here.
+    """
+
+    temperature: np.ndarray
+    radiance: np.ndarray
+
+    SPACING_K = 0.05
+
+    @classmethod
+    def of(cls, emissivity, coldest, warmest, lower_um, upper_um):
+        """Return the table of a material between two temperatures [K].
+
+        The ratio to the blackbody varies slowly with temperature, so it is integrated at 257 temperatures and
+        interpolated linearly between them, while the blackbody itself is exact at every entry.
+        """
+        temperature = cls.grid(coldest, warmest)
+        coarse = np.linspace(temperature[0], temperature[-1], 257)
+        ratio = emitted_radiance(emissivity, coarse, lower_um, upper_um) / band_radiance(coarse, lower_um, upper_um)
+        return cls(temperature, np.interp(temperature, coarse, ratio) * band_radiance(temperature, lower_um, upper_um))
+
+    @classmethod
+    def grid(cls, coldest, warmest):
+        """Return the evenly spaced temperatures from just below `coldest` to just above `warmest` [K]."""
+        coldest, warmest = max(coldest - 0.5, 1.0), warmest + 0.5
+        return np.linspace(coldest, warmest, int(np.ceil((warmest - coldest) / cls.SPACING_K)) + 1)
+
+    def __call__(self, temperature):
+        """Return radiance [W m⁻² sr⁻¹] at temperatures [K]; NaN outside the table."""
+        return np.interp(temperature, self.temperature, self.radiance, left=np.nan, right=np.nan)
+
+    def inverse(self, radiance):
+        """Return the temperature [K] that emits `radiance` [W m⁻² sr⁻¹]; NaN outside the table."""
+        return np.interp(radiance, self.radiance, self.temperature, left=np.nan, right=np.nan)

@@ -1,0 +1,163 @@
+"""Which Mitsuba variant runs here, and the LLVM library its CPU back end needs.
+
+Dr.Jit compiles its CPU kernels through an LLVM shared library found at run time. Versions below 16 are
+unusable: 14 is refused, 15 aborts the whole process during code generation. The library is therefore
+chosen here, by the version in its file name, before Dr.Jit looks for one by itself.
+"""
+
+import ctypes.util
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from thermorender.errors import ThermorenderError
+
+OLDEST_LLVM = 16
+DEVICES = {"cpu": "llvm_ad_mono", "cuda": "cuda_ad_mono"}
+
+_SEARCH = (
+    "/usr/lib/*/libLLVM*.so*",
+    "/usr/lib64/libLLVM*.so*",
+    "/usr/lib/libLLVM*.so*",
+    "/usr/lib/llvm-*/lib/libLLVM*.so*",
+    "/usr/local/lib/libLLVM*.so*",
+    "/opt/homebrew/opt/llvm*/lib/libLLVM*.dylib",
+    "/usr/local/opt/llvm*/lib/libLLVM*.dylib",
+)
+_INSTALL_HINT = (
+    "install one with `apt-get install libllvm19` (Debian 12, Ubuntu 24.04 or newer; elsewhere any LLVM runtime "
+    "of version 16 or newer) or set DRJIT_LIBLLVM_PATH to its shared library"
+)
+
+
+def llvm_version(path):
+    """Return the major version of an LLVM shared library as its resolved file name tells it, or None."""
+    name = Path(path).resolve().name
+    match = re.search(r"libLLVM(?:-(\d+)|(?:\.so|)\.(\d+)\.\d|(?:\.so)\.(\d+)$)", name)
+    return int(next(group for group in match.groups() if group)) if match else None
+
+
+def llvm_libraries():
+    """Return every LLVM shared library found on this machine as {resolved path: major version or None}."""
+    found = []
+    for pattern in _SEARCH:
+        found += sorted(Path("/").glob(pattern.lstrip("/")))
+    listed = ctypes.util.find_library("LLVM")
+    if listed and Path(listed).exists():
+        found.append(Path(listed))
+    return {path.resolve(): llvm_version(path) for path in found}
+
+
+def usable_llvm():
+    """Return (path, version) of the newest usable LLVM library, or None; DRJIT_LIBLLVM_PATH comes first.
+
+    Raises
+    ------
+    ThermorenderError
+        DRJIT_LIBLLVM_PATH names a library that is missing or too old.
+    """
+    chosen = os.environ.get("DRJIT_LIBLLVM_PATH")
+    if chosen:
+        version = llvm_version(chosen)
+        if not Path(chosen).exists():
+            raise ThermorenderError(f"DRJIT_LIBLLVM_PATH={chosen} does not exist; {_INSTALL_HINT}")
+        if version is not None and version < OLDEST_LLVM:
+            raise ThermorenderError(
+                f"DRJIT_LIBLLVM_PATH={chosen} is LLVM {version}, which is below {OLDEST_LLVM}; {_INSTALL_HINT}"
+            )
+        return Path(chosen), version
+    usable = [(version, path) for path, version in llvm_libraries().items() if version and version >= OLDEST_LLVM]
+    if not usable:
+        return None
+    version, path = max(usable)
+    return path, version
+
+
+def activate(device="auto"):
+    """Choose and activate the Mitsuba variant for `device` and return the mitsuba module.
+
+    Parameters
+    ----------
+    device : {"auto", "cpu", "cuda"}
+        "auto" takes the GPU where Dr.Jit finds one, else the CPU.
+
+    Raises
+    ------
+    ThermorenderError
+        An unknown device, no GPU, no usable LLVM library, or another device active in this process.
+    """
+    if device not in ("auto", *DEVICES):
+        raise ThermorenderError(f"device={device!r} is unknown; give one of auto, {', '.join(DEVICES)}")
+    llvm = usable_llvm()
+    if llvm:
+        os.environ["DRJIT_LIBLLVM_PATH"] = str(llvm[0])
+    import drjit as dr
+    import mitsuba as mi
+
+    active = mi.variant()
+    if device == "auto":
+        device = next((name for name, variant in DEVICES.items() if variant == active), None) or (
+            "cuda" if dr.has_backend(dr.JitBackend.CUDA) else "cpu"
+        )
+    if active == DEVICES[device]:
+        return mi
+    if device == "cuda" and not dr.has_backend(dr.JitBackend.CUDA):
+        raise ThermorenderError("device='cuda' finds no usable NVIDIA GPU; give device='cpu' or install its driver")
+    if device == "cpu" and not llvm:
+        raise ThermorenderError(f"no LLVM library of version {OLDEST_LLVM} or newer is on this machine; {_INSTALL_HINT}")
+    mi.set_variant(DEVICES[device])
+    return mi
+
+
+def works(variant):
+    """Return (True, seconds) or (False, reason) from rendering one ray in a process of its own.
+
+    A separate process, because a wrong LLVM library aborts the process it is loaded into.
+    """
+    environment = dict(os.environ)
+    if variant.startswith("llvm"):
+        llvm = usable_llvm()
+        if not llvm:
+            return False, f"no LLVM library of version {OLDEST_LLVM} or newer"
+        environment["DRJIT_LIBLLVM_PATH"] = str(llvm[0])
+    code = (
+        "import sys, mitsuba as mi\n"
+        f"mi.set_variant({variant!r})\n"
+        "scene = mi.load_dict({'type': 'scene', 'shape': {'type': 'sphere'}})\n"
+        "hit = scene.ray_intersect(mi.Ray3f(mi.Point3f(0, 0, 5), mi.Vector3f(0, 0, -1)))\n"
+        "sys.exit(0 if abs(float(hit.t if isinstance(hit.t, float) else hit.t[0]) - 4) < 1e-4 else 3)\n"
+    )
+    run = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=300)
+    if run.returncode == 0:
+        return True, ""
+    if run.returncode < 0:
+        return False, f"the process was killed by signal {-run.returncode}"
+    lines = [line for line in run.stderr.strip().splitlines() if line.strip()]
+    return False, lines[-1].strip() if lines else f"exit status {run.returncode}"
+
+
+def install_llvm():
+    """Install an LLVM runtime with apt where that is possible and allowed; return what was done as a sentence.
+
+    Raises
+    ------
+    ThermorenderError
+        No usable library is present and none can be installed from here.
+    """
+    llvm = usable_llvm()
+    if llvm:
+        return f"LLVM {llvm[1]} is present: {llvm[0]}"
+    apt = shutil.which("apt-get")
+    prefix = [] if getattr(os, "geteuid", lambda: 1)() == 0 else [shutil.which("sudo"), "-n"]
+    if not apt or None in prefix:
+        raise ThermorenderError(f"no LLVM library of version {OLDEST_LLVM} or newer is on this machine; {_INSTALL_HINT}")
+    subprocess.run([*prefix, apt, "update", "-q"], capture_output=True)
+    for version in (19, 18, 20, 17, 16):
+        for package in (f"libllvm{version}", f"libllvm{version}t64"):
+            command = [*prefix, apt, "install", "-y", "-q", "--no-install-recommends", package]
+            if subprocess.run(command, capture_output=True).returncode == 0 and usable_llvm():
+                return f"installed {package}: {usable_llvm()[0]}"
+    raise ThermorenderError(f"apt-get could not install an LLVM runtime; {_INSTALL_HINT}")

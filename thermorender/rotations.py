@@ -1,0 +1,69 @@
+"""Attitudes of vehicles and cameras: aviation angles, axis conventions and interpolation, on SciPy's `Rotation`.
+
+Three sets of axes meet here. *Body* is FRD: x forward, y right, z down. *NED* is the local north, east, down
+of the place where the vehicle is. *Camera* is x right, y down, z forward (along the optical axis).
+"""
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+# Columns: where the source's x, y and z axes lie in the target's.
+ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+BODY_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+
+
+def rotation_from_angles(yaw_deg, pitch_deg, roll_deg):
+    """Return the rotation from body FRD axes to NED axes of aviation's angles.
+
+    Parameters
+    ----------
+    yaw_deg, pitch_deg, roll_deg : float or (N,) arrays
+        Heading clockwise from north, nose above the horizon, right side down [deg]: roll is applied first,
+        then pitch, then yaw, each about the vehicle's own axis.
+
+    Notes
+    -----
+    At pitch ±90° only the sum or difference of yaw and roll counts, so a gimbal that reports roll 180°,
+    pitch −90°, yaw −91° has the same attitude as one at roll 0°, pitch −90°, yaw 89°.
+    """
+    angles = np.stack(
+        np.broadcast_arrays(*(np.asarray(a, np.float64) for a in (yaw_deg, pitch_deg, roll_deg))), -1
+    )
+    return Rotation.from_euler("ZYX", angles, degrees=True)
+
+
+def rotation_from_wxyz(quaternion):
+    """Return the rotation of quaternions, (..., 4) in the order (w, x, y, z); they are normalised."""
+    return Rotation.from_quat(np.roll(np.asarray(quaternion, np.float64), -1, axis=-1))
+
+
+def wxyz(rotation):
+    """Return unit quaternions, (..., 4) in the order (w, x, y, z), with w ≥ 0."""
+    return np.roll(rotation.as_quat(canonical=True), 1, axis=-1)
+
+
+def ecef_from_ned(latitude_deg, longitude_deg):
+    """Return the rotations from local NED axes to ECEF at geodetic coordinates, (N,) [deg]."""
+    lat, lon = (
+        np.radians(np.asarray(latitude_deg, np.float64)),
+        np.radians(np.asarray(longitude_deg, np.float64)),
+    )
+    sl, cl, so, co = np.sin(lat), np.cos(lat), np.sin(lon), np.cos(lon)
+    north = np.stack([-sl * co, -sl * so, cl], axis=-1)
+    east = np.stack([-so, co, np.zeros_like(so)], axis=-1)
+    down = np.stack([-cl * co, -cl * so, -sl], axis=-1)
+    return Rotation.from_matrix(np.stack([north, east, down], axis=-1))
+
+
+def slerp(time_s, rotation):
+    """Return the function that gives `rotation` (N attitudes at increasing `time_s`) at other times, turning evenly.
+
+    A single attitude is constant. Neighbouring attitudes are joined by the shorter way round.
+
+    Notes
+    -----
+    K. Shoemake, Animating rotation with quaternion curves, SIGGRAPH 1985, doi:10.1145/325334.325242.
+    """
+    if len(time_s) == 1:
+        return lambda at_s: rotation[np.zeros(np.shape(at_s), np.intp)]
+    return Slerp(time_s, rotation)

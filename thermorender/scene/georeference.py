@@ -1,0 +1,111 @@
+"""Where on Earth a scene lies: geodetic coordinates to and from its local East-North-Up frame.
+
+The local frame is Cartesian. Everything enters it through Earth-centred, Earth-fixed coordinates (ECEF),
+so the Earth's curvature (a drop of 785 m at 100 km) and the convergence of map grids are kept.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# WGS 84 ellipsoid: NIMA TR8350.2 (2000), table 3.1.
+SEMI_MAJOR_AXIS_M = 6378137.0
+FLATTENING = 1.0 / 298.257223563
+_E2 = FLATTENING * (2.0 - FLATTENING)
+
+
+def ecef_from_geodetic(latitude_deg, longitude_deg, height_m):
+    """Return ECEF positions, (..., 3) [m].
+
+    Parameters
+    ----------
+    latitude_deg, longitude_deg : array
+        Geodetic WGS 84 coordinates [deg].
+    height_m : array
+        Height above the ellipsoid [m].
+
+    Notes
+    -----
+    Closed form: Hofmann-Wellenhof et al., GNSS (2008), eq. 8.4.
+    """
+    lat, lon, h = np.broadcast_arrays(
+        np.radians(np.asarray(latitude_deg, np.float64)),
+        np.radians(np.asarray(longitude_deg, np.float64)),
+        np.asarray(height_m, np.float64),
+    )
+    n = SEMI_MAJOR_AXIS_M / np.sqrt(1.0 - _E2 * np.sin(lat) ** 2)
+    return np.stack(
+        [(n + h) * np.cos(lat) * np.cos(lon), (n + h) * np.cos(lat) * np.sin(lon), (n * (1.0 - _E2) + h) * np.sin(lat)],
+        axis=-1,
+    )
+
+
+def geodetic_from_ecef(position):
+    """Return (latitude [deg], longitude [deg], ellipsoid height [m]) of ECEF positions, (..., 3) [m].
+
+    Fixed-point iteration on the latitude to 1e-14 rad; valid outside the innermost 50 km of the Earth and
+    off the poles' axis to within numerical cancellation.
+    """
+    p = np.asarray(position, np.float64)
+    x, y, z = p[..., 0], p[..., 1], p[..., 2]
+    lon = np.arctan2(y, x)
+    r = np.hypot(x, y)
+    lat = np.arctan2(z, r * (1.0 - _E2))
+    for _ in range(20):
+        s = np.sin(lat)
+        n = SEMI_MAJOR_AXIS_M / np.sqrt(1.0 - _E2 * s**2)
+        new = np.arctan2(z + _E2 * n * s, r)
+        done = np.max(np.abs(new - lat), initial=0.0) < 1e-14
+        lat = new
+        if done:
+            break
+    s, c = np.sin(lat), np.cos(lat)
+    n = SEMI_MAJOR_AXIS_M / np.sqrt(1.0 - _E2 * s**2)
+    # Projection onto the local vertical: well-conditioned at every latitude.
+    height = r * c + z * s - n * (1.0 - _E2 * s**2)
+    return np.degrees(lat), np.degrees(lon), height
+
+
+@dataclass(frozen=True)
+class LocalFrame:
+    """A scene's East-North-Up frame: its origin on the WGS 84 ellipsoid.
+
+    Parameters
+    ----------
+    latitude_deg, longitude_deg : float
+        Geodetic coordinates of the origin [deg].
+    height_m : float
+        Ellipsoid height of the origin [m].
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    height_m: float
+
+    @property
+    def origin_ecef(self):
+        """ECEF position of the origin, (3,) [m]."""
+        return ecef_from_geodetic(self.latitude_deg, self.longitude_deg, self.height_m)
+
+    @property
+    def enu_from_ecef_rotation(self):
+        """Rotation whose rows are east, north and up in ECEF, (3, 3)."""
+        lat, lon = np.radians(self.latitude_deg), np.radians(self.longitude_deg)
+        sl, cl, so, co = np.sin(lat), np.cos(lat), np.sin(lon), np.cos(lon)
+        return np.array([[-so, co, 0.0], [-sl * co, -sl * so, cl], [cl * co, cl * so, sl]])
+
+    def enu_from_geodetic(self, latitude_deg, longitude_deg, height_m):
+        """Return local positions, (..., 3) [m], of geodetic coordinates [deg, deg, m above the ellipsoid]."""
+        offset = ecef_from_geodetic(latitude_deg, longitude_deg, height_m) - self.origin_ecef
+        return offset @ self.enu_from_ecef_rotation.T
+
+    def geodetic_from_enu(self, position):
+        """Return (latitude [deg], longitude [deg], ellipsoid height [m]) of local positions, (..., 3) [m]."""
+        return geodetic_from_ecef(np.asarray(position, np.float64) @ self.enu_from_ecef_rotation + self.origin_ecef)
+
+    def local_from(self, other):
+        """Return the rigid transform from another frame's coordinates to this one's, (4, 4)."""
+        transform = np.eye(4)
+        transform[:3, :3] = self.enu_from_ecef_rotation @ other.enu_from_ecef_rotation.T
+        transform[:3, 3] = self.enu_from_ecef_rotation @ (other.origin_ecef - self.origin_ecef)
+        return transform

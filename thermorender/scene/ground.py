@@ -1,0 +1,55 @@
+"""Height of the ground below a point: the highest terrain triangle over it, found through a grid of bins."""
+
+import numpy as np
+
+
+class Ground:
+    """Callable (east, north) → local height of the terrain [m], NaN where there is none.
+
+    Parameters
+    ----------
+    surfaces : sequence of Surface
+        The terrain.
+    """
+
+    def __init__(self, surfaces):
+        corners = np.concatenate([surface.vertices[surface.faces] for surface in surfaces])
+        self._corners = corners
+        low, high = corners[..., :2].min(axis=1), corners[..., :2].max(axis=1)
+        self._origin = low.min(axis=0)
+        extent = high.max(axis=0) - self._origin
+        # Bins about as large as a triangle: each triangle then lies in a few bins.
+        self._bin = max(float(np.median(high - low)) * 1.5, float(extent.max()) / 4096, 1e-9)
+        self._count = np.floor(extent / self._bin).astype(np.int64) + 1
+        first = np.floor((low - self._origin) / self._bin).astype(np.int64)
+        span = np.floor((high - self._origin) / self._bin).astype(np.int64) - first + 1
+        per_triangle = span.prod(axis=1)
+        triangle = np.repeat(np.arange(len(corners)), per_triangle)
+        step = np.arange(len(triangle)) - np.repeat(np.cumsum(per_triangle) - per_triangle, per_triangle)
+        column = first[triangle, 0] + step % span[triangle, 0]
+        row = first[triangle, 1] + step // span[triangle, 0]
+        bins = row * self._count[0] + column
+        order = np.argsort(bins, kind="stable")
+        self._triangle = triangle[order]
+        self._start = np.searchsorted(bins[order], np.arange(self._count.prod() + 1))
+
+    def __call__(self, east, north):
+        """Return local heights [m] in the shape of the arguments, NaN off the terrain."""
+        east, north = np.broadcast_arrays(np.asarray(east, np.float64), np.asarray(north, np.float64))
+        point = np.stack([east.ravel(), north.ravel()], axis=-1)
+        column, row = np.floor((point - self._origin) / self._bin).astype(np.int64).T
+        inside = (column >= 0) & (column < self._count[0]) & (row >= 0) & (row < self._count[1])
+        bins = np.where(inside, row * self._count[0] + column, 0)
+        count = np.where(inside, self._start[bins + 1] - self._start[bins], 0)
+        which = np.repeat(np.arange(len(point)), count)
+        offset = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+        a, b, c = np.moveaxis(self._corners[self._triangle[self._start[bins][which] + offset]], 1, 0)
+        ab, ac, ap = (b - a)[:, :2], (c - a)[:, :2], point[which] - a[:, :2]
+        area = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            v = (ap[:, 0] * ac[:, 1] - ap[:, 1] * ac[:, 0]) / area
+            w = (ab[:, 0] * ap[:, 1] - ab[:, 1] * ap[:, 0]) / area
+        hit = (v >= -1e-9) & (w >= -1e-9) & (v + w <= 1.0 + 1e-9)
+        height = np.full(len(point), -np.inf)
+        np.maximum.at(height, which[hit], (a[:, 2] + v * (b - a)[:, 2] + w * (c - a)[:, 2])[hit])
+        return np.where(np.isfinite(height), height, np.nan).reshape(east.shape)

@@ -1,0 +1,358 @@
+"""A scene in memory: surfaces with their texels, materials, sky and camera, made from a scene folder."""
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.paths import data_folder
+from thermorender.scene import materials as material_tables
+from thermorender.scene import mesh, terrain
+from thermorender.scene.georeference import LocalFrame
+from thermorender.scene.ground import Ground
+from thermorender.scene.raster import grid_of, onto, read_band, read_colour
+from thermorender.scene.spec import SceneSpec, TemperatureSpec, read_scene
+from thermorender.scene.surface import FILLED, SURFACE, Surface, fill, nearest_valid
+from thermorender.scene.temperature import Texels, raster_temperature, resolve
+from thermorender.sensor.camera import Camera, load_camera
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Everything a render needs.
+
+    Attributes
+    ----------
+    spec : SceneSpec
+        What the scene file says.
+    frame : LocalFrame or None
+        Where the local East-North-Up frame lies on Earth; None for a mesh without [frame].
+    surfaces : tuple of Surface
+        The terrain's first, then one or more per object.
+    terrain_count : int
+        How many of them are terrain.
+    materials : tuple of Material
+        What `Surface.material` indexes.
+    camera : Camera
+    grid : Grid or None
+        Map grid of the terrain's texels.
+    report : dict
+        What the temperature source has to tell, per learned map.
+    """
+
+    spec: SceneSpec
+    frame: LocalFrame | None
+    surfaces: tuple
+    terrain_count: int
+    materials: tuple
+    camera: Camera
+    grid: object
+    report: dict = field(default_factory=dict)
+
+    @property
+    def name(self):
+        """Name of the scene's folder."""
+        return self.spec.folder.name
+
+    @property
+    def where(self):
+        """Path of the scene file, for messages."""
+        return str(self.spec.folder / "scene.toml")
+
+    @property
+    def truth_temperature_spec(self):
+        """TemperatureSpec of the truth raster.
+
+        Raises
+        ------
+        ThermorenderError
+            The scene has none.
+        """
+        if self.spec.truth_temperature is None:
+            raise ThermorenderError(f"{self.where} has no truth.temperature; name a raster of kelvin there")
+        return TemperatureSpec(source="raster", raster=self.spec.truth_temperature)
+
+    @property
+    def geoid_undulation_m(self):
+        """Height of the geoid above the ellipsoid that this scene declares [m], or None."""
+        declared = self.spec.terrain.geoid_undulation_m
+        return 0.0 if declared is None and self.spec.terrain.height_reference == "geoid" else declared
+
+    @cached_property
+    def ground(self):
+        """Callable (east, north) → local height of the terrain [m], NaN off it."""
+        return Ground(self.surfaces[: self.terrain_count])
+
+    @property
+    def targets(self):
+        """{name: (3,) local position of its middle [m]} of the scene's objects."""
+        found = {}
+        for item in self.spec.objects:
+            corners = np.concatenate(
+                [s.vertices for s in self.surfaces[self.terrain_count :] if s.name.split(":")[0] == item.name]
+            )
+            found[item.name] = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+        return found
+
+    def with_temperature(self, spec):
+        """Return this scene with its terrain's temperatures from another source (a TemperatureSpec)."""
+        report = {}
+        surfaces = list(self.surfaces)
+        for index, surface in enumerate(surfaces[: self.terrain_count]):
+            texels = Texels(
+                surface.colour, surface.material, self.materials, self.grid, surface.texel_m, self.where, report
+            )
+            temperature, flags = resolve(spec, texels)
+            empty = surface.flags & FILLED if self.spec.temperature.source != "raster" else 0
+            surfaces[index] = replace(surface, temperature=temperature, flags=SURFACE | empty | flags)
+        return replace(
+            self, spec=replace(self.spec, temperature=spec), surfaces=tuple(surfaces), report=report
+        )
+
+    def __str__(self):
+        faces = sum(len(surface.faces) for surface in self.surfaces)
+        texels = sum(surface.material.size for surface in self.surfaces)
+        terrain_k = np.concatenate([s.temperature.ravel() for s in self.surfaces[: self.terrain_count]])
+        lines = [
+            f"{self.name}: {self.spec.title}",
+            f"  mesh          {faces} triangles, {texels} texels of {self.surfaces[0].texel_m:.3g} m",
+            f"  temperature   {self.spec.temperature.source}, {terrain_k.min():.1f}–{terrain_k.max():.1f} K",
+            f"  materials     {', '.join(material.name for material in self.materials)}",
+            f"  sky           {self.spec.sky_temperature:g} K",
+            f"  objects       {', '.join(item.name for item in self.spec.objects) or 'none'}",
+            f"  camera        {self.camera.name}, {self.camera.width}×{self.camera.height}",
+        ]
+        if self.frame:
+            lines.insert(2, f"  origin        {self.frame.latitude_deg:.6f}°, {self.frame.longitude_deg:.6f}°, "
+                            f"{self.frame.height_m:g} m above the ellipsoid")  # fmt: skip
+        return "\n".join(lines)
+
+
+def scene_folder(name):
+    """Return the folder of a scene given by path, or by the name of a shipped one.
+
+    Raises
+    ------
+    ThermorenderError
+        Neither exists; the message lists the shipped scenes.
+    """
+    path = Path(name)
+    if (path / "scene.toml").is_file() or path.name == "scene.toml":
+        return path
+    shipped = data_folder("scenes")
+    if (shipped / str(name) / "scene.toml").is_file() and len(Path(name).parts) == 1:
+        return shipped / str(name)
+    known = ", ".join(sorted(item.parent.name for item in shipped.glob("*/scene.toml")))
+    raise ThermorenderError(f"scene {str(name)!r} does not exist; give a folder with a scene.toml or one of {known}")
+
+
+def load_scene(name):
+    """Return the Scene of a folder, or of a shipped scene by name.
+
+    Parameters
+    ----------
+    name : path or str
+        Folder holding `scene.toml`, or "heath", "village", "ridge".
+
+    Raises
+    ------
+    ThermorenderError
+        Anything in the scene file or the files it names that cannot be used, in one sentence.
+    """
+    spec = read_scene(scene_folder(name))
+    library = material_tables.load_library(
+        spec.folder / "materials" if (spec.folder / "materials").is_dir() else None
+    )
+    camera = load_camera(spec.camera)
+    materials = _Materials(library, camera, str(spec.folder / "scene.toml"))
+    if spec.terrain.elevation:
+        frame, grid, surfaces = _raster_terrain(spec, materials)
+    else:
+        frame, grid, surfaces = _mesh_terrain(spec, materials)
+    scene = Scene(spec, frame, tuple(surfaces), len(surfaces), (), camera, grid)
+    objects = tuple(surface for item in spec.objects for surface in _object(item, scene, materials))
+    scene = replace(scene, surfaces=scene.surfaces + objects, materials=tuple(materials.used))
+    return scene.with_temperature(spec.temperature)
+
+
+class _Materials:
+    """Materials a scene uses, in the order of their first use; each checked against the camera's band."""
+
+    def __init__(self, library, camera, where):
+        self.library, self.camera, self.where = library, camera, where
+        self.used = []
+
+    def index(self, name, key):
+        found = material_tables.find(self.library, name, f"{self.where}: {key}")
+        return self.add(found)
+
+    def add(self, material):
+        if material not in self.used:
+            material.emissivity_at(np.array(self.camera.band_um))
+            self.used.append(material)
+        return self.used.index(material)
+
+
+def _raster_terrain(spec, materials):
+    source = spec.terrain
+    height, grid = terrain.read_elevation(source.elevation)
+    if source.height_reference == "geoid":
+        height = height + (source.geoid_undulation_m or 0.0)
+    frame = LocalFrame(*spec.frame) if spec.frame else terrain.frame_of(height, grid)
+    texels = _texel_grid(spec, grid)
+    if texels.crs != grid.crs:
+        raise ThermorenderError(
+            f"{source.orthophoto or spec.emissivity.raster} has CRS {texels.crs.to_string()} but {source.elevation} has "
+            f"{grid.crs.to_string()}; bring both together with `thermorender import-terrain`"
+        )
+    _require_overlap(source.orthophoto or spec.emissivity.raster or source.elevation, texels, source.elevation, grid)
+    vertices, faces, uv = terrain.mesh(height, grid, frame, texels)
+    shape = (texels.height, texels.width)
+    valid = np.ones(shape, dtype=bool)
+    if source.orthophoto:
+        colour, valid = read_colour(source.orthophoto)
+        if not valid.any():
+            raise ThermorenderError(f"{source.orthophoto} is empty: every texel is masked; give another orthophoto")
+    material, known = _material_map(spec, materials, texels)
+    valid &= known
+    if not source.orthophoto:
+        typical = np.array([m.colour for m in materials.used], dtype=np.uint8)
+        colour = typical[material]
+    if not valid.all():
+        index = nearest_valid(valid)
+        colour, material = fill(colour, index), fill(material, index)
+    surface = Surface(
+        name="terrain",
+        vertices=vertices,
+        faces=faces,
+        uv=uv,
+        colour=colour,
+        material=material,
+        temperature=np.full(shape, np.nan, np.float32),
+        flags=np.where(valid, SURFACE, SURFACE | FILLED).astype(np.uint8),
+        texel_m=terrain.texel_size_m(texels, frame),
+    )
+    return frame, texels, [surface]
+
+
+def _texel_grid(spec, elevation_grid):
+    """The finest description of the ground sets the texels: orthophoto, else classes, else temperature."""
+    for path in (spec.terrain.orthophoto, spec.emissivity.raster, spec.temperature.raster):
+        if path:
+            return grid_of(path)
+    return elevation_grid
+
+
+def _require_overlap(path, texels, elevation_path, grid):
+    a, b = texels.bounds, grid.bounds
+    if min(a[2], b[2]) <= max(a[0], b[0]) or min(a[3], b[3]) <= max(a[1], b[1]):
+        raise ThermorenderError(
+            f"{path} covers {_extent(a)} and {elevation_path} covers {_extent(b)}: they do not overlap; "
+            "give rasters of the same area"
+        )
+
+
+def _extent(bounds):
+    return f"x {bounds[0]:.0f}…{bounds[2]:.0f}, y {bounds[1]:.0f}…{bounds[3]:.0f}"
+
+
+def _material_map(spec, materials, texels):
+    """(material index (h, w) uint8, known (h, w) bool) of the terrain's texels."""
+    source = spec.emissivity
+    shape = (texels.height, texels.width)
+    if source.source != "classes":
+        return np.full(shape, _single_material(source, materials), np.uint8), np.ones(shape, dtype=bool)
+    grid = grid_of(source.raster)
+    _require_overlap(source.raster, grid, "the texel grid", texels)
+    classes = onto(np.nan_to_num(read_band(source.raster)).astype(np.int16), grid, texels, "nearest")
+    lookup = np.full(max(256, classes.max() + 1), 255, dtype=np.uint8)
+    for value, name in source.classes.items():
+        lookup[value] = materials.index(name, f"emissivity.classes.{value}")
+    present = np.unique(classes)
+    for value in present[present != 0]:
+        if value < 0 or value not in source.classes:
+            raise ThermorenderError(
+                f"{source.raster} holds class {value}, which emissivity.classes of {materials.where} does not name; "
+                "add it there (0 marks no data)"
+            )
+    material = lookup[classes]
+    known = classes != 0
+    if not known.any():
+        raise ThermorenderError(f"{source.raster} has no class in it, only 0 (no data); give a raster of class numbers")
+    return np.where(known, material, 0).astype(np.uint8), known
+
+
+def _single_material(source, materials):
+    if source.source == "material":
+        return materials.index(source.material, "emissivity.material")
+    return materials.add(material_tables.grey("constant", source.value))
+
+
+def _mesh_terrain(spec, materials):
+    if spec.emissivity.source == "classes":
+        raise ThermorenderError(
+            f"{materials.where}: emissivity.source='classes' needs an elevation raster; give 'constant' or 'material'"
+        )
+    index = _single_material(spec.emissivity, materials)
+    surfaces = [_part_surface(part, index, np.nan) for part in mesh.load(spec.terrain.mesh)]
+    return (LocalFrame(*spec.frame) if spec.frame else None), None, surfaces
+
+
+def _part_surface(part, material, temperature):
+    shape = part.colour.shape[:2]
+    corners = part.vertices[part.faces]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1).sum()
+    return Surface(
+        name=part.name,
+        vertices=part.vertices,
+        faces=part.faces,
+        uv=part.uv,
+        colour=part.colour,
+        material=np.full(shape, material, np.uint8),
+        temperature=np.full(shape, temperature, np.float32),
+        flags=np.full(shape, SURFACE, np.uint8),
+        texel_m=float(np.sqrt(area / (shape[0] * shape[1]))),
+    )
+
+
+def _object(item, scene, materials):
+    """Surfaces of one object, standing on the ground below its position."""
+    if item.file:
+        parts = mesh.load(item.file)
+    else:
+        vertices, faces = mesh.primitive(item.shape, item.size)
+        colour = np.array(item.colour, dtype=np.uint8).reshape(1, 1, 3)
+        parts = [mesh.Part(item.shape, vertices, faces, np.full((len(faces), 3, 2), 0.5, np.float32), colour)]
+    east, north, above = item.position
+    ground = float(scene.ground(east, north))
+    if not np.isfinite(ground):
+        raise ThermorenderError(
+            f"{scene.where}: object {item.name!r} stands at {east:g} m east, {north:g} m north, where there is no "
+            "terrain; move its position"
+        )
+    heading = np.radians(item.yaw_deg)
+    # Clockwise from north, so the object's own y axis points along the heading.
+    turn = np.array(
+        [[np.cos(heading), np.sin(heading), 0.0], [-np.sin(heading), np.cos(heading), 0.0], [0.0, 0.0, 1.0]]
+    )
+    # A flat object lies a finger above the ground it covers, so that neither hides the other.
+    lift = 0.02 if item.shape == "disc" else 0.0
+    offset = np.array([east, north, ground + above + lift])
+    material = materials.index(item.material, f"object {item.name!r}")
+    return [
+        _part_surface(
+            replace(part, name=f"{item.name}:{part.name}", vertices=part.vertices @ turn.T + offset),
+            material,
+            item.temperature,
+        )
+        for part in parts
+    ]
+
+
+def truth_temperature(scene):
+    """Return the truth temperatures on the terrain's texels, (h, w) float64 [K] with NaN where unknown."""
+    surface = scene.surfaces[0]
+    texels = Texels(surface.colour, surface.material, scene.materials, scene.grid, surface.texel_m, scene.where)
+    return raster_temperature(scene.truth_temperature_spec.raster, texels)

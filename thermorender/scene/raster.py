@@ -1,0 +1,145 @@
+"""Georeferenced rasters: read with NaN for what is missing, brought onto one pixel grid."""
+
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A pixel grid on a map: coordinate reference system, affine transform (pixel to map) and size."""
+
+    crs: object
+    transform: object
+    height: int
+    width: int
+
+    @property
+    def bounds(self):
+        """(left, bottom, right, top) in map units."""
+        x0, y0 = self.transform * (0, 0)
+        x1, y1 = self.transform * (self.width, self.height)
+        return min(x0, x1), min(y0, y1), max(x0, x1), max(y0, y1)
+
+    def same_as(self, other):
+        """Whether both grids have the same pixels."""
+        return (
+            (self.height, self.width) == (other.height, other.width)
+            and self.crs == other.crs
+            and self.transform.almost_equals(other.transform, precision=1e-6)
+        )
+
+
+@contextmanager
+def opened(path):
+    """Open a raster for reading; what rasterio cannot read becomes a sentence naming the file."""
+    import rasterio
+    from rasterio.errors import RasterioError
+
+    if not Path(path).exists():
+        raise ThermorenderError(f"{path} does not exist; give a raster file such as a GeoTIFF")
+    try:
+        with rasterio.open(path) as dataset:
+            yield dataset
+    except RasterioError as error:
+        raise ThermorenderError(f"{path} cannot be read as a raster: {error}; give a file such as a GeoTIFF") from None
+
+
+def grid_of(path):
+    """Return the Grid of a raster file.
+
+    Raises
+    ------
+    ThermorenderError
+        A missing or unreadable file, or one without a coordinate reference system.
+    """
+    import warnings
+
+    from rasterio.errors import NotGeoreferencedWarning
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with opened(path) as dataset:
+            if dataset.crs is None:
+                raise ThermorenderError(
+                    f"{path} has no coordinate reference system (CRS); assign one, "
+                    "for example with `rio edit-info --crs EPSG:32651`"
+                )
+            return Grid(dataset.crs, dataset.transform, dataset.height, dataset.width)
+
+
+def read_band(path):
+    """Return one band as float64 with NaN where the file has no data, (h, w); scale and offset tags applied."""
+    with opened(path) as dataset:
+        if dataset.count != 1:
+            raise ThermorenderError(f"{path} has {dataset.count} bands where one is expected; extract the right one")
+        values = dataset.read(1, masked=True)
+        scale, offset = dataset.scales[0], dataset.offsets[0]
+    values = np.ma.filled(values.astype(np.float64), np.nan)
+    return values * scale + offset
+
+
+def read_colour(path):
+    """Return (rgb (h, w, 3) uint8, valid (h, w) bool) of an 8-bit orthophoto with three or four bands."""
+    with opened(path) as dataset:
+        if dataset.count < 3 or dataset.dtypes[0] != "uint8":
+            raise ThermorenderError(
+                f"{path} has {dataset.count} bands of {dataset.dtypes[0]}; an orthophoto needs three of uint8 (RGB)"
+            )
+        rgb = np.ascontiguousarray(np.moveaxis(dataset.read([1, 2, 3]), 0, -1))
+        valid = dataset.dataset_mask() > 0
+    return rgb, valid & ~empty_border(rgb)
+
+
+def empty_border(rgb):
+    """Return where an orthophoto is empty: pure black or white areas connected to its edge, (h, w) bool."""
+    from scipy.ndimage import label
+
+    empty = np.zeros(rgb.shape[:2], dtype=bool)
+    for level in (0, 255):
+        flat = (rgb == level).all(axis=-1)
+        areas, count = label(flat)
+        if count:
+            edge = np.concatenate([areas[0], areas[-1], areas[:, 0], areas[:, -1]])
+            touching = np.bincount(edge, minlength=count + 1)
+            # A few pure pixels on the edge are picture, not border.
+            large = np.bincount(areas.ravel(), minlength=count + 1) >= 64
+            keep = (touching > 0) & large
+            keep[0] = False
+            empty |= keep[areas]
+    return empty
+
+
+def onto(values, source, target, resampling):
+    """Return a raster on another grid, (h, w) or (h, w, c), NaN (or 0 for integers) where it has no data.
+
+    Parameters
+    ----------
+    values : (h, w) or (h, w, c) array
+    source, target : Grid
+    resampling : {"nearest", "bilinear", "average"}
+    """
+    if source.same_as(target):
+        return values
+    from rasterio.warp import Resampling, reproject
+
+    bands = np.moveaxis(values if values.ndim == 3 else values[..., None], -1, 0)
+    missing = np.nan if values.dtype.kind == "f" else 0
+    result = np.full((len(bands), target.height, target.width), missing, dtype=values.dtype)
+    reproject(
+        np.ascontiguousarray(bands),
+        result,
+        src_transform=source.transform,
+        src_crs=source.crs,
+        dst_transform=target.transform,
+        dst_crs=target.crs,
+        src_nodata=np.nan if values.dtype.kind == "f" else None,
+        dst_nodata=missing,
+        resampling=Resampling[resampling],
+    )
+    result = np.moveaxis(result, 0, -1)
+    return np.ascontiguousarray(result if values.ndim == 3 else result[..., 0])

@@ -1,0 +1,325 @@
+"""What a scene file says: `scene.toml` read into frozen dataclasses, every key checked.
+
+Each table is described once, as key → (reader, default). A reader turns the TOML value into ours or raises a
+sentence; a key that is not described is an error naming the key and its table. Files are named relative to the
+scene's folder and must lie inside it.
+"""
+
+import difflib
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from thermorender.errors import ThermorenderError
+from thermorender.units import kelvin
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+REQUIRED = object()
+
+
+@dataclass(frozen=True)
+class TerrainSpec:
+    """Ground of the scene: an elevation raster with an orthophoto, or one textured mesh."""
+
+    elevation: Path | None
+    mesh: Path | None
+    orthophoto: Path | None
+    height_reference: str
+    geoid_undulation_m: float | None
+
+
+@dataclass(frozen=True)
+class TemperatureSpec:
+    """Where the kinetic temperature of each texel comes from."""
+
+    source: str
+    value: float | None = None
+    raster: Path | None = None
+    model: str | None = None
+    range_c: tuple[float, float] | None = None
+    materials: dict = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class EmissivitySpec:
+    """Where the material of each texel comes from."""
+
+    source: str
+    value: float | None
+    material: str | None
+    raster: Path | None
+    classes: dict
+
+
+@dataclass(frozen=True)
+class ObjectSpec:
+    """A solid standing in the scene: a primitive or a mesh file, with one material and temperature."""
+
+    name: str
+    shape: str | None
+    file: Path | None
+    size: tuple[float, float, float]
+    position: tuple[float, float, float]
+    yaw_deg: float
+    temperature: float
+    material: str
+    colour: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class SceneSpec:
+    """A whole scene file."""
+
+    folder: Path
+    title: str
+    terrain: TerrainSpec
+    temperature: TemperatureSpec
+    emissivity: EmissivitySpec
+    sky_temperature: float
+    surroundings_temperature: float | None
+    camera: str
+    truth_temperature: Path | None
+    frame: tuple[float, float, float] | None
+    objects: tuple[ObjectSpec, ...]
+
+
+def read_scene(folder):
+    """Return the SceneSpec of a scene folder.
+
+    Parameters
+    ----------
+    folder : path
+        Folder holding `scene.toml` (or the path of that file itself).
+
+    Raises
+    ------
+    ThermorenderError
+        A missing file, invalid TOML, an unknown or missing key, a value out of range; the message names
+        file, table, key, what arrived and what is allowed.
+    """
+    path = Path(folder)
+    if path.name != "scene.toml":
+        path = path / "scene.toml"
+    try:
+        with open(path, "rb") as file:
+            raw = tomllib.load(file)
+    except FileNotFoundError:
+        raise ThermorenderError(f"{path} does not exist; a scene is a folder with a scene.toml") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ThermorenderError(f"{path} is not valid TOML: {error}") from None
+    except OSError as error:
+        raise ThermorenderError(f"{path} cannot be read: {error.strerror}") from None
+    return _Reader(path).scene(raw)
+
+
+class _Reader:
+    """Reads one file; methods named after value kinds take (value, "table.key") and return ours."""
+
+    def __init__(self, path):
+        self.path = path
+        self.folder = path.parent.resolve()
+
+    def fail(self, where, value, allowed):
+        raise ThermorenderError(f"{self.path}: {where}={value!r} is not allowed; give {allowed}")
+
+    def text(self, value, where):
+        if not isinstance(value, str) or not value.strip():
+            self.fail(where, value, "a text")
+        return value
+
+    def number(self, value, where):
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or value != value or abs(value) == float("inf"):
+            self.fail(where, value, "a finite number")
+        return float(value)
+
+    def share(self, value, where):
+        if not 0.0 < self.number(value, where) <= 1.0:
+            self.fail(where, value, "a number above 0 and up to 1")
+        return float(value)
+
+    def temperature(self, value, where):
+        return kelvin(f"{self.path}: {where}", self.number(value, where))
+
+    def cold(self, value, where):
+        return kelvin(f"{self.path}: {where}", self.number(value, where), allow_zero=True)
+
+    def file(self, value, where):
+        path = (self.folder / self.text(value, where)).resolve()
+        if not path.is_relative_to(self.folder):
+            self.fail(where, value, "a path inside the scene's folder")
+        if not path.is_file():
+            raise ThermorenderError(f"{self.path}: {where}={value!r} does not exist; give a file in {self.folder}")
+        return path
+
+    def vector(self, length):
+        def read(value, where):
+            if not isinstance(value, list) or len(value) != length:
+                self.fail(where, value, f"a list of {length} numbers")
+            return tuple(self.number(item, where) for item in value)
+
+        return read
+
+    def choice(self, *allowed):
+        def read(value, where):
+            if value not in allowed:
+                self.fail(where, value, f"one of {', '.join(allowed)}")
+            return value
+
+        return read
+
+    def mapping(self, read_value):
+        def read(value, where):
+            if not isinstance(value, dict) or not value:
+                self.fail(where, value, "a table with at least one entry")
+            return {key: read_value(item, f"{where}.{key}") for key, item in value.items()}
+
+        return read
+
+    def table(self, raw, name, keys):
+        """Read one table: {key: (reader, default)} → {key: value}; REQUIRED marks a key without default."""
+        if not isinstance(raw, dict):
+            self.fail(name, raw, "a table")
+        for key in raw:
+            if key not in keys:
+                close = difflib.get_close_matches(key, keys, n=1)
+                hint = f"did you mean {close[0]!r}? " if close else ""
+                raise ThermorenderError(
+                    f"{self.path}: unknown key {key!r} in {name}; {hint}allowed are {', '.join(keys)}"
+                )
+        values = {}
+        for key, (read, default) in keys.items():
+            if key in raw:
+                values[key] = read(raw[key], f"{name}.{key}")
+            elif default is REQUIRED:
+                raise ThermorenderError(f"{self.path}: key {key!r} is missing in {name}; add it")
+            else:
+                values[key] = default
+        return values
+
+    def needs(self, values, table, key, reason):
+        if values[key] in (None, {}):
+            raise ThermorenderError(f"{self.path}: {table}.{key} is missing; {reason} needs it")
+
+    def scene(self, raw):
+        sections = {
+            key: (lambda value, where: value, default)
+            for key, default in {
+                "title": "",
+                "terrain": REQUIRED,
+                "temperature": REQUIRED,
+                "emissivity": REQUIRED,
+                "sky": REQUIRED,
+                "surroundings": {},
+                "camera": {},
+                "truth": {},
+                "frame": None,
+                "object": [],
+            }.items()
+        }
+        top = self.table(raw, "the scene", sections)
+        if not isinstance(top["object"], list):
+            self.fail("object", top["object"], "tables headed [[object]]")
+        frame = top["frame"]
+        if frame is not None:
+            axes = ("latitude_deg", "longitude_deg", "height_m")
+            frame = tuple(self.table(frame, "frame", {axis: (self.number, REQUIRED) for axis in axes}).values())
+        sky = self.table(top["sky"], "sky", {"temperature": (self.cold, REQUIRED)})
+        surroundings = self.table(top["surroundings"], "surroundings", {"temperature": (self.cold, None)})
+        camera = self.table(top["camera"], "camera", {"model": (self.text, "zenmuse-xt2")})
+        truth = self.table(top["truth"], "truth", {"temperature": (self.file, None)})
+        objects = tuple(self.object(item, index) for index, item in enumerate(top["object"], 1))
+        names = [item.name for item in objects]
+        for name in names:
+            if names.count(name) > 1:
+                self.fail("object.name", name, "a name of its own to each object")
+        return SceneSpec(
+            folder=self.folder,
+            title=top["title"] or self.folder.name,
+            terrain=self.terrain(top["terrain"]),
+            temperature=self.temperature_source(top["temperature"]),
+            emissivity=self.emissivity(top["emissivity"]),
+            sky_temperature=sky["temperature"],
+            surroundings_temperature=surroundings["temperature"],
+            camera=camera["model"],
+            truth_temperature=truth["temperature"],
+            frame=frame,
+            objects=objects,
+        )
+
+    def terrain(self, raw):
+        keys = {
+            "elevation": (self.file, None),
+            "mesh": (self.file, None),
+            "orthophoto": (self.file, None),
+            "height_reference": (self.choice("ellipsoid", "geoid"), "ellipsoid"),
+            "geoid_undulation_m": (self.number, None),
+        }
+        values = self.table(raw, "terrain", keys)
+        if (values["elevation"] is None) == (values["mesh"] is None):
+            raise ThermorenderError(f"{self.path}: terrain needs either 'elevation' or 'mesh'; give exactly one")
+        if values["mesh"] and values["orthophoto"]:
+            raise ThermorenderError(f"{self.path}: terrain.orthophoto needs 'elevation'; a mesh brings its own texture")
+        return TerrainSpec(**values)
+
+    def temperature_source(self, raw):
+        keys = {
+            "source": (self.choice("constant", "raster", "material", "learned"), REQUIRED),
+            "value": (self.temperature, None),
+            "raster": (self.file, None),
+            "model": (self.text, None),
+            "range_c": (self.vector(2), None),
+            "materials": (self.mapping(self.temperature), {}),
+        }
+        values = self.table(raw, "temperature", keys)
+        needed = {"constant": "value", "raster": "raster", "learned": "model", "material": "materials"}[values["source"]]
+        self.needs(values, "temperature", needed, f"source={values['source']!r}")
+        low_high = values["range_c"]
+        if low_high and not low_high[0] < low_high[1]:
+            self.fail("temperature.range_c", list(low_high), "[coldest, warmest] in °C, the first below the second")
+        return TemperatureSpec(**values)
+
+    def emissivity(self, raw):
+        keys = {
+            "source": (self.choice("constant", "material", "classes"), REQUIRED),
+            "value": (self.share, None),
+            "material": (self.text, None),
+            "raster": (self.file, None),
+            "classes": (self.mapping(self.text), {}),
+        }
+        values = self.table(raw, "emissivity", keys)
+        source = values["source"]
+        for key in {"constant": ["value"], "material": ["material"], "classes": ["raster", "classes"]}[source]:
+            self.needs(values, "emissivity", key, f"source={source!r}")
+        classes = {}
+        for key, name in values["classes"].items():
+            if not key.isdigit() or not 1 <= int(key) <= 255:
+                self.fail("emissivity.classes", key, "class numbers 1…255 (0 marks no data)")
+            classes[int(key)] = name
+        return EmissivitySpec(**{**values, "classes": classes})
+
+    def object(self, raw, index):
+        name = raw.get("name", f"number {index}") if isinstance(raw, dict) else f"number {index}"
+        where = f"object {name!r}"
+        keys = {
+            "name": (self.text, REQUIRED),
+            "shape": (self.choice("disc", "box", "sphere"), None),
+            "file": (self.file, None),
+            "size": (self.vector(3), (1.0, 1.0, 1.0)),
+            "position": (self.vector(3), REQUIRED),
+            "yaw_deg": (self.number, 0.0),
+            "temperature": (self.temperature, REQUIRED),
+            "material": (self.text, REQUIRED),
+            "colour": (self.vector(3), (128.0, 128.0, 128.0)),
+        }
+        values = self.table(raw, where, keys)
+        if (values["shape"] is None) == (values["file"] is None):
+            raise ThermorenderError(f"{self.path}: {where} needs either 'shape' or 'file'; give exactly one")
+        if min(values["size"]) <= 0.0:
+            self.fail(f"{where}.size", list(values["size"]), "three lengths above 0 in metres")
+        if not all(0.0 <= channel <= 255.0 for channel in values["colour"]):
+            self.fail(f"{where}.colour", list(values["colour"]), "three sRGB values 0…255")
+        return ObjectSpec(**values)

@@ -1,0 +1,67 @@
+"""A surface of the scene: a triangle mesh and, per texel of its map, colour, material and kinetic temperature."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# Flags of texels, and of the pixels that show them (the truth mask of a frame).
+SURFACE = 1  # something of the scene is there
+FILLED = 2  # the source had no data here; the nearest valid texel stands in
+FALLBACK = 4  # a learned map could not be trusted here; the material's own temperature stands in
+SATURATED = 8  # the sensor's range is exceeded
+BEYOND = 16  # no surface is hit but the ray points below the horizon: the surroundings beyond the terrain
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A triangle mesh with a texel map.
+
+    Attributes
+    ----------
+    name : str
+    vertices : (V, 3) float64
+        Positions in the scene's local frame [m].
+    faces : (F, 3) int32
+        Vertex indices, counter-clockwise seen from outside.
+    uv : (F, 3, 2) float32
+        Map coordinates of each face's corners, 0…1, u to the right and v down the image.
+    colour : (h, w, 3) uint8
+        sRGB of each texel.
+    material : (h, w) uint8
+        Index of each texel's material in `Scene.materials`.
+    temperature : (h, w) float32
+        Kinetic temperature [K].
+    flags : (h, w) uint8
+        Bitwise or of the flags of this module.
+    texel_m : float
+        Side of a texel on the ground [m].
+    """
+
+    name: str
+    vertices: np.ndarray
+    faces: np.ndarray
+    uv: np.ndarray
+    colour: np.ndarray
+    material: np.ndarray
+    temperature: np.ndarray
+    flags: np.ndarray
+    texel_m: float
+
+
+def nearest_valid(valid):
+    """Return the flat index of the nearest valid texel for every texel, (h, w) int.
+
+    Parameters
+    ----------
+    valid : (h, w) bool
+        At least one texel must be valid.
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    rows, columns = distance_transform_edt(~valid, return_distances=False, return_indices=True)
+    return rows * valid.shape[1] + columns
+
+
+def fill(values, index):
+    """Return `values`, (h, w) or (h, w, c), with every texel replaced by the one `nearest_valid` names."""
+    return values.reshape(index.size, -1)[index.ravel()].reshape(values.shape)

@@ -1,0 +1,146 @@
+"""A synthetic scene as files: GeoTIFFs, scene.toml and flight.csv, written beside their place and renamed."""
+
+import os
+import shutil
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+
+TEMPERATURE_STEP_K = 0.02  # of the stored raster: 6 mK root mean square, below any microbolometer's noise
+_TEMPERATURE_BASE_K = 200.0
+
+
+def write_scene(scene, directory, overwrite=False, temperature_every=2):
+    """Return the folder written, a Path; see `synthetic.write`."""
+    target = Path(directory)
+    if target.exists() and not target.is_dir():
+        raise ThermorenderError(f"directory={str(target)!r} is a file; give the path of a folder to make")
+    if target.is_dir() and any(target.iterdir()) and not overwrite:
+        raise ThermorenderError(
+            f"directory={str(target)!r} already holds files; give another folder or overwrite=True"
+        )
+    if temperature_every < 1 or len(scene.temperature) % temperature_every:
+        raise ThermorenderError(
+            f"temperature_every={temperature_every} does not divide the {len(scene.temperature)} texels of the "
+            "scene's side; choose a divisor such as 1"
+        )
+    target.parent.mkdir(parents=True, exist_ok=True)
+    draft = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
+    try:
+        _rasters(scene, draft, temperature_every)
+        (draft / "scene.toml").write_text(scene_toml(scene), encoding="utf-8", newline="\n")
+        (draft / "flight.csv").write_text(flight_csv(scene.flight), encoding="utf-8", newline="\n")
+        draft.chmod(0o755)
+        if target.exists():
+            old = Path(tempfile.mkdtemp(prefix=f".{target.name}-old-", dir=target.parent))
+            os.replace(target, old / "scene")
+            os.replace(draft, target)
+            shutil.rmtree(old)
+        else:
+            os.replace(draft, target)
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+    return target
+
+
+def _rasters(scene, folder, every):
+    """Write the four GeoTIFFs."""
+    import rasterio
+    from rasterio.transform import from_origin
+
+    def profile(texel, **more):
+        return {
+            "driver": "GTiff",
+            "crs": f"EPSG:{scene.epsg}",
+            "transform": from_origin(*scene.corner, texel, texel),
+            "tiled": True,
+            "blockxsize": 512,
+            "blockysize": 512,
+            **more,
+        }
+
+    def save(name, bands, options, scale=None):
+        count, height, width = bands.shape
+        with rasterio.open(
+            folder / name, "w", width=width, height=height, count=count, dtype=bands.dtype, **options
+        ) as file:
+            file.write(bands)
+            if scale is not None:
+                file.scales, file.offsets = (scale[0],), (scale[1],)
+                file.units = ("K",)
+
+    packed = {"compress": "deflate", "zlevel": 9}
+    save("elevation.tif", scene.elevation[None], profile(scene.post_m, predictor=3, **packed))
+    save("classes.tif", scene.classes[None], profile(scene.texel_m, **packed))
+    save(
+        "orthophoto.tif",
+        np.ascontiguousarray(scene.orthophoto.transpose(2, 0, 1)),
+        profile(scene.texel_m, compress="jpeg", photometric="ycbcr", jpeg_quality=86),
+    )
+    side = len(scene.temperature) // every
+    mean = scene.temperature.astype(np.float64).reshape(side, every, side, every).mean(axis=(1, 3))
+    counts = np.round((mean - _TEMPERATURE_BASE_K) / TEMPERATURE_STEP_K)
+    save(
+        "temperature.tif",
+        np.clip(counts, 0, 65535).astype(np.uint16)[None],
+        profile(scene.texel_m * every, predictor=2, **packed),
+        (TEMPERATURE_STEP_K, _TEMPERATURE_BASE_K),
+    )
+
+
+def scene_toml(scene):
+    """Return the text of a scene's scene.toml."""
+    lines = [
+        f'title = "{scene.title}"',
+        "",
+        f"# Made by thermorender.scene.synthetic: kind {scene.kind}, seed {scene.seed}, {scene.size_m:g} m.",
+        f"# Sun at azimuth {scene.sun[0]:.1f}°, elevation {scene.sun[1]:.1f}°.",
+        "",
+        "[terrain]",
+        'elevation = "elevation.tif"',
+        'orthophoto = "orthophoto.tif"',
+        'height_reference = "ellipsoid"',
+        "",
+        "[temperature]",
+        'source = "raster"',
+        'raster = "temperature.tif"',
+        "",
+        "[emissivity]",
+        'source = "classes"',
+        'raster = "classes.tif"',
+        "",
+        "[emissivity.classes]",
+        *(f'{value} = "{name}"' for value, name in scene.class_names.items()),
+        "",
+        "[sky]",
+        f"temperature = {scene.sky_temperature:.1f}",
+        "",
+        "[camera]",
+        'model = "zenmuse-xt2"',
+        "",
+        "[truth]",
+        'temperature = "temperature.tif"',
+    ]
+    for thing in scene.objects:
+        lines += ["", "[[object]]"]
+        lines += [f"{key} = {_toml(value)}" for key, value in thing.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _toml(value):
+    """Return a string, number or list of numbers as TOML."""
+    if isinstance(value, str):
+        return f'"{value}"'
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(_toml(v) for v in value) + "]"
+    return f"{round(value, 3)}" if isinstance(value, float) else f"{value}"
+
+
+def flight_csv(flight):
+    """Return the text of a flight's table."""
+    rows = zip(*flight.values(), strict=True)
+    body = "".join(",".join(f"{value:.3f}" for value in row) + "\n" for row in rows)
+    return ",".join(flight) + "\n" + body

@@ -1,0 +1,109 @@
+"""Kinetic temperature of every texel of a surface, from the source a scene file names."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.scene.raster import grid_of, onto, read_band
+from thermorender.scene.surface import FALLBACK, FILLED, fill, nearest_valid
+from thermorender.units import kelvin
+
+
+@dataclass(frozen=True)
+class Texels:
+    """What a temperature source is given: one surface's texels.
+
+    Attributes
+    ----------
+    colour : (h, w, 3) uint8
+    material : (h, w) uint8
+    materials : tuple of Material
+    grid : Grid or None
+        The texels' place on the map, for rasters; None for meshes.
+    texel_m : float
+    where : str
+        Name of the scene file, for messages.
+    """
+
+    colour: np.ndarray
+    material: np.ndarray
+    materials: tuple
+    grid: object
+    texel_m: float
+    where: str
+    report: dict = field(default_factory=dict)
+
+
+def resolve(spec, texels):
+    """Return (temperature (h, w) float32 [K], flags (h, w) uint8) of a surface's texels.
+
+    Parameters
+    ----------
+    spec : TemperatureSpec
+    texels : Texels
+        Its `report` gains what a user should know, such as the share of intensities outside 0…1.
+    """
+    temperature, flags = SOURCES[spec.source](spec, texels)
+    return temperature.astype(np.float32), flags
+
+
+def raster_temperature(path, texels):
+    """Return a raster's kelvin on the texel grid, (h, w) float64 with NaN where it has none."""
+    if texels.grid is None:
+        raise ThermorenderError(
+            f"{texels.where}: a temperature raster needs terrain with an elevation raster; a mesh has no map grid"
+        )
+    grid = grid_of(path)
+    values = read_band(path)
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        raise ThermorenderError(f"{path} has no valid temperature in it; give a raster of kelvin")
+    kelvin(str(path), finite)
+    values = onto(values, grid, texels.grid, "bilinear")
+    if not np.isfinite(values).any():
+        raise ThermorenderError(f"{path} does not overlap the texels of {texels.where}; give one of the same area")
+    return values
+
+
+def _constant(spec, texels):
+    return np.full(texels.material.shape, spec.value), np.zeros(texels.material.shape, np.uint8)
+
+
+def _raster(spec, texels):
+    values = raster_temperature(spec.raster, texels)
+    valid = np.isfinite(values)
+    if not valid.all():
+        values = fill(values, nearest_valid(valid))
+    return values, np.where(valid, 0, FILLED).astype(np.uint8)
+
+
+def _material(spec, texels):
+    known = [material.name for material in texels.materials]
+    for name in spec.materials:
+        if name not in known:
+            raise ThermorenderError(
+                f"{texels.where}: temperature.materials.{name} is not a material of this scene; it has {', '.join(known)}"
+            )
+    values = np.array([spec.materials.get(material.name, material.temperature) for material in texels.materials])
+    return values[texels.material], np.zeros(texels.material.shape, np.uint8)
+
+
+def _learned(spec, texels):
+    from thermorender.learned.apply import kinetic_from_map
+    from thermorender.learned.correlation import load_model
+
+    model = load_model(spec.model, spec.range_c)
+    values, trusted, outside = kinetic_from_map(
+        model, texels.colour, texels.material, texels.materials, texels.texel_m
+    )
+    texels.report[spec.model] = {
+        "share_outside_0_1": outside,
+        "share_fallback": float(1.0 - trusted.mean()),
+        "texel_m": texels.texel_m,
+        "trained_texel_m": model.texel_m,
+    }
+    return values, np.where(trusted, 0, FALLBACK).astype(np.uint8)
+
+
+SOURCES = {"constant": _constant, "raster": _raster, "material": _material, "learned": _learned}

@@ -1,0 +1,86 @@
+"""Terrain from an elevation raster: a mesh in the scene's local frame, mapped by the orthophoto's pixel grid."""
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.scene.georeference import LocalFrame
+from thermorender.scene.raster import grid_of, read_band
+
+
+def read_elevation(path):
+    """Return (heights (h, w) float64 [m] with NaN where missing, Grid) of an elevation raster.
+
+    Raises
+    ------
+    ThermorenderError
+        No CRS, fewer than 2 × 2 posts, nothing valid, or heights no land on Earth has.
+    """
+    grid = grid_of(path)
+    height = read_band(path)
+    # Files often carry an undeclared placeholder such as −9999 or ±3.4e38.
+    height[~(np.abs(height) < 9000.0)] = np.nan
+    if min(height.shape) < 2:
+        raise ThermorenderError(f"{path} has {height.shape[0]}×{height.shape[1]} posts; terrain needs at least 2×2")
+    if not np.isfinite(height).any():
+        raise ThermorenderError(f"{path} has no valid height in it (all nodata, NaN or beyond ±9000 m); give another DEM")
+    return height, grid
+
+
+def frame_of(height, grid):
+    """Return the LocalFrame at the centre of an elevation raster, at its median height rounded to metres."""
+    x, y = grid.transform * (grid.width / 2, grid.height / 2)
+    longitude, latitude = _lon_lat(grid, np.array([x]), np.array([y]))
+    return LocalFrame(float(latitude[0]), float(longitude[0]), float(np.round(np.nanmedian(height))))
+
+
+def mesh(height, grid, frame, texels):
+    """Return (vertices (V, 3) [m], faces (F, 3), uv (F, 3, 2)) of an elevation raster.
+
+    Posts lie at pixel centres. Cells touching a missing post are left out; each other cell is split along the
+    diagonal from its upper left to its lower right post.
+
+    Parameters
+    ----------
+    height : (h, w) float64
+        Ellipsoid heights [m], NaN where missing.
+    grid, texels : Grid
+        Pixel grids of the heights and of the texel map, in the same CRS.
+    frame : LocalFrame
+    """
+    rows, columns = height.shape
+    column, row = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
+    x, y = grid.transform * (column, row)
+    longitude, latitude = _lon_lat(grid, x.ravel(), y.ravel())
+    vertices = frame.enu_from_geodetic(latitude, longitude, np.nan_to_num(height.ravel()))
+
+    texel_column, texel_row = ~texels.transform * (x, y)
+    uv = np.stack([texel_column / texels.width, texel_row / texels.height], axis=-1).reshape(-1, 2)
+
+    index = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    whole = np.isfinite(height)
+    whole = whole[:-1, :-1] & whole[:-1, 1:] & whole[1:, :-1] & whole[1:, 1:]
+    if not whole.any():
+        raise ThermorenderError("the elevation raster has no cell with four valid posts; give a denser DEM")
+    # (cells, 2 triangles, 3 corners), both counter-clockwise seen from above for a north-up raster.
+    faces = np.stack([np.stack([a, c, d], axis=-1), np.stack([a, d, b], axis=-1)], axis=2)[whole].reshape(-1, 3)
+    if grid.transform.determinant > 0.0:
+        faces = faces[:, ::-1]
+    return vertices, np.ascontiguousarray(faces), uv[faces].astype(np.float32)
+
+
+def texel_size_m(texels, frame):
+    """Return the side of a texel at the middle of its grid [m] (root of its area)."""
+    column, row = texels.width / 2 + np.array([0.0, 1.0, 0.0]), texels.height / 2 + np.array([0.0, 0.0, 1.0])
+    longitude, latitude = _lon_lat(texels, *(texels.transform * (column, row)))
+    corner, right, down = frame.enu_from_geodetic(latitude, longitude, frame.height_m)
+    return float(np.sqrt(np.linalg.norm(np.cross(right - corner, down - corner))))
+
+
+def _lon_lat(grid, x, y):
+    """WGS 84 longitude and latitude [deg] of map coordinates in a grid's CRS."""
+    from rasterio.crs import CRS
+    from rasterio.warp import transform
+
+    longitude, latitude = transform(grid.crs, CRS.from_epsg(4326), x, y)
+    return np.asarray(longitude), np.asarray(latitude)

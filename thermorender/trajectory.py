@@ -1,0 +1,300 @@
+"""A camera's flight: timed positions and attitudes in the scene's frame, read off at any time of the flight.
+
+Positions between samples lie on the straight line, attitudes turn evenly (slerp). Nothing is extrapolated.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from thermorender.errors import ThermorenderError
+from thermorender.rotations import rotation_from_wxyz, slerp, wxyz
+
+# A quaternion further from length 1 than this is not one that lost digits in a log.
+QUATERNION_TOLERANCE = 1e-3
+
+# The first heading is the direction to the first sample this far away: less is the jitter of a receiver at rest.
+MOVED_M = 1.0
+
+
+@dataclass(frozen=True)
+class Anchor:
+    """Where a flight is moved to: its first camera position and its first heading.
+
+    Parameters
+    ----------
+    east, north : float
+        Scene coordinates of the first camera position [m].
+    up : float
+        Height of the first camera position [m]: above the ground below it where a ground is known, otherwise
+        in local up.
+    heading_deg : float
+        First heading, clockwise from north [deg].
+    """
+
+    east: float
+    north: float
+    up: float
+    heading_deg: float
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A camera's path through the scene.
+
+    Parameters
+    ----------
+    time_s : (N,) array
+        Strictly increasing times [s].
+    position : (N, 3) array
+        Camera positions: local east, north, up [m].
+    quaternion : (N, 4) array
+        Unit quaternions (w, x, y, z) that rotate camera axes (x right, y down, z forward) to east, north, up.
+
+    Raises
+    ------
+    ThermorenderError
+        Shapes disagree, a value is not finite, time does not increase, or a quaternion's length is not 1 within
+        1e-3 (smaller errors are normalised away).
+    """
+
+    time_s: np.ndarray
+    position: np.ndarray
+    quaternion: np.ndarray
+
+    def __post_init__(self):
+        time_s, position, quaternion = (
+            np.array(a, np.float64) for a in (self.time_s, self.position, self.quaternion)
+        )
+        count = time_s.size
+        if time_s.shape != (count,) or count < 1:
+            raise ThermorenderError(f"time_s has shape {time_s.shape}; a trajectory needs (N,) with N ≥ 1")
+        for name, array, width in (("position", position, 3), ("quaternion", quaternion, 4)):
+            if array.shape != (count, width):
+                raise ThermorenderError(
+                    f"{name} has shape {array.shape}; {count} times need ({count}, {width})"
+                )
+        for name, array in (("time_s", time_s), ("position", position), ("quaternion", quaternion)):
+            if not np.isfinite(array).all():
+                bad = np.argwhere(~np.isfinite(array))[0][0]
+                raise ThermorenderError(f"{name}: sample {bad} is {array[bad]}; all values must be finite")
+        step = np.diff(time_s)
+        if (step <= 0.0).any():
+            k = int(np.argmax(step <= 0.0))
+            raise ThermorenderError(
+                f"time_s: sample {k + 1} at {time_s[k + 1]:.9g} s follows {time_s[k]:.9g} s: time is running "
+                f"backwards or standing still, and must strictly increase"
+            )
+        length = np.linalg.norm(quaternion, axis=1)
+        if (np.abs(length - 1.0) > QUATERNION_TOLERANCE).any():
+            k = int(np.argmax(np.abs(length - 1.0) > QUATERNION_TOLERANCE))
+            raise ThermorenderError(
+                f"quaternion: sample {k} has length {length[k]:.6g}; unit quaternions are needed"
+            )
+        quaternion /= length[:, None]
+        for name, array in (("time_s", time_s), ("position", position), ("quaternion", quaternion)):
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    def __len__(self):
+        return self.time_s.size
+
+    def __repr__(self):
+        start, stop = self.span_s
+        low, high = self.position.min(axis=0), self.position.max(axis=0)
+        ranges = ", ".join(
+            f"{name} {a:.1f}…{b:.1f} m" for name, a, b in zip(("east", "north", "up"), low, high, strict=True)
+        )
+        return f"Trajectory({len(self)} samples, {start:.3f}…{stop:.3f} s, {ranges})"
+
+    @property
+    def span_s(self):
+        """First and last time [s]."""
+        return float(self.time_s[0]), float(self.time_s[-1])
+
+    @cached_property
+    def rotation(self):
+        """The N attitudes as a SciPy `Rotation` from camera axes to east, north, up."""
+        return rotation_from_wxyz(self.quaternion)
+
+    @cached_property
+    def _rotation_at(self):
+        return slerp(self.time_s, self.rotation)
+
+    def sampled(self, times_s):
+        """Return the trajectory at other times, strictly increasing, (M,) [s], within the span."""
+        times = np.atleast_1d(np.asarray(times_s, np.float64))
+        start, stop = self.span_s
+        outside = ~((times >= start) & (times <= stop))
+        if outside.any():
+            raise ThermorenderError(
+                f"time_s={times[outside][0]:.9g} is outside the trajectory, which spans {start:.9g} to {stop:.9g} s "
+                f"and is not extrapolated"
+            )
+        position = np.stack([np.interp(times, self.time_s, self.position[:, k]) for k in range(3)], axis=-1)
+        return Trajectory(times, position, wxyz(self._rotation_at(times)))
+
+    def pose(self, time_s):
+        """Return `world_from_camera`, (4, 4), at one time [s]: position on the straight line, attitude by slerp.
+
+        Raises
+        ------
+        ThermorenderError
+            The time is outside the span.
+        """
+        return self.sampled(float(time_s)).poses()[0]
+
+    def poses(self):
+        """Return `world_from_camera` of every sample, (N, 4, 4)."""
+        poses = np.tile(np.eye(4), (len(self), 1, 1))
+        poses[:, :3, :3] = self.rotation.as_matrix()
+        poses[:, :3, 3] = self.position
+        return poses
+
+    def frame_times(self, rate_hz, start_s=None, stop_s=None):
+        """Return frame times, (M,) [s], from the start at a fixed rate [Hz], the end included if it falls on one.
+
+        Parameters
+        ----------
+        rate_hz : float
+            Frames per second.
+        start_s, stop_s : float, optional
+            Part of the span [s]; the whole of it where left out.
+        """
+        if not (np.isfinite(rate_hz) and rate_hz > 0.0):
+            raise ThermorenderError(f"rate_hz={rate_hz} must be a positive number of frames per second")
+        first, last = self.span_s
+        start = first if start_s is None else float(start_s)
+        stop = last if stop_s is None else float(stop_s)
+        if not (first <= start <= stop <= last):
+            raise ThermorenderError(
+                f"start_s={start:.9g}, stop_s={stop:.9g}: the part must lie in order within the trajectory's span, "
+                f"{first:.9g} to {last:.9g} s"
+            )
+        # The small share of a frame keeps a last frame that rounding would push past the end.
+        count = int(np.floor((stop - start) * rate_hz + 1e-6)) + 1
+        return np.minimum(start + np.arange(count) / rate_hz, stop)
+
+    @property
+    def first_heading_deg(self):
+        """Heading at the start, clockwise from north, in [0, 360) [deg].
+
+        The direction from the first sample to the first one at least 1 m away horizontally. If there is none, the
+        horizontal direction of the view, and of a camera that looks straight up or down that of the image's upper
+        edge.
+        """
+        away = self.position[:, :2] - self.position[0, :2]
+        moved = np.hypot(*away.T) >= MOVED_M
+        if moved.any():
+            direction = away[np.argmax(moved)]
+        else:
+            axes = self.rotation[0].as_matrix()
+            direction = axes[:2, 2] if np.hypot(*axes[:2, 2]) > 1e-6 else -axes[:2, 1]
+        return float(np.degrees(np.arctan2(direction[0], direction[1])) % 360.0)
+
+    def anchored(self, east, north, heading_deg, up=None):
+        """Return the trajectory moved to another place and turned about up, its shape unchanged.
+
+        Parameters
+        ----------
+        east, north : float
+            New first camera position [m].
+        heading_deg : float
+            New first heading (see `first_heading_deg`), clockwise from north [deg].
+        up : float, optional
+            New local up of the first camera position [m]; heights stay as they are where it is left out.
+        """
+        # Headings grow clockwise, rotations about up anticlockwise.
+        turn = Rotation.from_euler("z", self.first_heading_deg - heading_deg, degrees=True)
+        origin = self.position[0]
+        target = np.array([east, north, origin[2] if up is None else up], np.float64)
+        return Trajectory(
+            self.time_s, turn.apply(self.position - origin) + target, wxyz(turn * self.rotation)
+        )
+
+    def above_ground(self, ground):
+        """Return the camera's height above the ground, (N,) [m]; NaN where there is none below it.
+
+        Parameters
+        ----------
+        ground : callable
+            `ground(east, north)`: (N,) arrays [m] to the ground's local up, (N,) [m], NaN off the terrain.
+        """
+        return self.position[:, 2] - np.asarray(ground(self.position[:, 0], self.position[:, 1]), np.float64)
+
+
+def check_above_ground(trajectory, ground, minimum_m=0.0):
+    """Return the lowest height above ground at the samples [m] after refusing a flight that dips below.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        The flight; use `trajectory.sampled(frame_times)` to check what will be rendered.
+    ground : callable
+        As in `Trajectory.above_ground`; samples with NaN (off the terrain) pass.
+    minimum_m : float
+        Lowest height allowed [m].
+
+    Raises
+    ------
+    ThermorenderError
+        A sample is lower; the message names the first such time and how far below it is.
+    """
+    height = trajectory.above_ground(ground)
+    low = height < minimum_m
+    if low.any():
+        k = int(np.argmax(low))
+        limit = (
+            "the ground" if minimum_m == 0.0 else f"the lowest height allowed, {minimum_m:g} m above ground"
+        )
+        raise ThermorenderError(
+            f"trajectory: at {trajectory.time_s[k]:.3f} s the camera is {minimum_m - height[k]:.2f} m below {limit} "
+            f"({int(low.sum())} of {len(trajectory)} samples are); check the height column's reference, raise the "
+            f"flight with an anchor, or allow flights below ground"
+        )
+    return float(np.nanmin(height)) if np.isfinite(height).any() else float("nan")
+
+
+def parse_numbers(name, text, labels):
+    """Return the comma-separated numbers of a command-line option as floats, one per label.
+
+    Raises
+    ------
+    ThermorenderError
+        Their number differs, or one is not a finite number.
+    """
+    cells = [cell.strip() for cell in str(text).split(",")]
+    wanted = ",".join(labels)
+    if len(cells) != len(labels):
+        raise ThermorenderError(
+            f"{name}={text!r} has {len(cells)} values; {len(labels)} are needed: {wanted}"
+        )
+    values = []
+    for label, cell in zip(labels, cells, strict=True):
+        try:
+            value = float(cell)
+        except ValueError:
+            value = float("nan")
+        if not np.isfinite(value):
+            raise ThermorenderError(
+                f"{name}={text!r}: {label} is {cell!r}, not a finite number; give {wanted}"
+            )
+        values.append(value)
+    return tuple(values)
+
+
+def parse_anchor(text):
+    """Return the `Anchor` of "E,N,U,heading" [m, m, m, deg clockwise from north]."""
+    return Anchor(*parse_numbers("anchor", text, ("E", "N", "U", "heading")))
+
+
+def parse_mount(text):
+    """Return (yaw, pitch, roll) [deg] of "yaw,pitch,roll": the optical axis against the vehicle's body."""
+    return parse_numbers("mount", text, ("yaw", "pitch", "roll"))
+
+
+def parse_lever_arm(text):
+    """Return (forward, right, down) [m] of "forward,right,down": the camera's place in the vehicle's body."""
+    return parse_numbers("lever_arm", text, ("forward", "right", "down"))

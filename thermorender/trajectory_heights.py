@@ -1,0 +1,148 @@
+"""From a log's coordinates and its one height column to positions in the scene's frame.
+
+Heights declare their reference: local up, the ellipsoid, the geoid, the ground below each sample or the ground below
+the first one. Geodetic coordinates pass through ECEF, so curvature and the tilt of the vertical are kept.
+"""
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.scene.georeference import LocalFrame, ecef_from_geodetic
+from thermorender.trajectory_tables import POSITION_GEODETIC
+
+# Further away the flight and the scene do not belong together.
+FARTHEST_M = 100e3
+
+_MOVE = "move the flight into the scene with --anchor E,N,U,heading"
+
+
+def frame_of_first_sample(log):
+    """Return a `LocalFrame` on the ellipsoid at the first row's latitude and longitude."""
+    _refuse_impossible_coordinates(log)
+    return LocalFrame(float(log.values["lat_deg"][0]), float(log.values["lon_deg"][0]), 0.0)
+
+
+def _refuse_impossible_coordinates(log):
+    latitude, longitude = log.values["lat_deg"], log.values["lon_deg"]
+    log.refuse("lat_deg", np.abs(latitude) > 90.0, "latitudes are −90…90 deg")
+    log.refuse("lon_deg", (longitude < -180.0) | (longitude > 360.0), "longitudes are −180…180 or 0…360 deg")
+
+
+def local_positions(log, horizontal, height, frame, ground, undulation, relative):
+    """Return the vehicle's positions at the log's own rows, (N, 3) local east, north, up [m].
+
+    Parameters
+    ----------
+    log : Log
+        The file that holds the columns.
+    horizontal, height : (2,) names, name
+        The pair of horizontal columns and the height column.
+    frame, ground, undulation
+        As `read_trajectory` takes them; None where not given.
+    relative : bool
+        The flight will be anchored: only changes of height matter, so a missing reference level is taken as 0.
+    """
+    value = log.values[height]
+    where = log.where(height, 0)
+    if relative:
+        follows_ellipsoid = horizontal == POSITION_GEODETIC and height not in ("up_m", "above_ground_m")
+        height = "alt_ellipsoid_m" if follows_ellipsoid else "up_m"
+    if height == "alt_geoid_m":
+        if undulation is None:
+            raise ThermorenderError(
+                f"{where}: heights above the geoid need the scene's geoid_undulation_m, which is not given; add it to "
+                f"the scene or write alt_ellipsoid_m"
+            )
+        height, value = "alt_ellipsoid_m", value + undulation
+    if height in ("above_ground_m", "above_takeoff_m") and ground is None:
+        raise ThermorenderError(
+            f"{where}: heights of this reference need the ground, and none is given; render a scene with terrain, or "
+            f"give an anchor or a height of another reference (up_m, alt_ellipsoid_m, alt_geoid_m)"
+        )
+    if horizontal == POSITION_GEODETIC:
+        return _geodetic_positions(log, frame, ground, height, value, relative)
+    east, north = log.values["east_m"], log.values["north_m"]
+    if height == "alt_ellipsoid_m":
+        if frame is None:
+            raise ThermorenderError(
+                f"{where}: heights above the ellipsoid need the scene's georeference, which is not given; write up_m"
+            )
+        up = value - frame.height_m
+        # The ellipsoid falls away from the local plane; its slope there is below 0.02, so three steps reach 1e-6 m.
+        for _ in range(4):
+            up = up + value - frame.geodetic_from_enu(np.stack([east, north, up], axis=-1))[2]
+    elif height == "above_ground_m":
+        up = value + _ground_below(log, height, ground, east, north)
+    elif height == "above_takeoff_m":
+        up = value + _ground_below(log, height, ground, east[:1], north[:1])[0]
+    else:
+        up = value
+    return np.stack([east, north, up], axis=-1)
+
+
+def _geodetic_positions(log, frame, ground, height, value, relative):
+    _refuse_impossible_coordinates(log)
+    latitude, longitude = log.values["lat_deg"], log.values["lon_deg"]
+    if frame is None:
+        raise ThermorenderError(
+            f"{log.where('lat_deg', 0)}: latitude and longitude need the scene's georeference, which is not given; "
+            f"move the flight into the scene with an anchor"
+        )
+    distance = np.linalg.norm(
+        ecef_from_geodetic(latitude, longitude, frame.height_m) - frame.origin_ecef, axis=-1
+    )
+    if (distance > FARTHEST_M).any():
+        k = int(np.argmax(distance > FARTHEST_M))
+        raise ThermorenderError(
+            f"{log.where('lat_deg', k)}: the position is {distance[k] / 1e3:.0f} km from "
+            + (
+                f"the flight's first sample; up to {FARTHEST_M / 1e3:.0f} km are allowed: delete rows without a fix"
+                if relative
+                else f"the scene's origin; up to {FARTHEST_M / 1e3:.0f} km are allowed: {_MOVE}"
+            )
+        )
+
+    # A point at latitude and longitude moves along a straight line with its ellipsoid height.
+    foot = frame.enu_from_geodetic(latitude, longitude, 0.0)
+    normal = frame.enu_from_geodetic(latitude, longitude, 1.0) - foot
+
+    def at_up(up):
+        return foot + ((up - foot[:, 2]) / normal[:, 2])[:, None] * normal
+
+    if height == "alt_ellipsoid_m":
+        return foot + value[:, None] * normal
+    if height == "up_m":
+        return at_up(value)
+    # Where the ground is met depends, by the tilt of the vertical, on its height: three steps settle it.
+    up = np.zeros(value.size)
+    samples = slice(None) if height == "above_ground_m" else slice(0, 1)
+    for _ in range(3):
+        place = at_up(up)[samples]
+        terrain = _ground_below(log, height, ground, place[:, 0], place[:, 1])
+        up = terrain + value if height == "above_ground_m" else np.full(value.size, terrain[0])
+    if height == "above_ground_m":
+        return at_up(up)
+    takeoff_ellipsoid = (up[0] - foot[0, 2]) / normal[0, 2]
+    return foot + (takeoff_ellipsoid + value)[:, None] * normal
+
+
+def _ground_below(log, height, ground, east, north):
+    up = np.asarray(ground(east, north), np.float64)
+    if not np.isfinite(up).all():
+        k = int(np.argmax(~np.isfinite(up)))
+        raise ThermorenderError(
+            f"{log.where(height, k)}: there is no ground below east {east[k]:.1f} m, north {north[k]:.1f} m; the "
+            f"position is off the scene's terrain: move the flight with an anchor or give a height of another reference"
+        )
+    return up
+
+
+def refuse_far(log, trajectory):
+    """Raise where a camera position lies farther than 100 km from the scene's origin."""
+    distance = np.hypot(trajectory.position[:, 0], trajectory.position[:, 1])
+    if (distance > FARTHEST_M).any():
+        k = int(np.argmax(distance > FARTHEST_M))
+        raise ThermorenderError(
+            f"{log.path}, at {trajectory.time_s[k]:.3f} s: the position is {distance[k] / 1e3:.0f} km from the "
+            f"scene's origin; up to {FARTHEST_M / 1e3:.0f} km are allowed: {_MOVE}"
+        )

@@ -1,0 +1,308 @@
+"""From a flight log's columns to the camera's trajectory: heights to local up, attitudes to the scene's axes, mounting.
+
+Conventions of our own CSV columns (row 1 names them; units are in the names):
+
+- `time_s`; position `east_m, north_m` in the scene's frame or `lat_deg, lon_deg` (WGS 84).
+- Exactly one height: `up_m` (local up), `alt_ellipsoid_m`, `alt_geoid_m`, `above_ground_m` (above the ground below
+  each sample) or `above_takeoff_m` (above the ground below the first sample).
+- The vehicle's attitude: `qw, qx, qy, qz` from body axes (x forward, y right, z down) to local north, east, down, or
+  `yaw_deg` (clockwise from north), `pitch_deg` (nose up), `roll_deg` (right side down). A missing angle is 0; without
+  any, the vehicle flies level with its nose to the north.
+- `gimbal_yaw_deg, gimbal_pitch_deg, gimbal_roll_deg`: the optical axis against the Earth (pitch −90 looks straight down,
+  0 at the horizon; yaw clockwise from north). A missing yaw is the vehicle's, a missing pitch or roll is 0. With any
+  of them the vehicle's attitude only turns the lever arm.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from thermorender.errors import ThermorenderError
+from thermorender.rotations import (
+    BODY_FROM_CAMERA,
+    ENU_FROM_NED,
+    ecef_from_ned,
+    rotation_from_angles,
+    rotation_from_wxyz,
+    slerp,
+    wxyz,
+)
+from thermorender.trajectory import QUATERNION_TOLERANCE, Trajectory
+from thermorender.trajectory_heights import frame_of_first_sample, local_positions, refuse_far
+from thermorender.trajectory_tables import (
+    ANGLES,
+    GIMBAL,
+    HEIGHTS,
+    POSITION,
+    POSITION_GEODETIC,
+    POSITION_LOCAL,
+    QUATERNION,
+    load_mapping,
+    read_log,
+)
+
+
+def read_trajectory(
+    paths,
+    *,
+    frame=None,
+    ground=None,
+    geoid_undulation_m=None,
+    format=None,
+    anchor=None,
+    clock_offset_s=0.0,
+    mount=None,
+    lever_arm_m=(0.0, 0.0, 0.0),
+):
+    """Return the camera's `Trajectory` in the scene's frame from one or several CSV files of a flight.
+
+    Parameters
+    ----------
+    paths : path or list of paths
+        One file, or several that each contribute columns on their own time (position, attitude, gimbal). Files are
+        joined on the times of all of them within the span they share.
+    frame : LocalFrame, optional
+        The scene's georeference; needed for latitude and longitude unless anchored.
+    ground : callable, optional
+        `ground(east, north)`: (N,) arrays [m] to local up of the ground, (N,) [m]; NaN off the terrain.
+    geoid_undulation_m : float, optional
+        Height of the geoid above the ellipsoid at the scene [m]; needed for `alt_geoid_m` unless anchored.
+    format : str or path, optional
+        A bundled column mapping (`trajectory_tables.bundled_formats()`) or a TOML file in the same form.
+    anchor : Anchor, optional
+        Moves the flight so that its first camera position is at (east, north), `up` metres above the ground there
+        (local up where `ground` is not given), and turns it about up to the heading. The flight keeps its shape; a
+        log of `above_ground_m` instead keeps each sample's height above the ground it now flies over, all shifted
+        alike so that the first is `up`. No georeference is needed.
+    clock_offset_s : float
+        Added to the log's time [s]. Date-time stamps count from the position log's first sample.
+    mount : (3,), optional
+        Yaw, pitch, roll of the optical axis against the vehicle's body [deg]; (0, 0, 0), the default, looks forward
+        with the image's right edge to the vehicle's right, (0, −90, 0) looks down with the nose at the upper edge.
+    lever_arm_m : (3,)
+        The camera's place in the vehicle's body: forward, right, down [m].
+
+    Raises
+    ------
+    ThermorenderError
+        Anything a log can get wrong, naming file, row and column.
+    """
+    mapping = load_mapping(format)
+    paths = [paths] if isinstance(paths, (str, Path)) else list(paths)
+    if not paths:
+        raise ThermorenderError("paths is empty; give at least one CSV file")
+    logs = _with_constants([read_log(path, mapping) for path in paths], mapping)
+    if mapping.stamps:
+        # A clock time is of no use to a simulation, the time since the first sample is; all files share that zero.
+        zero = min(log.time_s[0] for log in logs)
+        logs = [replace(log, time_s=log.time_s - zero) for log in logs]
+    mount_deg = _triple("mount", (0.0, 0.0, 0.0) if mount is None else mount, "yaw, pitch, roll [deg]")
+    lever = _triple("lever_arm_m", lever_arm_m, "forward, right, down [m]")
+
+    position_log, horizontal, height = _position_columns(logs, mapping)
+    if anchor is not None and horizontal == POSITION_GEODETIC:
+        frame = frame_of_first_sample(position_log)
+    position = local_positions(
+        position_log, horizontal, height, frame, ground, geoid_undulation_m, relative=anchor is not None
+    )
+
+    body_log, gimbal_log = _attitude_logs(logs)
+    if gimbal_log is not None and mount is not None:
+        raise ThermorenderError(
+            f"mount={tuple(mount)} contradicts {gimbal_log.path}, whose gimbal columns say where the camera looks; "
+            f"leave mount out or delete the columns {', '.join(n for n in GIMBAL if n in gimbal_log.values)}"
+        )
+    time_s = _common_times([log for log in (position_log, body_log, gimbal_log) if log is not None])
+    position = np.stack([np.interp(time_s, position_log.time_s, position[:, k]) for k in range(3)], axis=-1)
+    ned_from_body = _body(body_log, mapping, time_s)
+    ned_from_optical = (
+        ned_from_body * rotation_from_angles(*mount_deg)
+        if gimbal_log is None
+        else _gimbal(gimbal_log, time_s, ned_from_body)
+    )
+    enu_from_ned = Rotation.from_matrix(ENU_FROM_NED)
+    if horizontal == POSITION_GEODETIC:
+        # North and down turn along the way; the scene's axes are those of its origin.
+        latitude, longitude, _ = frame.geodetic_from_enu(position)
+        enu_from_ned = Rotation.from_matrix(frame.enu_from_ecef_rotation) * ecef_from_ned(latitude, longitude)
+    trajectory = Trajectory(
+        time_s + clock_offset_s,
+        position + (enu_from_ned * ned_from_body).apply(lever),
+        wxyz(enu_from_ned * ned_from_optical * Rotation.from_matrix(BODY_FROM_CAMERA)),
+    )
+    if anchor is not None:
+        trajectory = _anchored(trajectory, anchor, ground, height)
+    refuse_far(position_log, trajectory)
+    return trajectory
+
+
+def _with_constants(logs, mapping):
+    """The logs with the mapping's constants added, each where its kind of column is logged."""
+    kinds = (POSITION, QUATERNION + ANGLES, GIMBAL)
+    for name, quantity in mapping.quantities.items():
+        if quantity.constant is not None:
+            kind = next(kind for kind in kinds if name in kind)
+            owner = next((log for log in logs if any(n in log.values for n in kind)), logs[0])
+            owner.values[name] = np.full(owner.time_s.size, quantity.constant)
+    return logs
+
+
+def _triple(name, value, meaning):
+    array = np.asarray(value, np.float64)
+    if array.shape != (3,) or not np.isfinite(array).all():
+        raise ThermorenderError(f"{name}={value} must be three finite numbers: {meaning}")
+    return array
+
+
+def _position_columns(logs, mapping):
+    """The log that holds the position, its pair of horizontal columns and its height column."""
+    held = {}
+    for log in logs:
+        for name in log.values:
+            if name in held:
+                raise ThermorenderError(
+                    f"column {log.columns.get(name, name)!r} is in both {held[name].path} and {log.path}; "
+                    f"give it once"
+                )
+            held[name] = log
+    names = ", ".join(log.path for log in logs)
+    if mapping.quantities:
+        for name, quantity in mapping.quantities.items():
+            if name not in held:
+                raise ThermorenderError(
+                    f"{names}: column {quantity.column!r} ({name}) is missing; format={mapping.name!r} needs it"
+                    + ("" if len(logs) > 1 else ", in this file or in a further one given with it")
+                )
+    pairs = [pair for pair in (POSITION_LOCAL, POSITION_GEODETIC) if any(name in held for name in pair)]
+    if len(pairs) != 1:
+        arrived = "both" if pairs else "neither"
+        raise ThermorenderError(
+            f"{names}: has {arrived} of the position columns east_m, north_m and lat_deg, lon_deg; give one pair"
+        )
+    heights = [name for name in HEIGHTS if name in held]
+    if len(heights) != 1:
+        raise ThermorenderError(
+            f"{names}: has {'no height column' if not heights else 'the height columns ' + ', '.join(heights)}; "
+            f"exactly one of {', '.join(HEIGHTS)} is allowed, so that its reference is plain"
+        )
+    for name in pairs[0]:
+        if name not in held:
+            raise ThermorenderError(
+                f"{names}: column {name!r} is missing; {' and '.join(pairs[0])} go together"
+            )
+    used = {id(held[name]) for name in (*pairs[0], heights[0])}
+    if len(used) != 1:
+        raise ThermorenderError(
+            f"{names}: {', '.join(pairs[0])} and {heights[0]} must be columns of one file"
+        )
+    return held[heights[0]], pairs[0], heights[0]
+
+
+def _attitude_logs(logs):
+    """The log with the vehicle's attitude and the one with the gimbal's; None where there is none."""
+    chosen = []
+    for group, what in ((QUATERNION + ANGLES, "vehicle's attitude"), (GIMBAL, "gimbal's angles")):
+        holders = [log for log in logs if any(name in log.values for name in group)]
+        if len(holders) > 1:
+            raise ThermorenderError(
+                f"{', '.join(log.path for log in holders)}: the {what} must be columns of one file"
+            )
+        chosen.append(holders[0] if holders else None)
+    body = chosen[0]
+    if body is not None:
+        quaternion = [name for name in QUATERNION if name in body.values]
+        if quaternion and any(name in body.values for name in ANGLES):
+            raise ThermorenderError(
+                f"{body.path}: the attitude is given twice, by {', '.join(QUATERNION)} and by angles; keep one"
+            )
+        if quaternion and len(quaternion) < 4:
+            missing = ", ".join(repr(name) for name in QUATERNION if name not in quaternion)
+            raise ThermorenderError(
+                f"{body.path}: column {missing} is missing; a quaternion needs qw, qx, qy, qz"
+            )
+    return chosen
+
+
+def _common_times(logs):
+    """All times of all logs within the span they share: nothing either of them says is lost."""
+    if all(log is logs[0] for log in logs):
+        return logs[0].time_s
+    start, stop = max(log.time_s[0] for log in logs), min(log.time_s[-1] for log in logs)
+    times = np.unique(np.concatenate([log.time_s for log in logs]))
+    times = times[(times >= start) & (times <= stop)]
+    if not times.size:
+        spans = ", ".join(
+            f"{log.path} {log.time_s[0]:.9g}…{log.time_s[-1]:.9g} s" for log in dict.fromkeys(logs)
+        )
+        raise ThermorenderError(f"the files share no time: {spans}; give files of one flight and one clock")
+    return times
+
+
+def _body(log, mapping, time_s):
+    """Rotations from body FRD to NED at `time_s`; level with the nose to the north where nothing is logged."""
+    if log is None:
+        return rotation_from_angles(np.zeros(time_s.size), 0.0, 0.0)
+    if "qw" not in log.values:
+        angles = (log.values.get(name, np.zeros(log.time_s.size)) for name in ANGLES)
+        return slerp(log.time_s, rotation_from_angles(*angles))(time_s)
+    quaternion = np.stack([log.values[name] for name in QUATERNION], axis=-1)
+    length = np.linalg.norm(quaternion, axis=1)
+    bad = np.abs(length - 1.0) > QUATERNION_TOLERANCE
+    if bad.any():
+        k = int(np.argmax(bad))
+        columns = ", ".join(log.columns[name] for name in QUATERNION)
+        raise ThermorenderError(
+            f"{log.path}, row {log.row[k]}, columns {columns}: the quaternion has length {length[k]:.6g}; attitudes "
+            f"are unit quaternions, to within {QUATERNION_TOLERANCE:g}"
+        )
+    world_from_log = rotation_from_wxyz(quaternion)
+    if mapping.quaternion_inverse:
+        world_from_log = world_from_log.inv()
+    # ENU_FROM_NED is its own inverse.
+    ned_from_world = Rotation.from_matrix(ENU_FROM_NED if mapping.quaternion_world == "ENU" else np.eye(3))
+    ned_from_body = ned_from_world * world_from_log * Rotation.from_matrix(mapping.log_body_from_frd)
+    return slerp(log.time_s, ned_from_body)(time_s)
+
+
+def _gimbal(log, time_s, ned_from_body):
+    """Rotations from the gimbal's axes (x along the view, y right, z down in the image) to NED at `time_s`."""
+    zero = np.zeros(log.time_s.size)
+    angles = [log.values.get(name, zero) for name in GIMBAL]
+    gimbal = slerp(log.time_s, rotation_from_angles(*angles))(time_s)
+    if GIMBAL[0] in log.values:
+        return gimbal
+    nose = ned_from_body.as_matrix()[:, :, 0]
+    return rotation_from_angles(np.degrees(np.arctan2(nose[:, 1], nose[:, 0])), 0.0, 0.0) * gimbal
+
+
+def _anchored(trajectory, anchor, ground, height):
+    up = anchor.up
+    if ground is not None:
+        place = np.array([anchor.east]), np.array([anchor.north])
+        below = float(np.asarray(ground(*place), np.float64)[0])
+        if not np.isfinite(below):
+            raise ThermorenderError(
+                f"anchor: there is no ground below east {anchor.east:g} m, north {anchor.north:g} m; give a place on "
+                f"the scene's terrain"
+            )
+        up += below
+    moved = trajectory.anchored(anchor.east, anchor.north, anchor.heading_deg, up)
+    if height != "above_ground_m":
+        return moved
+    if ground is None:
+        raise ThermorenderError(
+            "anchor: a log of above_ground_m follows the ground, and none is given; render a scene with terrain or "
+            "give a height of another reference"
+        )
+    terrain = moved.position[:, 2] - moved.above_ground(ground)
+    if not np.isfinite(terrain).all():
+        k = int(np.argmax(~np.isfinite(terrain)))
+        raise ThermorenderError(
+            f"anchor: at {moved.time_s[k]:.3f} s the flight leaves the scene's terrain (east {moved.position[k, 0]:.1f} "
+            f"m, north {moved.position[k, 1]:.1f} m), where above_ground_m has no meaning; choose another anchor"
+        )
+    position = moved.position.copy()
+    position[:, 2] += terrain - terrain[0]
+    return Trajectory(moved.time_s, position, moved.quaternion)
