@@ -1,32 +1,32 @@
 """The shipped material tables against measurements, and the words of every refusal."""
 
 import csv
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import shared_data
 
 from thermorender.errors import ThermorenderError
 from thermorender.paths import data_folder
 from thermorender.scene.material_import import from_ecostress, main, read_ecostress, write_material
 from thermorender.scene.materials import INDEX_COLUMNS, find, grey, load_library
 
-REPOSITORY = Path(__file__).resolve().parent.parent
-EMISSIVITY = Path(os.environ.get("THERMORENDER_DATA", REPOSITORY.parent / "shared" / "data")) / "emissivity"
-SPECTRA = EMISSIVITY / "ecostress" / "spectra"
-needs_data = pytest.mark.skipif(not SPECTRA.is_dir(), reason=f"ECOSTRESS spectra are not in {SPECTRA}")
-
 NAMES = (
-    "grass_green grass_dry heath_shrub conifer broadleaf leaf_litter bark soil_loam soil_dark sand_quartz granite "
-    "limestone basalt asphalt concrete roof_shingle roof_slate roof_rubber glass paint_black paint_metallic wood "
-    "water snow ice brass"
+    "grass_green grass_dry heath_shrub conifer broadleaf leaf_litter bark soil_loam soil_dark sand_quartz "
+    "granite limestone basalt asphalt concrete roof_shingle roof_slate roof_rubber glass paint_black "
+    "paint_metallic wood water snow ice brass"
 ).split()
 
 
 @pytest.fixture(scope="module")
 def library():
     return load_library()
+
+
+@pytest.fixture
+def spectra():
+    return shared_data("emissivity/ecostress/spectra")
 
 
 def band_emissivity(wavelength_um, emissivity):
@@ -65,7 +65,8 @@ def test_shipped_material_is_complete(library, name):
     # One sample says nothing about the spread, and the table must not say 0.
     assert np.isnan(material.emissivity_std).all() == (material.samples == 1)
     assert material.source.count(".spectrum.txt") == material.samples
-    assert "10.1016/j.rse.2008.11.007" in material.citation and "10.1016/j.rse.2019.05.015" in material.citation
+    assert "doi:10.1016/j.rse.2008.11.007" in material.citation
+    assert "doi:10.1016/j.rse.2019.05.015" in material.citation
     assert material.licence and material.title and "assumed" in material.note
     assert 250.0 < material.temperature < 350.0
 
@@ -86,43 +87,40 @@ def test_published_values_of_single_samples(library, name, expected):
 
 
 def test_quartz_doublet_is_resolved(library):
-    """The two reststrahlen bands of quartz lie around 8.2-8.5 and 8.8-9.2 µm with a rise near 8.6 µm between."""
+    """Quartz has two reststrahlen bands, near 8.2 and 9.0 µm, and a rise near 8.6 µm between them."""
     left, between, right = library["sand_quartz"].emissivity_at([8.2, 8.65, 8.9])
     assert left < between - 0.05 and right < between - 0.02
 
 
-@needs_data
 @pytest.mark.parametrize("name", NAMES)
-def test_table_equals_independent_integration_of_its_samples(library, name):
+def test_table_equals_independent_integration_of_its_samples(library, spectra, name):
     material = library[name]
     files = material.source.partition(": ")[2].split("; ")
-    singles = [band_emissivity(*raw_spectrum(SPECTRA / file)) for file in files]
-    assert band_emissivity(material.wavelength_um, material.emissivity) == pytest.approx(np.mean(singles), abs=5e-5)
-    start, end = zip(*(raw_spectrum(SPECTRA / file)[0][[0, -1]] for file in files), strict=True)
+    singles = [band_emissivity(*raw_spectrum(spectra / file)) for file in files]
+    found = band_emissivity(material.wavelength_um, material.emissivity)
+    assert found == pytest.approx(np.mean(singles), abs=5e-5)
+    start, end = zip(*(raw_spectrum(spectra / file)[0][[0, -1]] for file in files), strict=True)
     assert max(start) <= 7.0 and min(end) >= 14.0
 
 
-@needs_data
-def test_reader_reproduces_the_published_value_of_every_selected_sample():
-    with open(EMISSIVITY / "curated_materials.csv", encoding="utf-8") as file:
+def test_reader_reproduces_the_published_value_of_every_selected_sample(spectra):
+    with open(shared_data("emissivity/curated_materials.csv"), encoding="utf-8") as file:
         published = {row["ecostress_file"]: row for row in csv.DictReader(file)}
     with open(data_folder("materials") / "selection.csv", encoding="utf-8") as file:
         files = [row["file"] for row in csv.DictReader(file)]
     assert len(files) > 60
     for file in files:
-        sample = read_ecostress(SPECTRA / file)
+        sample = read_ecostress(spectra / file)
         expected = float(published[file]["eps_band_planck300K_7p5_13p5"])
         found = band_emissivity(sample.wavelength_um, 1.0 - sample.reflectance)
         assert found == pytest.approx(expected, abs=5e-4), file
 
 
-@needs_data
-def test_shipped_tables_are_what_the_importer_writes(tmp_path):
+def test_shipped_tables_are_what_the_importer_writes(tmp_path, spectra):
     shipped = data_folder("materials")
-    assert main([str(SPECTRA), str(shipped / "selection.csv"), str(tmp_path)]) == 0
-    assert (tmp_path / "index.csv").read_text() == (shipped / "index.csv").read_text()
-    for name in NAMES:
-        assert (tmp_path / f"spectra/{name}.csv").read_text() == (shipped / f"spectra/{name}.csv").read_text()
+    assert main([str(spectra), str(shipped / "selection.csv"), str(tmp_path)]) == 0
+    for file in ["index.csv", *(f"spectra/{name}.csv" for name in NAMES)]:
+        assert (tmp_path / file).read_text("utf-8") == (shipped / file).read_text("utf-8")
 
 
 # --- a material -------------------------------------------------------------------------------------------
@@ -144,7 +142,7 @@ def test_interpolation_is_exact_at_the_nodes_and_linear_between(library):
     [(14.5, "14.5 µm"), ([3.0, 8.0], "3–8 µm"), (np.nan, "NaN"), (14.0 + 1e-6, "14 µm")],
 )
 def test_wavelengths_never_measured_are_refused(library, asked, words):
-    with pytest.raises(ThermorenderError, match=r"'water'.* was measured over 3.2–14 µm only.*own table") as error:
+    with pytest.raises(ThermorenderError, match=r"'water'.* was measured over 3.2–14 µm only") as error:
         library["water"].emissivity_at(asked)
     assert words in str(error.value)
 
@@ -162,7 +160,7 @@ def test_grey_is_constant_and_knows_no_other_wavelengths():
 
 def test_printing_teaches(library):
     text = str(library["granite"])
-    for words in ("granite: Granite", "3.2–14 µm", "at 9.", "2 samples", "10.1016", "free, cite", " K by day", "powders"):
+    for words in ("granite: Granite", "3.2–14 µm", "at 9.", "2 samples", "10.1016", "free, cite", "K by day"):
         assert words in text
     assert "unknown, one sample" in str(library["glass"])
 
@@ -174,7 +172,8 @@ def test_arrays_cannot_be_changed(library):
 
 def test_unknown_material_names_the_place_and_the_closest(library):
     assert find(library, "granite", "here").name == "granite"
-    with pytest.raises(ThermorenderError, match=r'object "marker" uses material .paint_blak.*closest are paint_black'):
+    words = r"""object "marker" uses material 'paint_blak'.*closest are paint_black"""
+    with pytest.raises(ThermorenderError, match=words):
         find(library, "paint_blak", 'scene.toml, object "marker"')
     with pytest.raises(ThermorenderError, match="it holds asphalt, bark"):
         find(library, "zzz", "scene.toml")
@@ -237,7 +236,7 @@ def test_faults_of_the_index_are_told(tmp_path, change, words):
 @pytest.mark.parametrize(
     ("rows", "words"),
     [
-        ("7,1.2,\n14,0.3,", r"tin.csv, row 2: emissivity=1.2 is not within 0…1; divide by 100 .* reflectances"),
+        ("7,1.2,\n14,0.3,", r"tin.csv, row 2: emissivity=1.2 is not within 0…1; divide by 100"),
         ("7,nan,\n14,0.3,", r"row 2: emissivity=nan is not within 0…1"),
         ("7,0.2,\n14,n/a,", r"row 3: emissivity='n/a' is not a number.*point as decimal mark"),
         ('7,0.2,\n14,"0,3",', r"row 3: emissivity='0,3' is not a number"),
@@ -249,8 +248,9 @@ def test_faults_of_the_index_are_told(tmp_path, change, words):
     ],
 )
 def test_faults_of_a_spectrum_are_told(tmp_path, rows, words):
+    spectrum = f"wavelength_um,emissivity,emissivity_std\n{rows}\n"
     with pytest.raises(ThermorenderError, match=words):
-        load_library(write_library(tmp_path / "m", spectrum=f"wavelength_um,emissivity,emissivity_std\n{rows}\n"))
+        load_library(write_library(tmp_path / "m", spectrum=spectrum))
 
 
 def test_faults_of_a_folder_are_told(tmp_path):
@@ -275,10 +275,12 @@ def test_faults_of_a_folder_are_told(tmp_path):
 # --- the importer ------------------------------------------------------------------------------------------
 
 
-def ecostress_file(path, wavelength, percent, measurement="Hemispherical reflectance", y_units="Reflectance (percent)"):
+def ecostress_file(
+    path, wavelength, percent, measurement="Hemispherical reflectance", y_units="Reflectance (percent)"
+):
     header = [
-        "Name: Made-up rock", "Type: rock", f"Measurement: {measurement}", "X Units: Wavelength (micrometers)",
-        f"Y Units:{y_units}", "Description: at 10\xb0: rough", "",
+        "Name: Made-up rock", "Type: rock", "Description: at 10\xb0: rough", f"Measurement: {measurement}",
+        "X Units: Wavelength (micrometers)", f"Y Units:{y_units}", "",
     ]  # fmt: skip
     lines = [f" {w:.4f}\t{p:.4f}" for w, p in zip(wavelength, percent, strict=True)]
     path.write_text("\n".join(header + lines) + "\n", encoding="latin-1")
@@ -302,11 +304,13 @@ def test_mean_and_spread_over_samples_that_fall_and_rise(tmp_path):
     write_material(rock, tmp_path / "m")
     back = load_library(tmp_path / "m")["rock"]
     np.testing.assert_allclose(back.emissivity, rock.emissivity, atol=5.1e-6)
-    assert (back.title, back.temperature, back.source, back.note) == (rock.title, 301.0, rock.source, rock.note)
+    assert (back.title, back.temperature) == ("Rock", 301.0)
+    assert (back.source, back.note) == (rock.source, rock.note)
 
 
 def test_repeated_wavelengths_are_averaged_and_percent_becomes_a_share(tmp_path):
-    sample = read_ecostress(ecostress_file(tmp_path / "a.txt", [14.0, 9.0, 9.0, 2.0], [10.0, 20.0, 40.0, 5.0]))
+    path = ecostress_file(tmp_path / "a.txt", [14.0, 9.0, 9.0, 2.0], [10.0, 20.0, 40.0, 5.0])
+    sample = read_ecostress(path)
     np.testing.assert_allclose(sample.wavelength_um, [2.0, 9.0, 14.0])
     np.testing.assert_allclose(sample.reflectance, [0.05, 0.30, 0.10])
     assert sample.name == "Made-up rock"
@@ -330,8 +334,9 @@ def test_samples_that_cannot_give_emissivity_are_refused(tmp_path):
         with pytest.raises(ThermorenderError, match=words):
             from_ecostress([path], "rock", solar_absorptance=solar)
 
-    refused(r"a.txt of material 'rock' covers 2–12.5 µm and 7–14 µm is needed", wavelength=np.linspace(2, 12.5, 99))
-    refused(r"measured as 'Bidirectional reflectance'; .* leave the sample out", measurement="Bidirectional reflectance")
+    short = np.linspace(2.0, 12.5, 99)
+    refused(r"a.txt of material 'rock' covers 2–12.5 µm and 7–14 µm is needed", wavelength=short)
+    refused(r"measured as 'Bidirectional'; .* leave the sample out", measurement="Bidirectional")
     refused(r"has reflectance -0.5 % at .* outside 0…100 % at", percent=-0.5)
     refused(r"no sample of material 'rock' covers 0.42–2.5 µm.*give an assumed value", solar=None)
     refused(r"y units 'Transmittance'; only wavelength in micrometres", y_units="Transmittance")

@@ -1,4 +1,5 @@
-"""Attitudes of vehicles and cameras: aviation angles, axis conventions and interpolation, on SciPy's `Rotation`.
+"""Attitudes of vehicles and cameras: aviation angles, axis conventions and interpolation, on SciPy's
+`Rotation`.
 
 Three sets of axes meet here. *Body* is FRD: x forward, y right, z down. *NED* is the local north, east, down
 of the place where the vehicle is. *Camera* is x right, y down, z forward (along the optical axis).
@@ -56,7 +57,8 @@ def ecef_from_ned(latitude_deg, longitude_deg):
 
 
 def slerp(time_s, rotation):
-    """Return the function that gives `rotation` (N attitudes at increasing `time_s`) at other times, turning evenly.
+    """Return the function that gives `rotation` (N attitudes at increasing `time_s`) at other times, turning
+    evenly.
 
     A single attitude is constant. Neighbouring attitudes are joined by the shorter way round.
 

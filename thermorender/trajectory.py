@@ -15,7 +15,7 @@ from thermorender.rotations import rotation_from_wxyz, slerp, wxyz
 # A quaternion further from length 1 than this is not one that lost digits in a log.
 QUATERNION_TOLERANCE = 1e-3
 
-# The first heading is the direction to the first sample this far away: less is the jitter of a receiver at rest.
+# The first heading points to the first sample this far away: less is the jitter of a receiver at rest.
 MOVED_M = 1.0
 
 
@@ -56,8 +56,8 @@ class Trajectory:
     Raises
     ------
     ThermorenderError
-        Shapes disagree, a value is not finite, time does not increase, or a quaternion's length is not 1 within
-        1e-3 (smaller errors are normalised away).
+        Shapes disagree, a value is not finite, time does not increase, or a quaternion's length is not 1
+        within 1e-3 (smaller errors are normalised away).
     """
 
     time_s: np.ndarray
@@ -130,14 +130,15 @@ class Trajectory:
         outside = ~((times >= start) & (times <= stop))
         if outside.any():
             raise ThermorenderError(
-                f"time_s={times[outside][0]:.9g} is outside the trajectory, which spans {start:.9g} to {stop:.9g} s "
-                f"and is not extrapolated"
+                f"time_s={times[outside][0]:.9g} is outside the trajectory, which spans {start:.9g} to "
+                f"{stop:.9g} s and is not extrapolated"
             )
         position = np.stack([np.interp(times, self.time_s, self.position[:, k]) for k in range(3)], axis=-1)
         return Trajectory(times, position, wxyz(self._rotation_at(times)))
 
     def pose(self, time_s):
-        """Return `world_from_camera`, (4, 4), at one time [s]: position on the straight line, attitude by slerp.
+        """Return `world_from_camera`, (4, 4), at one time [s]: position on the straight line, attitude by
+        slerp.
 
         Raises
         ------
@@ -154,7 +155,8 @@ class Trajectory:
         return poses
 
     def frame_times(self, rate_hz, start_s=None, stop_s=None):
-        """Return frame times, (M,) [s], from the start at a fixed rate [Hz], the end included if it falls on one.
+        """Return frame times, (M,) [s], from the start at a fixed rate [Hz], the end included if it falls on
+        one.
 
         Parameters
         ----------
@@ -170,8 +172,8 @@ class Trajectory:
         stop = last if stop_s is None else float(stop_s)
         if not (first <= start <= stop <= last):
             raise ThermorenderError(
-                f"start_s={start:.9g}, stop_s={stop:.9g}: the part must lie in order within the trajectory's span, "
-                f"{first:.9g} to {last:.9g} s"
+                f"start_s={start:.9g}, stop_s={stop:.9g}: the part must lie in order within the trajectory's "
+                f"span, {first:.9g} to {last:.9g} s"
             )
         # The small share of a frame keeps a last frame that rounding would push past the end.
         count = int(np.floor((stop - start) * rate_hz + 1e-6)) + 1
@@ -181,9 +183,9 @@ class Trajectory:
     def first_heading_deg(self):
         """Heading at the start, clockwise from north, in [0, 360) [deg].
 
-        The direction from the first sample to the first one at least 1 m away horizontally. If there is none, the
-        horizontal direction of the view, and of a camera that looks straight up or down that of the image's upper
-        edge.
+        The direction from the first sample to the first one at least 1 m away horizontally. If there is none,
+        the horizontal direction of the view, and of a camera that looks straight up or down that of the
+        image's upper edge.
         """
         away = self.position[:, :2] - self.position[0, :2]
         moved = np.hypot(*away.T) >= MOVED_M
@@ -250,9 +252,9 @@ def check_above_ground(trajectory, ground, minimum_m=0.0):
             "the ground" if minimum_m == 0.0 else f"the lowest height allowed, {minimum_m:g} m above ground"
         )
         raise ThermorenderError(
-            f"trajectory: at {trajectory.time_s[k]:.3f} s the camera is {minimum_m - height[k]:.2f} m below {limit} "
-            f"({int(low.sum())} of {len(trajectory)} samples are); check the height column's reference, raise the "
-            f"flight with an anchor, or allow flights below ground"
+            f"trajectory: at {trajectory.time_s[k]:.3f} s the camera is {minimum_m - height[k]:.2f} m below "
+            f"{limit} ({int(low.sum())} of {len(trajectory)} samples are); check the height column's "
+            "reference, raise the flight with an anchor, or allow flights below ground"
         )
     return float(np.nanmin(height)) if np.isfinite(height).any() else float("nan")
 

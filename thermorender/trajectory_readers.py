@@ -1,16 +1,16 @@
-"""From a flight log's columns to the camera's trajectory: heights to local up, attitudes to the scene's axes, mounting.
+"""From a flight log's columns to the camera's trajectory: heights, attitudes, mounting and anchoring.
 
 Conventions of our own CSV columns (row 1 names them; units are in the names):
 
 - `time_s`; position `east_m, north_m` in the scene's frame or `lat_deg, lon_deg` (WGS 84).
-- Exactly one height: `up_m` (local up), `alt_ellipsoid_m`, `alt_geoid_m`, `above_ground_m` (above the ground below
-  each sample) or `above_takeoff_m` (above the ground below the first sample).
-- The vehicle's attitude: `qw, qx, qy, qz` from body axes (x forward, y right, z down) to local north, east, down, or
-  `yaw_deg` (clockwise from north), `pitch_deg` (nose up), `roll_deg` (right side down). A missing angle is 0; without
-  any, the vehicle flies level with its nose to the north.
-- `gimbal_yaw_deg, gimbal_pitch_deg, gimbal_roll_deg`: the optical axis against the Earth (pitch −90 looks straight down,
-  0 at the horizon; yaw clockwise from north). A missing yaw is the vehicle's, a missing pitch or roll is 0. With any
-  of them the vehicle's attitude only turns the lever arm.
+- Exactly one height: `up_m` (local up), `alt_ellipsoid_m`, `alt_geoid_m`, `above_ground_m` (above the ground
+  below each sample) or `above_takeoff_m` (above the ground below the first sample).
+- The vehicle's attitude: `qw, qx, qy, qz` from body axes (x forward, y right, z down) to local north, east,
+  down, or `yaw_deg` (clockwise from north), `pitch_deg` (nose up), `roll_deg` (right side down). A missing
+  angle is 0; without any, the vehicle flies level with its nose to the north.
+- `gimbal_yaw_deg, gimbal_pitch_deg, gimbal_roll_deg`: the optical axis against the Earth (pitch −90 looks
+  straight down, 0 at the horizon; yaw clockwise from north). A missing yaw is the vehicle's, a missing pitch
+  or roll is 0. With any of them the vehicle's attitude only turns the lever arm.
 """
 
 from dataclasses import replace
@@ -31,7 +31,7 @@ from thermorender.rotations import (
 )
 from thermorender.trajectory import QUATERNION_TOLERANCE, Trajectory
 from thermorender.trajectory_heights import frame_of_first_sample, local_positions, refuse_far
-from thermorender.trajectory_tables import (
+from thermorender.trajectory_mapping import (
     ANGLES,
     GIMBAL,
     HEIGHTS,
@@ -40,8 +40,8 @@ from thermorender.trajectory_tables import (
     POSITION_LOCAL,
     QUATERNION,
     load_mapping,
-    read_log,
 )
+from thermorender.trajectory_tables import read_log
 
 
 def read_trajectory(
@@ -61,8 +61,8 @@ def read_trajectory(
     Parameters
     ----------
     paths : path or list of paths
-        One file, or several that each contribute columns on their own time (position, attitude, gimbal). Files are
-        joined on the times of all of them within the span they share.
+        One file, or several that each contribute columns on their own time (position, attitude, gimbal).
+        Files are joined on the times of all of them within the span they share.
     frame : LocalFrame, optional
         The scene's georeference; needed for latitude and longitude unless anchored.
     ground : callable, optional
@@ -70,17 +70,18 @@ def read_trajectory(
     geoid_undulation_m : float, optional
         Height of the geoid above the ellipsoid at the scene [m]; needed for `alt_geoid_m` unless anchored.
     format : str or path, optional
-        A bundled column mapping (`trajectory_tables.bundled_formats()`) or a TOML file in the same form.
+        A bundled column mapping (`trajectory_mapping.bundled_formats()`) or a TOML file in the same form.
     anchor : Anchor, optional
-        Moves the flight so that its first camera position is at (east, north), `up` metres above the ground there
-        (local up where `ground` is not given), and turns it about up to the heading. The flight keeps its shape; a
-        log of `above_ground_m` instead keeps each sample's height above the ground it now flies over, all shifted
-        alike so that the first is `up`. No georeference is needed.
+        Moves the flight so that its first camera position is at (east, north), `up` metres above the ground
+        there (local up where `ground` is not given), and turns it about up to the heading. The flight keeps
+        its shape; a log of `above_ground_m` instead keeps each sample's height above the ground it now flies
+        over, all shifted alike so that the first is `up`. No georeference is needed.
     clock_offset_s : float
-        Added to the log's time [s]. Date-time stamps count from the position log's first sample.
+        Added to the log's time [s]. Date-time stamps count from the earliest sample.
     mount : (3,), optional
-        Yaw, pitch, roll of the optical axis against the vehicle's body [deg]; (0, 0, 0), the default, looks forward
-        with the image's right edge to the vehicle's right, (0, −90, 0) looks down with the nose at the upper edge.
+        Yaw, pitch, roll of the optical axis against the vehicle's body [deg]; (0, 0, 0), the default, looks
+        forward with the image's right edge to the vehicle's right, (0, −90, 0) looks down with the nose at
+        the upper edge.
     lever_arm_m : (3,)
         The camera's place in the vehicle's body: forward, right, down [m].
 
@@ -95,7 +96,7 @@ def read_trajectory(
         raise ThermorenderError("paths is empty; give at least one CSV file")
     logs = _with_constants([read_log(path, mapping) for path in paths], mapping)
     if mapping.stamps:
-        # A clock time is of no use to a simulation, the time since the first sample is; all files share that zero.
+        # Simulations count from the start of the flight, not from 1970; all files share that zero.
         zero = min(log.time_s[0] for log in logs)
         logs = [replace(log, time_s=log.time_s - zero) for log in logs]
     mount_deg = _triple("mount", (0.0, 0.0, 0.0) if mount is None else mount, "yaw, pitch, roll [deg]")
@@ -111,8 +112,9 @@ def read_trajectory(
     body_log, gimbal_log = _attitude_logs(logs)
     if gimbal_log is not None and mount is not None:
         raise ThermorenderError(
-            f"mount={tuple(mount)} contradicts {gimbal_log.path}, whose gimbal columns say where the camera looks; "
-            f"leave mount out or delete the columns {', '.join(n for n in GIMBAL if n in gimbal_log.values)}"
+            f"mount={tuple(mount)} contradicts {gimbal_log.path}, whose gimbal columns say where the camera "
+            "looks; leave mount out or delete the columns "
+            f"{', '.join(n for n in GIMBAL if n in gimbal_log.values)}"
         )
     time_s = _common_times([log for log in (position_log, body_log, gimbal_log) if log is not None])
     position = np.stack([np.interp(time_s, position_log.time_s, position[:, k]) for k in range(3)], axis=-1)
@@ -172,20 +174,21 @@ def _position_columns(logs, mapping):
         for name, quantity in mapping.quantities.items():
             if name not in held:
                 raise ThermorenderError(
-                    f"{names}: column {quantity.column!r} ({name}) is missing; format={mapping.name!r} needs it"
-                    + ("" if len(logs) > 1 else ", in this file or in a further one given with it")
+                    f"{names}: column {quantity.column!r} ({name}) is missing; format={mapping.name!r} needs "
+                    "it, in this file or in another one given with it"
                 )
     pairs = [pair for pair in (POSITION_LOCAL, POSITION_GEODETIC) if any(name in held for name in pair)]
     if len(pairs) != 1:
-        arrived = "both" if pairs else "neither"
         raise ThermorenderError(
-            f"{names}: has {arrived} of the position columns east_m, north_m and lat_deg, lon_deg; give one pair"
+            f"{names}: has {'both' if pairs else 'neither'} of the position columns east_m, north_m and "
+            "lat_deg, lon_deg; give one pair"
         )
     heights = [name for name in HEIGHTS if name in held]
     if len(heights) != 1:
+        arrived = "the height columns " + ", ".join(heights) if heights else "no height column"
         raise ThermorenderError(
-            f"{names}: has {'no height column' if not heights else 'the height columns ' + ', '.join(heights)}; "
-            f"exactly one of {', '.join(HEIGHTS)} is allowed, so that its reference is plain"
+            f"{names}: has {arrived}; exactly one of {', '.join(HEIGHTS)} is allowed, so that its reference "
+            "is plain"
         )
     for name in pairs[0]:
         if name not in held:
@@ -215,7 +218,7 @@ def _attitude_logs(logs):
         quaternion = [name for name in QUATERNION if name in body.values]
         if quaternion and any(name in body.values for name in ANGLES):
             raise ThermorenderError(
-                f"{body.path}: the attitude is given twice, by {', '.join(QUATERNION)} and by angles; keep one"
+                f"{body.path}: the attitude is given twice, by qw, qx, qy, qz and by angles; keep one"
             )
         if quaternion and len(quaternion) < 4:
             missing = ", ".join(repr(name) for name in QUATERNION if name not in quaternion)
@@ -241,7 +244,7 @@ def _common_times(logs):
 
 
 def _body(log, mapping, time_s):
-    """Rotations from body FRD to NED at `time_s`; level with the nose to the north where nothing is logged."""
+    """Rotations from body FRD to NED at `time_s`; level, nose to the north, where nothing is logged."""
     if log is None:
         return rotation_from_angles(np.zeros(time_s.size), 0.0, 0.0)
     if "qw" not in log.values:
@@ -252,10 +255,10 @@ def _body(log, mapping, time_s):
     bad = np.abs(length - 1.0) > QUATERNION_TOLERANCE
     if bad.any():
         k = int(np.argmax(bad))
-        columns = ", ".join(log.columns[name] for name in QUATERNION)
+        columns = ", ".join(log.columns.get(name, name) for name in QUATERNION)
         raise ThermorenderError(
-            f"{log.path}, row {log.row[k]}, columns {columns}: the quaternion has length {length[k]:.6g}; attitudes "
-            f"are unit quaternions, to within {QUATERNION_TOLERANCE:g}"
+            f"{log.path}, row {log.row[k]}, columns {columns}: the quaternion has length {length[k]:.6g}; "
+            f"attitudes are unit quaternions, to within {QUATERNION_TOLERANCE:g}"
         )
     world_from_log = rotation_from_wxyz(quaternion)
     if mapping.quaternion_inverse:
@@ -267,7 +270,7 @@ def _body(log, mapping, time_s):
 
 
 def _gimbal(log, time_s, ned_from_body):
-    """Rotations from the gimbal's axes (x along the view, y right, z down in the image) to NED at `time_s`."""
+    """Rotations from the gimbal's axes (x along the view, y right, z down in the image) to NED."""
     zero = np.zeros(log.time_s.size)
     angles = [log.values.get(name, zero) for name in GIMBAL]
     gimbal = slerp(log.time_s, rotation_from_angles(*angles))(time_s)
@@ -284,8 +287,8 @@ def _anchored(trajectory, anchor, ground, height):
         below = float(np.asarray(ground(*place), np.float64)[0])
         if not np.isfinite(below):
             raise ThermorenderError(
-                f"anchor: there is no ground below east {anchor.east:g} m, north {anchor.north:g} m; give a place on "
-                f"the scene's terrain"
+                f"anchor: there is no ground below east {anchor.east:g} m, north {anchor.north:g} m; give a "
+                "place on the scene's terrain"
             )
         up += below
     moved = trajectory.anchored(anchor.east, anchor.north, anchor.heading_deg, up)
@@ -293,15 +296,16 @@ def _anchored(trajectory, anchor, ground, height):
         return moved
     if ground is None:
         raise ThermorenderError(
-            "anchor: a log of above_ground_m follows the ground, and none is given; render a scene with terrain or "
-            "give a height of another reference"
+            "anchor: a log of above_ground_m follows the ground, and none is given; render a scene with "
+            "terrain or give a height of another reference"
         )
     terrain = moved.position[:, 2] - moved.above_ground(ground)
     if not np.isfinite(terrain).all():
         k = int(np.argmax(~np.isfinite(terrain)))
         raise ThermorenderError(
-            f"anchor: at {moved.time_s[k]:.3f} s the flight leaves the scene's terrain (east {moved.position[k, 0]:.1f} "
-            f"m, north {moved.position[k, 1]:.1f} m), where above_ground_m has no meaning; choose another anchor"
+            f"anchor: at {moved.time_s[k]:.3f} s the flight leaves the scene's terrain (east "
+            f"{moved.position[k, 0]:.1f} m, north {moved.position[k, 1]:.1f} m), where above_ground_m has no "
+            "meaning; choose another anchor"
         )
     position = moved.position.copy()
     position[:, 2] += terrain - terrain[0]

@@ -14,8 +14,8 @@ from thermorender.scene.georeference import LocalFrame
 from thermorender.scene.ground import Ground
 from thermorender.scene.raster import grid_of, onto, read_band, read_colour
 from thermorender.scene.spec import SceneSpec, TemperatureSpec, read_scene
-from thermorender.scene.surface import FILLED, SURFACE, Surface, fill, nearest_valid
-from thermorender.scene.temperature import Texels, raster_temperature, resolve
+from thermorender.scene.surface import FALLBACK, FILLED, SURFACE, Surface, fill, nearest_valid
+from thermorender.scene.temperature import Texels, resolve
 from thermorender.sensor.camera import Camera, load_camera
 
 
@@ -105,8 +105,8 @@ class Scene:
                 surface.colour, surface.material, self.materials, self.grid, surface.texel_m, self.where, report
             )
             temperature, flags = resolve(spec, texels)
-            empty = surface.flags & FILLED if self.spec.temperature.source != "raster" else 0
-            surfaces[index] = replace(surface, temperature=temperature, flags=SURFACE | empty | flags)
+            known = surface.flags & ~np.uint8(FALLBACK)
+            surfaces[index] = replace(surface, temperature=temperature, flags=known | flags)
         return replace(
             self, spec=replace(self.spec, temperature=spec), surfaces=tuple(surfaces), report=report
         )
@@ -349,10 +349,3 @@ def _object(item, scene, materials):
         )
         for part in parts
     ]
-
-
-def truth_temperature(scene):
-    """Return the truth temperatures on the terrain's texels, (h, w) float64 [K] with NaN where unknown."""
-    surface = scene.surfaces[0]
-    texels = Texels(surface.colour, surface.material, scene.materials, scene.grid, surface.texel_m, scene.where)
-    return raster_temperature(scene.truth_temperature_spec.raster, texels)

@@ -6,8 +6,8 @@ import numpy as np
 
 # Flags of texels, and of the pixels that show them (the truth mask of a frame).
 SURFACE = 1  # something of the scene is there
-FILLED = 2  # the source had no data here; the nearest valid texel stands in
-FALLBACK = 4  # a learned map could not be trusted here; the material's own temperature stands in
+FILLED = 2  # no colour or material is known here; the nearest valid texel stands in
+FALLBACK = 4  # no temperature could be had here: the nearest one, or the material's own where a learned map fails
 SATURATED = 8  # the sensor's range is exceeded
 BEYOND = 16  # no surface is hit but the ray points below the horizon: the surroundings beyond the terrain
 

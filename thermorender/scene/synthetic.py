@@ -14,10 +14,14 @@ from thermorender.scene.synthetic_files import write_scene
 from thermorender.scene.synthetic_heat import surface_temperature
 from thermorender.scene.synthetic_heath import heath
 from thermorender.scene.synthetic_light import incidence, normals, photograph
+from thermorender.scene.synthetic_ridge import ridge
+from thermorender.scene.synthetic_village import village
 
 # Kind: layout function, default size, texel and post spacing [m], and what it shows.
 KINDS = {
     "heath": (heath, 400.0, 0.25, 1.0, "Heath with sand, tracks, pine forest and fields"),
+    "village": (village, 320.0, 0.2, 0.5, "Village street with houses, gardens, a nursery and a pond"),
+    "ridge": (ridge, 1600.0, 1.0, 4.0, "Mountain ridge with rock, snow, alpine grass, spruces and a lake"),
 }
 
 # Largest raster a scene may have: more does not fit an ordinary machine's memory while it is painted.

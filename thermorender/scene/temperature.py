@@ -6,7 +6,7 @@ import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.scene.raster import grid_of, onto, read_band
-from thermorender.scene.surface import FALLBACK, FILLED, fill, nearest_valid
+from thermorender.scene.surface import FALLBACK, fill, nearest_valid
 from thermorender.units import kelvin
 
 
@@ -75,7 +75,7 @@ def _raster(spec, texels):
     valid = np.isfinite(values)
     if not valid.all():
         values = fill(values, nearest_valid(valid))
-    return values, np.where(valid, 0, FILLED).astype(np.uint8)
+    return values, np.where(valid, 0, FALLBACK).astype(np.uint8)
 
 
 def _material(spec, texels):

@@ -1,0 +1,92 @@
+"""A frame: what the camera sees from one pose, with the truth behind it, each part computed when asked for."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from thermorender.physics.band import RadianceTable
+from thermorender.physics.planck import band_radiance
+from thermorender.scene.surface import SATURATED
+from thermorender.sensor import bolometer, display
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One LWIR frame.
+
+    Attributes
+    ----------
+    radiance : (H, W) float32
+        Band radiance entering the lens, without noise [W m⁻² sr⁻¹].
+    pose : (4, 4) float64
+        world_from_camera.
+    time_s : float
+    index : int
+        Number of the frame in its flight; with the seed it decides the noise.
+    seed : int
+    camera : Camera
+    plan : dict
+        What was rendered how.
+    targets : dict
+        {name: {"pixel": (column, row) or None, "in_view": bool, "visible": bool, "range_m": float}}.
+    """
+
+    radiance: np.ndarray
+    pose: np.ndarray
+    time_s: float
+    index: int
+    seed: int
+    camera: object
+    plan: dict
+    targets: dict
+    _truth: object = field(repr=False)
+
+    @cached_property
+    def apparent_temperature(self):
+        """Temperature of the blackbody with each pixel's band radiance, (H, W) float32 [K]; 0 for no radiance."""
+        return apparent_temperature(self.radiance, self.camera.band_um)
+
+    @cached_property
+    def counts(self):
+        """What the detector reads, with noise, (H, W) uint16."""
+        return bolometer.counts(self.radiance, self.camera, self.seed, self.index)
+
+    @cached_property
+    def display(self):
+        """The counts spread over 8 bits for a screen, white hot, (H, W) uint8."""
+        return display.linear(self.counts)
+
+    @cached_property
+    def truth(self):
+        """What is really there, at pixel centres.
+
+        Returns
+        -------
+        dict
+            kinetic_temperature [K], emissivity (band mean at 300 K), depth along the optical axis [m], each
+            (H, W) float32; position (H, W, 3) float32 in the local frame [m]; material (H, W) uint8, 255 for
+            none; mask (H, W) uint8, flags of `thermorender.scene.surface`. NaN (depth: infinity) where nothing
+            is hit.
+        """
+        found = self._truth()
+        saturated = bolometer.saturated(self.counts, self.camera)
+        found["mask"] = found["mask"] | np.where(saturated, SATURATED, 0).astype(np.uint8)
+        return found
+
+
+def apparent_temperature(radiance, band_um):
+    """Return the blackbody temperature of band radiances, (…) float32 [K], by table (error below 0.1 mK).
+
+    Zero gives 0 K and negative values NaN, since no blackbody has them.
+    """
+    radiance = np.asarray(radiance, dtype=np.float64)
+    positive = radiance[radiance > 0.0]
+    if not positive.size:
+        return np.where(radiance == 0.0, 0.0, np.nan).astype(np.float32)
+    from thermorender.physics.planck import brightness_temperature
+
+    coldest, warmest = brightness_temperature(np.array([positive.min(), positive.max()]), *band_um)
+    grid = RadianceTable.grid(coldest, warmest)
+    table = RadianceTable(grid, band_radiance(grid, *band_um))
+    return np.where(radiance > 0.0, table.inverse(radiance), np.where(radiance == 0.0, 0.0, np.nan)).astype(np.float32)

@@ -1,0 +1,356 @@
+"""The renderer: a scene baked once, then one frame per pose.
+
+What a pixel needs is folded into a few channels beforehand. Per texel: the emitted band radiance, and the
+reflectance seen through a spectral basis; per face: the incident light in that basis. A frame is casting rays,
+fetching these, and summing; band radiance is averaged over a pixel's rays, never temperature.
+"""
+
+import drjit as dr
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.frames import Frame
+from thermorender.physics.band import RadianceTable
+from thermorender.physics.planck import band_radiance, band_radiance_derivative
+from thermorender.render import bake
+from thermorender.render.geometry import Channels, Geometry
+from thermorender.render.plan import REFERENCE_K, SAMPLES, make_plan
+from thermorender.render.variant import activate
+from thermorender.scene.surface import BEYOND
+
+NO_MATERIAL = 255
+
+
+class Renderer:
+    """Renders frames of one scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    samples : int
+        Rays per pixel: 1, 2, 4, 8 or 16.
+    rays : int
+        Rays per face of the bake.
+    tolerance_mk : float
+        Error allowed to the spectral nodes and to the solution of the bake [mK].
+    seed : int
+        Seed of the sensor's noise.
+    device : {"auto", "cpu", "cuda"}
+    progress : callable, optional
+        Called with (what, share done) while the scene is baked.
+
+    Attributes
+    ----------
+    plan : Plan
+        What this scene needs and what was left out.
+    bake_mk : float
+        Bound on the error of the solved light between surfaces, beside its Monte Carlo noise [mK].
+    """
+
+    def __init__(self, scene, samples=4, rays=128, tolerance_mk=5.0, seed=0, device="auto", progress=None):
+        self.scene, self.seed = scene, seed
+        self.plan = make_plan(scene, samples, rays, tolerance_mk)
+        if not 0 <= seed < 2**64:
+            raise ThermorenderError(f"seed={seed} is not allowed; give a whole number 0 … 2⁶⁴−1")
+        self._mi = activate(device)
+        self._geometry = Geometry(self._mi, scene.surfaces)
+        self._progress = progress or (lambda what, share: None)
+        self._material = np.concatenate([surface.material.ravel() for surface in scene.surfaces])
+        self._temperature = np.concatenate([surface.temperature.ravel() for surface in scene.surfaces])
+        self._rays_of = {}
+        self._lazy = {}
+        self._bake(tolerance_mk)
+
+    def frame(self, pose, time_s=0.0, index=0):
+        """Return the Frame seen from `pose`.
+
+        Parameters
+        ----------
+        pose : (4, 4) array
+            world_from_camera: camera looks along +z, x right, y down; metres in the scene's local frame.
+        time_s : float
+        index : int
+            Number of the frame; with the seed it decides the noise.
+
+        Raises
+        ------
+        ThermorenderError
+            A pose that is no rigid transform.
+        """
+        pose = checked_pose(pose)
+        radiance = self._shade(pose, self.scene.camera, self._emission, self._incident, self._outside, self.plan.samples)
+        return Frame(
+            radiance=radiance[..., 0],
+            pose=pose,
+            time_s=float(time_s),
+            index=int(index),
+            seed=self.seed,
+            camera=self.scene.camera,
+            plan=self.plan.as_dict(),
+            targets=self._targets(pose),
+            _truth=lambda: self._truth(pose),
+        )
+
+    def visible(self, pose, camera=None):
+        """Return (image (H, W, 3) uint8 sRGB, valid (H, W) bool): the orthophoto seen from `pose`.
+
+        The texture carries its own sun and shade; light is averaged linearly over a pixel's rays. Pixels without
+        surface are black and not valid.
+        """
+        pose, camera = checked_pose(pose), camera or self.scene.camera
+        if "colour" not in self._lazy:
+            linear = _linear_from_srgb(np.concatenate([s.colour.reshape(-1, 3) for s in self.scene.surfaces]))
+            covered = np.ones((len(linear), 1), np.float32)
+            self._lazy["colour"] = Channels(self._mi, np.hstack([linear, covered]))
+        found = self._shade(pose, camera, self._lazy["colour"], None, np.zeros((2, 4)), self.plan.samples)
+        return _srgb_from_linear(found[..., :3]), found[..., 3] > 0.999
+
+    def _bake(self, tolerance_mk):
+        """Fold the scene into texel channels, face channels and the radiance of sky and surroundings."""
+        plan, scene, mi = self.plan, self.scene, self._mi
+        band = plan.band_um
+        emitted = np.empty(len(self._material), dtype=np.float32)
+        for index, material in enumerate(scene.materials):
+            here = self._material == index
+            if here.any():
+                warm = self._temperature[here]
+                table = RadianceTable.of(material.emissivity_at, float(warm.min()), float(warm.max()), *band)
+                emitted[here] = table(warm)
+        sky = np.array([scene.spec.sky_temperature])
+        beyond = np.array([np.nan if scene.spec.surroundings_temperature is None else scene.spec.surroundings_temperature])
+        self.bake_mk = 0.0
+        if not plan.bake:
+            ground = emitted[: scene.surfaces[0].material.size].mean() if np.isnan(beyond[0]) else band_radiance(beyond, *band)[0]
+            self._emission, self._incident = Channels(mi, emitted[:, None]), None
+            self._outside = np.array([[band_radiance(sky, *band)[0]], [ground]])
+            return
+        self._progress("tracing the light between surfaces", 0.0)
+        transport = bake.trace(
+            self._geometry, plan.rays, lambda share: self._progress("tracing the light between surfaces", share)
+        )
+        self._progress("solving the light between surfaces", 0.0)
+        face_emitted, face_reflectance = self._face_means()
+        sky_nodes = plan.node_radiance(sky)[0]
+        if np.isnan(beyond[0]):
+            # The scene's own mean ground under an open sky stands for what lies beyond its edge.
+            terrain = slice(0, self._geometry.face_start[scene.terrain_count])
+            beyond_nodes = (face_emitted[terrain] + face_reflectance[terrain] * sky_nodes).mean(axis=0)
+        else:
+            beyond_nodes = plan.node_radiance(beyond)[0]
+        per_mk = band_radiance_derivative(REFERENCE_K, *band) * 1e-3
+        incident, bounds = bake.solve(
+            transport, face_emitted, face_reflectance, sky_nodes, beyond_nodes, 0.1 * tolerance_mk * per_mk / plan.nodes
+        )
+        reflectance = 1.0 - plan.emissivity
+        self.bake_mk = float((reflectance.max(axis=0) * bounds).sum() / per_mk)
+        basis, weights = _basis(incident, face_reflectance, 0.5 * tolerance_mk * per_mk)
+        seen = (reflectance @ basis.T).astype(np.float32)
+        self._emission = Channels(mi, np.column_stack([emitted, seen[self._material]]))
+        self._incident = Channels(mi, incident @ weights.T)
+        self._outside = np.array([[band_radiance(sky, *band)[0]], [beyond_nodes.sum()]])
+        self._progress("solving the light between surfaces", 1.0)
+
+    def _face_means(self):
+        """Mean emitted radiance and reflectance of each face at each node, both (F, N) float64."""
+        mi, plan, geometry = self._mi, self.plan, self._geometry
+        texels = np.diff(geometry.texel_start)
+        faces = np.diff(geometry.face_start)
+        # About two places per texel of an average face, at least four where there is a texture at all.
+        places = [1 if t == 1 else int(np.clip(np.ceil(2 * t / f), 4, 64)) for t, f in zip(texels, faces, strict=True)]
+        count = max(places)
+        pattern = bake.low_discrepancy(count, 2)
+        face = dr.arange(mi.UInt32, geometry.face_count)
+        surface = mi.UInt32(np.repeat(np.arange(len(faces), dtype=np.uint32), faces))
+        numbers = []
+        for u, v in pattern:
+            root = np.sqrt(u)
+            column, row = geometry.place(face, mi.Float(1.0 - root), mi.Float(root * v))
+            number = geometry.nearest(surface, column, row)
+            dr.eval(number)
+            numbers.append(number)
+        grid = RadianceTable.grid(self.plan.coldest, self.plan.warmest)
+        black = plan.node_radiance(grid).astype(np.float32)
+        material, temperature = mi.UInt32(self._material), mi.Float(self._temperature)
+        place = (temperature - float(grid[0])) / float(grid[1] - grid[0])
+        lower = mi.UInt32(dr.clip(place, 0.0, float(len(grid) - 2)))
+        weight = place - mi.Float(lower)
+        emitted = np.empty((geometry.face_count, plan.nodes))
+        reflectance = np.empty_like(emitted)
+        for node in range(plan.nodes):
+            table = mi.Float(np.ascontiguousarray(black[:, node]))
+            planck = dr.lerp(dr.gather(mi.Float, table, lower), dr.gather(mi.Float, table, lower + 1), weight)
+            epsilon = dr.gather(mi.Float, mi.Float(plan.emissivity[:, node].astype(np.float32)), material)
+            leaving = planck * epsilon
+            dr.eval(leaving, epsilon)
+            sums = [sum(dr.gather(mi.Float, values, number) for number in numbers) for values in (leaving, epsilon)]
+            emitted[:, node] = np.asarray(sums[0]) / count
+            reflectance[:, node] = 1.0 - np.asarray(sums[1]) / count
+        return emitted, reflectance
+
+    def _camera_rays(self, camera, samples):
+        """(pixel numbers in cache-friendly order, direction x/z and y/z per sample) of a camera, kept."""
+        key = (camera, samples)
+        if key not in self._rays_of:
+            order = morton_order(camera.height, camera.width)
+            row, column = np.divmod(order, camera.width)
+            slopes = []
+            for right, down in SAMPLES[samples]:
+                slope = camera.directions(np.stack([column + right, row + down], axis=-1)).astype(np.float32)
+                slopes.append((self._mi.Float(slope[:, 0].copy()), self._mi.Float(slope[:, 1].copy())))
+            self._rays_of[key] = self._mi.UInt32(order.astype(np.uint32)), slopes
+        return self._rays_of[key]
+
+    def _shade(self, pose, camera, texels, faces, outside, samples):
+        """Mean over a pixel's rays of texel channels plus reflected light, (H, W, channels) float32."""
+        mi, geometry = self._mi, self._geometry
+        pixel, slopes = self._camera_rays(camera, samples)
+        rotation, origin = _opaque(mi, pose)
+        sky, beyond = ([dr.opaque(mi.Float, float(value)) for value in row] for row in outside)
+        channels = 1 if faces else texels.count
+        total = [mi.Float(0.0) for _ in range(channels)]
+        for x, y in slopes:
+            ray = _ray(mi, rotation, origin, x, y)
+            hit = geometry.cast(ray, coherent=True)
+            column, row = geometry.place(hit.face, hit.u, hit.v, hit.valid)
+            values = geometry.bilinear(texels, hit.surface, column, row, hit.valid)
+            if faces:
+                incident = faces.at(hit.face, hit.valid)
+                values = [values[0] + sum(r * e for r, e in zip(values[1:], incident, strict=True))]
+            up = ray.d.z >= 0.0
+            for c in range(channels):
+                total[c] += dr.select(hit.valid, values[c], dr.select(up, sky[c], beyond[c]))
+        size = camera.height * camera.width
+        result = dr.zeros(mi.Float, size * channels)
+        for c in range(channels):
+            dr.scatter(result, total[c] / len(slopes), pixel * channels + c)
+        return np.array(result).reshape(camera.height, camera.width, channels)
+
+    def _truth(self, pose):
+        mi, geometry, scene = self._mi, self._geometry, self.scene
+        camera = scene.camera
+        pixel, ((x, y),) = self._camera_rays(camera, 1)
+        rotation, origin = _opaque(mi, pose)
+        ray = _ray(mi, rotation, origin, x, y)
+        hit = geometry.cast(ray, coherent=True)
+        column, row = geometry.place(hit.face, hit.u, hit.v, hit.valid)
+        texel = dr.select(hit.valid, geometry.nearest(hit.surface, column, row, hit.valid), 0)
+        size = camera.height * camera.width
+
+        def image(values, dtype):
+            kind = mi.UInt32 if np.dtype(dtype).kind == "u" else mi.Float
+            result = dr.zeros(kind, size)
+            dr.scatter(result, kind(values), pixel)
+            return np.array(result).reshape(camera.height, camera.width).astype(dtype)
+
+        valid = image(dr.select(hit.valid, mi.UInt32(1), 0), np.uint8) > 0
+        number = image(texel, np.uint32)
+        up = image(dr.select(ray.d.z >= 0.0, mi.UInt32(1), 0), np.uint8) > 0
+        position = origin + hit.distance * ray.d
+        # The direction is unit length, so depth along the axis is the distance over the slope's length.
+        depth = hit.distance / dr.sqrt(1.0 + x * x + y * y)
+        flags = np.concatenate([surface.flags.ravel() for surface in scene.surfaces])
+        band = np.array([_band_emissivity(material, self.plan.band_um) for material in scene.materials])
+        material = self._material[number]
+        return {
+            "kinetic_temperature": np.where(valid, self._temperature[number], np.nan).astype(np.float32),
+            "emissivity": np.where(valid, band[material], np.nan).astype(np.float32),
+            "material": np.where(valid, material, NO_MATERIAL).astype(np.uint8),
+            "depth": np.where(valid, image(depth, np.float32), np.inf).astype(np.float32),
+            "position": np.where(
+                valid[..., None], np.stack([image(position[k], np.float32) for k in range(3)], axis=-1), np.nan
+            ).astype(np.float32),
+            "mask": np.where(valid, flags[number], np.where(up, 0, BEYOND)).astype(np.uint8),
+        }
+
+    def _targets(self, pose):
+        """Pixel and visibility of the scene's objects."""
+        mi, camera = self._mi, self.scene.camera
+        targets = self.scene.targets
+        if not targets:
+            return {}
+        centre = np.array(list(targets.values()))
+        local = (centre - pose[:3, 3]) @ pose[:3, :3]
+        pixel = camera.project(local)
+        distance = np.linalg.norm(local, axis=-1)
+        direction = (centre - pose[:3, 3]) / distance[:, None]
+        ray = mi.Ray3f(mi.Point3f(*map(float, pose[:3, 3])), mi.Vector3f(*direction.T.astype(np.float32)))
+        hit = self._geometry.cast(ray)
+        names = [self.scene.surfaces[s].name.split(":")[0] for s in np.asarray(hit.surface)]
+        found = {}
+        for k, name in enumerate(targets):
+            inside = bool(0.0 <= pixel[k, 0] < camera.width and 0.0 <= pixel[k, 1] < camera.height)
+            found[name] = {
+                "pixel": [round(float(value), 3) for value in pixel[k]] if np.isfinite(pixel[k]).all() else None,
+                "in_view": inside,
+                "visible": inside and bool(hit.valid[k]) and names[k] == name,
+                "range_m": round(float(distance[k]), 3),
+            }
+        return found
+
+
+def checked_pose(pose):
+    """Return a pose as (4, 4) float64 after refusing what is no rigid transform."""
+    pose = np.array(pose, dtype=np.float64)
+    if pose.shape != (4, 4) or not np.isfinite(pose).all() or not np.allclose(pose[3], [0, 0, 0, 1]):
+        raise ThermorenderError(f"pose of shape {pose.shape} is no world_from_camera; give (4, 4) with last row 0 0 0 1")
+    rotation = pose[:3, :3]
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0.0:
+        raise ThermorenderError("pose has a rotation that is not orthonormal and right-handed; normalise its quaternion")
+    return pose
+
+
+def morton_order(height, width):
+    """Return pixel numbers along a Z-order curve, (H·W,) int64: neighbours in it are neighbours in the image."""
+    row, column = np.mgrid[:height, :width].astype(np.int64)
+    code = np.zeros((height, width), dtype=np.int64)
+    for bit in range(int(max(height, width) - 1).bit_length()):
+        code |= ((column >> bit & 1) << (2 * bit)) | ((row >> bit & 1) << (2 * bit + 1))
+    return np.argsort(code, axis=None, kind="stable")
+
+
+def _basis(incident, reflectance, tolerance):
+    """Return (spectra (K, N), weights (K, N)) that stand for the light incident on faces, (F, N).
+
+    `incident @ weights.T @ spectra` restores it, with the fewest spectra for which the light that any face
+    reflects, with its own reflectance (F, N), errs below `tolerance`. Every face counts with the square of its
+    reflectance and every node with its share of the light.
+    """
+    scale = 1.0 / np.sqrt(incident.mean(axis=0))
+    scaled = incident * scale
+    importance = reflectance.max(axis=1, keepdims=True) ** 2
+    _, _, vectors = np.linalg.svd((scaled * importance).T @ scaled)
+    for count in range(1, len(vectors) + 1):
+        kept = vectors[:count]
+        rest = (scaled - (scaled @ kept.T) @ kept) / scale
+        if np.abs((rest * reflectance).sum(axis=1)).max() <= tolerance:
+            break
+    return kept / scale, kept * scale
+
+
+def _band_emissivity(material, band_um):
+    from thermorender.physics.band import emitted_radiance
+
+    return emitted_radiance(material.emissivity_at, REFERENCE_K, *band_um) / band_radiance(REFERENCE_K, *band_um)
+
+
+def _opaque(mi, pose):
+    """(rows of the rotation, origin) as Dr.Jit values, so that a new pose reuses the compiled kernel."""
+    values = [[dr.opaque(mi.Float, float(value)) for value in row] for row in pose[:3]]
+    return [mi.Vector3f(*row[:3]) for row in values], mi.Point3f(*(row[3] for row in values))
+
+
+def _ray(mi, rotation, origin, x, y):
+    local = dr.normalize(mi.Vector3f(x, y, 1.0))
+    return mi.Ray3f(origin, mi.Vector3f(*(dr.dot(row, local) for row in rotation)))
+
+
+def _linear_from_srgb(colour):
+    """Linear light, float32, of sRGB bytes (IEC 61966-2-1)."""
+    value = np.arange(256) / 255.0
+    table = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+    return table.astype(np.float32)[colour]
+
+
+def _srgb_from_linear(light):
+    value = np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055)
+    return np.clip(np.rint(value * 255.0), 0, 255).astype(np.uint8)

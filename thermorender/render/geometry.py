@@ -1,0 +1,167 @@
+"""A scene's meshes on the render side: the ray caster, and flat per-face and per-texel arrays for its kernels.
+
+All surfaces share one numbering of faces and one of texels, so a hit (surface, face, place in the face) becomes
+two gathers: the face's record (map coordinates of its corners) and the texels around the place.
+"""
+
+from dataclasses import dataclass
+
+import drjit as dr
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Hit:
+    """Where rays end: Dr.Jit arrays, one entry per ray.
+
+    Attributes
+    ----------
+    valid : Bool
+        Whether anything is hit.
+    distance : Float
+        Along the ray [m]; infinite for a miss.
+    face, surface : UInt32
+        Numbers over the whole scene; 0 for a miss.
+    u, v : Float
+        Barycentric place in the face.
+    """
+
+    valid: object
+    distance: object
+    face: object
+    surface: object
+    u: object
+    v: object
+
+
+class Geometry:
+    """Ray caster and flat arrays of a scene's surfaces.
+
+    Parameters
+    ----------
+    mi : module
+        Mitsuba with a variant active.
+    surfaces : sequence of Surface
+
+    Attributes
+    ----------
+    face_count, texel_count : int
+        Over all surfaces.
+    face_start, texel_start : (S + 1,) int64
+        First face and texel of each surface in the flat numbering.
+    reach : float
+        Greatest distance of a vertex from the origin along an axis [m].
+    """
+
+    def __init__(self, mi, surfaces):
+        self.mi = mi
+        self.surfaces = surfaces
+        self.face_start = np.cumsum([0] + [len(surface.faces) for surface in surfaces])
+        self.texel_start = np.cumsum([0] + [surface.material.size for surface in surfaces])
+        self.face_count, self.texel_count = int(self.face_start[-1]), int(self.texel_start[-1])
+        self.reach = max(float(np.abs(surface.vertices).max()) for surface in surfaces)
+        meshes = {f"s{number}": _mesh(mi, f"s{number}", surface) for number, surface in enumerate(surfaces)}
+        # Without robust intersections rays leak through triangle edges, and a leak is a sky pixel.
+        self.caster = mi.load_dict({"type": "scene", "embree_use_robust_intersections": True, **meshes})
+        # Mitsuba numbers shapes over the whole process: number → surface.
+        registry = [int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(mesh))[0]) for mesh in meshes.values()]
+        surface_of = np.zeros(max(registry) + 1, dtype=np.uint32)
+        surface_of[registry] = np.arange(len(registry))
+        self._surface_of = mi.UInt32(surface_of)
+        self._face_start = mi.UInt32(self.face_start[:-1].astype(np.uint32))
+        self._texel_start = mi.Int32(self.texel_start[:-1].astype(np.int32))
+        shape = np.array([surface.material.shape for surface in surfaces], dtype=np.int32)
+        self._rows, self._columns = mi.Int32(shape[:, 0].copy()), mi.Int32(shape[:, 1].copy())
+        # Map coordinates of each face's corners in texels, padded to eight for one aligned gather.
+        record = np.zeros((self.face_count, 8), dtype=np.float32)
+        for surface, start, (rows, columns) in zip(surfaces, self.face_start[:-1], shape, strict=True):
+            texels = surface.uv * np.array([columns, rows], dtype=np.float32)
+            record[start : start + len(surface.faces), :6] = texels.reshape(-1, 6)
+        self._record = mi.Float(record.ravel())
+
+    def cast(self, ray, coherent=False):
+        """Return the Hit of rays (an mi.Ray3f)."""
+        mi = self.mi
+        found = self.caster.ray_intersect_preliminary(ray, coherent=coherent)
+        valid = found.is_valid()
+        surface = dr.gather(mi.UInt32, self._surface_of, dr.reinterpret_array(mi.UInt32, found.shape), valid)
+        face = dr.gather(mi.UInt32, self._face_start, surface, valid) + found.prim_index
+        return Hit(valid, found.t, dr.select(valid, face, 0), surface, found.prim_uv.x, found.prim_uv.y)
+
+    def place(self, face, u, v, active=True):
+        """Return (column, row) on the texel map, in texels from its upper left corner, of places in faces."""
+        corner = dr.gather(self.mi.Vector4f, self._record, 2 * face, active)
+        third = dr.gather(self.mi.Vector4f, self._record, 2 * face + 1, active)
+        w = 1.0 - u - v
+        return (
+            w * corner.x + u * corner.z + v * third.x,
+            w * corner.y + u * corner.w + v * third.y,
+        )
+
+    def nearest(self, surface, column, row, active=True):
+        """Return the flat number of the texel at a place of a surface's map; outside, that at its edge."""
+        mi = self.mi
+        rows, columns = dr.gather(mi.Int32, self._rows, surface, active), dr.gather(mi.Int32, self._columns, surface, active)
+        i = dr.clip(mi.Int32(dr.floor(row)), 0, rows - 1)
+        j = dr.clip(mi.Int32(dr.floor(column)), 0, columns - 1)
+        return mi.UInt32(dr.gather(mi.Int32, self._texel_start, surface, active) + i * columns + j)
+
+    def bilinear(self, channels, surface, column, row, active=True):
+        """Return the Channels of a place of a surface's map, linear between texel centres, as a list of Float."""
+        mi = self.mi
+        rows, columns = dr.gather(mi.Int32, self._rows, surface, active), dr.gather(mi.Int32, self._columns, surface, active)
+        start = dr.gather(mi.Int32, self._texel_start, surface, active)
+        x, y = column - 0.5, row - 0.5
+        left, top = dr.floor(x), dr.floor(y)
+        fx, fy = x - left, y - top
+        j0, i0 = mi.Int32(left), mi.Int32(top)
+        j1, i1 = dr.clip(j0 + 1, 0, columns - 1), dr.clip(i0 + 1, 0, rows - 1)
+        j0, i0 = dr.clip(j0, 0, columns - 1), dr.clip(i0, 0, rows - 1)
+        upper, lower = start + i0 * columns, start + i1 * columns
+        a = channels.at(mi.UInt32(upper + j0), active)
+        b = channels.at(mi.UInt32(upper + j1), active)
+        c = channels.at(mi.UInt32(lower + j0), active)
+        d = channels.at(mi.UInt32(lower + j1), active)
+        return [
+            dr.lerp(dr.lerp(a_, b_, fx), dr.lerp(c_, d_, fx), fy) for a_, b_, c_, d_ in zip(a, b, c, d, strict=True)
+        ]
+
+
+class Channels:
+    """A few numbers per texel or face, kept side by side so that one gather brings them all.
+
+    Parameters
+    ----------
+    mi : module
+    values : (n, channels) float array
+    """
+
+    def __init__(self, mi, values):
+        values = np.asarray(values, dtype=np.float32)
+        self.count = values.shape[1]
+        self.groups = []
+        for first in range(0, self.count, 4):
+            group = values[:, first : first + 4]
+            width = {1: 1, 2: 2, 3: 4, 4: 4}[group.shape[1]]
+            padded = np.zeros((len(group), width), dtype=np.float32)
+            padded[:, : group.shape[1]] = group
+            kind = {1: mi.Float, 2: mi.Vector2f, 4: mi.Vector4f}[width]
+            self.groups.append((kind, group.shape[1], mi.Float(padded.ravel())))
+
+    def at(self, index, active=True):
+        """Return the channels at flat indices, as a list of Float."""
+        found = []
+        for kind, used, values in self.groups:
+            packet = dr.gather(kind, values, index, active)
+            found += [packet] if used == 1 and kind.__name__ == "Float" else [packet[i] for i in range(used)]
+        return found
+
+
+def _mesh(mi, name, surface):
+    mesh = mi.Mesh(name, len(surface.vertices), len(surface.faces))
+    parameters = mi.traverse(mesh)
+    # np.array drops array subclasses, which Mitsuba refuses.
+    parameters["vertex_positions"] = np.array(surface.vertices, dtype=np.float32).ravel()
+    parameters["faces"] = np.array(surface.faces, dtype=np.uint32).ravel()
+    parameters.update()
+    return mesh

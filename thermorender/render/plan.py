@@ -1,0 +1,187 @@
+"""What a scene needs and what it does not: spectral nodes, bake, samples; each choice with its bound in mK.
+
+Emission is tabulated per material with the full spectral integral, so it needs no nodes. Reflection couples the
+reflectance of one surface with the spectrum of its surroundings; it is solved at nodes, as few as keep its error
+below the tolerance on the scene's own materials and temperatures. A node is a set of wavelengths, not necessarily
+neighbours, at which every material of the scene has nearly the same reflectance: Ward's clustering (1963,
+doi:10.1080/01621459.1963.10500845) of a fine quadrature finds them.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.physics.band import quadrature
+from thermorender.physics.planck import band_radiance_derivative, spectral_radiance
+
+MOST_NODES = 64
+REFERENCE_K = 300.0
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The choices for one scene.
+
+    Attributes
+    ----------
+    band_um : (2,) floats
+    node_weight : (N, W) float64
+        Quadrature weights of the wavelengths in each node [µm]; zero for those in another node.
+    wavelength_um : (W,) float64
+    emissivity : (M, N) float64
+        Planck-weighted emissivity of each material in each node.
+    nodes_mk : float
+        Worst error of the nodes on this scene's envelope [mK].
+    reflection_mk : float
+        Most that reflection can change any pixel's apparent temperature [mK].
+    bake : bool
+        Whether reflection is solved at all.
+    rays : int
+        Rays per face of the bake.
+    samples : int
+        Rays per pixel.
+    coldest, warmest : float
+        Temperatures of the scene, its sky and surroundings [K].
+    """
+
+    band_um: tuple
+    node_weight: np.ndarray
+    wavelength_um: np.ndarray
+    emissivity: np.ndarray
+    nodes_mk: float
+    reflection_mk: float
+    bake: bool
+    rays: int
+    samples: int
+    coldest: float
+    warmest: float
+
+    @property
+    def nodes(self):
+        """Number of spectral nodes."""
+        return len(self.node_weight)
+
+    def node_radiance(self, temperature):
+        """Return blackbody radiance of each node, (len(temperature), N) [W m⁻² sr⁻¹]."""
+        temperature = np.asarray(temperature, dtype=np.float64)
+        return spectral_radiance(self.wavelength_um, temperature[:, None]) @ self.node_weight.T
+
+    def rows(self):
+        """Return the plan as (item, in or out, why) rows for a table."""
+        needed = "in" if self.bake else "out"
+        return [
+            ("emission", "in", f"full spectral integral per material, {self.coldest:.1f}–{self.warmest:.1f} K"),
+            ("reflection", needed, f"changes a pixel by at most {self.reflection_mk:.3g} mK"),
+            ("spectral nodes", str(self.nodes if self.bake else 0), f"worst error {self.nodes_mk:.3g} mK"),
+            ("bake rays per face", str(self.rays if self.bake else 0), "sky visibility and inter-reflection"),
+            ("rays per pixel", str(self.samples), "rotated grid, band radiance averaged"),
+            ("air", "out", "this scene declares none"),
+            ("specular rays", "out", "every material is Lambertian"),
+        ]
+
+    def as_dict(self):
+        """Return the plan as plain numbers, for the record beside each frame."""
+        return {
+            "band_um": list(self.band_um),
+            "nodes": self.nodes if self.bake else 0,
+            "nodes_mk": round(self.nodes_mk, 4),
+            "reflection_mk": round(self.reflection_mk, 4),
+            "bake_rays": self.rays if self.bake else 0,
+            "samples": self.samples,
+        }
+
+
+def make_plan(scene, samples=4, rays=128, tolerance_mk=5.0):
+    """Return the Plan of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    samples : int
+        Rays per pixel, one of 1, 2, 4, 8, 16.
+    rays : int
+        Rays per face for the bake.
+    tolerance_mk : float
+        Worst error allowed to the spectral nodes [mK]; reflection that changes no pixel by more than a tenth of
+        it is left out.
+
+    Raises
+    ------
+    ThermorenderError
+        A setting out of range.
+    """
+    if samples not in SAMPLES:
+        raise ThermorenderError(f"samples={samples} is not allowed; give one of {', '.join(map(str, SAMPLES))}")
+    if not 1 <= rays <= 65536:
+        raise ThermorenderError(f"rays={rays} is not allowed; give 1…65536 rays per face")
+    if not tolerance_mk > 0.0:
+        raise ThermorenderError(f"tolerance_mk={tolerance_mk:g} is not allowed; give a number of mK above 0")
+    band = scene.camera.band_um
+    lowest = min(float(surface.temperature.min()) for surface in scene.surfaces)
+    highest = max(float(surface.temperature.max()) for surface in scene.surfaces)
+    outside = [scene.spec.sky_temperature]
+    if scene.spec.surroundings_temperature is not None:
+        outside.append(scene.spec.surroundings_temperature)
+    coldest, warmest = min(lowest, *outside), max(highest, *outside)
+    wavelength, weight = quadrature(*band)
+    spectra = np.array([material.emissivity_at(wavelength) for material in scene.materials])
+    derivative = band_radiance_derivative(REFERENCE_K, *band)
+    brightest = spectral_radiance(wavelength, warmest)
+    reflection_mk = float(((1.0 - spectra) * brightest @ weight).max() / derivative * 1e3)
+    bake = reflection_mk > 0.1 * tolerance_mk
+    light = _light(spectra, wavelength, sorted({coldest, lowest, highest, warmest, *outside}))
+    for count in range(1, MOST_NODES + 1) if bake else (1,):
+        node_weight, emissivity = _nodes(spectra, wavelength, weight, count)
+        exact = ((1.0 - spectra) * weight) @ light.T
+        split = (1.0 - emissivity) @ (node_weight @ light.T)
+        nodes_mk = float(np.abs(split - exact).max() / derivative * 1e3) if bake else 0.0
+        if nodes_mk <= tolerance_mk:
+            break
+    else:
+        raise ThermorenderError(
+            f"tolerance_mk={tolerance_mk:g} is not reached with {MOST_NODES} spectral nodes ({nodes_mk:.3g} mK "
+            "remain); give a larger tolerance"
+        )
+    return Plan(
+        band_um=tuple(band),
+        node_weight=node_weight,
+        wavelength_um=wavelength,
+        emissivity=emissivity,
+        nodes_mk=nodes_mk,
+        reflection_mk=reflection_mk,
+        bake=bake,
+        rays=rays,
+        samples=samples,
+        coldest=coldest,
+        warmest=warmest,
+    )
+
+
+# Sub-pixel positions (right, down) in 0…1: rotated grids, whose rows and columns are all different.
+SAMPLES = {
+    1: ((0.5, 0.5),),
+    2: ((0.25, 0.25), (0.75, 0.75)),
+    4: ((0.375, 0.125), (0.875, 0.375), (0.125, 0.625), (0.625, 0.875)),
+    8: tuple(((i * 5 % 8 + 0.5) / 8, (i + 0.5) / 8) for i in range(8)),
+    16: tuple(((i * 7 % 16 + 0.5) / 16, (i + 0.5) / 16) for i in range(16)),
+}
+
+
+def _nodes(spectra, wavelength, weight, count):
+    """(quadrature weights (N, W), Planck-weighted emissivity (M, N)) of at most `count` nodes."""
+    from scipy.cluster.hierarchy import fcluster, linkage
+
+    label = fcluster(linkage((1.0 - spectra).T, "ward"), count, "maxclust") - 1
+    node_weight = np.where(label == np.arange(label.max() + 1)[:, None], weight, 0.0)
+    planck = node_weight * spectral_radiance(wavelength, REFERENCE_K)
+    return node_weight, (spectra @ planck.T) / planck.sum(axis=1)
+
+
+def _light(spectra, wavelength, temperatures):
+    """Spectra that can fall on a surface of this scene: its outside, and light of one surface off another."""
+    black = np.array([spectral_radiance(wavelength, t) if t > 0.0 else 0.0 * wavelength for t in temperatures])
+    emitted = spectra[:, None] * black
+    reflected = (1.0 - spectra)[:, None, None] * black[None, :, :]
+    pairs = (emitted[:, :, None] + reflected[:, None]).reshape(-1, len(wavelength))
+    return np.concatenate([black, pairs])

@@ -1,0 +1,24 @@
+"""Counts to 8 bits for a screen."""
+
+import numpy as np
+
+# Shares of the darkest and brightest pixels that may saturate on the screen.
+_TAILS = (0.5, 99.5)
+_LEAST_SPAN = 64
+
+
+def linear(counts):
+    """Return an 8-bit white-hot image, (H, W) uint8, stretched linearly between the half-percent tails.
+
+    Parameters
+    ----------
+    counts : (H, W) uint16
+
+    Notes
+    -----
+    The span is never below 64 counts, so that noise on a flat scene is not blown up to full contrast.
+    """
+    low, high = np.percentile(counts, _TAILS)
+    span = max(high - low, _LEAST_SPAN)
+    low = 0.5 * (low + high - span)
+    return np.clip(np.rint((counts.astype(np.float32) - np.float32(low)) * np.float32(255.0 / span)), 0, 255).astype(np.uint8)
