@@ -107,8 +107,7 @@ def solve(transport, emitted, reflectance, sky, beyond, tolerance):
     emitted, reflectance : (F, N)
         Mean emitted radiance [W m⁻² sr⁻¹] and reflectance of each face at each node.
     sky, beyond : (N,)
-        Radiance of the sky and of the surroundings [W m⁻² sr⁻¹]. NaN in `beyond` makes the surroundings the
-        scene's own mean ground.
+        Radiance of the sky and of the surroundings [W m⁻² sr⁻¹].
     tolerance : float
         Error bound to reach at each node [W m⁻² sr⁻¹].
 
@@ -119,28 +118,28 @@ def solve(transport, emitted, reflectance, sky, beyond, tolerance):
     """
     from scipy.sparse.linalg import LinearOperator, gmres
 
-    count, nodes = emitted.shape
-    incident, bounds = np.empty((count, nodes)), np.empty(nodes)
-    for node in range(nodes):
-        rho = reflectance[:, node]
-        outside = transport.sky * sky[node] + transport.beyond * beyond[node]
-        source = transport.operator @ emitted[:, node] + outside
-        system = LinearOperator((count, count), lambda x, rho=rho: x - transport.operator @ (rho * x), dtype=np.float64)
-        guess = source
-        worst = 1.0 / max(1.0 - float(rho.max()), 1e-6)
-        for _ in range(6):
-            residual = float(np.abs(source - system @ guess).max())
-            if residual * worst <= tolerance:
-                break
-            wanted = 0.3 * tolerance / worst
-            guess, _ = gmres(system, source, x0=guess, rtol=0.0, atol=wanted, restart=40, maxiter=25)
-        else:
-            raise ThermorenderError(
-                f"the light between surfaces does not converge: {residual * worst:.3g} W m⁻² sr⁻¹ remain where "
-                f"{tolerance:.3g} are asked; check for surfaces of emissivity near 0"
-            )
-        incident[:, node], bounds[node] = guess, residual * worst
-    return incident, bounds
+    shape = emitted.shape
+    outside = transport.sky[:, None] * sky + transport.beyond[:, None] * beyond
+    source = transport.operator @ emitted + outside
+    # All nodes are solved as one system: the operator is read once for all of them.
+    system = LinearOperator(
+        (source.size, source.size),
+        lambda x: (x.reshape(shape) - transport.operator @ (reflectance * x.reshape(shape))).ravel(),
+        dtype=np.float64,
+    )
+    amplification = 1.0 / np.maximum(1.0 - reflectance.max(axis=0), 1e-6)
+    wanted = 0.3 * tolerance / amplification.max()
+    incident = source.ravel()
+    for _ in range(6):
+        residual = np.abs(source.ravel() - system @ incident).reshape(shape).max(axis=0)
+        bounds = residual * amplification
+        if bounds.max() <= tolerance:
+            return incident.reshape(shape), bounds
+        incident, _ = gmres(system, source.ravel(), x0=incident, rtol=0.0, atol=wanted, restart=20, maxiter=50)
+    raise ThermorenderError(
+        f"the light between surfaces does not converge: {bounds.max():.3g} W m⁻² sr⁻¹ remain where {tolerance:.3g} "
+        "are asked; check for surfaces of emissivity near 0"
+    )
 
 
 def _faces(surfaces):

@@ -38,6 +38,8 @@ class Renderer:
     device : {"auto", "cpu", "cuda"}
     progress : callable, optional
         Called with (what, share done) while the scene is baked.
+    like : Renderer, optional
+        A renderer of the same surfaces at other temperatures; its traced light is used again.
 
     Attributes
     ----------
@@ -47,13 +49,17 @@ class Renderer:
         Bound on the error of the solved light between surfaces, beside its Monte Carlo noise [mK].
     """
 
-    def __init__(self, scene, samples=4, rays=128, tolerance_mk=5.0, seed=0, device="auto", progress=None):
+    def __init__(self, scene, samples=4, rays=128, tolerance_mk=5.0, seed=0, device="auto", progress=None, like=None):
         self.scene, self.seed = scene, seed
         self.plan = make_plan(scene, samples, rays, tolerance_mk)
         if not 0 <= seed < 2**64:
             raise ThermorenderError(f"seed={seed} is not allowed; give a whole number 0 … 2⁶⁴−1")
         self._mi = activate(device)
-        self._geometry = Geometry(self._mi, scene.surfaces)
+        same = like is not None and all(a.faces is b.faces for a, b in zip(like.scene.surfaces, scene.surfaces, strict=True))
+        if like is not None and not same:
+            raise ThermorenderError("like=… renders other surfaces; give a renderer of the same scene at other temperatures")
+        self._geometry = like._geometry if same else Geometry(self._mi, scene.surfaces)
+        self._transport = like._transport if same and like.plan.rays == rays else None
         self._progress = progress or (lambda what, share: None)
         self._material = np.concatenate([surface.material.ravel() for surface in scene.surfaces])
         self._temperature = np.concatenate([surface.temperature.ravel() for surface in scene.surfaces])
@@ -124,10 +130,10 @@ class Renderer:
             self._emission, self._incident = Channels(mi, emitted[:, None]), None
             self._outside = np.array([[band_radiance(sky, *band)[0]], [ground]])
             return
-        self._progress("tracing the light between surfaces", 0.0)
-        transport = bake.trace(
-            self._geometry, plan.rays, lambda share: self._progress("tracing the light between surfaces", share)
-        )
+        if self._transport is None:
+            what = "tracing the light between surfaces"
+            self._progress(what, 0.0)
+            self._transport = bake.trace(self._geometry, plan.rays, lambda share: self._progress(what, share))
         self._progress("solving the light between surfaces", 0.0)
         face_emitted, face_reflectance = self._face_means()
         sky_nodes = plan.node_radiance(sky)[0]
@@ -139,7 +145,7 @@ class Renderer:
             beyond_nodes = plan.node_radiance(beyond)[0]
         per_mk = band_radiance_derivative(REFERENCE_K, *band) * 1e-3
         incident, bounds = bake.solve(
-            transport, face_emitted, face_reflectance, sky_nodes, beyond_nodes, 0.1 * tolerance_mk * per_mk / plan.nodes
+            self._transport, face_emitted, face_reflectance, sky_nodes, beyond_nodes, 0.1 * tolerance_mk * per_mk / plan.nodes
         )
         reflectance = 1.0 - plan.emissivity
         self.bake_mk = float((reflectance.max(axis=0) * bounds).sum() / per_mk)
@@ -234,20 +240,20 @@ class Renderer:
         hit = geometry.cast(ray, coherent=True)
         column, row = geometry.place(hit.face, hit.u, hit.v, hit.valid)
         texel = dr.select(hit.valid, geometry.nearest(hit.surface, column, row, hit.valid), 0)
-        size = camera.height * camera.width
-
-        def image(values, dtype):
-            kind = mi.UInt32 if np.dtype(dtype).kind == "u" else mi.Float
-            result = dr.zeros(kind, size)
-            dr.scatter(result, kind(values), pixel)
-            return np.array(result).reshape(camera.height, camera.width).astype(dtype)
-
-        valid = image(dr.select(hit.valid, mi.UInt32(1), 0), np.uint8) > 0
-        number = image(texel, np.uint32)
-        up = image(dr.select(ray.d.z >= 0.0, mi.UInt32(1), 0), np.uint8) > 0
         position = origin + hit.distance * ray.d
         # The direction is unit length, so depth along the axis is the distance over the slope's length.
         depth = hit.distance / dr.sqrt(1.0 + x * x + y * y)
+        found = [mi.UInt32(hit.valid), texel, mi.UInt32(ray.d.z >= 0.0), depth, *position]
+        # One evaluation for all: each by itself would cast the rays again.
+        dr.eval(found)
+        order = np.array(pixel)
+        images = []
+        for values in found:
+            flat = np.empty(camera.height * camera.width, np.array(values).dtype)
+            flat[order] = np.array(values)
+            images.append(flat.reshape(camera.height, camera.width))
+        valid, number, up, depth, *position = images
+        valid, up = valid > 0, up > 0
         flags = np.concatenate([surface.flags.ravel() for surface in scene.surfaces])
         band = np.array([_band_emissivity(material, self.plan.band_um) for material in scene.materials])
         material = self._material[number]
@@ -255,10 +261,8 @@ class Renderer:
             "kinetic_temperature": np.where(valid, self._temperature[number], np.nan).astype(np.float32),
             "emissivity": np.where(valid, band[material], np.nan).astype(np.float32),
             "material": np.where(valid, material, NO_MATERIAL).astype(np.uint8),
-            "depth": np.where(valid, image(depth, np.float32), np.inf).astype(np.float32),
-            "position": np.where(
-                valid[..., None], np.stack([image(position[k], np.float32) for k in range(3)], axis=-1), np.nan
-            ).astype(np.float32),
+            "depth": np.where(valid, depth, np.inf).astype(np.float32),
+            "position": np.where(valid[..., None], np.stack(position, axis=-1), np.nan).astype(np.float32),
             "mask": np.where(valid, flags[number], np.where(up, 0, BEYOND)).astype(np.uint8),
         }
 

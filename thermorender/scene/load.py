@@ -1,6 +1,7 @@
 """A scene in memory: surfaces with their texels, materials, sky and camera, made from a scene folder."""
 
-from dataclasses import dataclass, field, replace
+import hashlib
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -110,6 +111,19 @@ class Scene:
         return replace(
             self, spec=replace(self.spec, temperature=spec), surfaces=tuple(surfaces), report=report
         )
+
+    def digest(self):
+        """Return a fingerprint (hex) of everything a frame of this scene depends on."""
+        state = hashlib.blake2b(digest_size=16)
+        for surface in self.surfaces:
+            for item in fields(surface):
+                value = getattr(surface, item.name)
+                state.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
+        for material in self.materials:
+            state.update(material.name.encode() + material.wavelength_um.tobytes() + material.emissivity.tobytes())
+        spec = self.spec
+        state.update(repr((self.camera, spec.sky_temperature, spec.surroundings_temperature)).encode())
+        return state.hexdigest()
 
     def __str__(self):
         faces = sum(len(surface.faces) for surface in self.surfaces)

@@ -102,8 +102,8 @@ def empty_border(rgb):
     empty = np.zeros(rgb.shape[:2], dtype=bool)
     for level in (0, 255):
         flat = (rgb == level).all(axis=-1)
-        areas, count = label(flat)
-        if count:
+        if flat[0].any() or flat[-1].any() or flat[:, 0].any() or flat[:, -1].any():
+            areas, count = label(flat)
             edge = np.concatenate([areas[0], areas[-1], areas[:, 0], areas[:, -1]])
             touching = np.bincount(edge, minlength=count + 1)
             # A few pure pixels on the edge are picture, not border.

@@ -128,7 +128,7 @@ def make(kind, seed=0, size_m=None, texel_m=None, post_m=None):
         relief=0.6 * canvas.relief,
     )
     sun = weather.sun(weather.solar_hour)
-    cosine = incidence(normals(canvas.surface + canvas.relief, texel), *sun)
+    cosine = incidence(normals(canvas.surface + canvas.relief, texel, steepest=1.3), *sun)
     picture = photograph(canvas.albedo, light["visible"], cosine, light["view"], sun[1], seed)
     elevation = _posts(canvas.surface, size, post)
     longitude = 21.0  # the central meridian of zone 34: grid north is true north
@@ -174,7 +174,8 @@ def write(scene, directory, overwrite=False, temperature_every=2):
     Raises
     ------
     ThermorenderError
-        The folder exists and is not empty, and `overwrite` is false, or `temperature_every` does not divide the grid.
+        The folder exists and is not empty, and `overwrite` is false, or `temperature_every` does not divide
+        the grid.
     """
     return write_scene(scene, directory, overwrite, temperature_every)
 
@@ -188,7 +189,9 @@ def _check(seed, size, texel, post):
             raise ThermorenderError(f"{name}={value:g} must be a length in metres above 0")
     for name, value in (("texel_m", texel), ("post_m", post)):
         if abs(size / value - round(size / value)) > 1e-6:
-            raise ThermorenderError(f"{name}={value:g} does not divide size_m={size:g}; choose lengths that do")
+            raise ThermorenderError(
+                f"{name}={value:g} does not divide size_m={size:g}; choose lengths that do"
+            )
     if post < texel:
         raise ThermorenderError(
             f"post_m={post:g} is smaller than texel_m={texel:g}; an elevation cell holds at least one texel"

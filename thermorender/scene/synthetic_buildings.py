@@ -1,4 +1,4 @@
-"""Buildings for synthetic scenes: roofs with ridges, eaves, chimneys and panels, greenhouses, paved yards."""
+"""What people build in synthetic scenes: streets, houses, solar panels, greenhouses, things in gardens."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ ROOFS = (
     ("roof_slate", (104, 106, 110), True),
     ("roof_slate", (84, 86, 92), True),
     ("concrete", (150, 146, 138), True),
-    ("roof_rubber", (96, 95, 93), False),
+    ("roof_rubber", (112, 109, 104), False),
 )
 
 
@@ -34,7 +34,9 @@ class Place:
 
     def __init__(self, canvas, east, north, heading_deg, reach_m):
         self.canvas = canvas
-        self.rows, self.columns = canvas.window(east - reach_m, east + reach_m, north - reach_m, north + reach_m)
+        self.rows, self.columns = canvas.window(
+            east - reach_m, east + reach_m, north - reach_m, north + reach_m
+        )
         self.origin, self.heading = (east, north), heading_deg
         x, y = canvas.east[:, self.columns] - np.float32(east), canvas.north[self.rows] - np.float32(north)
         s, c = np.float32(np.sin(np.radians(heading_deg))), np.float32(np.cos(np.radians(heading_deg)))
@@ -109,16 +111,17 @@ def house(place, fine, generator, u, v, half_u, half_v, wall_m, roof, pitch_deg=
     if pitched:
         courses = np.cos(2 * np.pi * dv / 0.83) * 0.03 + np.cos(2 * np.pi * x / 0.61) * 0.02
         moss = smoothstep(0.6, 1.6, grain * 0.5 + generator.normal(0.2, 0.5)) * 0.18
-        tone = linear(*colour) * np.exp(0.07 * grain + courses - moss)[..., None]
+        weather = generator.normal(0.0, 0.10) + 0.06 * place.view(fine)[::-1, ::-1]
+        tone = linear(*colour) * np.exp(0.07 * grain + courses - moss + weather)[..., None]
     else:
         seams = 0.10 * (np.abs(np.mod(x, 2.4) - 1.2) > 1.1)
-        stain = 0.10 * grain
+        stain = 0.10 * grain + generator.normal(0.0, 0.22)
         tone = linear(*colour) * np.exp(stain - seams)[..., None]
     height = np.where(body, wall_m + rise, 0.0).astype(np.float32)
     if not pitched:
         parapet = body & (inside < 0.35)
         height[parapet] += 0.3
-        tone = np.where(parapet[..., None], linear(176, 172, 164), tone)
+        tone = np.where(parapet[..., None], linear(138, 136, 131), tone)
     else:
         ridge = (np.abs(y) < 0.16) & body
         tone = np.where(ridge[..., None], tone * 1.18, tone)
@@ -182,6 +185,65 @@ def greenhouse(place, fine, u, v, half_u, half_v, spans, warm=304.0):
     place.view(c.albedo)[body] = tone[body]
     place.view(c.material)[body] = c.value("glass")
     place.view(c.interior)[body] = warm
+
+
+def clutter(place, generator, width, low, high, free):
+    """Strew a garden with what stands about: tables, woodpiles, trampolines, sandpits, covers."""
+    c = place.canvas
+    colours = [
+        (224, 222, 214),
+        (70, 72, 76),
+        (150, 120, 88),
+        (96, 128, 160),
+        (176, 90, 70),
+        (120, 112, 100),
+        (198, 184, 150),
+    ]
+    for _ in range(int(generator.integers(4, 11))):
+        u, v = generator.uniform(-0.44, 0.44) * width, generator.uniform(low, high - 1.5)
+        half = generator.uniform(0.35, 1.1, 2)
+        tint = linear(*colours[generator.integers(len(colours))]) * np.exp(generator.normal(0.0, 0.15))
+        if generator.uniform() < 0.2:
+            r = np.hypot(place.u - u, place.v - v)
+            mark, rim = smoothstep(1.65, 1.5, r) * free, smoothstep(1.25, 1.4, r)[..., None]
+            tint = linear(52, 54, 58) + rim * (linear(88, 116, 148) - linear(52, 54, 58))
+        else:
+            mark = place.box(u, v, *half, 0.1) * free
+        mark = mark * (place.view(c.top) < 0.6)
+        place.paint(mark, tint, "wood")
+        top = place.view(c.top)
+        np.maximum(top, (mark > 0.5) * np.float32(generator.uniform(0.3, 0.9)), out=top)
+
+
+def street(c, points, half, fine, soft, taken):
+    """An asphalt street with kerbs, pavements and repairs."""
+    offset, along = c.ribbon(points, half + 5.0)
+    near = np.isfinite(offset)
+    d = np.where(near, np.abs(offset), 99.0) + 0.06 * soft
+    flat = smoothstep(half + 4.5, half + 1.5, d)
+    for field in (c.relief, c.top):
+        field *= 1.0 - flat
+    walk = smoothstep(half + 1.75, half + 1.6, d)
+    slabs = 0.07 * (np.mod(along, 1.0) < 0.2)
+    c.paint(walk, linear(168, 162, 152) * np.exp(0.08 * fine + 0.08 * soft - slabs)[..., None], "concrete")
+    kerb = smoothstep(half + 0.28, half + 0.2, d)
+    c.paint(kerb, linear(196, 192, 184) * np.exp(0.06 * fine)[..., None], "concrete")
+    c.ground += 0.12 * walk * (1.0 - kerb)
+    wheel = np.where(
+        near, sum(np.exp(-(((offset - w * half) / 0.5) ** 2)) for w in (-0.72, -0.28, 0.28, 0.72)), 0.0
+    )
+    tone = linear(118, 116, 113) * np.exp(0.06 * fine + 0.08 * soft - 0.07 * wheel)[..., None]
+    asphalt = smoothstep(half + 0.05, half - 0.08, d)
+    c.paint(asphalt, tone, "asphalt")
+    for k, (low, factor) in enumerate(((1.0, 0.82), (1.2, 1.1))):
+        block = c.grain(f"repair {half} {k}", 9.0) > low
+        c.tint(1.0 - (1.0 - factor) * asphalt * block)
+    crack = (np.abs(c.fractal(f"crack {half}", 14.0, 5, 0.6)) < 0.03) * asphalt
+    c.tint(1.0 - 0.25 * crack)
+    if half > 3.0:
+        dash = smoothstep(0.14, 0.06, np.abs(np.where(near, offset, 9.0))) * (np.mod(along, 6.0) < 2.0)
+        c.paint(0.75 * dash * asphalt, linear(222, 220, 214))
+    taken |= d < half + 2.2
 
 
 def car(name, east, north, heading_deg, colour, material, temperature, bonnet):

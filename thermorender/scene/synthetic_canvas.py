@@ -1,4 +1,4 @@
-"""The canvas a synthetic scene is painted on: height, class, colour and moisture per texel, and its brushes."""
+"""The canvas of a synthetic scene: height, class, colour and moisture per texel, and its brushes."""
 
 import numpy as np
 
@@ -78,7 +78,7 @@ class Canvas:
         return float(self.ground[int(np.clip(row, 0, self.n - 1)), int(np.clip(column, 0, self.n - 1))])
 
     def paint(self, cover, colour, material=None):
-        """Blend a colour over the canvas where `cover` (N, N) in 0…1 says so; over one half it takes the class.
+        """Blend a colour over the canvas by `cover`, (N, N) in 0…1; over one half it takes the class.
 
         Parameters
         ----------
@@ -272,6 +272,32 @@ def scatter(generator, canvas, spacing_m, density, jitter=0.42):
     row, column = canvas.texels(spot[:, 0], spot[:, 1])
     row, column = (np.clip(np.round(v).astype(int), 0, canvas.n - 1) for v in (row, column))
     return spot[keep < density[row, column]]
+
+
+def planted_rows(g, c, between, along, bearing, density):
+    """Return positions in planted rows, (K, 2) [m] east, north.
+
+    Parameters
+    ----------
+    g : numpy.random.Generator
+    c : Canvas
+    between, along : float
+        Distance of rows and of trees in a row [m].
+    bearing : float
+        Turn of the rows [rad].
+    density : (N, N) float32
+        Probability that a tree stands, 0…1.
+    """
+    count_a, count_b = int(1.5 * c.size / between), int(1.5 * c.size / along)
+    a, b = np.meshgrid(np.arange(count_a) - count_a / 2, np.arange(count_b) - count_b / 2)
+    p = np.stack([a.ravel() * between, b.ravel() * along], -1) + g.normal(0.0, 0.2, (a.size, 2))
+    turn = np.array([[np.cos(bearing), -np.sin(bearing)], [np.sin(bearing), np.cos(bearing)]])
+    p = p @ turn.T
+    draw = g.uniform(size=len(p))
+    within = (np.abs(p) < 0.5 * c.size).all(axis=1)
+    p, draw = p[within], draw[within]
+    row, column = (np.clip(np.round(v).astype(int), 0, c.n - 1) for v in c.texels(p[:, 0], p[:, 1]))
+    return p[draw < density[row, column]]
 
 
 def plant(generator, canvas, spots, library, height_m, colours, material, spread=0.14, beneath=0.35):

@@ -24,8 +24,8 @@ def write_scene(scene, directory, overwrite=False, temperature_every=2):
         )
     if temperature_every < 1 or len(scene.temperature) % temperature_every:
         raise ThermorenderError(
-            f"temperature_every={temperature_every} does not divide the {len(scene.temperature)} texels of the "
-            "scene's side; choose a divisor such as 1"
+            f"temperature_every={temperature_every} does not divide the {len(scene.temperature)} texels "
+            "of the scene's side; choose a divisor such as 1"
         )
     target.parent.mkdir(parents=True, exist_ok=True)
     draft = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
@@ -49,13 +49,12 @@ def write_scene(scene, directory, overwrite=False, temperature_every=2):
 def _rasters(scene, folder, every):
     """Write the four GeoTIFFs."""
     import rasterio
-    from rasterio.transform import from_origin
 
     def profile(texel, **more):
         return {
             "driver": "GTiff",
             "crs": f"EPSG:{scene.epsg}",
-            "transform": from_origin(*scene.corner, texel, texel),
+            "transform": rasterio.Affine(texel, 0.0, scene.corner[0], 0.0, -texel, scene.corner[1]),
             "tiled": True,
             "blockxsize": 512,
             "blockysize": 512,

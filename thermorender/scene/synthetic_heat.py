@@ -178,7 +178,9 @@ def step(temperature, seconds, absorbed, longwave, exchange, wet, air, vapour_pa
     return later
 
 
-def surface_temperature(surface, texel_m, material, names, weather, seed, wetness=None, interior=None, relief=None):
+def surface_temperature(
+    surface, texel_m, material, names, weather, seed, wetness=None, interior=None, relief=None
+):
     """Return (temperature [K], light) of a scene, (H, W) float32 and a dict of (H, W) fields.
 
     Parameters
@@ -226,7 +228,9 @@ def surface_temperature(surface, texel_m, material, names, weather, seed, wetnes
         wet = wet + wetness
     wet = np.clip(wet, 0.0, 1.0)
     inertia = inertia * np.exp(np.float32(0.14) * patch - np.float32(0.10) * cover)
-    absorptance = np.clip(absorptance * (1.0 + np.float32(0.03) * cover - np.float32(0.015) * rough), 0.05, 0.97)
+    absorptance = np.clip(
+        absorptance * (1.0 + np.float32(0.03) * cover - np.float32(0.015) * rough), 0.05, 0.97
+    )
 
     # Air cools by 6.5 K per kilometre of height (ICAO standard atmosphere).
     lapse = np.float32(-0.0065) * (surface - np.float32(np.median(surface)))
@@ -237,9 +241,13 @@ def surface_temperature(surface, texel_m, material, names, weather, seed, wetnes
     normal = normals(surface if relief is None else surface + relief, texel_m)
     sky = STEFAN_BOLTZMANN * weather.sky_temperature**4
 
-    dawn = 12.0 - np.degrees(
-        np.arccos(-np.tan(np.radians(weather.latitude_deg)) * np.tan(np.radians(weather.declination_deg)))
-    ) / 15.0
+    dawn = (
+        12.0
+        - np.degrees(
+            np.arccos(-np.tan(np.radians(weather.latitude_deg)) * np.tan(np.radians(weather.declination_deg)))
+        )
+        / 15.0
+    )
     times = np.linspace(dawn, weather.solar_hour, 9)
     snow = np.isin(material, [v for v, n in names.items() if n in ("snow", "ice")])
     # At dawn the surface has lost the night's net radiation: dry, open ground lies below the air.
@@ -258,7 +266,16 @@ def surface_temperature(surface, texel_m, material, names, weather, seed, wetnes
         absorbed = absorptance * (np.float32(direct) * visible * cosine + spread)
         longwave = np.float32(sky) * view + np.float32(STEFAN_BOLTZMANN) * (1.0 - view) * air**4
         temperature = step(
-            temperature, 3600.0 * (end - begin), absorbed, longwave, exchange, wet, air, weather.vapour_pa, inertia, deep
+            temperature,
+            3600.0 * (end - begin),
+            absorbed,
+            longwave,
+            exchange,
+            wet,
+            air,
+            weather.vapour_pa,
+            inertia,
+            deep,
         )
         # Melting snow stays at the melting point and takes the rest of the heat as melt.
         temperature = np.where(snow, np.minimum(temperature, np.float32(_MELTING_K)), temperature)

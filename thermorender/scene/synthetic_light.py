@@ -68,7 +68,11 @@ def sun_visibility(surface, texel_m, azimuth_deg, elevation_deg, penumbra_m=0.12
     height = _shifted(surface, east, north) - np.float32(slope * texel_m)
     step = 1.0
     while step * texel_m < reach and step < max(surface.shape):
-        np.maximum(height, _shifted(height, step * east, step * north) - np.float32(step * slope * texel_m), out=height)
+        np.maximum(
+            height,
+            _shifted(height, step * east, step * north) - np.float32(step * slope * texel_m),
+            out=height,
+        )
         step *= 2.0
     return np.clip(1.0 - (height - surface) / np.float32(penumbra_m), 0.0, 1.0)
 
@@ -160,6 +164,10 @@ def photograph(albedo, visible, cosine, view, elevation_deg, seed, blur_texels=0
         value = np.where(value > 0.7, 0.7 + 0.3 * np.tanh((value - 0.7) / 0.3), value)
         value = np.float32(0.008 * (1.0, 1.1, 1.35)[channel]) + np.float32(0.985) * np.maximum(value, 0.0)
         value = cv2.GaussianBlur(value, (0, 0), blur_texels)
-        encoded = np.where(value <= 0.0031308, 12.92 * value, 1.055 * np.maximum(value, 1e-6) ** (1 / 2.4) - 0.055)
-        picture[..., channel] = np.clip(255.0 * encoded + np.float32(noise) * grain + 0.5, 0, 255).astype(np.uint8)
+        encoded = np.where(
+            value <= 0.0031308, 12.92 * value, 1.055 * np.maximum(value, 1e-6) ** (1 / 2.4) - 0.055
+        )
+        picture[..., channel] = np.clip(255.0 * encoded + np.float32(noise) * grain + 0.5, 0, 255).astype(
+            np.uint8
+        )
     return picture

@@ -3,7 +3,16 @@
 import numpy as np
 
 from thermorender.scene.noise import smoothstep
-from thermorender.scene.synthetic_buildings import ROOFS, Place, car, greenhouse, house, panels
+from thermorender.scene.synthetic_buildings import (
+    ROOFS,
+    Place,
+    car,
+    clutter,
+    greenhouse,
+    house,
+    panels,
+    street,
+)
 from thermorender.scene.synthetic_canvas import crowns, plant, scatter, spline
 from thermorender.scene.synthetic_heat import Weather
 from thermorender.scene.synthetic_light import linear
@@ -23,18 +32,32 @@ def village(canvas):
     """Paint a village on the canvas and return (weather, objects, flight)."""
     c, s = canvas, canvas.size
     c.ground += 134.0 + 1.5 * c.fractal("hills", 210.0, 2) + 0.12 * c.fractal("humps", 25.0, 4)
-    bend = c.stream("roads").normal(0.0, 0.012 * s, 4)
-    main = spline([(-0.6 * s, -0.09 * s), (-0.2 * s, -0.02 * s + bend[0]), (0.15 * s, 0.03 * s + bend[1]), (0.6 * s, -0.01 * s)])
+    roads = c.stream("roads")
+    bend = roads.normal(0.0, 0.016 * s, 4)
+    right, left = s * roads.uniform(0.05, 0.13), s * roads.uniform(-0.23, -0.12)
+    tilt = s * roads.uniform(-0.06, 0.06)
+    main = spline(
+        [
+            (-0.6 * s, -0.06 * s + tilt),
+            (-0.2 * s, -0.02 * s + bend[0]),
+            (0.15 * s, 0.03 * s + bend[1]),
+            (0.6 * s, -0.01 * s - 0.5 * tilt),
+        ]
+    )
     at = lambda x: (x, float(np.interp(x, main[:, 0], main[:, 1])))  # noqa: E731
-    north = spline([at(0.10 * s), (0.11 * s, 0.2 * s), (0.15 * s + bend[2], 0.38 * s), (0.13 * s, 0.62 * s)])
-    south = spline([at(-0.17 * s), (-0.19 * s, -0.2 * s), (-0.17 * s + bend[3], -0.38 * s), (-0.2 * s, -0.62 * s)])
+    north = spline(
+        [at(right), (right, 0.2 * s), (right + 0.04 * s + bend[2], 0.38 * s), (right + 0.03 * s, 0.62 * s)]
+    )
+    south = spline(
+        [at(left), (left - 0.02 * s, -0.2 * s), (left + bend[3], -0.38 * s), (left - 0.03 * s, -0.62 * s)]
+    )
     fine = c.grain("fine", 0.5)
     soft = c.fractal("soft", 7.0, 5, 0.6)
-    _land(c, main, fine, soft)
+    _land(c, fine, soft)
     taken = np.zeros(c.shape, bool)
     for points, half in ((north, 2.5), (south, 2.4), (main, 3.1)):
-        _street(c, points, half, fine, soft, taken)
-    pond = (-0.06 * s, 0.17 * s)
+        street(c, points, half, fine, soft, taken)
+    pond = (right - 0.16 * s, (0.16 + roads.uniform(-0.01, 0.06)) * s)
     taken |= np.hypot(c.east - pond[0], c.north - pond[1]) < 19.0
     g = c.stream("plots")
     trees, conifers, shrubs, objects = [], [], [], []
@@ -44,11 +67,11 @@ def village(canvas):
             _plots(c, g, points, set_back, side, fine, soft, taken, (trees, conifers, shrubs), objects)
     _pond(c, pond)
     _parked(c, g, main, objects)
-    _green(c, taken, (trees, conifers, shrubs), main)
+    _green(c, taken, (trees, conifers, shrubs))
     return WEATHER, objects, _flight(c, main)
 
 
-def _land(c, main, fine, soft):
+def _land(c, fine, soft):
     """Meadow everywhere, a stubble field and a ploughed one beyond the gardens."""
     s = c.size
     growth = c.fractal("growth", 45.0, 7, 0.6)
@@ -63,48 +86,35 @@ def _land(c, main, fine, soft):
     edge = 0.36 * s
     for index, (distance, line, colour, pitch, material, ridge) in enumerate(
         [
-            (-c.east * 0.97 + c.north * 0.25 - edge + wobble, c.east * 0.97 - c.north * 0.25, (192, 174, 130), 1.0, "grass_dry", 0.03),
-            (c.east * 0.95 - c.north * 0.31 - edge + wobble, c.east * 0.95 - c.north * 0.31, (122, 98, 76), 1.25, "soil_loam", 0.06),
+            (
+                -c.east * 0.97 + c.north * 0.25 - edge + wobble,
+                c.east * 0.97 - c.north * 0.25,
+                (192, 174, 130),
+                1.0,
+                "grass_dry",
+                0.03,
+            ),
+            (
+                c.east * 0.95 - c.north * 0.31 - edge + wobble,
+                c.east * 0.95 - c.north * 0.31,
+                (122, 98, 76),
+                1.25,
+                "soil_loam",
+                0.06,
+            ),
         ]
     ):
         cover = smoothstep(0.0, 0.8, distance + 0.3 * soft)
         row = np.cos(2 * np.pi * (line + drift) / pitch)
         tram = np.exp(-(((np.abs(np.mod(line + drift, 18.0) - 9.0) - 0.9) / 0.25) ** 2))
-        tone = linear(*colour) * np.exp(0.10 * growth + 0.08 * row + 0.10 * fine + 0.04 * tuft - 0.2 * tram)[..., None]
+        tone = (
+            linear(*colour)
+            * np.exp(0.10 * growth + 0.08 * row + 0.10 * fine + 0.04 * tuft - 0.2 * tram)[..., None]
+        )
         c.paint(cover, tone, material)
         c.relief += cover * ridge * row
         if index:
             c.wetness += 0.15 * cover * smoothstep(-0.5, 1.0, growth)
-    del main
-
-
-def _street(c, points, half, fine, soft, taken):
-    """An asphalt street with kerbs, pavements and repairs."""
-    offset, along = c.ribbon(points, half + 5.0)
-    near = np.isfinite(offset)
-    d = np.where(near, np.abs(offset), 99.0) + 0.06 * soft
-    flat = smoothstep(half + 4.5, half + 1.5, d)
-    for field in (c.relief, c.top):
-        field *= 1.0 - flat
-    walk = smoothstep(half + 1.75, half + 1.6, d)
-    slabs = 0.07 * (np.mod(along, 1.0) < 0.2)
-    c.paint(walk, linear(168, 162, 152) * np.exp(0.08 * fine + 0.08 * soft - slabs)[..., None], "concrete")
-    kerb = smoothstep(half + 0.28, half + 0.2, d)
-    c.paint(kerb, linear(196, 192, 184) * np.exp(0.06 * fine)[..., None], "concrete")
-    c.ground += 0.12 * walk * (1.0 - kerb)
-    wheel = np.where(near, sum(np.exp(-(((offset - w * half) / 0.5) ** 2)) for w in (-0.72, -0.28, 0.28, 0.72)), 0.0)
-    tone = linear(118, 116, 113) * np.exp(0.06 * fine + 0.08 * soft - 0.07 * wheel)[..., None]
-    asphalt = smoothstep(half + 0.05, half - 0.08, d)
-    c.paint(asphalt, tone, "asphalt")
-    for k, (low, factor) in enumerate(((1.0, 0.82), (1.2, 1.1))):
-        block = c.grain(f"repair {half} {k}", 9.0) > low
-        c.tint(1.0 - (1.0 - factor) * asphalt * block)
-    crack = (np.abs(c.fractal(f"crack {half}", 14.0, 5, 0.6)) < 0.03) * asphalt
-    c.tint(1.0 - 0.25 * crack)
-    if half > 3.0:
-        dash = smoothstep(0.14, 0.06, np.abs(np.where(near, offset, 9.0))) * (np.mod(along, 6.0) < 2.0)
-        c.paint(0.75 * dash * asphalt, linear(222, 220, 214))
-    taken |= d < half + 2.2
 
 
 def _plots(c, g, points, set_back, side, fine, soft, taken, plants, objects):
@@ -148,7 +158,9 @@ def _garden(place, g, width, depth, set_back, fine, soft, free):
     place.paint(lawn, tint * np.exp(0.09 * grain + 0.13 * blotch + stripes)[..., None], "grass_green")
     dryness = g.uniform(0.3, 1.4)
     place.paint(
-        0.7 * lawn * smoothstep(dryness, dryness + 0.7, blotch), linear(162, 152, 108) * np.exp(0.1 * grain)[..., None], "grass_dry"
+        0.7 * lawn * smoothstep(dryness, dryness + 0.7, blotch),
+        linear(162, 152, 108) * np.exp(0.1 * grain)[..., None],
+        "grass_dry",
     )
     drive_u = (0.5 * width - 2.9) * (1 if g.uniform() < 0.5 else -1)
     drive = place.box(drive_u, 0.5 * (set_back + 3.0), 1.7, 0.5 * (set_back + 1.5)) * (place.v > 3.0) * free
@@ -169,6 +181,7 @@ def _garden(place, g, width, depth, set_back, fine, soft, free):
         place.view(c.wetness)[...] += 0.2 * bed
         part = place.view(c.top)
         part += 0.25 * bed * leaf[..., 0]
+    clutter(place, g, width, set_back + 7.0, depth, free)
     bump = 0.55 * grain + 0.6 * blotch
     for u, v, half_u, half_v, kind in (
         (-0.5 * width, 0.5 * (depth + near), 0.55, 0.5 * (depth - near), 0.45),
@@ -176,14 +189,18 @@ def _garden(place, g, width, depth, set_back, fine, soft, free):
         (0.0, depth, 0.5 * width, 0.7, 0.7),
     ):
         if g.uniform() > kind:
-            fence = place.box(u, v, min(half_u, 0.5 * width), half_v, 0.05) * (
-                (np.abs(place.u - u) < 0.12) if half_u < 1 else (np.abs(place.v - v) < 0.12)
-            ) * free
+            fence = (
+                place.box(u, v, min(half_u, 0.5 * width), half_v, 0.05)
+                * ((np.abs(place.u - u) < 0.12) if half_u < 1 else (np.abs(place.v - v) < 0.12))
+                * free
+            )
             place.paint(0.8 * fence, linear(150, 132, 110), "wood")
             continue
         d = np.minimum(half_u - np.abs(place.u - u), half_v - np.abs(place.v - v)) + 0.16 * bump
         hedge = (d > 0.0) & free
-        place.view(c.top)[hedge] = (g.uniform(1.3, 2.2) * (0.8 + 0.4 * np.minimum(d, 0.5) + 0.09 * bump))[hedge]
+        place.view(c.top)[hedge] = (g.uniform(1.3, 2.2) * (0.8 + 0.4 * np.minimum(d, 0.5) + 0.09 * bump))[
+            hedge
+        ]
         place.view(c.albedo)[hedge] = (linear(98, 116, 66) * np.exp(0.22 * bump)[..., None])[hedge]
         place.view(c.material)[hedge] = c.value("broadleaf")
 
@@ -208,7 +225,9 @@ def _house(place, g, width, set_back, fine, objects):
     if g.uniform() < 0.35 and roof[2]:
         east, north = frame.position(u0 + g.choice([-0.4, 0.4]) * half_u, v0 + 0.75 * half_v)
         wing = Place(c, east, north, frame.heading + 90.0, 14.0)
-        house(wing, fine, g, 0.0, 0.0, 0.6 * half_v + 1.0, 0.40 * half_u, wall - 0.3, roof, pitch, False, warm)
+        house(
+            wing, fine, g, 0.0, 0.0, 0.6 * half_v + 1.0, 0.40 * half_u, wall - 0.3, roof, pitch, False, warm
+        )
     # Panels go on the slope that looks most to the south.
     facing = np.cos(np.radians(frame.heading - 180.0))
     if roof[2] and not hip and abs(facing) > 0.45 and g.uniform() < 0.5:
@@ -217,7 +236,18 @@ def _house(place, g, width, set_back, fine, objects):
         panels(frame, u0 + g.uniform(-0.6, 0.6), v0 + np.sign(facing) * 0.52 * half_v, columns, 2, lean)
     side = 1 if g.uniform() < 0.5 else -1
     if g.uniform() < 0.5:
-        house(place, fine, g, side * (0.5 * width - 2.6), set_back + g.uniform(-1, 5), 2.0, 3.2, 2.6, ROOFS[-1], warm=291.0)
+        house(
+            place,
+            fine,
+            g,
+            side * (0.5 * width - 2.6),
+            set_back + g.uniform(-1, 5),
+            2.0,
+            3.2,
+            2.6,
+            ROOFS[-1],
+            warm=291.0,
+        )
     if g.uniform() < 0.55:
         u, v = g.uniform(-0.3, 0.3) * width, set_back + g.uniform(14.0, 19.0)
         if not (place.view(c.top)[(np.abs(place.u - u) < 2.5) & (np.abs(place.v - v) < 2.5)] > 1.2).any():
@@ -230,7 +260,16 @@ def _house(place, g, width, set_back, fine, objects):
             row, column = (int(np.clip(k, 0, c.n - 1)) for k in c.texels(east, north))
             if c.inside(east, north, 4.0) and c.material[row, column] == c.value("concrete"):
                 bonnet = temperature + (g.uniform(8.0, 20.0) if g.uniform() < 0.4 else 1.5)
-                objects += car(f"car_{len(objects) // 4}", east, north, place.heading, colour, material, temperature, bonnet)
+                objects += car(
+                    f"car_{len(objects) // 4}",
+                    east,
+                    north,
+                    place.heading,
+                    colour,
+                    material,
+                    temperature,
+                    bonnet,
+                )
                 break
 
 
@@ -238,7 +277,7 @@ def _planting(place, g, width, depth, set_back, plants, free):
     """Choose where the garden's trees and shrubs stand."""
     trees, conifers, shrubs = plants
     c = place.canvas
-    for _ in range(int(g.integers(5, 13))):
+    for _ in range(int(g.integers(9, 20))):
         u, v = g.uniform(-0.46, 0.46) * width, g.uniform(set_back + 8.0, depth - 1.0)
         if g.uniform() < 0.25:
             v = g.uniform(7.5, set_back - 6.0)
@@ -246,7 +285,9 @@ def _planting(place, g, width, depth, set_back, plants, free):
         if not hit.any() or (place.view(c.top)[hit] > 2.3).any() or not free[hit].all():
             continue
         kind = g.uniform()
-        (shrubs if kind < 0.45 or v < set_back else trees if kind < 0.85 else conifers).append(place.position(u, v))
+        (shrubs if kind < 0.45 or v < set_back else trees if kind < 0.85 else conifers).append(
+            place.position(u, v)
+        )
 
 
 def _greenhouse(c, g, fine, taken, at):
@@ -265,14 +306,13 @@ def _greenhouse(c, g, fine, taken, at):
     house(place, fine, g, 15.0, 4.0, 8.0, 10.0, 5.5, hall, warm=295.0)
     panels(place, 15.0, 7.5, 12, 2, 0.9)
     panels(place, 15.0, 1.0, 12, 2, 0.9)
-    taken |= False
     place.view(taken)[place.box(2.0, 0.0, 26.0, 18.0) > 0.5] = True
     place.view(taken)[lane > 0.5] = True
 
 
 def _pond(c, centre):
     """The village pond: reeds, muddy rim, dark water."""
-    wobble = 3.0 * c.fractal("pond", 15.0, 5, 0.55)
+    wobble = 1.5 * c.fractal("pond", 18.0, 5, 0.5)
     r = np.hypot((c.east - centre[0]) / 1.35, c.north - centre[1]) + wobble
     grain = c.grain("reed", 1.1)
     rim = smoothstep(15.0, 10.5, r + grain)
@@ -286,7 +326,9 @@ def _pond(c, centre):
         field *= 1.0 - water
     tone = linear(58, 66, 50) + smoothstep(9.0, 4.0, r)[..., None] * (linear(40, 48, 44) - linear(58, 66, 50))
     weed = smoothstep(0.9, 1.4, c.fractal("weed", 7.0, 5, 0.6))[..., None]
-    c.paint(water, (tone + 0.5 * weed * (linear(92, 110, 56) - tone)) * np.exp(0.05 * grain)[..., None], "water")
+    c.paint(
+        water, (tone + 0.5 * weed * (linear(92, 110, 56) - tone)) * np.exp(0.05 * grain)[..., None], "water"
+    )
     c.interior[water > 0.5] = 290.2
 
 
@@ -305,11 +347,11 @@ def _parked(c, g, main, objects):
             objects += car(f"car_{len(objects) // 4}", *p, heading, colour, material, temperature, bonnet)
 
 
-def _green(c, taken, plants, main):
+def _green(c, taken, plants):
     """Plant the gardens' trees, a copse and orchard on free land, and shrubs by the pond."""
     g = c.stream("green")
     trees, conifers, shrubs = (np.array(p).reshape(-1, 2) for p in plants)
-    leaf = [(114, 130, 72), (126, 138, 78), (104, 120, 66), (140, 136, 76), (158, 128, 72)]
+    leaf = [(114, 130, 72), (126, 138, 78), (104, 120, 66), (134, 134, 76)]
     dark = [(84, 104, 70), (94, 112, 74)]
     large, small, bush = (crowns(g, c.texel, r, "broad", n) for r, n in ((3.1, 16), (2.0, 20), (0.8, 16)))
     spruce = crowns(g, c.texel, 1.9, "spruce", 14)
@@ -324,7 +366,6 @@ def _green(c, taken, plants, main):
     plant(g, c, scatter(g, c, 5.0, 0.08 * meadow), bush, 1.6, leaf, "broadleaf", 0.35)
     strip = free & (np.abs(np.abs(c.east) - 0.355 * c.size) < 3.5)
     plant(g, c, scatter(g, c, 3.4, 0.5 * strip), small, 5.5, leaf, "broadleaf", 0.35)
-    del main
 
 
 def _flight(c, main):

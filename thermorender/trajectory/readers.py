@@ -20,7 +20,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from thermorender.errors import ThermorenderError
-from thermorender.rotations import (
+from thermorender.trajectory.rotations import (
     BODY_FROM_CAMERA,
     ENU_FROM_NED,
     ecef_from_ned,
@@ -29,9 +29,9 @@ from thermorender.rotations import (
     slerp,
     wxyz,
 )
-from thermorender.trajectory import QUATERNION_TOLERANCE, Trajectory
-from thermorender.trajectory_heights import frame_of_first_sample, local_positions, refuse_far
-from thermorender.trajectory_mapping import (
+from thermorender.trajectory.path import QUATERNION_TOLERANCE, Trajectory
+from thermorender.trajectory.heights import frame_of_first_sample, local_positions, refuse_far
+from thermorender.trajectory.mapping import (
     ANGLES,
     GIMBAL,
     HEIGHTS,
@@ -41,7 +41,7 @@ from thermorender.trajectory_mapping import (
     QUATERNION,
     load_mapping,
 )
-from thermorender.trajectory_tables import read_log
+from thermorender.trajectory.tables import read_log
 
 
 def read_trajectory(
@@ -70,7 +70,7 @@ def read_trajectory(
     geoid_undulation_m : float, optional
         Height of the geoid above the ellipsoid at the scene [m]; needed for `alt_geoid_m` unless anchored.
     format : str or path, optional
-        A bundled column mapping (`trajectory_mapping.bundled_formats()`) or a TOML file in the same form.
+        A bundled column mapping (`trajectory.mapping.bundled_formats()`) or a TOML file in the same form.
     anchor : Anchor, optional
         Moves the flight so that its first camera position is at (east, north), `up` metres above the ground
         there (local up where `ground` is not given), and turns it about up to the heading. The flight keeps

@@ -1,6 +1,6 @@
 """Whose column is which: the names of our columns and the mappings of foreign flight logs onto them.
 
-A mapping is a TOML file (`trajectory_formats/`): which of a log's columns is which of ours, how its time is
+A mapping is a TOML file (`formats/`): which of a log's columns is which of ours, how its time is
 written, and between which axes its quaternion turns.
 """
 
@@ -82,7 +82,7 @@ class Mapping:
 
 def bundled_formats():
     """Return the names of the column mappings that come with the package, sorted."""
-    folder = files("thermorender") / "trajectory_formats"
+    folder = files("thermorender.trajectory") / "formats"
     return sorted(entry.name[: -len(".toml")] for entry in folder.iterdir() if entry.name.endswith(".toml"))
 
 
@@ -97,7 +97,7 @@ def load_mapping(name):
     if name is None:
         return Mapping()
     if str(name) in bundled_formats():
-        file = files("thermorender") / "trajectory_formats" / f"{name}.toml"
+        file = files("thermorender.trajectory") / "formats" / f"{name}.toml"
     elif Path(name).is_file():
         file = Path(name)
     else:

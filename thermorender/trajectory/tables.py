@@ -11,7 +11,7 @@ from datetime import datetime, timezone
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.trajectory_mapping import QUANTITIES, Quantity, fitting_formats
+from thermorender.trajectory.mapping import QUANTITIES, Quantity, fitting_formats
 
 # Endings of columns that hold one of our quantities in another unit.
 _OTHER_UNITS = ("rad", "mm", "cm", "km", "ft", "feet", "ms", "us", "ns", "m", "deg", "s")

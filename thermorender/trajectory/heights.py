@@ -9,7 +9,7 @@ import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.scene.georeference import LocalFrame, ecef_from_geodetic
-from thermorender.trajectory_mapping import POSITION_GEODETIC
+from thermorender.trajectory.mapping import POSITION_GEODETIC
 
 # Further away the flight and the scene do not belong together.
 FARTHEST_M = 100e3

@@ -10,7 +10,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from thermorender.errors import ThermorenderError
-from thermorender.rotations import rotation_from_wxyz, slerp, wxyz
+from thermorender.trajectory.rotations import (
+    BODY_FROM_CAMERA,
+    ENU_FROM_NED,
+    rotation_from_angles,
+    rotation_from_wxyz,
+    slerp,
+    wxyz,
+)
 
 # A quaternion further from length 1 than this is not one that lost digits in a log.
 QUATERNION_TOLERANCE = 1e-3
@@ -300,3 +307,21 @@ def parse_mount(text):
 def parse_lever_arm(text):
     """Return (forward, right, down) [m] of "forward,right,down": the camera's place in the vehicle's body."""
     return parse_numbers("lever_arm", text, ("forward", "right", "down"))
+
+
+def pose(east, north, up, yaw_deg=0.0, pitch_deg=0.0, roll_deg=0.0):
+    """Return world_from_camera, (4, 4), of a camera at a local position.
+
+    Parameters
+    ----------
+    east, north, up : float
+        Position in the scene's local frame [m].
+    yaw_deg, pitch_deg, roll_deg : float
+        Of the optical axis: heading clockwise from north, above the horizon (−90 looks straight down, the upper
+        edge of the image towards the heading), right side of the image down [deg].
+    """
+    matrix = np.eye(4)
+    attitude = rotation_from_angles(yaw_deg, pitch_deg, roll_deg).as_matrix()
+    matrix[:3, :3] = ENU_FROM_NED @ attitude @ BODY_FROM_CAMERA
+    matrix[:3, 3] = east, north, up
+    return matrix

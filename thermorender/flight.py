@@ -1,0 +1,137 @@
+"""A flight: timed poses to frames on disk, in an order that can be stopped anywhere and resumed.
+
+A frame counts as done when its line stands in `frames.jsonl`; the line is appended after its files have their
+final names. `flight.json` holds everything the bytes depend on, so a resume that would not give the same bytes
+is refused.
+"""
+
+import json
+import os
+
+import numpy as np
+
+from thermorender import products as product_files
+from thermorender.errors import ThermorenderError
+from thermorender.versions import versions
+
+
+def fly(renderer, trajectory, folder, rate_hz=None, products=product_files.DEFAULT, start_s=None, stop_s=None,
+        resume=False, progress=None):  # fmt: skip
+    """Render a flight into a folder and return its summary.
+
+    Parameters
+    ----------
+    renderer : Renderer
+    trajectory : Trajectory
+    folder : path
+        Output folder; empty or absent unless `resume`.
+    rate_hz : float, optional
+        Frames per second; the camera's own where None.
+    products : sequence of str
+        Some of exr, truth, counts, counts-tiff, display, video.
+    start_s, stop_s : float, optional
+        Part of the trajectory's time to fly [s].
+    resume : bool
+        Continue a stopped flight of the same settings.
+    progress : callable, optional
+        Called with (frames done, frames in all).
+
+    Returns
+    -------
+    dict
+        frames (in all), rendered (now), folder, first and last time.
+
+    Raises
+    ------
+    ThermorenderError
+        Unknown products, a folder that is in use or cannot be written, or a resume with other settings.
+    """
+    products = product_files.check(products)
+    rate = renderer.scene.camera.frame_rate_hz if rate_hz is None else float(rate_hz)
+    times = trajectory.frame_times(rate, start_s, stop_s)
+    poses = trajectory.sampled(times).poses()
+    settings = {
+        "scene": renderer.scene.name,
+        "scene_digest": renderer.scene.digest(),
+        "camera": renderer.scene.camera.name,
+        "seed": renderer.seed,
+        "plan": renderer.plan.as_dict(),
+        "rate_hz": rate,
+        "frames": len(times),
+        "first_time_s": float(times[0]),
+        "last_time_s": float(times[-1]),
+        "path_digest": _digest(poses),
+        "products": list(products),
+        "versions": versions(),
+    }
+    folder = product_files.make_folder(folder)
+    done = _prepare(folder, settings, products, resume)
+    for index in range(done, len(times)):
+        frame = renderer.frame(poses[index], time_s=times[index], index=index)
+        product_files.write(folder, frame, products)
+        _append(folder / "frames.jsonl", product_files.record(frame))
+        if progress:
+            progress(index + 1, len(times))
+    if "video" in products:
+        images = [product_files.paths(folder, index, ("display",))["display"] for index in range(len(times))]
+        product_files.write_video(folder / "flight.mp4", images, rate)
+    return {
+        "frames": len(times),
+        "rendered": len(times) - done,
+        "folder": str(folder),
+        "first_time_s": float(times[0]),
+        "last_time_s": float(times[-1]),
+    }
+
+
+def _prepare(folder, settings, products, resume):
+    """Check the folder, write or compare `flight.json`, and return how many frames are already done."""
+    described, lines = folder / "flight.json", folder / "frames.jsonl"
+    if not resume:
+        if described.exists() or lines.exists():
+            raise ThermorenderError(
+                f"{folder} already holds a flight; give another folder, or --resume to continue that one"
+            )
+        product_files.write_json(described, settings)
+        return 0
+    if not described.exists():
+        product_files.write_json(described, settings)
+    try:
+        before = json.loads(described.read_text(encoding="utf-8"))
+    except ValueError:
+        raise ThermorenderError(f"{described} is damaged; start the flight again in another folder") from None
+    for key, value in settings.items():
+        if before.get(key) != value:
+            raise ThermorenderError(
+                f"{described} was flown with {key}={before.get(key)!r}, now {key}={value!r}; resume with the same "
+                "settings or give another folder"
+            )
+    kept = []
+    for number, line in enumerate(lines.read_text(encoding="utf-8").splitlines() if lines.exists() else []):
+        try:
+            index = json.loads(line)["index"]
+        except (ValueError, KeyError, TypeError):
+            break
+        files = product_files.paths(folder, number, products).values()
+        if index != number or not all(path.exists() for path in files):
+            break
+        kept.append(line)
+    with product_files.atomic(lines) as part:
+        part.write_text("".join(line + "\n" for line in kept), encoding="utf-8")
+    return len(kept)
+
+
+def _append(path, value):
+    try:
+        with open(path, "a", encoding="utf-8") as file:
+            file.write(json.dumps(value) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        raise ThermorenderError(f"{path} cannot be written: {error.strerror}; make room and continue with --resume") from None
+
+
+def _digest(array):
+    import hashlib
+
+    return hashlib.blake2b(np.ascontiguousarray(array).tobytes(), digest_size=16).hexdigest()

@@ -1,0 +1,189 @@
+"""Files of a frame: EXR, counts, display image, video; each written whole or not at all."""
+
+import json
+import os
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+
+DEFAULT = ("exr", "truth", "counts", "display", "video")
+
+
+@contextmanager
+def atomic(path):
+    """Give a temporary path beside `path`; it takes the final name only if the block ends without error.
+
+    Raises
+    ------
+    ThermorenderError
+        The file cannot be written (missing permission, full disk); nothing is left behind.
+    """
+    path = Path(path)
+    part = path.with_name(f".{path.stem}.part{path.suffix}")
+    try:
+        yield part
+        os.replace(part, path)
+    except (OSError, RuntimeError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ThermorenderError(f"{path} cannot be written: {reason}; check the folder, its permissions and the disk") from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def make_folder(path):
+    """Create a folder for output, or raise a sentence saying why it cannot be written to."""
+    path = Path(path)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ThermorenderError(f"output folder {path} cannot be made: {error.strerror}; give a folder that can be written") from None
+    if not os.access(path, os.W_OK):
+        raise ThermorenderError(f"output folder {path} cannot be written to: permission denied; give another folder")
+    return path
+
+
+def write_json(path, value):
+    """Write a value as indented JSON."""
+    with atomic(path) as part:
+        part.write_text(json.dumps(value, indent=2) + "\n", encoding="utf-8")
+
+
+def write_image(path, image):
+    """Write (H, W) uint8 or uint16, or (H, W, 3) uint8 RGB, as PNG or TIFF by the path's suffix."""
+    import cv2
+
+    ordered = image[..., ::-1] if image.ndim == 3 else image
+    with atomic(path) as part:
+        if not cv2.imwrite(str(part), np.ascontiguousarray(ordered)):
+            raise OSError(f"no encoder took a {image.dtype} image")
+
+
+def write_exr(path, frame, truth):
+    """Write a frame's radiance and apparent temperature, and its truth where asked, as one multi-channel EXR.
+
+    The header's `thermorender` attribute holds time, pose, seed, plan and units as JSON.
+    """
+    import OpenEXR
+
+    channels = {"radiance": frame.radiance, "apparent_temperature": frame.apparent_temperature}
+    if truth:
+        for name, values in frame.truth.items():
+            if values.dtype == np.uint8:
+                channels[f"truth.{name}"] = values.astype(np.uint32)
+            elif values.ndim == 3:
+                for axis, letter in enumerate("xyz"):
+                    channels[f"truth.{name}.{letter}"] = np.ascontiguousarray(values[..., axis])
+            else:
+                channels[f"truth.{name}"] = values
+    units = {
+        "radiance": "W m-2 sr-1",
+        "apparent_temperature": "K",
+        "truth.kinetic_temperature": "K",
+        "truth.depth": "m along the optical axis",
+        "truth.position": "m, local East-North-Up",
+    }
+    header = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        "thermorender": json.dumps({**record(frame), "units": units}),
+    }
+    with atomic(path) as part:
+        OpenEXR.File(header, channels).write(str(part))
+
+
+def read_exr(path):
+    """Return ({channel: (H, W) array}, the frame's record) of an EXR written by `write_exr`."""
+    import OpenEXR
+
+    if not Path(path).is_file():
+        raise ThermorenderError(f"{path} does not exist; give an EXR file written by thermorender")
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
+        return channels, json.loads(file.header().get("thermorender", "{}"))
+
+
+def record(frame):
+    """Return what a frame's line in `frames.jsonl` says: time, pose, seed, plan and targets, as plain values."""
+    return {
+        "index": frame.index,
+        "time_s": frame.time_s,
+        "world_from_camera": np.round(frame.pose, 9).tolist(),
+        "seed": frame.seed,
+        "camera": frame.camera.name,
+        "plan": frame.plan,
+        "targets": frame.targets,
+    }
+
+
+WRITERS = {
+    "exr": (".exr", lambda path, frame, products: write_exr(path, frame, "truth" in products)),
+    "counts": ("_counts.png", lambda path, frame, products: write_image(path, frame.counts)),
+    "counts-tiff": ("_counts.tif", lambda path, frame, products: write_image(path, frame.counts)),
+    "display": (".png", lambda path, frame, products: write_image(path, frame.display)),
+}
+
+
+def check(products):
+    """Return the products as a tuple after refusing unknown names and combinations that give nothing."""
+    products = tuple(products)
+    known = (*WRITERS, "truth", "video")
+    for name in products:
+        if name not in known:
+            raise ThermorenderError(f"product {name!r} is unknown; give some of {', '.join(known)}")
+    if "truth" in products and "exr" not in products:
+        raise ThermorenderError("product 'truth' is channels of the EXR; add 'exr'")
+    if "video" in products and "display" not in products:
+        raise ThermorenderError("product 'video' is made of the display images; add 'display'")
+    return products
+
+
+def paths(folder, index, products):
+    """Return {product: path} of a frame's files."""
+    return {
+        name: Path(folder) / f"frame_{index:06d}{WRITERS[name][0]}" for name in products if name in WRITERS
+    }
+
+
+def write(folder, frame, products):
+    """Write a frame's files and return their paths."""
+    files = paths(folder, frame.index, products)
+    for name, path in files.items():
+        WRITERS[name][1](path, frame, products)
+    return files
+
+
+def write_video(path, images, rate_hz):
+    """Write 8-bit PNG files as an H.264 MP4.
+
+    Parameters
+    ----------
+    path : path
+    images : sequence of paths
+        Display images, in order.
+    rate_hz : float
+        Frames per second.
+    """
+    import cv2
+    import imageio_ffmpeg
+
+    first = cv2.imread(str(images[0]), cv2.IMREAD_GRAYSCALE)
+    with atomic(path) as part:
+        writer = imageio_ffmpeg.write_frames(
+            str(part),
+            (first.shape[1], first.shape[0]),
+            fps=rate_hz,
+            pix_fmt_in="gray",
+            pix_fmt_out="yuv420p",
+            codec="libx264",
+            macro_block_size=1,
+            ffmpeg_log_level="error",
+            # One thread and no time stamps or version strings: the same frames give the same bytes.
+            output_params=["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-crf", "18", "-threads", "1", "-flags:v", "+bitexact", "-fflags", "+bitexact"],
+        )
+        writer.send(None)
+        for image in images:
+            writer.send(np.ascontiguousarray(cv2.imread(str(image), cv2.IMREAD_GRAYSCALE)))
+        writer.close()

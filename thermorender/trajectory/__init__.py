@@ -1,0 +1,23 @@
+"""Trajectories: a log becomes timed camera poses in a scene's local frame."""
+
+from thermorender.trajectory.path import (
+    Anchor,
+    Trajectory,
+    check_above_ground,
+    parse_anchor,
+    parse_lever_arm,
+    parse_mount,
+    parse_numbers,
+)
+from thermorender.trajectory.readers import read_trajectory
+
+__all__ = [
+    "Anchor",
+    "Trajectory",
+    "check_above_ground",
+    "parse_anchor",
+    "parse_lever_arm",
+    "parse_mount",
+    "parse_numbers",
+    "read_trajectory",
+]
