@@ -189,6 +189,31 @@ def spline(points, spacing_m=2.0):
     return np.vstack([*pieces, p[-2:-1]])
 
 
+def ruts(c, points, gauge, width, strength, name):
+    """Return the marks of a pair of wheels along a line, (N, N) float32 in 0…1.
+
+    Parameters
+    ----------
+    c : Canvas
+    points : (K, 2) array
+        Way of the vehicle, east and north [m].
+    gauge, width : float
+        Distance of the wheels and half width of a mark [m].
+    strength : float
+        Of the marks where they are plain, 0…1.
+    name : str
+        Of the noise that interrupts them.
+    """
+    offset, along = c.ribbon(points, 3.0)
+    near = np.isfinite(offset)
+    d = np.where(near, np.abs(np.abs(offset) - 0.5 * gauge), 9.0)
+    length = np.hypot(*np.diff(points, axis=0).T).sum()
+    fade = smoothstep(0.0, 6.0, along) * smoothstep(length, length - 6.0, along)
+    return (
+        strength * fade * smoothstep(width, 0.3 * width, d) * np.clip(0.8 + 0.35 * c.grain(name, 3.0), 0, 1)
+    )
+
+
 def crowns(generator, texel_m, radius_m, form, count=24):
     """Return a list of (crown, tone) pairs for `Canvas.stamp`, each (h, w) float32.
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from thermorender.scene.noise import smoothstep
-from thermorender.scene.synthetic_canvas import crowns, plant, planted_rows, scatter, spline
+from thermorender.scene.synthetic_canvas import crowns, plant, planted_rows, ruts, scatter, spline
 from thermorender.scene.synthetic_heat import Weather
 from thermorender.scene.synthetic_light import linear
 
@@ -210,18 +210,6 @@ def _road(c, offset, along):
     c.paint(np.clip(white * (0.68 + 0.18 * rough), 0, 0.85), linear(222, 220, 212))
 
 
-def _ruts(c, points, gauge, width, strength, name):
-    """Return the marks of a pair of wheels along a line, (N, N) in 0…1."""
-    offset, along = c.ribbon(points, 3.0)
-    near = np.isfinite(offset)
-    d = np.where(near, np.abs(np.abs(offset) - 0.5 * gauge), 9.0)
-    length = np.hypot(*np.diff(points, axis=0).T).sum()
-    fade = smoothstep(0.0, 6.0, along) * smoothstep(length, length - 6.0, along)
-    return (
-        strength * fade * smoothstep(width, 0.3 * width, d) * np.clip(0.8 + 0.35 * c.grain(name, 3.0), 0, 1)
-    )
-
-
 def _tracks(c, track, sand):
     """The sandy track, its fork, wheel marks on the open sand and trodden paths."""
     g, s = c.stream("tracks"), c.size
@@ -250,7 +238,7 @@ def _tracks(c, track, sand):
         for field in (c.top, c.relief):
             field *= 1.0 - cover
         c.paint(bed, pale, "sand_quartz")
-        rut = _ruts(c, points, 1.7, 0.34, 0.5, "rut")
+        rut = ruts(c, points, 1.7, 0.34, 0.5, "rut")
         c.tint(1.0 - 0.36 * rut)
         c.relief -= 0.05 * rut
     start = np.array([at(-0.02 * s), at(0.02 * s)])
@@ -263,7 +251,7 @@ def _tracks(c, track, sand):
             heading += g.normal(0.0, 0.75)
             way.append(way[-1] + reach * 0.55 * np.array([np.cos(heading), np.sin(heading)]))
         way.append(a + g.uniform(-3, 3, 2))
-        rut = _ruts(c, spline(way), 1.65, 0.45, 0.95, f"marks {index}")
+        rut = ruts(c, spline(way), 1.65, 0.45, 0.95, f"marks {index}")
         on_sand = rut * sand
         c.tint(1.0 - 0.36 * on_sand)
         c.relief -= 0.06 * on_sand

@@ -1,0 +1,250 @@
+"""A scene folder from two GeoTIFFs: an elevation model and an orthophoto of any CRS, resolution and extent.
+
+Both are brought onto the elevation's map (or the UTM zone, where that is in degrees), cut to the area they
+share, and thinned where they exceed the size limits. What is empty stays marked: NaN heights leave holes in the
+mesh, and the orthophoto's empty borders become its mask.
+"""
+
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.scene.raster import Grid, grid_of, onto, read_colour
+from thermorender.scene.terrain import read_elevation
+from thermorender.units import kelvin
+
+DEFAULT_VERTICES = 4_000_000
+DEFAULT_TEXELS = 8192
+
+
+def import_terrain(elevation, orthophoto, folder, max_vertices=DEFAULT_VERTICES, max_texels=DEFAULT_TEXELS,
+                   height_reference=None, geoid_undulation_m=None, model="fok-1to1", material="soil_loam",
+                   sky_temperature=255.0):  # fmt: skip
+    """Write a scene folder and return a summary of what was done to the rasters.
+
+    Parameters
+    ----------
+    elevation, orthophoto : path
+        GeoTIFFs: heights [m] in one band; RGB in 8 bits.
+    folder : path
+        New scene folder; must not exist or be empty.
+    max_vertices : int
+        Most posts of the mesh; a finer elevation model is averaged down.
+    max_texels : int
+        Most texels along a side of the texture; a finer orthophoto is averaged down.
+    height_reference : {"ellipsoid", "geoid"}, optional
+        What the heights count from; taken from the CRS where that names a vertical datum, else "ellipsoid".
+    geoid_undulation_m : float, optional
+        Height of the geoid above the ellipsoid there [m].
+    model : str
+        Learned map that gives the scene its temperatures.
+    material : str
+        Material of the ground.
+    sky_temperature : float
+        [K].
+
+    Returns
+    -------
+    dict
+        crs, posts, post_m, texels, texel_m, share_without_height, share_without_colour.
+
+    Raises
+    ------
+    ThermorenderError
+        A missing or unreadable file, no CRS, no overlap, nothing valid, or a folder in use; nothing is written.
+    """
+    from thermorender.learned.correlation import load_model
+    from thermorender.scene.materials import find, load_library
+
+    load_model(model)
+    find(load_library(), material, "material")
+    kelvin("sky_temperature", sky_temperature)
+    folder = Path(folder)
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise ThermorenderError(f"{folder} exists and is not empty; give a new folder for the scene")
+    if max_vertices < 4 or max_texels < 2:
+        raise ThermorenderError(f"max_vertices={max_vertices}, max_texels={max_texels} leave nothing; give at least 4 and 2")
+    height, height_grid = read_elevation(elevation)
+    colour_grid = grid_of(orthophoto)
+    rgb, valid = read_colour(orthophoto)
+    if not valid.any():
+        raise ThermorenderError(f"{orthophoto} is empty: every pixel is masked or border; give another orthophoto")
+    if height_reference is None:
+        height_reference = "geoid" if _has_vertical_datum(height_grid.crs) else "ellipsoid"
+    crs = _map_crs(height_grid)
+    bounds = _shared(_bounds_in(crs, height_grid), _bounds_in(crs, colour_grid), elevation, orthophoto)
+
+    post = _step(crs, height_grid)
+    target = _grid(crs, bounds, max(post, np.sqrt((bounds[2] - bounds[0]) * (bounds[3] - bounds[1]) / max_vertices)))
+    if _aligned(height_grid, crs, target, post):
+        height, target = _cut(height, height_grid, bounds)
+    else:
+        height = onto(height, height_grid, target, "average" if _step(crs, target) > 1.5 * post else "bilinear")
+    if not np.isfinite(height).any():
+        raise ThermorenderError(f"{elevation} has no valid height where {orthophoto} lies; give a DEM of the same area")
+
+    texel = _step(crs, colour_grid)
+    span = max(bounds[2] - bounds[0], bounds[3] - bounds[1])
+    texels = _grid(crs, bounds, max(texel, span / max_texels))
+    if _aligned(colour_grid, crs, texels, texel):
+        rgb, texels = _cut(rgb, colour_grid, bounds)
+        valid, _ = _cut(valid, colour_grid, bounds)
+    else:
+        how = "average" if _step(crs, texels) > 1.5 * texel else "bilinear"
+        # Empty texels must not bleed into their neighbours: filter what is valid, and how much of it there is.
+        weight = onto(valid.astype(np.float32), colour_grid, texels, how)
+        weight = np.nan_to_num(weight)
+        filtered = onto(rgb * valid[..., None].astype(np.float32), colour_grid, texels, how)
+        valid = weight > 0.5
+        rgb = np.where(valid[..., None], filtered / np.maximum(weight, 1e-6)[..., None], 0.0)
+        rgb = np.clip(np.rint(np.nan_to_num(rgb)), 0, 255).astype(np.uint8)
+    if not valid.any():
+        raise ThermorenderError(f"{orthophoto} is empty where {elevation} lies; give an orthophoto of the same area")
+
+    part = folder.with_name(f".{folder.name}.part")
+    try:
+        part.mkdir(parents=True)
+    except OSError as error:
+        raise ThermorenderError(f"{part} cannot be made: {error.strerror}; give a folder that can be written") from None
+    try:
+        _write(part / "elevation.tif", height[None].astype(np.float32), target, nodata=np.nan, predictor=3)
+        _write(part / "orthophoto.tif", np.moveaxis(rgb, -1, 0), texels, predictor=2, photometric="RGB", mask=valid)
+        (part / "scene.toml").write_text(
+            _scene_toml(folder.name, elevation, orthophoto, height_reference, geoid_undulation_m, model, material,
+                        sky_temperature),
+            encoding="utf-8",
+        )  # fmt: skip
+        if folder.exists():
+            folder.rmdir()
+        os.replace(part, folder)
+    except OSError as error:
+        raise ThermorenderError(f"{folder} cannot be written: {error.strerror}; give a folder with room to write") from None
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+    return {
+        "crs": crs.to_string(),
+        "posts": [target.height, target.width],
+        "post_m": _step(crs, target),
+        "texels": [texels.height, texels.width],
+        "texel_m": _step(crs, texels),
+        "height_reference": height_reference,
+        "share_without_height": float(1.0 - np.isfinite(height).mean()),
+        "share_without_colour": float(1.0 - valid.mean()),
+    }
+
+
+def _has_vertical_datum(crs):
+    return any(word in crs.to_wkt() for word in ("COMPD_CS", "COMPOUNDCRS", "VERT_CS"))
+
+
+def _map_crs(grid):
+    """The elevation's CRS where that is a map in metres, else the UTM zone of its middle."""
+    from rasterio.crs import CRS
+    from rasterio.warp import transform
+
+    if grid.crs.is_projected and abs(grid.crs.linear_units_factor[1] - 1.0) < 1e-9:
+        return grid.crs
+    x, y = grid.transform * (grid.width / 2, grid.height / 2)
+    (longitude,), (latitude,) = transform(grid.crs, CRS.from_epsg(4326), [x], [y])
+    zone = int((longitude + 180.0) // 6.0) % 60 + 1
+    return CRS.from_epsg((32600 if latitude >= 0.0 else 32700) + zone)
+
+
+def _bounds_in(crs, grid):
+    from rasterio.errors import RasterioError
+    from rasterio.warp import transform_bounds
+
+    if grid.crs == crs:
+        return grid.bounds
+    try:
+        return transform_bounds(grid.crs, crs, *grid.bounds, densify_pts=21)
+    except RasterioError as error:
+        raise ThermorenderError(f"{grid.crs.to_string()} cannot be brought to {crs.to_string()}: {error}; check the CRS") from None
+
+
+def _shared(a, b, elevation, orthophoto):
+    bounds = max(a[0], b[0]), max(a[1], b[1]), min(a[2], b[2]), min(a[3], b[3])
+    if not (bounds[0] < bounds[2] and bounds[1] < bounds[3]):
+        raise ThermorenderError(
+            f"{elevation} (x {a[0]:.0f}…{a[2]:.0f}, y {a[1]:.0f}…{a[3]:.0f}) and {orthophoto} (x {b[0]:.0f}…{b[2]:.0f}, "
+            f"y {b[1]:.0f}…{b[3]:.0f}) do not overlap; give rasters of the same area"
+        )
+    return bounds
+
+
+def _step(crs, grid):
+    """Side of a grid's pixel in a map's metres."""
+    bounds = _bounds_in(crs, grid)
+    return float(np.sqrt((bounds[2] - bounds[0]) * (bounds[3] - bounds[1]) / (grid.height * grid.width)))
+
+
+def _grid(crs, bounds, step):
+    from rasterio.transform import from_origin
+
+    width = max(2, int(np.floor((bounds[2] - bounds[0]) / step + 1e-6)))
+    height = max(2, int(np.floor((bounds[3] - bounds[1]) / step + 1e-6)))
+    return Grid(crs, from_origin(bounds[0], bounds[3], step, step), height, width)
+
+
+def _aligned(grid, crs, target, step):
+    """Whether cutting pixels out of a grid is enough: same map, north up, no thinning."""
+    return grid.crs == crs and grid.transform.e < 0.0 and abs(_step(crs, target) - step) < 1e-6 * step
+
+
+def _cut(values, grid, bounds):
+    """Pixels of a north-up grid that lie within bounds, and their Grid."""
+    from rasterio.transform import Affine
+
+    column0, row0 = ~grid.transform * (bounds[0], bounds[3])
+    column1, row1 = ~grid.transform * (bounds[2], bounds[1])
+    column0, row0 = max(0, int(np.floor(column0 + 1e-6))), max(0, int(np.floor(row0 + 1e-6)))
+    column1, row1 = min(grid.width, int(np.ceil(column1 - 1e-6))), min(grid.height, int(np.ceil(row1 - 1e-6)))
+    part = values[row0:row1, column0:column1]
+    return part, Grid(grid.crs, grid.transform * Affine.translation(column0, row0), *part.shape[:2])
+
+
+def _write(path, bands, grid, mask=None, **options):
+    import rasterio
+
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), rasterio.open(
+        path, "w", driver="GTiff", count=len(bands), dtype=bands.dtype, height=grid.height, width=grid.width,
+        crs=grid.crs, transform=grid.transform, compress="deflate", tiled=True, **options,
+    ) as dataset:  # fmt: skip
+        dataset.write(bands)
+        if mask is not None:
+            dataset.write_mask(mask)
+
+
+def _scene_toml(title, elevation, orthophoto, height_reference, undulation, model, material, sky):
+    undulation = "" if undulation is None else f"geoid_undulation_m = {undulation}\n"
+    return f"""title = {_quoted(title)}
+# Made from {Path(elevation).name} and {Path(orthophoto).name}.
+
+[terrain]
+elevation = "elevation.tif"
+orthophoto = "orthophoto.tif"
+height_reference = "{height_reference}"
+{undulation}
+[temperature]
+source = "learned"
+model = "{model}"
+
+[emissivity]
+source = "material"
+material = "{material}"
+
+[sky]
+temperature = {sky}
+
+[camera]
+model = "zenmuse-xt2"
+"""
+
+
+def _quoted(text):
+    import json
+
+    return json.dumps(text, ensure_ascii=False)
