@@ -9,10 +9,10 @@ import pytest
 import rasterio
 
 from thermorender.errors import ThermorenderError
-from thermorender.scene.noise import fractal_noise, stream
+from thermorender.scene.procedural.noise import fractal_noise, stream
 from thermorender.scene.synthetic import KINDS, make, write
-from thermorender.scene.synthetic_heat import STEFAN_BOLTZMANN, THERMAL, saturation_vapour, step
-from thermorender.scene.synthetic_light import incidence, normals, sky_view, sun_position, sun_visibility
+from thermorender.scene.procedural.heat import STEFAN_BOLTZMANN, THERMAL, saturation_vapour, step
+from thermorender.scene.procedural.light import incidence, normals, sky_view, sun_position, sun_visibility
 
 try:
     import tomllib
@@ -203,7 +203,7 @@ def test_nothing_is_left_behind_when_writing_fails(tmp_path, monkeypatch):
     def fail(flight):
         raise OSError("disk full")
 
-    monkeypatch.setattr("thermorender.scene.synthetic_files.flight_csv", fail)
+    monkeypatch.setattr("thermorender.scene.procedural.files.flight_csv", fail)
     with pytest.raises(OSError, match="disk full"):
         write(small("heath"), tmp_path / "scene")
     assert list(tmp_path.iterdir()) == []

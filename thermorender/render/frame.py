@@ -16,7 +16,7 @@ from thermorender.render import bake
 from thermorender.render.geometry import Channels, Geometry
 from thermorender.render.plan import REFERENCE_K, SAMPLES, make_plan
 from thermorender.render.variant import activate
-from thermorender.scene.surface import BEYOND
+from thermorender.scene.surface import BEYOND, FILLED
 
 NO_MATERIAL = 255
 
@@ -101,13 +101,14 @@ class Renderer:
         """Return (image (H, W, 3) uint8 sRGB, valid (H, W) bool): the orthophoto seen from `pose`.
 
         The texture carries its own sun and shade; light is averaged linearly over a pixel's rays. Pixels without
-        surface are black and not valid.
+        surface, or where its colour is unknown, are not valid.
         """
         pose, camera = checked_pose(pose), camera or self.scene.camera
         if "colour" not in self._lazy:
             linear = _linear_from_srgb(np.concatenate([s.colour.reshape(-1, 3) for s in self.scene.surfaces]))
-            covered = np.ones((len(linear), 1), np.float32)
-            self._lazy["colour"] = Channels(self._mi, np.hstack([linear, covered]))
+            flags = np.concatenate([surface.flags.ravel() for surface in self.scene.surfaces])
+            known = ((flags & FILLED) == 0).astype(np.float32)
+            self._lazy["colour"] = Channels(self._mi, np.column_stack([linear, known]))
         found = self._shade(pose, camera, self._lazy["colour"], None, np.zeros((2, 4)), self.plan.samples)
         return _srgb_from_linear(found[..., :3]), found[..., 3] > 0.999
 

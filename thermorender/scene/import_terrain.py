@@ -147,7 +147,7 @@ def _map_crs(grid):
 
     if grid.crs.is_projected and abs(grid.crs.linear_units_factor[1] - 1.0) < 1e-9:
         return grid.crs
-    x, y = grid.transform * (grid.width / 2, grid.height / 2)
+    x, y = grid.to_map(grid.width / 2, grid.height / 2)
     (longitude,), (latitude,) = transform(grid.crs, CRS.from_epsg(4326), [x], [y])
     zone = int((longitude + 180.0) // 6.0) % 60 + 1
     return CRS.from_epsg((32600 if latitude >= 0.0 else 32700) + zone)
@@ -182,11 +182,11 @@ def _step(crs, grid):
 
 
 def _grid(crs, bounds, step):
-    from rasterio.transform import from_origin
+    from rasterio import Affine
 
     width = max(2, int(np.floor((bounds[2] - bounds[0]) / step + 1e-6)))
     height = max(2, int(np.floor((bounds[3] - bounds[1]) / step + 1e-6)))
-    return Grid(crs, from_origin(bounds[0], bounds[3], step, step), height, width)
+    return Grid(crs, Affine(step, 0.0, bounds[0], 0.0, -step, bounds[3]), height, width)
 
 
 def _aligned(grid, crs, target, step):
@@ -196,14 +196,17 @@ def _aligned(grid, crs, target, step):
 
 def _cut(values, grid, bounds):
     """Pixels of a north-up grid that lie within bounds, and their Grid."""
-    from rasterio.transform import Affine
+    from rasterio import Affine
 
-    column0, row0 = ~grid.transform * (bounds[0], bounds[3])
-    column1, row1 = ~grid.transform * (bounds[2], bounds[1])
+    column0, row0 = grid.to_pixel(bounds[0], bounds[3])
+    column1, row1 = grid.to_pixel(bounds[2], bounds[1])
     column0, row0 = max(0, int(np.floor(column0 + 1e-6))), max(0, int(np.floor(row0 + 1e-6)))
     column1, row1 = min(grid.width, int(np.ceil(column1 - 1e-6))), min(grid.height, int(np.ceil(row1 - 1e-6)))
     part = values[row0:row1, column0:column1]
-    return part, Grid(grid.crs, grid.transform * Affine.translation(column0, row0), *part.shape[:2])
+    t = grid.transform
+    x, y = grid.to_map(column0, row0)
+    corner = Affine(t.a, t.b, x, t.d, t.e, y)
+    return part, Grid(grid.crs, corner, *part.shape[:2])
 
 
 def _write(path, bands, grid, mask=None, **options):

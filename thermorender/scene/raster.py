@@ -21,9 +21,19 @@ class Grid:
     @property
     def bounds(self):
         """(left, bottom, right, top) in map units."""
-        x0, y0 = self.transform * (0, 0)
-        x1, y1 = self.transform * (self.width, self.height)
+        x0, y0 = self.to_map(0, 0)
+        x1, y1 = self.to_map(self.width, self.height)
         return min(x0, x1), min(y0, y1), max(x0, x1), max(y0, y1)
+
+    def to_map(self, column, row):
+        """Return map coordinates (x, y) of pixel coordinates counted from the grid's upper left corner."""
+        t = self.transform
+        return t.a * column + t.b * row + t.c, t.d * column + t.e * row + t.f
+
+    def to_pixel(self, x, y):
+        """Return pixel coordinates (column, row) of map coordinates; the inverse of `to_map`."""
+        t = ~self.transform
+        return t.a * x + t.b * y + t.c, t.d * x + t.e * y + t.f
 
     def same_as(self, other):
         """Whether both grids have the same pixels."""

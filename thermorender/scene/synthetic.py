@@ -1,6 +1,6 @@
 """Procedural scenes with known temperature: `make` grows one from a seed, `write` makes it a scene folder.
 
-The true temperature comes from a surface energy balance (`synthetic_heat`) on materials, relief, shadows and
+The true temperature comes from a surface energy balance (`procedural.heat`) on materials, relief, shadows and
 moisture; the orthophoto is a photograph of the same land. Neither is computed from the other.
 """
 
@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.scene.synthetic_canvas import Canvas
-from thermorender.scene.synthetic_files import write_scene
-from thermorender.scene.synthetic_heat import surface_temperature
-from thermorender.scene.synthetic_heath import heath
-from thermorender.scene.synthetic_light import incidence, normals, photograph
-from thermorender.scene.synthetic_ridge import ridge
-from thermorender.scene.synthetic_village import village
+from thermorender.scene.procedural.canvas import Canvas
+from thermorender.scene.procedural.files import write_scene
+from thermorender.scene.procedural.heat import surface_temperature
+from thermorender.scene.procedural.heath import heath
+from thermorender.scene.procedural.light import incidence, normals, photograph
+from thermorender.scene.procedural.ridge import ridge
+from thermorender.scene.procedural.village import village
 
 # Kind: layout function, default size, texel and post spacing [m], and what it shows.
 KINDS = {

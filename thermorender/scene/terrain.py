@@ -28,7 +28,7 @@ def read_elevation(path):
 
 def frame_of(height, grid):
     """Return the LocalFrame at the centre of an elevation raster, at its median height rounded to metres."""
-    x, y = grid.transform * (grid.width / 2, grid.height / 2)
+    x, y = grid.to_map(grid.width / 2, grid.height / 2)
     longitude, latitude = _lon_lat(grid, np.array([x]), np.array([y]))
     return LocalFrame(float(latitude[0]), float(longitude[0]), float(np.round(np.nanmedian(height))))
 
@@ -49,11 +49,11 @@ def mesh(height, grid, frame, texels):
     """
     rows, columns = height.shape
     column, row = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
-    x, y = grid.transform * (column, row)
+    x, y = grid.to_map(column, row)
     longitude, latitude = _lon_lat(grid, x.ravel(), y.ravel())
     vertices = frame.enu_from_geodetic(latitude, longitude, np.nan_to_num(height.ravel()))
 
-    texel_column, texel_row = ~texels.transform * (x, y)
+    texel_column, texel_row = texels.to_pixel(x, y)
     uv = np.stack([texel_column / texels.width, texel_row / texels.height], axis=-1).reshape(-1, 2)
 
     index = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
@@ -72,7 +72,7 @@ def mesh(height, grid, frame, texels):
 def texel_size_m(texels, frame):
     """Return the side of a texel at the middle of its grid [m] (root of its area)."""
     column, row = texels.width / 2 + np.array([0.0, 1.0, 0.0]), texels.height / 2 + np.array([0.0, 0.0, 1.0])
-    longitude, latitude = _lon_lat(texels, *(texels.transform * (column, row)))
+    longitude, latitude = _lon_lat(texels, *texels.to_map(column, row))
     corner, right, down = frame.enu_from_geodetic(latitude, longitude, frame.height_m)
     return float(np.sqrt(np.linalg.norm(np.cross(right - corner, down - corner))))
 

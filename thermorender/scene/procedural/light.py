@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from thermorender.scene.noise import smooth_noise, stream
+from thermorender.scene.procedural.noise import smooth_noise, stream
 
 # Colour of light on a horizontal, unshaded surface: sun and sky shares per linear sRGB channel. Skylight is
 # blue, sunlight warm; they add up to one, so a colour is given as it looks in full sun.
