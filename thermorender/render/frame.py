@@ -1,4 +1,4 @@
-"""The renderer: a scene baked once, then one frame per pose.
+"""The renderer: a scene baked once, with the first frame, then one frame per pose.
 
 What a pixel needs is folded into a few channels beforehand. Per texel: the emitted band radiance, and the
 reflectance seen through a spectral basis; per face: the incident light in that basis. A frame is casting rays,
@@ -45,8 +45,9 @@ class Renderer:
     ----------
     plan : Plan
         What this scene needs and what was left out.
-    bake_mk : float
-        Bound on the error of the solved light between surfaces, beside its Monte Carlo noise [mK].
+    bake_mk : float or None
+        Bound on the error of the solved light between surfaces, beside its Monte Carlo noise [mK]; None before
+        `prepare`.
     """
 
     def __init__(self, scene, samples=4, rays=128, tolerance_mk=5.0, seed=0, device="auto", progress=None, like=None):
@@ -63,9 +64,14 @@ class Renderer:
         self._progress = progress or (lambda what, share: None)
         self._material = np.concatenate([surface.material.ravel() for surface in scene.surfaces])
         self._temperature = np.concatenate([surface.temperature.ravel() for surface in scene.surfaces])
+        self._tolerance_mk = tolerance_mk
+        self.bake_mk = self._emission = self._incident = self._outside = self._colour = None
         self._rays_of = {}
-        self._lazy = {}
-        self._bake(tolerance_mk)
+
+    def prepare(self):
+        """Trace and solve the light between surfaces now rather than with the first frame."""
+        if self.bake_mk is None:
+            self._bake(self._tolerance_mk)
 
     def frame(self, pose, time_s=0.0, index=0):
         """Return the Frame seen from `pose`.
@@ -84,6 +90,7 @@ class Renderer:
             A pose that is no rigid transform.
         """
         pose = checked_pose(pose)
+        self.prepare()
         radiance = self._shade(pose, self.scene.camera, self._emission, self._incident, self._outside, self.plan.samples)
         return Frame(
             radiance=radiance[..., 0],
@@ -104,12 +111,12 @@ class Renderer:
         surface, or where its colour is unknown, are not valid.
         """
         pose, camera = checked_pose(pose), camera or self.scene.camera
-        if "colour" not in self._lazy:
+        if self._colour is None:
             linear = _linear_from_srgb(np.concatenate([s.colour.reshape(-1, 3) for s in self.scene.surfaces]))
             flags = np.concatenate([surface.flags.ravel() for surface in self.scene.surfaces])
             known = ((flags & FILLED) == 0).astype(np.float32)
-            self._lazy["colour"] = Channels(self._mi, np.column_stack([linear, known]))
-        found = self._shade(pose, camera, self._lazy["colour"], None, np.zeros((2, 4)), self.plan.samples)
+            self._colour = Channels(self._mi, np.column_stack([linear, known]))
+        found = self._shade(pose, camera, self._colour, None, np.zeros((2, 4)), self.plan.samples)
         return _srgb_from_linear(found[..., :3]), found[..., 3] > 0.999
 
     def _bake(self, tolerance_mk):
@@ -125,8 +132,8 @@ class Renderer:
                 emitted[here] = table(warm)
         sky = np.array([scene.spec.sky_temperature])
         beyond = np.array([np.nan if scene.spec.surroundings_temperature is None else scene.spec.surroundings_temperature])
-        self.bake_mk = 0.0
         if not plan.bake:
+            self.bake_mk = 0.0
             ground = emitted[: scene.surfaces[0].material.size].mean() if np.isnan(beyond[0]) else band_radiance(beyond, *band)[0]
             self._emission, self._incident = Channels(mi, emitted[:, None]), None
             self._outside = np.array([[band_radiance(sky, *band)[0]], [ground]])

@@ -1,0 +1,42 @@
+# `make demo` and `make test` do all the set-up they need, on a bare Debian or Ubuntu machine with Python and a network.
+
+PYTHON ?= python3
+VENV   ?= .venv
+BIN    := $(VENV)/bin
+READY  := $(VENV)/.ready
+
+.PHONY: setup demo test lint clean
+
+setup: $(READY)
+
+# The environment, the package in it, and an LLVM runtime for its CPU back end. The second stamp makes a change of
+# the dependencies install them again.
+$(READY): pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' \
+	  || { echo "Python 3.10 or newer is needed; give one with make PYTHON=/path/to/python3"; exit 2; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || $(MAKE) --no-print-directory venv-package
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[test]'
+	$(BIN)/thermorender doctor --install
+	@touch $(READY)
+
+# Debian and Ubuntu keep venv in a package of its own.
+.PHONY: venv-package
+venv-package:
+	@if [ "$$(id -u)" = 0 ]; then apt-get update -q && apt-get install -y -q python3-venv; \
+	 elif sudo -n true 2>/dev/null; then sudo apt-get update -q && sudo apt-get install -y -q python3-venv; \
+	 else echo "Python's venv module is missing; install it with: sudo apt-get install python3-venv"; exit 2; fi
+
+demo: $(READY)
+	rm -rf out/demo
+	$(BIN)/thermorender demo -o out/demo
+
+test: $(READY)
+	$(BIN)/python -m pytest
+
+lint: $(READY)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'ruff>=0.6'
+	$(BIN)/ruff check .
+
+clean:
+	rm -rf $(VENV) out build dist

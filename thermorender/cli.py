@@ -1,0 +1,363 @@
+"""The command line: one verb per job; it parses, calls and prints."""
+
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Optional
+
+import typer
+
+from thermorender.errors import ThermorenderError
+
+app = typer.Typer(
+    help="Long-wave infrared frames of terrain flights, radiometrically true, in kelvin.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+SceneName = Annotated[str, typer.Argument(help="Scene folder, or the name of a shipped one: heath, village, ridge.")]
+Out = Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")]
+Seed = Annotated[int, typer.Option(help="Seed of the sensor's noise.")]
+Samples = Annotated[int, typer.Option(help="Rays per pixel: 1, 2, 4, 8 or 16.")]
+Rays = Annotated[int, typer.Option(help="Rays per face for the light between surfaces.")]
+Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
+Products = Annotated[str, typer.Option(help="Comma-separated: exr, truth, counts, counts-tiff, display, video.")]
+Temperature = Annotated[
+    Optional[str], typer.Option(help="Learned map that gives the temperatures in place of the scene's own source.")
+]
+RangeC = Annotated[Optional[str], typer.Option(help="COLD,WARM: °C of intensity 0 and 1 of a learned map.")]
+TrajectoryFiles = Annotated[
+    Optional[list[Path]],
+    typer.Option("--trajectory", help="Log in CSV; repeat for logs in several files. Default: the scene's flight.csv."),
+]
+Format = Annotated[
+    Optional[str], typer.Option("--format", help="Columns of the log: dji-gimbal, rocket-firm, px4, or a TOML file.")
+]
+AnchorText = Annotated[
+    Optional[str], typer.Option(help="E,N,U,HEADING: re-base the log there [m, m, m above ground, deg].")
+]
+ClockOffset = Annotated[float, typer.Option(help="Added to the log's times [s].")]
+Mount = Annotated[Optional[str], typer.Option(help="YAW,PITCH,ROLL of the camera on the vehicle [deg].")]
+LeverArm = Annotated[
+    str, typer.Option(help="FORWARD,RIGHT,DOWN: the camera's place on the vehicle [m].")
+]
+Start = Annotated[Optional[float], typer.Option(help="First time to fly [s].")]
+Stop = Annotated[Optional[float], typer.Option(help="Last time to fly [s].")]
+Below = Annotated[bool, typer.Option("--allow-below-ground", help="Fly even where the path is under the terrain.")]
+
+
+@app.callback()
+def _options(debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False):
+    """Take options that stand before the verb; `main` reads --debug by itself."""
+
+
+@app.command()
+def doctor(install: Annotated[bool, typer.Option("--install", help="Install a missing LLVM runtime with apt.")] = False):
+    """Tell what works on this machine and how to mend what does not."""
+    from thermorender.doctor import examine
+    from thermorender.render.variant import install_llvm
+
+    if install:
+        typer.echo(install_llvm())
+    rows, healthy = examine()
+    _table(("", "", "to mend"), rows)
+    if not healthy:
+        raise ThermorenderError("no back end renders on this machine; mend the rows above")
+
+
+@app.command("import-terrain")
+def import_terrain(
+    elevation: Annotated[Path, typer.Argument(help="GeoTIFF of heights [m].")],
+    orthophoto: Annotated[Path, typer.Argument(help="GeoTIFF, RGB in 8 bits.")],
+    output: Out,
+    max_vertices: Annotated[int, typer.Option(help="Most posts of the mesh.")] = 4_000_000,
+    max_texels: Annotated[int, typer.Option(help="Most texels along a side of the texture.")] = 8192,
+    height_reference: Annotated[Optional[str], typer.Option(help="ellipsoid or geoid; default: what the CRS says.")] = None,
+    geoid_undulation_m: Annotated[Optional[float], typer.Option(help="Geoid above ellipsoid there [m].")] = None,
+    model: Annotated[str, typer.Option(help="Learned map for the temperatures.")] = "fok-1to1",
+    material: Annotated[str, typer.Option(help="Material of the ground.")] = "soil_loam",
+    sky_temperature: Annotated[float, typer.Option(help="[K]")] = 255.0,
+):
+    """Make a scene from an elevation model and an orthophoto."""
+    from thermorender.scene.import_terrain import import_terrain as run
+
+    if height_reference not in (None, "ellipsoid", "geoid"):
+        raise ThermorenderError(f"--height-reference={height_reference!r} is not allowed; give ellipsoid or geoid")
+    summary = run(elevation, orthophoto, output, max_vertices, max_texels, height_reference, geoid_undulation_m, model,
+                  material, sky_temperature)  # fmt: skip
+    typer.echo(f"{output}: {summary['posts'][1]}×{summary['posts'][0]} posts of {summary['post_m']:.3g} m, "
+               f"{summary['texels'][1]}×{summary['texels'][0]} texels of {summary['texel_m']:.3g} m; "
+               f"{summary['share_without_height']:.1%} without height, {summary['share_without_colour']:.1%} without colour; "
+               f"heights above the {summary['height_reference']}")  # fmt: skip
+
+
+@app.command("make-scene")
+def make_scene(
+    kind: Annotated[str, typer.Argument(help="heath, village or ridge.")],
+    output: Out,
+    seed: Annotated[int, typer.Option(help="Another seed is another place.")] = 0,
+    size_m: Annotated[Optional[float], typer.Option(help="Side of the square [m].")] = None,
+    texel_m: Annotated[Optional[float], typer.Option(help="Side of an orthophoto texel [m].")] = None,
+    post_m: Annotated[Optional[float], typer.Option(help="Distance of elevation posts [m].")] = None,
+):
+    """Make a procedural scene with known temperatures from a seed."""
+    from thermorender.scene import synthetic
+
+    with _progress() as tell:
+        tell("making the landscape", 0.0)
+        folder = synthetic.write(synthetic.make(kind, seed, size_m, texel_m, post_m), output)
+    typer.echo(str(folder))
+
+
+@app.command()
+def plan(scene: SceneName, samples: Samples = 4, rays: Rays = 128):
+    """Print what rendering a scene needs, what is left out, and the bound that allows it."""
+    from thermorender.render.plan import make_plan
+    from thermorender.scene.load import load_scene
+
+    loaded = load_scene(scene)
+    typer.echo(str(loaded))
+    _table(("item", "in", "why"), make_plan(loaded, samples, rays).rows())
+
+
+@app.command()
+def render(
+    scene: SceneName,
+    output: Out,
+    pose: Annotated[
+        str, typer.Option(help="E,N,U,YAW,PITCH,ROLL: metres in the local frame, degrees; pitch −90 looks down.")
+    ] = "0,0,120,0,-90,0",
+    local_up: Annotated[
+        bool, typer.Option("--local-up", help="U is the local up coordinate, not metres above the ground.")
+    ] = False,
+    visible: Annotated[bool, typer.Option("--visible", help="Write the visible view as well.")] = False,
+    products: Products = "exr,truth,counts,display",
+    temperature: Temperature = None,
+    range_c: RangeC = None,
+    seed: Seed = 0,
+    samples: Samples = 4,
+    rays: Rays = 128,
+    device: Device = "auto",
+):
+    """Render one frame."""
+    from thermorender import products as files
+    from thermorender.trajectory import parse_numbers
+    from thermorender.trajectory.path import pose as make_pose
+
+    wanted = files.check(_split(products))
+    numbers = parse_numbers("--pose", pose, ("E", "N", "U", "YAW", "PITCH", "ROLL"))
+    with _progress() as tell:
+        loaded = _scene(scene, temperature, range_c)
+        east, north, up, *angles = numbers
+        if not local_up:
+            ground = float(loaded.ground(east, north))
+            if ground != ground:
+                raise ThermorenderError(f"--pose={pose!r} lies off the terrain; move it, or give --local-up")
+            up += ground
+        folder = files.make_folder(output)
+        renderer = _renderer(loaded, samples, rays, seed, device, tell)
+        frame = renderer.frame(make_pose(east, north, up, *angles))
+        written = files.write(folder, frame, wanted)
+        if visible:
+            written["visible"] = folder / "frame_000000_visible.png"
+            files.write_image(written["visible"], renderer.visible(frame.pose)[0])
+        files.write_json(folder / "frame_000000.json", files.record(frame))
+    seen = frame.apparent_temperature
+    typer.echo(f"apparent temperature {seen.min():.2f}–{seen.max():.2f} K, mean {seen.mean():.2f} K")
+    for path in written.values():
+        typer.echo(str(path))
+
+
+@app.command()
+def fly(
+    scene: SceneName,
+    output: Out,
+    trajectory: TrajectoryFiles = None,
+    format: Format = None,
+    anchor: AnchorText = None,
+    clock_offset_s: ClockOffset = 0.0,
+    mount: Mount = None,
+    lever_arm_m: LeverArm = "0,0,0",
+    start_s: Start = None,
+    stop_s: Stop = None,
+    rate_hz: Annotated[Optional[float], typer.Option(help="Frames per second; default: the camera's.")] = None,
+    products: Products = "exr,truth,counts,display,video",
+    temperature: Temperature = None,
+    range_c: RangeC = None,
+    allow_below_ground: Below = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue a stopped flight.")] = False,
+    seed: Seed = 0,
+    samples: Samples = 4,
+    rays: Rays = 128,
+    device: Device = "auto",
+):
+    """Render the frames of a flight."""
+    from thermorender import products as files
+    from thermorender.flight import fly as run
+
+    wanted = files.check(_split(products))
+    with _progress() as tell:
+        loaded = _scene(scene, temperature, range_c)
+        path = _trajectory(loaded, trajectory, format, anchor, clock_offset_s, mount, lever_arm_m)
+        _above_ground(loaded, path, rate_hz or loaded.camera.frame_rate_hz, start_s, stop_s, allow_below_ground)
+        files.make_folder(output)
+        renderer = _renderer(loaded, samples, rays, seed, device, tell)
+        summary = run(
+            renderer, path, output, rate_hz, wanted, start_s, stop_s, resume,
+            lambda done, total: tell(f"frame {done} of {total}", done / total),
+        )  # fmt: skip
+    typer.echo(f"{summary['frames']} frames, {summary['rendered']} rendered now, in {summary['folder']}")
+
+
+@app.command()
+def compare(
+    scene: SceneName,
+    output: Out,
+    models: Annotated[str, typer.Option(help="Comma-separated learned maps.")] = "fok-1to1,fok-9to1",
+    trajectory: TrajectoryFiles = None,
+    format: Format = None,
+    anchor: AnchorText = None,
+    rate_hz: Annotated[float, typer.Option(help="Poses per second of flight.")] = 1.0,
+    range_c: RangeC = None,
+    allow_below_ground: Below = False,
+    seed: Seed = 0,
+    samples: Samples = 4,
+    rays: Rays = 128,
+    device: Device = "auto",
+):
+    """Hold learned 2D translations against the radiometric render of the same poses."""
+    from thermorender.scene.load import load_scene
+    from thermorender.validate.comparison import compare as run
+
+    with _progress() as tell:
+        loaded = load_scene(scene)
+        path = _trajectory(loaded, trajectory, format, anchor, 0.0, None, "0,0,0")
+        _above_ground(loaded, path, rate_hz, None, None, allow_below_ground)
+        summary = run(
+            loaded, path, output, _split(models), rate_hz, _range(range_c), tell,
+            seed=seed, samples=samples, rays=rays, device=device,
+        )  # fmt: skip
+    rows = [
+        (name, *(f"{error[key]:+.3f}" if error[key] is not None else "none" for key in
+                 ("mean_c", "mean_absolute_c", "std_c")), str(error["pixels"]))
+        for name, error in summary["errors"].items()
+    ]  # fmt: skip
+    _table(("arm", "mean error [°C]", "mean absolute error [°C]", "standard deviation [°C]", "pixels"), rows)
+    for name, report in summary["maps"].items():
+        typer.echo(f"{name}: {report['share_outside_0_1']:.1%} of the texels' intensities lie outside 0…1, "
+                   f"{report['share_fallback']:.1%} of the texels fall back to their material's temperature")  # fmt: skip
+    typer.echo(f"pictures and comparison.json in {output}")
+
+
+@app.command()
+def demo(
+    output: Out = Path("out/demo"),
+    device: Device = "auto",
+):
+    """Run the main job on the shipped heath: a flight towards the heated marker, and the comparison."""
+    if (output / "flight" / "flight.json").exists():
+        raise ThermorenderError(f"{output} already holds a demo; give another folder with -o, or remove it")
+    fly("heath", output / "flight", rate_hz=4.0, device=device)
+    compare("heath", output / "comparison", rate_hz=0.2, device=device)
+    typer.echo(f"look at {output / 'flight' / 'flight.mp4'} and at the pictures in {output / 'comparison'}")
+
+
+def main():
+    """Run the command line: a user's mistake is one sentence and status 2."""
+    debug = "--debug" in sys.argv[1:]
+    try:
+        app(args=[argument for argument in sys.argv[1:] if argument != "--debug"], standalone_mode=True)
+    except ThermorenderError as error:
+        if debug:
+            raise
+        typer.echo(f"error: {error}", err=True)
+        raise SystemExit(2) from None
+    except KeyboardInterrupt:
+        typer.echo("stopped; a flight continues with --resume", err=True)
+        raise SystemExit(130) from None
+
+
+def _scene(name, temperature, range_c):
+    from thermorender.scene.load import load_scene
+    from thermorender.scene.spec import TemperatureSpec
+
+    loaded = load_scene(name)
+    if temperature:
+        loaded = loaded.with_temperature(TemperatureSpec(source="learned", model=temperature, range_c=_range(range_c)))
+    elif range_c:
+        raise ThermorenderError(f"--range-c={range_c!r} needs a learned map; add --temperature fok-1to1")
+    for model, report in loaded.report.items():
+        typer.echo(f"{model}: {report['share_outside_0_1']:.1%} of the intensities lie outside 0…1, "
+                   f"{report['share_fallback']:.1%} of the texels fall back to their material's temperature")  # fmt: skip
+    return loaded
+
+
+def _renderer(scene, samples, rays, seed, device, tell):
+    from thermorender.render.frame import Renderer
+
+    return Renderer(scene, samples=samples, rays=rays, seed=seed, device=device, progress=tell)
+
+
+def _trajectory(scene, files, format, anchor, clock_offset_s, mount, lever_arm_m):
+    from thermorender.trajectory import parse_anchor, parse_lever_arm, parse_mount, read_trajectory
+
+    files = files or [scene.spec.folder / "flight.csv"]
+    return read_trajectory(
+        files,
+        frame=scene.frame,
+        ground=scene.ground,
+        geoid_undulation_m=scene.geoid_undulation_m,
+        format=format,
+        anchor=parse_anchor(anchor) if anchor else None,
+        clock_offset_s=clock_offset_s,
+        mount=parse_mount(mount) if mount else None,
+        lever_arm_m=parse_lever_arm(lever_arm_m),
+    )
+
+
+def _above_ground(scene, path, rate_hz, start_s, stop_s, allowed):
+    from thermorender.trajectory import check_above_ground
+
+    if not allowed:
+        check_above_ground(path.sampled(path.frame_times(rate_hz, start_s, stop_s)), scene.ground)
+
+
+def _range(text):
+    from thermorender.trajectory import parse_numbers
+
+    return parse_numbers("--range-c", text, ("COLD", "WARM")) if text else None
+
+
+def _split(text):
+    return tuple(part.strip() for part in text.split(",") if part.strip())
+
+
+@contextmanager
+def _progress():
+    """Give a function (what, share done) that draws a bar on a terminal and nothing elsewhere."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        tasks = {}
+
+        def tell(what, share):
+            key = "frames" if what.startswith("frame ") else what
+            if key not in tasks:
+                tasks[key] = bar.add_task(what, total=1.0)
+            bar.update(tasks[key], completed=share, description=what)
+
+        yield tell
+
+
+def _table(header, rows):
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(*header, box=None, pad_edge=False)
+    for row in rows:
+        table.add_row(*map(str, row))
+    Console().print(table)

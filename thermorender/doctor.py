@@ -1,0 +1,60 @@
+"""What this machine has and lacks: versions, back ends that really render, threads, GPU, and how to mend them."""
+
+import os
+import platform
+import shutil
+import subprocess
+
+from thermorender.versions import versions
+
+VARIANTS = ("scalar_rgb", "llvm_ad_mono", "llvm_ad_spectral", "cuda_ad_mono")
+
+
+def examine():
+    """Return (rows, healthy): rows of (what, state, how to mend it) and whether frames can be rendered here.
+
+    Each variant renders one ray in a process of its own, because a wrong LLVM library aborts the process.
+    """
+    from thermorender.render.variant import OLDEST_LLVM, llvm_libraries, usable_llvm, works
+
+    rows = [(name, version, "") for name, version in versions().items()]
+    rows.append(("machine", f"{platform.system()} {platform.machine()}, {len(_cores())} cores usable", ""))
+    found = [f"{version or 'unknown'}: {path}" for path, version in sorted(llvm_libraries().items(), key=str)]
+    chosen = usable_llvm()
+    rows.append(("LLVM libraries", "; ".join(found) or "none found", ""))
+    mend = "" if chosen else f"needs version {OLDEST_LLVM} or newer: `thermorender doctor --install` or `apt-get install libllvm19`"
+    rows.append(("LLVM in use", str(chosen[0]) if chosen else "none", mend))
+    gpu = _gpu()
+    rows.append(("GPU", gpu or "none", ""))
+    able = []
+    for variant in VARIANTS:
+        if variant.startswith("cuda") and not gpu:
+            rows.append((variant, "not tried: no GPU", ""))
+            continue
+        good, reason = works(variant)
+        able += [variant] if good else []
+        rows.append((variant, "works" if good else f"fails: {reason}", "" if good else _advice(variant)))
+    return rows, any(variant in able for variant in ("llvm_ad_mono", "cuda_ad_mono"))
+
+
+def _advice(variant):
+    if variant.startswith("llvm"):
+        return "install an LLVM runtime of version 16 or newer: `thermorender doctor --install`"
+    if variant.startswith("cuda"):
+        return "update the NVIDIA driver, or render with --device cpu"
+    return "reinstall Mitsuba: `pip install --force-reinstall mitsuba`"
+
+
+def _cores():
+    return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else range(os.cpu_count() or 1)
+
+
+def _gpu():
+    """Name and driver of the first NVIDIA GPU, or an empty string."""
+    tool = shutil.which("nvidia-smi")
+    if not tool:
+        return ""
+    run = subprocess.run(
+        [tool, "--query-gpu=name,driver_version", "--format=csv,noheader"], capture_output=True, text=True, timeout=60
+    )
+    return run.stdout.strip().splitlines()[0] if run.returncode == 0 and run.stdout.strip() else ""
