@@ -156,8 +156,8 @@ def render(
             if ground != ground:
                 raise ThermorenderError(f"--pose={pose!r} lies off the terrain; move it, or give --local-up")
             up += ground
-        folder = files.make_folder(output)
         renderer = _renderer(loaded, samples, rays, seed, device, tell)
+        folder = files.make_folder(output)
         frame = renderer.frame(make_pose(east, north, up, *angles))
         written = files.write(folder, frame, wanted)
         if visible:
@@ -202,7 +202,6 @@ def fly(
         loaded = _scene(scene, temperature, range_c)
         path = _trajectory(loaded, trajectory, format, anchor, clock_offset_s, mount, lever_arm_m)
         _above_ground(loaded, path, rate_hz or loaded.camera.frame_rate_hz, start_s, stop_s, allow_below_ground)
-        files.make_folder(output)
         renderer = _renderer(loaded, samples, rays, seed, device, tell)
         summary = run(
             renderer, path, output, rate_hz, wanted, start_s, stop_s, resume,

@@ -60,7 +60,10 @@ class Renderer:
         if like is not None and not same:
             raise ThermorenderError("like=… renders other surfaces; give a renderer of the same scene at other temperatures")
         self._geometry = like._geometry if same else Geometry(self._mi, scene.surfaces)
-        self._transport = like._transport if same and like.plan.rays == rays else None
+        self._transport = None
+        if same and like.plan.rays == rays:
+            like.prepare()
+            self._transport = like._transport
         self._progress = progress or (lambda what, share: None)
         self._material = np.concatenate([surface.material.ravel() for surface in scene.surfaces])
         self._temperature = np.concatenate([surface.temperature.ravel() for surface in scene.surfaces])
