@@ -11,7 +11,6 @@ from thermorender.errors import ThermorenderError
 
 app = typer.Typer(
     help="Long-wave infrared frames of terrain flights, radiometrically true, in kelvin.",
-    no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -157,13 +156,13 @@ def render(
                 raise ThermorenderError(f"--pose={pose!r} lies off the terrain; move it, or give --local-up")
             up += ground
         renderer = _renderer(loaded, samples, rays, seed, device, tell)
-        folder = files.make_folder(output)
-        frame = renderer.frame(make_pose(east, north, up, *angles))
-        written = files.write(folder, frame, wanted)
-        if visible:
-            written["visible"] = folder / "frame_000000_visible.png"
-            files.write_image(written["visible"], renderer.visible(frame.pose)[0])
-        files.write_json(folder / "frame_000000.json", files.record(frame))
+        with files.output_folder(output) as folder:
+            frame = renderer.frame(make_pose(east, north, up, *angles))
+            written = files.write(folder, frame, wanted)
+            if visible:
+                written["visible"] = folder / "frame_000000_visible.png"
+                files.write_image(written["visible"], renderer.visible(frame.pose)[0])
+            files.write_json(folder / "frame_000000.json", files.record(frame))
     seen = frame.apparent_temperature
     typer.echo(f"apparent temperature {seen.min():.2f}–{seen.max():.2f} K, mean {seen.mean():.2f} K")
     for path in written.values():
@@ -201,7 +200,7 @@ def fly(
     with _progress() as tell:
         loaded = _scene(scene, temperature, range_c)
         path = _trajectory(loaded, trajectory, format, anchor, clock_offset_s, mount, lever_arm_m)
-        _above_ground(loaded, path, rate_hz or loaded.camera.frame_rate_hz, start_s, stop_s, allow_below_ground)
+        _above_ground(loaded, path, rate_hz, start_s, stop_s, allow_below_ground)
         renderer = _renderer(loaded, samples, rays, seed, device, tell)
         summary = run(
             renderer, path, output, rate_hz, wanted, start_s, stop_s, resume,
@@ -227,6 +226,7 @@ def compare(
     device: Device = "auto",
 ):
     """Hold learned 2D translations against the radiometric render of the same poses."""
+    from thermorender import products as files
     from thermorender.scene.load import load_scene
     from thermorender.validate.comparison import compare as run
 
@@ -234,10 +234,11 @@ def compare(
         loaded = load_scene(scene)
         path = _trajectory(loaded, trajectory, format, anchor, 0.0, None, "0,0,0")
         _above_ground(loaded, path, rate_hz, None, None, allow_below_ground)
-        summary = run(
-            loaded, path, output, _split(models), rate_hz, _range(range_c), tell,
-            seed=seed, samples=samples, rays=rays, device=device,
-        )  # fmt: skip
+        with files.output_folder(output):
+            summary = run(
+                loaded, path, output, _split(models), rate_hz, _range(range_c), tell,
+                seed=seed, samples=samples, rays=rays, device=device,
+            )  # fmt: skip
     rows = [
         (name, *(f"{error[key]:+.3f}" if error[key] is not None else "none" for key in
                  ("mean_c", "mean_absolute_c", "std_c")), str(error["pixels"]))
@@ -263,19 +264,32 @@ def demo(
     typer.echo(f"look at {output / 'flight' / 'flight.mp4'} and at the pictures in {output / 'comparison'}")
 
 
+# What typer raises for a wrong command line: its own copy of click's exception, or click's, by version.
+UsageError = typer.BadParameter.__base__
+
+
 def main():
     """Run the command line: a user's mistake is one sentence and status 2."""
-    debug = "--debug" in sys.argv[1:]
+    arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
     try:
-        app(args=[argument for argument in sys.argv[1:] if argument != "--debug"], standalone_mode=True)
-    except ThermorenderError as error:
-        if debug:
+        status = app(args=arguments or ["--help"], standalone_mode=False)
+    except UsageError as error:
+        command = error.ctx.command_path if error.ctx else "thermorender"
+        _fail(f"{error.format_message().rstrip('.')}; `{command} --help` tells what is allowed")
+    except (ThermorenderError, OSError, MemoryError) as error:
+        if "--debug" in sys.argv[1:]:
             raise
-        typer.echo(f"error: {error}", err=True)
-        raise SystemExit(2) from None
-    except KeyboardInterrupt:
+        _fail(str(error) or "the memory of this machine is not enough")
+    except (KeyboardInterrupt, typer.Abort):
+        status = 130
+    if status == 130:
         typer.echo("stopped; a flight continues with --resume", err=True)
-        raise SystemExit(130) from None
+    raise SystemExit(status or 0)
+
+
+def _fail(message):
+    typer.echo(f"error: {' '.join(message.split())}", err=True)
+    raise SystemExit(2) from None
 
 
 def _scene(name, temperature, range_c):
@@ -319,6 +333,7 @@ def _trajectory(scene, files, format, anchor, clock_offset_s, mount, lever_arm_m
 def _above_ground(scene, path, rate_hz, start_s, stop_s, allowed):
     from thermorender.trajectory import check_above_ground
 
+    rate_hz = scene.camera.frame_rate_hz if rate_hz is None else rate_hz
     if not allowed:
         check_above_ground(path.sampled(path.frame_times(rate_hz, start_s, stop_s)), scene.ground)
 
@@ -340,7 +355,8 @@ def _progress():
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         tasks = {}
 
         def tell(what, share):

@@ -64,17 +64,20 @@ def fly(renderer, trajectory, folder, rate_hz=None, products=product_files.DEFAU
         "products": list(products),
         "versions": versions(),
     }
-    folder = product_files.make_folder(folder)
-    done = _prepare(folder, settings, products, resume)
-    for index in range(done, len(times)):
-        frame = renderer.frame(poses[index], time_s=times[index], index=index)
-        product_files.write(folder, frame, products)
-        _append(folder / "frames.jsonl", product_files.record(frame))
-        if progress:
-            progress(index + 1, len(times))
-    if "video" in products:
-        images = [product_files.paths(folder, index, ("display",))["display"] for index in range(len(times))]
-        product_files.write_video(folder / "flight.mp4", images, rate)
+    with product_files.output_folder(folder) as folder:
+        done = _done(folder, settings, products, resume)
+        for index in range(done, len(times)):
+            frame = renderer.frame(poses[index], time_s=times[index], index=index)
+            # Only now, so that a mistake that shows with the first frame leaves nothing behind.
+            if not (folder / "flight.json").exists():
+                product_files.write_json(folder / "flight.json", settings)
+            product_files.write(folder, frame, products)
+            _append(folder / "frames.jsonl", product_files.record(frame))
+            if progress:
+                progress(index + 1, len(times))
+        if "video" in products:
+            images = [product_files.paths(folder, index, ("display",))["display"] for index in range(len(times))]
+            product_files.write_video(folder / "flight.mp4", images, rate)
     return {
         "frames": len(times),
         "rendered": len(times) - done,
@@ -84,22 +87,28 @@ def fly(renderer, trajectory, folder, rate_hz=None, products=product_files.DEFAU
     }
 
 
-def _prepare(folder, settings, products, resume):
-    """Check the folder, write or compare `flight.json`, and return how many frames are already done."""
+def _done(folder, settings, products, resume):
+    """Return how many frames are already done, after checking the folder and comparing its `flight.json`."""
     described, lines = folder / "flight.json", folder / "frames.jsonl"
     if not resume:
         if described.exists() or lines.exists():
             raise ThermorenderError(
                 f"{folder} already holds a flight; give another folder, or --resume to continue that one"
             )
-        product_files.write_json(described, settings)
+        other = next(folder.glob("frame_*"), None)
+        if other:
+            raise ThermorenderError(f"{folder} already holds {other.name}, which a flight would overwrite; give another folder")
         return 0
     if not described.exists():
-        product_files.write_json(described, settings)
+        if lines.exists():
+            raise ThermorenderError(f"{described} is missing beside frames.jsonl; start the flight again in another folder")
+        return 0
     try:
         before = json.loads(described.read_text(encoding="utf-8"))
-    except ValueError:
-        raise ThermorenderError(f"{described} is damaged; start the flight again in another folder") from None
+    except (OSError, ValueError):
+        before = None
+    if not isinstance(before, dict):
+        raise ThermorenderError(f"{described} is damaged; start the flight again in another folder")
     for key, value in settings.items():
         if before.get(key) != value:
             raise ThermorenderError(
@@ -107,7 +116,7 @@ def _prepare(folder, settings, products, resume):
                 "settings or give another folder"
             )
     kept = []
-    for number, line in enumerate(lines.read_text(encoding="utf-8").splitlines() if lines.exists() else []):
+    for number, line in enumerate(lines.read_text(encoding="utf-8", errors="replace").splitlines() if lines.exists() else []):
         try:
             index = json.loads(line)["index"]
         except (ValueError, KeyError, TypeError):

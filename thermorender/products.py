@@ -2,7 +2,7 @@
 
 import json
 import os
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +30,31 @@ def atomic(path):
         reason = getattr(error, "strerror", None) or str(error)
         raise ThermorenderError(f"{path} cannot be written: {reason}; check the folder, its permissions and the disk") from error
     finally:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):
+            part.unlink()
+
+
+@contextmanager
+def output_folder(path):
+    """Give a folder for output, made where it is missing; if the block fails with nothing written, it goes again."""
+    made = missing_folders(path)
+    try:
+        yield make_folder(path)
+    finally:
+        remove_empty(made)
+
+
+def missing_folders(path):
+    """Return which of a folder and those above it do not exist, the deepest first."""
+    path = Path(path)
+    return [folder for folder in (path, *path.parents) if not os.path.lexists(folder)]
+
+
+def remove_empty(folders):
+    """Remove those folders that are empty, in the order given."""
+    for folder in folders:
+        with suppress(OSError):
+            folder.rmdir()
 
 
 def make_folder(path):
@@ -100,9 +124,12 @@ def read_exr(path):
 
     if not Path(path).is_file():
         raise ThermorenderError(f"{path} does not exist; give an EXR file written by thermorender")
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
-        return channels, json.loads(file.header().get("thermorender", "{}"))
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
+            return channels, json.loads(file.header().get("thermorender", "{}"))
+    except (RuntimeError, ValueError) as error:
+        raise ThermorenderError(f"{path} cannot be read as EXR: {error}; give a whole file written by thermorender") from None
 
 
 def record(frame):
@@ -129,6 +156,8 @@ WRITERS = {
 def check(products):
     """Return the products as a tuple after refusing unknown names and combinations that give nothing."""
     products = tuple(products)
+    if not products:
+        raise ThermorenderError(f"products is empty; give some of {', '.join((*WRITERS, 'truth', 'video'))}")
     known = (*WRITERS, "truth", "video")
     for name in products:
         if name not in known:
@@ -166,10 +195,9 @@ def write_video(path, images, rate_hz):
     rate_hz : float
         Frames per second.
     """
-    import cv2
     import imageio_ffmpeg
 
-    first = cv2.imread(str(images[0]), cv2.IMREAD_GRAYSCALE)
+    first = _display(images[0])
     with atomic(path) as part:
         writer = imageio_ffmpeg.write_frames(
             str(part),
@@ -185,5 +213,15 @@ def write_video(path, images, rate_hz):
         )
         writer.send(None)
         for image in images:
-            writer.send(np.ascontiguousarray(cv2.imread(str(image), cv2.IMREAD_GRAYSCALE)))
+            writer.send(_display(image, first.shape))
         writer.close()
+
+
+def _display(path, shape=None):
+    """A display image read back, (H, W) uint8, after refusing one that is damaged or of another size."""
+    import cv2
+
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if image is None or shape not in (None, image.shape):
+        raise ThermorenderError(f"{path} is damaged; remove it and continue with --resume")
+    return np.ascontiguousarray(image)

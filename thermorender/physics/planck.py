@@ -20,7 +20,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
 _NODES = 0.5 * (_NODES + 1.0)
 _WEIGHTS = 0.5 * _WEIGHTS
 _TAIL = 50.0
-_CHUNK = 16384
+_CHUNK = 4096
 
 
 def spectral_radiance(wavelength_um, temperature):
@@ -71,7 +71,7 @@ def band_radiance(temperature, lower_um, upper_um):
     -----
     Relative error at or below 1e-12 wherever the value is a normal float64.
     """
-    return _band_integral(temperature, lower_um, upper_um, derivative=False)
+    return _band_integral(temperature, lower_um, upper_um, 0)
 
 
 def band_radiance_derivative(temperature, lower_um, upper_um):
@@ -79,7 +79,7 @@ def band_radiance_derivative(temperature, lower_um, upper_um):
 
     Parameters, range and errors as in `band_radiance`.
     """
-    return _band_integral(temperature, lower_um, upper_um, derivative=True)
+    return _band_integral(temperature, lower_um, upper_um, 1)
 
 
 def brightness_temperature(radiance, lower_um, upper_um):
@@ -111,8 +111,7 @@ def brightness_temperature(radiance, lower_um, upper_um):
         active = np.arange(valid.size)
         for _ in range(50):
             temperature = 1.0 / inverse[active]
-            value = _integral(temperature, lower, upper, derivative=False)
-            slope = _integral(temperature, lower, upper, derivative=True)
+            value, slope = _integrals(temperature, lower, upper)
             step = (np.log(value) - target[active]) * value / (slope * temperature**2)
             # ln L against 1/T falls, so the Newton step adds; halving keeps 1/T positive.
             inverse[active] = np.maximum(inverse[active] + step, 0.5 * inverse[active])
@@ -140,29 +139,28 @@ def _band(lower_um, upper_um):
     return lower, upper
 
 
-def _band_integral(temperature, lower_um, upper_um, derivative):
+def _band_integral(temperature, lower_um, upper_um, which):
     lower, upper = _band(lower_um, upper_um)
     temperature = _checked(temperature)
-    flat = temperature.reshape(-1)
-    result = np.empty(flat.shape)
-    for start in range(0, flat.size, _CHUNK):
-        result[start : start + _CHUNK] = _integral(flat[start : start + _CHUNK], lower, upper, derivative)
-    result = result.reshape(temperature.shape)
+    result = _integrals(temperature.reshape(-1), lower, upper)[which].reshape(temperature.shape)
     return result if result.ndim else float(result)
 
 
-def _integral(temperature, lower, upper, derivative):
-    """Band integral of a flat array of temperatures; 0 K gives 0."""
-    warm = np.where(temperature == 0.0, 1.0, temperature)
-    first = C2 / (upper * warm)
-    width = np.minimum(C2 / (lower * warm) - first, _TAIL)
-    x = first[:, None] + width[:, None] * _NODES
-    with np.errstate(under="ignore"):
-        decay = np.exp(-x)
-        if derivative:
-            integrand = x**4 * decay / np.expm1(-x) ** 2
-            scale = (warm / C2) ** 4 / warm
-        else:
-            integrand = -(x**3) * decay / np.expm1(-x)
-            scale = (warm / C2) ** 4
-        return np.where(temperature == 0.0, 0.0, C1L * scale * width * (integrand @ _WEIGHTS))
+def _integrals(temperature, lower, upper):
+    """Band radiance and its derivative of a flat array of temperatures; 0 K gives 0 for both."""
+    value, slope = np.empty(temperature.shape), np.empty(temperature.shape)
+    for start in range(0, temperature.size, _CHUNK):
+        part = slice(start, start + _CHUNK)
+        cold = temperature[part] == 0.0
+        warm = np.where(cold, 1.0, temperature[part])
+        first = C2 / (upper * warm)
+        width = np.minimum(C2 / (lower * warm) - first, _TAIL)
+        x = first[:, None] + width[:, None] * _NODES
+        with np.errstate(under="ignore"):
+            # 1/(eˣ−1), and eˣ/(eˣ−1)² = n(n+1), without an overflow.
+            occupation = np.exp(-x) / -np.expm1(-x)
+            integrand = x * x * x * occupation
+            scale = C1L * (warm / C2) ** 4 * width
+            value[part] = np.where(cold, 0.0, scale * (integrand @ _WEIGHTS))
+            slope[part] = np.where(cold, 0.0, scale / warm * ((x * integrand * (1.0 + occupation)) @ _WEIGHTS))
+    return value, slope

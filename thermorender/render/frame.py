@@ -330,7 +330,8 @@ def _basis(incident, reflectance, tolerance):
     reflects, with its own reflectance (F, N), errs below `tolerance`. Every face counts with the square of its
     reflectance and every node with its share of the light.
     """
-    scale = 1.0 / np.sqrt(incident.mean(axis=0))
+    light = incident.mean(axis=0)
+    scale = 1.0 / np.sqrt(np.where(light > 0.0, light, 1.0))
     scaled = incident * scale
     importance = reflectance.max(axis=1, keepdims=True) ** 2
     _, _, vectors = np.linalg.svd((scaled * importance).T @ scaled)

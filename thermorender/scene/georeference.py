@@ -13,6 +13,9 @@ SEMI_MAJOR_AXIS_M = 6378137.0
 FLATTENING = 1.0 / 298.257223563
 _E2 = FLATTENING * (2.0 - FLATTENING)
 
+# What is further away than this from a scene's origin does not belong to it.
+FARTHEST_M = 100e3
+
 
 def ecef_from_geodetic(latitude_deg, longitude_deg, height_m):
     """Return ECEF positions, (..., 3) [m].

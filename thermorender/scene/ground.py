@@ -37,9 +37,11 @@ class Ground:
         """Return local heights [m] in the shape of the arguments, NaN off the terrain."""
         east, north = np.broadcast_arrays(np.asarray(east, np.float64), np.asarray(north, np.float64))
         point = np.stack([east.ravel(), north.ravel()], axis=-1)
-        column, row = np.floor((point - self._origin) / self._bin).astype(np.int64).T
-        inside = (column >= 0) & (column < self._count[0]) & (row >= 0) & (row < self._count[1])
-        bins = np.where(inside, row * self._count[0] + column, 0)
+        place = np.floor((point - self._origin) / self._bin)
+        inside = ((place >= 0.0) & (place < self._count)).all(axis=-1)
+        # Places far outside fit no integer.
+        column, row = np.where(inside[:, None], place, 0.0).astype(np.int64).T
+        bins = row * self._count[0] + column
         count = np.where(inside, self._start[bins + 1] - self._start[bins], 0)
         which = np.repeat(np.arange(len(point)), count)
         offset = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)

@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.scene.raster import Grid, grid_of, onto, read_colour
+from thermorender.products import missing_folders, remove_empty
+from thermorender.scene.raster import Grid, bounds_in, grid_of, lon_lat, onto, read_colour
+from thermorender.scene.surface import scene_kelvin
 from thermorender.scene.terrain import read_elevation
-from thermorender.units import kelvin
 
 DEFAULT_VERTICES = 4_000_000
 DEFAULT_TEXELS = 8192
@@ -61,8 +62,11 @@ def import_terrain(elevation, orthophoto, folder, max_vertices=DEFAULT_VERTICES,
 
     load_model(model)
     find(load_library(), material, "material")
-    kelvin("sky_temperature", sky_temperature)
-    folder = Path(folder)
+    _finite("geoid_undulation_m", geoid_undulation_m)
+    _finite("sky_temperature", sky_temperature)
+    scene_kelvin("sky_temperature", sky_temperature)
+    # Resolved, so that "." has a name and a folder above it.
+    folder = Path(folder).resolve()
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise ThermorenderError(f"{folder} exists and is not empty; give a new folder for the scene")
     if max_vertices < 4 or max_texels < 2:
@@ -75,7 +79,7 @@ def import_terrain(elevation, orthophoto, folder, max_vertices=DEFAULT_VERTICES,
     if height_reference is None:
         height_reference = "geoid" if _has_vertical_datum(height_grid.crs) else "ellipsoid"
     crs = _map_crs(height_grid)
-    bounds = _shared(_bounds_in(crs, height_grid), _bounds_in(crs, colour_grid), elevation, orthophoto)
+    bounds = _shared(bounds_in(crs, height_grid), bounds_in(crs, colour_grid), elevation, orthophoto)
 
     post = _step(crs, height_grid)
     target = _grid(crs, bounds, max(post, np.sqrt((bounds[2] - bounds[0]) * (bounds[3] - bounds[1]) / max_vertices)))
@@ -105,10 +109,13 @@ def import_terrain(elevation, orthophoto, folder, max_vertices=DEFAULT_VERTICES,
         raise ThermorenderError(f"{orthophoto} is empty where {elevation} lies; give an orthophoto of the same area")
 
     part = folder.with_name(f".{folder.name}.part")
+    made = missing_folders(folder.parent)
     try:
         part.mkdir(parents=True)
     except OSError as error:
-        raise ThermorenderError(f"{part} cannot be made: {error.strerror}; give a folder that can be written") from None
+        remove_empty(made)
+        left = f"remove {part}, which a stopped import left" if part.exists() else "give a folder that can be written"
+        raise ThermorenderError(f"{folder} cannot be made: {error.strerror}; {left}") from None
     try:
         _write(part / "elevation.tif", height[None].astype(np.float32), target, nodata=np.nan, predictor=3)
         _write(part / "orthophoto.tif", np.moveaxis(rgb, -1, 0), texels, predictor=2, photometric="RGB", mask=valid)
@@ -121,9 +128,12 @@ def import_terrain(elevation, orthophoto, folder, max_vertices=DEFAULT_VERTICES,
             folder.rmdir()
         os.replace(part, folder)
     except OSError as error:
-        raise ThermorenderError(f"{folder} cannot be written: {error.strerror}; give a folder with room to write") from None
+        raise ThermorenderError(
+            f"{folder} cannot be written: {error.strerror or error}; give a folder with room to write"
+        ) from None
     finally:
         shutil.rmtree(part, ignore_errors=True)
+        remove_empty(made)
     return {
         "crs": crs.to_string(),
         "posts": [target.height, target.width],
@@ -136,6 +146,11 @@ def import_terrain(elevation, orthophoto, folder, max_vertices=DEFAULT_VERTICES,
     }
 
 
+def _finite(name, value):
+    if value is not None and not np.isfinite(value):
+        raise ThermorenderError(f"{name}={value} is not a finite number; give one")
+
+
 def _has_vertical_datum(crs):
     return any(word in crs.to_wkt() for word in ("COMPD_CS", "COMPOUNDCRS", "VERT_CS"))
 
@@ -143,26 +158,13 @@ def _has_vertical_datum(crs):
 def _map_crs(grid):
     """The elevation's CRS where that is a map in metres, else the UTM zone of its middle."""
     from rasterio.crs import CRS
-    from rasterio.warp import transform
 
     if grid.crs.is_projected and abs(grid.crs.linear_units_factor[1] - 1.0) < 1e-9:
         return grid.crs
     x, y = grid.to_map(grid.width / 2, grid.height / 2)
-    (longitude,), (latitude,) = transform(grid.crs, CRS.from_epsg(4326), [x], [y])
+    (longitude,), (latitude,) = lon_lat(grid, np.array([x]), np.array([y]))
     zone = int((longitude + 180.0) // 6.0) % 60 + 1
     return CRS.from_epsg((32600 if latitude >= 0.0 else 32700) + zone)
-
-
-def _bounds_in(crs, grid):
-    from rasterio.errors import RasterioError
-    from rasterio.warp import transform_bounds
-
-    if grid.crs == crs:
-        return grid.bounds
-    try:
-        return transform_bounds(grid.crs, crs, *grid.bounds, densify_pts=21)
-    except RasterioError as error:
-        raise ThermorenderError(f"{grid.crs.to_string()} cannot be brought to {crs.to_string()}: {error}; check the CRS") from None
 
 
 def _shared(a, b, elevation, orthophoto):
@@ -177,7 +179,7 @@ def _shared(a, b, elevation, orthophoto):
 
 def _step(crs, grid):
     """Side of a grid's pixel in a map's metres."""
-    bounds = _bounds_in(crs, grid)
+    bounds = bounds_in(crs, grid)
     return float(np.sqrt((bounds[2] - bounds[0]) * (bounds[3] - bounds[1]) / (grid.height * grid.width)))
 
 

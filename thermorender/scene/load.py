@@ -11,9 +11,9 @@ from thermorender.errors import ThermorenderError
 from thermorender.paths import data_folder
 from thermorender.scene import materials as material_tables
 from thermorender.scene import mesh, terrain
-from thermorender.scene.georeference import LocalFrame
+from thermorender.scene.georeference import FARTHEST_M, LocalFrame
 from thermorender.scene.ground import Ground
-from thermorender.scene.raster import grid_of, onto, read_band, read_colour
+from thermorender.scene.raster import bounds_in, grid_of, onto, read_band, read_colour
 from thermorender.scene.spec import SceneSpec, TemperatureSpec, read_scene
 from thermorender.scene.surface import FALLBACK, FILLED, SURFACE, Surface, fill, nearest_valid
 from thermorender.scene.temperature import Texels, resolve
@@ -179,8 +179,9 @@ def load_scene(name):
     library = material_tables.load_library(
         spec.folder / "materials" if (spec.folder / "materials").is_dir() else None
     )
-    camera = load_camera(spec.camera)
-    materials = _Materials(library, camera, str(spec.folder / "scene.toml"))
+    where = str(spec.folder / "scene.toml")
+    camera = load_camera(spec.camera, f"{where}: camera.model")
+    materials = _Materials(library, camera, where)
     if spec.terrain.elevation:
         frame, grid, surfaces = _raster_terrain(spec, materials)
     else:
@@ -218,11 +219,16 @@ def _raster_terrain(spec, materials):
     texels = _texel_grid(spec, grid)
     if texels.crs != grid.crs:
         raise ThermorenderError(
-            f"{source.orthophoto or spec.emissivity.raster} has CRS {texels.crs.to_string()} but {source.elevation} has "
-            f"{grid.crs.to_string()}; bring both together with `thermorender import-terrain`"
+            f"{texels.name} has CRS {texels.crs.to_string()} but {grid.name} has {grid.crs.to_string()}; bring both "
+            "together with `thermorender import-terrain`"
         )
-    _require_overlap(source.orthophoto or spec.emissivity.raster or source.elevation, texels, source.elevation, grid)
+    _require_overlap(texels, grid)
     vertices, faces, uv = terrain.mesh(height, grid, frame, texels)
+    away = np.linalg.norm(vertices, axis=-1).min()
+    if away > FARTHEST_M:
+        raise ThermorenderError(
+            f"{materials.where}: frame lies {away / 1e3:.0f} km from {grid.name}; give a place on it, or leave [frame] out"
+        )
     shape = (texels.height, texels.width)
     valid = np.ones(shape, dtype=bool)
     if source.orthophoto:
@@ -259,11 +265,11 @@ def _texel_grid(spec, elevation_grid):
     return elevation_grid
 
 
-def _require_overlap(path, texels, elevation_path, grid):
-    a, b = texels.bounds, grid.bounds
+def _require_overlap(one, other):
+    a, b = bounds_in(other.crs, one), other.bounds
     if min(a[2], b[2]) <= max(a[0], b[0]) or min(a[3], b[3]) <= max(a[1], b[1]):
         raise ThermorenderError(
-            f"{path} covers {_extent(a)} and {elevation_path} covers {_extent(b)}: they do not overlap; "
+            f"{one.name} covers {_extent(a)} and {other.name} covers {_extent(b)}: they do not overlap; "
             "give rasters of the same area"
         )
 
@@ -279,14 +285,20 @@ def _material_map(spec, materials, texels):
     if source.source != "classes":
         return np.full(shape, _single_material(source, materials), np.uint8), np.ones(shape, dtype=bool)
     grid = grid_of(source.raster)
-    _require_overlap(source.raster, grid, "the texel grid", texels)
-    classes = onto(np.nan_to_num(read_band(source.raster)).astype(np.int16), grid, texels, "nearest")
-    lookup = np.full(max(256, classes.max() + 1), 255, dtype=np.uint8)
+    _require_overlap(grid, texels)
+    numbers = np.nan_to_num(read_band(source.raster), nan=0.0)
+    odd = (numbers < 0.0) | (numbers > 255.0) | (numbers % 1.0 != 0.0)
+    if odd.any():
+        raise ThermorenderError(
+            f"{source.raster} holds {numbers[odd][0]:g}, which is no class number; give whole numbers 0…255 (0 marks no data)"
+        )
+    classes = onto(numbers.astype(np.int16), grid, texels, "nearest")
+    lookup = np.full(256, 255, dtype=np.uint8)
     for value, name in source.classes.items():
         lookup[value] = materials.index(name, f"emissivity.classes.{value}")
     present = np.unique(classes)
     for value in present[present != 0]:
-        if value < 0 or value not in source.classes:
+        if value not in source.classes:
             raise ThermorenderError(
                 f"{source.raster} holds class {value}, which emissivity.classes of {materials.where} does not name; "
                 "add it there (0 marks no data)"

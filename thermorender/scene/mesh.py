@@ -1,5 +1,6 @@
 """Meshes from files (OBJ, GLB, PLY, …) and primitives, as parts with map coordinates and a colour image."""
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,18 +37,27 @@ def load(path):
     Raises
     ------
     ThermorenderError
-        A file trimesh cannot read, one without triangles, an image texture without map coordinates, or a
-        texture file that is named but not there.
+        A file trimesh cannot read, one without triangles of any area, an image texture without map coordinates,
+        or a texture that is named but missing or broken.
     """
     import trimesh
 
     path = Path(path)
+    if not path.stat().st_size:
+        raise ThermorenderError(f"{path} is empty; give an OBJ, GLB or PLY file")
     try:
         loaded = trimesh.load_scene(path)
     except Exception as error:  # trimesh raises many kinds for broken files
-        raise ThermorenderError(f"{path} cannot be read as a mesh: {error}; give an OBJ, GLB or PLY file") from None
+        reason = f"{type(error).__name__}: {error}"
+        if isinstance(error, ImportError) and error.name == "charset_normalizer":
+            # What trimesh asks for to guess the encoding of a text that is not UTF-8.
+            reason = "it is not text in UTF-8"
+        raise ThermorenderError(f"{path} cannot be read as a mesh ({reason}); give an OBJ, GLB or PLY file") from None
+    # trimesh leaves out images it cannot find or read, in silence.
     if path.suffix.lower() == ".obj":
         _check_obj_textures(path)
+    if path.suffix.lower() in (".glb", ".gltf"):
+        _check_gltf_textures(path, loaded)
     # glTF is y-up by its specification; the other formats carry no rule and are taken as z-up.
     turn = np.eye(4)
     if path.suffix.lower() in (".glb", ".gltf"):
@@ -63,10 +73,17 @@ def load(path):
         faces = np.array(geometry.faces, dtype=np.int32)
         if np.linalg.det(matrix[:3, :3]) < 0.0:
             faces = faces[:, ::-1]
+        if not np.isfinite(vertices).all():
+            raise ThermorenderError(f"{path} has a vertex that is not finite; export the mesh again")
         parts.append(Part(f"{path.stem}:{node}", vertices, faces, *_texture(geometry, faces, path)))
-    if not parts:
-        raise ThermorenderError(f"{path} holds no triangles; give a mesh with faces")
+    if not any(_has_area(part) for part in parts):
+        raise ThermorenderError(f"{path} holds no triangles of any area; give a mesh with faces")
     return parts
+
+
+def _has_area(part):
+    a, b, c = np.moveaxis(part.vertices[part.faces], 1, 0)
+    return np.cross(b - a, c - a).any()
 
 
 def primitive(shape, size):
@@ -107,17 +124,52 @@ def _texture(geometry, faces, path):
         raise ThermorenderError(f"{path} has a texture but no map coordinates for it; export the mesh with UVs")
     uv = np.array(visual.uv, dtype=np.float32)[faces]
     uv[..., 1] = 1.0 - uv[..., 1]
-    return uv, np.array(image.convert("RGB"), dtype=np.uint8)
+    return uv, _pixels(image, path)
+
+
+def _pixels(image, name):
+    try:
+        return np.array(image.convert("RGB"), dtype=np.uint8)
+    except (OSError, SyntaxError) as error:  # Pillow's kinds for a broken file
+        raise ThermorenderError(f"{name}: the texture cannot be read ({error}); give a whole PNG or JPEG image") from None
+
+
+def _check_gltf_textures(path, loaded):
+    """Refuse a glTF whose material names a colour image that trimesh could not read."""
+    data = path.read_bytes()
+    if path.suffix.lower() == ".glb":
+        # Header of 12 bytes, then the chunk of JSON behind its length and kind.
+        data = data[20 : 20 + int.from_bytes(data[12:16], "little")]
+    named, plain = set(), set()
+    for material in json.loads(data).get("materials", ()):
+        textured = "baseColorTexture" in material.get("pbrMetallicRoughness", {})
+        (named if textured else plain).add(material.get("name"))
+    for geometry in loaded.geometry.values():
+        material = getattr(geometry.visual, "material", None)
+        if getattr(material, "name", None) in named - plain and getattr(material, "baseColorTexture", None) is None:
+            raise ThermorenderError(
+                f"{path}: the texture of material {material.name!r} cannot be read; give a whole PNG or JPEG image"
+            )
 
 
 def _check_obj_textures(path):
-    """Refuse an OBJ whose material library or image is named but missing; trimesh leaves it out in silence."""
+    """Refuse an OBJ whose material library or image is named but missing or broken."""
+    from PIL import Image
+
     for line in path.read_text(errors="replace").splitlines():
         if line.startswith("mtllib "):
             library = path.parent / line[7:].strip()
             if not library.is_file():
                 raise ThermorenderError(f"{path}: material library {library.name!r} does not exist; put it beside the OBJ")
             for entry in library.read_text(errors="replace").splitlines():
-                words = entry.split()
-                if words and words[0] == "map_Kd" and not (library.parent / words[-1]).is_file():
-                    raise ThermorenderError(f"{library}: texture {words[-1]!r} does not exist; put it beside the OBJ")
+                key, _, name = entry.strip().partition(" ")
+                if key.lower() != "map_kd":
+                    continue
+                image = library.parent / name.strip()
+                if not image.is_file():
+                    raise ThermorenderError(f"{library}: texture {name.strip()!r} does not exist; put it beside the OBJ")
+                try:
+                    with Image.open(image) as opened:
+                        opened.load()
+                except (OSError, SyntaxError) as error:
+                    raise ThermorenderError(f"{image} cannot be read as an image ({error}); give a PNG or JPEG") from None

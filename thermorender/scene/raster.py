@@ -1,7 +1,7 @@
 """Georeferenced rasters: read with NaN for what is missing, brought onto one pixel grid."""
 
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ class Grid:
     transform: object
     height: int
     width: int
+    name: str = field(default="the raster", compare=False)  # for messages
 
     @property
     def bounds(self):
@@ -47,16 +48,24 @@ class Grid:
 @contextmanager
 def opened(path):
     """Open a raster for reading; what rasterio cannot read becomes a sentence naming the file."""
+    import warnings
+
     import rasterio
-    from rasterio.errors import RasterioError
+    from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
     if not Path(path).exists():
         raise ThermorenderError(f"{path} does not exist; give a raster file such as a GeoTIFF")
     try:
-        with rasterio.open(path) as dataset:
+        with warnings.catch_warnings():
+            # `grid_of` refuses such a file in words of our own.
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            dataset = rasterio.open(path)
+        with dataset:
             yield dataset
     except RasterioError as error:
-        raise ThermorenderError(f"{path} cannot be read as a raster: {error}; give a file such as a GeoTIFF") from None
+        # A failed read says only that it failed; its cause, GDAL's own error, says where.
+        reason = error.__cause__ or error
+        raise ThermorenderError(f"{path} cannot be read as a raster: {reason}; give a whole file such as a GeoTIFF") from None
 
 
 def grid_of(path):
@@ -65,21 +74,83 @@ def grid_of(path):
     Raises
     ------
     ThermorenderError
-        A missing or unreadable file, or one without a coordinate reference system.
+        A missing or unreadable file, or one without a coordinate reference system or place on its map.
     """
-    import warnings
+    with opened(path) as dataset:
+        if dataset.crs is None:
+            raise ThermorenderError(
+                f"{path} has no coordinate reference system (CRS); assign one, "
+                "for example with `rio edit-info --crs EPSG:32651`"
+            )
+        if dataset.transform.is_identity or dataset.transform.is_degenerate:
+            raise ThermorenderError(
+                f"{path} has no geotransform, so its place on the map is unknown; assign one, "
+                "for example with `rio edit-info --transform`"
+            )
+        return Grid(dataset.crs, dataset.transform, dataset.height, dataset.width, str(path))
 
-    from rasterio.errors import NotGeoreferencedWarning
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with opened(path) as dataset:
-            if dataset.crs is None:
-                raise ThermorenderError(
-                    f"{path} has no coordinate reference system (CRS); assign one, "
-                    "for example with `rio edit-info --crs EPSG:32651`"
-                )
-            return Grid(dataset.crs, dataset.transform, dataset.height, dataset.width)
+def bounds_in(crs, grid):
+    """Return a Grid's (left, bottom, right, top) in the units of another map.
+
+    Raises
+    ------
+    ThermorenderError
+        The grid's coordinates have no place on that map.
+    """
+    from rasterio.warp import transform_bounds
+
+    if grid.crs == crs:
+        return grid.bounds
+    with _reprojecting(grid, crs):
+        bounds = transform_bounds(grid.crs, crs, *grid.bounds, densify_pts=21)
+        if not np.isfinite(bounds).all():
+            raise ValueError("some coordinates lie outside that map")
+        return bounds
+
+
+def lon_lat(grid, x, y):
+    """Return WGS 84 longitude and latitude [deg] of map coordinates, (N,), in a grid's CRS.
+
+    Raises
+    ------
+    ThermorenderError
+        The coordinates are nowhere on Earth in that CRS.
+    """
+    from rasterio.crs import CRS
+    from rasterio.warp import transform
+
+    target = CRS.from_epsg(4326)
+    with _reprojecting(grid, target):
+        longitude, latitude = (np.asarray(values) for values in transform(grid.crs, target, x, y))
+    if not ((np.abs(latitude) <= 90.0) & (np.abs(longitude) <= 360.0)).all():
+        raise ThermorenderError(
+            f"{grid.name}: x={x[0]:.9g}, y={y[0]:.9g} is nowhere on Earth in {_crs_name(grid.crs)}; assign the CRS the "
+            "coordinates are in"
+        )
+    return longitude, latitude
+
+
+@contextmanager
+def _reprojecting(grid, target):
+    try:
+        yield
+    except Exception as error:  # GDAL's errors share no public base class
+        raise ThermorenderError(
+            f"{grid.name}: coordinates in {_crs_name(grid.crs)} cannot be brought to {_crs_name(target)} "
+            f"({_crs_free(error)}); assign the CRS the coordinates are in"
+        ) from None
+
+
+def _crs_name(crs):
+    """EPSG code where there is one; the definition of other systems is too long for a sentence."""
+    code = crs.to_epsg()
+    return f"EPSG:{code}" if code else "a CRS without EPSG code"
+
+
+def _crs_free(error):
+    """GDAL quotes whole definitions of coordinate systems in braces; the words before them are the message."""
+    return str(error).partition(" from '{")[0]
 
 
 def read_band(path):
@@ -87,6 +158,8 @@ def read_band(path):
     with opened(path) as dataset:
         if dataset.count != 1:
             raise ThermorenderError(f"{path} has {dataset.count} bands where one is expected; extract the right one")
+        if np.dtype(dataset.dtypes[0]).kind == "c":
+            raise ThermorenderError(f"{path} holds complex numbers; give a raster of integers or real numbers")
         values = dataset.read(1, masked=True)
         scale, offset = dataset.scales[0], dataset.offsets[0]
     values = np.ma.filled(values.astype(np.float64), np.nan)
@@ -140,16 +213,17 @@ def onto(values, source, target, resampling):
     bands = np.moveaxis(values if values.ndim == 3 else values[..., None], -1, 0)
     missing = np.nan if values.dtype.kind == "f" else 0
     result = np.full((len(bands), target.height, target.width), missing, dtype=values.dtype)
-    reproject(
-        np.ascontiguousarray(bands),
-        result,
-        src_transform=source.transform,
-        src_crs=source.crs,
-        dst_transform=target.transform,
-        dst_crs=target.crs,
-        src_nodata=np.nan if values.dtype.kind == "f" else None,
-        dst_nodata=missing,
-        resampling=Resampling[resampling],
-    )
+    with _reprojecting(source, target.crs):
+        reproject(
+            np.ascontiguousarray(bands),
+            result,
+            src_transform=source.transform,
+            src_crs=source.crs,
+            dst_transform=target.transform,
+            dst_crs=target.crs,
+            src_nodata=np.nan if values.dtype.kind == "f" else None,
+            dst_nodata=missing,
+            resampling=Resampling[resampling],
+        )
     result = np.moveaxis(result, 0, -1)
     return np.ascontiguousarray(result if values.ndim == 3 else result[..., 0])

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from thermorender.errors import ThermorenderError
-from thermorender.units import kelvin
+from thermorender.scene.surface import scene_kelvin
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -19,6 +19,7 @@ else:
     import tomli as tomllib
 
 REQUIRED = object()
+_CLASS_NUMBERS = {str(number) for number in range(1, 256)}
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,8 @@ class _Reader:
         self.folder = path.parent.resolve()
 
     def fail(self, where, value, allowed):
-        raise ThermorenderError(f"{self.path}: {where}={value!r} is not allowed; give {allowed}")
+        shown = repr(value) if len(repr(value)) <= 80 else f"{repr(value)[:80]}…"
+        raise ThermorenderError(f"{self.path}: {where}={shown} is not allowed; give {allowed}")
 
     def text(self, value, where):
         if not isinstance(value, str) or not value.strip():
@@ -132,7 +134,8 @@ class _Reader:
         return value
 
     def number(self, value, where):
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or value != value or abs(value) == float("inf"):
+        # The bound also refuses NaN, infinity and whole numbers that fit no float.
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < 1e300:
             self.fail(where, value, "a finite number")
         return float(value)
 
@@ -142,18 +145,35 @@ class _Reader:
         return float(value)
 
     def temperature(self, value, where):
-        return kelvin(f"{self.path}: {where}", self.number(value, where))
+        return scene_kelvin(f"{self.path}: {where}", self.number(value, where))
 
     def cold(self, value, where):
-        return kelvin(f"{self.path}: {where}", self.number(value, where), allow_zero=True)
+        return scene_kelvin(f"{self.path}: {where}", self.number(value, where), allow_zero=True)
 
     def file(self, value, where):
-        path = (self.folder / self.text(value, where)).resolve()
-        if not path.is_relative_to(self.folder):
+        try:
+            path = (self.folder / self.text(value, where)).resolve()
+            inside, there = path.is_relative_to(self.folder), path.is_file()
+        except (OSError, ValueError) as error:  # too long, or with a NUL in it
+            if isinstance(error, ThermorenderError):
+                raise
+            self.fail(where, value, "the name of a file")
+        if not inside:
             self.fail(where, value, "a path inside the scene's folder")
-        if not path.is_file():
+        if not there:
             raise ThermorenderError(f"{self.path}: {where}={value!r} does not exist; give a file in {self.folder}")
         return path
+
+    def camera_model(self, value, where):
+        return str(self.file(value, where)) if self.text(value, where).endswith(".toml") else value
+
+    def learned_map(self, value, where):
+        from thermorender.learned.correlation import load_model
+
+        try:
+            return load_model(self.text(value, where)).name
+        except ThermorenderError as error:
+            raise ThermorenderError(f"{self.path}: {where}: {error}") from None
 
     def vector(self, length):
         def read(value, where):
@@ -227,9 +247,11 @@ class _Reader:
         if frame is not None:
             axes = ("latitude_deg", "longitude_deg", "height_m")
             frame = tuple(self.table(frame, "frame", {axis: (self.number, REQUIRED) for axis in axes}).values())
+            if not (abs(frame[0]) <= 90.0 and abs(frame[1]) <= 360.0):
+                self.fail("frame", list(frame), "latitude −90…90, longitude −180…180 or 0…360 and a height in metres")
         sky = self.table(top["sky"], "sky", {"temperature": (self.cold, REQUIRED)})
         surroundings = self.table(top["surroundings"], "surroundings", {"temperature": (self.cold, None)})
-        camera = self.table(top["camera"], "camera", {"model": (self.text, "zenmuse-xt2")})
+        camera = self.table(top["camera"], "camera", {"model": (self.camera_model, "zenmuse-xt2")})
         truth = self.table(top["truth"], "truth", {"temperature": (self.file, None)})
         objects = tuple(self.object(item, index) for index, item in enumerate(top["object"], 1))
         names = [item.name for item in objects]
@@ -238,7 +260,7 @@ class _Reader:
                 self.fail("object.name", name, "a name of its own to each object")
         return SceneSpec(
             folder=self.folder,
-            title=top["title"] or self.folder.name,
+            title=self.text(top["title"] or self.folder.name, "title"),
             terrain=self.terrain(top["terrain"]),
             temperature=self.temperature_source(top["temperature"]),
             emissivity=self.emissivity(top["emissivity"]),
@@ -270,7 +292,7 @@ class _Reader:
             "source": (self.choice("constant", "raster", "material", "learned"), REQUIRED),
             "value": (self.temperature, None),
             "raster": (self.file, None),
-            "model": (self.text, None),
+            "model": (self.learned_map, None),
             "range_c": (self.vector(2), None),
             "materials": (self.mapping(self.temperature), {}),
         }
@@ -296,7 +318,7 @@ class _Reader:
             self.needs(values, "emissivity", key, f"source={source!r}")
         classes = {}
         for key, name in values["classes"].items():
-            if not key.isdigit() or not 1 <= int(key) <= 255:
+            if key not in _CLASS_NUMBERS:
                 self.fail("emissivity.classes", key, "class numbers 1…255 (0 marks no data)")
             classes[int(key)] = name
         return EmissivitySpec(**{**values, "classes": classes})
@@ -318,6 +340,8 @@ class _Reader:
         values = self.table(raw, where, keys)
         if (values["shape"] is None) == (values["file"] is None):
             raise ThermorenderError(f"{self.path}: {where} needs either 'shape' or 'file'; give exactly one")
+        if ":" in values["name"]:
+            self.fail(f"{where}.name", values["name"], "a name without ':', which separates the parts of an object")
         if min(values["size"]) <= 0.0:
             self.fail(f"{where}.size", list(values["size"]), "three lengths above 0 in metres")
         if not all(0.0 <= channel <= 255.0 for channel in values["colour"]):

@@ -4,6 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from thermorender.errors import ThermorenderError
+from thermorender.units import kelvin
+
 # Flags of texels, and of the pixels that show them (the truth mask of a frame).
 SURFACE = 1  # something of the scene is there
 FILLED = 2  # no colour or material is known here; the nearest valid texel stands in
@@ -46,6 +49,31 @@ class Surface:
     temperature: np.ndarray
     flags: np.ndarray
     texel_m: float
+
+# Hotter than any flame: what is above it is a placeholder for "no data", or not a temperature.
+HOTTEST_KELVIN = 3000.0
+
+
+def scene_kelvin(name, temperature, allow_zero=False):
+    """Return `temperature` unchanged [K] after refusing values that no surface or sky of a scene has.
+
+    Parameters
+    ----------
+    name, temperature, allow_zero
+        As in `thermorender.units.kelvin`.
+
+    Raises
+    ------
+    ThermorenderError
+        A value is below 100 K (most likely °C), above 3000 K or infinite.
+    """
+    kelvin(name, temperature, allow_zero)
+    highest = np.nanmax(temperature)
+    if highest > HOTTEST_KELVIN:
+        raise ThermorenderError(
+            f"{name}={highest:g} is above {HOTTEST_KELVIN:g} K; give kelvin, and declare a raster's nodata value"
+        )
+    return temperature
 
 
 def nearest_valid(valid):

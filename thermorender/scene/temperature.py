@@ -6,8 +6,8 @@ import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.scene.raster import grid_of, onto, read_band
-from thermorender.scene.surface import FALLBACK, fill, nearest_valid
-from thermorender.units import kelvin
+from thermorender.scene.surface import FALLBACK, fill, nearest_valid, scene_kelvin
+from thermorender.units import ZERO_CELSIUS_K
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def raster_temperature(path, texels):
     finite = values[np.isfinite(values)]
     if not finite.size:
         raise ThermorenderError(f"{path} has no valid temperature in it; give a raster of kelvin")
-    kelvin(str(path), finite)
+    scene_kelvin(str(path), finite)
     values = onto(values, grid, texels.grid, "bilinear")
     if not np.isfinite(values).any():
         raise ThermorenderError(f"{path} does not overlap the texels of {texels.where}; give one of the same area")
@@ -93,6 +93,8 @@ def _learned(spec, texels):
     from thermorender.learned.apply import kinetic_from_map
     from thermorender.learned.correlation import load_model
 
+    if spec.range_c:
+        scene_kelvin("range_c [K]", ZERO_CELSIUS_K + np.array(spec.range_c))
     model = load_model(spec.model, spec.range_c)
     values, trusted, outside = kinetic_from_map(
         model, texels.colour, texels.material, texels.materials, texels.texel_m

@@ -4,7 +4,7 @@ import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.scene.georeference import LocalFrame
-from thermorender.scene.raster import grid_of, read_band
+from thermorender.scene.raster import grid_of, lon_lat, read_band
 
 
 def read_elevation(path):
@@ -13,9 +13,12 @@ def read_elevation(path):
     Raises
     ------
     ThermorenderError
-        No CRS, fewer than 2 × 2 posts, nothing valid, or heights no land on Earth has.
+        No CRS or one its coordinates do not fit, fewer than 2 × 2 posts, nothing valid, or heights no land on
+        Earth has.
     """
     grid = grid_of(path)
+    left, bottom, right, top = grid.bounds
+    lon_lat(grid, np.array([left, right]), np.array([bottom, top]))
     height = read_band(path)
     # Files often carry an undeclared placeholder such as −9999 or ±3.4e38.
     height[~(np.abs(height) < 9000.0)] = np.nan
@@ -29,7 +32,7 @@ def read_elevation(path):
 def frame_of(height, grid):
     """Return the LocalFrame at the centre of an elevation raster, at its median height rounded to metres."""
     x, y = grid.to_map(grid.width / 2, grid.height / 2)
-    longitude, latitude = _lon_lat(grid, np.array([x]), np.array([y]))
+    longitude, latitude = lon_lat(grid, np.array([x]), np.array([y]))
     return LocalFrame(float(latitude[0]), float(longitude[0]), float(np.round(np.nanmedian(height))))
 
 
@@ -50,7 +53,7 @@ def mesh(height, grid, frame, texels):
     rows, columns = height.shape
     column, row = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
     x, y = grid.to_map(column, row)
-    longitude, latitude = _lon_lat(grid, x.ravel(), y.ravel())
+    longitude, latitude = lon_lat(grid, x.ravel(), y.ravel())
     vertices = frame.enu_from_geodetic(latitude, longitude, np.nan_to_num(height.ravel()))
 
     texel_column, texel_row = texels.to_pixel(x, y)
@@ -72,15 +75,6 @@ def mesh(height, grid, frame, texels):
 def texel_size_m(texels, frame):
     """Return the side of a texel at the middle of its grid [m] (root of its area)."""
     column, row = texels.width / 2 + np.array([0.0, 1.0, 0.0]), texels.height / 2 + np.array([0.0, 0.0, 1.0])
-    longitude, latitude = _lon_lat(texels, *texels.to_map(column, row))
+    longitude, latitude = lon_lat(texels, *texels.to_map(column, row))
     corner, right, down = frame.enu_from_geodetic(latitude, longitude, frame.height_m)
     return float(np.sqrt(np.linalg.norm(np.cross(right - corner, down - corner))))
-
-
-def _lon_lat(grid, x, y):
-    """WGS 84 longitude and latitude [deg] of map coordinates in a grid's CRS."""
-    from rasterio.crs import CRS
-    from rasterio.warp import transform
-
-    longitude, latitude = transform(grid.crs, CRS.from_epsg(4326), x, y)
-    return np.asarray(longitude), np.asarray(latitude)

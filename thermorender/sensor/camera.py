@@ -14,11 +14,15 @@ from pathlib import Path
 import numpy as np
 
 from thermorender.errors import ThermorenderError
+from thermorender.units import ZERO_CELSIUS_K
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
+
+# More along a side is no microbolometer, and a frame of it fits no memory.
+MOST_PIXELS = 16384
 
 
 @dataclass(frozen=True)
@@ -125,7 +129,13 @@ class Camera:
             determinant = along_x[..., 0] * along_y[..., 1] - along_x[..., 1] * along_y[..., 0]
             point[..., 0] -= (along_y[..., 1] * error[..., 0] - along_y[..., 0] * error[..., 1]) / determinant
             point[..., 1] -= (along_x[..., 0] * error[..., 1] - along_x[..., 1] * error[..., 0]) / determinant
-        if not np.abs(self._distort(point) - target).max() < 1e-9:
+        # A fold of the model has solutions too, but on its far side: there it turns the image over.
+        k1, k2, _, _, k3 = self.distortion
+        r2 = (point**2).sum(axis=-1)
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        along = 1.0 + r2 * (3.0 * k1 + r2 * (5.0 * k2 + r2 * 7.0 * k3))
+        inverted = np.abs(self._distort(point) - target).max() < 1e-9
+        if not (inverted and radial.min() > 0.0 and along.min() > 0.0):
             raise ThermorenderError(
                 f"camera {self.name}: distortion={list(self.distortion)} folds the image before its edge; check k1, k2, k3"
             )
@@ -145,8 +155,14 @@ class Camera:
         )
 
 
-def load_camera(name):
+def load_camera(name, where="camera model"):
     """Return the Camera of a shipped model, or of a TOML file of the same form given by path.
+
+    Parameters
+    ----------
+    name : str or path
+    where : str
+        What the name is called where the user wrote it, for messages.
 
     Raises
     ------
@@ -156,7 +172,7 @@ def load_camera(name):
     path = Path(name) if str(name).endswith(".toml") else Path(__file__).parent / "cameras" / f"{name}.toml"
     if not path.is_file():
         known = sorted(item.stem for item in (Path(__file__).parent / "cameras").glob("*.toml"))
-        raise ThermorenderError(f"camera model {name!r} is unknown; give one of {', '.join(known)} or a .toml file")
+        raise ThermorenderError(f"{where} {str(name)!r} is unknown; give one of {', '.join(known)} or a .toml file")
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -179,17 +195,40 @@ def load_camera(name):
         if (
             not isinstance(numbers, list)
             or len(numbers) != lengths.get(key, 1)
-            or not all(isinstance(n, (int, float)) and not isinstance(n, bool) and np.isfinite(n) for n in numbers)
+            or not all(isinstance(n, (int, float)) and not isinstance(n, bool) and abs(n) < 1e300 for n in numbers)
         ):
             raise ThermorenderError(f"{path}: {key}={value!r} is not allowed; give {lengths.get(key, 'a')} finite number(s)")
         if key not in lengths and value <= 0:
             raise ThermorenderError(f"{path}: {key}={value!r} is not allowed; give a number above 0")
         if key in ("width", "height", "bits") and value != int(value):
             raise ThermorenderError(f"{path}: {key}={value!r} is not allowed; give a whole number")
-        values[key] = tuple(map(float, value)) if key in lengths else type(value)(value)
+        if key in ("width", "height") and value > MOST_PIXELS:
+            raise ThermorenderError(f"{path}: {key}={value!r} is not allowed; give up to {MOST_PIXELS} pixels")
+        kind = int if key in ("width", "height", "bits") else float
+        values[key] = tuple(map(float, value)) if key in lengths else kind(value)
     for key in ("band_um", "range_c"):
         if not values[key][0] < values[key][1]:
             raise ThermorenderError(f"{path}: {key}={list(values[key])} is not allowed; give the lower value first")
+    if not values["band_um"][0] > 0.0:
+        raise ThermorenderError(f"{path}: band_um={list(values['band_um'])} is not allowed; give wavelengths above 0 µm")
+    if not values["range_c"][0] > -ZERO_CELSIUS_K:
+        raise ThermorenderError(f"{path}: range_c={list(values['range_c'])} is not allowed; give °C above absolute zero")
+    if values["lens_transmittance"] > 1.0:
+        raise ThermorenderError(
+            f"{path}: lens_transmittance={values['lens_transmittance']:g} is not allowed; give a share up to 1"
+        )
     if not 2 <= values["bits"] <= 16:
         raise ThermorenderError(f"{path}: bits={values['bits']} is not allowed; give 2…16")
-    return Camera(**values)
+    camera = Camera(**values)
+    # A folding distortion would otherwise show with the first frame only, after the scene is baked. Where it
+    # folds, Newton's steps run off to infinity before they are refused.
+    with np.errstate(all="ignore"):
+        camera.directions(_image_edge(camera.width, camera.height))
+    return camera
+
+
+def _image_edge(width, height):
+    """Image coordinates along the border of an image, (N, 2) [px]."""
+    across, along = np.linspace(0.0, width, 65), np.linspace(0.0, height, 65)
+    sides = [(across, 0.0), (across, float(height)), (0.0, along), (float(width), along)]
+    return np.concatenate([np.stack(np.broadcast_arrays(x, y), axis=-1) for x, y in sides])

@@ -8,11 +8,8 @@ are kept.
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.scene.georeference import LocalFrame, ecef_from_geodetic
+from thermorender.scene.georeference import FARTHEST_M, LocalFrame, ecef_from_geodetic
 from thermorender.trajectory.mapping import POSITION_GEODETIC
-
-# Further away the flight and the scene do not belong together.
-FARTHEST_M = 100e3
 
 _MOVE = "move the flight into the scene with --anchor E,N,U,heading"
 
@@ -96,7 +93,7 @@ def _geodetic_positions(log, frame, ground, height, value, relative):
     if (distance > FARTHEST_M).any():
         k = int(np.argmax(distance > FARTHEST_M))
         raise ThermorenderError(
-            f"{log.where('lat_deg', k)}: the position is {distance[k] / 1e3:.0f} km from "
+            f"{log.where('lat_deg', k)}: the position is {distance[k] / 1e3:.6g} km from "
             + (
                 f"the first sample; up to {FARTHEST_M / 1e3:.0f} km are allowed: delete rows without a fix"
                 if relative
@@ -133,7 +130,7 @@ def _ground_below(log, height, ground, east, north):
     if not np.isfinite(up).all():
         k = int(np.argmax(~np.isfinite(up)))
         raise ThermorenderError(
-            f"{log.where(height, k)}: there is no ground below east {east[k]:.1f} m, north {north[k]:.1f} m; "
+            f"{log.where(height, k)}: there is no ground below east {east[k]:.9g} m, north {north[k]:.9g} m; "
             "the position is off the scene's terrain: move the flight with an anchor or give a height of "
             "another reference"
         )
@@ -142,10 +139,11 @@ def _ground_below(log, height, ground, east, north):
 
 def refuse_far(log, trajectory):
     """Raise where a camera position lies farther than 100 km from the scene's origin."""
-    distance = np.hypot(trajectory.position[:, 0], trajectory.position[:, 1])
+    east, north, up = trajectory.position.T
+    distance = np.hypot(np.hypot(east, north), up)
     if (distance > FARTHEST_M).any():
         k = int(np.argmax(distance > FARTHEST_M))
         raise ThermorenderError(
-            f"{log.path}, at {trajectory.time_s[k]:.3f} s: the position is {distance[k] / 1e3:.0f} km from "
+            f"{log.path}, at {trajectory.time_s[k]:.3f} s: the position is {distance[k] / 1e3:.6g} km from "
             f"the scene's origin; up to {FARTHEST_M / 1e3:.0f} km are allowed: {_MOVE}"
         )

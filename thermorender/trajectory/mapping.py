@@ -116,7 +116,10 @@ def _mapping_from(name, data):
     _known(name, "", data, ("title", "sort_by_time", "time", "columns", "quaternion"))
     time = data.get("time", {"column": "time_s"})
     _known(name, "time.", time, ("column", "scale", "offset", "stamps"))
-    stamps = tuple(time.get("stamps", ()))
+    stamps = time.get("stamps", ())
+    if not isinstance(stamps, (list, tuple)):
+        raise ThermorenderError(f"{name}: time.stamps={stamps!r} is not understood; give tables headed [[time.stamps]]")
+    stamps = tuple(stamps)
     if bool(stamps) == ("column" in time):
         raise ThermorenderError(f"{name}: [time] needs either column or [[time.stamps]]")
     for stamp in stamps:
@@ -124,6 +127,9 @@ def _mapping_from(name, data):
         for key in ("column", "pattern"):
             if key not in stamp:
                 raise ThermorenderError(f"{name}: [[time.stamps]] lacks {key}")
+        for key, value in stamp.items():
+            if not isinstance(value, str):
+                raise ThermorenderError(f"{name}: time.stamps.{key}={value!r} is not a text; give one in quotes")
     columns = data.get("columns", {})
     _known(name, "columns.", columns, QUANTITIES)
     quaternion = data.get("quaternion", {})

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from thermorender.errors import ThermorenderError
+from thermorender.scene.georeference import FARTHEST_M
 from thermorender.trajectory.rotations import (
     BODY_FROM_CAMERA,
     ENU_FROM_NED,
@@ -21,6 +22,9 @@ from thermorender.trajectory.rotations import (
 
 # A quaternion further from length 1 than this is not one that lost digits in a log.
 QUATERNION_TOLERANCE = 1e-3
+
+# Frames are numbered with six digits.
+MOST_FRAMES = 1_000_000
 
 # The first heading points to the first sample this far away: less is the jitter of a receiver at rest.
 MOVED_M = 1.0
@@ -183,7 +187,13 @@ class Trajectory:
                 f"span, {first:.9g} to {last:.9g} s"
             )
         # The small share of a frame keeps a last frame that rounding would push past the end.
-        count = int(np.floor((stop - start) * rate_hz + 1e-6)) + 1
+        frames = np.floor((stop - start) * rate_hz + 1e-6) + 1
+        if not frames <= MOST_FRAMES:
+            raise ThermorenderError(
+                f"rate_hz={rate_hz:g} makes {frames:.4g} frames of {start:.9g} to {stop:.9g} s; up to {MOST_FRAMES} are "
+                "allowed: lower the rate, or fly a shorter part"
+            )
+        count = int(frames)
         return np.minimum(start + np.arange(count) / rate_hz, stop)
 
     @property
@@ -319,7 +329,17 @@ def pose(east, north, up, yaw_deg=0.0, pitch_deg=0.0, roll_deg=0.0):
     yaw_deg, pitch_deg, roll_deg : float
         Of the optical axis: heading clockwise from north, above the horizon (−90 looks straight down, the upper
         edge of the image towards the heading), right side of the image down [deg].
+
+    Raises
+    ------
+    ThermorenderError
+        The position lies farther than 100 km from the scene's origin.
     """
+    if not max(abs(east), abs(north), abs(up)) <= FARTHEST_M:
+        raise ThermorenderError(
+            f"pose: east {east:g} m, north {north:g} m, up {up:g} m lies beyond {FARTHEST_M / 1e3:.0f} km from the "
+            "scene's origin; give a place in the scene"
+        )
     matrix = np.eye(4)
     attitude = rotation_from_angles(yaw_deg, pitch_deg, roll_deg).as_matrix()
     matrix[:3, :3] = ENU_FROM_NED @ attitude @ BODY_FROM_CAMERA

@@ -100,6 +100,8 @@ def read_trajectory(
         zero = min(log.time_s[0] for log in logs)
         logs = [replace(log, time_s=log.time_s - zero) for log in logs]
     mount_deg = _triple("mount", (0.0, 0.0, 0.0) if mount is None else mount, "yaw, pitch, roll [deg]")
+    if not np.isfinite(clock_offset_s):
+        raise ThermorenderError(f"clock_offset_s={clock_offset_s} is not a finite number; give seconds")
     lever = _triple("lever_arm_m", lever_arm_m, "forward, right, down [m]")
 
     position_log, horizontal, height = _position_columns(logs, mapping)
@@ -251,7 +253,8 @@ def _body(log, mapping, time_s):
         angles = (log.values.get(name, np.zeros(log.time_s.size)) for name in ANGLES)
         return slerp(log.time_s, rotation_from_angles(*angles))(time_s)
     quaternion = np.stack([log.values[name] for name in QUATERNION], axis=-1)
-    length = np.linalg.norm(quaternion, axis=1)
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(quaternion, axis=1)
     bad = np.abs(length - 1.0) > QUATERNION_TOLERANCE
     if bad.any():
         k = int(np.argmax(bad))

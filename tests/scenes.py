@@ -1,0 +1,79 @@
+"""Tiny scenes written to disk for tests."""
+
+import numpy as np
+
+
+def write_raster(path, bands, step=1.0, crs="EPSG:32634", corner=(500000.0, 5780000.0), **options):
+    """Write (bands, h, w) as a north-up GeoTIFF with its upper left corner at `corner`."""
+    import rasterio
+
+    bands = np.asarray(bands)
+    with rasterio.open(
+        path, "w", driver="GTiff", count=len(bands), dtype=bands.dtype, height=bands.shape[1], width=bands.shape[2],
+        crs=crs, transform=rasterio.Affine(step, 0.0, corner[0], 0.0, -step, corner[1]), **options,
+    ) as dataset:  # fmt: skip
+        dataset.write(bands)
+    return path
+
+
+def write_terrain(folder, height=None, temperature=None, classes=None, colour=None, texel=0.5, extra="", sky=260.0):
+    """Write a terrain scene of 1 m posts and return its folder.
+
+    height (h, w) [m]; temperature and classes (h', w') on the texel grid; colour (h', w', 3).
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    height = np.zeros((16, 16)) if height is None else np.asarray(height)
+    rows, columns = (int(round(n / texel)) for n in height.shape)
+    rng = np.random.default_rng(5)
+    colour = rng.integers(40, 200, (rows, columns, 3)) if colour is None else colour
+    temperature = rng.uniform(285.0, 300.0, (rows, columns)) if temperature is None else temperature
+    classes = rng.integers(1, 3, (rows, columns)) if classes is None else classes
+    write_raster(folder / "elevation.tif", height[None].astype(np.float32), nodata=np.nan)
+    write_raster(folder / "orthophoto.tif", np.moveaxis(np.asarray(colour, np.uint8), -1, 0), texel, photometric="RGB")
+    write_raster(folder / "temperature.tif", temperature[None].astype(np.float32), texel, nodata=np.nan)
+    write_raster(folder / "classes.tif", classes[None].astype(np.uint8), texel)
+    (folder / "scene.toml").write_text(
+        f"""title = "tiny"
+[terrain]
+elevation = "elevation.tif"
+orthophoto = "orthophoto.tif"
+[temperature]
+source = "raster"
+raster = "temperature.tif"
+[emissivity]
+source = "classes"
+raster = "classes.tif"
+[emissivity.classes]
+1 = "grass_green"
+2 = "sand_quartz"
+[sky]
+temperature = {sky}
+[truth]
+temperature = "temperature.tif"
+{extra}
+""",
+        encoding="utf-8",
+    )
+    return folder
+
+
+def write_mesh(folder, mesh, temperature=300.0, emissivity=0.9, sky=250.0, extra=""):
+    """Write a scene of one grey mesh (a trimesh object) and return its folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    mesh.export(folder / "mesh.ply")
+    (folder / "scene.toml").write_text(
+        f"""[terrain]
+mesh = "mesh.ply"
+[temperature]
+source = "constant"
+value = {temperature}
+[emissivity]
+source = "constant"
+value = {emissivity}
+[sky]
+temperature = {sky}
+{extra}
+""",
+        encoding="utf-8",
+    )
+    return folder

@@ -1,0 +1,103 @@
+"""The published linear maps: coefficients, neighbourhood, range and the way to kinetic temperature."""
+
+import numpy as np
+import pytest
+
+from thermorender.errors import ThermorenderError
+from thermorender.learned.apply import kinetic_from_map
+from thermorender.learned.correlation import MODELS, load_model
+from thermorender.physics.planck import band_radiance, brightness_temperature
+from thermorender.scene.materials import grey, load_library
+
+
+def picture(height=40, width=30):
+    return np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8)
+
+
+def test_published_sums():
+    assert MODELS["fok-1to1"].kernel.ravel().tolist() == [1.750, 0.236, -1.033]
+    np.testing.assert_allclose(MODELS["fok-9to1"].kernel.sum(axis=(0, 1)), [1.887, 0.156, -1.084], atol=1e-12)
+
+
+def test_one_to_one_spans_the_published_range():
+    model = load_model("fok-1to1")
+    extremes = np.array([[[255, 255, 0], [0, 0, 255]]], dtype=np.uint8)
+    intensity = model.intensity(extremes)[0]
+    np.testing.assert_allclose(intensity, [1.986, -1.033], atol=1e-12)
+    celsius = brightness_temperature(model.radiance(intensity), *model.band_um) - 273.15
+    np.testing.assert_allclose(celsius, [33.0, 2.4], atol=0.05)
+
+
+def test_nine_to_one_is_equation_six():
+    rgb = picture()
+    model = load_model("fok-9to1")
+    found = model.intensity(rgb)
+    image = rgb / 255.0
+    expected = np.zeros((38, 28))
+    for i in range(38):
+        for j in range(28):
+            for k in range(3):
+                for m in range(3):
+                    expected[i, j] += model.kernel[k, m] @ image[i + k, j + m]
+    np.testing.assert_allclose(found[1:-1, 1:-1], expected, atol=1e-12)
+    assert found.shape == (40, 30)
+
+
+def test_own_ground_sampling_distance_changes_nothing():
+    rgb = picture()
+    for model in MODELS.values():
+        np.testing.assert_allclose(model.intensity(rgb, model.texel_m), model.intensity(rgb), atol=1e-12)
+
+
+def test_neighbourhood_is_laid_out_in_metres():
+    model = load_model("fok-9to1")
+    rgb = np.repeat(np.repeat(picture(12, 12), 4, axis=0), 4, axis=1)
+    fine = model.intensity(rgb, model.texel_m / 4)
+    # The middles of the fine picture's blocks see whole blocks only, like the coarse picture's pixels.
+    block = fine.reshape(12, 4, 12, 4)[:, 1:3, :, 1:3].mean(axis=(1, 3))
+    coarse = model.intensity(rgb[::4, ::4])
+    assert np.corrcoef(block[2:-2, 2:-2].ravel(), coarse[2:-2, 2:-2].ravel())[0, 1] > 0.97
+    # Applied texel by texel the same picture gives something else.
+    assert np.abs(model.intensity(rgb)[8:-8, 8:-8] - fine[8:-8, 8:-8]).max() > 0.5
+    for texel_m in (0.02, 0.1, 0.5, 6.0):
+        flat = np.full((30, 30, 3), 128, np.uint8)
+        np.testing.assert_allclose(
+            model.intensity(flat, texel_m), 128 / 255 * model.kernel.sum(), atol=1e-9
+        )
+
+
+def test_intensity_is_linear_in_band_radiance():
+    model = load_model("fok-1to1", (10.0, 30.0))
+    ends = band_radiance(np.array([283.15, 303.15]), *model.band_um)
+    np.testing.assert_allclose(model.radiance(np.array([0.0, 1.0])), ends)
+    middle = brightness_temperature(model.radiance(0.5), *model.band_um) - 273.15
+    assert 20.2 < middle < 20.8
+    assert brightness_temperature(load_model("fok-1to1").radiance(0.5), *model.band_um) - 273.15 - 19.0 == (
+        pytest.approx(0.13, abs=0.01)
+    )
+
+
+def test_kinetic_temperatures_and_their_flags():
+    model = load_model("fok-1to1")
+    library = load_library()
+    materials = (library["grass_green"], library["brass"], grey("dark", 1.0))
+    rgb = np.full((3, 4, 3), 120, np.uint8)
+    material = np.repeat(np.arange(3, dtype=np.uint8)[:, None], 4, axis=1)
+    temperature, trusted, outside = kinetic_from_map(model, rgb, material, materials, 0.157)
+    apparent = brightness_temperature(model.radiance(model.intensity(rgb)), *model.band_um)
+    assert trusted[0].all() and not trusted[1].any() and trusted[2].all()
+    assert (temperature[1] == library["brass"].temperature).all()
+    np.testing.assert_allclose(temperature[2], apparent[2], atol=1e-3)
+    # Grass reflects a sky colder than itself, so it must be warmer than it appears.
+    assert 0.3 < (temperature[0] - apparent[0]).mean() < 1.5
+    assert outside == 0.0
+    blue = np.zeros((3, 4, 3), np.uint8)
+    blue[..., 2] = 255
+    assert kinetic_from_map(model, blue, material, materials, 0.157)[2] == 1.0
+
+
+def test_errors():
+    with pytest.raises(ThermorenderError, match="'fok-1to2' is unknown; did you mean 'fok-1to1'.*fok-9to1"):
+        load_model("fok-1to2")
+    with pytest.raises(ThermorenderError, match=r"range_c=\(24, 14\) is not a range.*coldest first"):
+        load_model("fok-1to1", (24, 14))

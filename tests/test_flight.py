@@ -1,0 +1,126 @@
+"""Flights: products, records, resume to the same bytes."""
+
+import json
+
+import numpy as np
+import pytest
+from scenes import write_terrain
+
+import thermorender as tr
+from thermorender import products
+from thermorender.errors import ThermorenderError
+from thermorender.flight import fly
+
+MARKER = """
+[[object]]
+name = "marker"
+shape = "disc"
+size = [1, 1, 0.1]
+position = [0.0, 0.0, 0.0]
+temperature = 330.0
+material = "paint_black"
+"""
+
+
+@pytest.fixture(scope="module")
+def setting(tmp_path_factory):
+    scene = tr.load_scene(write_terrain(tmp_path_factory.mktemp("scene") / "tiny", extra=MARKER))
+    renderer = tr.Renderer(scene, rays=4, samples=1, seed=11)
+    path = tr.Trajectory(
+        time_s=np.array([0.0, 1.0]),
+        position=np.array([[-1.0, 0.0, 12.0], [1.0, 0.0, 12.0]]),
+        quaternion=np.array([[0.0, 1.0, 0.0, 0.0]] * 2),
+    )
+    return renderer, path
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+def test_products_and_records(setting, tmp_path):
+    import cv2
+
+    renderer, path = setting
+    summary = fly(renderer, path, tmp_path / "f", rate_hz=4.0)
+    assert summary["frames"] == 5 and summary["rendered"] == 5
+    names = set(contents(tmp_path / "f"))
+    assert {"flight.json", "frames.jsonl", "flight.mp4", "frame_000004.exr", "frame_000004.png"} <= names
+    assert not any(".part" in name for name in names)
+    lines = [json.loads(line) for line in (tmp_path / "f/frames.jsonl").read_text().splitlines()]
+    assert [line["index"] for line in lines] == [0, 1, 2, 3, 4]
+    assert lines[4]["time_s"] == pytest.approx(1.0) and lines[4]["seed"] == 11
+    assert lines[2]["targets"]["marker"]["visible"] and lines[2]["plan"]["samples"] == 1
+    np.testing.assert_allclose(np.array(lines[2]["world_from_camera"])[:3, 3], [0, 0, 12], atol=1e-9)
+
+    frame = renderer.frame(path.pose(0.5), time_s=0.5, index=2)
+    channels, record = products.read_exr(tmp_path / "f/frame_000002.exr")
+    np.testing.assert_array_equal(channels["radiance"], frame.radiance)
+    np.testing.assert_array_equal(channels["apparent_temperature"], frame.apparent_temperature)
+    np.testing.assert_array_equal(channels["truth.position.z"], frame.truth["position"][..., 2])
+    np.testing.assert_array_equal(channels["truth.material"], frame.truth["material"])
+    assert record["index"] == 2 and record["units"]["radiance"] == "W m-2 sr-1"
+    counts = cv2.imread(str(tmp_path / "f/frame_000002_counts.png"), cv2.IMREAD_UNCHANGED)
+    assert counts.dtype == np.uint16
+    np.testing.assert_array_equal(counts, frame.counts)
+    video = cv2.VideoCapture(str(tmp_path / "f/flight.mp4"))
+    assert video.get(cv2.CAP_PROP_FRAME_COUNT) == 5 and video.get(cv2.CAP_PROP_FRAME_WIDTH) == 640
+
+
+def test_resume_gives_the_same_bytes(setting, tmp_path):
+    renderer, path = setting
+    fly(renderer, path, tmp_path / "whole", rate_hz=4.0)
+
+    class Stop(Exception):
+        pass
+
+    def stop(done, total):
+        if done == 3:
+            raise Stop
+
+    with pytest.raises(Stop):
+        fly(renderer, path, tmp_path / "part", rate_hz=4.0, progress=stop)
+    # A kill may leave half a line and a temporary file.
+    with open(tmp_path / "part/frames.jsonl", "a") as file:
+        file.write('{"index": 3, "time')
+    (tmp_path / "part/frame_000001.png").unlink()
+    summary = fly(renderer, path, tmp_path / "part", rate_hz=4.0, resume=True)
+    assert summary["rendered"] == 4
+    assert contents(tmp_path / "part") == contents(tmp_path / "whole")
+    assert fly(renderer, path, tmp_path / "part", rate_hz=4.0, resume=True)["rendered"] == 0
+
+
+def test_resume_refuses_other_settings(setting, tmp_path):
+    renderer, path = setting
+    fly(renderer, path, tmp_path / "f", rate_hz=2.0, products=("counts",))
+    with pytest.raises(ThermorenderError, match="already holds a flight; give another folder, or --resume"):
+        fly(renderer, path, tmp_path / "f", rate_hz=2.0, products=("counts",))
+    with pytest.raises(ThermorenderError, match="was flown with rate_hz=2.0, now rate_hz=3.0"):
+        fly(renderer, path, tmp_path / "f", rate_hz=3.0, products=("counts",), resume=True)
+    other = tr.Renderer(renderer.scene, rays=4, samples=1, seed=12)
+    with pytest.raises(ThermorenderError, match="was flown with seed=11, now seed=12"):
+        fly(other, path, tmp_path / "f", rate_hz=2.0, products=("counts",), resume=True)
+
+
+def test_products_are_optional(setting, tmp_path):
+    renderer, path = setting
+    fly(renderer, path, tmp_path / "f", rate_hz=1.0, products=("counts-tiff",))
+    assert set(contents(tmp_path / "f")) == {"flight.json", "frames.jsonl", "frame_000000_counts.tif", "frame_000001_counts.tif"}
+    for wanted, words in (
+        (("exrs",), "product 'exrs' is unknown; give some of exr, counts"),
+        (("truth",), "add 'exr'"),
+        (("video",), "add 'display'"),
+    ):
+        with pytest.raises(ThermorenderError, match=words):
+            fly(renderer, path, tmp_path / "g", products=wanted)
+    assert not (tmp_path / "g").exists()
+
+
+def test_atomic_writing_leaves_nothing_behind(tmp_path):
+    target = tmp_path / "a.txt"
+    target.write_text("before")
+    with pytest.raises(ThermorenderError, match="a.txt cannot be written: no room"):
+        with products.atomic(target) as part:
+            part.write_text("half")
+            raise OSError("no room")
+    assert target.read_text() == "before" and contents(tmp_path).keys() == {"a.txt"}

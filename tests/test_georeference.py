@@ -1,0 +1,48 @@
+"""Geodetic coordinates against PROJ, and the Earth's curvature."""
+
+import numpy as np
+import pytest
+from rasterio.crs import CRS
+from rasterio.warp import transform
+
+from thermorender.scene.georeference import LocalFrame, ecef_from_geodetic, geodetic_from_ecef, pose_from_map
+
+
+def test_ecef_against_proj():
+    rng = np.random.default_rng(0)
+    lat, lon, h = rng.uniform(-89, 89, 200), rng.uniform(-180, 180, 200), rng.uniform(-500, 30000, 200)
+    x, y, z = transform(CRS.from_epsg(4979), CRS.from_epsg(4978), lon, lat, h)
+    np.testing.assert_allclose(ecef_from_geodetic(lat, lon, h), np.stack([x, y, z], -1), atol=1e-6)
+    back = geodetic_from_ecef(np.stack([x, y, z], -1))
+    np.testing.assert_allclose(back[0], lat, atol=1e-11)
+    np.testing.assert_allclose(back[1], lon, atol=1e-11)
+    np.testing.assert_allclose(back[2], h, atol=1e-7)
+
+
+def test_round_trip_and_curvature():
+    frame = LocalFrame(45.0, 7.0, 300.0)
+    spot = np.array([[1234.5, -987.0, 65.0], [80e3, 60e3, -500.0]])
+    np.testing.assert_allclose(frame.enu_from_geodetic(*frame.geodetic_from_enu(spot)), spot, atol=1e-6)
+    lat, lon, _ = frame.geodetic_from_enu(np.array([0.0, 100e3, 0.0]))
+    assert frame.enu_from_geodetic(lat, lon, 300.0)[2] == pytest.approx(-785.0, abs=2.0)
+
+
+def test_local_from_another_frame():
+    a, b = LocalFrame(45.0, 7.0, 300.0), LocalFrame(45.3, 7.4, 10.0)
+    spot = np.array([100.0, 200.0, 300.0])
+    moved = a.local_from(b) @ np.append(spot, 1.0)
+    np.testing.assert_allclose(moved[:3], a.enu_from_geodetic(*b.geodetic_from_enu(spot)), atol=1e-5)
+
+
+def test_map_pose_turns_by_the_convergence():
+    utm = CRS.from_epsg(32651)
+    (x,), (y,) = transform(CRS.from_epsg(4326), utm, [120.95], [24.68])
+    pose = np.eye(4)
+    pose[:3, 3] = [x, y, 50.0]
+    local = pose_from_map(LocalFrame(24.68, 120.95, 0.0), utm, pose)
+    # Convergence of a spherical transverse Mercator grid: atan(tan(λ − λ₀) sin φ); the ellipsoid adds some 1e-7.
+    convergence = np.arctan(np.tan(np.radians(120.95 - 123.0)) * np.sin(np.radians(24.68)))
+    grid_north = local[:3, 1]
+    # West of the central meridian grid north points west of true north.
+    assert np.arctan2(grid_north[0], grid_north[1]) == pytest.approx(convergence, abs=1e-6)
+    np.testing.assert_allclose(local[:3, 3], [0.0, 0.0, 50.0], atol=1e-3)

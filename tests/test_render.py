@@ -1,0 +1,290 @@
+"""The renderer against closed forms: enclosures, planes, view factors, geometry and filtering."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from scenes import write_mesh, write_terrain
+
+import thermorender as tr
+from thermorender.errors import ThermorenderError
+from thermorender.physics.planck import band_radiance, brightness_temperature
+from thermorender.render import bake
+from thermorender.render.frame import morton_order
+from thermorender.render.geometry import Geometry
+from thermorender.render.plan import make_plan
+from thermorender.render.variant import activate
+from thermorender.scene.surface import BEYOND, FILLED, SURFACE
+
+BAND = (7.5, 13.5)
+DOWN = {"pitch_deg": -90.0}
+
+
+def box(inside):
+    mesh = trimesh.creation.box(extents=(4, 4, 4)).subdivide().subdivide()
+    if inside:
+        mesh.invert()
+    return mesh
+
+
+def square(side=10.0, up=0.0):
+    h = side / 2
+    return trimesh.Trimesh([[-h, -h, up], [h, -h, up], [h, h, up], [-h, h, up]], [[0, 1, 2], [0, 2, 3]])
+
+
+@pytest.mark.parametrize("emissivity", [1.0, 0.9, 0.5, 0.05])
+def test_isothermal_enclosure_reads_the_wall(tmp_path, emissivity):
+    # The sky would be seen at 0 K through any leak.
+    scene = tr.load_scene(write_mesh(tmp_path / "s", box(True), 300.0, emissivity, sky=0.0))
+    frame = tr.Renderer(scene, rays=64, tolerance_mk=0.5).frame(np.eye(4))
+    assert np.abs(frame.apparent_temperature - 300.0).max() < 1e-3
+
+
+@pytest.mark.parametrize("emissivity", [1.0, 0.9, 0.5])
+def test_flat_plane_under_an_isotropic_sky(tmp_path, emissivity):
+    scene = tr.load_scene(write_mesh(tmp_path / "s", square(40.0), 300.0, emissivity, sky=250.0))
+    frame = tr.Renderer(scene, rays=64, tolerance_mk=0.5).frame(tr.pose(0, 0, 5, **DOWN))
+    radiance = emissivity * band_radiance(300.0, *BAND) + (1 - emissivity) * band_radiance(250.0, *BAND)
+    assert np.abs(frame.apparent_temperature - brightness_temperature(radiance, *BAND)).max() < 1e-3
+
+
+def test_measured_material_on_a_plane(tmp_path):
+    # Quartz sand's reststrahlen bands: the sum over wavelengths, not the product of band means.
+    scene = tr.load_scene(
+        write_terrain(tmp_path / "s", temperature=np.full((32, 32), 305.0), classes=np.full((32, 32), 2), sky=255.0)
+    )
+    sand = scene.materials[scene.surfaces[0].material[0, 0]]
+    assert sand.name == "sand_quartz"
+    from scipy.integrate import quad
+
+    from thermorender.physics.planck import spectral_radiance
+
+    def leaving(x):
+        epsilon = float(sand.emissivity_at(x))
+        return epsilon * float(spectral_radiance(x, 305.0)) + (1 - epsilon) * float(spectral_radiance(x, 255.0))
+
+    knots = sand.wavelength_um[(sand.wavelength_um > BAND[0]) & (sand.wavelength_um < BAND[1])]
+    edges = [BAND[0], *knots, BAND[1]]
+    exact = sum(quad(leaving, a, b)[0] for a, b in zip(edges[:-1], edges[1:], strict=True))
+    frame = tr.Renderer(scene, rays=8, tolerance_mk=0.5).frame(tr.pose(0, 0, 5, **DOWN))
+    assert abs(float(frame.apparent_temperature[256, 320]) - brightness_temperature(exact, *BAND)) < 1e-3
+
+
+def view_factor_of_parallel_squares(ratio):
+    """Identical directly opposed squares of side/distance `ratio` (Howell, catalogue of view factors, C-11)."""
+    x = ratio
+    one = 1 + x**2
+    return (
+        2
+        / (np.pi * x**2)
+        * (np.log(np.sqrt(one**2 / (1 + 2 * x**2))) + 2 * x * np.sqrt(one) * np.arctan(x / np.sqrt(one)) - 2 * x * np.arctan(x))
+    )
+
+
+def test_transport_against_the_view_factor_of_parallel_squares(tmp_path):
+    lower, upper = square(2.0), square(2.0, up=2.0)
+    upper.invert()
+    pair = trimesh.util.concatenate([lower, upper]).subdivide().subdivide()
+    scene = tr.load_scene(write_mesh(tmp_path / "s", pair))
+    rays = 1024
+    transport = bake.trace(Geometry(activate(), scene.surfaces), rays)
+    up = scene.surfaces[0].vertices[scene.surfaces[0].faces].mean(axis=1)[:, 2] > 1.0
+    seen = np.asarray(transport.operator[~up][:, up].sum()) / (~up).sum()
+    exact = view_factor_of_parallel_squares(1.0)
+    assert exact == pytest.approx(0.1998, abs=1e-4)
+    # Independent rays would err by this much (one standard error); stratified ones by less.
+    standard_error = np.sqrt(exact * (1 - exact) / (rays * (~up).sum()))
+    assert abs(seen - exact) < 4 * standard_error
+    sums = np.asarray(transport.operator.sum(axis=1)).ravel() + transport.sky + transport.beyond
+    np.testing.assert_allclose(sums, 1.0, atol=1e-9)
+
+
+def test_occluded_directions_return_solved_radiance(tmp_path):
+    # A grey floor close under a warm black ceiling reflects the ceiling, not black and not the sky.
+    floor, ceiling = square(40.0).subdivide().subdivide(), square(40.0, up=1.0)
+    floor_scene = write_mesh(
+        tmp_path / "s",
+        floor,
+        280.0,
+        0.5,
+        sky=200.0,
+        extra='[[object]]\nname = "roof"\nfile = "roof.ply"\nposition = [0, 0, 1.0]\ntemperature = 330.0\nmaterial = "soot"\n',
+    )
+    ceiling.apply_translation([0, 0, -1.0])
+    ceiling.invert()
+    ceiling.export(floor_scene / "roof.ply")
+    materials = floor_scene / "materials"
+    (materials / "spectra").mkdir(parents=True)
+    (materials / "index.csv").write_text(
+        "name,title,colour_r,colour_g,colour_b,solar_absorptance,directional,temperature_k,samples,source,citation,licence,note\n"
+        "soot,Black soot,10,10,10,0.99,lambertian,300,1,test,test,test,test\n"
+    )
+    (materials / "spectra" / "soot.csv").write_text("wavelength_um,emissivity,emissivity_std\n7,1,0\n14,1,0\n")
+    frame = tr.Renderer(tr.load_scene(floor_scene), rays=256, tolerance_mk=0.5).frame(tr.pose(0, 0, 0.5, **DOWN))
+    # At the middle of a 40 m square 1 m above, the ceiling fills all but 0.25 % of the hemisphere.
+    expected = 0.5 * band_radiance(280.0, *BAND) + 0.5 * band_radiance(330.0, *BAND)
+    seen = frame.radiance[200:300, 250:390].mean()
+    assert 0.985 * expected < seen < 1.0001 * expected
+    assert seen > 1.3 * band_radiance(280.0, *BAND)
+
+
+def test_plan_leaves_out_what_black_scenes_do_not_need(tmp_path, monkeypatch):
+    scene = tr.load_scene(write_mesh(tmp_path / "s", square(), 300.0, 1.0))
+    monkeypatch.setattr(bake, "trace", lambda *_: pytest.fail("a black scene traced light between surfaces"))
+    renderer = tr.Renderer(scene)
+    assert not renderer.plan.bake and renderer.plan.as_dict()["bake_rays"] == 0
+    frame = renderer.frame(tr.pose(0, 0, 5, **DOWN))
+    assert np.abs(frame.apparent_temperature - 300.0).max() < 1e-3
+    grey = tr.load_scene(write_mesh(tmp_path / "g", square(), 300.0, 0.9))
+    assert make_plan(grey).bake and make_plan(grey).nodes == 1
+
+
+def test_plan_gives_quartz_the_nodes_it_needs(tmp_path):
+    scene = tr.load_scene(write_terrain(tmp_path / "s"))
+    plan = make_plan(scene, tolerance_mk=2.0)
+    assert plan.nodes > 1 and plan.nodes_mk <= 2.0
+    loose = make_plan(scene, tolerance_mk=500.0)
+    assert loose.nodes < plan.nodes
+    np.testing.assert_allclose(
+        plan.node_radiance(np.array([300.0])).sum(), band_radiance(300.0, *BAND), rtol=1e-10
+    )
+
+
+def test_truth_stands_where_the_geometry_says(tmp_path):
+    height = np.add.outer(np.zeros(24), np.linspace(0.0, 6.0, 24))
+    scene = tr.load_scene(write_terrain(tmp_path / "s", height=height))
+    pose = tr.pose(1.0, -2.0, 25.0, yaw_deg=30.0, pitch_deg=-60.0)
+    frame = tr.Renderer(scene, rays=1).frame(pose)
+    truth = frame.truth
+    hit = (truth["mask"] & SURFACE) > 0
+    assert 0.02 < hit.mean() < 1.0
+    local = (truth["position"][hit] - pose[:3, 3]) @ pose[:3, :3]
+    np.testing.assert_allclose(local[:, 2], truth["depth"][hit], atol=1e-3)
+    rows, columns = np.nonzero(hit)
+    pixel = scene.camera.project(local)
+    np.testing.assert_allclose(pixel, np.stack([columns + 0.5, rows + 0.5], -1), atol=0.02)
+    ground = scene.ground(truth["position"][hit][:, 0], truth["position"][hit][:, 1])
+    assert np.nanmax(np.abs(ground - truth["position"][hit][:, 2])) < 2e-3
+    assert set(np.unique(truth["mask"][~hit])) <= {0, BEYOND}
+    assert np.isinf(truth["depth"][~hit]).all() and (truth["material"][~hit] == 255).all()
+
+
+def test_texels_lie_where_the_map_says(tmp_path):
+    # One warm texel, looked at from right above: its place in the image gives its place on the ground.
+    temperature = np.full((64, 64), 290.0)
+    temperature[20, 41] = 320.0
+    scene = tr.load_scene(write_terrain(tmp_path / "s", height=np.zeros((32, 32)), temperature=temperature, classes=np.ones((64, 64))))
+    frame = tr.Renderer(scene, rays=1, samples=16).frame(tr.pose(0, 0, 20, **DOWN))
+    weight = frame.radiance - np.median(frame.radiance[200:300, 300:340])
+    weight = np.clip(weight, 0, None) * (frame.truth["mask"] == SURFACE)
+    row, column = ((weight * axis).sum() / weight.sum() + 0.5 for axis in np.mgrid[:512, :640])
+    slope = scene.camera.directions(np.array([column, row]))
+    # Texel (20, 41) of 0.5 m: its centre lies at map offsets east +4.75, north +5.75 of the middle, and map
+    # north is true north to 1e-4 so near the central meridian.
+    np.testing.assert_allclose(20.0 * slope * [1, -1], [4.75, 5.75], atol=0.02)
+
+
+def test_radiance_is_averaged_not_temperature(tmp_path):
+    checker = np.where(np.indices((64, 64)).sum(axis=0) % 2, 250.0, 350.0)
+    scene = tr.load_scene(
+        write_terrain(tmp_path / "s", height=np.zeros((32, 32)), temperature=checker, classes=np.ones((64, 64)), sky=0.0)
+    )
+    far = tr.Renderer(scene, rays=1, samples=16).frame(tr.pose(0, 0, 150, **DOWN))
+    seen = far.radiance[236:276, 300:340].mean()
+    material = scene.materials[0]
+    from thermorender.physics.band import emitted_radiance
+
+    exact = emitted_radiance(material.emissivity_at, np.array([250.0, 350.0]), *BAND).mean()
+    wrong = emitted_radiance(material.emissivity_at, 300.0, *BAND)
+    assert abs(seen - exact) < 0.1 * abs(exact - wrong)
+
+
+def test_same_input_same_bytes(tmp_path):
+    scene = tr.load_scene(write_terrain(tmp_path / "s", height=np.random.default_rng(2).uniform(0, 2, (16, 16))))
+    pose = tr.pose(0, 0, 15, pitch_deg=-70)
+    a, b = (tr.Renderer(scene, rays=16).frame(pose, index=4) for _ in range(2))
+    assert a.radiance.tobytes() == b.radiance.tobytes() and a.counts.tobytes() == b.counts.tobytes()
+    assert a.display.tobytes() == b.display.tobytes()
+
+
+def test_new_temperatures_reuse_the_traced_light(tmp_path, monkeypatch):
+    scene = tr.load_scene(write_terrain(tmp_path / "s", height=np.random.default_rng(2).uniform(0, 2, (16, 16))))
+    first = tr.Renderer(scene, rays=16)
+    first.prepare()
+    from thermorender.scene.spec import TemperatureSpec
+
+    warmer = scene.with_temperature(TemperatureSpec(source="constant", value=310.0))
+    fresh = tr.Renderer(warmer, rays=16).frame(tr.pose(0, 0, 9, **DOWN))
+    monkeypatch.setattr(bake, "trace", lambda *_: pytest.fail("light was traced again"))
+    again = tr.Renderer(warmer, rays=16, like=first).frame(tr.pose(0, 0, 9, **DOWN))
+    np.testing.assert_array_equal(again.radiance, fresh.radiance)
+
+
+def test_targets_and_their_visibility(tmp_path):
+    extra = "".join(
+        f'[[object]]\nname = "{name}"\nshape = "{shape}"\nsize = [1, 1, 1]\nposition = {place}\n'
+        f'temperature = 330.0\nmaterial = "paint_black"\n'
+        for name, shape, place in (("disc", "disc", [2.0, 1.0, 0.0]), ("roof", "box", [-3.0, 0.0, 2.0]), ("hidden", "disc", [-3.0, 0.0, 0.0]))
+    )
+    scene = tr.load_scene(write_terrain(tmp_path / "s", height=np.zeros((16, 16)), extra=extra))
+    frame = tr.Renderer(scene, rays=1).frame(tr.pose(0, 0, 20, **DOWN))
+    seen = frame.targets
+    assert seen["disc"]["visible"] and seen["roof"]["visible"] and not seen["hidden"]["visible"]
+    f = scene.camera.focal_length_px
+    assert seen["disc"]["pixel"] == pytest.approx([320 + f * 2 / 19.98, 256 - f / 19.98], abs=0.05)
+    column, row = map(int, seen["disc"]["pixel"])
+    assert frame.truth["kinetic_temperature"][row, column] == pytest.approx(330.0)
+    behind = tr.Renderer(scene, rays=1).frame(tr.pose(0, 0, 20, pitch_deg=90.0)).targets["disc"]
+    assert behind["pixel"] is None and not behind["in_view"] and not behind["visible"]
+
+
+def test_empty_colour_is_masked(tmp_path):
+    colour = np.random.default_rng(0).integers(40, 200, (32, 32, 3))
+    colour[:, :12] = 0
+    scene = tr.load_scene(write_terrain(tmp_path / "s", height=np.zeros((16, 16)), colour=colour))
+    renderer = tr.Renderer(scene, rays=1)
+    pose = tr.pose(0, 0, 9, **DOWN)
+    mask = renderer.frame(pose).truth["mask"]
+    _, known = renderer.visible(pose)
+    assert (mask[256, 100] & FILLED) and not (mask[256, 500] & FILLED)
+    assert not known[256, 100] and known[256, 500]
+
+
+def test_beyond_the_edge_lies_ground_not_sky(tmp_path):
+    scene = tr.load_scene(write_terrain(tmp_path / "s", height=np.zeros((16, 16)), temperature=np.full((32, 32), 295.0), sky=200.0))
+    frame = tr.Renderer(scene, rays=8).frame(tr.pose(0, 0, 30, pitch_deg=0.0))
+    assert frame.apparent_temperature[0, 320] == pytest.approx(200.0, abs=1e-3)
+    assert 290.0 < frame.apparent_temperature[511, 320] < 295.0
+    stated = replace(scene, spec=replace(scene.spec, surroundings_temperature=280.0))
+    frame = tr.Renderer(stated, rays=8).frame(tr.pose(0, 0, 30, pitch_deg=0.0))
+    assert frame.apparent_temperature[511, 320] == pytest.approx(280.0, abs=1e-3)
+
+
+def test_morton_order_is_a_permutation():
+    order = morton_order(13, 22)
+    assert sorted(order) == list(range(13 * 22))
+    assert order[:4].tolist() == [0, 1, 22, 23]
+
+
+def test_errors(tmp_path):
+    scene = tr.load_scene(write_mesh(tmp_path / "s", square()))
+    renderer = tr.Renderer(scene)
+    skewed = np.eye(4)
+    skewed[0, 1] = 0.5
+    with pytest.raises(ThermorenderError, match="rotation that is not orthonormal"):
+        renderer.frame(skewed)
+    with pytest.raises(ThermorenderError, match=r"pose of shape \(3, 3\)"):
+        renderer.frame(np.eye(3))
+    for keyword, words in (
+        ({"samples": 3}, "samples=3 is not allowed; give one of 1, 2, 4, 8, 16"),
+        ({"rays": 0}, "rays=0 is not allowed"),
+        ({"tolerance_mk": -1}, "tolerance_mk=-1 is not allowed"),
+        ({"seed": -1}, "seed=-1 is not allowed"),
+        ({"device": "tpu"}, "device='tpu' is unknown; give one of auto, cpu, cuda"),
+    ):
+        with pytest.raises(ThermorenderError, match=words):
+            tr.Renderer(scene, **keyword)
+    other = tr.load_scene(write_mesh(tmp_path / "o", square()))
+    with pytest.raises(ThermorenderError, match="renders other surfaces"):
+        tr.Renderer(other, like=renderer)

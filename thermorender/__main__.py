@@ -1,0 +1,5 @@
+"""`python -m thermorender` is the command line."""
+
+from thermorender.cli import main
+
+main()
