@@ -265,7 +265,10 @@ def read_table(path, columns):
         raise ThermorenderError(
             f"{path}, row 1 is separated by semicolons; save it comma-separated with a point as decimal mark"
         )
-    table = list(csv.reader(io.StringIO(text)))
+    try:
+        table = list(csv.reader(io.StringIO(text)))
+    except csv.Error as error:
+        raise ThermorenderError(f"{path} is not a CSV file ({error}); save it as 'CSV UTF-8' in the spreadsheet") from None
     header = [cell.strip() for cell in table[0]] if table else []
     missing = [column for column in columns if column not in header]
     if missing:

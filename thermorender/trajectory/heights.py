@@ -93,7 +93,7 @@ def _geodetic_positions(log, frame, ground, height, value, relative):
     if (distance > FARTHEST_M).any():
         k = int(np.argmax(distance > FARTHEST_M))
         raise ThermorenderError(
-            f"{log.where('lat_deg', k)}: the position is {distance[k] / 1e3:.6g} km from "
+            f"{log.where('lat_deg', k)}: the position is {_km(distance[k])} km from "
             + (
                 f"the first sample; up to {FARTHEST_M / 1e3:.0f} km are allowed: delete rows without a fix"
                 if relative
@@ -130,11 +130,16 @@ def _ground_below(log, height, ground, east, north):
     if not np.isfinite(up).all():
         k = int(np.argmax(~np.isfinite(up)))
         raise ThermorenderError(
-            f"{log.where(height, k)}: there is no ground below east {east[k]:.9g} m, north {north[k]:.9g} m; "
+            f"{log.where(height, k)}: there is no ground below east {east[k]:.1f} m, north {north[k]:.1f} m; "
             "the position is off the scene's terrain: move the flight with an anchor or give a height of "
             "another reference"
         )
     return up
+
+
+def _km(distance):
+    kilometres = distance / 1e3
+    return f"{kilometres:.0f}" if kilometres < 1e9 else f"{kilometres:.3g}"
 
 
 def refuse_far(log, trajectory):
@@ -144,6 +149,6 @@ def refuse_far(log, trajectory):
     if (distance > FARTHEST_M).any():
         k = int(np.argmax(distance > FARTHEST_M))
         raise ThermorenderError(
-            f"{log.path}, at {trajectory.time_s[k]:.3f} s: the position is {distance[k] / 1e3:.6g} km from "
+            f"{log.path}, at {trajectory.time_s[k]:.3f} s: the position is {_km(distance[k])} km from "
             f"the scene's origin; up to {FARTHEST_M / 1e3:.0f} km are allowed: {_MOVE}"
         )

@@ -1,0 +1,751 @@
+"""Every mistake ends in one sentence and status 2, without traceback or warning, and leaves nothing half-written."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from thermorender import cli
+from thermorender.products import read_exr
+from thermorender.scene.load import load_scene
+from thermorender.scene.surface import BEYOND, SURFACE
+
+SCENE = """title = "tiny"
+[terrain]
+elevation = "elevation.tif"
+orthophoto = "orthophoto.tif"
+[temperature]
+source = "raster"
+raster = "temperature.tif"
+[emissivity]
+source = "classes"
+raster = "classes.tif"
+[emissivity.classes]
+1 = "grass_green"
+2 = "asphalt"
+[sky]
+temperature = 250.0
+[camera]
+model = "small.toml"
+"""
+OBJECT = """[[object]]
+name = "marker"
+shape = "disc"
+position = [0.0, 0.0, 0.0]
+temperature = 330.0
+material = "paint_black"
+"""
+MESH = """[terrain]
+mesh = "model.obj"
+[temperature]
+source = "constant"
+value = 300.0
+[emissivity]
+source = "constant"
+value = 0.9
+[sky]
+temperature = 250.0
+[camera]
+model = "small.toml"
+"""
+CAMERA = """width = 16
+height = 12
+pixel_pitch_um = 17.0
+focal_length_mm = 0.5
+f_number = 1.25
+lens_transmittance = 0.9
+band_um = [7.5, 13.5]
+netd_mk = 50.0
+netd_f_number = 1.0
+bits = 14
+range_c = [-25.0, 135.0]
+frame_rate_hz = 1.0
+"""
+COLUMNS = "time_s,east_m,north_m,above_ground_m,gimbal_pitch_deg"
+FLIGHT = f"{COLUMNS}\n0,0,0,20,-90\n1,1,0,20,-90\n2,2,0,20,-90\n"
+QUICK = ("--rays", 2, "--samples", 1)
+QUAD = "v -8 -8 0\nv 8 -8 0\nv 8 8 0\nv -8 8 0\n"
+FACES = "f 1 2 3\nf 1 3 4\n"
+FACES_UV = "vt 0 0\nusemtl a\nf 1/1 2/1 3/1\nf 1/1 3/1 4/1\n"
+
+
+def raster(path, bands, crs="EPSG:32632", corner=(500000.0, 5600000.0), size_m=16.0, nodata=None):
+    import rasterio
+
+    bands = np.asarray(bands)
+    bands = bands[None] if bands.ndim == 2 else bands
+    step = size_m / bands.shape[1]
+    with rasterio.open(
+        path, "w", driver="GTiff", count=len(bands), height=bands.shape[1], width=bands.shape[2], dtype=bands.dtype,
+        crs=crs, transform=rasterio.Affine(step, 0.0, corner[0], 0.0, -step, corner[1]), nodata=nodata,
+    ) as dataset:  # fmt: skip
+        dataset.write(bands)
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """Folder of a scene of 8×8 posts and 16×16 texels that renders."""
+    folder = tmp_path / "tiny"
+    folder.mkdir()
+    draw = np.random.Generator(np.random.Philox(5))
+    raster(folder / "elevation.tif", draw.uniform(0.0, 1.0, (8, 8)).astype(np.float32))
+    raster(folder / "orthophoto.tif", draw.integers(1, 255, (3, 16, 16)).astype(np.uint8))
+    raster(folder / "temperature.tif", draw.uniform(280.0, 300.0, (16, 16)).astype(np.float32))
+    raster(folder / "classes.tif", draw.integers(1, 3, (16, 16)).astype(np.uint8))
+    (folder / "scene.toml").write_text(SCENE)
+    (folder / "small.toml").write_text(CAMERA)
+    (folder / "flight.csv").write_text(FLIGHT)
+    return folder
+
+
+@pytest.fixture
+def call(monkeypatch, capfd):
+    """Run the command line in this process; return (status, output, errors)."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["thermorender", *map(str, arguments)])
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as exit:
+            cli.main()
+        return exit.value.code, *capfd.readouterr()
+
+    return run
+
+
+def check_sentence(status, errors, words):
+    assert status == 2, errors
+    assert errors.startswith("error: ") and errors.endswith("\n"), errors
+    assert len(errors.splitlines()) == 1, errors
+    assert "Traceback" not in errors and "Warning" not in errors
+    for word in words:
+        assert str(word) in errors, (word, errors)
+
+
+@pytest.fixture
+def refused(call, tmp_path):
+    """Run a command with a new output folder; it must fail with these words and leave no folder."""
+
+    def run(words, verb, *arguments):
+        output = tmp_path / "new" / "output"
+        status, _, errors = call(verb, *arguments, "-o", output)
+        check_sentence(status, errors, [words] if isinstance(words, str) else words)
+        assert not output.parent.exists()
+
+    return run
+
+
+def everything(folder):
+    return {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def change(path, old, new):
+    text = path.read_text()
+    assert text.count(old) >= 1, old
+    path.write_text(text.replace(old, new, 1))
+
+
+def cut(path, share=0.5):
+    data = path.read_bytes()
+    path.write_bytes(data[: int(len(data) * share)])
+
+
+def test_the_scene_renders_as_it_is(scene, call, tmp_path):
+    status, output, errors = call("render", scene, "-o", tmp_path / "o", "--pose", "0,0,20,0,-90,0", *QUICK)
+    assert (status, errors) == (0, "")
+    assert "apparent temperature" in output and (tmp_path / "o" / "frame_000000.exr").exists()
+
+
+# --- the scene file ---------------------------------------------------------------------------------------------
+
+
+def test_missing_scene(refused, tmp_path):
+    refused([f"scene '{tmp_path / 'none'}' does not exist", "heath"], "render", tmp_path / "none")
+    refused(["scene.toml does not exist"], "render", tmp_path / "none" / "scene.toml")
+
+
+@pytest.mark.parametrize(
+    "key, name", [("terrain.elevation", "elevation"), ("terrain.orthophoto", "orthophoto"),
+                  ("temperature.raster", "temperature"), ("emissivity.raster", "classes")],
+)  # fmt: skip
+def test_a_file_named_but_missing(scene, refused, key, name):
+    (scene / f"{name}.tif").unlink()
+    refused(["scene.toml: ", f"{key}='{name}.tif' does not exist"], "render", scene)
+
+
+@pytest.mark.parametrize(
+    "old, new, words",
+    [
+        ('title = "tiny"', 'titel = "tiny"', ["unknown key 'titel' in the scene", "did you mean 'title'"]),
+        ("orthophoto =", "ortophoto =", ["unknown key 'ortophoto' in terrain", "did you mean 'orthophoto'"]),
+        ('raster = "temperature.tif"', 'rater = "x"', ["unknown key 'rater' in temperature", "did you mean 'raster'"]),
+        ('raster = "classes.tif"', 'rastre = "x"', ["unknown key 'rastre' in emissivity", "did you mean 'raster'"]),
+        ("temperature = 250.0", "temprature = 250.0", ["unknown key 'temprature' in sky", "did you mean 'temperature'"]),
+        ("model =", "mode =", ["unknown key 'mode' in camera", "did you mean 'model'"]),
+        ("[camera]", "[truth]\ntemprature = 3\n[camera]", ["unknown key 'temprature' in truth", "did you mean"]),
+        ("[camera]", "[surroundings]\nt = 3\n[camera]", ["unknown key 't' in surroundings", "allowed are temperature"]),
+        ("[camera]", "[frame]\nlatitude = 3\n[camera]", ["unknown key 'latitude' in frame", "did you mean 'latitude_deg'"]),
+        ("[sky]", OBJECT.replace("shape", "shap") + "[sky]", ["unknown key 'shap' in object 'marker'", "'shape'"]),
+    ],
+)  # fmt: skip
+def test_unknown_keys(scene, refused, old, new, words):
+    change(scene / "scene.toml", old, new)
+    refused([scene / "scene.toml", *words], "render", scene)
+
+
+@pytest.mark.parametrize(
+    "old, new, words",
+    [
+        ('"elevation.tif"', "5", ["terrain.elevation=5 is not allowed", "a text"]),
+        ('"elevation.tif"', '"../elevation.tif"', ["terrain.elevation='../elevation.tif'", "inside the scene's folder"]),
+        ('"elevation.tif"', '"/etc/hostname"', ["terrain.elevation='/etc/hostname'", "inside the scene's folder"]),
+        ('"elevation.tif"', '"a\\u0000b"', ["terrain.elevation=", "the name of a file"]),
+        ('"elevation.tif"', '"' + 300 * "x" + '"', ["terrain.elevation=", "the name of a file"]),
+        ('"small.toml"', '"../small.toml"', ["camera.model='../small.toml'", "inside the scene's folder"]),
+        ('"small.toml"', '"zenmus-xt2"', ["camera.model 'zenmus-xt2' is unknown", "zenmuse-xt2"]),
+        ("= 250.0", '= "cold"', ["sky.temperature='cold' is not allowed", "a finite number"]),
+        ("= 250.0", "= nan", ["sky.temperature=nan is not allowed"]),
+        ("= 250.0", "= 1" + 400 * "0", ["sky.temperature=1", "a finite number"]),
+        ("= 250.0", "= 1e9", ["sky.temperature=1e+09 is above 3000 K"]),
+        ("= 250.0", "= 19.5", ["sky.temperature=19.5 is below 100 K", "add 273.15 to °C"]),
+        ("temperature = 250.0", "", ["key 'temperature' is missing in sky"]),
+        ('"tiny"', "5", ["title=5 is not allowed"]),
+        ('source = "raster"', 'source = "rasterr"', ["temperature.source='rasterr'", "constant, raster, material, learned"]),
+        ('source = "raster"', 'source = "learned"', ["temperature.model is missing", "source='learned' needs it"]),
+        ('source = "raster"', 'source = "learned"\nmodel = "fok"', ["temperature.model: learned map 'fok' is unknown"]),
+        ('1 = "grass_green"', '1 = "gras_green"', ["emissivity.classes.1 uses material 'gras_green'", "grass_green"]),
+        ('1 = "grass_green"', '"²" = "asphalt"', ["emissivity.classes='²'", "class numbers 1…255"]),
+        ('1 = "grass_green"\n', "", ["classes.tif holds class 1", "does not name"]),
+        ("[sky]", OBJECT.replace("paint_black", "pant_black") + "[sky]", ["object 'marker' uses material 'pant_black'"]),
+        ("[sky]", OBJECT.replace("330.0", "57.0") + "[sky]", ["object 'marker'.temperature=57 is below 100 K"]),
+        ("[sky]", OBJECT.replace("[0.0", "[500.0") + "[sky]", ["object 'marker' stands at 500 m east", "no terrain"]),
+        ("[sky]", OBJECT.replace('"marker"', '"a:b"') + "[sky]", ["object 'a:b'.name='a:b'", "without ':'"]),
+        ("[sky]", OBJECT + OBJECT + "[sky]", ["object.name='marker'", "a name of its own"]),
+        ("[camera]", "[frame]\nlatitude_deg=500\nlongitude_deg=9\nheight_m=0\n[camera]", ["frame=[500.0, 9.0, 0.0]"]),
+        ("[camera]", "[frame]\nlatitude_deg=-50\nlongitude_deg=9\nheight_m=0\n[camera]", ["frame lies", "km from"]),
+        ("[sky]", "[sky", ["is not valid TOML"]),
+    ],
+)  # fmt: skip
+def test_wrong_values(scene, refused, old, new, words):
+    change(scene / "scene.toml", old, new)
+    refused([scene / "scene.toml" if "classes.tif" not in words[0] else "classes.tif", *words], "render", scene)
+
+
+def test_celsius_given_as_kelvin(scene, refused):
+    text = (scene / "scene.toml").read_text()
+    head, tail = text.split('source = "raster"\nraster = "temperature.tif"\n')
+    (scene / "scene.toml").write_text(head + 'source = "constant"\nvalue = 21.5\n' + tail)
+    refused(["temperature.value=21.5 is below 100 K", "add 273.15 to °C"], "render", scene)
+    new = 'source = "material"\n[temperature.materials]\nasphalt = 31.0\n'
+    (scene / "scene.toml").write_text(head + new + tail)
+    refused(["temperature.materials.asphalt=31 is below 100 K", "add 273.15 to °C"], "render", scene)
+    (scene / "scene.toml").write_text(text)
+    raster(scene / "temperature.tif", np.full((16, 16), 21.0, np.float32))
+    refused(["temperature.tif=21 is below 100 K", "add 273.15 to °C"], "render", scene)
+
+
+# --- rasters ----------------------------------------------------------------------------------------------------
+
+HEIGHTS, COLOURS = np.ones((8, 8), np.float32), np.full((3, 16, 16), 99, np.uint8)
+LOCAL = 'LOCAL_CS["own",UNIT["metre",1]]'
+ELSEWHERE = (700000.0, 100000.0)
+
+
+@pytest.mark.parametrize(
+    "name, bands, how, words",
+    [
+        ("elevation", HEIGHTS, {"crs": None}, ["no coordinate reference system (CRS)", "assign one"]),
+        ("orthophoto", COLOURS, {"crs": None}, ["no coordinate reference system (CRS)", "assign one"]),
+        ("elevation", HEIGHTS, {"crs": LOCAL}, ["cannot be brought to EPSG:4326", "assign the CRS"]),
+        ("elevation", HEIGHTS, {"crs": "EPSG:4326"}, ["x=500000, y=5599984 is nowhere on Earth in EPSG:4326"]),
+        ("elevation", HEIGHTS, {"corner": (1e9, 1e9)}, ["cannot be brought to EPSG:4326", "assign the CRS"]),
+        ("orthophoto", COLOURS, {"crs": "EPSG:32633"}, ["has CRS EPSG:32633 but", "thermorender import-terrain"]),
+        ("orthophoto", COLOURS, {"corner": ELSEWHERE}, ["x 700000…700016, y 99984…100000", "do not overlap"]),
+        ("classes", COLOURS[0], {"corner": ELSEWHERE}, ["x 700000…700016", "do not overlap"]),
+        ("temperature", 3 * COLOURS[0].astype(np.int16), {"corner": ELSEWHERE}, ["does not overlap the texels"]),
+        ("temperature", 3 * COLOURS[0].astype(np.int16), {"crs": LOCAL}, ["cannot be brought to EPSG:32632"]),
+        ("elevation", np.nan * HEIGHTS, {}, ["has no valid height in it"]),
+        ("elevation", -9999 * HEIGHTS, {"nodata": -9999}, ["has no valid height in it"]),
+        ("elevation", HEIGHTS[:1, :1], {}, ["has 1×1 posts", "at least 2×2"]),
+        ("elevation", np.stack(2 * [HEIGHTS]), {}, ["has 2 bands where one is expected"]),
+        ("orthophoto", COLOURS[0], {}, ["has 1 bands of uint8", "three of uint8 (RGB)"]),
+        ("orthophoto", COLOURS.astype(np.uint16), {}, ["has 3 bands of uint16", "three of uint8 (RGB)"]),
+        ("orthophoto", 0 * COLOURS, {}, ["is empty: every texel is masked"]),
+        ("temperature", np.full((16, 16), np.nan, np.float32), {}, ["has no valid temperature in it"]),
+        ("temperature", np.full((16, 16), 3e38, np.float32), {}, ["=3e+38 is above 3000 K", "nodata"]),
+        ("temperature", np.full((16, 16), 300, np.complex64), {}, ["holds complex numbers"]),
+        ("classes", np.full((16, 16), 65535, np.uint16), {}, ["holds 65535, which is no class number", "0…255"]),
+        ("classes", np.full((16, 16), 1.5, np.float32), {}, ["holds 1.5, which is no class number"]),
+        ("classes", 0 * COLOURS[0], {}, ["has no class in it"]),
+    ],
+)  # fmt: skip
+def test_wrong_rasters(scene, refused, name, bands, how, words):
+    raster(scene / f"{name}.tif", bands, **how)
+    refused([f"{name}.tif", *words], "render", scene)
+
+
+def test_a_raster_without_a_place(scene, refused):
+    import rasterio
+    from rasterio.errors import NotGeoreferencedWarning
+
+    with pytest.warns(NotGeoreferencedWarning), rasterio.open(
+        scene / "elevation.tif", "w", driver="GTiff", count=1, height=8, width=8, dtype="float32", crs="EPSG:32632"
+    ) as dataset:  # fmt: skip
+        dataset.write(HEIGHTS[None])
+    refused(["elevation.tif has no geotransform", "assign one"], "render", scene)
+
+
+@pytest.mark.parametrize("name", ["elevation", "orthophoto", "temperature", "classes"])
+@pytest.mark.parametrize("share", [0.9, 0.02])
+def test_a_raster_cut_short(scene, refused, name, share):
+    cut(scene / f"{name}.tif", share)
+    refused([f"{name}.tif"], "render", scene)
+    if name in ("elevation", "orthophoto"):
+        refused([f"{name}.tif"], "import-terrain", scene / "elevation.tif", scene / "orthophoto.tif")
+
+
+def test_islands_without_height_are_holes(scene, call, tmp_path):
+    height = np.ones((8, 8), np.float32)
+    height[3:5, 3:5] = np.nan
+    height[0, 0] = -9999.0
+    raster(scene / "elevation.tif", height, nodata=-9999.0)
+    mesh = load_scene(scene).surfaces[0]
+    # 3 × 3 cells touch the island in the middle and one cell the corner; each other cell is two triangles.
+    assert len(mesh.faces) == 2 * (49 - 9 - 1)
+    status, _, errors = call(
+        "render", scene, "-o", tmp_path / "o", "--pose", "0,0,20,0,-90,0", "--local-up", "--products", "exr,truth", *QUICK
+    )
+    assert (status, errors) == (0, "")
+    channels, _ = read_exr(tmp_path / "o" / "frame_000000.exr")
+    mask = channels["truth.mask"]
+    assert mask[6, 8] == BEYOND and np.isnan(channels["truth.kinetic_temperature"][6, 8])
+    assert mask[6, 0] & SURFACE and np.isfinite(channels["truth.kinetic_temperature"][6, 0])
+    assert np.isfinite(channels["apparent_temperature"]).all()
+    status, _, errors = call("render", scene, "-o", tmp_path / "p", "--pose", "0,0,20,0,-90,0", *QUICK)
+    check_sentence(status, errors, ["--pose='0,0,20,0,-90,0' lies off the terrain", "--local-up"])
+    assert not (tmp_path / "p").exists()
+
+
+def test_import_leaves_nothing(scene, refused, call, tmp_path):
+    elevation, orthophoto = scene / "elevation.tif", scene / "orthophoto.tif"
+    refused("sky_temperature=nan is not a finite number", "import-terrain", elevation, orthophoto, "--sky-temperature", "nan")
+    refused("sky_temperature=-20 is below 100 K", "import-terrain", elevation, orthophoto, "--sky-temperature", "-20")
+    refused("geoid_undulation_m=inf", "import-terrain", elevation, orthophoto, "--geoid-undulation-m", "inf")
+    refused("--height-reference='sea' is not allowed", "import-terrain", elevation, orthophoto, "--height-reference", "sea")
+    refused("learned map 'none' is unknown", "import-terrain", elevation, orthophoto, "--model", "none")
+    refused("max_texels=-1", "import-terrain", elevation, orthophoto, "--max-texels", "-1")
+    raster(tmp_path / "far.tif", COLOURS, corner=ELSEWHERE)
+    refused(["far.tif", "do not overlap"], "import-terrain", elevation, tmp_path / "far.tif")
+    before = everything(scene)
+    status, _, errors = call("import-terrain", elevation, orthophoto, "-o", scene)
+    check_sentence(status, errors, [scene, "exists and is not empty"])
+    assert everything(scene) == before
+
+
+# --- meshes -----------------------------------------------------------------------------------------------------
+
+
+def mesh_scene(scene, name, data):
+    (scene / "scene.toml").write_text(MESH.replace("model.obj", name))
+    (scene / name).write_bytes(data if isinstance(data, bytes) else data.encode())
+
+
+@pytest.mark.parametrize("suffix", ["obj", "glb", "ply"])
+def test_garbage_and_empty_meshes(scene, refused, suffix):
+    mesh_scene(scene, f"model.{suffix}", b"garbage \x00\xff\n no mesh")
+    refused([f"model.{suffix} cannot be read as a mesh", "give an OBJ, GLB or PLY file"], "render", scene)
+    mesh_scene(scene, f"model.{suffix}", b"")
+    refused([f"model.{suffix} is empty", "give an OBJ, GLB or PLY file"], "render", scene)
+
+
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        (QUAD, "holds no triangles"),
+        ("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "holds no triangles of any area"),
+        (QUAD + "f 1 2 30\n", "cannot be read as a mesh"),
+        ("mtllib no.mtl\n" + QUAD + FACES, "material library 'no.mtl' does not exist"),
+        ("mtllib missing.mtl\n" + QUAD + FACES_UV, "texture 'no such.png' does not exist"),
+        ("mtllib broken.mtl\n" + QUAD + FACES_UV, "broken.png cannot be read as an image"),
+        ("mtllib good.mtl\n" + QUAD + "usemtl a\n" + FACES, "has a texture but no map coordinates"),
+    ],
+)
+def test_wrong_obj(scene, refused, text, words):
+    from PIL import Image
+
+    (scene / "missing.mtl").write_text("newmtl a\nmap_Kd no such.png\n")
+    (scene / "broken.mtl").write_text("newmtl a\nmap_Kd broken.png\n")
+    (scene / "broken.png").write_text("garbage")
+    (scene / "good.mtl").write_text("newmtl a\nmap_Kd good one.png\n")
+    Image.new("RGB", (4, 4)).save(scene / "good one.png")
+    mesh_scene(scene, "model.obj", text)
+    refused(words, "render", scene)
+
+
+def test_a_good_obj_passes(scene, call, tmp_path):
+    from PIL import Image
+
+    (scene / "good.mtl").write_text("newmtl a\nmap_Kd good one.png\n")
+    Image.new("RGB", (4, 4), (200, 0, 0)).save(scene / "good one.png")
+    mesh_scene(scene, "model.obj", "mtllib good.mtl\n" + QUAD + FACES_UV)
+    status, _, errors = call("render", scene, "-o", tmp_path / "o", "--pose", "0,0,20,0,-90,0", *QUICK)
+    assert (status, errors) == (0, "")
+    assert load_scene(scene).surfaces[0].colour.shape == (4, 4, 3)
+
+
+def test_wrong_glb(scene, refused):
+    import trimesh
+    from PIL import Image
+
+    material = trimesh.visual.material.PBRMaterial(name="paint", baseColorTexture=Image.new("RGB", (4, 4)))
+    square = trimesh.Trimesh([[0, 0, 0], [9, 0, 0], [9, 0, -9]], [[0, 1, 2]])
+    square.visual = trimesh.visual.TextureVisuals(uv=np.zeros((3, 2)), material=material)
+    whole = square.export(file_type="glb")
+    mesh_scene(scene, "model.glb", whole[: len(whole) // 2])
+    refused("model.glb cannot be read as a mesh", "render", scene)
+    start = whole.index(b"\x89PNG")
+    mesh_scene(scene, "model.glb", whole[:start] + b"XXXX" + whole[start + 4 :])
+    refused("model.glb: the texture of material 'paint' cannot be read", "render", scene)
+    start = whole.index(b"IDAT")
+    mesh_scene(scene, "model.glb", whole[: start + 4] + b"XXXX" + whole[start + 8 :])
+    refused("model.glb: the texture cannot be read", "render", scene)
+    square.visual = trimesh.visual.TextureVisuals(uv=None, material=material)
+    mesh_scene(scene, "model.glb", square.export(file_type="glb"))
+    refused("has a texture but no map coordinates", "render", scene)
+
+
+def test_a_broken_object_mesh_and_a_mesh_with_map_rasters(scene, refused):
+    change(scene / "scene.toml", "[sky]", OBJECT.replace('shape = "disc"', 'file = "car.glb"') + "[sky]")
+    refused("object 'marker'.file='car.glb' does not exist", "render", scene)
+    (scene / "car.glb").write_bytes(b"")
+    refused("car.glb is empty", "render", scene)
+    mesh_scene(scene, "model.obj", QUAD + FACES)
+    change(scene / "scene.toml", 'source = "constant"\nvalue = 300.0', 'source = "raster"\nraster = "temperature.tif"')
+    refused("a temperature raster needs terrain with an elevation raster", "render", scene)
+
+
+# --- the camera -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "old, new, words",
+    [
+        ("f_number =", "f_numbr =", ["unknown key 'f_numbr'", "did you mean 'f_number'"]),
+        ("netd_mk = 50.0\n", "", ["key 'netd_mk' is missing"]),
+        ("netd_mk = 50.0", "netd_mk = -50.0", ["netd_mk=-50.0 is not allowed", "a number above 0"]),
+        ("width = 16", "width = 16.5", ["width=16.5 is not allowed", "a whole number"]),
+        ("width = 16", "width = 160000000", ["width=160000000 is not allowed", "up to 16384 pixels"]),
+        ("width = 16", 'width = "16"', ["width='16' is not allowed"]),
+        ("width = 16", "width = 1" + 400 * "0", ["width=1", "finite number"]),
+        ("bits = 14", "bits = 99", ["bits=99 is not allowed", "2…16"]),
+        ("[7.5, 13.5]", "[0.0, 13.5]", ["band_um=[0.0, 13.5]", "above 0 µm"]),
+        ("[7.5, 13.5]", "[13.5, 7.5]", ["band_um=[13.5, 7.5]", "lower value first"]),
+        ("[7.5, 13.5]", "[7.5]", ["band_um=[7.5] is not allowed", "2 finite number(s)"]),
+        ("[-25.0, 135.0]", "[-300.0, 135.0]", ["range_c=[-300.0, 135.0]", "above absolute zero"]),
+        ("= 0.9", "= 90.0", ["lens_transmittance=90", "a share up to 1"]),
+        ("bits", "distortion = [-50.0, 0, 0, 0, 0]\nbits", ["folds the image before its edge"]),
+        ("bits", "distortion = [1e9, -1e200, 5, 0, 0]\nbits", ["folds the image before its edge"]),
+        ("bits = 14", "bits = ", ["is not valid TOML"]),
+    ],
+)
+def test_wrong_cameras(scene, refused, old, new, words):
+    change(scene / "small.toml", old, new)
+    refused(words, "render", scene)
+
+
+def test_a_whole_number_written_with_a_point_is_a_width(scene):
+    change(scene / "small.toml", "width = 16", "width = 16.0")
+    assert load_scene(scene).camera.width == 16 and isinstance(load_scene(scene).camera.width, int)
+
+
+# --- flights ----------------------------------------------------------------------------------------------------
+
+QUATERNIONS = "time_s,east_m,north_m,up_m,qw,qx,qy,qz\n"
+
+
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        (f"{COLUMNS}\n1,0,0,20,-90\n0,0,0,20,-90\n", ["flight.csv, row 3, column 'time_s'", "running backwards"]),
+        (f"{COLUMNS}\n0,0,0,nan,-90\n", ["row 2, column 'above_ground_m'", "not a finite number"]),
+        (f"{COLUMNS}\n0,0,0,20\n", ["row 2: 4 cells where row 1 names 5 columns"]),
+        (f"{COLUMNS}\n", ["has no rows below the header"]),
+        ("", ["the file is empty"]),
+        ("time_s,east_m,above_ground_m\n0,0,20\n", ["column 'north_m' is missing"]),
+        ("time_s,east_m,north_m\n0,0,20\n", ["has no height column", "above_ground_m"]),
+        ("east_m,north_m,up_m\n0,0,20\n", ["column 'time_s' is missing"]),
+        ("time_s,east_m,nort_m,up_m\n0,0,0,20\n", ["column 'nort_m' is not known", "'north_m'"]),
+        (QUATERNIONS + "0,0,0,20,1,1,0,0\n", ["row 2, columns qw, qx, qy, qz", "length 1.41421", "unit quaternions"]),
+        (QUATERNIONS + "0,0,0,20,1e300,0,0,0\n", ["length inf", "unit quaternions"]),
+        (f"{COLUMNS}\n0,0,0,1e300,-90\n", ["the position is 1e+297 km from the scene's origin"]),
+        (f"{COLUMNS}\n0,1e300,0,20,-90\n", ["there is no ground below east 1000000"]),
+        (f"{COLUMNS}\n0,0,0,20,-90\n1e300,0,0,20,-90\n", ["1e+300 frames", "up to 1000000 are allowed"]),
+    ],
+)
+def test_wrong_logs(scene, refused, text, words):
+    (scene / "flight.csv").write_text(text)
+    refused(words, "fly", scene, *QUICK)
+
+
+def test_missing_and_binary_logs(scene, refused, tmp_path):
+    refused(["none.csv: cannot be read", "No such file"], "fly", scene, "--trajectory", tmp_path / "none.csv", *QUICK)
+    (scene / "flight.csv").write_bytes(b"\xff\xfe\x00")
+    refused("flight.csv: is not a CSV file in UTF-8", "fly", scene, *QUICK)
+
+
+def test_a_path_under_the_terrain(scene, refused, call, tmp_path):
+    (scene / "flight.csv").write_text(f"{COLUMNS.replace('above_ground_m', 'up_m')}\n0,0,0,-20,90\n")
+    refused(["at 0.000 s the camera is 2", "m below the ground"], "fly", scene, *QUICK)
+    status, _, errors = call(
+        "fly", scene, "-o", tmp_path / "o", "--allow-below-ground", "--products", "counts", *QUICK
+    )
+    assert (status, errors) == (0, "")
+
+
+@pytest.mark.parametrize(
+    "options, words",
+    [
+        ("--products counts,bogus", ["product 'bogus' is unknown", "exr, counts"]),
+        ("--products ,", ["products is empty"]),
+        ("--products truth", ["'truth' is channels of the EXR", "add 'exr'"]),
+        ("--products video", ["add 'display'"]),
+        ("--seed -1", ["seed=-1 is not allowed"]),
+        ("--samples 3", ["samples=3 is not allowed", "1, 2, 4, 8, 16"]),
+        ("--rays 0", ["rays=0 is not allowed", "1…65536"]),
+        ("--device tpu", ["device='tpu' is unknown", "auto, cpu, cuda"]),
+        ("--anchor here", ["anchor='here' has 1 values; 4 are needed: E,N,U,heading"]),
+        ("--anchor 1,2,x,4", ["anchor='1,2,x,4': U is 'x', not a finite number"]),
+        ("--anchor 900,0,20,0", ["anchor: there is no ground below east 900 m"]),
+        ("--anchor 0,0,1e300,0", ["km from the scene's origin"]),
+        ("--mount 1,2", ["mount='1,2' has 2 values"]),
+        ("--lever-arm-m 1,2", ["lever_arm='1,2' has 2 values"]),
+        ("--clock-offset-s nan", ["clock_offset_s=nan is not a finite number"]),
+        ("--rate-hz 0", ["rate_hz=0", "must be a positive number"]),
+        ("--rate-hz 1e12", ["rate_hz=1e+12 makes 2e+12 frames", "up to 1000000"]),
+        ("--start-s 5", ["start_s=5, stop_s=2", "0 to 2 s"]),
+        ("--format bogus", ["format='bogus' is neither", "dji-gimbal"]),
+        ("--temperature bogus", ["learned map 'bogus' is unknown", "fok-1to1"]),
+        ("--range-c 1,2", ["--range-c='1,2' needs a learned map"]),
+        ("--temperature fok-1to1 --range-c 1", ["--range-c='1' has 1 values"]),
+        ("--temperature fok-1to1 --range-c 1e300,2e300", ["range_c", "above 3000 K"]),
+        ("--bogus", ["No such option: --bogus", "fly --help"]),
+        ("--seed x", ["Invalid value for '--seed'"]),
+    ],
+)
+def test_wrong_options_of_a_flight(scene, refused, options, words):
+    options = options.split()
+    refused(words, "fly", scene, *([] if {"--rays", "--samples"} & set(options) else QUICK), *options)
+
+
+@pytest.mark.parametrize(
+    "options, words",
+    [
+        ("--pose nonsense", ["--pose='nonsense' has 1 values; 6 are needed: E,N,U,YAW,PITCH,ROLL"]),
+        ("--pose 0,0,20,0,nan,0", ["--pose='0,0,20,0,nan,0': PITCH is 'nan'"]),
+        ("--pose 0,0,1e30,0,-90,0", ["up 1e+30 m lies beyond 100 km"]),
+        ("--pose 1e300,0,0,0,-90,0", ["lies off the terrain"]),
+        ("--seed -1", ["seed=-1 is not allowed"]),
+        ("--samples 3", ["samples=3 is not allowed"]),
+        ("--products bogus", ["product 'bogus' is unknown"]),
+    ],
+)
+def test_wrong_options_of_a_render(scene, refused, options, words):
+    refused(words, "render", scene, *options.split())
+
+
+@pytest.mark.parametrize("text, words", [
+    ("[[", "is not a TOML file"),
+    ("[time]\nstamps = 5\n", "time.stamps=5 is not understood"),
+    ("[[time.stamps]]\ncolumn = 5\npattern = 7\n", "time.stamps.column=5 is not a text"),
+    ("[tme]\n", "unknown key tme"),
+])  # fmt: skip
+def test_wrong_mapping_files(scene, refused, tmp_path, text, words):
+    (tmp_path / "own.toml").write_text(text)
+    refused(["own.toml", words], "fly", scene, "--format", tmp_path / "own.toml", *QUICK)
+
+
+def test_the_command_line_itself(call):
+    for arguments, words in (
+        (["nonsense"], "No such command 'nonsense'"),
+        (["render"], "Missing argument"),
+        (["render", "heath"], "Missing option '-o'"),
+    ):
+        status, _, errors = call(*arguments)
+        check_sentence(status, errors, [words, "--help` tells what is allowed"])
+    for arguments in ([], ["--help"], ["fly", "--help"]):
+        status, output, errors = call(*arguments)
+        assert (status, errors) == (0, "") and "Usage" in output
+
+
+def test_debug_shows_where(scene, monkeypatch, tmp_path):
+    from thermorender.errors import ThermorenderError
+
+    arguments = ["thermorender", "render", str(scene), "-o", str(tmp_path / "o"), "--samples", "3", "--debug"]
+    monkeypatch.setattr(sys, "argv", arguments)
+    with pytest.raises(ThermorenderError, match="samples=3"):
+        cli.main()
+
+
+# --- output -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("verb", ["render", "fly", "compare", "import-terrain"])
+def test_output_that_cannot_be_written(scene, call, tmp_path, verb):
+    change(scene / "scene.toml", "[camera]", '[truth]\ntemperature = "temperature.tif"\n[camera]')
+    inputs = [scene / "elevation.tif", scene / "orthophoto.tif"] if verb == "import-terrain" else [scene, *QUICK]
+    (tmp_path / "file").write_text("precious")
+    for output in (tmp_path / "file", tmp_path / "file" / "below", Path("/proc/thermorender")):
+        status, _, errors = call(verb, *inputs, "-o", output)
+        check_sentence(status, errors, [output])
+    assert (tmp_path / "file").read_text() == "precious"
+    long = tmp_path / "new" / ("x" * 300)
+    status, _, errors = call(verb, *inputs, "-o", long)
+    check_sentence(status, errors, ["File name too long"])
+    assert not long.parent.exists()
+
+
+def test_a_failure_after_the_folder_is_made_removes_it(scene, refused, monkeypatch):
+    from thermorender.errors import ThermorenderError
+    from thermorender.render.frame import Renderer
+
+    def fail(self, *arguments, **named):
+        raise ThermorenderError("the bake failed")
+
+    change(scene / "scene.toml", "[camera]", '[truth]\ntemperature = "temperature.tif"\n[camera]')
+    monkeypatch.setattr(Renderer, "frame", fail)
+    refused("the bake failed", "render", scene, *QUICK)
+    refused("the bake failed", "fly", scene, *QUICK)
+    refused("the bake failed", "compare", scene, *QUICK)
+
+
+def test_compare_says_what_it_lacks(scene, refused):
+    refused("has no truth.temperature", "compare", scene, *QUICK)
+    change(scene / "scene.toml", "[camera]", '[truth]\ntemperature = "temperature.tif"\n[camera]')
+    refused("learned map 'x' is unknown", "compare", scene, "--models", "x", *QUICK)
+    refused("models is empty", "compare", scene, "--models", ",", *QUICK)
+    refused("samples=3 is not allowed", "compare", scene, "--samples", 3)
+
+
+# --- a flight continued -----------------------------------------------------------------------------------------
+
+
+def test_resume(scene, call, tmp_path):
+    output = tmp_path / "o"
+    flight = ["fly", scene, "-o", output, "--products", "counts,display,video", *QUICK]
+    assert call(*flight)[0] == 0
+    whole = everything(output)
+
+    def untouched(words, *more):
+        before = everything(output)
+        status, _, errors = call(*flight, *more)
+        check_sentence(status, errors, words)
+        assert everything(output) == before
+
+    untouched([output, "already holds a flight", "--resume"])
+    untouched([output / "flight.json", "was flown with seed=0, now seed=1"], "--resume", "--seed", "1")
+    untouched(["was flown with products=", "resume with the same settings"], "--resume", "--products", "counts")
+
+    lines = (output / "frames.jsonl").read_text()
+    (output / "frames.jsonl").write_text(lines[:-40])
+    status, printed, errors = call(*flight, "--resume")
+    assert (status, errors) == (0, "") and "3 frames, 1 rendered now" in printed
+    assert everything(output) == whole
+
+    (output / "frames.jsonl").write_bytes(b"\xff\xfe\x00 not JSON")
+    status, printed, _ = call(*flight, "--resume")
+    assert status == 0 and "3 rendered now" in printed and everything(output) == whole
+
+    for damage in (whole[output / "flight.json"][:50], b"[]", b"\xff"):
+        (output / "flight.json").write_bytes(damage)
+        untouched([output / "flight.json", "is damaged", "another folder"], "--resume")
+    (output / "flight.json").unlink()
+    untouched([output / "flight.json", "is missing beside frames.jsonl"], "--resume")
+    (output / "frames.jsonl").unlink()
+    untouched(["already holds frame_000000", "which a flight would overwrite"])
+
+    (output / "flight.json").write_bytes(whole[output / "flight.json"])
+    (output / "frames.jsonl").write_bytes(whole[output / "frames.jsonl"])
+    (output / "frame_000001.png").write_bytes(b"garbage")
+    untouched(["frame_000001.png is damaged", "remove it"], "--resume")
+    (output / "frame_000001.png").unlink()
+    assert call(*flight, "--resume")[0] == 0 and everything(output) == whole
+
+
+def test_resume_without_a_flight_starts_one(scene, call, tmp_path):
+    status, printed, _ = call("fly", scene, "-o", tmp_path / "o", "--resume", "--products", "counts", *QUICK)
+    assert status == 0 and "3 rendered now" in printed
+    assert json.loads((tmp_path / "o" / "flight.json").read_text())["frames"] == 3
+
+
+def test_a_broken_exr(scene, tmp_path):
+    from thermorender.errors import ThermorenderError
+
+    (tmp_path / "a.exr").write_text("garbage")
+    with pytest.raises(ThermorenderError, match="a.exr cannot be read as EXR"):
+        read_exr(tmp_path / "a.exr")
+
+
+# --- the machine ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def no_llvm(monkeypatch):
+    """A machine without LLVM libraries, as seen by a process that has not chosen a variant yet."""
+    import mitsuba
+
+    from thermorender.render import variant
+
+    monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
+    monkeypatch.setattr(variant, "_SEARCH", ())
+    monkeypatch.setattr(variant.ctypes.util, "find_library", lambda name: None)
+    monkeypatch.setattr(mitsuba, "variant", lambda: None)
+    return variant
+
+
+def test_no_llvm(scene, refused, no_llvm):
+    refused(
+        ["no LLVM library of version 16 or newer", "apt-get install libllvm19", "DRJIT_LIBLLVM_PATH"],
+        "render", scene, "--device", "cpu", *QUICK,
+    )  # fmt: skip
+
+
+def test_old_llvm(scene, refused, no_llvm, monkeypatch, tmp_path):
+    (tmp_path / "libLLVM-15.so.1").write_text("")
+    monkeypatch.setattr(no_llvm, "_SEARCH", (str(tmp_path / "libLLVM*.so*"),))
+    assert list(no_llvm.llvm_libraries().values()) == [15] and no_llvm.usable_llvm() is None
+    refused("no LLVM library of version 16 or newer", "render", scene, "--device", "cpu", *QUICK)
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(tmp_path / "libLLVM-15.so.1"))
+    refused(["libLLVM-15.so.1 is LLVM 15", "apt-get install"], "render", scene, "--device", "cpu", *QUICK)
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(tmp_path / "none.so"))
+    refused(["none.so does not exist", "apt-get install"], "render", scene, "--device", "cpu", *QUICK)
+
+
+# --- a process of its own ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("case", ["scene", "raster", "mesh", "log", "option"])
+def test_as_a_process(scene, tmp_path, case):
+    """Nothing else writes to the error stream: no logging, no library, no progress bar."""
+    arguments, words = ["render", str(scene)], "scene.toml"
+    if case == "scene":
+        change(scene / "scene.toml", "= 250.0", "= 20.0")
+    elif case == "raster":
+        cut(scene / "orthophoto.tif", 0.8)
+        words = "orthophoto.tif cannot be read as a raster"
+    elif case == "mesh":
+        mesh_scene(scene, "model.glb", b"garbage")
+        words = "model.glb cannot be read as a mesh"
+    elif case == "log":
+        (scene / "flight.csv").write_text("time_s\n")
+        arguments, words = ["fly", str(scene)], "flight.csv"
+    else:
+        arguments, words = ["fly", str(scene), "--seed", "x"], "--seed"
+    run = subprocess.run(
+        [sys.executable, "-m", "thermorender", *arguments, "-o", str(tmp_path / "o")],
+        capture_output=True, text=True, encoding="utf-8", env={**os.environ, "PYTHONIOENCODING": "utf-8"},
+    )  # fmt: skip
+    check_sentence(run.returncode, run.stderr, [words])
+    assert run.stdout == "" and not (tmp_path / "o").exists()
