@@ -19,7 +19,7 @@ def kelvin(name, temperature, allow_zero=False):
     name : str
         What the value is called where the user wrote it, for the message.
     temperature : float or array
-        Kelvin; NaN marks "no value" in arrays and passes.
+        Kelvin; NaN marks "no value" in arrays and passes there, not in a single value.
     allow_zero : bool
         Accept exactly 0 K, which radiates nothing (a cold space outside a cavity).
 
@@ -29,7 +29,7 @@ def kelvin(name, temperature, allow_zero=False):
         A value is below 100 K (most likely °C) or infinite.
     """
     values = np.asarray(temperature, dtype=np.float64)
-    bad = (values < LOWEST_KELVIN) | np.isinf(values)
+    bad = (values < LOWEST_KELVIN) | np.isinf(values) | (np.isnan(values) & (values.ndim == 0))
     if allow_zero:
         bad &= values != 0.0
     if bad.any():

@@ -28,7 +28,7 @@ def noise(camera, seed, index):
 
     It depends on `seed` and the frame's `index` only: counter-based Philox, no state between frames.
     """
-    generator = np.random.Generator(np.random.Philox(key=[seed, index]))
+    generator = np.random.Generator(np.random.Philox(key=np.array([seed, index], dtype=np.uint64)))
     return generator.standard_normal((camera.height, camera.width), dtype=np.float32)
 
 
