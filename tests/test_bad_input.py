@@ -183,11 +183,19 @@ def test_a_file_named_but_missing(scene, refused, key, name):
         ("orthophoto =", "ortophoto =", ["unknown key 'ortophoto' in terrain", "did you mean 'orthophoto'"]),
         ('raster = "temperature.tif"', 'rater = "x"', ["unknown key 'rater' in temperature", "did you mean 'raster'"]),
         ('raster = "classes.tif"', 'rastre = "x"', ["unknown key 'rastre' in emissivity", "did you mean 'raster'"]),
-        ("temperature = 250.0", "temprature = 250.0", ["unknown key 'temprature' in sky", "did you mean 'temperature'"]),
+        (
+            "temperature = 250.0",
+            "temprature = 250.0",
+            ["unknown key 'temprature' in sky", "did you mean 'temperature'"],
+        ),
         ("model =", "mode =", ["unknown key 'mode' in camera", "did you mean 'model'"]),
         ("[camera]", "[truth]\ntemprature = 3\n[camera]", ["unknown key 'temprature' in truth", "did you mean"]),
         ("[camera]", "[surroundings]\nt = 3\n[camera]", ["unknown key 't' in surroundings", "allowed are temperature"]),
-        ("[camera]", "[frame]\nlatitude = 3\n[camera]", ["unknown key 'latitude' in frame", "did you mean 'latitude_deg'"]),
+        (
+            "[camera]",
+            "[frame]\nlatitude = 3\n[camera]",
+            ["unknown key 'latitude' in frame", "did you mean 'latitude_deg'"],
+        ),
         ("[sky]", OBJECT.replace("shape", "shap") + "[sky]", ["unknown key 'shap' in object 'marker'", "'shape'"]),
     ],
 )  # fmt: skip
@@ -200,7 +208,11 @@ def test_unknown_keys(scene, refused, old, new, words):
     "old, new, words",
     [
         ('"elevation.tif"', "5", ["terrain.elevation=5 is not allowed", "a text"]),
-        ('"elevation.tif"', '"../elevation.tif"', ["terrain.elevation='../elevation.tif'", "inside the scene's folder"]),
+        (
+            '"elevation.tif"',
+            '"../elevation.tif"',
+            ["terrain.elevation='../elevation.tif'", "inside the scene's folder"],
+        ),
         ('"elevation.tif"', '"/etc/hostname"', ["terrain.elevation='/etc/hostname'", "inside the scene's folder"]),
         ('"elevation.tif"', '"a\\u0000b"', ["terrain.elevation=", "the name of a file"]),
         ('"elevation.tif"', '"' + 300 * "x" + '"', ["terrain.elevation=", "the name of a file"]),
@@ -213,13 +225,21 @@ def test_unknown_keys(scene, refused, old, new, words):
         ("= 250.0", "= 19.5", ["sky.temperature=19.5 is below 100 K", "add 273.15 to °C"]),
         ("temperature = 250.0", "", ["key 'temperature' is missing in sky"]),
         ('"tiny"', "5", ["title=5 is not allowed"]),
-        ('source = "raster"', 'source = "rasterr"', ["temperature.source='rasterr'", "constant, raster, material, learned"]),
+        (
+            'source = "raster"',
+            'source = "rasterr"',
+            ["temperature.source='rasterr'", "constant, raster, material, learned"],
+        ),
         ('source = "raster"', 'source = "learned"', ["temperature.model is missing", "source='learned' needs it"]),
         ('source = "raster"', 'source = "learned"\nmodel = "fok"', ["temperature.model: learned map 'fok' is unknown"]),
         ('1 = "grass_green"', '1 = "gras_green"', ["emissivity.classes.1 uses material 'gras_green'", "grass_green"]),
         ('1 = "grass_green"', '"²" = "asphalt"', ["emissivity.classes='²'", "class numbers 1…255"]),
         ('1 = "grass_green"\n', "", ["classes.tif holds class 1", "does not name"]),
-        ("[sky]", OBJECT.replace("paint_black", "pant_black") + "[sky]", ["object 'marker' uses material 'pant_black'"]),
+        (
+            "[sky]",
+            OBJECT.replace("paint_black", "pant_black") + "[sky]",
+            ["object 'marker' uses material 'pant_black'"],
+        ),
         ("[sky]", OBJECT.replace("330.0", "57.0") + "[sky]", ["object 'marker'.temperature=57 is below 100 K"]),
         ("[sky]", OBJECT.replace("[0.0", "[500.0") + "[sky]", ["object 'marker' stands at 500 m east", "no terrain"]),
         ("[sky]", OBJECT.replace('"marker"', '"a:b"') + "[sky]", ["object 'a:b'.name='a:b'", "without ':'"]),
@@ -316,7 +336,8 @@ def test_islands_without_height_are_holes(scene, call, tmp_path):
     # 3 × 3 cells touch the island in the middle and one cell the corner; each other cell is two triangles.
     assert len(mesh.faces) == 2 * (49 - 9 - 1)
     status, _, errors = call(
-        "render", scene, "-o", tmp_path / "o", "--pose", "0,0,20,0,-90,0", "--local-up", "--products", "exr,truth", *QUICK
+        "render", scene, "-o", tmp_path / "o", "--pose", "0,0,20,0,-90,0", "--local-up",
+        "--products", "exr,truth", *QUICK,
     )
     assert (status, errors) == (0, "")
     channels, _ = read_exr(tmp_path / "o" / "frame_000000.exr")
@@ -331,10 +352,12 @@ def test_islands_without_height_are_holes(scene, call, tmp_path):
 
 def test_import_leaves_nothing(scene, refused, call, tmp_path):
     elevation, orthophoto = scene / "elevation.tif", scene / "orthophoto.tif"
-    refused("sky_temperature=nan is not a finite number", "import-terrain", elevation, orthophoto, "--sky-temperature", "nan")
+    nan = "sky_temperature=nan is not a finite number"
+    refused(nan, "import-terrain", elevation, orthophoto, "--sky-temperature", "nan")
     refused("sky_temperature=-20 is below 100 K", "import-terrain", elevation, orthophoto, "--sky-temperature", "-20")
     refused("geoid_undulation_m=inf", "import-terrain", elevation, orthophoto, "--geoid-undulation-m", "inf")
-    refused("--height-reference='sea' is not allowed", "import-terrain", elevation, orthophoto, "--height-reference", "sea")
+    sea = "--height-reference='sea' is not allowed"
+    refused(sea, "import-terrain", elevation, orthophoto, "--height-reference", "sea")
     refused("learned map 'none' is unknown", "import-terrain", elevation, orthophoto, "--model", "none")
     refused("max_texels=-1", "import-terrain", elevation, orthophoto, "--max-texels", "-1")
     raster(tmp_path / "far.tif", COLOURS, corner=ELSEWHERE)

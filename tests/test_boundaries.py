@@ -55,12 +55,18 @@ def test_data_flow_has_one_direction():
 @pytest.mark.parametrize(
     ("code", "absent"),
     [
-        ("import thermorender, thermorender.cli", ("mitsuba", "drjit", "torch", "rasterio", "scipy", "cv2", "matplotlib", "trimesh")),
+        (
+            "import thermorender, thermorender.cli",
+            ("mitsuba", "drjit", "torch", "rasterio", "scipy", "cv2", "matplotlib", "trimesh"),
+        ),
         ("import thermorender as tr; tr.load_scene('heath')", ("mitsuba", "drjit", "torch", "matplotlib")),
         ("import thermorender as tr; tr.Renderer(tr.load_scene('heath'), rays=1)", ("torch", "matplotlib")),
     ],
 )
 def test_light_use_loads_little(code, absent):
-    check = f"import sys\n{code}\nfound = [name for name in {absent!r} if name in sys.modules]\nsys.exit(str(found) if found else 0)"
+    check = (
+        f"import sys\n{code}\nfound = [name for name in {absent!r} if name in sys.modules]\n"
+        "sys.exit(str(found) if found else 0)"
+    )
     run = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True)
     assert run.returncode == 0, run.stderr

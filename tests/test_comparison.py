@@ -4,9 +4,9 @@ import json
 
 import numpy as np
 import pytest
-from scenes import write_terrain
 
 import thermorender as tr
+from scenes import write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.learned.correlation import load_model
 from thermorender.physics.planck import brightness_temperature

@@ -1,5 +1,7 @@
 """The published linear maps: coefficients, neighbourhood, range and the way to kinetic temperature."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -14,8 +16,13 @@ def picture(height=40, width=30):
     return np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8)
 
 
-def test_published_sums():
+def test_published_coefficients():
     assert MODELS["fok-1to1"].kernel.ravel().tolist() == [1.750, 0.236, -1.033]
+    # Equation 9, row by row of the neighbourhood.
+    red, green, blue = np.moveaxis(MODELS["fok-9to1"].kernel, -1, 0)
+    assert red.ravel().tolist() == [0.680, -0.089, 0.853, -0.299, -0.973, -0.317, 0.991, -0.071, 1.112]
+    assert green.ravel().tolist() == [0.789, -0.157, 0.511, -0.302, -0.872, -0.451, 0.544, -0.235, 0.329]
+    assert blue.ravel().tolist() == [-1.314, 0.322, -1.201, 0.671, 1.873, 0.842, -1.380, 0.382, -1.279]
     np.testing.assert_allclose(MODELS["fok-9to1"].kernel.sum(axis=(0, 1)), [1.887, 0.156, -1.084], atol=1e-12)
 
 
@@ -66,6 +73,15 @@ def test_neighbourhood_is_laid_out_in_metres():
         )
 
 
+def test_a_tap_sees_its_whole_area():
+    # Stripes one texel wide, four to a tap: averaged, they all but vanish; picked one by one, they stay.
+    stripes = np.zeros((32, 32, 3), np.uint8)
+    stripes[:, ::2] = 255
+    model = load_model("fok-1to1")
+    averaged = model.intensity(stripes, model.texel_m / 4)[8:-8, 8:-8]
+    assert averaged.std() < 0.2 * model.intensity(stripes)[8:-8, 8:-8].std()
+
+
 def test_intensity_is_linear_in_band_radiance():
     model = load_model("fok-1to1", (10.0, 30.0))
     ends = band_radiance(np.array([283.15, 303.15]), *model.band_um)
@@ -94,6 +110,28 @@ def test_kinetic_temperatures_and_their_flags():
     blue = np.zeros((3, 4, 3), np.uint8)
     blue[..., 2] = 255
     assert kinetic_from_map(model, blue, material, materials, 0.157)[2] == 1.0
+    yellow = 255 - blue
+    assert kinetic_from_map(model, yellow, material, materials, 0.157)[2] == 1.0
+
+
+def test_what_is_not_trusted_gets_its_materials_temperature():
+    model = load_model("fok-1to1")
+    shiny, dull = replace(grey("shiny", 0.45), temperature=311.0), replace(grey("dull", 0.55), temperature=312.0)
+    # 9 °C and 33 °C apparent; under a sky of 255 K the dull surface is then at about 25 °C and 70 °C.
+    rgb = np.array([[[0, 0, 124], [255, 255, 0]]] * 2, np.uint8)
+    material = np.array([[0, 0], [1, 1]], np.uint8)
+    temperature, trusted, _ = kinetic_from_map(model, rgb, material, (shiny, dull), model.texel_m)
+    assert trusted.tolist() == [[False, False], [True, False]]
+    assert temperature[~trusted].tolist() == [311.0, 311.0, 312.0]
+    assert 290.0 < temperature[1, 0] < 305.0
+
+
+def test_neighbourhood_in_metres_reaches_the_temperatures():
+    model, rgb, black = load_model("fok-9to1"), picture(12, 12), grey("black", 1.0)
+    temperature, trusted, _ = kinetic_from_map(model, rgb, np.zeros((12, 12), np.uint8), (black,), model.texel_m / 4)
+    expected = brightness_temperature(model.radiance(model.intensity(rgb, model.texel_m / 4)), *model.band_um)
+    np.testing.assert_allclose(temperature[trusted], expected[trusted], atol=1e-3)
+    assert trusted.mean() > 0.5
 
 
 def test_errors():

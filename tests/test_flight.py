@@ -4,9 +4,9 @@ import json
 
 import numpy as np
 import pytest
-from scenes import write_terrain
 
 import thermorender as tr
+from scenes import write_terrain
 from thermorender import products
 from thermorender.errors import ThermorenderError
 from thermorender.flight import fly
@@ -65,6 +65,7 @@ def test_products_and_records(setting, tmp_path):
     np.testing.assert_array_equal(counts, frame.counts)
     video = cv2.VideoCapture(str(tmp_path / "f/flight.mp4"))
     assert video.get(cv2.CAP_PROP_FRAME_COUNT) == 5 and video.get(cv2.CAP_PROP_FRAME_WIDTH) == 640
+    assert video.get(cv2.CAP_PROP_FPS) == pytest.approx(4.0)
 
 
 def test_resume_gives_the_same_bytes(setting, tmp_path):
@@ -105,7 +106,8 @@ def test_resume_refuses_other_settings(setting, tmp_path):
 def test_products_are_optional(setting, tmp_path):
     renderer, path = setting
     fly(renderer, path, tmp_path / "f", rate_hz=1.0, products=("counts-tiff",))
-    assert set(contents(tmp_path / "f")) == {"flight.json", "frames.jsonl", "frame_000000_counts.tif", "frame_000001_counts.tif"}
+    images = {"frame_000000_counts.tif", "frame_000001_counts.tif"}
+    assert set(contents(tmp_path / "f")) == {"flight.json", "frames.jsonl", *images}
     for wanted, words in (
         (("exrs",), "product 'exrs' is unknown; give some of exr, counts"),
         (("truth",), "add 'exr'"),
@@ -116,6 +118,13 @@ def test_products_are_optional(setting, tmp_path):
     assert not (tmp_path / "g").exists()
 
 
+def test_colours_keep_their_order(tmp_path):
+    import cv2
+
+    products.write_image(tmp_path / "a.png", np.full((2, 2, 3), (250, 100, 10), np.uint8))
+    assert cv2.imread(str(tmp_path / "a.png"))[0, 0].tolist() == [10, 100, 250]
+
+
 def test_atomic_writing_leaves_nothing_behind(tmp_path):
     target = tmp_path / "a.txt"
     target.write_text("before")
@@ -124,3 +133,8 @@ def test_atomic_writing_leaves_nothing_behind(tmp_path):
             part.write_text("half")
             raise OSError("no room")
     assert target.read_text() == "before" and contents(tmp_path).keys() == {"a.txt"}
+    # A whole new file takes the name; the old one is never written into.
+    (tmp_path / "old").hardlink_to(target)
+    with products.atomic(target) as part:
+        part.write_text("after")
+    assert target.read_text() == "after" and (tmp_path / "old").read_text() == "before"

@@ -14,7 +14,7 @@ BAND = (7.5, 13.5)
 
 
 def exact_band_radiance(temperature, lower_um, upper_um):
-    """30-digit band radiance and derivative through the polylogarithm series of x³/(eˣ−1)."""
+    """30-digit band radiance through the polylogarithm series of x³/(eˣ−1)."""
     with mpmath.workdps(40):
         h, c, k = mpmath.mpf("6.62607015e-34"), mpmath.mpf(299792458), mpmath.mpf("1.380649e-23")
         c1 = 2 * h * c**2 * mpmath.mpf(10) ** 24
@@ -76,6 +76,13 @@ def test_spectral_integrates_to_band():
     temperature = np.array([150.0, 300.0, 1000.0])
     integral = planck.spectral_radiance(wavelength, temperature[:, None]) @ weight
     np.testing.assert_allclose(integral, planck.band_radiance(temperature, *BAND), rtol=1e-12)
+
+
+@pytest.mark.parametrize("temperature", [20.0, 300.0, 5000.0])
+def test_derivative_is_that_of_the_band_radiance(temperature):
+    with mpmath.workdps(40):
+        exact = mpmath.diff(lambda kelvin: exact_band_radiance(kelvin, *BAND), mpmath.mpf(temperature), h="1e-9")
+    assert abs(planck.band_radiance_derivative(temperature, *BAND) / exact - 1) < 1e-12
 
 
 def test_published_derivative_at_300_k():

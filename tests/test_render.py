@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from scenes import write_mesh, write_terrain
 
 import thermorender as tr
+from scenes import write_mesh, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.render import bake
-from thermorender.render.frame import morton_order
+from thermorender.render.sampling import morton_order
 from thermorender.render.geometry import Geometry
 from thermorender.render.plan import make_plan
 from thermorender.render.variant import activate
@@ -75,19 +75,19 @@ def view_factor_of_parallel_squares(ratio):
     """Identical directly opposed squares of side/distance `ratio` (Howell, catalogue of view factors, C-11)."""
     x = ratio
     one = 1 + x**2
-    return (
-        2
-        / (np.pi * x**2)
-        * (np.log(np.sqrt(one**2 / (1 + 2 * x**2))) + 2 * x * np.sqrt(one) * np.arctan(x / np.sqrt(one)) - 2 * x * np.arctan(x))
-    )
+    edges = 2 * x * np.sqrt(one) * np.arctan(x / np.sqrt(one)) - 2 * x * np.arctan(x)
+    return 2 / (np.pi * x**2) * (np.log(np.sqrt(one**2 / (1 + 2 * x**2))) + edges)
 
 
-def test_transport_against_the_view_factor_of_parallel_squares(tmp_path):
+# Two large faces show that rays start all over a face, many small ones that faces are told apart.
+@pytest.mark.parametrize(("subdivisions", "rays"), [(0, 16384), (2, 1024)])
+def test_transport_against_the_view_factor_of_parallel_squares(tmp_path, subdivisions, rays):
     lower, upper = square(2.0), square(2.0, up=2.0)
     upper.invert()
-    pair = trimesh.util.concatenate([lower, upper]).subdivide().subdivide()
+    pair = trimesh.util.concatenate([lower, upper])
+    for _ in range(subdivisions):
+        pair = pair.subdivide()
     scene = tr.load_scene(write_mesh(tmp_path / "s", pair))
-    rays = 1024
     transport = bake.trace(Geometry(activate(), scene.surfaces), rays)
     up = scene.surfaces[0].vertices[scene.surfaces[0].faces].mean(axis=1)[:, 2] > 1.0
     seen = np.asarray(transport.operator[~up][:, up].sum()) / (~up).sum()
@@ -109,7 +109,8 @@ def test_occluded_directions_return_solved_radiance(tmp_path):
         280.0,
         0.5,
         sky=200.0,
-        extra='[[object]]\nname = "roof"\nfile = "roof.ply"\nposition = [0, 0, 1.0]\ntemperature = 330.0\nmaterial = "soot"\n',
+        extra='[[object]]\nname = "roof"\nfile = "roof.ply"\nposition = [0, 0, 1.0]\n'
+        'temperature = 330.0\nmaterial = "soot"\n',
     )
     ceiling.apply_translation([0, 0, -1.0])
     ceiling.invert()
@@ -174,8 +175,9 @@ def test_texels_lie_where_the_map_says(tmp_path):
     # One warm texel, looked at from right above: its place in the image gives its place on the ground.
     temperature = np.full((64, 64), 290.0)
     temperature[20, 41] = 320.0
-    scene = tr.load_scene(write_terrain(tmp_path / "s", height=np.zeros((32, 32)), temperature=temperature, classes=np.ones((64, 64))))
-    frame = tr.Renderer(scene, rays=1, samples=16).frame(tr.pose(0, 0, 20, **DOWN))
+    flat, grass = np.zeros((32, 32)), np.ones((64, 64))
+    scene = tr.load_scene(write_terrain(tmp_path / "s", height=flat, temperature=temperature, classes=grass))
+    frame = tr.Renderer(scene, rays=1, samples=16, taps=1).frame(tr.pose(0, 0, 20, **DOWN))
     weight = frame.radiance - np.median(frame.radiance[200:300, 300:340])
     weight = np.clip(weight, 0, None) * (frame.truth["mask"] == SURFACE)
     row, column = ((weight * axis).sum() / weight.sum() + 0.5 for axis in np.mgrid[:512, :640])
@@ -187,10 +189,9 @@ def test_texels_lie_where_the_map_says(tmp_path):
 
 def test_radiance_is_averaged_not_temperature(tmp_path):
     checker = np.where(np.indices((64, 64)).sum(axis=0) % 2, 250.0, 350.0)
-    scene = tr.load_scene(
-        write_terrain(tmp_path / "s", height=np.zeros((32, 32)), temperature=checker, classes=np.ones((64, 64)), sky=0.0)
-    )
-    far = tr.Renderer(scene, rays=1, samples=16).frame(tr.pose(0, 0, 150, **DOWN))
+    flat, grass = np.zeros((32, 32)), np.ones((64, 64))
+    scene = tr.load_scene(write_terrain(tmp_path / "s", height=flat, temperature=checker, classes=grass, sky=0.0))
+    far = tr.Renderer(scene, rays=1, samples=16, taps=1).frame(tr.pose(0, 0, 150, **DOWN))
     seen = far.radiance[236:276, 300:340].mean()
     material = scene.materials[0]
     from thermorender.physics.band import emitted_radiance
@@ -222,10 +223,15 @@ def test_new_temperatures_reuse_the_traced_light(tmp_path, monkeypatch):
 
 
 def test_targets_and_their_visibility(tmp_path):
+    things = (
+        ("disc", "disc", [2.0, 1.0, 0.0]),
+        ("roof", "box", [-3.0, 0.0, 2.0]),
+        ("hidden", "disc", [-3.0, 0.0, 0.0]),
+    )
     extra = "".join(
         f'[[object]]\nname = "{name}"\nshape = "{shape}"\nsize = [1, 1, 1]\nposition = {place}\n'
         f'temperature = 330.0\nmaterial = "paint_black"\n'
-        for name, shape, place in (("disc", "disc", [2.0, 1.0, 0.0]), ("roof", "box", [-3.0, 0.0, 2.0]), ("hidden", "disc", [-3.0, 0.0, 0.0]))
+        for name, shape, place in things
     )
     scene = tr.load_scene(write_terrain(tmp_path / "s", height=np.zeros((16, 16)), extra=extra))
     frame = tr.Renderer(scene, rays=1).frame(tr.pose(0, 0, 20, **DOWN))
@@ -252,7 +258,8 @@ def test_empty_colour_is_masked(tmp_path):
 
 
 def test_beyond_the_edge_lies_ground_not_sky(tmp_path):
-    scene = tr.load_scene(write_terrain(tmp_path / "s", height=np.zeros((16, 16)), temperature=np.full((32, 32), 295.0), sky=200.0))
+    flat, even = np.zeros((16, 16)), np.full((32, 32), 295.0)
+    scene = tr.load_scene(write_terrain(tmp_path / "s", height=flat, temperature=even, sky=200.0))
     frame = tr.Renderer(scene, rays=8).frame(tr.pose(0, 0, 30, pitch_deg=0.0))
     assert frame.apparent_temperature[0, 320] == pytest.approx(200.0, abs=1e-3)
     assert 290.0 < frame.apparent_temperature[511, 320] < 295.0

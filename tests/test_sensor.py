@@ -60,10 +60,11 @@ def test_noise_free_read_out_inverts_within_half_a_count():
 def test_ends_of_the_range():
     camera = replace(CAMERA, netd_mk=1e-9)
     ends = band_radiance(np.array(camera.range_c) + 273.15, *camera.band_um)
-    full = bolometer.counts(np.broadcast_to(ends[:, None], (2, 1)).repeat(1, 1), replace(camera, width=1, height=2), 0, 0)
+    full = bolometer.counts(ends[:, None], replace(camera, width=1, height=2), 0, 0)
     assert full.ravel().tolist() == [0, 2**14 - 1]
     hot = bolometer.counts(np.full((512, 640), 1e4, np.float32), CAMERA, 0, 0)
     assert bolometer.saturated(hot, CAMERA).all() and not bolometer.saturated(full + 5, camera)[0, 0]
+    assert bolometer.saturated(full, camera).all()
 
 
 def test_display_stretches_and_keeps_noise_quiet():

@@ -9,10 +9,10 @@ import pytest
 import rasterio
 
 from thermorender.errors import ThermorenderError
-from thermorender.scene.procedural.noise import fractal_noise, stream
-from thermorender.scene.synthetic import KINDS, make, write
 from thermorender.scene.procedural.heat import STEFAN_BOLTZMANN, THERMAL, saturation_vapour, step
 from thermorender.scene.procedural.light import incidence, normals, sky_view, sun_position, sun_visibility
+from thermorender.scene.procedural.noise import fractal_noise, stream
+from thermorender.scene.synthetic import KINDS, make, write
 
 try:
     import tomllib

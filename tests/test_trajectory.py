@@ -6,8 +6,8 @@ from conftest import shared_data
 from scipy.spatial.transform import Rotation
 
 from thermorender.errors import ThermorenderError
-from thermorender.trajectory.rotations import rotation_from_angles, wxyz
 from thermorender.scene.georeference import LocalFrame
+from thermorender.trajectory.mapping import bundled_formats
 from thermorender.trajectory.path import (
     Anchor,
     Trajectory,
@@ -16,8 +16,8 @@ from thermorender.trajectory.path import (
     parse_lever_arm,
     parse_mount,
 )
-from thermorender.trajectory.mapping import bundled_formats
 from thermorender.trajectory.readers import read_trajectory
+from thermorender.trajectory.rotations import rotation_from_angles, wxyz
 
 FRAME = LocalFrame(47.2, 8.5, 430.0)
 

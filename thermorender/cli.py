@@ -3,7 +3,7 @@
 import sys
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import typer
 
@@ -19,31 +19,32 @@ app = typer.Typer(
 SceneName = Annotated[str, typer.Argument(help="Scene folder, or the name of a shipped one: heath, village, ridge.")]
 Out = Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")]
 Seed = Annotated[int, typer.Option(help="Seed of the sensor's noise.")]
-Samples = Annotated[int, typer.Option(help="Rays per pixel: 1, 2, 4, 8 or 16.")]
+Quality = Annotated[str, typer.Option(help="fast, standard or high: how finely a pixel is sampled.")]
+Tolerance = Annotated[float, typer.Option(help="Error allowed to the spectral nodes [mK].")]
 Rays = Annotated[int, typer.Option(help="Rays per face for the light between surfaces.")]
 Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
 Products = Annotated[str, typer.Option(help="Comma-separated: exr, truth, counts, counts-tiff, display, video.")]
 Temperature = Annotated[
-    Optional[str], typer.Option(help="Learned map that gives the temperatures in place of the scene's own source.")
+    str | None, typer.Option(help="Learned map that gives the temperatures in place of the scene's own source.")
 ]
-RangeC = Annotated[Optional[str], typer.Option(help="COLD,WARM: °C of intensity 0 and 1 of a learned map.")]
+RangeC = Annotated[str | None, typer.Option(help="COLD,WARM: °C of intensity 0 and 1 of a learned map.")]
 TrajectoryFiles = Annotated[
-    Optional[list[Path]],
+    list[Path] | None,
     typer.Option("--trajectory", help="Log in CSV; repeat for logs in several files. Default: the scene's flight.csv."),
 ]
 Format = Annotated[
-    Optional[str], typer.Option("--format", help="Columns of the log: dji-gimbal, rocket-firm, px4, or a TOML file.")
+    str | None, typer.Option("--format", help="Columns of the log: dji-gimbal, rocket-firm, px4, or a TOML file.")
 ]
 AnchorText = Annotated[
-    Optional[str], typer.Option(help="E,N,U,HEADING: re-base the log there [m, m, m above ground, deg].")
+    str | None, typer.Option(help="E,N,U,HEADING: re-base the log there [m, m, m above ground, deg].")
 ]
 ClockOffset = Annotated[float, typer.Option(help="Added to the log's times [s].")]
-Mount = Annotated[Optional[str], typer.Option(help="YAW,PITCH,ROLL of the camera on the vehicle [deg].")]
+Mount = Annotated[str | None, typer.Option(help="YAW,PITCH,ROLL of the camera on the vehicle [deg].")]
 LeverArm = Annotated[
     str, typer.Option(help="FORWARD,RIGHT,DOWN: the camera's place on the vehicle [m].")
 ]
-Start = Annotated[Optional[float], typer.Option(help="First time to fly [s].")]
-Stop = Annotated[Optional[float], typer.Option(help="Last time to fly [s].")]
+Start = Annotated[float | None, typer.Option(help="First time to fly [s].")]
+Stop = Annotated[float | None, typer.Option(help="Last time to fly [s].")]
 Below = Annotated[bool, typer.Option("--allow-below-ground", help="Fly even where the path is under the terrain.")]
 
 
@@ -53,7 +54,9 @@ def _options(debug: Annotated[bool, typer.Option("--debug", help="Show the trace
 
 
 @app.command()
-def doctor(install: Annotated[bool, typer.Option("--install", help="Install a missing LLVM runtime with apt.")] = False):
+def doctor(
+    install: Annotated[bool, typer.Option("--install", help="Install a missing LLVM runtime with apt.")] = False,
+):
     """Tell what works on this machine and how to mend what does not."""
     from thermorender.doctor import examine
     from thermorender.render.variant import install_llvm
@@ -73,8 +76,10 @@ def import_terrain(
     output: Out,
     max_vertices: Annotated[int, typer.Option(help="Most posts of the mesh.")] = 4_000_000,
     max_texels: Annotated[int, typer.Option(help="Most texels along a side of the texture.")] = 8192,
-    height_reference: Annotated[Optional[str], typer.Option(help="ellipsoid or geoid; default: what the CRS says.")] = None,
-    geoid_undulation_m: Annotated[Optional[float], typer.Option(help="Geoid above ellipsoid there [m].")] = None,
+    height_reference: Annotated[
+        str | None, typer.Option(help="ellipsoid or geoid; default: what the CRS says.")
+    ] = None,
+    geoid_undulation_m: Annotated[float | None, typer.Option(help="Geoid above ellipsoid there [m].")] = None,
     model: Annotated[str, typer.Option(help="Learned map for the temperatures.")] = "fok-1to1",
     material: Annotated[str, typer.Option(help="Material of the ground.")] = "soil_loam",
     sky_temperature: Annotated[float, typer.Option(help="[K]")] = 255.0,
@@ -88,7 +93,8 @@ def import_terrain(
                   material, sky_temperature)  # fmt: skip
     typer.echo(f"{output}: {summary['posts'][1]}×{summary['posts'][0]} posts of {summary['post_m']:.3g} m, "
                f"{summary['texels'][1]}×{summary['texels'][0]} texels of {summary['texel_m']:.3g} m; "
-               f"{summary['share_without_height']:.1%} without height, {summary['share_without_colour']:.1%} without colour; "
+               f"{summary['share_without_height']:.1%} without height, "
+               f"{summary['share_without_colour']:.1%} without colour; "
                f"heights above the {summary['height_reference']}")  # fmt: skip
 
 
@@ -97,9 +103,9 @@ def make_scene(
     kind: Annotated[str, typer.Argument(help="heath, village or ridge.")],
     output: Out,
     seed: Annotated[int, typer.Option(help="Another seed is another place.")] = 0,
-    size_m: Annotated[Optional[float], typer.Option(help="Side of the square [m].")] = None,
-    texel_m: Annotated[Optional[float], typer.Option(help="Side of an orthophoto texel [m].")] = None,
-    post_m: Annotated[Optional[float], typer.Option(help="Distance of elevation posts [m].")] = None,
+    size_m: Annotated[float | None, typer.Option(help="Side of the square [m].")] = None,
+    texel_m: Annotated[float | None, typer.Option(help="Side of an orthophoto texel [m].")] = None,
+    post_m: Annotated[float | None, typer.Option(help="Distance of elevation posts [m].")] = None,
 ):
     """Make a procedural scene with known temperatures from a seed."""
     from thermorender.scene import synthetic
@@ -111,14 +117,14 @@ def make_scene(
 
 
 @app.command()
-def plan(scene: SceneName, samples: Samples = 4, rays: Rays = 128):
+def plan(scene: SceneName, quality: Quality = "standard", rays: Rays = 128, tolerance_mk: Tolerance = 5.0):
     """Print what rendering a scene needs, what is left out, and the bound that allows it."""
     from thermorender.render.plan import make_plan
     from thermorender.scene.load import load_scene
 
     loaded = load_scene(scene)
     typer.echo(str(loaded))
-    _table(("item", "in", "why"), make_plan(loaded, samples, rays).rows())
+    _table(("item", "in", "why"), make_plan(loaded, quality, rays=rays, tolerance_mk=tolerance_mk).rows())
 
 
 @app.command()
@@ -136,8 +142,9 @@ def render(
     temperature: Temperature = None,
     range_c: RangeC = None,
     seed: Seed = 0,
-    samples: Samples = 4,
+    quality: Quality = "standard",
     rays: Rays = 128,
+    tolerance_mk: Tolerance = 5.0,
     device: Device = "auto",
 ):
     """Render one frame."""
@@ -155,7 +162,7 @@ def render(
             if ground != ground:
                 raise ThermorenderError(f"--pose={pose!r} lies off the terrain; move it, or give --local-up")
             up += ground
-        renderer = _renderer(loaded, samples, rays, seed, device, tell)
+        renderer = _renderer(loaded, quality, rays, tolerance_mk, seed, device, tell)
         with files.output_folder(output) as folder:
             frame = renderer.frame(make_pose(east, north, up, *angles))
             written = files.write(folder, frame, wanted)
@@ -181,15 +188,16 @@ def fly(
     lever_arm_m: LeverArm = "0,0,0",
     start_s: Start = None,
     stop_s: Stop = None,
-    rate_hz: Annotated[Optional[float], typer.Option(help="Frames per second; default: the camera's.")] = None,
+    rate_hz: Annotated[float | None, typer.Option(help="Frames per second; default: the camera's.")] = None,
     products: Products = "exr,truth,counts,display,video",
     temperature: Temperature = None,
     range_c: RangeC = None,
     allow_below_ground: Below = False,
     resume: Annotated[bool, typer.Option("--resume", help="Continue a stopped flight.")] = False,
     seed: Seed = 0,
-    samples: Samples = 4,
+    quality: Quality = "standard",
     rays: Rays = 128,
+    tolerance_mk: Tolerance = 5.0,
     device: Device = "auto",
 ):
     """Render the frames of a flight."""
@@ -201,7 +209,7 @@ def fly(
         loaded = _scene(scene, temperature, range_c)
         path = _trajectory(loaded, trajectory, format, anchor, clock_offset_s, mount, lever_arm_m)
         _above_ground(loaded, path, rate_hz, start_s, stop_s, allow_below_ground)
-        renderer = _renderer(loaded, samples, rays, seed, device, tell)
+        renderer = _renderer(loaded, quality, rays, tolerance_mk, seed, device, tell)
         summary = run(
             renderer, path, output, rate_hz, wanted, start_s, stop_s, resume,
             lambda done, total: tell(f"frame {done} of {total}", done / total),
@@ -221,8 +229,9 @@ def compare(
     range_c: RangeC = None,
     allow_below_ground: Below = False,
     seed: Seed = 0,
-    samples: Samples = 4,
+    quality: Quality = "standard",
     rays: Rays = 128,
+    tolerance_mk: Tolerance = 5.0,
     device: Device = "auto",
 ):
     """Hold learned 2D translations against the radiometric render of the same poses."""
@@ -237,7 +246,7 @@ def compare(
         with files.output_folder(output):
             summary = run(
                 loaded, path, output, _split(models), rate_hz, _range(range_c), tell,
-                seed=seed, samples=samples, rays=rays, device=device,
+                quality=quality, rays=rays, tolerance_mk=tolerance_mk, seed=seed, device=device,
             )  # fmt: skip
     rows = [
         (name, *(f"{error[key]:+.3f}" if error[key] is not None else "none" for key in
@@ -246,8 +255,10 @@ def compare(
     ]  # fmt: skip
     _table(("arm", "mean error [°C]", "mean absolute error [°C]", "standard deviation [°C]", "pixels"), rows)
     for name, report in summary["maps"].items():
-        typer.echo(f"{name}: {report['share_outside_0_1']:.1%} of the texels' intensities lie outside 0…1, "
-                   f"{report['share_fallback']:.1%} of the texels fall back to their material's temperature")  # fmt: skip
+        typer.echo(
+            f"{name}: {report['share_outside_0_1']:.1%} of the texels' intensities lie outside 0…1, "
+            f"{report['share_fallback']:.1%} of the texels fall back to their material's temperature"
+        )
     typer.echo(f"pictures and comparison.json in {output}")
 
 
@@ -302,15 +313,17 @@ def _scene(name, temperature, range_c):
     elif range_c:
         raise ThermorenderError(f"--range-c={range_c!r} needs a learned map; add --temperature fok-1to1")
     for model, report in loaded.report.items():
-        typer.echo(f"{model}: {report['share_outside_0_1']:.1%} of the intensities lie outside 0…1, "
-                   f"{report['share_fallback']:.1%} of the texels fall back to their material's temperature")  # fmt: skip
+        typer.echo(
+            f"{model}: {report['share_outside_0_1']:.1%} of the intensities lie outside 0…1, "
+            f"{report['share_fallback']:.1%} of the texels fall back to their material's temperature"
+        )
     return loaded
 
 
-def _renderer(scene, samples, rays, seed, device, tell):
+def _renderer(scene, quality, rays, tolerance_mk, seed, device, tell):
     from thermorender.render.frame import Renderer
 
-    return Renderer(scene, samples=samples, rays=rays, seed=seed, device=device, progress=tell)
+    return Renderer(scene, quality, rays=rays, tolerance_mk=tolerance_mk, seed=seed, device=device, progress=tell)
 
 
 def _trajectory(scene, files, format, anchor, clock_offset_s, mount, lever_arm_m):

@@ -97,11 +97,15 @@ def _done(folder, settings, products, resume):
             )
         other = next(folder.glob("frame_*"), None)
         if other:
-            raise ThermorenderError(f"{folder} already holds {other.name}, which a flight would overwrite; give another folder")
+            raise ThermorenderError(
+                f"{folder} already holds {other.name}, which a flight would overwrite; give another folder"
+            )
         return 0
     if not described.exists():
         if lines.exists():
-            raise ThermorenderError(f"{described} is missing beside frames.jsonl; start the flight again in another folder")
+            raise ThermorenderError(
+                f"{described} is missing beside frames.jsonl; start the flight again in another folder"
+            )
         return 0
     try:
         before = json.loads(described.read_text(encoding="utf-8"))
@@ -116,7 +120,8 @@ def _done(folder, settings, products, resume):
                 "settings or give another folder"
             )
     kept = []
-    for number, line in enumerate(lines.read_text(encoding="utf-8", errors="replace").splitlines() if lines.exists() else []):
+    text = lines.read_text(encoding="utf-8", errors="replace") if lines.exists() else ""
+    for number, line in enumerate(text.splitlines()):
         try:
             index = json.loads(line)["index"]
         except (ValueError, KeyError, TypeError):
@@ -137,7 +142,9 @@ def _append(path, value):
             file.flush()
             os.fsync(file.fileno())
     except OSError as error:
-        raise ThermorenderError(f"{path} cannot be written: {error.strerror}; make room and continue with --resume") from None
+        raise ThermorenderError(
+            f"{path} cannot be written: {error.strerror}; make room and continue with --resume"
+        ) from None
 
 
 def _digest(array):

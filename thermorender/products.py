@@ -28,7 +28,9 @@ def atomic(path):
         os.replace(part, path)
     except (OSError, RuntimeError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise ThermorenderError(f"{path} cannot be written: {reason}; check the folder, its permissions and the disk") from error
+        raise ThermorenderError(
+            f"{path} cannot be written: {reason}; check the folder, its permissions and the disk"
+        ) from error
     finally:
         with suppress(OSError):
             part.unlink()
@@ -63,7 +65,9 @@ def make_folder(path):
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ThermorenderError(f"output folder {path} cannot be made: {error.strerror}; give a folder that can be written") from None
+        raise ThermorenderError(
+            f"output folder {path} cannot be made: {error.strerror}; give a folder that can be written"
+        ) from None
     if not os.access(path, os.W_OK):
         raise ThermorenderError(f"output folder {path} cannot be written to: permission denied; give another folder")
     return path
@@ -129,7 +133,9 @@ def read_exr(path):
             channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
             return channels, json.loads(file.header().get("thermorender", "{}"))
     except (RuntimeError, ValueError) as error:
-        raise ThermorenderError(f"{path} cannot be read as EXR: {error}; give a whole file written by thermorender") from None
+        raise ThermorenderError(
+            f"{path} cannot be read as EXR: {error}; give a whole file written by thermorender"
+        ) from None
 
 
 def record(frame):
@@ -209,7 +215,10 @@ def write_video(path, images, rate_hz):
             macro_block_size=1,
             ffmpeg_log_level="error",
             # One thread and no time stamps or version strings: the same frames give the same bytes.
-            output_params=["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-crf", "18", "-threads", "1", "-flags:v", "+bitexact", "-fflags", "+bitexact"],
+            output_params=[
+                *("-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-crf", "18", "-threads", "1"),
+                *("-flags:v", "+bitexact", "-fflags", "+bitexact"),
+            ],
         )
         writer.send(None)
         for image in images:

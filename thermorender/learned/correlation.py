@@ -123,5 +123,7 @@ def load_model(name, range_c=None):
         return model
     low, high = (float(bound) for bound in range_c)
     if not -ZERO_CELSIUS_K < low < high:
-        raise ThermorenderError(f"range_c=({low:g}, {high:g}) is not a range; give coldest and warmest in °C, coldest first")
+        raise ThermorenderError(
+            f"range_c=({low:g}, {high:g}) is not a range; give coldest and warmest in °C, coldest first"
+        )
     return replace(model, range_k=(low + ZERO_CELSIUS_K, high + ZERO_CELSIUS_K))

@@ -6,20 +6,33 @@ below the horizon. Per spectral node the mean incident radiance x of every face 
 
     x = K (e + ρ x) + outside,
 
-with e and ρ the faces' mean emitted radiance and reflectance; GMRES solves it (Saad & Schultz 1986,
-doi:10.1137/0907058) and the residual bounds the error: row sums of K are at most one, so
-‖error‖∞ ≤ ‖residual‖∞ / (1 − max ρ). Normals are those of the flat faces.
+with e and ρ the faces' mean emitted radiance and reflectance. GMRES solves it, whose work hardly depends on ρ,
+and the residual bounds the error: see `solve`.
+
+The rays of a face are two halves that know nothing of each other. What the halves disagree about is the Monte
+Carlo error of their mean: see `noise`. Normals are those of the flat faces.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import drjit as dr
 import numpy as np
 
 from thermorender.errors import ThermorenderError
+from thermorender.render.gmres import STEPS, gmres
 
-_RAYS_AT_ONCE = 1 << 22
+# A cached Transport of another version is not used: count up with every change of what `trace` returns.
+VERSION = 1
+# Some 30 bytes per ray at once.
+_RAYS_AT_ONCE = 1 << 21
 _SEED = 0x7E44
+# Memory that the vectors of one solution may take.
+_KRYLOV_BYTES = 1 << 30
+# Reflected back more completely than this, light is amplified beyond what float64 resolves.
+_MOST_REFLECTED = 1.0 - 1e-7
+# Accuracy to which the Monte Carlo error itself is wanted.
+_NOISE_ACCURACY = 0.05
 
 
 @dataclass(frozen=True)
@@ -28,74 +41,95 @@ class Transport:
 
     Attributes
     ----------
-    operator : (F, F) scipy.sparse.csr_array of float64
-        Share of face i's cosine-weighted hemisphere that sees face j.
-    sky, beyond : (F,) float64
-        Shares that see the sky, and the surroundings below the horizon.
+    rays : int
+        Rays per face in each of the two halves.
+    start : (2 F + 1,) int64
+        Rows 2 i and 2 i + 1, what the first and second half of face i's rays hit, lie at start[row]:start[row + 1].
+    seen : (nnz,) int32
+        Faces that are hit, ascending in each row.
+    hits : (nnz,) uint16
+        How many rays hit them.
+    up, down : (F, 2) uint16
+        Rays of each half that see the sky, and the surroundings below the horizon.
     """
 
-    operator: object
-    sky: np.ndarray
-    beyond: np.ndarray
+    rays: int
+    start: np.ndarray
+    seen: np.ndarray
+    hits: np.ndarray
+    up: np.ndarray
+    down: np.ndarray
+
+    @property
+    def sky(self):
+        """Share of each face's cosine-weighted hemisphere that sees the sky, (F,)."""
+        return self.up.sum(axis=1) / (2.0 * self.rays)
+
+    @property
+    def beyond(self):
+        """Share of each face's cosine-weighted hemisphere that sees the surroundings below the horizon, (F,)."""
+        return self.down.sum(axis=1) / (2.0 * self.rays)
+
+    @cached_property
+    def operator(self):
+        """Share of face i's cosine-weighted hemisphere that sees face j, (F, F) csr_array of float64."""
+        from scipy.sparse import csr_array
+
+        # A row of the sum is both halves' rows one after the other: every second border is left out.
+        weight = self.hits / (2.0 * self.rays)
+        return csr_array((weight, self.seen, self._borders[::2].copy()), shape=(len(self.up), len(self.up)))
+
+    @property
+    def halves(self):
+        """Rows 2 i and 2 i + 1 add up to row i of `operator`, (2 F, F); shares the operator's memory."""
+        from scipy.sparse import csr_array
+
+        return csr_array((self.operator.data, self.seen, self._borders), shape=(2 * len(self.up), len(self.up)))
+
+    @property
+    def _borders(self):
+        # SciPy would widen the int32 columns to the borders' type, at twice the memory.
+        return self.start.astype(np.int32) if self.start[-1] < 2**31 else self.start
 
 
-def trace(geometry, rays, progress=None):
+def trace(geometry, rays, progress=None, seed=0):
     """Return the Transport of a scene.
 
     Parameters
     ----------
     geometry : Geometry
     rays : int
-        Rays per face.
+        Rays per face, 1…65536; an odd number counts as the next even one, for two equal halves.
     progress : callable, optional
         Called with the share done, 0…1.
+    seed : int
+        0…2³²−1; another seed is another, independent estimate.
     """
-    from scipy.sparse import csr_array
-
-    mi = geometry.mi
-    corner, edge_u, edge_v, normal = _faces(geometry.surfaces)
-    count = geometry.face_count
-    base = np.array(low_discrepancy(rays, 4), dtype=np.float32)
-    base = [mi.Float(np.ascontiguousarray(column)) for column in base.T]
-    corner, edge_u, edge_v, normal = (mi.Float(np.ascontiguousarray(a, np.float32).ravel()) for a in (corner, edge_u, edge_v, normal))
+    mi, count, half = geometry.mi, geometry.face_count, (rays + 1) // 2
+    base = low_discrepancy(half, 4).astype(np.float32)
+    base = [mi.Float(column.copy()) for column in base.T]
+    faces = [mi.Float(values.astype(np.float32).ravel()) for values in _faces(geometry.surfaces)]
     lift = 64.0 * 2.0**-24 * (1.0 + geometry.reach)
-    seen, hits_per_face = [], np.zeros(count, dtype=np.int64)
-    sky, beyond = np.zeros(count), np.zeros(count)
-    step = max(1, _RAYS_AT_ONCE // rays)
+    up, down = (np.empty((count, 2), dtype=np.uint16) for _ in range(2))
+    lengths, seen, hits = [], [], []
+    step = max(1, _RAYS_AT_ONCE // (2 * half))
     for first in range(0, count, step):
         here = min(step, count - first)
-        ray_index = dr.arange(mi.UInt32, here * rays)
-        face = ray_index // rays + first
-        which = ray_index % rays
-        # One random shift per face decorrelates neighbours and keeps the set's even spread.
-        shift_a, shift_b = mi.sample_tea_32(face, mi.UInt32(_SEED))
-        shift_c, shift_d = mi.sample_tea_32(face, mi.UInt32(_SEED + 1))
-        u = [
-            dr.gather(mi.Float, base[k], which) + mi.Float(shift >> 8) * 2.0**-24
-            for k, shift in enumerate((shift_a, shift_b, shift_c, shift_d))
-        ]
-        u = [value - dr.floor(value) for value in u]
-        local = mi.warp.square_to_cosine_hemisphere(mi.Point2f(u[0], u[1]))
-        spot = mi.warp.square_to_uniform_triangle(mi.Point2f(u[2], u[3]))
-        n = dr.gather(mi.Vector3f, normal, face)
-        origin = dr.gather(mi.Vector3f, corner, face)
-        origin += spot.x * dr.gather(mi.Vector3f, edge_u, face) + spot.y * dr.gather(mi.Vector3f, edge_v, face)
-        direction = mi.Frame3f(mi.Normal3f(n)).to_world(local)
-        found = geometry.cast(mi.Ray3f(mi.Point3f(origin + n * lift), direction))
-        hit, target, up = (
-            np.asarray(a).reshape(here, rays) for a in (found.valid, found.face, direction.z >= 0.0)
-        )
-        part = slice(first, first + here)
-        hits_per_face[part] = hit.sum(axis=1)
-        sky[part] = (~hit & up).sum(axis=1) / rays
-        beyond[part] = (~hit & ~up).sum(axis=1) / rays
-        seen.append(target[hit].astype(np.int32))
+        index = dr.arange(mi.UInt32, here * 2 * half)
+        # Opaque numbers: as literals they would have the kernel compiled anew for each part.
+        row = index // half + dr.opaque(mi.UInt32, 2 * first)
+        origin, direction = _rays(mi, faces, base, row, index % half, lift, dr.opaque(mi.UInt32, seed))
+        found = geometry.cast(mi.Ray3f(origin, direction))
+        # One number per ray: the face, or one of two beyond the last for sky and surroundings.
+        code = dr.select(found.valid, found.face, dr.select(direction.z >= 0.0, count, count + 1))
+        part = _counted(np.array(code, dtype=np.int32).reshape(2 * here, half), count)
+        for whole, values in zip((lengths, seen, hits), part[:3], strict=True):
+            whole.append(values)
+        up[first : first + here], down[first : first + here] = (n.reshape(here, 2) for n in part[3:])
         if progress:
             progress((first + here) / count)
-    indices = np.concatenate(seen)
-    indptr = np.concatenate([[0], np.cumsum(hits_per_face)])
-    operator = csr_array((np.full(len(indices), 1.0 / rays), indices, indptr), shape=(count, count))
-    return Transport(operator, sky, beyond)
+    start = np.concatenate([[0], np.cumsum(np.concatenate(lengths), dtype=np.int64)])
+    return Transport(half, start, np.concatenate(seen), np.concatenate(hits), up, down)
 
 
 def solve(transport, emitted, reflectance, sky, beyond, tolerance):
@@ -115,31 +149,118 @@ def solve(transport, emitted, reflectance, sky, beyond, tolerance):
     ------
     ThermorenderError
         The system does not converge to the tolerance.
-    """
-    from scipy.sparse.linalg import LinearOperator, gmres
 
-    shape = emitted.shape
-    outside = transport.sky[:, None] * sky + transport.beyond[:, None] * beyond
-    source = transport.operator @ emitted + outside
-    # All nodes are solved as one system: the operator is read once for all of them.
-    system = LinearOperator(
-        (source.size, source.size),
-        lambda x: (x.reshape(shape) - transport.operator @ (reflectance * x.reshape(shape))).ravel(),
-        dtype=np.float64,
-    )
-    amplification = 1.0 / np.maximum(1.0 - reflectance.max(axis=0), 1e-6)
-    wanted = 0.3 * tolerance / amplification.max()
-    incident = source.ravel()
-    for _ in range(6):
-        residual = np.abs(source.ravel() - system @ incident).reshape(shape).max(axis=0)
-        bounds = residual * amplification
-        if bounds.max() <= tolerance:
-            return incident.reshape(shape), bounds
-        incident, _ = gmres(system, source.ravel(), x0=incident, rtol=0.0, atol=wanted, restart=20, maxiter=50)
-    raise ThermorenderError(
-        f"the light between surfaces does not converge: {bounds.max():.3g} W m⁻² sr⁻¹ remain where {tolerance:.3g} "
-        "are asked; check for surfaces of emissivity near 0"
-    )
+    Notes
+    -----
+    An error δ with the residual r obeys δ = K ρ δ + r, and K ρ has no negative entries, hence
+    ‖δ‖∞ ≤ ‖r‖∞ / (1 − max K ρ). Nodes are solved side by side, so that the operator is read once for all of them;
+    where that takes too much memory, a few nodes at a time.
+    """
+    operator, incident, bounds = transport.operator, np.empty(emitted.shape), np.empty(emitted.shape[1])
+    for part in _blocks(emitted.shape):
+        rho = reflectance[:, part]
+        source = operator @ emitted[:, part] + _outside(transport.up, transport.down, transport.rays, sky, beyond, part)
+        reflected = (operator @ rho).max(axis=0, initial=0.0)
+        if reflected.max() > _MOST_REFLECTED:
+            raise ThermorenderError(
+                f"surfaces that face each other reflect {reflected.max():.8f} of the light between them, which never "
+                "leaves; give them an emissivity of 1e-6 or more"
+            )
+        amplification = 1.0 / (1.0 - reflected)
+        wanted = 0.5 * tolerance / amplification
+        x, residual = np.zeros(source.shape), source
+        for _ in range(6):
+            x += gmres(operator, rho, residual, wanted)
+            residual = source - x + operator @ (rho * x)
+            bound = np.abs(residual).max(axis=0) * amplification
+            if bound.max() <= tolerance:
+                break
+        else:
+            raise ThermorenderError(
+                f"the light between surfaces does not converge: {bound.max():.3g} W m⁻² sr⁻¹ remain where "
+                f"{tolerance:.3g} are asked; give a larger tolerance"
+            )
+        incident[:, part], bounds[part] = x, bound
+    return incident, bounds
+
+
+def noise(transport, emitted, reflectance, sky, beyond, incident):
+    """Return (Monte Carlo error of each face's reflected radiance (F,), their root mean square), [W m⁻² sr⁻¹].
+
+    The sum over nodes, one standard error. That of one face is a single draw and tells little by itself; the root
+    mean square over many faces is an estimate.
+
+    Parameters
+    ----------
+    transport, emitted, reflectance, sky, beyond
+        As given to `solve`.
+    incident : (F, N)
+        Its result.
+
+    Notes
+    -----
+    The two halves of the rays see the solved radiosity J = e + ρ x as x₁ and x₂. They are independent, so
+    (x₁ − x₂) / 2 has the variance of their mean's error. That error is light in its own right and is reflected on:
+    δ = K ρ δ + (x₁ − x₂) / 2 to first order, which matters in cavities.
+    """
+    operator, halves, total = transport.operator, transport.halves, np.zeros(len(emitted))
+    signs = np.array([1, -1])
+    up, down = (counts.astype(np.int32) * signs for counts in (transport.up, transport.down))
+    for part in _blocks(emitted.shape):
+        rho = reflectance[:, part]
+        seen = (halves @ (emitted[:, part] + rho * incident[:, part])).reshape(len(emitted), 2, -1)
+        source = seen[:, 0] - seen[:, 1] + _outside(up, down, transport.rays, sky, beyond, part)
+        size = np.abs(source).max(axis=0)
+        total += (rho * gmres(operator, rho, source, _NOISE_ACCURACY * size)).sum(axis=1)
+    return np.abs(total), float(np.sqrt(np.mean(total**2)))
+
+
+def _blocks(shape):
+    """Slices of nodes, as many at a time as _KRYLOV_BYTES has room for, at least one."""
+    count, nodes = shape
+    size = max(1, _KRYLOV_BYTES // (8 * max(count, 1) * (STEPS + 4)))
+    return [slice(first, min(first + size, nodes)) for first in range(0, nodes, size)]
+
+
+def _outside(up, down, rays, sky, beyond, part):
+    """Radiance from outside on every face, (F, nodes): the mean of the halves' counts of rays."""
+    up, down = (counts.sum(axis=1)[:, None] / (2.0 * rays) for counts in (up, down))
+    return up * np.asarray(sky)[part] + down * np.asarray(beyond)[part]
+
+
+def _rays(mi, faces, base, row, number, lift, seed):
+    """(origin, direction) of ray `number` of a row, half a face's rays, as Dr.Jit arrays."""
+    corner, edge_u, edge_v, normal = (dr.gather(mi.Vector3f, values, row >> 1) for values in faces)
+    # One random shift per row decorrelates neighbours and halves, and keeps the set's even spread.
+    key = seed * 2 + _SEED
+    # With the customary 4 rounds the shifts of successive rows are correlated; with 6 no test tells.
+    shifts = (*mi.sample_tea_32(row, key, 8), *mi.sample_tea_32(row, key + 1, 8))
+    u = [dr.gather(mi.Float, values, number) for values in base]
+    u = [value + mi.Float(shift >> 8) * 2.0**-24 for value, shift in zip(u, shifts, strict=True)]
+    u = [value - dr.floor(value) for value in u]
+    local = mi.warp.square_to_cosine_hemisphere(mi.Point2f(u[0], u[1]))
+    spot = mi.warp.square_to_uniform_triangle(mi.Point2f(u[2], u[3]))
+    origin = corner + spot.x * edge_u + spot.y * edge_v + normal * lift
+    return mi.Point3f(origin), mi.Frame3f(mi.Normal3f(normal)).to_world(local)
+
+
+def _counted(code, count):
+    """(length of each row, faces, hits, rays up, rays down) of the faces that rows of rays see, (rows, rays)."""
+    rows, rays = code.shape
+    code.sort(axis=1)
+    flat = code.ravel()
+    begins = np.empty(flat.size, dtype=bool)
+    np.not_equal(flat[1:], flat[:-1], out=begins[1:])
+    begins[::rays] = True
+    place = np.flatnonzero(begins)
+    hits = np.diff(place, append=flat.size).astype(np.uint16)
+    seen = flat[place]
+    down, up = (np.zeros(rows, dtype=np.uint16) for _ in range(2))
+    for counts, which in ((up, count), (down, count + 1)):
+        missed = seen == which
+        counts[place[missed] // rays] = hits[missed]
+    surface = seen < count
+    return np.bincount(place[surface] // rays, minlength=rows), seen[surface], hits[surface], up, down
 
 
 def _faces(surfaces):
@@ -148,11 +269,16 @@ def _faces(surfaces):
     edge_u, edge_v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(edge_u, edge_v)
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
-    return corners[:, 0], edge_u, edge_v, np.where(length > 0.0, normal / np.where(length > 0.0, length, 1.0), [0.0, 0.0, 1.0])
+    # A face without area sees nothing that matters, but a normal of 0 would make rays without direction.
+    normal = np.where(length > 0.0, normal / np.where(length > 0.0, length, 1.0), [0.0, 0.0, 1.0])
+    return corners[:, 0], edge_u, edge_v, normal
 
 
 def low_discrepancy(count, dimensions):
-    """Return (count, dimensions) points in 0…1 of the Kronecker sequence of the generalised golden ratio (Roberts 2018)."""
+    """Return (count, dimensions) points in 0…1: the Kronecker sequence of the generalised golden ratio.
+
+    Roberts (2018), "The unreasonable effectiveness of quasirandom sequences".
+    """
     ratio = 2.0
     for _ in range(60):
         ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1))

@@ -14,7 +14,8 @@ from thermorender.physics.band import RadianceTable
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.render import bake
 from thermorender.render.geometry import Channels, Geometry
-from thermorender.render.plan import REFERENCE_K, SAMPLES, make_plan
+from thermorender.render.plan import REFERENCE_K, make_plan
+from thermorender.render.sampling import CameraRays, edges
 from thermorender.render.variant import activate
 from thermorender.scene.surface import BEYOND, FILLED
 
@@ -27,8 +28,10 @@ class Renderer:
     Parameters
     ----------
     scene : Scene
-    samples : int
-        Rays per pixel: 1, 2, 4, 8 or 16.
+    quality : {"fast", "standard", "high"}
+        How finely a pixel is sampled; see `thermorender.render.plan.QUALITIES`.
+    samples, taps, edge_samples : int, optional
+        Rays per pixel, texture places per ray, and rays per pixel that shows an edge, in place of the quality's own.
     rays : int
         Rays per face of the bake.
     tolerance_mk : float
@@ -50,9 +53,10 @@ class Renderer:
         `prepare`.
     """
 
-    def __init__(self, scene, samples=4, rays=128, tolerance_mk=5.0, seed=0, device="auto", progress=None, like=None):
+    def __init__(self, scene, quality="standard", samples=None, taps=None, edge_samples=None, rays=128,
+                 tolerance_mk=5.0, seed=0, device="auto", progress=None, like=None):  # fmt: skip
         self.scene, self.seed = scene, seed
-        self.plan = make_plan(scene, samples, rays, tolerance_mk)
+        self.plan = make_plan(scene, quality, samples, taps, edge_samples, rays, tolerance_mk)
         if not 0 <= seed < 2**64:
             raise ThermorenderError(f"seed={seed} is not allowed; give a whole number 0 … 2⁶⁴−1")
         self._mi = activate(device)
@@ -93,10 +97,8 @@ class Renderer:
             A pose that is no rigid transform.
         """
         pose = checked_pose(pose)
-        self.prepare()
-        radiance = self._shade(pose, self.scene.camera, self._emission, self._incident, self._outside, self.plan.samples)
         return Frame(
-            radiance=radiance[..., 0],
+            radiance=self.radiance(pose),
             pose=pose,
             time_s=float(time_s),
             index=int(index),
@@ -106,6 +108,19 @@ class Renderer:
             targets=self._targets(pose),
             _truth=lambda: self._truth(pose),
         )
+
+    def radiance(self, pose):
+        """Return the band radiance seen from a pose, (H, W) float32 [W m⁻² sr⁻¹], without noise or truth."""
+        self.prepare()
+        return self._shade(pose, self.scene.camera, self._emission, self._incident, self._outside)[0]
+
+    def cast_only(self, pose):
+        """Cast a frame's rays and nothing else: the floor under the time of a frame."""
+        rotation, origin = _opaque(self._mi, checked_pose(pose))
+        slopes = self._camera_rays(self.scene.camera, self.plan.samples, self.plan.taps).rays
+        rays = [_ray(self._mi, rotation, origin, *slope) for slope, _ in slopes]
+        dr.eval([self._geometry.caster.ray_intersect_preliminary(ray, coherent=True).t for ray in rays])
+        dr.sync_thread()
 
     def visible(self, pose, camera=None):
         """Return (image (H, W, 3) uint8 sRGB, valid (H, W) bool): the orthophoto seen from `pose`.
@@ -119,8 +134,8 @@ class Renderer:
             flags = np.concatenate([surface.flags.ravel() for surface in self.scene.surfaces])
             known = ((flags & FILLED) == 0).astype(np.float32)
             self._colour = Channels(self._mi, np.column_stack([linear, known]))
-        found = self._shade(pose, camera, self._colour, None, np.zeros((2, 4)), self.plan.samples)
-        return _srgb_from_linear(found[..., :3]), found[..., 3] > 0.999
+        found = self._shade(pose, camera, self._colour, None, np.zeros((2, 4)))
+        return _srgb_from_linear(np.moveaxis(found[:3], 0, -1)), found[3] > 0.999
 
     def _bake(self, tolerance_mk):
         """Fold the scene into texel channels, face channels and the radiance of sky and surroundings."""
@@ -176,13 +191,9 @@ class Renderer:
         places = [1 if t == 1 else int(np.clip(np.ceil(2 * t / f), 4, 64)) for t, f in zip(texels, faces, strict=True)]
         count = max(places)
         pattern = bake.low_discrepancy(count, 2)
-        face = dr.arange(mi.UInt32, geometry.face_count)
-        surface = mi.UInt32(np.repeat(np.arange(len(faces), dtype=np.uint32), faces))
         numbers = []
-        for u, v in pattern:
-            root = np.sqrt(u)
-            column, row = geometry.place(face, mi.Float(1.0 - root), mi.Float(root * v))
-            number = geometry.nearest(surface, column, row)
+        # Square root and product spread the square's points evenly over the triangle.
+        for number in geometry.places_in_faces([(1.0 - np.sqrt(a), np.sqrt(a) * b) for a, b in pattern]):
             dr.eval(number)
             numbers.append(number)
         grid = RadianceTable.grid(self.plan.coldest, self.plan.warmest)
@@ -204,52 +215,87 @@ class Renderer:
             reflectance[:, node] = 1.0 - np.asarray(sums[1]) / count
         return emitted, reflectance
 
-    def _camera_rays(self, camera, samples):
-        """(pixel numbers in cache-friendly order, direction x/z and y/z per sample) of a camera, kept."""
-        key = (camera, samples)
+    def _camera_rays(self, camera, samples, taps):
+        key = (camera, samples, taps)
         if key not in self._rays_of:
-            order = morton_order(camera.height, camera.width)
-            row, column = np.divmod(order, camera.width)
-            slopes = []
-            for right, down in SAMPLES[samples]:
-                slope = camera.directions(np.stack([column + right, row + down], axis=-1)).astype(np.float32)
-                slopes.append((self._mi.Float(slope[:, 0].copy()), self._mi.Float(slope[:, 1].copy())))
-            self._rays_of[key] = self._mi.UInt32(order.astype(np.uint32)), slopes
+            self._rays_of[key] = CameraRays(self._mi, camera, samples, taps, self.plan.edge_samples)
         return self._rays_of[key]
 
-    def _shade(self, pose, camera, texels, faces, outside, samples):
-        """Mean over a pixel's rays of texel channels plus reflected light, (H, W, channels) float32."""
-        mi, geometry = self._mi, self._geometry
-        pixel, slopes = self._camera_rays(camera, samples)
-        rotation, origin = _opaque(mi, pose)
-        sky, beyond = ([dr.opaque(mi.Float, float(value)) for value in row] for row in outside)
+    def _shade(self, pose, camera, texels, faces, outside):
+        """Mean over a pixel's rays of texel channels plus reflected light, (channels, H, W) float32."""
+        mi = self._mi
+        rays = self._camera_rays(camera, self.plan.samples, self.plan.taps)
+        view = _opaque(mi, pose)
+        outside = [[dr.opaque(mi.Float, float(value)) for value in row] for row in outside]
+        # Two more channels tell where the edges are.
+        guide = self.plan.edge_samples > 0
         channels = 1 if faces else texels.count
         total = [mi.Float(0.0) for _ in range(channels)]
-        for x, y in slopes:
-            ray = _ray(mi, rotation, origin, x, y)
-            hit = geometry.cast(ray, coherent=True)
-            column, row = geometry.place(hit.face, hit.u, hit.v, hit.valid)
-            values = geometry.bilinear(texels, hit.surface, column, row, hit.valid)
-            if faces:
-                incident = faces.at(hit.face, hit.valid)
-                values = [values[0] + sum(r * e for r, e in zip(values[1:], incident, strict=True))]
-            up = ray.d.z >= 0.0
-            for c in range(channels):
-                total[c] += dr.select(hit.valid, values[c], dr.select(up, sky[c], beyond[c]))
+        for slope, taps in rays.rays:
+            hit, values = self._look(view, slope, taps, texels, faces, outside, coherent=True)
+            total = [a + b for a, b in zip(total, values, strict=True)]
+        total = [value / len(rays.rays) for value in total]
+        if guide:
+            x, y = slope
+            near = dr.select(hit.valid, dr.sqrt(1.0 + x * x + y * y) / hit.distance, 0.0)
+            total += [near, mi.Float(hit.surface)]
         size = camera.height * camera.width
-        result = dr.zeros(mi.Float, size * channels)
-        for c in range(channels):
-            dr.scatter(result, total[c] / len(slopes), pixel * channels + c)
-        return np.array(result).reshape(camera.height, camera.width, channels)
+        result = dr.zeros(mi.Float, size * len(total))
+        for c, value in enumerate(total):
+            dr.scatter(result, value, rays.pixel + c * size)
+        image = np.array(result).reshape(len(total), camera.height, camera.width)
+        if guide:
+            marked = edges(image[-2], image[-1])
+            image = image[:channels]
+            if marked.any():
+                pixels, x, y = rays.at_edges(marked)
+                _, values = self._look(view, (x, y), [(x, y)], texels, faces, outside, coherent=True)
+                count = self.plan.edge_samples
+                means = [dr.block_sum(value, count) / count for value in values]
+                dr.eval(means)
+                for channel, mean in zip(image, means, strict=True):
+                    channel.reshape(-1)[pixels] = np.array(mean)
+        return image
+
+    def _look(self, view, slope, taps, texels, faces, outside, coherent):
+        """Return (hit, channels): what rays hit, and the mean over their taps of the light that comes from there."""
+        mi, geometry = self._mi, self._geometry
+        rotation, origin = view
+        ray = _ray(mi, rotation, origin, *slope)
+        hit = geometry.cast(ray, coherent)
+        record = geometry.record(hit.face, hit.valid)
+        normal = geometry.normal(record)
+        height = hit.distance * dr.dot(normal, ray.d)
+        total = None
+        for tap in taps:
+            if tap is slope:
+                point = ray.o + hit.distance * ray.d
+            else:
+                # Where the tap's own ray would meet the plane of the face that was hit.
+                along = mi.Vector3f(*(dr.dot(row, mi.Vector3f(*tap, 1.0)) for row in rotation))
+                slant = dr.dot(normal, along)
+                point = origin + dr.select(slant != 0.0, height / slant, 0.0) * along
+            values = geometry.bilinear(texels, hit.surface, *geometry.place(record, point), hit.valid)
+            total = values if total is None else [a + b for a, b in zip(total, values, strict=True)]
+        total = [value / len(taps) for value in total]
+        if faces:
+            incident = faces.at(hit.face, hit.valid)
+            total = [total[0] + sum(r * e for r, e in zip(total[1:], incident, strict=True))]
+        up = ray.d.z >= 0.0
+        sky, beyond = outside
+        return hit, [
+            dr.select(hit.valid, value, dr.select(up, sky[c], beyond[c])) for c, value in enumerate(total)
+        ]
 
     def _truth(self, pose):
         mi, geometry, scene = self._mi, self._geometry, self.scene
         camera = scene.camera
-        pixel, ((x, y),) = self._camera_rays(camera, 1)
+        rays = self._camera_rays(camera, 1, 1)
+        (((x, y), _),) = rays.rays
         rotation, origin = _opaque(mi, pose)
         ray = _ray(mi, rotation, origin, x, y)
         hit = geometry.cast(ray, coherent=True)
-        column, row = geometry.place(hit.face, hit.u, hit.v, hit.valid)
+        column, row = geometry.place(geometry.record(hit.face, hit.valid), ray.o + hit.distance * ray.d)
         texel = dr.select(hit.valid, geometry.nearest(hit.surface, column, row, hit.valid), 0)
         position = origin + hit.distance * ray.d
         # The direction is unit length, so depth along the axis is the distance over the slope's length.
@@ -257,11 +303,10 @@ class Renderer:
         found = [mi.UInt32(hit.valid), texel, mi.UInt32(ray.d.z >= 0.0), depth, *position]
         # One evaluation for all: each by itself would cast the rays again.
         dr.eval(found)
-        order = np.array(pixel)
         images = []
         for values in found:
             flat = np.empty(camera.height * camera.width, np.array(values).dtype)
-            flat[order] = np.array(values)
+            flat[rays.order] = np.array(values)
             images.append(flat.reshape(camera.height, camera.width))
         valid, number, up, depth, *position = images
         valid, up = valid > 0, up > 0
@@ -312,15 +357,6 @@ def checked_pose(pose):
     if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0.0:
         raise ThermorenderError("pose has a rotation that is not orthonormal and right-handed; normalise its quaternion")
     return pose
-
-
-def morton_order(height, width):
-    """Return pixel numbers along a Z-order curve, (H·W,) int64: neighbours in it are neighbours in the image."""
-    row, column = np.mgrid[:height, :width].astype(np.int64)
-    code = np.zeros((height, width), dtype=np.int64)
-    for bit in range(int(max(height, width) - 1).bit_length()):
-        code |= ((column >> bit & 1) << (2 * bit)) | ((row >> bit & 1) << (2 * bit + 1))
-    return np.argsort(code, axis=None, kind="stable")
 
 
 def _basis(incident, reflectance, tolerance):

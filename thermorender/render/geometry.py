@@ -1,7 +1,7 @@
 """A scene's meshes on the render side: the ray caster, and flat per-face and per-texel arrays for its kernels.
 
-All surfaces share one numbering of faces and one of texels, so a hit (surface, face, place in the face) becomes
-two gathers: the face's record (map coordinates of its corners) and the texels around the place.
+All surfaces share one numbering of faces and one of texels, so a hit becomes two gathers: the face's record and the texels around the place. The record is the affine map from a point of the face's
+plane to its place on the texel map; it also tells the plane, so that places near a hit need no ray of their own.
 """
 
 from dataclasses import dataclass
@@ -72,12 +72,8 @@ class Geometry:
         self._texel_start = mi.Int32(self.texel_start[:-1].astype(np.int32))
         shape = np.array([surface.material.shape for surface in surfaces], dtype=np.int32)
         self._rows, self._columns = mi.Int32(shape[:, 0].copy()), mi.Int32(shape[:, 1].copy())
-        # Map coordinates of each face's corners in texels, padded to eight for one aligned gather.
-        record = np.zeros((self.face_count, 8), dtype=np.float32)
-        for surface, start, (rows, columns) in zip(surfaces, self.face_start[:-1], shape, strict=True):
-            texels = surface.uv * np.array([columns, rows], dtype=np.float32)
-            record[start : start + len(surface.faces), :6] = texels.reshape(-1, 6)
-        self._record = mi.Float(record.ravel())
+        records = [_map_records(surface) for surface in surfaces]
+        self._record = mi.Float(np.concatenate(records).astype(np.float32).ravel())
 
     def cast(self, ray, coherent=False):
         """Return the Hit of rays (an mi.Ray3f)."""
@@ -88,15 +84,32 @@ class Geometry:
         face = dr.gather(mi.UInt32, self._face_start, surface, valid) + found.prim_index
         return Hit(valid, found.t, dr.select(valid, face, 0), surface, found.prim_uv.x, found.prim_uv.y)
 
-    def place(self, face, u, v, active=True):
-        """Return (column, row) on the texel map, in texels from its upper left corner, of places in faces."""
-        corner = dr.gather(self.mi.Vector4f, self._record, 2 * face, active)
-        third = dr.gather(self.mi.Vector4f, self._record, 2 * face + 1, active)
-        w = 1.0 - u - v
-        return (
-            w * corner.x + u * corner.z + v * third.x,
-            w * corner.y + u * corner.w + v * third.y,
-        )
+    def record(self, face, active=True):
+        """Return the records of faces, as two Vector4f: the gradient of the column and its offset, and the row's."""
+        return tuple(dr.gather(self.mi.Vector4f, self._record, 2 * face + k, active) for k in (0, 1))
+
+    def place(self, record, point):
+        """Return (column, row) on the texel map, in texels from its upper left corner, of points of a face."""
+        return tuple(dr.fma(g.x, point.x, dr.fma(g.y, point.y, dr.fma(g.z, point.z, g.w))) for g in record)
+
+    def normal(self, record):
+        """Return a vector along the normal of a face; zero where its map is constant."""
+        u, v = (self.mi.Vector3f(g.x, g.y, g.z) for g in record)
+        return dr.cross(u, v)
+
+    def places_in_faces(self, pattern):
+        """Yield the flat texel number at a barycentric place of every face, per (u, v) of `pattern`."""
+        mi = self.mi
+        face_counts = np.diff(self.face_start)
+        surface = mi.UInt32(np.repeat(np.arange(len(face_counts), dtype=np.uint32), face_counts))
+        size = [surface_.material.shape[::-1] for surface_ in self.surfaces]
+        corner = np.concatenate([s.uv * np.array(n, np.float32) for s, n in zip(self.surfaces, size, strict=True)])
+        corner = [[mi.Float(np.ascontiguousarray(corner[:, k, axis])) for axis in (0, 1)] for k in range(3)]
+        for u, v in np.asarray(pattern).tolist():
+            column, row = (
+                (1.0 - u - v) * corner[0][axis] + u * corner[1][axis] + v * corner[2][axis] for axis in (0, 1)
+            )
+            yield self.nearest(surface, column, row)
 
     def nearest(self, surface, column, row, active=True):
         """Return the flat number of the texel at a place of a surface's map; outside, that at its edge."""
@@ -155,6 +168,25 @@ class Channels:
             packet = dr.gather(kind, values, index, active)
             found += [packet] if used == 1 and kind.__name__ == "Float" else [packet[i] for i in range(used)]
         return found
+
+
+def _map_records(surface):
+    """Affine maps (F, 8) from points to texels: gradient and offset of the column, then of the row.
+
+    The gradient lies in the face's plane. Faces without area or with a constant map have the gradient 0.
+    """
+    corner = surface.vertices[surface.faces]
+    texel = surface.uv.astype(np.float64) * surface.material.shape[::-1]
+    edge = corner[:, 1:] - corner[:, :1]
+    change = texel[:, 1:] - texel[:, :1]
+    gram = edge @ edge.transpose(0, 2, 1)
+    determinant = np.linalg.det(gram)
+    flat = determinant <= 1e-12 * np.maximum(gram[:, 0, 0] * gram[:, 1, 1], 1e-300)
+    gram[flat] = np.eye(2)
+    change[flat] = 0.0
+    gradient = (edge.transpose(0, 2, 1) @ np.linalg.solve(gram, change)).transpose(0, 2, 1)
+    offset = texel[:, 0] - np.einsum("fak,fk->fa", gradient, corner[:, 0])
+    return np.concatenate([gradient, offset[..., None]], axis=-1).reshape(-1, 8)
 
 
 def _mesh(mi, name, surface):

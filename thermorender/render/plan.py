@@ -14,7 +14,10 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 from thermorender.physics.band import quadrature
 from thermorender.physics.planck import band_radiance_derivative, brightness_temperature, spectral_radiance
+from thermorender.render.sampling import PATTERNS
 
+# Rays per pixel, texture places per ray, and rays per pixel that shows an edge (0: edges get no more).
+QUALITIES = {"fast": (1, 2, 4), "standard": (1, 4, 16), "high": (4, 4, 64)}
 MOST_NODES = 64
 # How much the light's colour (ln of warm over cold Planck spectra) counts beside reflectance; found on the shipped
 # scenes, where 0.03 … 0.3 need about as many nodes.
@@ -42,8 +45,8 @@ class Plan:
         Whether reflection is solved at all.
     rays : int
         Rays per face of the bake.
-    samples : int
-        Rays per pixel.
+    samples, taps, edge_samples : int
+        Rays per pixel, places per ray at which the texture is read, and rays per pixel that shows an edge.
     coldest, warmest : float
         Temperatures of the scene, its sky and surroundings [K].
     """
@@ -57,6 +60,8 @@ class Plan:
     bake: bool
     rays: int
     samples: int
+    taps: int
+    edge_samples: int
     coldest: float
     warmest: float
 
@@ -78,7 +83,9 @@ class Plan:
             ("reflection", needed, f"changes a pixel by at most {self.reflection_mk:.3g} mK"),
             ("spectral nodes", str(self.nodes if self.bake else 0), f"worst error {self.nodes_mk:.3g} mK"),
             ("bake rays per face", str(self.rays if self.bake else 0), "sky visibility and inter-reflection"),
-            ("rays per pixel", str(self.samples), "rotated grid, band radiance averaged"),
+            ("rays per pixel", str(self.samples), "band radiance averaged, never temperature"),
+            ("texture places per ray", str(self.taps), "on the plane of the face that is hit"),
+            ("rays per edge pixel", str(self.edge_samples), "where one surface hides another"),
             ("air", "out", "this scene declares none"),
             ("specular rays", "out", "every material is Lambertian"),
         ]
@@ -92,17 +99,22 @@ class Plan:
             "reflection_mk": round(self.reflection_mk, 4),
             "bake_rays": self.rays if self.bake else 0,
             "samples": self.samples,
+            "taps": self.taps,
+            "edge_samples": self.edge_samples,
         }
 
 
-def make_plan(scene, samples=4, rays=128, tolerance_mk=5.0):
+def make_plan(scene, quality="standard", samples=None, taps=None, edge_samples=None, rays=128, tolerance_mk=5.0):
     """Return the Plan of a scene.
 
     Parameters
     ----------
     scene : Scene
-    samples : int
-        Rays per pixel, one of 1, 2, 4, 8, 16.
+    quality : {"fast", "standard", "high"}
+        Names the three numbers that follow.
+    samples, taps, edge_samples : int, optional
+        Rays per pixel and texture places per ray (1, 2, 4, 8 or 16), and rays per pixel that shows an edge (0 to
+        64), in place of the quality's own.
     rays : int
         Rays per face for the bake.
     tolerance_mk : float
@@ -114,8 +126,16 @@ def make_plan(scene, samples=4, rays=128, tolerance_mk=5.0):
     ThermorenderError
         A setting out of range.
     """
-    if samples not in SAMPLES:
-        raise ThermorenderError(f"samples={samples} is not allowed; give one of {', '.join(map(str, SAMPLES))}")
+    if quality not in QUALITIES:
+        raise ThermorenderError(f"quality={quality!r} is unknown; give one of {', '.join(QUALITIES)}")
+    given = (samples, taps, edge_samples)
+    samples, taps, edge_samples = (a if b is None else b for a, b in zip(QUALITIES[quality], given, strict=True))
+    allowed = tuple(count for count in sorted(PATTERNS) if count <= 16)
+    for name, value, allowed in (
+        ("samples", samples, allowed), ("taps", taps, allowed), ("edge_samples", edge_samples, (0, *sorted(PATTERNS)))
+    ):  # fmt: skip
+        if value not in allowed:
+            raise ThermorenderError(f"{name}={value} is not allowed; give one of {', '.join(map(str, allowed))}")
     if not 1 <= rays <= 65536:
         raise ThermorenderError(f"rays={rays} is not allowed; give 1…65536 rays per face")
     if not tolerance_mk > 0.0:
@@ -167,19 +187,11 @@ def make_plan(scene, samples=4, rays=128, tolerance_mk=5.0):
         bake=bake,
         rays=rays,
         samples=samples,
+        taps=taps,
+        edge_samples=edge_samples,
         coldest=coldest,
         warmest=warmest,
     )
-
-
-# Sub-pixel positions (right, down) in 0…1: rotated grids, whose rows and columns are all different.
-SAMPLES = {
-    1: ((0.5, 0.5),),
-    2: ((0.25, 0.25), (0.75, 0.75)),
-    4: ((0.375, 0.125), (0.875, 0.375), (0.125, 0.625), (0.625, 0.875)),
-    8: tuple(((i * 5 % 8 + 0.5) / 8, (i + 0.5) / 8) for i in range(8)),
-    16: tuple(((i * 7 % 16 + 0.5) / 16, (i + 0.5) / 16) for i in range(16)),
-}
 
 
 def _nodes(tree, count, spectra, wavelength, weight):

@@ -70,7 +70,9 @@ def import_terrain(elevation, orthophoto, folder, max_vertices=DEFAULT_VERTICES,
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise ThermorenderError(f"{folder} exists and is not empty; give a new folder for the scene")
     if max_vertices < 4 or max_texels < 2:
-        raise ThermorenderError(f"max_vertices={max_vertices}, max_texels={max_texels} leave nothing; give at least 4 and 2")
+        raise ThermorenderError(
+            f"max_vertices={max_vertices}, max_texels={max_texels} leave nothing; give at least 4 and 2"
+        )
     height, height_grid = read_elevation(elevation)
     colour_grid = grid_of(orthophoto)
     rgb, valid = read_colour(orthophoto)
@@ -171,8 +173,8 @@ def _shared(a, b, elevation, orthophoto):
     bounds = max(a[0], b[0]), max(a[1], b[1]), min(a[2], b[2]), min(a[3], b[3])
     if not (bounds[0] < bounds[2] and bounds[1] < bounds[3]):
         raise ThermorenderError(
-            f"{elevation} (x {a[0]:.0f}…{a[2]:.0f}, y {a[1]:.0f}…{a[3]:.0f}) and {orthophoto} (x {b[0]:.0f}…{b[2]:.0f}, "
-            f"y {b[1]:.0f}…{b[3]:.0f}) do not overlap; give rasters of the same area"
+            f"{elevation} (x {a[0]:.0f}…{a[2]:.0f}, y {a[1]:.0f}…{a[3]:.0f}) and {orthophoto} "
+            f"(x {b[0]:.0f}…{b[2]:.0f}, y {b[1]:.0f}…{b[3]:.0f}) do not overlap; give rasters of the same area"
         )
     return bounds
 

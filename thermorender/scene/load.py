@@ -227,7 +227,8 @@ def _raster_terrain(spec, materials):
     away = np.linalg.norm(vertices, axis=-1).min()
     if away > FARTHEST_M:
         raise ThermorenderError(
-            f"{materials.where}: frame lies {away / 1e3:.0f} km from {grid.name}; give a place on it, or leave [frame] out"
+            f"{materials.where}: frame lies {away / 1e3:.0f} km from {grid.name}; "
+            "give a place on it, or leave [frame] out"
         )
     shape = (texels.height, texels.width)
     valid = np.ones(shape, dtype=bool)
@@ -290,7 +291,8 @@ def _material_map(spec, materials, texels):
     odd = (numbers < 0.0) | (numbers > 255.0) | (numbers % 1.0 != 0.0)
     if odd.any():
         raise ThermorenderError(
-            f"{source.raster} holds {numbers[odd][0]:g}, which is no class number; give whole numbers 0…255 (0 marks no data)"
+            f"{source.raster} holds {numbers[odd][0]:g}, which is no class number; "
+            "give whole numbers 0…255 (0 marks no data)"
         )
     classes = onto(numbers.astype(np.int16), grid, texels, "nearest")
     lookup = np.full(256, 255, dtype=np.uint8)

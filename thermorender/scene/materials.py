@@ -268,7 +268,9 @@ def read_table(path, columns):
     try:
         table = list(csv.reader(io.StringIO(text)))
     except csv.Error as error:
-        raise ThermorenderError(f"{path} is not a CSV file ({error}); save it as 'CSV UTF-8' in the spreadsheet") from None
+        raise ThermorenderError(
+            f"{path} is not a CSV file ({error}); save it as 'CSV UTF-8' in the spreadsheet"
+        ) from None
     header = [cell.strip() for cell in table[0]] if table else []
     missing = [column for column in columns if column not in header]
     if missing:

@@ -131,7 +131,9 @@ def _pixels(image, name):
     try:
         return np.array(image.convert("RGB"), dtype=np.uint8)
     except (OSError, SyntaxError) as error:  # Pillow's kinds for a broken file
-        raise ThermorenderError(f"{name}: the texture cannot be read ({error}); give a whole PNG or JPEG image") from None
+        raise ThermorenderError(
+            f"{name}: the texture cannot be read ({error}); give a whole PNG or JPEG image"
+        ) from None
 
 
 def _check_gltf_textures(path, loaded):
@@ -160,16 +162,22 @@ def _check_obj_textures(path):
         if line.startswith("mtllib "):
             library = path.parent / line[7:].strip()
             if not library.is_file():
-                raise ThermorenderError(f"{path}: material library {library.name!r} does not exist; put it beside the OBJ")
+                raise ThermorenderError(
+                    f"{path}: material library {library.name!r} does not exist; put it beside the OBJ"
+                )
             for entry in library.read_text(errors="replace").splitlines():
                 key, _, name = entry.strip().partition(" ")
                 if key.lower() != "map_kd":
                     continue
                 image = library.parent / name.strip()
                 if not image.is_file():
-                    raise ThermorenderError(f"{library}: texture {name.strip()!r} does not exist; put it beside the OBJ")
+                    raise ThermorenderError(
+                        f"{library}: texture {name.strip()!r} does not exist; put it beside the OBJ"
+                    )
                 try:
                     with Image.open(image) as opened:
                         opened.load()
                 except (OSError, SyntaxError) as error:
-                    raise ThermorenderError(f"{image} cannot be read as an image ({error}); give a PNG or JPEG") from None
+                    raise ThermorenderError(
+                        f"{image} cannot be read as an image ({error}); give a PNG or JPEG"
+                    ) from None

@@ -65,7 +65,9 @@ def opened(path):
     except RasterioError as error:
         # A failed read says only that it failed; its cause, GDAL's own error, says where.
         reason = error.__cause__ or error
-        raise ThermorenderError(f"{path} cannot be read as a raster: {reason}; give a whole file such as a GeoTIFF") from None
+        raise ThermorenderError(
+            f"{path} cannot be read as a raster: {reason}; give a whole file such as a GeoTIFF"
+        ) from None
 
 
 def grid_of(path):

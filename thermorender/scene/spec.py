@@ -297,7 +297,8 @@ class _Reader:
             "materials": (self.mapping(self.temperature), {}),
         }
         values = self.table(raw, "temperature", keys)
-        needed = {"constant": "value", "raster": "raster", "learned": "model", "material": "materials"}[values["source"]]
+        needs = {"constant": "value", "raster": "raster", "learned": "model", "material": "materials"}
+        needed = needs[values["source"]]
         self.needs(values, "temperature", needed, f"source={values['source']!r}")
         low_high = values["range_c"]
         if low_high and not low_high[0] < low_high[1]:

@@ -71,7 +71,8 @@ def scene_kelvin(name, temperature, allow_zero=False):
     highest = np.nanmax(temperature)
     if highest > HOTTEST_KELVIN:
         raise ThermorenderError(
-            f"{name}={highest:g} is above {HOTTEST_KELVIN:g} K; give kelvin, and declare what stands for no data as nodata"
+            f"{name}={highest:g} is above {HOTTEST_KELVIN:g} K; "
+            "give kelvin, and declare what stands for no data as nodata"
         )
     return temperature
 

@@ -83,7 +83,8 @@ def _material(spec, texels):
     for name in spec.materials:
         if name not in known:
             raise ThermorenderError(
-                f"{texels.where}: temperature.materials.{name} is not a material of this scene; it has {', '.join(known)}"
+                f"{texels.where}: temperature.materials.{name} is not a material of this scene; "
+                f"it has {', '.join(known)}"
             )
     values = np.array([spec.materials.get(material.name, material.temperature) for material in texels.materials])
     return values[texels.material], np.zeros(texels.material.shape, np.uint8)

@@ -25,7 +25,9 @@ def read_elevation(path):
     if min(height.shape) < 2:
         raise ThermorenderError(f"{path} has {height.shape[0]}×{height.shape[1]} posts; terrain needs at least 2×2")
     if not np.isfinite(height).any():
-        raise ThermorenderError(f"{path} has no valid height in it (all nodata, NaN or beyond ±9000 m); give another DEM")
+        raise ThermorenderError(
+            f"{path} has no valid height in it (all nodata, NaN or beyond ±9000 m); give another DEM"
+        )
     return height, grid
 
 

@@ -52,7 +52,8 @@ def counts(radiance, camera, seed, index):
 def radiance_from_counts(values, camera):
     """Return the band radiance each count stands for [W m⁻² sr⁻¹]; the inverse of the noise-free read-out."""
     low, step = _scale(camera)
-    return radiance_from_irradiance(low + step * np.asarray(values, np.float64), camera.f_number, camera.lens_transmittance)
+    irradiance = low + step * np.asarray(values, np.float64)
+    return radiance_from_irradiance(irradiance, camera.f_number, camera.lens_transmittance)
 
 
 def saturated(values, camera):

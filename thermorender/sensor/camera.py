@@ -137,7 +137,8 @@ class Camera:
         inverted = np.abs(self._distort(point) - target).max() < 1e-9
         if not (inverted and radial.min() > 0.0 and along.min() > 0.0):
             raise ThermorenderError(
-                f"camera {self.name}: distortion={list(self.distortion)} folds the image before its edge; check k1, k2, k3"
+                f"camera {self.name}: distortion={list(self.distortion)} folds the image before its edge; "
+                "check k1, k2, k3"
             )
         return point
 
@@ -197,7 +198,9 @@ def load_camera(name, where="camera model"):
             or len(numbers) != lengths.get(key, 1)
             or not all(isinstance(n, (int, float)) and not isinstance(n, bool) and abs(n) < 1e300 for n in numbers)
         ):
-            raise ThermorenderError(f"{path}: {key}={value!r} is not allowed; give {lengths.get(key, 'a')} finite number(s)")
+            raise ThermorenderError(
+                f"{path}: {key}={value!r} is not allowed; give {lengths.get(key, 'a')} finite number(s)"
+            )
         if key not in lengths and value <= 0:
             raise ThermorenderError(f"{path}: {key}={value!r} is not allowed; give a number above 0")
         if key in ("width", "height", "bits") and value != int(value):
@@ -210,9 +213,13 @@ def load_camera(name, where="camera model"):
         if not values[key][0] < values[key][1]:
             raise ThermorenderError(f"{path}: {key}={list(values[key])} is not allowed; give the lower value first")
     if not values["band_um"][0] > 0.0:
-        raise ThermorenderError(f"{path}: band_um={list(values['band_um'])} is not allowed; give wavelengths above 0 µm")
+        raise ThermorenderError(
+            f"{path}: band_um={list(values['band_um'])} is not allowed; give wavelengths above 0 µm"
+        )
     if not values["range_c"][0] > -ZERO_CELSIUS_K:
-        raise ThermorenderError(f"{path}: range_c={list(values['range_c'])} is not allowed; give °C above absolute zero")
+        raise ThermorenderError(
+            f"{path}: range_c={list(values['range_c'])} is not allowed; give °C above absolute zero"
+        )
     if values["lens_transmittance"] > 1.0:
         raise ThermorenderError(
             f"{path}: lens_transmittance={values['lens_transmittance']:g} is not allowed; give a share up to 1"

@@ -21,4 +21,5 @@ def linear(counts):
     low, high = np.percentile(counts, _TAILS)
     span = max(high - low, _LEAST_SPAN)
     low = 0.5 * (low + high - span)
-    return np.clip(np.rint((counts.astype(np.float32) - np.float32(low)) * np.float32(255.0 / span)), 0, 255).astype(np.uint8)
+    shown = (counts.astype(np.float32) - np.float32(low)) * np.float32(255.0 / span)
+    return np.clip(np.rint(shown), 0, 255).astype(np.uint8)

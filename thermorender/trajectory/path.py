@@ -190,8 +190,8 @@ class Trajectory:
         frames = np.floor((stop - start) * rate_hz + 1e-6) + 1
         if not frames <= MOST_FRAMES:
             raise ThermorenderError(
-                f"rate_hz={rate_hz:g} makes {frames:.4g} frames of {start:.9g} to {stop:.9g} s; up to {MOST_FRAMES} are "
-                "allowed: lower the rate, or fly a shorter part"
+                f"rate_hz={rate_hz:g} makes {frames:.4g} frames of {start:.9g} to {stop:.9g} s; up to {MOST_FRAMES} "
+                "are allowed: lower the rate, or fly a shorter part"
             )
         count = int(frames)
         return np.minimum(start + np.arange(count) / rate_hz, stop)

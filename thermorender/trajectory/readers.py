@@ -20,16 +20,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from thermorender.errors import ThermorenderError
-from thermorender.trajectory.rotations import (
-    BODY_FROM_CAMERA,
-    ENU_FROM_NED,
-    ecef_from_ned,
-    rotation_from_angles,
-    rotation_from_wxyz,
-    slerp,
-    wxyz,
-)
-from thermorender.trajectory.path import QUATERNION_TOLERANCE, Trajectory
 from thermorender.trajectory.heights import frame_of_first_sample, local_positions, refuse_far
 from thermorender.trajectory.mapping import (
     ANGLES,
@@ -40,6 +30,16 @@ from thermorender.trajectory.mapping import (
     POSITION_LOCAL,
     QUATERNION,
     load_mapping,
+)
+from thermorender.trajectory.path import QUATERNION_TOLERANCE, Trajectory
+from thermorender.trajectory.rotations import (
+    BODY_FROM_CAMERA,
+    ENU_FROM_NED,
+    ecef_from_ned,
+    rotation_from_angles,
+    rotation_from_wxyz,
+    slerp,
+    wxyz,
 )
 from thermorender.trajectory.tables import read_log
 

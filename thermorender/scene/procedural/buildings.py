@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from thermorender.scene.procedural.noise import smoothstep
 from thermorender.scene.procedural.light import linear
+from thermorender.scene.procedural.noise import smoothstep
 
 # Roofs: material, sRGB colour, whether it is pitched.
 ROOFS = (

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from thermorender.scene.procedural.noise import fractal_noise, smooth_noise, smoothstep, stream
 from thermorender.scene.procedural.light import linear
+from thermorender.scene.procedural.noise import fractal_noise, smooth_noise, smoothstep, stream
 
 
 class Canvas:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thermorender.scene.procedural.noise import fractal_noise, smooth_noise, stream
 from thermorender.scene.procedural.light import incidence, normals, sky_view, sun_position, sun_visibility
+from thermorender.scene.procedural.noise import fractal_noise, smooth_noise, stream
 
 STEFAN_BOLTZMANN = 5.670374419e-8  # W m⁻² K⁻⁴, CODATA 2018
 _DAY_S = 86400.0

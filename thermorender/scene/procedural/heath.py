@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from thermorender.scene.procedural.noise import smoothstep
 from thermorender.scene.procedural.canvas import crowns, plant, planted_rows, ruts, scatter, spline
 from thermorender.scene.procedural.heat import Weather
 from thermorender.scene.procedural.light import linear
+from thermorender.scene.procedural.noise import smoothstep
 
 WEATHER = Weather(52.2, 4.0, 14.2, 283.5, 295.5, 260.0, 1050.0, 2.2)
 MARKER = (4.0, 6.0)  # east, north [m]

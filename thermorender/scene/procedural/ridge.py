@@ -4,10 +4,10 @@ import heapq
 
 import numpy as np
 
-from thermorender.scene.procedural.noise import fractal_noise, ridged_noise, smoothstep, warp
 from thermorender.scene.procedural.canvas import crowns, plant, scatter, spline
 from thermorender.scene.procedural.heat import Weather
 from thermorender.scene.procedural.light import linear
+from thermorender.scene.procedural.noise import fractal_noise, ridged_noise, smoothstep, warp
 
 WEATHER = Weather(49.2, 2.0, 13.6, 270.0, 279.5, 255.0, 430.0, 2.6)
 _FOOT_M = 1380.0  # of the valley [m]

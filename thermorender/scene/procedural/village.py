@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from thermorender.scene.procedural.noise import smoothstep
 from thermorender.scene.procedural.buildings import (
     ROOFS,
     Place,
@@ -16,6 +15,7 @@ from thermorender.scene.procedural.buildings import (
 from thermorender.scene.procedural.canvas import crowns, plant, scatter, spline
 from thermorender.scene.procedural.heat import Weather
 from thermorender.scene.procedural.light import linear
+from thermorender.scene.procedural.noise import smoothstep
 
 WEATHER = Weather(51.9, 8.0, 13.9, 285.5, 297.0, 262.0, 1150.0, 2.0)
 _LAWNS = [(118, 132, 74), (108, 126, 66), (136, 140, 86), (126, 132, 82)]

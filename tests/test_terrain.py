@@ -1,0 +1,116 @@
+"""Terrain and meshes: posts at pixel centres, maps the right way round, faces that look up, holes."""
+
+import numpy as np
+import pytest
+import rasterio
+import trimesh
+from rasterio.crs import CRS
+
+from thermorender.errors import ThermorenderError
+from thermorender.scene import terrain
+from thermorender.scene.georeference import LocalFrame
+from thermorender.scene.mesh import load, primitive
+from thermorender.scene.raster import Grid
+
+UTM = CRS.from_epsg(32634)
+# On the central meridian, where the grid's north is true north.
+LEFT, TOP = 499990.0, 5780010.0
+NORTH_UP = Grid(UTM, rasterio.Affine(2.0, 0.0, LEFT, 0.0, -2.0, TOP), 10, 10)
+SOUTH_UP = Grid(UTM, rasterio.Affine(2.0, 0.0, LEFT, 0.0, 2.0, TOP - 20.0), 10, 10)
+TEXELS = Grid(UTM, rasterio.Affine(0.5, 0.0, LEFT, 0.0, -0.5, TOP), 40, 40)
+HEIGHT = np.full((10, 10), 100.0)
+
+
+def normals(vertices, faces):
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    return np.cross(b - a, c - a)
+
+
+def part(tmp_path, mesh, suffix):
+    path = tmp_path / f"model.{suffix}"
+    path.write_bytes(mesh.export(file_type=suffix))
+    return load(path)[0]
+
+
+def test_posts_lie_at_pixel_centres():
+    frame = terrain.frame_of(HEIGHT, NORTH_UP)
+    vertices, _, _ = terrain.mesh(HEIGHT, NORTH_UP, frame, TEXELS)
+    # The map's scale on its central meridian is 0.9996.
+    np.testing.assert_allclose(vertices[0], [-9.0 / 0.9996, 9.0 / 0.9996, 0.0], atol=2e-3)
+    np.testing.assert_allclose(vertices[-1], [9.0 / 0.9996, -9.0 / 0.9996, 0.0], atol=2e-3)
+
+
+@pytest.mark.parametrize("grid", [NORTH_UP, SOUTH_UP])
+def test_faces_look_up_and_map_to_their_texels(grid):
+    frame = terrain.frame_of(HEIGHT, grid)
+    vertices, faces, uv = terrain.mesh(HEIGHT, grid, frame, TEXELS)
+    assert (normals(vertices, faces)[:, 2] > 0.0).all()
+    # u runs east and v south over the 20 m of the texel map.
+    place = vertices[faces][..., :2] * 0.9996
+    np.testing.assert_allclose(uv, np.stack([0.5 + place[..., 0] / 20, 0.5 - place[..., 1] / 20], -1), atol=1e-4)
+
+
+@pytest.mark.parametrize("post", [(3, 3), (3, 4), (4, 3), (4, 4)])
+def test_a_missing_post_leaves_its_four_cells_out(post):
+    height = HEIGHT.copy()
+    height[post] = np.nan
+    _, faces, _ = terrain.mesh(height, NORTH_UP, LocalFrame(52.0, 21.0, 100.0), TEXELS)
+    assert len(faces) == 2 * (81 - 4) and np.isfinite(height.ravel()[faces]).all()
+
+
+def test_undeclared_placeholders_are_no_heights(tmp_path):
+    height = np.full((1, 4, 4), 50.0, np.float32)
+    height[0, 0] = -9999.0, 3.4e38, np.nan, 8848.0
+    with rasterio.open(
+        tmp_path / "dem.tif", "w", driver="GTiff", count=1, dtype="float32", height=4, width=4, crs=UTM,
+        transform=NORTH_UP.transform,
+    ) as file:  # fmt: skip
+        file.write(height)
+    found, _ = terrain.read_elevation(tmp_path / "dem.tif")
+    assert np.isnan(found[0, :3]).all() and found[0, 3] == 8848.0 and (found[1:] == 50.0).all()
+    with pytest.raises(ThermorenderError, match="no cell with four valid posts"):
+        terrain.mesh(np.where(np.eye(10) > 0, np.nan, np.nan), NORTH_UP, LocalFrame(52.0, 21.0, 0.0), TEXELS)
+
+
+def test_side_of_a_texel():
+    frame = terrain.frame_of(HEIGHT, NORTH_UP)
+    assert terrain.texel_size_m(TEXELS, frame) == pytest.approx(0.5 / 0.9996, rel=1e-4)
+
+
+def test_primitives_fill_their_size_on_their_base():
+    for shape, size, low, high in (
+        ("disc", (2.0, 2.0, 1.0), (-1, -1, 0), (1, 1, 0)),
+        ("box", (1.0, 2.0, 3.0), (-0.5, -1, 0), (0.5, 1, 3)),
+        ("sphere", (1.0, 2.0, 3.0), (-0.5, -1, 0), (0.5, 1, 3)),
+    ):
+        vertices, faces = primitive(shape, size)
+        np.testing.assert_allclose(vertices.min(axis=0), low, atol=0.01 * max(size), err_msg=shape)
+        np.testing.assert_allclose(vertices.max(axis=0), high, atol=0.01 * max(size), err_msg=shape)
+        outward = vertices[faces].mean(axis=1) - [0, 0, high[2] / 2 if high[2] else -1]
+        assert (np.einsum("ij,ij->i", normals(vertices, faces), outward) > 0.0).all(), shape
+
+
+def test_glb_is_turned_from_y_up_and_its_image_lies_right(tmp_path):
+    from PIL import Image
+
+    corners = [[0, 0, 0], [4, 0, 0], [4, 3, 0]]
+    image = Image.new("RGB", (4, 4))
+    image.putpixel((0, 3), (255, 0, 0))
+    square = trimesh.Trimesh(corners, [[0, 1, 2]], process=False)
+    # Lower left corner of the image at the first corner: v of trimesh runs up.
+    square.visual = trimesh.visual.TextureVisuals(
+        uv=np.array([[0.1, 0.1], [0.9, 0.1], [0.9, 0.9]]),
+        material=trimesh.visual.material.PBRMaterial(name="p", baseColorTexture=image),
+    )
+    found = part(tmp_path, square, "glb")
+    np.testing.assert_allclose(found.vertices[found.faces[0]], [[0, 0, 0], [4, 0, 0], [4, 0, 3]], atol=1e-6)
+    column, row = np.floor(found.uv[0, 0] * 4).astype(int)
+    assert found.colour[row, column].tolist() == [255, 0, 0]
+
+
+def test_a_mirrored_part_still_faces_outward(tmp_path):
+    scene = trimesh.Scene()
+    scene.add_geometry(trimesh.creation.box(), transform=np.diag([-1.0, 1.0, 1.0, 1.0]))
+    found = part(tmp_path, scene, "glb")
+    outward = found.vertices[found.faces].mean(axis=1)
+    assert (np.einsum("ij,ij->i", normals(found.vertices, found.faces), outward) > 0.0).all()

@@ -1,0 +1,367 @@
+"""Error against run time: this renderer and stock Mitsuba path tracing, held against the oracle.
+
+A case is one engine at one setting, seen from one pose. Its seconds are those of a whole frame of the camera; its
+error is that of the middle of the same frame against two independent oracle renders, so that their noise does not
+count (`thermorender.render.reference.squared_error`). Beside it stands the error of sampling alone, against the
+same renderer with 256 rays per pixel. Cavities of known radiance close the table. Every case is written as soon as
+it is measured; a later run measures what is missing.
+"""
+
+import json
+import time
+from dataclasses import asdict, dataclass, replace
+from functools import cache, partial
+
+import numpy as np
+
+from thermorender import products
+from thermorender.errors import ThermorenderError
+from thermorender.physics.planck import band_radiance, band_radiance_derivative
+from thermorender.render import reference
+from thermorender.render.frame import Renderer
+from thermorender.render.plan import QUALITIES
+from thermorender.render.variant import activate
+from thermorender.scene.load import load_scene
+from thermorender.scene.materials import grey
+from thermorender.scene.surface import SURFACE, Surface
+from thermorender.trajectory.path import pose
+from thermorender.validate import bench, convergence_report
+from thermorender.validate.metrics import after_optics, converged, mk_per_radiance, optics_sigma_px, rms_mk
+
+SCENES = ("heath", "village", "ridge")
+OWN, DEFAULT = "thermorender", "standard"
+# Paths of two reflections, as in the renderer's own race; "direct" sees one.
+STOCK = {
+    "stock path": {"type": "path", "max_depth": 3},
+    "stock direct": {"type": "direct"},
+    "stock direct, BSDF samples": {"type": "direct", "emitter_samples": 0, "bsdf_samples": 1},
+}
+_MOST_AT_ONCE = 64
+
+
+@dataclass(frozen=True)
+class Mode:
+    """How much is measured.
+
+    Attributes
+    ----------
+    window : (2,) int
+        Width and height of the part of the image, around its middle, whose error is taken [px].
+    views : tuple of str
+    oracle : int
+        Paths per pixel of each of the two oracle renders.
+    engines, stock : tuples of str and int
+        Stock engines, and their paths per pixel.
+    sampling : tuple of (int, int)
+        Rays per pixel, texture places per ray.
+    rays : tuple of int
+        Rays per face of the bake, the default's first.
+    tolerances_mk : tuple of float
+        Allowed to the spectral nodes and the solution [mK], the default's first.
+    emissivities : tuple of float
+        Of the cavities.
+    seconds : float
+        Spent on timing one case; at least one frame, at most 15.
+    """
+
+    window: tuple
+    views: tuple
+    oracle: int
+    engines: tuple
+    stock: tuple
+    sampling: tuple
+    rays: tuple
+    tolerances_mk: tuple
+    emissivities: tuple
+    seconds: float
+
+
+MODES = {
+    "quick": Mode(
+        window=(96, 80),
+        views=("oblique",),
+        oracle=256,
+        engines=("stock direct, BSDF samples",),
+        stock=(1, 4),
+        sampling=((1, 1), (1, 4), (4, 1), (4, 4)),
+        rays=(32,),
+        tolerances_mk=(20.0,),
+        emissivities=(0.5,),
+        seconds=0.3,
+    ),
+    "full": Mode(
+        window=(160, 128),
+        views=tuple(bench.VIEWS),
+        oracle=2048,
+        engines=tuple(STOCK),
+        stock=(1, 4, 16, 64, 256),
+        sampling=tuple((rays, taps) for rays in (1, 2, 4, 8, 16) for taps in (1, 2, 4, 8, 16) if rays * taps <= 32),
+        rays=(128, 16, 32, 64, 256, 512),
+        tolerances_mk=(5.0, 1.0, 20.0, 100.0),
+        emissivities=(0.9, 0.5, 0.1),
+        seconds=3.0,
+    ),
+}  # fmt: skip
+
+
+def convergence(scenes=SCENES, folder="validation", progress=None, mode="full", overwrite=False, device="auto"):
+    """Measure the cases of some scenes; return {case: record}, as is also written.
+
+    Parameters
+    ----------
+    scenes : sequence of str or Scene
+    folder : path
+        Receives `convergence.json`, `convergence.md` and `figures/convergence_<scene>.png`.
+    progress : callable, optional
+        Called with (what, share done).
+    mode : {"full", "quick"} or Mode
+    overwrite : bool
+        Measure anew what is there.
+    device : {"auto", "cpu", "cuda"}
+
+    Raises
+    ------
+    ThermorenderError
+        An unknown mode or scene, or a folder that holds the cases of another mode.
+    """
+    if isinstance(mode, str) and mode not in MODES:
+        raise ThermorenderError(f"mode={mode!r} is unknown; give one of {', '.join(MODES)}")
+    mode = MODES[mode] if isinstance(mode, str) else mode
+    folder = products.make_folder(folder)
+    figures = products.make_folder(folder / "figures")
+    path = folder / "convergence.json"
+    # Through JSON once, so that it equals what is read back.
+    settings = json.loads(json.dumps({**asdict(mode), "device": device}))
+    kept = {} if overwrite else _read(path, settings)
+    sites = [_Site(scene if not isinstance(scene, str) else load_scene(scene), mode, device) for scene in scenes]
+    jobs = [(site, case) for site in sites for case in _cases(site, mode)]
+    jobs += [(None, case) for case in _cavity_cases(mode, device)]
+    for number, (site, (name, measure)) in enumerate(jobs):
+        if progress:
+            progress(name, number / len(jobs))
+        if name not in kept:
+            kept[name] = measure()
+            record = {"settings": settings, "machine": bench.machine(), "versions": bench.versions(), "cases": kept}
+            products.write_json(path, record)
+        if site and (number + 1 == len(jobs) or jobs[number + 1][0] is not site):
+            convergence_report.figure(figures / f"convergence_{site.scene.name}.png", kept, site.scene)
+            site.forget()
+    convergence_report.table(folder / "convergence.md", kept, settings)
+    if progress:
+        progress("measured", 1.0)
+    return kept
+
+
+def _read(path, settings):
+    """Cases already measured with these settings."""
+    if not path.is_file():
+        return {}
+    try:
+        held = json.loads(path.read_text(encoding="utf-8"))
+        found, cases = held["settings"], held["cases"]
+    except (ValueError, KeyError, TypeError):
+        raise ThermorenderError(f"{path} is damaged; remove it, or overwrite it") from None
+    if found != settings:
+        raise ThermorenderError(f"{path} holds cases of other settings; give another folder, or overwrite it")
+    return cases
+
+
+def _cases(site, mode):
+    """(name, function that measures it) of every case of a scene."""
+
+    def named(engine, group, setting, **more):
+        for view in mode.views:
+            key = {"scene": site.scene.name, "view": view, "engine": engine, "group": group, "setting": setting}
+            yield "/".join(key.values()), lambda key=key: {**key, **site.measure(view=key["view"], **more)}
+
+    presets = {pair: name for name, pair in QUALITIES.items()}
+    for samples, taps in mode.sampling:
+        preset = presets.get((samples, taps))
+        label = f"{samples} × {taps}" + (f" ({preset})" if preset else "")
+        yield from named(OWN, "sampling", label, keywords={"samples": samples, "taps": taps}, default=preset == DEFAULT)
+    for rays in mode.rays:
+        yield from named(OWN, "bake rays", f"{rays} rays", keywords={"quality": "high", "rays": rays}, anew=True)
+    for tolerance in mode.tolerances_mk:
+        yield from named(
+            OWN, "nodes", f"{tolerance:g} mK", keywords={"quality": "high", "tolerance_mk": tolerance}, anew=True
+        )
+    for name in mode.engines:
+        for samples in mode.stock:
+            yield from named(name, "stock", f"{samples} paths", integrator=STOCK[name], samples=samples)
+
+
+class _Site:
+    """A scene and what its cases share, each made when first needed."""
+
+    def __init__(self, scene, mode, device):
+        if scene.spec.surroundings_temperature is None:
+            # Both engines must see the same beyond the scene's edge; left open, each has a rule of its own.
+            warm = float(np.round(scene.surfaces[0].temperature.mean()))
+            scene = replace(scene, spec=replace(scene.spec, surroundings_temperature=warm))
+        self.scene, self.mode, self.device = scene, mode, device
+        width, height = mode.window
+        self.part = replace(scene, camera=replace(scene.camera, width=width, height=height))
+        self.poses = bench.views(scene)
+        self.sigma = optics_sigma_px(scene.camera)
+        self.own = {"rays": mode.rays[0], "tolerance_mk": mode.tolerances_mk[0], "device": device}
+        self.forget()
+
+    def forget(self):
+        """Let go of renderers and images."""
+        self.base = cache(lambda: Renderer(self.scene, **self.own))
+        self.truth = cache(self._truth)
+        self.finest = cache(self._finest)
+        self.stock = cache(lambda view: Stock(self.scene, self.poses[view], self.device))
+        self._baked = None
+
+    def measure(self, view, keywords=None, anew=False, default=False, integrator=None, samples=None):
+        """One case's record."""
+        if integrator:
+            render = partial(self.stock(view).render, integrator)
+            # More are rendered in parts, which this compiles.
+            render(min(samples, _MOST_AT_ONCE))
+            seconds, image = _seconds(partial(render, samples, seed=3), self.mode.seconds)
+            found = {"seconds": seconds}
+        else:
+            renderer, bake_s = self._renderer(keywords, anew)
+            render = partial(renderer.radiance, self.poses[view])
+            render()
+            seconds, image = _seconds(render, self.mode.seconds)
+            found = {"seconds": seconds, "bake_s": bake_s, "default": default, "sampling_mk": None}
+        image = self._middle(image)
+        if keywords and not anew:
+            found["sampling_mk"] = rms_mk(image, self.finest(view), self.scene.camera)
+        return {
+            **found, **self._error(image, view, "error", 0.0), **self._error(image, view, "optics_error", self.sigma)
+        }  # fmt: skip
+
+    def _middle(self, image):
+        """The part of an image whose error is taken."""
+        camera, (width, height) = self.scene.camera, self.mode.window
+        left, top = (camera.width - width) // 2, (camera.height - height) // 2
+        return image[top : top + height, left : left + width]
+
+    def _renderer(self, keywords, anew):
+        """(renderer of whole frames, seconds of its bake, None where another's is used)."""
+        settings = {**self.own, **keywords}
+        if not anew:
+            return Renderer(self.scene, **settings, like=self.base()), None
+        if not self._baked or self._baked[0] != settings:
+            # Only the last is kept, for the next view: a finely traced scene fills the memory.
+            self._baked = None
+            renderer = Renderer(self.scene, **settings)
+            start = time.perf_counter()
+            renderer.prepare()
+            self._baked = settings, renderer, time.perf_counter() - start
+        return self._baked[1:]
+
+    def _truth(self, view):
+        # The same seeds as another case's would give the same noise.
+        return [
+            reference.render(self.part, self.poses[view], samples=self.mode.oracle, seed=seed, device=self.device)
+            for seed in (1, 2)
+        ]
+
+    def _finest(self, view):
+        part = Renderer(self.part, **self.own, like=self.base())
+        return converged(part, self.poses[view], self.own)
+
+    def _error(self, image, view, name, sigma):
+        """RMS error [mK], and the lower and upper end of its range of two standard errors."""
+        images = [np.asarray(image, np.float64), *self.truth(view)]
+        scale = mk_per_radiance(images[1], self.scene.camera.band_um)
+        if sigma:
+            images = [after_optics(one, sigma) for one in images]
+        square, standard_error = reference.squared_error(*images)
+        low, middle, high = (float(scale * np.sqrt(max(square + k * standard_error, 0.0))) for k in (-2, 0, 2))
+        return {f"{name}_mk": middle, f"{name}_range_mk": [low, high]}
+
+
+class Stock:
+    """A scene in stock Mitsuba, built once and rendered by any of its integrators.
+
+    Parameters
+    ----------
+    scene : Scene
+    place : (4, 4) array
+        world_from_camera.
+    device : {"auto", "cpu", "cuda"}
+    """
+
+    def __init__(self, scene, place, device="auto"):
+        self._mi = activate(device)
+        self._mono = self._mi.variant()
+        self._shape = scene.camera.height, scene.camera.width
+        self._mi.set_variant(reference.VARIANTS[self._mono])
+        try:
+            self._world = reference._scene(self._mi, scene, place, "path", 8, None)
+        finally:
+            self._mi.set_variant(self._mono)
+
+    def render(self, integrator, samples, seed=0):
+        """Return band radiance, (H, W) float64 [W m⁻² sr⁻¹], of an integrator (a dict of Mitsuba's)."""
+        self._mi.set_variant(reference.VARIANTS[self._mono])
+        try:
+            method = self._mi.load_dict(integrator)
+            total = np.zeros(self._shape)
+            for done in range(0, samples, _MOST_AT_ONCE):
+                count = min(_MOST_AT_ONCE, samples - done)
+                image = self._mi.render(self._world, integrator=method, spp=count, seed=(seed << 12) + done)
+                total += np.array(image)[..., 0].astype(np.float64) * count
+            # The film integrates over nanometres what is radiance per micrometre.
+            return total / samples * 1e-3
+        finally:
+            self._mi.set_variant(self._mono)
+
+
+def _seconds(job, budget):
+    """(median seconds of a job, what it returned)."""
+    taken = []
+    while not taken or (sum(taken) < budget and len(taken) < 15):
+        start = time.perf_counter()
+        result = job()
+        taken.append(time.perf_counter() - start)
+    return float(np.median(taken)), result
+
+
+def _cavity_cases(mode, device):
+    """(name, function) of every cavity."""
+    for share in (0.0, 0.1):
+        for emissivity in mode.emissivities:
+            for rays in mode.rays:
+                setting = f"opening {share:g}, emissivity {emissivity:g}, {rays} rays"
+                yield f"cavity/{setting}", partial(_cavity_case, setting, share, emissivity, rays, device)
+
+
+def _cavity_case(setting, share, emissivity, rays, device):
+    """A spherical cavity with a hole at its top, seen from its middle.
+
+    All of a sphere sees all of it alike: with a share s of its area open to a sky of radiance S, its wall of
+    emissivity ε and blackbody radiance B receives x = ((1−s) ε B + s S) / (1 − (1−ε)(1−s)) everywhere.
+    """
+    import trimesh
+
+    ball = trimesh.creation.icosphere(subdivisions=4)
+    ball.invert()
+    whole = ball.area
+    # The hole's edge is jagged; what counts is the area that is missing.
+    ball.update_faces(ball.triangles_center[:, 2] < (1.0 - 2.0 * share if share else 2.0))
+    ball.remove_unreferenced_vertices()
+    s = 1.0 - ball.area / whole
+    surface = Surface(
+        name="wall", vertices=np.array(ball.vertices), faces=np.array(ball.faces, np.int32),
+        uv=np.full((len(ball.faces), 3, 2), 0.5, np.float32), colour=np.full((1, 1, 3), 128, np.uint8),
+        material=np.zeros((1, 1), np.uint8), temperature=np.full((1, 1), 300.0, np.float32),
+        flags=np.full((1, 1), SURFACE, np.uint8), texel_m=1.0,
+    )  # fmt: skip
+    scene = bench.in_memory("cavity", (surface,), (grey("wall", emissivity),), sky=250.0, surroundings=250.0)
+    band = scene.camera.band_um
+    black, sky = (float(band_radiance(t, *band)) for t in (300.0, 250.0))
+    received = ((1 - s) * emissivity * black + s * sky) / (1 - (1 - emissivity) * (1 - s))
+    exact = emissivity * black + (1 - emissivity) * received
+    image = Renderer(scene, rays=rays, tolerance_mk=1.0, device=device).radiance(pose(0, 0, 0, pitch_deg=-90.0))
+    scale = 1e3 / float(band_radiance_derivative(300.0, *band))
+    return {
+        "scene": "cavity", "setting": setting, "mean_mk": scale * float(image.astype(np.float64).mean() - exact),
+        "error_mk": scale * float(np.sqrt(((image - exact) ** 2).mean())),
+    }  # fmt: skip

@@ -1,0 +1,107 @@
+"""Errors of an image in mK: against a converged one, as it is and behind the camera's optics."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.physics.planck import band_radiance_derivative, brightness_temperature
+from thermorender.render.frame import Renderer
+
+# Pixels of the converged image per pixel and direction, and rays in each: 256 per pixel.
+FINER, RAYS = 4, 16
+
+
+def converged(renderer, place, keywords):
+    """Return (H, W) float64 radiance [W m⁻² sr⁻¹] of a renderer's scene with 256 rays per pixel.
+
+    Parameters
+    ----------
+    renderer : Renderer
+        Its light between surfaces is used again.
+    place : (4, 4) array
+        world_from_camera.
+    keywords : dict
+        What the renderer was made with.
+    """
+    camera = renderer.scene.camera
+    settings = {**keywords, "samples": RAYS, "taps": 1, "like": renderer}
+    quarters = []
+    for lower in range(2):
+        for right in range(2):
+            part = replace(renderer.scene, camera=_quarter(camera, right, lower))
+            image = Renderer(part, **settings).radiance(place).astype(np.float64)
+            rows, columns = image.shape
+            quarters.append(image.reshape(rows // FINER, FINER, columns // FINER, FINER).mean(axis=(1, 3)))
+    return np.block([quarters[:2], quarters[2:]])
+
+
+def _quarter(camera, right, lower):
+    """A quarter of a camera's image with each pixel cut into 4 × 4; both sides must be even.
+
+    In quarters, since the rays of a whole image so fine take more than a gigabyte.
+    """
+    width, height = (n // 2 * FINER for n in (camera.width, camera.height))
+    middle = zip(camera.principal_offset_px, (right, lower), (width, height), strict=True)
+    return replace(
+        camera,
+        width=width,
+        height=height,
+        pixel_pitch_um=camera.pixel_pitch_um / FINER,
+        principal_offset_px=tuple(FINER * shift + (0.5 - side) * size for shift, side, size in middle),
+    )
+
+
+def rms_mk(image, reference, camera, sigma_px=0.0):
+    """Return the root mean square difference of two images in apparent temperature [mK].
+
+    Parameters
+    ----------
+    image, reference : (H, W) arrays
+        Band radiance [W m⁻² sr⁻¹].
+    camera : Camera
+    sigma_px : float
+        Width of a Gaussian both are filtered with first [px].
+    """
+    difference = np.asarray(image, np.float64) - reference
+    if sigma_px:
+        difference = after_optics(difference, sigma_px)
+    return float(np.sqrt((difference**2).mean())) * mk_per_radiance(reference, camera.band_um)
+
+
+def mk_per_radiance(radiance, band_um):
+    """Return mK of apparent temperature per W m⁻² sr⁻¹ at the mean of an image of band radiance."""
+    middle = brightness_temperature(float(np.mean(radiance)), *band_um)
+    return float(1e3 / band_radiance_derivative(middle, *band_um))
+
+
+def optics_sigma_px(camera):
+    """Return the width of the Gaussian that stands for diffraction in the lens of a camera [px].
+
+    Notes
+    -----
+    A lens without aberrations passes spatial frequency ν with 2/π (arccos x − x √(1−x²)), x = ν λ F (Goodman,
+    Introduction to Fourier Optics, eq. 6-31). The Gaussian has the same value at the detector's Nyquist frequency,
+    1/2 per pixel, at the middle of the band: exp(−π² σ²/2) = MTF. At f/1.25, 10.5 µm and 17 µm pixels x = 0.386,
+    MTF = 0.521 and σ = 0.363 px. A pixel's own width is in the images already; with it, 1/√12 px, the whole is
+    as wide as a Gaussian of 0.464 px. A real lens blurs more, and so hides more of the error.
+    """
+    x = 0.5 * float(np.mean(camera.band_um)) * camera.f_number / camera.pixel_pitch_um
+    if x >= 1.0:
+        raise ThermorenderError(
+            f"camera {camera.name}: f_number={camera.f_number:g} blurs more than two pixels by diffraction; give a lower one"
+        )
+    mtf = 2.0 / np.pi * (np.arccos(x) - x * np.sqrt(1.0 - x * x))
+    return float(np.sqrt(-2.0 * np.log(mtf)) / np.pi)
+
+
+def after_optics(image, sigma_px):
+    """Return an image (H, W) filtered with a Gaussian of `sigma_px`, mirrored at its borders.
+
+    The filter is applied to the image's cosine series: sampled at pixels, so narrow a Gaussian would hardly blur.
+    """
+    from scipy.fft import dctn, idctn
+
+    row, column = (0.5 * np.arange(n) / n for n in image.shape)
+    transfer = np.exp(-2.0 * (np.pi * sigma_px) ** 2 * (row[:, None] ** 2 + column**2))
+    return idctn(dctn(image, norm="ortho") * transfer, norm="ortho")
