@@ -10,6 +10,7 @@ from scenes import write_terrain
 from thermorender import products
 from thermorender.errors import ThermorenderError
 from thermorender.flight import fly
+from thermorender.scene.spec import TemperatureSpec
 
 MARKER = """
 [[object]]
@@ -101,6 +102,26 @@ def test_resume_refuses_other_settings(setting, tmp_path):
     other = tr.Renderer(renderer.scene, rays=4, samples=1, seed=12)
     with pytest.raises(ThermorenderError, match="was flown with seed=11, now seed=12"):
         fly(other, path, tmp_path / "f", rate_hz=2.0, products=("counts",), resume=True)
+    higher = tr.Trajectory(path.time_s, path.position + [0.0, 0.0, 0.5], path.quaternion)
+    with pytest.raises(ThermorenderError, match="was flown with path_digest="):
+        fly(renderer, higher, tmp_path / "f", rate_hz=2.0, products=("counts",), resume=True)
+    warmer = renderer.scene.with_temperature(TemperatureSpec(source="constant", value=300.0))
+    other = tr.Renderer(warmer, rays=4, samples=1, seed=11)
+    other.plan = renderer.plan
+    with pytest.raises(ThermorenderError, match="was flown with scene_digest="):
+        fly(other, path, tmp_path / "f", rate_hz=2.0, products=("counts",), resume=True)
+
+
+@pytest.mark.parametrize("damage", ["not JSON", "frame 2 told as 1", "a line missing"])
+def test_resume_from_a_damaged_record(setting, tmp_path, damage):
+    renderer, path = setting
+    fly(renderer, path, tmp_path / "f", rate_hz=4.0, products=("counts",))
+    whole = contents(tmp_path / "f")
+    lines = (tmp_path / "f/frames.jsonl").read_text().splitlines()
+    lines[2:3] = {"not JSON": ['{"index": 2, "ti'], "frame 2 told as 1": [lines[1]], "a line missing": []}[damage]
+    (tmp_path / "f/frames.jsonl").write_text("".join(line + "\n" for line in lines))
+    assert fly(renderer, path, tmp_path / "f", rate_hz=4.0, products=("counts",), resume=True)["rendered"] == 3
+    assert contents(tmp_path / "f") == whole
 
 
 def test_products_are_optional(setting, tmp_path):

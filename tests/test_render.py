@@ -9,11 +9,12 @@ import trimesh
 import thermorender as tr
 from scenes import write_mesh, write_terrain
 from thermorender.errors import ThermorenderError
+from thermorender.physics.band import emitted_radiance
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.render import bake
-from thermorender.render.sampling import morton_order
 from thermorender.render.geometry import Geometry
 from thermorender.render.plan import make_plan
+from thermorender.render.sampling import morton_order
 from thermorender.render.variant import activate
 from thermorender.scene.surface import BEYOND, FILLED, SURFACE
 
@@ -33,7 +34,7 @@ def square(side=10.0, up=0.0):
     return trimesh.Trimesh([[-h, -h, up], [h, -h, up], [h, h, up], [-h, h, up]], [[0, 1, 2], [0, 2, 3]])
 
 
-@pytest.mark.parametrize("emissivity", [1.0, 0.9, 0.5, 0.05])
+@pytest.mark.parametrize("emissivity", [1.0, 0.9, 0.5, 0.05, 0.001])
 def test_isothermal_enclosure_reads_the_wall(tmp_path, emissivity):
     # The sky would be seen at 0 K through any leak.
     scene = tr.load_scene(write_mesh(tmp_path / "s", box(True), 300.0, emissivity, sky=0.0))
@@ -100,6 +101,16 @@ def test_transport_against_the_view_factor_of_parallel_squares(tmp_path, subdivi
     np.testing.assert_allclose(sums, 1.0, atol=1e-9)
 
 
+def test_neighbouring_faces_cast_different_rays(tmp_path):
+    # One ray each: parallel rays off the floor of a room would meet its ceiling and two walls at most.
+    scene = tr.load_scene(write_mesh(tmp_path / "s", box(True)))
+    transport = bake.trace(Geometry(activate(), scene.surfaces), 1)
+    middle = scene.surfaces[0].vertices[scene.surfaces[0].faces].mean(axis=1)
+    side = np.argmax(np.abs(middle), axis=1) + 3 * (middle.max(axis=1) > 1.99)
+    floor = np.isclose(middle[:, 2], -2.0)
+    assert len(set(side[transport.operator[floor].indices])) == 5
+
+
 def test_occluded_directions_return_solved_radiance(tmp_path):
     # A grey floor close under a warm black ceiling reflects the ceiling, not black and not the sky.
     floor, ceiling = square(40.0).subdivide().subdivide(), square(40.0, up=1.0)
@@ -147,6 +158,10 @@ def test_plan_gives_quartz_the_nodes_it_needs(tmp_path):
     assert plan.nodes > 1 and plan.nodes_mk <= 2.0
     loose = make_plan(scene, tolerance_mk=500.0)
     assert loose.nodes < plan.nodes
+    # A single node has the band's own emissivity: every wavelength counts with its share of 300 K light.
+    (single,) = make_plan(scene, tolerance_mk=5000.0).emissivity.T
+    exact = [emitted_radiance(material.emissivity_at, 300.0, *BAND) for material in scene.materials]
+    np.testing.assert_allclose(single, np.array(exact) / band_radiance(300.0, *BAND), rtol=1e-9)
     np.testing.assert_allclose(
         plan.node_radiance(np.array([300.0])).sum(), band_radiance(300.0, *BAND), rtol=1e-10
     )
@@ -194,11 +209,37 @@ def test_radiance_is_averaged_not_temperature(tmp_path):
     far = tr.Renderer(scene, rays=1, samples=16, taps=1).frame(tr.pose(0, 0, 150, **DOWN))
     seen = far.radiance[236:276, 300:340].mean()
     material = scene.materials[0]
-    from thermorender.physics.band import emitted_radiance
-
     exact = emitted_radiance(material.emissivity_at, np.array([250.0, 350.0]), *BAND).mean()
     wrong = emitted_radiance(material.emissivity_at, 300.0, *BAND)
     assert abs(seen - exact) < 0.1 * abs(exact - wrong)
+
+
+def test_places_around_a_ray_stand_for_more_rays(tmp_path):
+    checker = np.where(np.indices((64, 64)).sum(axis=0) % 2, 250.0, 350.0)
+    flat, grass = np.zeros((32, 32)), np.ones((64, 64))
+    scene = tr.load_scene(write_terrain(tmp_path / "s", height=flat, temperature=checker, classes=grass, sky=0.0))
+    pose = tr.pose(0, 0, 400, **DOWN)
+    many, one, four = (
+        tr.Renderer(scene, rays=1, samples=samples, taps=taps).radiance(pose)[240:272, 304:336]
+        for samples, taps in ((16, 1), (1, 1), (1, 4))
+    )
+    assert (four - many).std() < 0.3 * (one - many).std()
+
+
+def test_pixels_on_an_edge_are_shared(tmp_path):
+    extra = (
+        '[[object]]\nname = "box"\nshape = "box"\nsize = [4, 4, 1]\nposition = [0, 0, 3]\nyaw_deg = 20\n'
+        'temperature = 350.0\nmaterial = "paint_black"\n'
+    )
+    flat, even = np.zeros((32, 32)), np.full((64, 64), 280.0)
+    scene = tr.load_scene(write_terrain(tmp_path / "s", height=flat, temperature=even, extra=extra))
+    pose = tr.pose(0, 0, 40, **DOWN)
+    many = tr.Renderer(scene, rays=8, samples=16, edge_samples=0).radiance(pose)[156:356, 220:420]
+    shared = tr.Renderer(scene, rays=8).radiance(pose)[156:356, 220:420]
+    contrast = many.max() - many.min()
+    assert np.abs(shared - many).max() < 0.3 * contrast
+    # A share never lies outside what is shared.
+    assert many.min() - 1e-4 * contrast < shared.min() and shared.max() < many.max() + 1e-4 * contrast
 
 
 def test_same_input_same_bytes(tmp_path):

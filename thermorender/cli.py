@@ -329,7 +329,10 @@ def _renderer(scene, quality, rays, tolerance_mk, seed, device, tell):
 def _trajectory(scene, files, format, anchor, clock_offset_s, mount, lever_arm_m):
     from thermorender.trajectory import parse_anchor, parse_lever_arm, parse_mount, read_trajectory
 
-    files = files or [scene.spec.folder / "flight.csv"]
+    own = scene.spec.folder / "flight.csv"
+    if not files and not own.exists():
+        raise ThermorenderError(f"{own} does not exist, so {scene.name} has no flight of its own; give --trajectory LOG.csv")
+    files = files or [own]
     return read_trajectory(
         files,
         frame=scene.frame,

@@ -73,7 +73,8 @@ def load(name):
     """Return the Transport stored under `name`, or None where there is none that is whole."""
     try:
         path = folder() / f"{name}.npz"
-        with np.load(path, allow_pickle=False) as stored:
+        # Opened here, because NumPy leaves a file open that it cannot read.
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:
             found = {which: stored[which] for which in ("rays", *_ARRAYS, "checksum")}
         transport = bake.Transport(int(found["rays"]), *(found[which] for which in _ARRAYS))
         if str(found["checksum"]) != _checksum(name, transport):

@@ -5,6 +5,7 @@ one surface hides another. Across one plane the inverse of depth is linear in th
 second difference does not vanish.
 """
 
+import drjit as dr
 import numpy as np
 
 # Sub-pixel places (right, down) in 0…1: lattices whose rows and columns are all different.
@@ -86,11 +87,12 @@ class CameraRays:
         """
         mi, count = self._mi, self._edge_samples
         if self._edge_slopes is None:
-            found = [self._slopes_array(place) for place in PATTERNS[count]]
-            self._edge_slopes = np.stack(found, axis=1)
+            found = np.stack([self._slopes_array(place) for place in PATTERNS[count]], axis=1)
+            self._edge_slopes = [mi.Float(found[..., axis].ravel()) for axis in (0, 1)]
         position = np.sort(self._position[np.flatnonzero(marked)])
-        slopes = self._edge_slopes[position]
-        return self.order[position], mi.Float(slopes[..., 0].ravel()), mi.Float(slopes[..., 1].ravel())
+        ray = dr.arange(mi.UInt32, position.size * count)
+        index = dr.gather(mi.UInt32, mi.UInt32(position.astype(np.uint32)), ray // count) * count + ray % count
+        return self.order[position], *(dr.gather(mi.Float, slopes, index) for slopes in self._edge_slopes)
 
     def _slopes_array(self, place):
         row, column = np.divmod(self.order, self._camera.width)

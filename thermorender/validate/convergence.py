@@ -16,16 +16,12 @@ import numpy as np
 
 from thermorender import products
 from thermorender.errors import ThermorenderError
-from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.render import reference
 from thermorender.render.frame import Renderer
 from thermorender.render.plan import QUALITIES
 from thermorender.render.variant import activate
 from thermorender.scene.load import load_scene
-from thermorender.scene.materials import grey
-from thermorender.scene.surface import SURFACE, Surface
-from thermorender.trajectory.path import pose
-from thermorender.validate import bench, convergence_report
+from thermorender.validate import bench, cavity, convergence_report
 from thermorender.validate.metrics import after_optics, converged, mk_per_radiance, optics_sigma_px, rms_mk
 
 SCENES = ("heath", "village", "ridge")
@@ -52,8 +48,8 @@ class Mode:
         Paths per pixel of each of the two oracle renders.
     engines, stock : tuples of str and int
         Stock engines, and their paths per pixel.
-    sampling : tuple of (int, int)
-        Rays per pixel, texture places per ray.
+    sampling : tuple of (int, int, int)
+        Rays per pixel, texture places per ray and rays per pixel that shows an edge, beside the qualities'.
     rays : tuple of int
         Rays per face of the bake, the default's first.
     tolerances_mk : tuple of float
@@ -83,7 +79,7 @@ MODES = {
         oracle=256,
         engines=("stock direct, BSDF samples",),
         stock=(1, 4),
-        sampling=((1, 1), (1, 4), (4, 1), (4, 4)),
+        sampling=((1, 1, 0), (4, 4, 0)),
         rays=(32,),
         tolerances_mk=(20.0,),
         emissivities=(0.5,),
@@ -95,7 +91,12 @@ MODES = {
         oracle=2048,
         engines=tuple(STOCK),
         stock=(1, 4, 16, 64, 256),
-        sampling=tuple((rays, taps) for rays in (1, 2, 4, 8, 16) for taps in (1, 2, 4, 8, 16) if rays * taps <= 32),
+        sampling=(
+            *((rays, 1, 0) for rays in (1, 2, 4, 8, 16)),
+            *((1, taps, 0) for taps in (2, 4, 8, 16)),
+            *((2, 4, 0), (4, 4, 0), (8, 4, 0), (16, 4, 0)),
+            *((1, 4, 4), (1, 4, 64), (1, 8, 16), (4, 4, 16), (8, 4, 64)),
+        ),
         rays=(128, 16, 32, 64, 256, 512),
         tolerances_mk=(5.0, 1.0, 20.0, 100.0),
         emissivities=(0.9, 0.5, 0.1),
@@ -135,7 +136,7 @@ def convergence(scenes=SCENES, folder="validation", progress=None, mode="full", 
     kept = {} if overwrite else _read(path, settings)
     sites = [_Site(scene if not isinstance(scene, str) else load_scene(scene), mode, device) for scene in scenes]
     jobs = [(site, case) for site in sites for case in _cases(site, mode)]
-    jobs += [(None, case) for case in _cavity_cases(mode, device)]
+    jobs += [(None, case) for case in cavity.cases(mode.emissivities, mode.rays, device)]
     for number, (site, (name, measure)) in enumerate(jobs):
         if progress:
             progress(name, number / len(jobs))
@@ -174,11 +175,12 @@ def _cases(site, mode):
             key = {"scene": site.scene.name, "view": view, "engine": engine, "group": group, "setting": setting}
             yield "/".join(key.values()), lambda key=key: {**key, **site.measure(view=key["view"], **more)}
 
-    presets = {pair: name for name, pair in QUALITIES.items()}
-    for samples, taps in mode.sampling:
-        preset = presets.get((samples, taps))
-        label = f"{samples} × {taps}" + (f" ({preset})" if preset else "")
-        yield from named(OWN, "sampling", label, keywords={"samples": samples, "taps": taps}, default=preset == DEFAULT)
+    named_settings = {numbers: name for name, numbers in QUALITIES.items()}
+    for numbers in dict.fromkeys((*QUALITIES.values(), *mode.sampling)):
+        name = named_settings.get(numbers)
+        label = " · ".join(map(str, numbers)) + (f" ({name})" if name else "")
+        keywords = dict(zip(("samples", "taps", "edge_samples"), numbers, strict=True))
+        yield from named(OWN, "sampling", label, keywords=keywords, default=name == DEFAULT)
     for rays in mode.rays:
         yield from named(OWN, "bake rays", f"{rays} rays", keywords={"quality": "high", "rays": rays}, anew=True)
     for tolerance in mode.tolerances_mk:
@@ -322,46 +324,3 @@ def _seconds(job, budget):
         result = job()
         taken.append(time.perf_counter() - start)
     return float(np.median(taken)), result
-
-
-def _cavity_cases(mode, device):
-    """(name, function) of every cavity."""
-    for share in (0.0, 0.1):
-        for emissivity in mode.emissivities:
-            for rays in mode.rays:
-                setting = f"opening {share:g}, emissivity {emissivity:g}, {rays} rays"
-                yield f"cavity/{setting}", partial(_cavity_case, setting, share, emissivity, rays, device)
-
-
-def _cavity_case(setting, share, emissivity, rays, device):
-    """A spherical cavity with a hole at its top, seen from its middle.
-
-    All of a sphere sees all of it alike: with a share s of its area open to a sky of radiance S, its wall of
-    emissivity ε and blackbody radiance B receives x = ((1−s) ε B + s S) / (1 − (1−ε)(1−s)) everywhere.
-    """
-    import trimesh
-
-    ball = trimesh.creation.icosphere(subdivisions=4)
-    ball.invert()
-    whole = ball.area
-    # The hole's edge is jagged; what counts is the area that is missing.
-    ball.update_faces(ball.triangles_center[:, 2] < (1.0 - 2.0 * share if share else 2.0))
-    ball.remove_unreferenced_vertices()
-    s = 1.0 - ball.area / whole
-    surface = Surface(
-        name="wall", vertices=np.array(ball.vertices), faces=np.array(ball.faces, np.int32),
-        uv=np.full((len(ball.faces), 3, 2), 0.5, np.float32), colour=np.full((1, 1, 3), 128, np.uint8),
-        material=np.zeros((1, 1), np.uint8), temperature=np.full((1, 1), 300.0, np.float32),
-        flags=np.full((1, 1), SURFACE, np.uint8), texel_m=1.0,
-    )  # fmt: skip
-    scene = bench.in_memory("cavity", (surface,), (grey("wall", emissivity),), sky=250.0, surroundings=250.0)
-    band = scene.camera.band_um
-    black, sky = (float(band_radiance(t, *band)) for t in (300.0, 250.0))
-    received = ((1 - s) * emissivity * black + s * sky) / (1 - (1 - emissivity) * (1 - s))
-    exact = emissivity * black + (1 - emissivity) * received
-    image = Renderer(scene, rays=rays, tolerance_mk=1.0, device=device).radiance(pose(0, 0, 0, pitch_deg=-90.0))
-    scale = 1e3 / float(band_radiance_derivative(300.0, *band))
-    return {
-        "scene": "cavity", "setting": setting, "mean_mk": scale * float(image.astype(np.float64).mean() - exact),
-        "error_mk": scale * float(np.sqrt(((image - exact) ** 2).mean())),
-    }  # fmt: skip

@@ -9,7 +9,7 @@ from thermorender.physics.planck import band_radiance_derivative, brightness_tem
 from thermorender.render.frame import Renderer
 
 # Pixels of the converged image per pixel and direction, and rays in each: 256 per pixel.
-FINER, RAYS = 4, 16
+FINER, RAYS = 8, 4
 
 
 def converged(renderer, place, keywords):
@@ -25,7 +25,7 @@ def converged(renderer, place, keywords):
         What the renderer was made with.
     """
     camera = renderer.scene.camera
-    settings = {**keywords, "samples": RAYS, "taps": 1, "like": renderer}
+    settings = {**keywords, "samples": RAYS, "taps": 1, "edge_samples": 0, "like": renderer}
     quarters = []
     for lower in range(2):
         for right in range(2):
@@ -37,7 +37,7 @@ def converged(renderer, place, keywords):
 
 
 def _quarter(camera, right, lower):
-    """A quarter of a camera's image with each pixel cut into 4 × 4; both sides must be even.
+    """A quarter of a camera's image with each pixel cut into 8 × 8; both sides must be even.
 
     In quarters, since the rays of a whole image so fine take more than a gigabyte.
     """
@@ -89,7 +89,7 @@ def optics_sigma_px(camera):
     x = 0.5 * float(np.mean(camera.band_um)) * camera.f_number / camera.pixel_pitch_um
     if x >= 1.0:
         raise ThermorenderError(
-            f"camera {camera.name}: f_number={camera.f_number:g} blurs more than two pixels by diffraction; give a lower one"
+            f"camera {camera.name}: f_number={camera.f_number:g} blurs more than two pixels by diffraction; lower it"
         )
     mtf = 2.0 / np.pi * (np.arccos(x) - x * np.sqrt(1.0 - x * x))
     return float(np.sqrt(-2.0 * np.log(mtf)) / np.pi)

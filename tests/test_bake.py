@@ -1,0 +1,362 @@
+"""Light between surfaces against closed forms, its error estimate, and the cache of traced light."""
+
+import multiprocessing
+import os
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import trimesh
+
+import thermorender as tr
+from scenes import write_mesh
+from thermorender.errors import ThermorenderError
+from thermorender.physics.planck import band_radiance, band_radiance_derivative, brightness_temperature
+from thermorender.render import bake, cache
+from thermorender.render.geometry import Geometry
+from thermorender.render.variant import activate
+
+BAND = (7.5, 13.5)
+WALL = band_radiance(300.0, *BAND)
+EMISSIVITIES = np.array([0.9, 0.5, 0.1, 0.01, 0.001])
+
+
+class Counting:
+    """A transport's operator that counts its products."""
+
+    def __init__(self, operator):
+        self.operator, self.products = operator, 0
+
+    def __matmul__(self, values):
+        self.products += 1
+        return self.operator @ values
+
+
+def traced(folder, mesh, rays, seed=0):
+    """(Transport, corners (F, 3, 3), areas (F,)) of a mesh."""
+    surfaces = tr.load_scene(write_mesh(folder, mesh)).surfaces
+    corners = surfaces[0].vertices[surfaces[0].faces]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    return bake.trace(Geometry(activate(), surfaces), rays, seed=seed), corners, area
+
+
+def solved(transport, emissivity, tolerance=1e-6, wall=WALL):
+    """(radiance leaving, incident, bounds) of walls of one temperature under a black outside, a node per emissivity."""
+    emitted = np.broadcast_to(wall * np.asarray(emissivity), (len(transport.up), len(emissivity)))
+    reflectance = np.broadcast_to(1.0 - np.asarray(emissivity), emitted.shape)
+    outside = np.zeros(len(emissivity))
+    incident, bounds = bake.solve(transport, emitted, reflectance, outside, outside, tolerance)
+    return emitted + reflectance * incident, incident, bounds
+
+
+def rough(count=25, seed=3):
+    """Terrain of steep random heights, as a mesh of 2 (count − 1)² faces."""
+    rows, columns = np.mgrid[:count, :count]
+    height = np.random.default_rng(seed).uniform(0.0, 1.5, (count, count))
+    number = np.arange(count * count).reshape(count, count)
+    a, b, c, d = (n.ravel() for n in (number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]))
+    faces = np.vstack([np.column_stack([a, b, c]), np.column_stack([b, d, c])])
+    return trimesh.Trimesh(np.column_stack([columns.ravel(), rows.ravel(), height.ravel()]), faces, process=False)
+
+
+def groove(strips, along):
+    """V-groove of 60° along y, walls 1 m wide of `strips` strips that narrow towards the bottom."""
+    place = np.linspace(0.0, 1.0, strips + 1) ** 2
+    vertices, faces, n = [], [], len(along)
+    for side in (-1.0, 1.0):
+        base = len(vertices)
+        vertices += [(side * 0.5 * x, y, np.sqrt(0.75) * x) for x in place for y in along]
+        for i in range(strips):
+            for j in range(n - 1):
+                a = base + i * n + j
+                two = ([a, a + 1, a + n], [a + 1, a + n + 1, a + n])
+                faces += two if side < 0 else [face[::-1] for face in two]
+    return trimesh.Trimesh(vertices, faces, process=False)
+
+
+@pytest.fixture(scope="module")
+def cavity(tmp_path_factory):
+    """(Transport, area share of each face, share f of the opening) of a sphere without a tenth of its faces."""
+    sphere = trimesh.creation.icosphere(subdivisions=5, radius=2.0)
+    whole = sphere.area
+    sphere.update_faces(sphere.triangles_center[:, 2] / np.linalg.norm(sphere.triangles_center, axis=1) < 0.8)
+    sphere.invert()
+    transport, _, area = traced(tmp_path_factory.mktemp("cavity") / "s", sphere, 1024)
+    return transport, area / area.sum(), 1.0 - sphere.area / whole
+
+
+@pytest.fixture(scope="module")
+def terrain(tmp_path_factory):
+    return traced(tmp_path_factory.mktemp("terrain") / "s", rough(), 64)[0]
+
+
+def test_spherical_cavity_with_an_opening(cavity):
+    transport, weight, opening = cavity
+    assert opening == pytest.approx(0.1, abs=1e-3)
+    exact = EMISSIVITIES / (1.0 - (1.0 - EMISSIVITIES) * (1.0 - opening))
+    leaving, _, _ = solved(transport, EMISSIVITIES)
+    error = brightness_temperature(weight @ leaving, *BAND) - brightness_temperature(exact * WALL, *BAND)
+    # Standard error of the mean share of the opening from the halves of all faces, carried to the temperature.
+    seen = transport.up + transport.down.astype(float)
+    share_error = np.sqrt((((seen[:, 0] - seen[:, 1]) / transport.rays / 2 * weight) ** 2).sum())
+    slope = band_radiance_derivative(brightness_temperature(exact * WALL, *BAND), *BAND)
+    sigma = exact**2 * (1.0 - EMISSIVITIES) / EMISSIVITIES * WALL * share_error / slope
+    report = [
+        f"ε {emissivity:g}: {1e3 * off:+.2f} ± {1e3 * one:.2f} mK, {off / one:+.1f} σ"
+        for emissivity, off, one in zip(EMISSIVITIES, error, sigma, strict=True)
+    ]
+    assert sigma.max() < 0.007, report
+    assert np.abs(error).max() < 0.010 and np.abs(error / sigma).max() < 3.0, report
+
+
+def test_work_hardly_depends_on_emissivity(cavity):
+    transport = cavity[0]
+    # 1 mK of a wall of 300 K, whatever the emissivity.
+    tolerance = 1e-3 * band_radiance_derivative(300.0, *BAND)
+    products = []
+    for emissivity in (EMISSIVITIES, *EMISSIVITIES[:, None]):
+        counted = Counting(transport.operator)
+        view = SimpleNamespace(operator=counted, up=transport.up, down=transport.down, rays=transport.rays)
+        assert solved(view, emissivity, tolerance)[2].max() <= tolerance
+        products.append(counted.products)
+    # Bounces need ln(1e-5) / ln(0.999 · 0.9) = 108 for the last. All together cost no more than the worst alone.
+    assert max(products) <= 12 and products[0] == max(products), products
+
+
+def test_closed_isothermal_enclosure_of_low_emissivity(tmp_path):
+    sphere = trimesh.creation.icosphere(subdivisions=2, radius=2.0)
+    sphere.invert()
+    transport, _, _ = traced(tmp_path / "s", sphere, 64)
+    leaving, incident, bounds = solved(transport, [0.001], tolerance=0.5e-3 * band_radiance_derivative(300.0, *BAND))
+    assert np.abs(brightness_temperature(leaving, *BAND) - 300.0).max() < 1e-3
+    # The bound holds, and is none too many: it allows for the 1000 bounces of this wall.
+    assert np.abs(incident - WALL).max() <= bounds[0]
+
+
+def test_long_v_groove(tmp_path):
+    # Sparrow's integral equation of the walls' radiosity, solved by Gauss quadrature with 200…800 graded nodes;
+    # the mean over the mouth, which is as wide as a wall.
+    exact = np.array([0.943050, 0.654098, 0.179658])
+    along = [-20.0, -8.0, -2.0, -0.5, 0.5, 2.0, 8.0, 20.0]
+    transport, corners, area = traced(tmp_path / "s", groove(24, along), 16384)
+    middle = np.abs(corners[..., 1]).max(axis=1) < 0.5 + 1e-5
+    leaving, _, _ = solved(transport, EMISSIVITIES[:3], tolerance=1e-7, wall=1.0)
+    escaping = area * (transport.sky + transport.beyond)
+    found = (escaping[:, None] * leaving)[middle].sum(axis=0)
+    assert area[middle].sum() == pytest.approx(2.0, abs=1e-5)
+    # Standard error of what escapes, from the rays' halves; the rays start lifted off the wall by 64 · 2⁻²⁴ · 21 m,
+    # 8e-5 of its width; more than 20 m away lies less than (1 / 20)² / 12 of what a wall sees.
+    seen = transport.up + transport.down.astype(float)
+    half = (seen[:, 0] - seen[:, 1]) / transport.rays / 2 * area
+    sigma = np.sqrt(((half[:, None] * leaving)[middle] ** 2).sum(axis=0))
+    assert (np.abs(found - exact) < 3.0 * sigma + 8e-5 + 2.1e-4).all(), (found - exact, sigma)
+
+
+def test_noise_is_what_more_rays_show(tmp_path):
+    random = np.random.default_rng(4)
+    mesh = rough()
+    # Where walls emit (1 − ρ) c under an outside of c, all is c without error. Hence the second node, half of what
+    # the first lacks of c = 200, errs by −½ of the first: the errors must add up with their signs.
+    emitted = random.uniform(8.0, 12.0, len(mesh.faces))
+    emitted = np.column_stack([emitted, 0.5 * (20.0 - emitted)])
+    reflectance = np.full(emitted.shape, 0.9)
+    light = (emitted, reflectance, np.array([5.0, 97.5]), np.array([90.0, 55.0]))
+    truth, _ = bake.solve(traced(tmp_path / "t", mesh, 64 * 64, seed=9)[0], *light, 1e-5)
+    ratios = []
+    for seed in (0, 1):
+        transport = traced(tmp_path / f"s{seed}", mesh, 64, seed)[0]
+        incident, _ = bake.solve(transport, *light, 1e-5)
+        each, mean = bake.noise(transport, *light, incident)
+        assert each.shape == (len(mesh.faces),) and mean == pytest.approx(np.sqrt(np.mean(each**2)))
+        error = (reflectance * (incident - truth)).sum(axis=1)
+        ratios.append(mean / np.sqrt(np.mean(error**2)))
+    # 1152 draws tell a deviation to 1 / √(2 · 1152) = 2 %.
+    assert all(0.9 < ratio < 1.1 for ratio in ratios), ratios
+
+
+def test_halves_are_independent_and_add_up(terrain, tmp_path):
+    shares = np.asarray(terrain.operator.sum(axis=1)).ravel() + terrain.sky + terrain.beyond
+    np.testing.assert_allclose(shares, 1.0, atol=1e-12)
+    halves = np.asarray(terrain.halves.sum(axis=1)).reshape(-1, 2) + (terrain.up + terrain.down) / (2 * terrain.rays)
+    np.testing.assert_allclose(halves, 0.5, atol=1e-12)
+    assert np.shares_memory(terrain.halves.data, terrain.operator.data)
+    assert np.shares_memory(terrain.halves.indices, terrain.seen)
+    better = traced(tmp_path / "s", rough(), 4096)[0]
+    error = terrain.up / terrain.rays - better.sky[:, None]
+    # Correlated halves would hide a part of their error from `noise`.
+    assert abs(np.corrcoef(error.T)[0, 1]) < 4.0 / np.sqrt(len(error))
+
+
+def test_odd_and_single_rays(tmp_path):
+    transport, _, _ = traced(tmp_path / "s", rough(4), 1)
+    assert transport.rays == 1 and (transport.up + transport.down).max() <= 1
+    assert np.asarray(transport.operator.sum(axis=1)).max() <= 1.0
+    assert [traced(tmp_path / f"s{rays}", rough(4), rays)[0].rays for rays in (64, 65)] == [32, 33]
+
+
+def test_blocks_of_nodes_change_nothing(terrain, monkeypatch):
+    emissivity = np.linspace(0.2, 0.9, 7)
+    together, _, _ = solved(terrain, emissivity)
+    monkeypatch.setattr(bake, "_KRYLOV_BYTES", 8 * 1152 * 20 * 3)
+    assert [part.stop - part.start for part in bake._blocks((1152, 7))] == [3, 3, 1]
+    apart, _, _ = solved(terrain, emissivity)
+    np.testing.assert_allclose(apart, together, atol=2e-6)
+
+
+def test_light_that_never_leaves_is_refused(tmp_path):
+    box = trimesh.creation.box(extents=(4, 4, 4))
+    box.invert()
+    transport, _, _ = traced(tmp_path / "s", box, 16)
+    with pytest.raises(ThermorenderError, match="reflect 1.00000000 of the light between them, which never leaves"):
+        solved(transport, [0.0])
+    with pytest.raises(ThermorenderError, match="does not converge: .* remain where 1e-30 are asked; give a larger"):
+        solved(transport, [0.5, 0.6], tolerance=1e-30)
+
+
+# ------------------------------------------------------------------------------------------------ the cache
+
+
+@pytest.fixture
+def kept(tmp_path, monkeypatch):
+    monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path / "kept"))
+    return tmp_path / "kept"
+
+
+def same(a, b):
+    return a.rays == b.rays and all(
+        getattr(a, name).dtype == getattr(b, name).dtype and np.array_equal(getattr(a, name), getattr(b, name))
+        for name in ("start", "seen", "hits", "up", "down")
+    )
+
+
+def test_cache_returns_what_was_stored(terrain, kept):
+    assert cache.load("a" * 40) is None
+    assert cache.store("a" * 40, terrain) is None
+    assert same(cache.load("a" * 40), terrain)
+    assert [path.name for path in kept.iterdir()] == ["a" * 40 + ".npz"]
+    # A file under another scene's name is none of its own.
+    (kept / ("a" * 40 + ".npz")).rename(kept / ("b" * 40 + ".npz"))
+    assert cache.load("b" * 40) is None
+
+
+def test_cache_spares_the_tracing(kept, tmp_path, monkeypatch):
+    geometry = Geometry(activate(), tr.load_scene(write_mesh(tmp_path / "s", rough(8))).surfaces)
+    small, why = cache.traced(geometry, 64)
+    assert why is None and not kept.exists()
+    monkeypatch.setattr(cache, "WORTH_RAYS", 0)
+    first, why = cache.traced(geometry, 64)
+    assert why is None and same(first, small)
+    with monkeypatch.context() as patch:
+        patch.setattr(bake, "trace", lambda *_: pytest.fail("light was traced again"))
+        assert same(cache.traced(geometry, 64)[0], first)
+    (file,) = kept.iterdir()
+    file.write_bytes(file.read_bytes()[:-500])
+    assert same(cache.traced(geometry, 64)[0], first)
+    # The damaged file was replaced.
+    assert same(cache.load(file.stem), first)
+
+
+def test_key_names_all_that_light_depends_on(tmp_path, monkeypatch):
+    def geometry(mesh, name):
+        surfaces = tr.load_scene(write_mesh(tmp_path / name, mesh)).surfaces
+        return SimpleNamespace(mi=activate(), surfaces=surfaces)
+
+    plain, moved, turned = rough(4), rough(4), rough(4)
+    moved.vertices[3, 2] += 1e-3
+    turned.invert()
+    a = geometry(plain, "a")
+    assert cache.key(a, 64) == cache.key(geometry(plain, "b"), 64)
+    names = [cache.key(a, 64), cache.key(a, 66), cache.key(a, 64, seed=1)]
+    names += [cache.key(geometry(moved, "c"), 64), cache.key(geometry(turned, "d"), 64)]
+    monkeypatch.setattr(bake, "VERSION", bake.VERSION + 1)
+    names.append(cache.key(a, 64))
+    assert len(set(names)) == len(names)
+
+
+@pytest.mark.parametrize("damage", ["empty", "truncated", "text", "flipped"])
+def test_damaged_files_are_no_light(damage, terrain, kept):
+    assert cache.store("c" * 40, terrain) is None
+    (file,) = kept.iterdir()
+    whole = file.read_bytes()
+    random = np.random.default_rng(1)
+    if damage == "empty":
+        versions = [b""]
+    elif damage == "truncated":
+        versions = [whole[: int(n)] for n in random.integers(1, len(whole), 20)]
+    elif damage == "text":
+        versions = [b"not light " * 1000]
+    else:
+        versions = []
+        for place in random.integers(0, len(whole), 60):
+            changed = bytearray(whole)
+            changed[place] ^= 1 << random.integers(8)
+            versions.append(bytes(changed))
+    for content in versions:
+        file.write_bytes(content)
+        found = cache.load("c" * 40)
+        # A flipped bit in a time stamp or the like does no harm to the light.
+        assert found is None or (damage == "flipped" and same(found, terrain))
+    file.write_bytes(versions[0])
+    assert cache.store("c" * 40, terrain) is None and same(cache.load("c" * 40), terrain)
+
+
+def _store_often(folder, name, own, other, count):
+    os.environ["THERMORENDER_CACHE"] = str(folder)
+    wrong = 0
+    for _ in range(count):
+        wrong += cache.store(name, own) is not None
+        found = cache.load(name)
+        wrong += found is None or not (same(found, own) or same(found, other))
+    os._exit(wrong)
+
+
+def test_two_processes_store_at_once(terrain, kept, tmp_path):
+    # Different light under one name, so that a mixture would be no light at all.
+    plain = [
+        bake.Transport(*(getattr(light, name) for name in ("rays", "start", "seen", "hits", "up", "down")))
+        for light in (terrain, traced(tmp_path / "s", rough(12), 64)[0])
+    ]
+    spawn = multiprocessing.get_context("spawn")
+    both = [spawn.Process(target=_store_often, args=(kept, "d" * 40, *pair, 60)) for pair in (plain, plain[::-1])]
+    for process in both:
+        process.start()
+    for process in both:
+        process.join()
+    assert [process.exitcode for process in both] == [0, 0]
+    assert any(same(cache.load("d" * 40), light) for light in plain) and len(list(kept.iterdir())) == 1
+
+
+def test_unwritable_folder_says_why(terrain, tmp_path, monkeypatch):
+    # A file where the folder should be: no user, not even root, can write there.
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path / "file" / "kept"))
+    assert cache.load("e" * 40) is None
+    why = cache.store("e" * 40, terrain)
+    assert "file/kept cannot be written (Not a directory); set THERMORENDER_CACHE to a folder that can" in why
+
+
+def test_interrupted_store_leaves_nothing(terrain, kept, monkeypatch):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(np, "savez", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        cache.store("f" * 40, terrain)
+    assert list(kept.iterdir()) == []
+
+
+def test_longest_unused_goes_first(terrain, kept):
+    for age, name in enumerate("abc"):
+        assert cache.store(name, terrain) is None
+        os.utime(kept / f"{name}.npz", (1e9 - age, 1e9 - age))
+    (kept / "old.part").write_bytes(b"x")
+    (kept / "new.part").write_bytes(b"x")
+    os.utime(kept / "old.part", (time.time() - 7200,) * 2)
+    # c is the oldest by its time stamp, but was just used; b then is.
+    assert cache.load("c") is not None
+    size = (kept / "a.npz").stat().st_size
+    assert cache.store("d", terrain, limit=3 * size + 100) is None
+    assert sorted(path.name for path in kept.iterdir()) == ["a.npz", "c.npz", "d.npz", "new.part"]
+    why = cache.store("e", terrain, limit=1000)
+    assert "GB are more than the" in why and not (kept / "e.npz").exists()

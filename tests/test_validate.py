@@ -1,0 +1,136 @@
+"""The tools that measure: errors, fronts, unbiased references, run times."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import thermorender as tr
+from thermorender.errors import ThermorenderError
+from thermorender.physics.planck import band_radiance
+from thermorender.render.reference import squared_error
+from thermorender.sensor.camera import load_camera
+from thermorender.validate import bench, cavity, convergence, metrics
+from thermorender.validate.convergence_report import pareto
+
+CAMERA = load_camera("zenmuse-xt2")
+
+
+def small(scene, width=64, height=48):
+    camera = replace(scene.camera, width=width, height=height, pixel_pitch_um=170.0, f_number=12.5)
+    return replace(scene, camera=camera)
+
+
+def test_no_error_between_identical_images():
+    image = band_radiance(np.random.default_rng(0).uniform(280.0, 300.0, (20, 30)), *CAMERA.band_um)
+    assert metrics.rms_mk(image, image, CAMERA) == 0.0 == metrics.rms_mk(image, image, CAMERA, 0.4)
+
+
+def test_an_error_reads_in_millikelvin():
+    image = band_radiance(np.full((20, 30), 290.0), *CAMERA.band_um)
+    warmer = band_radiance(np.full((20, 30), 290.1), *CAMERA.band_um)
+    assert metrics.rms_mk(warmer, image, CAMERA) == pytest.approx(100.0, rel=2e-3)
+    # A difference without detail passes any lens.
+    assert metrics.rms_mk(warmer, image, CAMERA, 2.0) == pytest.approx(100.0, rel=2e-3)
+
+
+def test_the_lens_passes_what_diffraction_does_at_the_detector_s_limit():
+    sigma = metrics.optics_sigma_px(CAMERA)
+    assert sigma == pytest.approx(0.363, abs=1e-3)
+    # The finest stripes of a cosine series, 511/1024 of a cycle per pixel, keep their shape.
+    stripes = np.cos(np.pi * 511 * (np.arange(512) + 0.5) / 512) * np.ones((4, 1))
+    x = 0.5 * 10.5 * 1.25 / 17.0
+    limit = 2 / np.pi * (np.arccos(x) - x * np.sqrt(1 - x * x))
+    np.testing.assert_allclose(metrics.after_optics(stripes, sigma), limit * stripes, atol=3e-3)
+    with pytest.raises(ThermorenderError, match=r"camera zenmuse-xt2: f_number=4 blurs more than two pixels"):
+        metrics.optics_sigma_px(replace(CAMERA, f_number=4.0))
+
+
+def test_squared_error_does_not_count_the_references_noise():
+    rng = np.random.default_rng(3)
+    truth = rng.normal(size=200_000)
+    image = truth + rng.normal(scale=0.1, size=truth.size)
+    first, second = (truth + rng.normal(scale=2.0, size=truth.size) for _ in range(2))
+    found, standard_error = squared_error(image, first, second)
+    assert standard_error == pytest.approx(4.0 / np.sqrt(truth.size), rel=0.05)
+    assert abs(found - 0.01) < 4 * standard_error
+    # Against one noisy reference its noise would be taken for the image's error.
+    assert ((image - first) ** 2).mean() > 100 * standard_error
+
+
+def test_front_of_settings_that_none_beats():
+    points = [(2.0, 5.0), (1.0, 9.0), (3.0, 6.0), (4.0, 1.0), (1.0, 8.0), (5.0, 1.0)]
+    assert pareto(points) == [4, 0, 3]
+    assert pareto([]) == []
+
+
+@pytest.mark.parametrize(("asked", "made"), [(8, 8), (200, 200), (20_000, 20_000), (1000, 1012)])
+def test_synthetic_terrain_has_the_triangles_asked_for(asked, made):
+    scene = bench.terrain(asked)
+    (surface,) = scene.surfaces
+    assert len(surface.faces) == made
+    corners = surface.vertices[surface.faces]
+    assert (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0.0).all()
+    assert np.isfinite(scene.ground(0.0, 0.0)) and surface.material.max() < len(scene.materials)
+    with pytest.raises(ThermorenderError, match="triangles=4 is not allowed; give 8 or more"):
+        bench.terrain(4)
+
+
+def test_converged_image_shows_what_the_renderer_does():
+    scene = small(bench.terrain(200))
+    scene = replace(scene, camera=replace(scene.camera, principal_offset_px=(3.3, -2.7)))
+    place = bench.views(scene)["oblique"]
+    renderer = tr.Renderer(scene, samples=16, taps=1, edge_samples=0, rays=4)
+    finest, image = metrics.converged(renderer, place, {"rays": 4}), renderer.radiance(place)
+    error = metrics.rms_mk(image, finest, scene.camera)
+    for axis in (0, 1):
+        # A quarter in the wrong place, or half a pixel off, would bring them no nearer than neighbours are.
+        assert error < 0.1 * metrics.rms_mk(np.roll(image, 1, axis), finest, scene.camera)
+
+
+def test_bench_tells_finite_numbers():
+    result = bench.bench((small(bench.terrain(200)),), repeats=2, settings=(("one", {"samples": 1, "rays": 4}),))
+    json.dumps(result)
+    (scene,) = result["scenes"].values()
+    assert scene["triangles"] == 200 and scene["bake_s"] > 0.0
+    assert set(scene["settings"]["one"]["views"]) == set(bench.VIEWS)
+    for seen in scene["settings"]["one"]["views"].values():
+        numbers = np.hstack(list(seen.values()))
+        assert np.isfinite(numbers).all() and (numbers > 0.0).all()
+        assert seen["radiance_over_rays"] == sorted(seen["radiance_over_rays"])
+    assert len(bench.rows(result)) == 2 and all(len(row) == len(bench.HEADER) for row in bench.rows(result))
+    assert "200 triangles" in bench.costs(result)[0]
+
+
+def test_bench_refuses_nothing_to_measure():
+    with pytest.raises(ThermorenderError, match=r"there is no scene to measure; give a scene, or triangles=…"):
+        bench.bench(())
+    with pytest.raises(ThermorenderError, match=r"repeats=0 is not allowed; give 1 or more"):
+        bench.bench((bench.terrain(8),), repeats=0)
+
+
+def test_closed_cavity_is_black():
+    found = cavity.measure("closed", 0.0, 0.5, 4, "auto")
+    assert found["error_mk"] < 1.0
+
+
+def test_convergence_measures_what_is_missing_only(tmp_path, monkeypatch):
+    monkeypatch.setattr(convergence, "QUALITIES", {"standard": (1, 4, 0)})
+    mode = convergence.Mode((16, 12), ("nadir",), 4, (), (), ((1, 1, 0),), (4,), (50.0,), (), 0.0)
+    scene = small(bench.terrain(200))
+    first = convergence.convergence((scene,), tmp_path, mode=mode)
+    names = {record["setting"]: record for record in first.values()}
+    assert names["1 · 1 · 0"]["sampling_mk"] >= 0.0 and names["1 · 1 · 0"]["seconds"] > 0.0
+    assert sum(record.get("default", False) for record in first.values()) == 1
+    assert "1 · 1 · 0" in (tmp_path / "convergence.md").read_text(encoding="utf-8")
+    assert (tmp_path / "figures" / f"convergence_{scene.name}.png").stat().st_size > 5000
+    monkeypatch.setattr(convergence._Site, "measure", lambda *_, **__: pytest.fail("measured a case that was there"))
+    assert convergence.convergence((scene,), tmp_path, mode=mode) == first
+    with pytest.raises(ThermorenderError, match=r"convergence.json holds cases of other settings; give another folder"):
+        convergence.convergence((scene,), tmp_path, mode=replace(mode, oracle=8))
+    (tmp_path / "convergence.json").write_text("{", encoding="utf-8")
+    with pytest.raises(ThermorenderError, match=r"convergence.json is damaged"):
+        convergence.convergence((scene,), tmp_path, mode=mode)
+    with pytest.raises(ThermorenderError, match=r"mode='slow' is unknown; give one of quick, full"):
+        convergence.convergence((), tmp_path, mode="slow")
