@@ -67,7 +67,7 @@ frame_rate_hz = 1.0
 """
 COLUMNS = "time_s,east_m,north_m,above_ground_m,gimbal_pitch_deg"
 FLIGHT = f"{COLUMNS}\n0,0,0,20,-90\n1,1,0,20,-90\n2,2,0,20,-90\n"
-QUICK = ("--rays", 2, "--samples", 1)
+QUICK = ("--rays", 2, "--quality", "fast")
 QUAD = "v -8 -8 0\nv 8 -8 0\nv 8 8 0\nv -8 8 0\n"
 FACES = "f 1 2 3\nf 1 3 4\n"
 FACES_UV = "vt 0 0\nusemtl a\nf 1/1 2/1 3/1\nf 1/1 3/1 4/1\n"
@@ -517,6 +517,8 @@ def test_missing_and_binary_logs(scene, refused, tmp_path):
     refused(["none.csv: cannot be read", "No such file"], "fly", scene, "--trajectory", tmp_path / "none.csv", *QUICK)
     (scene / "flight.csv").write_bytes(b"\xff\xfe\x00")
     refused("flight.csv: is not a CSV file in UTF-8", "fly", scene, *QUICK)
+    (scene / "flight.csv").unlink()
+    refused("flight.csv does not exist, and no other log is given; add --trajectory", "fly", scene, *QUICK)
 
 
 def test_a_path_under_the_terrain(scene, refused, call, tmp_path):
@@ -536,7 +538,7 @@ def test_a_path_under_the_terrain(scene, refused, call, tmp_path):
         ("--products truth", ["'truth' is channels of the EXR", "add 'exr'"]),
         ("--products video", ["add 'display'"]),
         ("--seed -1", ["seed=-1 is not allowed"]),
-        ("--samples 3", ["samples=3 is not allowed", "1, 2, 4, 8, 16"]),
+        ("--quality finest", ["quality='finest' is unknown", "fast, standard, high"]),
         ("--rays 0", ["rays=0 is not allowed", "1…65536"]),
         ("--device tpu", ["device='tpu' is unknown", "auto, cpu, cuda"]),
         ("--anchor here", ["anchor='here' has 1 values; 4 are needed: E,N,U,heading"]),
@@ -560,7 +562,7 @@ def test_a_path_under_the_terrain(scene, refused, call, tmp_path):
 )
 def test_wrong_options_of_a_flight(scene, refused, options, words):
     options = options.split()
-    refused(words, "fly", scene, *([] if {"--rays", "--samples"} & set(options) else QUICK), *options)
+    refused(words, "fly", scene, *([] if {"--rays", "--quality"} & set(options) else QUICK), *options)
 
 
 @pytest.mark.parametrize(
@@ -571,7 +573,7 @@ def test_wrong_options_of_a_flight(scene, refused, options, words):
         ("--pose 0,0,1e30,0,-90,0", ["up 1e+30 m lies beyond 100 km"]),
         ("--pose 1e300,0,0,0,-90,0", ["lies off the terrain"]),
         ("--seed -1", ["seed=-1 is not allowed"]),
-        ("--samples 3", ["samples=3 is not allowed"]),
+        ("--quality finest", ["quality='finest' is unknown"]),
         ("--products bogus", ["product 'bogus' is unknown"]),
     ],
 )
@@ -606,9 +608,9 @@ def test_the_command_line_itself(call):
 def test_debug_shows_where(scene, monkeypatch, tmp_path):
     from thermorender.errors import ThermorenderError
 
-    arguments = ["thermorender", "render", str(scene), "-o", str(tmp_path / "o"), "--samples", "3", "--debug"]
+    arguments = ["thermorender", "render", str(scene), "-o", str(tmp_path / "o"), "--quality", "finest", "--debug"]
     monkeypatch.setattr(sys, "argv", arguments)
-    with pytest.raises(ThermorenderError, match="samples=3"):
+    with pytest.raises(ThermorenderError, match="quality='finest'"):
         cli.main()
 
 
@@ -649,7 +651,7 @@ def test_compare_says_what_it_lacks(scene, refused):
     change(scene / "scene.toml", "[camera]", '[truth]\ntemperature = "temperature.tif"\n[camera]')
     refused("learned map 'x' is unknown", "compare", scene, "--models", "x", *QUICK)
     refused("models is empty", "compare", scene, "--models", ",", *QUICK)
-    refused("samples=3 is not allowed", "compare", scene, "--samples", 3)
+    refused("quality='finest' is unknown", "compare", scene, "--quality", "finest")
 
 
 # --- a flight continued -----------------------------------------------------------------------------------------

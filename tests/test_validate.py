@@ -117,11 +117,15 @@ def test_closed_cavity_is_black():
 
 def test_convergence_measures_what_is_missing_only(tmp_path, monkeypatch):
     monkeypatch.setattr(convergence, "QUALITIES", {"standard": (1, 4, 0)})
-    mode = convergence.Mode((16, 12), ("nadir",), 4, (), (), ((1, 1, 0),), (4,), (50.0,), (), 0.0)
+    engine = "stock direct, BSDF samples"
+    mode = convergence.Mode((16, 12), ("nadir",), 4, (engine,), (1,), ((1, 1, 0),), (4,), (50.0,), (), 0.0)
     scene = small(bench.terrain(200))
     first = convergence.convergence((scene,), tmp_path, mode=mode)
     names = {record["setting"]: record for record in first.values()}
     assert names["1 · 1 · 0"]["sampling_mk"] >= 0.0 and names["1 · 1 · 0"]["seconds"] > 0.0
+    # One path per pixel errs by far more than one ray: its wavelength is random too.
+    (stock,) = (record for record in first.values() if record["engine"] == engine)
+    assert stock["error_mk"] > 100.0 > names["1 · 1 · 0"]["sampling_mk"]
     assert sum(record.get("default", False) for record in first.values()) == 1
     assert "1 · 1 · 0" in (tmp_path / "convergence.md").read_text(encoding="utf-8")
     assert (tmp_path / "figures" / f"convergence_{scene.name}.png").stat().st_size > 5000

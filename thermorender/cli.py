@@ -142,6 +142,10 @@ def render(
     temperature: Temperature = None,
     range_c: RangeC = None,
     seed: Seed = 0,
+    engine: Annotated[
+        str, typer.Option(help="renderer, or reference: slow path tracing by stock Mitsuba.")
+    ] = "renderer",
+    paths: Annotated[int, typer.Option(help="Paths per pixel of the reference engine.")] = 64,
     quality: Quality = "standard",
     rays: Rays = 128,
     tolerance_mk: Tolerance = 5.0,
@@ -152,6 +156,8 @@ def render(
     from thermorender.trajectory import parse_numbers
     from thermorender.trajectory.path import pose as make_pose
 
+    if engine not in ("renderer", "reference"):
+        raise ThermorenderError(f"--engine={engine!r} is unknown; give renderer or reference")
     wanted = files.check(_split(products))
     numbers = parse_numbers("--pose", pose, ("E", "N", "U", "YAW", "PITCH", "ROLL"))
     with _progress() as tell:
@@ -164,12 +170,19 @@ def render(
             up += ground
         renderer = _renderer(loaded, quality, rays, tolerance_mk, seed, device, tell)
         with files.output_folder(output) as folder:
-            frame = renderer.frame(make_pose(east, north, up, *angles))
+            place = make_pose(east, north, up, *angles)
+            if engine == "renderer":
+                frame = renderer.frame(place)
+            else:
+                from thermorender.render.reference import frame as reference_frame
+
+                frame = reference_frame(renderer, place, paths, progress=lambda share: tell("tracing paths", share))
             written = files.write(folder, frame, wanted)
             if visible:
                 written["visible"] = folder / "frame_000000_visible.png"
                 files.write_image(written["visible"], renderer.visible(frame.pose)[0])
             files.write_json(folder / "frame_000000.json", files.record(frame))
+    _tell_cache(renderer)
     seen = frame.apparent_temperature
     typer.echo(f"apparent temperature {seen.min():.2f}–{seen.max():.2f} K, mean {seen.mean():.2f} K")
     for path in written.values():
@@ -214,6 +227,7 @@ def fly(
             renderer, path, output, rate_hz, wanted, start_s, stop_s, resume,
             lambda done, total: tell(f"frame {done} of {total}", done / total),
         )  # fmt: skip
+    _tell_cache(renderer)
     typer.echo(f"{summary['frames']} frames, {summary['rendered']} rendered now, in {summary['folder']}")
 
 
@@ -326,12 +340,17 @@ def _renderer(scene, quality, rays, tolerance_mk, seed, device, tell):
     return Renderer(scene, quality, rays=rays, tolerance_mk=tolerance_mk, seed=seed, device=device, progress=tell)
 
 
+def _tell_cache(renderer):
+    if renderer.cache_note:
+        typer.echo(f"note: {renderer.cache_note}", err=True)
+
+
 def _trajectory(scene, files, format, anchor, clock_offset_s, mount, lever_arm_m):
     from thermorender.trajectory import parse_anchor, parse_lever_arm, parse_mount, read_trajectory
 
     own = scene.spec.folder / "flight.csv"
     if not files and not own.exists():
-        raise ThermorenderError(f"{own} does not exist, so {scene.name} has no flight of its own; give --trajectory LOG.csv")
+        raise ThermorenderError(f"{own} does not exist, and no other log is given; add --trajectory LOG.csv")
     files = files or [own]
     return read_trajectory(
         files,

@@ -12,7 +12,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.frames import Frame
 from thermorender.physics.band import RadianceTable
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
-from thermorender.render import bake
+from thermorender.render import bake, cache
 from thermorender.render.geometry import Channels, Geometry
 from thermorender.render.plan import REFERENCE_K, make_plan
 from thermorender.render.sampling import CameraRays, edges
@@ -48,9 +48,11 @@ class Renderer:
     ----------
     plan : Plan
         What this scene needs and what was left out.
-    bake_mk : float or None
-        Bound on the error of the solved light between surfaces, beside its Monte Carlo noise [mK]; None before
-        `prepare`.
+    bake_mk, bake_noise_mk : float or None
+        Bound on the error of the solution of the light between surfaces, and root mean square over the faces of its
+        Monte Carlo error, estimated from independent halves of the rays [mK]; None before `prepare`.
+    cache_note : str or None
+        Why the traced light could not be kept on disk, where it could not.
     """
 
     def __init__(self, scene, quality="standard", samples=None, taps=None, edge_samples=None, rays=128,
@@ -72,6 +74,7 @@ class Renderer:
         self._material = np.concatenate([surface.material.ravel() for surface in scene.surfaces])
         self._temperature = np.concatenate([surface.temperature.ravel() for surface in scene.surfaces])
         self._tolerance_mk = tolerance_mk
+        self.bake_noise_mk = self.cache_note = None
         self.bake_mk = self._emission = self._incident = self._outside = self._colour = None
         self._rays_of = {}
 
@@ -97,14 +100,18 @@ class Renderer:
             A pose that is no rigid transform.
         """
         pose = checked_pose(pose)
+        return self.frame_of(self.radiance(pose), pose, time_s, index)
+
+    def frame_of(self, radiance, pose, time_s=0.0, index=0, plan=None):
+        """Return the Frame of a radiance image (H, W) that was made elsewhere for this pose; `plan` says how."""
         return Frame(
-            radiance=self.radiance(pose),
+            radiance=radiance,
             pose=pose,
             time_s=float(time_s),
             index=int(index),
             seed=self.seed,
             camera=self.scene.camera,
-            plan=self.plan.as_dict(),
+            plan=plan or {**self.plan.as_dict(), "bake_noise_mk": round(self.bake_noise_mk, 3)},
             targets=self._targets(pose),
             _truth=lambda: self._truth(pose),
         )
@@ -148,38 +155,33 @@ class Renderer:
                 warm = self._temperature[here]
                 table = RadianceTable.of(material.emissivity_at, float(warm.min()), float(warm.max()), *band)
                 emitted[here] = table(warm)
-        sky = np.array([scene.spec.sky_temperature])
-        beyond = np.array([np.nan if scene.spec.surroundings_temperature is None else scene.spec.surroundings_temperature])
+        outside = np.array([scene.spec.sky_temperature, scene.surroundings_temperature])
+        self._outside = band_radiance(outside, *band)[:, None]
         if not plan.bake:
-            self.bake_mk = 0.0
-            ground = emitted[: scene.surfaces[0].material.size].mean() if np.isnan(beyond[0]) else band_radiance(beyond, *band)[0]
+            self.bake_mk = self.bake_noise_mk = 0.0
             self._emission, self._incident = Channels(mi, emitted[:, None]), None
-            self._outside = np.array([[band_radiance(sky, *band)[0]], [ground]])
             return
         if self._transport is None:
             what = "tracing the light between surfaces"
             self._progress(what, 0.0)
-            self._transport = bake.trace(self._geometry, plan.rays, lambda share: self._progress(what, share))
+            self._transport, self.cache_note = cache.traced(
+                self._geometry, plan.rays, lambda share: self._progress(what, share)
+            )
         self._progress("solving the light between surfaces", 0.0)
         face_emitted, face_reflectance = self._face_means()
-        sky_nodes = plan.node_radiance(sky)[0]
-        if np.isnan(beyond[0]):
-            # The scene's own mean ground under an open sky stands for what lies beyond its edge.
-            terrain = slice(0, self._geometry.face_start[scene.terrain_count])
-            beyond_nodes = (face_emitted[terrain] + face_reflectance[terrain] * sky_nodes).mean(axis=0)
-        else:
-            beyond_nodes = plan.node_radiance(beyond)[0]
+        sky_nodes, beyond_nodes = plan.node_radiance(outside)
         per_mk = band_radiance_derivative(REFERENCE_K, *band) * 1e-3
         incident, bounds = bake.solve(
             self._transport, face_emitted, face_reflectance, sky_nodes, beyond_nodes, 0.1 * tolerance_mk * per_mk / plan.nodes
         )
         reflectance = 1.0 - plan.emissivity
         self.bake_mk = float((reflectance.max(axis=0) * bounds).sum() / per_mk)
+        _, noise = bake.noise(self._transport, face_emitted, face_reflectance, sky_nodes, beyond_nodes, incident)
+        self.bake_noise_mk = noise / per_mk
         basis, weights = _basis(incident, face_reflectance, 0.5 * tolerance_mk * per_mk)
         seen = (reflectance @ basis.T).astype(np.float32)
         self._emission = Channels(mi, np.column_stack([emitted, seen[self._material]]))
         self._incident = Channels(mi, incident @ weights.T)
-        self._outside = np.array([[band_radiance(sky, *band)[0]], [beyond_nodes.sum()]])
         self._progress("solving the light between surfaces", 1.0)
 
     def _face_means(self):

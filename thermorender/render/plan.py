@@ -145,9 +145,7 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_samples=N
     band = scene.camera.band_um
     terrain, objects = scene.surfaces[: scene.terrain_count], scene.surfaces[scene.terrain_count :]
     ground = [float(limit(surface.temperature)) for surface in terrain for limit in (np.min, np.max)]
-    outside = [scene.spec.sky_temperature]
-    if scene.spec.surroundings_temperature is not None:
-        outside.append(scene.spec.surroundings_temperature)
+    outside = [scene.spec.sky_temperature, scene.surroundings_temperature]
     things = [(int(material), float(limit(surface.temperature[surface.material == material])))
               for surface in objects for material in np.unique(surface.material) for limit in (np.min, np.max)]  # fmt: skip
     every = [*ground, *outside, *(temperature for _, temperature in things)]

@@ -20,7 +20,7 @@ _NAMES = itertools.count()
 _SAMPLES_AT_ONCE = 64
 
 
-def render(scene, pose, samples=64, depth=8, seed=0, device="auto", integrator="path", beyond=None, progress=None):
+def render(scene, pose, samples=64, depth=8, seed=0, device="auto", integrator="path", progress=None):
     """Return band radiance by path tracing, (H, W) float64 [W m⁻² sr⁻¹].
 
     Parameters
@@ -36,8 +36,6 @@ def render(scene, pose, samples=64, depth=8, seed=0, device="auto", integrator="
     device : {"auto", "cpu", "cuda"}
     integrator : {"path", "direct"}
         Mitsuba's; "direct" sees one reflection only.
-    beyond : float, optional
-        Temperature of the surroundings below the horizon [K]; the scene's own, else its sky's, where None.
     progress : callable, optional
         Called with the share done.
 
@@ -56,7 +54,7 @@ def render(scene, pose, samples=64, depth=8, seed=0, device="auto", integrator="
     before = mi.variant()
     mi.set_variant(VARIANTS[before])
     try:
-        world = _scene(mi, scene, pose, integrator, depth, beyond)
+        world = _scene(mi, scene, pose, integrator, depth)
         total, done = np.zeros((camera.height, camera.width)), 0
         while done < samples:
             count = min(_SAMPLES_AT_ONCE, samples - done)
@@ -70,6 +68,20 @@ def render(scene, pose, samples=64, depth=8, seed=0, device="auto", integrator="
         return total / samples * 1e-3
     finally:
         mi.set_variant(before)
+
+
+def frame(renderer, pose, samples=64, depth=8, progress=None):
+    """Return the Frame of a pose with its radiance path traced; sensor and truth are the renderer's.
+
+    Parameters
+    ----------
+    renderer : Renderer
+    pose, samples, depth, progress
+        As in `render`.
+    """
+    radiance = render(renderer.scene, pose, samples, depth, renderer.seed, progress=progress)
+    plan = {"engine": "reference", "paths": samples, "depth": depth}
+    return renderer.frame_of(radiance.astype(np.float32), checked_pose(pose), plan=plan)
 
 
 def squared_error(frame, first, second):
@@ -90,13 +102,10 @@ def squared_error(frame, first, second):
     return float(product.mean()), float(product.std(ddof=1) / np.sqrt(product.size))
 
 
-def _scene(mi, scene, pose, integrator, depth, beyond):
+def _scene(mi, scene, pose, integrator, depth):
     """Mitsuba scene of stock plugins and the thermal texture."""
-    sky = scene.spec.sky_temperature
-    if beyond is None:
-        beyond = sky if scene.spec.surroundings_temperature is None else scene.spec.surroundings_temperature
     name = f"thermal{next(_NAMES)}"
-    _register(mi, name, scene, sky, beyond, height=float(pose[2, 3]))
+    _register(mi, name, scene, height=float(pose[2, 3]))
     camera = scene.camera
     lower, upper = (1e3 * edge for edge in camera.band_um)
     to_world = pose.copy()
@@ -157,10 +166,11 @@ def _mesh(mi, name, number, surface):
     return mesh
 
 
-def _register(mi, name, scene, sky, beyond, height):
+def _register(mi, name, scene, height):
     """Register the texture: spectral radiance, emissivity or reflectance of a surface's texels."""
     import drjit as dr
 
+    outside = scene.spec.sky_temperature, scene.surroundings_temperature
     grid = np.linspace(*scene.camera.band_um, 2401)
     table = np.array([material.emissivity_at(grid) for material in scene.materials])
     spectra = mi.Float(table.astype(np.float32).ravel())
@@ -186,7 +196,7 @@ def _register(mi, name, scene, sky, beyond, height):
             wavelength = si.wavelengths * 1e-3
             if self.what == "outside":
                 up = si.p.z >= height
-                warm = [planck(wavelength, t) if t > 0.0 else wavelength * 0.0 for t in (sky, beyond)]
+                warm = [planck(wavelength, t) if t > 0.0 else wavelength * 0.0 for t in outside]
                 return dr.select(up, *warm) & active
             (rows, columns), temperature, material = maps[self.surface]
             x, y = si.uv.x * columns - 0.5, si.uv.y * rows - 0.5

@@ -63,6 +63,13 @@ class Scene:
         return str(self.spec.folder / "scene.toml")
 
     @property
+    def surroundings_temperature(self):
+        """Temperature of the black surroundings beyond the terrain's edge [K]: as stated, else its texels' mean."""
+        if self.spec.surroundings_temperature is not None:
+            return self.spec.surroundings_temperature
+        return float(np.concatenate([s.temperature.ravel() for s in self.surfaces[: self.terrain_count]]).mean(dtype=np.float64))
+
+    @property
     def truth_temperature_spec(self):
         """TemperatureSpec of the truth raster.
 

@@ -196,10 +196,6 @@ class _Site:
     """A scene and what its cases share, each made when first needed."""
 
     def __init__(self, scene, mode, device):
-        if scene.spec.surroundings_temperature is None:
-            # Both engines must see the same beyond the scene's edge; left open, each has a rule of its own.
-            warm = float(np.round(scene.surfaces[0].temperature.mean()))
-            scene = replace(scene, spec=replace(scene.spec, surroundings_temperature=warm))
         self.scene, self.mode, self.device = scene, mode, device
         width, height = mode.window
         self.part = replace(scene, camera=replace(scene.camera, width=width, height=height))
@@ -296,7 +292,7 @@ class Stock:
         self._shape = scene.camera.height, scene.camera.width
         self._mi.set_variant(reference.VARIANTS[self._mono])
         try:
-            self._world = reference._scene(self._mi, scene, place, "path", 8, None)
+            self._world = reference._scene(self._mi, scene, place, "path", 8)
         finally:
             self._mi.set_variant(self._mono)
 

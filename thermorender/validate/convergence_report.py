@@ -4,7 +4,8 @@ import numpy as np
 
 from thermorender import products
 
-_COLUMNS = ("engine", "setting", "frame [s]", "error [mK]", "range [mK]", "after lens [mK]", "sampling [mK]", "bake [s]")
+_COLUMNS = ("engine", "setting", "frame [s]", "error [mK]", "range [mK]", "after lens [mK]", "sampling [mK]",
+            "bake [s]")  # fmt: skip
 
 
 def pareto(points):

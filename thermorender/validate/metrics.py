@@ -10,6 +10,8 @@ from thermorender.render.frame import Renderer
 
 # Pixels of the converged image per pixel and direction, and rays in each: 256 per pixel.
 FINER, RAYS = 8, 4
+# Keywords of Renderer that decide how a pixel is sampled, and nothing else.
+SAMPLING = ("quality", "samples", "taps", "edge_samples")
 
 
 def converged(renderer, place, keywords):
