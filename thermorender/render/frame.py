@@ -62,9 +62,13 @@ class Renderer:
         if not 0 <= seed < 2**64:
             raise ThermorenderError(f"seed={seed} is not allowed; give a whole number 0 … 2⁶⁴−1")
         self._mi = activate(device)
-        same = like is not None and all(a.faces is b.faces for a, b in zip(like.scene.surfaces, scene.surfaces, strict=True))
+        same = like is not None and all(
+            a.faces is b.faces for a, b in zip(like.scene.surfaces, scene.surfaces, strict=True)
+        )
         if like is not None and not same:
-            raise ThermorenderError("like=… renders other surfaces; give a renderer of the same scene at other temperatures")
+            raise ThermorenderError(
+                "like=… renders other surfaces; give a renderer of the same scene at other temperatures"
+            )
         self._geometry = like._geometry if same else Geometry(self._mi, scene.surfaces)
         self._transport = None
         if same and like.plan.rays == rays:
@@ -171,8 +175,9 @@ class Renderer:
         face_emitted, face_reflectance = self._face_means()
         sky_nodes, beyond_nodes = plan.node_radiance(outside)
         per_mk = band_radiance_derivative(REFERENCE_K, *band) * 1e-3
+        tolerance = 0.1 * tolerance_mk * per_mk / plan.nodes
         incident, bounds = bake.solve(
-            self._transport, face_emitted, face_reflectance, sky_nodes, beyond_nodes, 0.1 * tolerance_mk * per_mk / plan.nodes
+            self._transport, face_emitted, face_reflectance, sky_nodes, beyond_nodes, tolerance
         )
         reflectance = 1.0 - plan.emissivity
         self.bake_mk = float((reflectance.max(axis=0) * bounds).sum() / per_mk)
@@ -354,10 +359,14 @@ def checked_pose(pose):
     """Return a pose as (4, 4) float64 after refusing what is no rigid transform."""
     pose = np.array(pose, dtype=np.float64)
     if pose.shape != (4, 4) or not np.isfinite(pose).all() or not np.allclose(pose[3], [0, 0, 0, 1]):
-        raise ThermorenderError(f"pose of shape {pose.shape} is no world_from_camera; give (4, 4) with last row 0 0 0 1")
+        raise ThermorenderError(
+            f"pose of shape {pose.shape} is no world_from_camera; give (4, 4) with last row 0 0 0 1"
+        )
     rotation = pose[:3, :3]
     if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0.0:
-        raise ThermorenderError("pose has a rotation that is not orthonormal and right-handed; normalise its quaternion")
+        raise ThermorenderError(
+            "pose has a rotation that is not orthonormal and right-handed; normalise its quaternion"
+        )
     return pose
 
 

@@ -1,6 +1,7 @@
 """A scene's meshes on the render side: the ray caster, and flat per-face and per-texel arrays for its kernels.
 
-All surfaces share one numbering of faces and one of texels, so a hit becomes two gathers: the face's record and the texels around the place. The record is the affine map from a point of the face's
+All surfaces share one numbering of faces and one of texels, so a hit becomes two gathers: the face's record and the
+texels around the place. The record is the affine map from a point of the face's
 plane to its place on the texel map; it also tells the plane, so that places near a hit need no ray of their own.
 """
 
@@ -114,7 +115,7 @@ class Geometry:
     def nearest(self, surface, column, row, active=True):
         """Return the flat number of the texel at a place of a surface's map; outside, that at its edge."""
         mi = self.mi
-        rows, columns = dr.gather(mi.Int32, self._rows, surface, active), dr.gather(mi.Int32, self._columns, surface, active)
+        rows, columns = (dr.gather(mi.Int32, size, surface, active) for size in (self._rows, self._columns))
         i = dr.clip(mi.Int32(dr.floor(row)), 0, rows - 1)
         j = dr.clip(mi.Int32(dr.floor(column)), 0, columns - 1)
         return mi.UInt32(dr.gather(mi.Int32, self._texel_start, surface, active) + i * columns + j)
@@ -122,7 +123,7 @@ class Geometry:
     def bilinear(self, channels, surface, column, row, active=True):
         """Return the Channels of a place of a surface's map, linear between texel centres, as a list of Float."""
         mi = self.mi
-        rows, columns = dr.gather(mi.Int32, self._rows, surface, active), dr.gather(mi.Int32, self._columns, surface, active)
+        rows, columns = (dr.gather(mi.Int32, size, surface, active) for size in (self._rows, self._columns))
         start = dr.gather(mi.Int32, self._texel_start, surface, active)
         x, y = column - 0.5, row - 0.5
         left, top = dr.floor(x), dr.floor(y)

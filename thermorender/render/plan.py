@@ -80,7 +80,7 @@ class Plan:
         needed = "in" if self.bake else "out"
         return [
             ("emission", "in", f"full spectral integral per material, {self.coldest:.1f}–{self.warmest:.1f} K"),
-            ("reflection", needed, f"changes a pixel by at most {self.reflection_mk:.3g} mK"),
+            ("reflection", needed, f"changes a pixel by at most {_kelvin(self.reflection_mk)}"),
             ("spectral nodes", str(self.nodes if self.bake else 0), f"worst error {self.nodes_mk:.3g} mK"),
             ("bake rays per face", str(self.rays if self.bake else 0), "sky visibility and inter-reflection"),
             ("rays per pixel", str(self.samples), "band radiance averaged, never temperature"),
@@ -130,10 +130,13 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_samples=N
         raise ThermorenderError(f"quality={quality!r} is unknown; give one of {', '.join(QUALITIES)}")
     given = (samples, taps, edge_samples)
     samples, taps, edge_samples = (a if b is None else b for a, b in zip(QUALITIES[quality], given, strict=True))
-    allowed = tuple(count for count in sorted(PATTERNS) if count <= 16)
+    few = tuple(count for count in sorted(PATTERNS) if count <= 16)
+    any_or_none = (0, *sorted(PATTERNS))
     for name, value, allowed in (
-        ("samples", samples, allowed), ("taps", taps, allowed), ("edge_samples", edge_samples, (0, *sorted(PATTERNS)))
-    ):  # fmt: skip
+        ("samples", samples, few),
+        ("taps", taps, few),
+        ("edge_samples", edge_samples, any_or_none),
+    ):
         if value not in allowed:
             raise ThermorenderError(f"{name}={value} is not allowed; give one of {', '.join(map(str, allowed))}")
     if not 1 <= rays <= 65536:
@@ -190,6 +193,10 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_samples=N
         coldest=coldest,
         warmest=warmest,
     )
+
+
+def _kelvin(millikelvin):
+    return f"{millikelvin * 1e-3:.3g} K" if millikelvin >= 1e3 else f"{millikelvin:.3g} mK"
 
 
 def _nodes(tree, count, spectra, wavelength, weight):

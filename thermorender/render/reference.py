@@ -47,7 +47,9 @@ def render(scene, pose, samples=64, depth=8, seed=0, device="auto", integrator="
     pose = checked_pose(pose)
     camera = scene.camera
     if any(camera.distortion) or any(camera.principal_offset_px):
-        raise ThermorenderError(f"camera {camera.name}: the reference engine has no distortion or principal offset; use another camera")
+        raise ThermorenderError(
+            f"camera {camera.name}: the reference engine has no distortion or principal offset; use another camera"
+        )
     if samples < 1:
         raise ThermorenderError(f"samples={samples} is not allowed; give at least 1 path per pixel")
     mi = activate(device)
@@ -151,10 +153,10 @@ def _scene(mi, scene, pose, integrator, depth):
 def _mesh(mi, name, number, surface):
     """A surface as a stock mesh with map coordinates, a two-sided diffuse material and an area emitter."""
     properties = mi.Properties()
-    properties["bsdf"] = mi.load_dict(
-        {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": {"type": name, "what": "reflectance", "surface": number}}}
-    )
-    properties["emitter"] = mi.load_dict({"type": "area", "radiance": {"type": name, "what": "emission", "surface": number}})
+    texture = {"type": name, "surface": number}
+    diffuse = {"type": "diffuse", "reflectance": {**texture, "what": "reflectance"}}
+    properties["bsdf"] = mi.load_dict({"type": "twosided", "bsdf": diffuse})
+    properties["emitter"] = mi.load_dict({"type": "area", "radiance": {**texture, "what": "emission"}})
     # Corners are not shared, since each face has map coordinates of its own.
     corners = surface.vertices[surface.faces].reshape(-1, 3)
     mesh = mi.Mesh(f"s{number}", len(corners), len(surface.faces), has_vertex_texcoords=True, props=properties)
@@ -204,7 +206,8 @@ def _register(mi, name, scene, height):
             fx, fy = x - left, y - top
             result = wavelength * 0.0
             place = (wavelength - start) / step
-            for di, dj, share in ((0, 0, (1 - fx) * (1 - fy)), (0, 1, fx * (1 - fy)), (1, 0, (1 - fx) * fy), (1, 1, fx * fy)):
+            corners = ((0, 0, (1 - fx) * (1 - fy)), (0, 1, fx * (1 - fy)), (1, 0, (1 - fx) * fy), (1, 1, fx * fy))
+            for di, dj, share in corners:
                 row = dr.clip(mi.Int32(top) + di, 0, rows - 1)
                 column = dr.clip(mi.Int32(left) + dj, 0, columns - 1)
                 index = mi.UInt32(row * columns + column)

@@ -107,7 +107,7 @@ def activate(device="auto"):
     if device == "cuda" and not dr.has_backend(dr.JitBackend.CUDA):
         raise ThermorenderError("device='cuda' finds no usable NVIDIA GPU; give device='cpu' or install its driver")
     if device == "cpu" and not llvm:
-        raise ThermorenderError(f"no LLVM library of version {OLDEST_LLVM} or newer is on this machine; {_INSTALL_HINT}")
+        raise ThermorenderError(f"this machine has no LLVM library of version {OLDEST_LLVM} or newer; {_INSTALL_HINT}")
     mi.set_variant(DEVICES[device])
     return mi
 
@@ -153,7 +153,7 @@ def install_llvm():
     apt = shutil.which("apt-get")
     prefix = [] if getattr(os, "geteuid", lambda: 1)() == 0 else [shutil.which("sudo"), "-n"]
     if not apt or None in prefix:
-        raise ThermorenderError(f"no LLVM library of version {OLDEST_LLVM} or newer is on this machine; {_INSTALL_HINT}")
+        raise ThermorenderError(f"this machine has no LLVM library of version {OLDEST_LLVM} or newer; {_INSTALL_HINT}")
     subprocess.run([*prefix, apt, "update", "-q"], capture_output=True)
     for version in (19, 18, 20, 17, 16):
         for package in (f"libllvm{version}", f"libllvm{version}t64"):

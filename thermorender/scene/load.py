@@ -67,7 +67,8 @@ class Scene:
         """Temperature of the black surroundings beyond the terrain's edge [K]: as stated, else its texels' mean."""
         if self.spec.surroundings_temperature is not None:
             return self.spec.surroundings_temperature
-        return float(np.concatenate([s.temperature.ravel() for s in self.surfaces[: self.terrain_count]]).mean(dtype=np.float64))
+        terrain = [surface.temperature.ravel() for surface in self.surfaces[: self.terrain_count]]
+        return float(np.concatenate(terrain).mean(dtype=np.float64))
 
     @property
     def truth_temperature_spec(self):

@@ -216,14 +216,16 @@ class _Site:
         """One case's record."""
         if integrator:
             render = partial(self.stock(view).render, integrator)
-            # More are rendered in parts, which this compiles.
-            render(min(samples, _MOST_AT_ONCE))
+            # The first two renders compile kernels; more samples are rendered in parts of this size.
+            for _ in range(2):
+                render(min(samples, _MOST_AT_ONCE))
             seconds, image = _seconds(partial(render, samples, seed=3), self.mode.seconds)
             found = {"seconds": seconds}
         else:
             renderer, bake_s = self._renderer(keywords, anew)
             render = partial(renderer.radiance, self.poses[view])
-            render()
+            for _ in range(2):
+                render()
             seconds, image = _seconds(render, self.mode.seconds)
             found = {"seconds": seconds, "bake_s": bake_s, "default": default, "sampling_mk": None}
         image = self._middle(image)
