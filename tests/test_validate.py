@@ -9,6 +9,7 @@ import pytest
 import thermorender as tr
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance
+from thermorender.render import cache
 from thermorender.render.reference import squared_error
 from thermorender.sensor.camera import load_camera
 from thermorender.validate import bench, cavity, convergence, metrics
@@ -89,9 +90,15 @@ def test_converged_image_shows_what_the_renderer_does():
         assert error < 0.1 * metrics.rms_mk(np.roll(image, 1, axis), finest, scene.camera)
 
 
-def test_bench_tells_finite_numbers():
+def test_bench_tells_finite_numbers(tmp_path, monkeypatch):
+    monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path))
+    monkeypatch.setattr(cache, "WORTH_RAYS", 1)
     result = bench.bench((small(bench.terrain(200)),), repeats=2, settings=(("one", {"samples": 1, "rays": 4}),))
     json.dumps(result)
+    # A bake read from disk would be timed as one that costs nothing.
+    assert not list(tmp_path.iterdir())
+    tr.Renderer(bench.terrain(200), rays=4).prepare()
+    assert list(tmp_path.iterdir())
     (scene,) = result["scenes"].values()
     assert scene["triangles"] == 200 and scene["bake_s"] > 0.0
     assert set(scene["settings"]["one"]["views"]) == set(bench.VIEWS)

@@ -16,6 +16,9 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
+validate = typer.Typer(help="Hold the renderer against references.", no_args_is_help=True)
+app.add_typer(validate, name="validate")
+
 SceneName = Annotated[str, typer.Argument(help="Scene folder, or the name of a shipped one: heath, village, ridge.")]
 Out = Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")]
 Seed = Annotated[int, typer.Option(help="Seed of the sensor's noise.")]
@@ -274,6 +277,44 @@ def compare(
             f"{report['share_fallback']:.1%} of the texels fall back to their material's temperature"
         )
     typer.echo(f"pictures and comparison.json in {output}")
+
+
+@app.command()
+def bench(
+    scenes: Annotated[Optional[list[str]], typer.Argument(help="Scenes; default: heath.")] = None,
+    triangles: Annotated[Optional[int], typer.Option(help="Adds a synthetic terrain of so many triangles.")] = None,
+    repeats: Annotated[int, typer.Option(help="Turns of each measurement.")] = 15,
+    output: Annotated[Optional[Path], typer.Option("-o", "--output", help="JSON file for the result.")] = None,
+    device: Device = "auto",
+):
+    """Measure frames per second, their ratio to casting the rays alone, and the error of each quality."""
+    from thermorender import products as files
+    from thermorender.validate import bench as run
+
+    with _progress() as tell:
+        result = run.bench(scenes or (() if triangles else ("heath",)), triangles, repeats, tell, device=device)
+    _table(run.HEADER, run.rows(result))
+    for line in run.costs(result):
+        typer.echo(line)
+    if output:
+        files.write_json(output, result)
+
+
+@validate.command()
+def convergence(
+    scenes: Annotated[Optional[list[str]], typer.Argument(help="Scenes; default: heath village ridge.")] = None,
+    output: Out = Path("validation"),
+    quick: Annotated[bool, typer.Option("--quick", help="Minutes instead of hours.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Measure anew what is there.")] = False,
+    device: Device = "auto",
+):
+    """Error against run time, beside stock Mitsuba, against the path-traced reference."""
+    from thermorender.validate.convergence import SCENES
+    from thermorender.validate.convergence import convergence as run
+
+    with _progress() as tell:
+        run(scenes or SCENES, output, tell, "quick" if quick else "full", overwrite, device)
+    typer.echo(f"table, numbers and figures in {output}")
 
 
 @app.command()

@@ -81,6 +81,11 @@ class Renderer:
         self.bake_noise_mk = self.cache_note = None
         self.bake_mk = self._emission = self._incident = self._outside = self._colour = None
         self._rays_of = {}
+        if same and scene.surfaces is like.scene.surfaces and scene.spec == like.scene.spec:
+            if like._tolerance_mk == tolerance_mk and like.plan.rays == rays and like.plan.band_um == self.plan.band_um:
+                # The same light: another camera or sampling of one scene needs no new solution.
+                self._emission, self._incident, self._outside = like._emission, like._incident, like._outside
+                self.bake_mk, self.bake_noise_mk = like.bake_mk, like.bake_noise_mk
 
     def prepare(self):
         """Trace and solve the light between surfaces now rather than with the first frame."""
@@ -247,10 +252,12 @@ class Renderer:
             near = dr.select(hit.valid, dr.sqrt(1.0 + x * x + y * y) / hit.distance, 0.0)
             total += [near, mi.Float(hit.surface)]
         size = camera.height * camera.width
-        result = dr.zeros(mi.Float, size * len(total))
-        for c, value in enumerate(total):
-            dr.scatter(result, value, rays.pixel + c * size)
-        image = np.array(result).reshape(len(total), camera.height, camera.width)
+        # A target of its own for each channel: several scatters into one array would each cast the rays again.
+        targets = [dr.zeros(mi.Float, size) for _ in total]
+        for target, value in zip(targets, total, strict=True):
+            dr.scatter(target, value, rays.pixel)
+        dr.eval(targets)
+        image = np.stack([np.array(target) for target in targets]).reshape(-1, camera.height, camera.width)
         if guide:
             marked = edges(image[-2], image[-1])
             image = image[:channels]

@@ -149,8 +149,12 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_samples=N
     terrain, objects = scene.surfaces[: scene.terrain_count], scene.surfaces[scene.terrain_count :]
     ground = [float(limit(surface.temperature)) for surface in terrain for limit in (np.min, np.max)]
     outside = [scene.spec.sky_temperature, scene.surroundings_temperature]
-    things = [(int(material), float(limit(surface.temperature[surface.material == material])))
-              for surface in objects for material in np.unique(surface.material) for limit in (np.min, np.max)]  # fmt: skip
+    things = [
+        (int(material), float(limit(surface.temperature[surface.material == material])))
+        for surface in objects
+        for material in np.unique(surface.material)
+        for limit in (np.min, np.max)
+    ]
     every = [*ground, *outside, *(temperature for _, temperature in things)]
     coldest, warmest = min(every), max(every)
     wavelength, weight = quadrature(*band)

@@ -56,7 +56,7 @@ def render(scene, pose, samples=64, depth=8, seed=0, device="auto", integrator="
     before = mi.variant()
     mi.set_variant(VARIANTS[before])
     try:
-        world = _scene(mi, scene, pose, integrator, depth)
+        world = mitsuba_scene(mi, scene, pose, integrator, depth)
         total, done = np.zeros((camera.height, camera.width)), 0
         while done < samples:
             count = min(_SAMPLES_AT_ONCE, samples - done)
@@ -104,8 +104,8 @@ def squared_error(frame, first, second):
     return float(product.mean()), float(product.std(ddof=1) / np.sqrt(product.size))
 
 
-def _scene(mi, scene, pose, integrator, depth):
-    """Mitsuba scene of stock plugins and the thermal texture."""
+def mitsuba_scene(mi, scene, pose, integrator, depth):
+    """Return the Mitsuba scene of stock plugins and the thermal texture, for the active spectral variant."""
     name = f"thermal{next(_NAMES)}"
     _register(mi, name, scene, height=float(pose[2, 3]))
     camera = scene.camera

@@ -21,7 +21,7 @@ from thermorender.scene.spec import EmissivitySpec, SceneSpec, TemperatureSpec, 
 from thermorender.scene.surface import SURFACE, Surface
 from thermorender.sensor.camera import load_camera
 from thermorender.trajectory.path import pose
-from thermorender.validate.metrics import SAMPLING, converged, optics_sigma_px, rms_mk
+from thermorender.validate.metrics import SAMPLING, cache_off, converged, optics_sigma_px, rms_mk
 from thermorender.versions import versions
 
 SETTINGS = tuple((name, {"quality": name}) for name in ("fast", "standard", "high"))
@@ -111,7 +111,8 @@ def _measure(scene, settings, device, repeats):
         start = time.perf_counter()
         renderer = Renderer(scene, **{"device": device, "like": first, **keywords})
         built = time.perf_counter()
-        renderer.prepare()
+        with cache_off():
+            renderer.prepare()
         if first is None:
             first, build_s, bake_s = renderer, built - start, time.perf_counter() - built
         found = {view: _times(renderer, place, repeats) for view, place in poses.items()}

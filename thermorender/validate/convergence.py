@@ -22,7 +22,7 @@ from thermorender.render.plan import QUALITIES
 from thermorender.render.variant import activate
 from thermorender.scene.load import load_scene
 from thermorender.validate import bench, cavity, convergence_report
-from thermorender.validate.metrics import after_optics, converged, mk_per_radiance, optics_sigma_px, rms_mk
+from thermorender.validate.metrics import after_optics, cache_off, converged, mk_per_radiance, optics_sigma_px, rms_mk
 
 SCENES = ("heath", "village", "ridge")
 OWN, DEFAULT = "thermorender", "standard"
@@ -251,7 +251,8 @@ class _Site:
             self._baked = None
             renderer = Renderer(self.scene, **settings)
             start = time.perf_counter()
-            renderer.prepare()
+            with cache_off():
+                renderer.prepare()
             self._baked = settings, renderer, time.perf_counter() - start
         return self._baked[1:]
 
@@ -294,7 +295,7 @@ class Stock:
         self._shape = scene.camera.height, scene.camera.width
         self._mi.set_variant(reference.VARIANTS[self._mono])
         try:
-            self._world = reference._scene(self._mi, scene, place, "path", 8)
+            self._world = reference.mitsuba_scene(self._mi, scene, place, "path", 8)
         finally:
             self._mi.set_variant(self._mono)
 

@@ -1,5 +1,7 @@
 """Errors of an image in mK: against a converged one, as it is and behind the camera's optics."""
 
+import os
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +14,21 @@ from thermorender.render.frame import Renderer
 FINER, RAYS = 8, 4
 # Keywords of Renderer that decide how a pixel is sampled, and nothing else.
 SAMPLING = ("quality", "samples", "taps", "edge_samples")
+
+
+@contextmanager
+def cache_off():
+    """Within it, light between surfaces is traced and neither read from disk nor kept there: for timing a bake."""
+    name, before = "THERMORENDER_CACHE", os.environ.get("THERMORENDER_CACHE")
+    # No folder can be made below it.
+    os.environ[name] = os.devnull
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[name]
+        else:
+            os.environ[name] = before
 
 
 def converged(renderer, place, keywords):
