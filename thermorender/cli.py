@@ -281,10 +281,10 @@ def compare(
 
 @app.command()
 def bench(
-    scenes: Annotated[Optional[list[str]], typer.Argument(help="Scenes; default: heath.")] = None,
-    triangles: Annotated[Optional[int], typer.Option(help="Adds a synthetic terrain of so many triangles.")] = None,
+    scenes: Annotated[list[str] | None, typer.Argument(help="Scenes; default: heath.")] = None,
+    triangles: Annotated[int | None, typer.Option(help="Adds a synthetic terrain of so many triangles.")] = None,
     repeats: Annotated[int, typer.Option(help="Turns of each measurement.")] = 15,
-    output: Annotated[Optional[Path], typer.Option("-o", "--output", help="JSON file for the result.")] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="JSON file for the result.")] = None,
     device: Device = "auto",
 ):
     """Measure frames per second, their ratio to casting the rays alone, and the error of each quality."""
@@ -302,7 +302,7 @@ def bench(
 
 @validate.command()
 def convergence(
-    scenes: Annotated[Optional[list[str]], typer.Argument(help="Scenes; default: heath village ridge.")] = None,
+    scenes: Annotated[list[str] | None, typer.Argument(help="Scenes; default: heath village ridge.")] = None,
     output: Out = Path("validation"),
     quick: Annotated[bool, typer.Option("--quick", help="Minutes instead of hours.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Measure anew what is there.")] = False,
