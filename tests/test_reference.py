@@ -1,0 +1,74 @@
+"""The path-traced reference against closed forms, and the renderer against the reference, in standard errors."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+import thermorender as tr
+from scenes import write_mesh, write_terrain
+from thermorender.errors import ThermorenderError
+from thermorender.physics.planck import band_radiance, band_radiance_derivative
+from thermorender.render import reference
+
+BAND = (7.5, 13.5)
+MILLIKELVIN = band_radiance_derivative(300.0, *BAND) * 1e-3
+
+
+def small(scene):
+    """The scene with a camera of 80×64 pixels over the same field of view."""
+    camera = scene.camera
+    return replace(scene, camera=replace(camera, width=80, height=64, pixel_pitch_um=camera.pixel_pitch_um * 8))
+
+
+@pytest.mark.parametrize("emissivity", [1.0, 0.5])
+def test_reference_in_an_isothermal_enclosure(tmp_path, emissivity):
+    walls = trimesh.creation.box(extents=(4, 4, 4)).subdivide()
+    walls.invert()
+    scene = small(tr.load_scene(write_mesh(tmp_path / "s", walls, 300.0, emissivity, sky=0.0)))
+    radiance = reference.render(scene, np.eye(4), samples=16, depth=48)
+    error = radiance.mean() - band_radiance(300.0, *BAND)
+    # Half of the light is lost at each wall: 48 of them leave nothing to speak of.
+    assert abs(error) < 4 * radiance.std() / np.sqrt(radiance.size)
+    assert abs(error) < 2 * MILLIKELVIN
+
+
+@pytest.mark.parametrize("relief", [0.0, 1.0])
+def test_renderer_against_the_reference(tmp_path, relief):
+    rows, columns = np.mgrid[:24, :24]
+    height = relief * (np.sin(rows / 2.0) + np.cos(columns / 3.0))
+    scene = small(tr.load_scene(write_terrain(tmp_path / "s", height=height, sky=240.0)))
+    pose = tr.pose(0, 0, 14, pitch_deg=-80)
+    seen = tr.Renderer(scene, quality="high", rays=512, tolerance_mk=1.0).frame(pose)
+    first, second = (reference.render(scene, pose, samples=64, seed=seed) for seed in (1, 2))
+    ground = (seen.truth["mask"] & 1) > 0
+    assert ground.mean() > 0.9
+    error = (seen.radiance - 0.5 * (first + second))[ground] / MILLIKELVIN
+    # The mean's own error, from the difference of two independent renders.
+    noise = np.std((first - second)[ground] / MILLIKELVIN) / 2 / np.sqrt(ground.sum())
+    # On flat ground only the nodes may differ. On relief, light constant per face errs by tens of millikelvins
+    # from pixel to pixel (28 mK on a real surface model), a tenth of that in the mean of some hundred faces.
+    assert abs(error.mean()) < 4 * noise + (0.3 if relief == 0.0 else 5.0)
+    square, uncertainty = reference.squared_error(*(image[ground] / MILLIKELVIN for image in (seen.radiance, first, second)))
+    limit = 3.0 if relief == 0.0 else 60.0
+    assert square - 4 * uncertainty < limit**2
+    # The limit means something: a hundredth of the radiance more or less would break it.
+    assert np.abs(seen.radiance[ground] * 0.99 - first[ground]).mean() / MILLIKELVIN > 5 * limit
+
+
+def test_reference_as_a_frame(tmp_path):
+    scene = small(tr.load_scene(write_mesh(tmp_path / "s", trimesh.creation.box(extents=(9, 9, 0.1)), 300.0, 1.0)))
+    renderer = tr.Renderer(scene, rays=1)
+    frame = reference.frame(renderer, tr.pose(0, 0, 3, pitch_deg=-90), samples=4)
+    assert frame.plan == {"engine": "reference", "paths": 4, "depth": 8}
+    assert frame.counts.shape == (64, 80) and abs(frame.apparent_temperature.mean() - 300.0) < 0.2
+
+
+def test_refusals(tmp_path):
+    scene = tr.load_scene(write_mesh(tmp_path / "s", trimesh.creation.box(), 300.0, 1.0))
+    with pytest.raises(ThermorenderError, match="samples=0 is not allowed"):
+        reference.render(scene, np.eye(4), samples=0)
+    bent = replace(scene, camera=replace(scene.camera, distortion=(0.01, 0, 0, 0, 0)))
+    with pytest.raises(ThermorenderError, match="the reference engine has no distortion"):
+        reference.render(bent, np.eye(4))
