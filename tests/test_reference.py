@@ -50,7 +50,8 @@ def test_renderer_against_the_reference(tmp_path, relief):
     # On flat ground only the nodes may differ. On relief, light constant per face errs by tens of millikelvins
     # from pixel to pixel (28 mK on a real surface model), a tenth of that in the mean of some hundred faces.
     assert abs(error.mean()) < 4 * noise + (0.3 if relief == 0.0 else 5.0)
-    square, uncertainty = reference.squared_error(*(image[ground] / MILLIKELVIN for image in (seen.radiance, first, second)))
+    images = (image[ground] / MILLIKELVIN for image in (seen.radiance, first, second))
+    square, uncertainty = reference.squared_error(*images)
     limit = 3.0 if relief == 0.0 else 60.0
     assert square - 4 * uncertainty < limit**2
     # The limit means something: a hundredth of the radiance more or less would break it.

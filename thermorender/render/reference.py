@@ -146,11 +146,11 @@ def mitsuba_scene(mi, scene, pose, integrator, depth):
         "emitter": {"type": "area", "radiance": {"type": name, "what": "outside", "surface": 0}},
     }
     for number, surface in enumerate(scene.surfaces):
-        parts[f"s{number}"] = _mesh(mi, name, number, surface)
+        parts[f"s{number}"] = _mesh(mi, name, number, surface, scene.terrain_count)
     return mi.load_dict(parts)
 
 
-def _mesh(mi, name, number, surface):
+def _mesh(mi, name, number, surface, terrain_count):
     """A surface as a stock mesh with map coordinates, a two-sided diffuse material and an area emitter."""
     properties = mi.Properties()
     texture = {"type": name, "surface": number}
@@ -158,12 +158,19 @@ def _mesh(mi, name, number, surface):
     properties["bsdf"] = mi.load_dict({"type": "twosided", "bsdf": diffuse})
     properties["emitter"] = mi.load_dict({"type": "area", "radiance": {**texture, "what": "emission"}})
     # Corners are not shared, since each face has map coordinates of its own.
-    corners = surface.vertices[surface.faces].reshape(-1, 3)
-    mesh = mi.Mesh(f"s{number}", len(corners), len(surface.faces), has_vertex_texcoords=True, props=properties)
+    corners, uv = surface.vertices[surface.faces], surface.uv
+    if number >= terrain_count:
+        # A stock area emitter shines to one side; a second skin, a millimetre behind, is the other.
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+        corners = np.concatenate([corners, (corners - 1e-3 * normal[:, None])[:, ::-1]])
+        uv = np.concatenate([uv, uv[:, ::-1]])
+    corners = corners.reshape(-1, 3)
+    mesh = mi.Mesh(f"s{number}", len(corners), len(corners) // 3, has_vertex_texcoords=True, props=properties)
     parameters = mi.traverse(mesh)
     parameters["vertex_positions"] = corners.astype(np.float32).ravel()
     parameters["faces"] = np.arange(len(corners), dtype=np.uint32)
-    parameters["vertex_texcoords"] = surface.uv.reshape(-1, 2).astype(np.float32).ravel()
+    parameters["vertex_texcoords"] = uv.reshape(-1, 2).astype(np.float32).ravel()
     parameters.update()
     return mesh
 

@@ -14,6 +14,7 @@ from thermorender.scene import mesh, terrain
 from thermorender.scene.georeference import FARTHEST_M, LocalFrame
 from thermorender.scene.ground import Ground
 from thermorender.scene.raster import bounds_in, grid_of, onto, read_band, read_colour
+from thermorender.scene.refine import refined
 from thermorender.scene.spec import SceneSpec, TemperatureSpec, read_scene
 from thermorender.scene.surface import FALLBACK, FILLED, SURFACE, Surface, fill, nearest_valid
 from thermorender.scene.temperature import Texels, resolve
@@ -195,8 +196,9 @@ def load_scene(name):
     else:
         frame, grid, surfaces = _mesh_terrain(spec, materials)
     scene = Scene(spec, frame, tuple(surfaces), len(surfaces), (), camera, grid)
-    objects = tuple(surface for item in spec.objects for surface in _object(item, scene, materials))
-    scene = replace(scene, surfaces=scene.surfaces + objects, materials=tuple(materials.used))
+    objects = [surface for item in spec.objects for surface in _object(item, scene, materials)]
+    terrain_surfaces, objects = refined(scene.surfaces, objects)
+    scene = replace(scene, surfaces=(*terrain_surfaces, *objects), materials=tuple(materials.used))
     return scene.with_temperature(spec.temperature)
 
 

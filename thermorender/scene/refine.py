@@ -1,0 +1,68 @@
+"""Finer triangles where objects stand: light between surfaces is constant over a triangle, and beside an object
+it changes within a fraction of the object's size.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+# Longest edge of a triangle on and around an object, and reach around it, as shares of the object's extent.
+_EDGE_SHARE = 1.0 / 16.0
+_REACH_SHARE = 0.25
+
+
+def refined(terrain, objects):
+    """Return (terrain, objects): the surfaces with their triangles split where objects are.
+
+    Parameters
+    ----------
+    terrain, objects : sequences of Surface
+        A triangle is split into n² equal ones, with n such that no edge is longer than a 16th of the extent of
+        the object it belongs to or stands beside. The shapes stay what they are.
+    """
+    wanted = [np.full(len(surface.faces), np.inf) for surface in terrain]
+    done = []
+    for item in objects:
+        low, high = item.vertices.min(axis=0), item.vertices.max(axis=0)
+        extent = float((high - low).max())
+        reach, edge = _REACH_SHARE * extent, _EDGE_SHARE * extent
+        for surface, limit in zip(terrain, wanted, strict=True):
+            corner = surface.vertices[surface.faces]
+            near = ((corner.min(axis=1) <= high + reach) & (corner.max(axis=1) >= low - reach)).all(axis=1)
+            limit[near] = np.minimum(limit[near], edge)
+        done.append(_split(item, np.full(len(item.faces), edge)))
+    return [_split(surface, limit) for surface, limit in zip(terrain, wanted, strict=True)], done
+
+
+def _split(surface, limit):
+    """A surface whose triangles have no edge longer than `limit` (F,) [m]."""
+    corner = surface.vertices[surface.faces]
+    longest = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=-1).max(axis=1)
+    parts = np.ceil(np.where(np.isfinite(limit), longest / limit, 1.0) - 1e-9).astype(int).clip(1)
+    if (parts == 1).all():
+        return surface
+    whole = parts == 1
+    vertices, faces, uv = [surface.vertices], [surface.faces[whole]], [surface.uv[whole]]
+    count = len(surface.vertices)
+    for n in np.unique(parts[~whole]):
+        here = parts == n
+        weights = _lattice(n)
+        # (faces, n² triangles, 3 corners): corners of their own, since neighbours may be split otherwise.
+        points = np.einsum("tcw,fwk->ftck", weights, corner[here]).reshape(-1, 3)
+        vertices.append(points)
+        faces.append(np.arange(count, count + len(points), dtype=np.int32).reshape(-1, 3))
+        uv.append(np.einsum("tcw,fwk->ftck", weights, surface.uv[here]).reshape(-1, 3, 2).astype(np.float32))
+        count += len(points)
+    return replace(surface, vertices=np.concatenate(vertices), faces=np.concatenate(faces), uv=np.concatenate(uv))
+
+
+def _lattice(n):
+    """Barycentric weights of the corners of n² equal triangles in one, (n², 3, 3)."""
+    triangles = []
+    for i in range(n):
+        for j in range(n - i):
+            triangles.append([(i, j), (i + 1, j), (i, j + 1)])
+            if i + j < n - 1:
+                triangles.append([(i + 1, j), (i + 1, j + 1), (i, j + 1)])
+    place = np.array(triangles, dtype=np.float64) / n
+    return np.concatenate([1.0 - place.sum(axis=-1, keepdims=True), place], axis=-1)
