@@ -27,13 +27,6 @@ def test_round_trip_and_curvature():
     assert frame.enu_from_geodetic(lat, lon, 300.0)[2] == pytest.approx(-785.0, abs=2.0)
 
 
-def test_local_from_another_frame():
-    a, b = LocalFrame(45.0, 7.0, 300.0), LocalFrame(45.3, 7.4, 10.0)
-    spot = np.array([100.0, 200.0, 300.0])
-    moved = a.local_from(b) @ np.append(spot, 1.0)
-    np.testing.assert_allclose(moved[:3], a.enu_from_geodetic(*b.geodetic_from_enu(spot)), atol=1e-5)
-
-
 def test_map_pose_turns_by_the_convergence():
     utm = CRS.from_epsg(32651)
     (x,), (y,) = transform(CRS.from_epsg(4326), utm, [120.95], [24.68])

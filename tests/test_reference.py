@@ -47,12 +47,12 @@ def test_renderer_against_the_reference(tmp_path, relief):
     error = (seen.radiance - 0.5 * (first + second))[ground] / MILLIKELVIN
     # The mean's own error, from the difference of two independent renders.
     noise = np.std((first - second)[ground] / MILLIKELVIN) / 2 / np.sqrt(ground.sum())
-    # On flat ground only the nodes may differ. On relief, light constant per face errs by tens of millikelvins
-    # from pixel to pixel (28 mK on a real surface model), a tenth of that in the mean of some hundred faces.
-    assert abs(error.mean()) < 4 * noise + (0.3 if relief == 0.0 else 5.0)
+    # On flat ground only the nodes may differ, by less than their tolerance. On relief light is constant per face:
+    # it errs by some 10 mK from pixel to pixel, and by a tenth of that in the mean over hundreds of faces.
+    assert abs(error.mean()) < 4 * noise + (0.3 if relief == 0.0 else 1.0)
     images = (image[ground] / MILLIKELVIN for image in (seen.radiance, first, second))
     square, uncertainty = reference.squared_error(*images)
-    limit = 3.0 if relief == 0.0 else 60.0
+    limit = 3.0 if relief == 0.0 else 20.0
     assert square - 4 * uncertainty < limit**2
     # The limit means something: a hundredth of the radiance more or less would break it.
     assert np.abs(seen.radiance[ground] * 0.99 - first[ground]).mean() / MILLIKELVIN > 5 * limit

@@ -23,16 +23,12 @@ class Hit:
         Along the ray [m]; infinite for a miss.
     face, surface : UInt32
         Numbers over the whole scene; 0 for a miss.
-    u, v : Float
-        Barycentric place in the face.
     """
 
     valid: object
     distance: object
     face: object
     surface: object
-    u: object
-    v: object
 
 
 class Geometry:
@@ -46,7 +42,7 @@ class Geometry:
 
     Attributes
     ----------
-    face_count, texel_count : int
+    face_count : int
         Over all surfaces.
     face_start, texel_start : (S + 1,) int64
         First face and texel of each surface in the flat numbering.
@@ -59,7 +55,7 @@ class Geometry:
         self.surfaces = surfaces
         self.face_start = np.cumsum([0] + [len(surface.faces) for surface in surfaces])
         self.texel_start = np.cumsum([0] + [surface.material.size for surface in surfaces])
-        self.face_count, self.texel_count = int(self.face_start[-1]), int(self.texel_start[-1])
+        self.face_count = int(self.face_start[-1])
         self.reach = max(float(np.abs(surface.vertices).max()) for surface in surfaces)
         meshes = {f"s{number}": _mesh(mi, f"s{number}", surface) for number, surface in enumerate(surfaces)}
         # Without robust intersections rays leak through triangle edges, and a leak is a sky pixel.
@@ -83,7 +79,7 @@ class Geometry:
         valid = found.is_valid()
         surface = dr.gather(mi.UInt32, self._surface_of, dr.reinterpret_array(mi.UInt32, found.shape), valid)
         face = dr.gather(mi.UInt32, self._face_start, surface, valid) + found.prim_index
-        return Hit(valid, found.t, dr.select(valid, face, 0), surface, found.prim_uv.x, found.prim_uv.y)
+        return Hit(valid, found.t, dr.select(valid, face, 0), surface)
 
     def record(self, face, active=True):
         """Return the records of faces, as two Vector4f: the gradient of the column and its offset, and the row's."""

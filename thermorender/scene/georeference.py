@@ -106,13 +106,6 @@ class LocalFrame:
         """Return (latitude [deg], longitude [deg], ellipsoid height [m]) of local positions, (..., 3) [m]."""
         return geodetic_from_ecef(np.asarray(position, np.float64) @ self.enu_from_ecef_rotation + self.origin_ecef)
 
-    def local_from(self, other):
-        """Return the rigid transform from another frame's coordinates to this one's, (4, 4)."""
-        transform = np.eye(4)
-        transform[:3, :3] = self.enu_from_ecef_rotation @ other.enu_from_ecef_rotation.T
-        transform[:3, 3] = self.enu_from_ecef_rotation @ (other.origin_ecef - self.origin_ecef)
-        return transform
-
 
 def pose_from_map(frame, crs, pose):
     """Return a pose given in a map's easting, northing and height as world_from_camera in a local frame, (4, 4).
