@@ -82,7 +82,7 @@ def test_converged_image_shows_what_the_renderer_does():
     scene = small(bench.terrain(200))
     scene = replace(scene, camera=replace(scene.camera, principal_offset_px=(3.3, -2.7)))
     place = bench.views(scene)["oblique"]
-    renderer = tr.Renderer(scene, samples=16, taps=1, edge_samples=0, rays=4)
+    renderer = tr.Renderer(scene, samples=16, taps=1, edge_mk=np.inf, rays=4)
     finest, image = metrics.converged(renderer, place, {"rays": 4}), renderer.radiance(place)
     error = metrics.rms_mk(image, finest, scene.camera)
     for axis in (0, 1):
@@ -123,18 +123,18 @@ def test_closed_cavity_is_black():
 
 
 def test_convergence_measures_what_is_missing_only(tmp_path, monkeypatch):
-    monkeypatch.setattr(convergence, "QUALITIES", {"standard": (1, 4, 0)})
+    monkeypatch.setattr(convergence, "QUALITIES", {"standard": (1, 4, np.inf)})
     engine = "stock direct, BSDF samples"
-    mode = convergence.Mode((16, 12), ("nadir",), 4, (engine,), (1,), ((1, 1, 0),), (4,), (50.0,), (), 0.0)
+    mode = convergence.Mode((16, 12), ("nadir",), 4, (engine,), (1,), ((1, 1, np.inf),), (4,), (50.0,), (), 0.0)
     scene = small(bench.terrain(200))
     first = convergence.convergence((scene,), tmp_path, mode=mode)
     names = {record["setting"]: record for record in first.values()}
-    assert names["1 · 1 · 0"]["sampling_mk"] >= 0.0 and names["1 · 1 · 0"]["seconds"] > 0.0
+    assert names["1 · 1 · inf mK"]["sampling_mk"] >= 0.0 and names["1 · 1 · inf mK"]["seconds"] > 0.0
     # One path per pixel errs by far more than one ray: its wavelength is random too.
     (stock,) = (record for record in first.values() if record["engine"] == engine)
-    assert stock["error_mk"] > 100.0 > names["1 · 1 · 0"]["sampling_mk"]
+    assert stock["error_mk"] > 100.0 > names["1 · 1 · inf mK"]["sampling_mk"]
     assert sum(record.get("default", False) for record in first.values()) == 1
-    assert "1 · 1 · 0" in (tmp_path / "convergence.md").read_text(encoding="utf-8")
+    assert "1 · 1 · inf mK" in (tmp_path / "convergence.md").read_text(encoding="utf-8")
     assert (tmp_path / "figures" / f"convergence_{scene.name}.png").stat().st_size > 5000
     monkeypatch.setattr(convergence._Site, "measure", lambda *_, **__: pytest.fail("measured a case that was there"))
     assert convergence.convergence((scene,), tmp_path, mode=mode) == first

@@ -1,8 +1,8 @@
 """The renderer: a scene baked once, with the first frame, then one frame per pose.
 
-What a pixel needs is folded into a few channels beforehand. Per texel: the emitted band radiance, and the
-reflectance seen through a spectral basis; per face: the incident light in that basis. A frame is casting rays,
-fetching these, and summing; band radiance is averaged over a pixel's rays, never temperature.
+What a pixel needs is folded beforehand into the radiance of each texel and a correction of each face: see
+`thermorender.render.fold`. A frame is casting rays, fetching these, and summing; band radiance is averaged over a
+pixel's rays, never temperature.
 """
 
 import drjit as dr
@@ -12,14 +12,16 @@ from thermorender.errors import ThermorenderError
 from thermorender.frames import Frame
 from thermorender.physics.band import RadianceTable
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
-from thermorender.render import bake, cache
+from thermorender.render import bake, cache, fold
 from thermorender.render.geometry import Channels, Geometry
 from thermorender.render.plan import REFERENCE_K, make_plan
-from thermorender.render.sampling import CameraRays, edges
+from thermorender.render.sampling import STAGES, UNSEEN, CameraRays, edge_error, edge_step, places
 from thermorender.render.variant import activate
 from thermorender.scene.surface import BEYOND, FILLED
 
 NO_MATERIAL = 255
+# Error from which on edge pixels of a visible view get more rays: a share of white, summed over the colours.
+_VISIBLE_EDGE = 0.03
 
 
 class Renderer:
@@ -30,8 +32,9 @@ class Renderer:
     scene : Scene
     quality : {"fast", "standard", "high"}
         How finely a pixel is sampled; see `thermorender.render.plan.QUALITIES`.
-    samples, taps, edge_samples : int, optional
-        Rays per pixel, texture places per ray, and rays per pixel that shows an edge, in place of the quality's own.
+    samples, taps, edge_mk : optional
+        Rays per pixel, texture places per ray, and the error from which on a pixel that shows an edge gets more rays
+        [mK], in place of the quality's own.
     rays : int
         Rays per face of the bake.
     tolerance_mk : float
@@ -55,10 +58,10 @@ class Renderer:
         Why the traced light could not be kept on disk, where it could not.
     """
 
-    def __init__(self, scene, quality="standard", samples=None, taps=None, edge_samples=None, rays=128,
+    def __init__(self, scene, quality="standard", samples=None, taps=None, edge_mk=None, rays=128,
                  tolerance_mk=5.0, seed=0, device="auto", progress=None, like=None):  # fmt: skip
         self.scene, self.seed = scene, seed
-        self.plan = make_plan(scene, quality, samples, taps, edge_samples, rays, tolerance_mk)
+        self.plan = make_plan(scene, quality, samples, taps, edge_mk, rays, tolerance_mk)
         if not 0 <= seed < 2**64:
             raise ThermorenderError(f"seed={seed} is not allowed; give a whole number 0 … 2⁶⁴−1")
         self._mi = activate(device)
@@ -79,12 +82,12 @@ class Renderer:
         self._temperature = np.concatenate([surface.temperature.ravel() for surface in scene.surfaces])
         self._tolerance_mk = tolerance_mk
         self.bake_noise_mk = self.cache_note = None
-        self.bake_mk = self._emission = self._incident = self._outside = self._colour = None
+        self.bake_mk = self._texels = self._faces = self._outside = self._colour = None
         self._rays_of = {}
         if same and scene.surfaces is like.scene.surfaces and scene.spec == like.scene.spec:
             if like._tolerance_mk == tolerance_mk and like.plan.rays == rays and like.plan.band_um == self.plan.band_um:
                 # The same light: another camera or sampling of one scene needs no new solution.
-                self._emission, self._incident, self._outside = like._emission, like._incident, like._outside
+                self._texels, self._faces, self._outside = like._texels, like._faces, like._outside
                 self.bake_mk, self.bake_noise_mk = like.bake_mk, like.bake_noise_mk
 
     def prepare(self):
@@ -128,13 +131,18 @@ class Renderer:
     def radiance(self, pose):
         """Return the band radiance seen from a pose, (H, W) float32 [W m⁻² sr⁻¹], without noise or truth."""
         self.prepare()
-        return self._shade(pose, self.scene.camera, self._emission, self._incident, self._outside)[0]
+        per_mk = band_radiance_derivative(REFERENCE_K, *self.plan.band_um) * 1e-3
+        limit = self.plan.edge_mk * per_mk
+        return self._shade(pose, self.scene.camera, self._texels, self._faces, self._outside, limit)[0]
 
     def cast_only(self, pose):
         """Cast a frame's rays and nothing else: the floor under the time of a frame."""
         rotation, origin = _opaque(self._mi, checked_pose(pose))
-        slopes = self._camera_rays(self.scene.camera, self.plan.samples, self.plan.taps).rays
-        rays = [_ray(self._mi, rotation, origin, *slope) for slope, _ in slopes]
+        slopes = self._camera_rays(self.scene.camera).slopes
+        rays = [
+            _ray(self._mi, rotation, origin, *slopes(*place))
+            for place, _ in places(self.plan.samples, self.plan.taps)
+        ]
         dr.eval([self._geometry.caster.ray_intersect_preliminary(ray, coherent=True).t for ray in rays])
         dr.sync_thread()
 
@@ -150,7 +158,7 @@ class Renderer:
             flags = np.concatenate([surface.flags.ravel() for surface in self.scene.surfaces])
             known = ((flags & FILLED) == 0).astype(np.float32)
             self._colour = Channels(self._mi, np.column_stack([linear, known]))
-        found = self._shade(pose, camera, self._colour, None, np.zeros((2, 4)))
+        found = self._shade(pose, camera, self._colour, None, np.zeros((2, 4)), _VISIBLE_EDGE)
         return _srgb_from_linear(np.moveaxis(found[:3], 0, -1)), found[3] > 0.999
 
     def _bake(self, tolerance_mk):
@@ -168,7 +176,7 @@ class Renderer:
         self._outside = band_radiance(outside, *band)[:, None]
         if not plan.bake:
             self.bake_mk = self.bake_noise_mk = 0.0
-            self._emission, self._incident = Channels(mi, emitted[:, None]), None
+            self._texels, self._faces = Channels(mi, emitted[:, None]), None
             return
         if self._transport is None:
             what = "tracing the light between surfaces"
@@ -177,7 +185,7 @@ class Renderer:
                 self._geometry, plan.rays, lambda share: self._progress(what, share)
             )
         self._progress("solving the light between surfaces", 0.0)
-        face_emitted, face_reflectance = self._face_means()
+        face_emitted, face_reflectance = fold.face_means(self._geometry, plan, self._material, self._temperature)
         sky_nodes, beyond_nodes = plan.node_radiance(outside)
         per_mk = band_radiance_derivative(REFERENCE_K, *band) * 1e-3
         tolerance = 0.1 * tolerance_mk * per_mk / plan.nodes
@@ -188,69 +196,38 @@ class Renderer:
         self.bake_mk = float((reflectance.max(axis=0) * bounds).sum() / per_mk)
         _, noise = bake.noise(self._transport, face_emitted, face_reflectance, sky_nodes, beyond_nodes, incident)
         self.bake_noise_mk = noise / per_mk
-        basis, weights = _basis(incident, face_reflectance, 0.5 * tolerance_mk * per_mk)
-        seen = (reflectance @ basis.T).astype(np.float32)
-        self._emission = Channels(mi, np.column_stack([emitted, seen[self._material]]))
-        self._incident = Channels(mi, incident @ weights.T)
+        light = fold.light(plan, incident)
+        texel, face, rest = fold.fold(self._geometry, emitted, self._material, light)
+        self.fold_mk = rest / per_mk
+        self._texels, self._faces = Channels(mi, texel[:, None]), Channels(mi, face[:, None])
         self._progress("solving the light between surfaces", 1.0)
 
-    def _face_means(self):
-        """Mean emitted radiance and reflectance of each face at each node, both (F, N) float64."""
-        mi, plan, geometry = self._mi, self.plan, self._geometry
-        texels = np.diff(geometry.texel_start)
-        faces = np.diff(geometry.face_start)
-        # About two places per texel of an average face, at least four where there is a texture at all.
-        places = [1 if t == 1 else int(np.clip(np.ceil(2 * t / f), 4, 64)) for t, f in zip(texels, faces, strict=True)]
-        count = max(places)
-        pattern = bake.low_discrepancy(count, 2)
-        numbers = []
-        # Square root and product spread the square's points evenly over the triangle.
-        for number in geometry.places_in_faces([(1.0 - np.sqrt(a), np.sqrt(a) * b) for a, b in pattern]):
-            dr.eval(number)
-            numbers.append(number)
-        grid = RadianceTable.grid(self.plan.coldest, self.plan.warmest)
-        black = plan.node_radiance(grid).astype(np.float32)
-        material, temperature = mi.UInt32(self._material), mi.Float(self._temperature)
-        place = (temperature - float(grid[0])) / float(grid[1] - grid[0])
-        lower = mi.UInt32(dr.clip(place, 0.0, float(len(grid) - 2)))
-        weight = place - mi.Float(lower)
-        emitted = np.empty((geometry.face_count, plan.nodes))
-        reflectance = np.empty_like(emitted)
-        for node in range(plan.nodes):
-            table = mi.Float(np.ascontiguousarray(black[:, node]))
-            planck = dr.lerp(dr.gather(mi.Float, table, lower), dr.gather(mi.Float, table, lower + 1), weight)
-            epsilon = dr.gather(mi.Float, mi.Float(plan.emissivity[:, node].astype(np.float32)), material)
-            leaving = planck * epsilon
-            dr.eval(leaving, epsilon)
-            sums = [sum(dr.gather(mi.Float, values, number) for number in numbers) for values in (leaving, epsilon)]
-            emitted[:, node] = np.asarray(sums[0]) / count
-            reflectance[:, node] = 1.0 - np.asarray(sums[1]) / count
-        return emitted, reflectance
+    def _camera_rays(self, camera):
+        if camera not in self._rays_of:
+            self._rays_of[camera] = CameraRays(self._mi, camera)
+        return self._rays_of[camera]
 
-    def _camera_rays(self, camera, samples, taps):
-        key = (camera, samples, taps)
-        if key not in self._rays_of:
-            self._rays_of[key] = CameraRays(self._mi, camera, samples, taps, self.plan.edge_samples)
-        return self._rays_of[key]
-
-    def _shade(self, pose, camera, texels, faces, outside):
-        """Mean over a pixel's rays of texel channels plus reflected light, (channels, H, W) float32."""
+    def _shade(self, pose, camera, texels, faces, outside, edge_limit):
+        """Mean over a pixel's rays of what they see, (channels, H, W) float32; more rays at edges that err more."""
         mi = self._mi
-        rays = self._camera_rays(camera, self.plan.samples, self.plan.taps)
+        rays = self._camera_rays(camera)
         view = _opaque(mi, pose)
         outside = [[dr.opaque(mi.Float, float(value)) for value in row] for row in outside]
-        # Two more channels tell where the edges are.
-        guide = self.plan.edge_samples > 0
-        channels = 1 if faces else texels.count
-        total = [mi.Float(0.0) for _ in range(channels)]
-        for slope, taps in rays.rays:
-            hit, values = self._look(view, slope, taps, texels, faces, outside, coherent=True)
+        several = len(self.scene.surfaces) > 1
+        total = [mi.Float(0.0) for _ in range(texels.count)]
+        pattern = places(self.plan.samples, self.plan.taps)
+        for place, taps in pattern:
+            slope = rays.slopes(*place)
+            taps = [slope if tap == place else rays.slopes(*tap) for tap in taps]
+            hit, values = self._look(view, slope, taps, texels, faces, outside)
             total = [a + b for a, b in zip(total, values, strict=True)]
-        total = [value / len(rays.rays) for value in total]
-        if guide:
+        total = [value / len(pattern) for value in total]
+        if edge_limit < np.inf:
+            # One or two more channels tell where the edges are.
             x, y = slope
-            near = dr.select(hit.valid, dr.sqrt(1.0 + x * x + y * y) / hit.distance, 0.0)
-            total += [near, mi.Float(hit.surface)]
+            total.append(dr.select(hit.valid, dr.sqrt(1.0 + x * x + y * y) / hit.distance, 0.0))
+            if several:
+                total.append(mi.Float(hit.surface))
         size = camera.height * camera.width
         # A target of its own for each channel: several scatters into one array would each cast the rays again.
         targets = [dr.zeros(mi.Float, size) for _ in total]
@@ -258,29 +235,43 @@ class Renderer:
             dr.scatter(target, value, rays.pixel)
         dr.eval(targets)
         image = np.stack([np.array(target) for target in targets]).reshape(-1, camera.height, camera.width)
-        if guide:
-            marked = edges(image[-2], image[-1])
-            image = image[:channels]
-            if marked.any():
-                pixels, x, y = rays.at_edges(marked)
-                _, values = self._look(view, (x, y), [(x, y)], texels, faces, outside, coherent=True)
-                count = self.plan.edge_samples
-                means = [dr.block_sum(value, count) / count for value in values]
-                dr.eval(means)
-                for channel, mean in zip(image, means, strict=True):
-                    channel.reshape(-1)[pixels] = np.array(mean)
+        if edge_limit < np.inf:
+            guide, image = image[texels.count :], image[: texels.count]
+            step = edge_step(image.sum(axis=0), *guide)
+            look = lambda slope: self._look(view, slope, [slope], texels, faces, outside)[1]  # noqa: E731
+            self._refine(rays, image, step, edge_limit, look)
         return image
 
-    def _look(self, view, slope, taps, texels, faces, outside, coherent):
+    @staticmethod
+    def _refine(rays, image, step, edge_limit, look):
+        """Replace pixels of an image (channels, H, W) that err too much for their `step` by the mean of more rays."""
+        position = np.sort(rays.position[np.flatnonzero(edge_error(step) > edge_limit)])
+        unseen = UNSEEN * step.ravel()[rays.order[position]]
+        total, low, high, first = 0.0, np.inf, -np.inf, 0
+        for last in STAGES:
+            if not position.size:
+                break
+            values = look(rays.edge_slopes(position, first, last))
+            dr.eval(values)
+            values = np.stack([np.array(value) for value in values]).reshape(len(image), -1, last - first)
+            total = total + values.sum(axis=-1)
+            image.reshape(len(image), -1)[:, rays.order[position]] = total / last
+            guide = values.sum(axis=0)
+            low, high = np.minimum(low, guide.min(axis=-1)), np.maximum(high, guide.max(axis=-1))
+            on = edge_error(np.maximum(high - low, unseen), last) > edge_limit
+            position, total, low, high, unseen, first = position[on], total[:, on], low[on], high[on], unseen[on], last
+
+    def _look(self, view, slope, taps, texels, faces, outside):
         """Return (hit, channels): what rays hit, and the mean over their taps of the light that comes from there."""
         mi, geometry = self._mi, self._geometry
         rotation, origin = view
         ray = _ray(mi, rotation, origin, *slope)
-        hit = geometry.cast(ray, coherent)
+        hit = geometry.cast(ray, coherent=True)
         record = geometry.record(hit.face, hit.valid)
+        lattice = geometry.lattice(hit.surface, hit.valid)
         normal = geometry.normal(record)
         height = hit.distance * dr.dot(normal, ray.d)
-        total = None
+        total = [mi.Float(0.0) for _ in range(texels.count)]
         for tap in taps:
             if tap is slope:
                 point = ray.o + hit.distance * ray.d
@@ -289,12 +280,11 @@ class Renderer:
                 along = mi.Vector3f(*(dr.dot(row, mi.Vector3f(*tap, 1.0)) for row in rotation))
                 slant = dr.dot(normal, along)
                 point = origin + dr.select(slant != 0.0, height / slant, 0.0) * along
-            values = geometry.bilinear(texels, hit.surface, *geometry.place(record, point), hit.valid)
-            total = values if total is None else [a + b for a, b in zip(total, values, strict=True)]
+            values = geometry.bilinear(texels, lattice, *geometry.place(record, point), hit.valid)
+            total = [a + b for a, b in zip(total, values, strict=True)]
         total = [value / len(taps) for value in total]
         if faces:
-            incident = faces.at(hit.face, hit.valid)
-            total = [total[0] + sum(r * e for r, e in zip(total[1:], incident, strict=True))]
+            total = [a + b for a, b in zip(total, faces.at(hit.face, hit.valid), strict=True)]
         up = ray.d.z >= 0.0
         sky, beyond = outside
         return hit, [
@@ -304,8 +294,8 @@ class Renderer:
     def _truth(self, pose):
         mi, geometry, scene = self._mi, self._geometry, self.scene
         camera = scene.camera
-        rays = self._camera_rays(camera, 1, 1)
-        (((x, y), _),) = rays.rays
+        rays = self._camera_rays(camera)
+        x, y = rays.slopes(0.5, 0.5)
         rotation, origin = _opaque(mi, pose)
         ray = _ray(mi, rotation, origin, x, y)
         hit = geometry.cast(ray, coherent=True)
@@ -375,26 +365,6 @@ def checked_pose(pose):
             "pose has a rotation that is not orthonormal and right-handed; normalise its quaternion"
         )
     return pose
-
-
-def _basis(incident, reflectance, tolerance):
-    """Return (spectra (K, N), weights (K, N)) that stand for the light incident on faces, (F, N).
-
-    `incident @ weights.T @ spectra` restores it, with the fewest spectra for which the light that any face
-    reflects, with its own reflectance (F, N), errs below `tolerance`. Every face counts with the square of its
-    reflectance and every node with its share of the light.
-    """
-    light = incident.mean(axis=0)
-    scale = 1.0 / np.sqrt(np.where(light > 0.0, light, 1.0))
-    scaled = incident * scale
-    importance = reflectance.max(axis=1, keepdims=True) ** 2
-    _, _, vectors = np.linalg.svd((scaled * importance).T @ scaled)
-    for count in range(1, len(vectors) + 1):
-        kept = vectors[:count]
-        rest = (scaled - (scaled @ kept.T) @ kept) / scale
-        if np.abs((rest * reflectance).sum(axis=1)).max() <= tolerance:
-            break
-    return kept / scale, kept * scale
 
 
 def _band_emissivity(material, band_um):

@@ -6,9 +6,12 @@ plane to its place on the texel map; it also tells the plane, so that places nea
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import drjit as dr
 import numpy as np
+
+_RAYS_AT_ONCE = 1 << 22
 
 
 @dataclass(frozen=True)
@@ -57,7 +60,10 @@ class Geometry:
         self.texel_start = np.cumsum([0] + [surface.material.size for surface in surfaces])
         self.face_count = int(self.face_start[-1])
         self.reach = max(float(np.abs(surface.vertices).max()) for surface in surfaces)
-        meshes = {f"s{number}": _mesh(mi, f"s{number}", surface) for number, surface in enumerate(surfaces)}
+        meshes = {
+            f"s{number}": _mesh(mi, f"s{number}", surface.vertices, surface.faces)
+            for number, surface in enumerate(surfaces)
+        }
         # Without robust intersections rays leak through triangle edges, and a leak is a sky pixel.
         self.caster = mi.load_dict({"type": "scene", "embree_use_robust_intersections": True, **meshes})
         # Mitsuba numbers shapes over the whole process: number → surface.
@@ -95,7 +101,7 @@ class Geometry:
         return dr.cross(u, v)
 
     def places_in_faces(self, pattern):
-        """Yield the flat texel number at a barycentric place of every face, per (u, v) of `pattern`."""
+        """Yield (surface, column, row) on the texel maps, in each face, at every barycentric (u, v) of `pattern`."""
         mi = self.mi
         face_counts = np.diff(self.face_start)
         surface = mi.UInt32(np.repeat(np.arange(len(face_counts), dtype=np.uint32), face_counts))
@@ -103,38 +109,79 @@ class Geometry:
         corner = np.concatenate([s.uv * np.array(n, np.float32) for s, n in zip(self.surfaces, size, strict=True)])
         corner = [[mi.Float(np.ascontiguousarray(corner[:, k, axis])) for axis in (0, 1)] for k in range(3)]
         for u, v in np.asarray(pattern).tolist():
+            # Opaque weights: as literals they would have the kernel that uses them compiled anew for each place.
+            u, v = dr.opaque(mi.Float, u), dr.opaque(mi.Float, v)
             column, row = (
                 (1.0 - u - v) * corner[0][axis] + u * corner[1][axis] + v * corner[2][axis] for axis in (0, 1)
             )
-            yield self.nearest(surface, column, row)
+            yield surface, column, row
 
     def nearest(self, surface, column, row, active=True):
         """Return the flat number of the texel at a place of a surface's map; outside, that at its edge."""
         mi = self.mi
-        rows, columns = (dr.gather(mi.Int32, size, surface, active) for size in (self._rows, self._columns))
+        start, rows, columns = self.lattice(surface, active)
         i = dr.clip(mi.Int32(dr.floor(row)), 0, rows - 1)
         j = dr.clip(mi.Int32(dr.floor(column)), 0, columns - 1)
-        return mi.UInt32(dr.gather(mi.Int32, self._texel_start, surface, active) + i * columns + j)
+        return mi.UInt32(start + i * columns + j)
 
-    def bilinear(self, channels, surface, column, row, active=True):
-        """Return the Channels of a place of a surface's map, linear between texel centres, as a list of Float."""
+    def lattice(self, surface, active=True):
+        """Return (first texel, rows, columns) of surfaces, Int32."""
+        arrays = (self._texel_start, self._rows, self._columns)
+        return tuple(dr.gather(self.mi.Int32, values, surface, active) for values in arrays)
+
+    def corners(self, lattice, column, row):
+        """Return the four texels round a place as [(flat number, weight), …]; outside the map, those at its edge."""
         mi = self.mi
-        rows, columns = (dr.gather(mi.Int32, size, surface, active) for size in (self._rows, self._columns))
-        start = dr.gather(mi.Int32, self._texel_start, surface, active)
+        start, rows, columns = lattice
         x, y = column - 0.5, row - 0.5
         left, top = dr.floor(x), dr.floor(y)
         fx, fy = x - left, y - top
-        j0, i0 = mi.Int32(left), mi.Int32(top)
-        j1, i1 = dr.clip(j0 + 1, 0, columns - 1), dr.clip(i0 + 1, 0, rows - 1)
-        j0, i0 = dr.clip(j0, 0, columns - 1), dr.clip(i0, 0, rows - 1)
-        upper, lower = start + i0 * columns, start + i1 * columns
-        a = channels.at(mi.UInt32(upper + j0), active)
-        b = channels.at(mi.UInt32(upper + j1), active)
-        c = channels.at(mi.UInt32(lower + j0), active)
-        d = channels.at(mi.UInt32(lower + j1), active)
+        j, i = mi.Int32(left), mi.Int32(top)
+        j0, j1 = dr.clip(j, 0, columns - 1), dr.clip(j + 1, 0, columns - 1)
+        upper, lower = (start + dr.clip(i + k, 0, rows - 1) * columns for k in (0, 1))
         return [
-            dr.lerp(dr.lerp(a_, b_, fx), dr.lerp(c_, d_, fx), fy) for a_, b_, c_, d_ in zip(a, b, c, d, strict=True)
+            (mi.UInt32(line + at), weight * share)
+            for line, weight in ((upper, 1.0 - fy), (lower, fy))
+            for at, share in ((j0, 1.0 - fx), (j1, fx))
         ]
+
+    def bilinear(self, channels, lattice, column, row, active=True):
+        """Return the Channels of a place of a surface's map, linear between texel centres, as a list of Float."""
+        total = None
+        for texel, weight in self.corners(lattice, column, row):
+            values = [weight * value for value in channels.at(texel, active)]
+            total = values if total is None else [a + b for a, b in zip(total, values, strict=True)]
+        return total
+
+    @cached_property
+    def face_of_texel(self):
+        """The face that covers the centre of each texel, UInt32 over all texels; `face_count` where there is none.
+
+        The map itself is looked at from above: rays down onto its triangles. A face whose map has no area covers
+        nothing.
+        """
+        mi = self.mi
+        found = np.full(int(self.texel_start[-1]), self.face_count, dtype=np.uint32)
+        for number, surface in enumerate(self.surfaces):
+            rows, columns = surface.material.shape
+            if rows * columns == 1:
+                continue
+            corner = surface.uv.reshape(-1, 2).astype(np.float64) * (columns, rows)
+            flat = np.column_stack([corner, np.zeros(len(corner))])
+            mesh = _mesh(mi, "map", flat, np.arange(len(flat)).reshape(-1, 3))
+            caster = mi.load_dict({"type": "scene", "embree_use_robust_intersections": True, "map": mesh})
+            start, first_face = int(self.texel_start[number]), int(self.face_start[number])
+            step = max(1, _RAYS_AT_ONCE // columns)
+            for top in range(0, rows, step):
+                count = min(step, rows - top) * columns
+                index = dr.arange(mi.UInt32, count)
+                origin = mi.Point3f(
+                    mi.Float(index % columns) + 0.5, mi.Float(index // columns + dr.opaque(mi.UInt32, top)) + 0.5, 1.0
+                )
+                hit = caster.ray_intersect_preliminary(mi.Ray3f(origin, mi.Vector3f(0.0, 0.0, -1.0)), coherent=True)
+                face = dr.select(hit.is_valid(), hit.prim_index + first_face, self.face_count)
+                found[start + top * columns :][:count] = np.array(face)
+        return mi.UInt32(found)
 
 
 class Channels:
@@ -186,11 +233,11 @@ def _map_records(surface):
     return np.concatenate([gradient, offset[..., None]], axis=-1).reshape(-1, 8)
 
 
-def _mesh(mi, name, surface):
-    mesh = mi.Mesh(name, len(surface.vertices), len(surface.faces))
+def _mesh(mi, name, vertices, faces):
+    mesh = mi.Mesh(name, len(vertices), len(faces))
     parameters = mi.traverse(mesh)
     # np.array drops array subclasses, which Mitsuba refuses.
-    parameters["vertex_positions"] = np.array(surface.vertices, dtype=np.float32).ravel()
-    parameters["faces"] = np.array(surface.faces, dtype=np.uint32).ravel()
+    parameters["vertex_positions"] = np.array(vertices, dtype=np.float32).ravel()
+    parameters["faces"] = np.array(faces, dtype=np.uint32).ravel()
     parameters.update()
     return mesh

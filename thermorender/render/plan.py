@@ -14,10 +14,10 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 from thermorender.physics.band import quadrature
 from thermorender.physics.planck import band_radiance_derivative, brightness_temperature, spectral_radiance
-from thermorender.render.sampling import PATTERNS
+from thermorender.render.sampling import PATTERNS, STAGES
 
-# Rays per pixel, texture places per ray, and rays per pixel that shows an edge (0: edges get no more).
-QUALITIES = {"fast": (1, 2, 4), "standard": (1, 4, 16), "high": (4, 4, 64)}
+# Rays per pixel, texture places per ray, and the error from which on an edge pixel gets more rays [mK].
+QUALITIES = {"fast": (1, 2, 500.0), "standard": (1, 4, 150.0), "high": (4, 4, 30.0)}
 MOST_NODES = 64
 # How much the light's colour (ln of warm over cold Planck spectra) counts beside reflectance; found on the shipped
 # scenes, where 0.03 … 0.3 need about as many nodes.
@@ -45,8 +45,10 @@ class Plan:
         Whether reflection is solved at all.
     rays : int
         Rays per face of the bake.
-    samples, taps, edge_samples : int
-        Rays per pixel, places per ray at which the texture is read, and rays per pixel that shows an edge.
+    samples, taps : int
+        Rays per pixel, and places per ray at which the texture is read.
+    edge_mk : float
+        Error of a pixel that shows an edge from which on it gets more rays [mK]; infinite: never.
     coldest, warmest : float
         Temperatures of the scene, its sky and surroundings [K].
     """
@@ -61,7 +63,7 @@ class Plan:
     rays: int
     samples: int
     taps: int
-    edge_samples: int
+    edge_mk: float
     coldest: float
     warmest: float
 
@@ -78,6 +80,9 @@ class Plan:
     def rows(self):
         """Return the plan as (item, in or out, why) rows for a table."""
         needed = "in" if self.bake else "out"
+        edges = ("more rays at edges", "out", "edge_mk is infinite")
+        if self.edge_mk < np.inf:
+            edges = (edges[0], "in", f"up to {STAGES[-1]} where one surface hides another and errs {self.edge_mk:g} mK")
         return [
             ("emission", "in", f"full spectral integral per material, {self.coldest:.1f}–{self.warmest:.1f} K"),
             ("reflection", needed, f"changes a pixel by at most {_kelvin(self.reflection_mk)}"),
@@ -85,7 +90,7 @@ class Plan:
             ("bake rays per face", str(self.rays if self.bake else 0), "sky visibility and inter-reflection"),
             ("rays per pixel", str(self.samples), "band radiance averaged, never temperature"),
             ("texture places per ray", str(self.taps), "on the plane of the face that is hit"),
-            ("rays per edge pixel", str(self.edge_samples), "where one surface hides another"),
+            edges,
             ("air", "out", "this scene declares none"),
             ("specular rays", "out", "every material is Lambertian"),
         ]
@@ -100,11 +105,11 @@ class Plan:
             "bake_rays": self.rays if self.bake else 0,
             "samples": self.samples,
             "taps": self.taps,
-            "edge_samples": self.edge_samples,
+            "edge_mk": self.edge_mk if self.edge_mk < np.inf else None,
         }
 
 
-def make_plan(scene, quality="standard", samples=None, taps=None, edge_samples=None, rays=128, tolerance_mk=5.0):
+def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, rays=128, tolerance_mk=5.0):
     """Return the Plan of a scene.
 
     Parameters
@@ -112,9 +117,11 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_samples=N
     scene : Scene
     quality : {"fast", "standard", "high"}
         Names the three numbers that follow.
-    samples, taps, edge_samples : int, optional
-        Rays per pixel and texture places per ray (1, 2, 4, 8 or 16), and rays per pixel that shows an edge (0 to
-        64), in place of the quality's own.
+    samples, taps : int, optional
+        Rays per pixel and texture places per ray (1, 2, 4, 8 or 16) in place of the quality's own.
+    edge_mk : float, optional
+        Error from which on a pixel that shows an edge gets more rays [mK], in place of the quality's own; infinite:
+        never.
     rays : int
         Rays per face for the bake.
     tolerance_mk : float
@@ -128,17 +135,14 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_samples=N
     """
     if quality not in QUALITIES:
         raise ThermorenderError(f"quality={quality!r} is unknown; give one of {', '.join(QUALITIES)}")
-    given = (samples, taps, edge_samples)
-    samples, taps, edge_samples = (a if b is None else b for a, b in zip(QUALITIES[quality], given, strict=True))
-    few = tuple(count for count in sorted(PATTERNS) if count <= 16)
-    any_or_none = (0, *sorted(PATTERNS))
-    for name, value, allowed in (
-        ("samples", samples, few),
-        ("taps", taps, few),
-        ("edge_samples", edge_samples, any_or_none),
-    ):
-        if value not in allowed:
-            raise ThermorenderError(f"{name}={value} is not allowed; give one of {', '.join(map(str, allowed))}")
+    given = (samples, taps, edge_mk)
+    samples, taps, edge_mk = (a if b is None else b for a, b in zip(QUALITIES[quality], given, strict=True))
+    for name, value in (("samples", samples), ("taps", taps)):
+        if value not in PATTERNS:
+            allowed = ", ".join(map(str, sorted(PATTERNS)))
+            raise ThermorenderError(f"{name}={value} is not allowed; give one of {allowed}")
+    if not edge_mk > 0.0:
+        raise ThermorenderError(f"edge_mk={edge_mk:g} is not allowed; give a number of mK above 0, or inf for none")
     if not 1 <= rays <= 65536:
         raise ThermorenderError(f"rays={rays} is not allowed; give 1…65536 rays per face")
     if not tolerance_mk > 0.0:
@@ -193,7 +197,7 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_samples=N
         rays=rays,
         samples=samples,
         taps=taps,
-        edge_samples=edge_samples,
+        edge_mk=float(edge_mk),
         coldest=coldest,
         warmest=warmest,
     )

@@ -11,6 +11,7 @@ import json
 import time
 from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
+from math import inf
 
 import numpy as np
 
@@ -48,8 +49,9 @@ class Mode:
         Paths per pixel of each of the two oracle renders.
     engines, stock : tuples of str and int
         Stock engines, and their paths per pixel.
-    sampling : tuple of (int, int, int)
-        Rays per pixel, texture places per ray and rays per pixel that shows an edge, beside the qualities'.
+    sampling : tuple of (int, int, float)
+        Rays per pixel, texture places per ray and the error of an edge pixel from which on it gets more [mK], beside
+        the qualities'.
     rays : tuple of int
         Rays per face of the bake, the default's first.
     tolerances_mk : tuple of float
@@ -79,7 +81,7 @@ MODES = {
         oracle=256,
         engines=("stock direct, BSDF samples",),
         stock=(1, 4),
-        sampling=((1, 1, 0), (4, 4, 0)),
+        sampling=((1, 1, inf), (4, 4, inf)),
         rays=(32,),
         tolerances_mk=(20.0,),
         emissivities=(0.5,),
@@ -92,10 +94,10 @@ MODES = {
         engines=tuple(STOCK),
         stock=(1, 4, 16, 64, 256),
         sampling=(
-            *((rays, 1, 0) for rays in (1, 2, 4, 8, 16)),
-            *((1, taps, 0) for taps in (2, 4, 8, 16)),
-            *((2, 4, 0), (4, 4, 0), (8, 4, 0), (16, 4, 0)),
-            *((1, 4, 4), (1, 4, 64), (1, 8, 16), (4, 4, 16), (8, 4, 64)),
+            *((rays, 1, inf) for rays in (1, 2, 4, 8, 16)),
+            *((1, taps, inf) for taps in (2, 4, 8, 16)),
+            *((2, 4, inf), (4, 4, inf), (8, 4, inf), (16, 4, inf)),
+            *((1, 4, 500.0), (1, 4, 60.0), (1, 8, 150.0), (4, 4, 150.0), (8, 4, 30.0)),
         ),
         rays=(128, 16, 32, 64, 256, 512),
         tolerances_mk=(5.0, 1.0, 20.0, 100.0),
@@ -178,8 +180,8 @@ def _cases(site, mode):
     named_settings = {numbers: name for name, numbers in QUALITIES.items()}
     for numbers in dict.fromkeys((*QUALITIES.values(), *mode.sampling)):
         name = named_settings.get(numbers)
-        label = " · ".join(map(str, numbers)) + (f" ({name})" if name else "")
-        keywords = dict(zip(("samples", "taps", "edge_samples"), numbers, strict=True))
+        label = f"{numbers[0]} · {numbers[1]} · {numbers[2]:g} mK" + (f" ({name})" if name else "")
+        keywords = dict(zip(("samples", "taps", "edge_mk"), numbers, strict=True))
         yield from named(OWN, "sampling", label, keywords=keywords, default=name == DEFAULT)
     for rays in mode.rays:
         yield from named(OWN, "bake rays", f"{rays} rays", keywords={"quality": "high", "rays": rays}, anew=True)

@@ -13,7 +13,7 @@ from thermorender.render.frame import Renderer
 # Pixels of the converged image per pixel and direction, and rays in each: 256 per pixel.
 FINER, RAYS = 8, 4
 # Keywords of Renderer that decide how a pixel is sampled, and nothing else.
-SAMPLING = ("quality", "samples", "taps", "edge_samples")
+SAMPLING = ("quality", "samples", "taps", "edge_mk")
 
 
 @contextmanager
@@ -44,7 +44,7 @@ def converged(renderer, place, keywords):
         What the renderer was made with.
     """
     camera = renderer.scene.camera
-    settings = {**keywords, "samples": RAYS, "taps": 1, "edge_samples": 0, "like": renderer}
+    settings = {**keywords, "samples": RAYS, "taps": 1, "edge_mk": np.inf, "like": renderer}
     quarters = []
     for lower in range(2):
         for right in range(2):

@@ -1,0 +1,70 @@
+"""Light of faces folded into texels and a constant per face: means are kept, whatever the map."""
+
+import numpy as np
+import pytest
+import trimesh
+
+import thermorender as tr
+from scenes import write_mesh, write_terrain
+from thermorender.render import fold
+from thermorender.render.geometry import Geometry
+from thermorender.render.variant import activate
+
+
+def geometry_of(scene):
+    return Geometry(activate(), scene.surfaces)
+
+
+def test_each_texel_knows_the_face_that_covers_it(tmp_path):
+    scene = tr.load_scene(write_terrain(tmp_path / "s", height=np.random.default_rng(1).uniform(0, 2, (9, 12))))
+    (surface,) = scene.surfaces
+    rows, columns = surface.material.shape
+    face = np.array(geometry_of(scene).face_of_texel).reshape(rows, columns)
+    row, column = np.mgrid[:rows, :columns]
+    place = np.stack([column + 0.5, row + 0.5], axis=-1)
+    covered = face < len(surface.faces)
+    corner = surface.uv[face[covered]] * [columns, rows]
+    edge = corner[:, 1:] - corner[:, :1]
+    share = np.linalg.solve(edge.transpose(0, 2, 1), (place[covered] - corner[:, 0])[..., None])[..., 0]
+    assert share.min() > -1e-3 and share.sum(axis=1).max() < 1 + 1e-3
+    # The elevation's middles span all but half a cell all round: 11/12 · 8/9 of the area.
+    assert covered.mean() == pytest.approx(11 / 12 * 8 / 9, abs=0.08)
+
+
+def test_the_mean_of_each_face_is_kept(tmp_path):
+    # Steep faces: a texel lies on one of them and is seen on several.
+    random = np.random.default_rng(3)
+    scene = tr.load_scene(write_terrain(tmp_path / "s", height=random.uniform(0, 6, (20, 20))))
+    geometry = geometry_of(scene)
+    (surface,) = scene.surfaces
+    material = random.integers(0, 3, surface.material.size).astype(np.uint8)
+    emitted = random.uniform(30, 50, material.size).astype(np.float32)
+    light = random.uniform(1, 5, (geometry.face_count, 3)).astype(np.float32)
+    texel, face, left = fold.fold(geometry, emitted, material, light)
+    rows, columns = surface.material.shape
+    weight = random.dirichlet([1, 1, 1], size=(4000, geometry.face_count))
+    place = np.einsum("pfk,fkc->pfc", weight, surface.uv * [columns, rows]) - 0.5
+    low = np.floor(place).astype(int)
+    part = place - low
+    shown = wanted = 0.0
+    for right in (0, 1):
+        for down in (0, 1):
+            share = np.abs(1 - right - part[..., 0]) * np.abs(1 - down - part[..., 1])
+            j, i = np.clip(low[..., 0] + right, 0, columns - 1), np.clip(low[..., 1] + down, 0, rows - 1)
+            number = i * columns + j
+            shown = shown + share * texel[number]
+            wanted = wanted + share * (emitted[number] + light[np.arange(geometry.face_count), material[number]])
+    difference = shown + face - wanted
+    # The constant is a mean over some ten places: it errs by the scatter over the root of their number at most.
+    assert np.sqrt((difference.mean(axis=0) ** 2).mean()) < 0.5 * left
+    assert left == pytest.approx(difference.std(axis=0).mean(), rel=0.3)
+    assert np.sqrt((face**2).mean()) > 2 * np.sqrt((difference.mean(axis=0) ** 2).mean())
+
+
+def test_an_object_of_one_texel_shows_the_light_of_each_face(tmp_path):
+    scene = tr.load_scene(write_mesh(tmp_path / "s", trimesh.creation.icosphere(subdivisions=2), 300.0, 0.8))
+    geometry = geometry_of(scene)
+    light = np.random.default_rng(0).uniform(1, 5, (geometry.face_count, 1)).astype(np.float32)
+    texel, face, left = fold.fold(geometry, np.float32([7.0]), np.uint8([0]), light)
+    np.testing.assert_allclose(texel[0] + face, 7.0 + light[:, 0], rtol=1e-6)
+    assert left == pytest.approx(0.0, abs=1e-5)

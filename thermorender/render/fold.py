@@ -1,0 +1,109 @@
+"""Emitted and reflected light folded into one radiance per texel and one correction per face.
+
+Light between surfaces is solved per face, materials and temperatures are given per texel. Each texel takes the
+light of the face that covers it; where a face is seen through texels of other faces (a wall narrower than a texel,
+an object of one texel), a constant per face restores its mean. A pixel then needs one texture and one number per
+face, however many spectral nodes the light was solved at. What is left, the scatter within faces, is returned.
+"""
+
+import drjit as dr
+import numpy as np
+
+from thermorender.physics.band import RadianceTable
+from thermorender.render.bake import low_discrepancy
+
+# Places per face, and per texel of an average face, from which its mean is taken.
+_FEWEST, _MOST, _PER_TEXEL = 4, 64, 2
+
+
+def face_means(geometry, plan, material, temperature):
+    """Return mean emitted radiance and reflectance of each face at each node, both (F, N) float64.
+
+    Parameters
+    ----------
+    geometry : Geometry
+    plan : Plan
+    material : (T,) uint8
+        Number of each texel's material.
+    temperature : (T,) float32
+        Kinetic temperature of each texel [K].
+    """
+    mi = geometry.mi
+    numbers = []
+    for surface, column, row in geometry.places_in_faces(_pattern(geometry)):
+        numbers.append(geometry.nearest(surface, column, row))
+        dr.eval(numbers[-1])
+    grid = RadianceTable.grid(plan.coldest, plan.warmest)
+    black = plan.node_radiance(grid).astype(np.float32)
+    material, temperature = mi.UInt32(material), mi.Float(temperature)
+    place = (temperature - float(grid[0])) / float(grid[1] - grid[0])
+    lower = mi.UInt32(dr.clip(place, 0.0, float(len(grid) - 2)))
+    weight = place - mi.Float(lower)
+    emitted = np.empty((geometry.face_count, plan.nodes))
+    reflectance = np.empty_like(emitted)
+    for node in range(plan.nodes):
+        table = mi.Float(np.ascontiguousarray(black[:, node]))
+        planck = dr.lerp(dr.gather(mi.Float, table, lower), dr.gather(mi.Float, table, lower + 1), weight)
+        epsilon = dr.gather(mi.Float, mi.Float(plan.emissivity[:, node].astype(np.float32)), material)
+        leaving = planck * epsilon
+        dr.eval(leaving, epsilon)
+        sums = [sum(dr.gather(mi.Float, values, number) for number in numbers) for values in (leaving, epsilon)]
+        emitted[:, node] = np.asarray(sums[0]) / len(numbers)
+        reflectance[:, node] = 1.0 - np.asarray(sums[1]) / len(numbers)
+    return emitted, reflectance
+
+
+def fold(geometry, emitted, material, light):
+    """Return (radiance of each texel (T,), correction of each face (F,), what is left), float32 [W m⁻² sr⁻¹].
+
+    Parameters
+    ----------
+    geometry : Geometry
+    emitted : (T,) float32
+        Emitted band radiance of each texel [W m⁻² sr⁻¹].
+    material : (T,) uint8
+    light : (F, M) float32
+        Band radiance that each material would reflect on each face [W m⁻² sr⁻¹].
+
+    Notes
+    -----
+    What is left is the root mean square over faces of the scatter that the constant of a face does not restore.
+    """
+    mi, count, kinds = geometry.mi, *light.shape
+    # One more row for texels that no face covers: the mean, as they only blend into their neighbours.
+    table = mi.Float(np.vstack([light, light.mean(axis=0, dtype=np.float64)]).astype(np.float32).ravel())
+    material = mi.UInt32(material)
+    reflected = dr.gather(mi.Float, table, geometry.face_of_texel * kinds + material)
+    texel = mi.Float(emitted) + reflected
+    dr.eval(reflected, texel)
+    face = dr.arange(mi.UInt32, count)
+    mean, square = dr.zeros(mi.Float, count), dr.zeros(mi.Float, count)
+    pattern = _pattern(geometry)
+    for surface, column, row in geometry.places_in_faces(pattern):
+        missing = mi.Float(0.0)
+        for number, weight in geometry.corners(geometry.lattice(surface), column, row):
+            own = dr.gather(mi.Float, table, face * kinds + dr.gather(mi.UInt32, material, number))
+            missing += weight * (own - dr.gather(mi.Float, reflected, number))
+        mean, square = mean + missing, square + missing * missing
+        dr.eval(mean, square)
+    mean, square = np.array(mean) / len(pattern), np.array(square) / len(pattern)
+    return np.array(texel), mean, float(np.sqrt(np.mean(np.maximum(square - mean * mean, 0.0), dtype=np.float64)))
+
+
+def light(plan, incident):
+    """Return the band radiance that each material reflects on each face, (F, M) float32 [W m⁻² sr⁻¹].
+
+    `incident` is that of each face at each node, (F, N) [W m⁻² sr⁻¹].
+    """
+    return (incident @ (1.0 - plan.emissivity).T).astype(np.float32)
+
+
+def _pattern(geometry):
+    """Barycentric places (n, 2), evenly spread over a triangle."""
+    texels, faces = np.diff(geometry.texel_start), np.diff(geometry.face_start)
+    count = max(
+        1 if t == 1 else int(np.clip(np.ceil(_PER_TEXEL * t / f), _FEWEST, _MOST))
+        for t, f in zip(texels, faces, strict=True)
+    )
+    # Square root and product spread the square's points evenly over the triangle.
+    return [(1.0 - np.sqrt(a), np.sqrt(a) * b) for a, b in low_discrepancy(count, 2)]
