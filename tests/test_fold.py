@@ -68,3 +68,24 @@ def test_an_object_of_one_texel_shows_the_light_of_each_face(tmp_path):
     texel, face, left = fold.fold(geometry, np.float32([7.0]), np.uint8([0]), light)
     np.testing.assert_allclose(texel[0] + face, 7.0 + light[:, 0], rtol=1e-6)
     assert left == pytest.approx(0.0, abs=1e-5)
+
+
+def test_light_that_varies_over_faces(tmp_path):
+    # A plane of equilateral triangles under light with a gradient: its scatter inside them is known.
+    step, count = 0.5, 24
+    up = step * np.sqrt(3) / 2
+    vertices = [[(i + 0.5 * (j % 2)) * step, j * up, 0.0] for j in range(count) for i in range(count)]
+    faces = []
+    for j in range(count - 1):
+        for i in range(count - 1):
+            a, b, c, d = (p * count + q for p, q in ((j, i), (j, i + 1), (j + 1, i), (j + 1, i + 1)))
+            faces += [[a, b, c], [b, d, c]] if j % 2 == 0 else [[a, b, d], [a, d, c]]
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    geometry = geometry_of(tr.load_scene(write_mesh(tmp_path / "s", mesh)))
+    (surface,) = geometry.surfaces
+    middle = surface.vertices[surface.faces].mean(axis=1)
+    random = np.random.default_rng(0)
+    sigma = 0.4
+    light = 3.0 * middle[:, 0] + sigma * random.normal(size=len(middle))
+    found = fold.variation(geometry, light, np.full(len(middle), sigma))
+    assert found == pytest.approx(3.0 * step / np.sqrt(24.0), rel=0.15)

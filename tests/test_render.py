@@ -17,6 +17,7 @@ from thermorender.render.plan import make_plan
 from thermorender.render.sampling import morton_order
 from thermorender.render.variant import activate
 from thermorender.scene.surface import BEYOND, FILLED, SURFACE
+from thermorender.validate.metrics import converged, rms_mk
 
 BAND = (7.5, 13.5)
 DOWN = {"pitch_deg": -90.0}
@@ -240,6 +241,24 @@ def test_pixels_on_an_edge_are_shared(tmp_path):
     assert np.abs(shared - many).max() < 0.3 * contrast
     # A share never lies outside what is shared.
     assert many.min() - 1e-4 * contrast < shared.min() and shared.max() < many.max() + 1e-4 * contrast
+
+
+@pytest.mark.parametrize("quality", ["fast", "standard", "high"])
+def test_sampling_errs_less_than_its_budget(tmp_path, quality):
+    random = np.random.default_rng(6)
+    extra = (
+        '[[object]]\nname = "box"\nshape = "box"\nsize = [2, 1, 1]\nposition = [1, 2, 0]\nyaw_deg = 20\n'
+        'temperature = 330.0\nmaterial = "paint_black"\n'
+    )
+    height, warm = random.uniform(0, 2, (32, 32)), random.uniform(285, 305, (64, 64))
+    scene = tr.load_scene(write_terrain(tmp_path / "s", height=height, temperature=warm, extra=extra))
+    renderer = tr.Renderer(scene, quality=quality, rays=16)
+    pose = tr.pose(0, -18, 22, pitch_deg=-50)
+    budget = renderer.frame(pose).budget_mk
+    truth = converged(renderer, pose, {"quality": quality, "rays": 16})
+    error = rms_mk(renderer.radiance(pose), truth, scene.camera)
+    assert 0.2 * budget["sampling"] < error < budget["sampling"]
+    assert budget["total"] == pytest.approx(np.sqrt(sum(budget[part] ** 2 for part in ("nodes", "bake", "sampling"))))
 
 
 def test_same_input_same_bytes(tmp_path):

@@ -41,6 +41,17 @@ class Frame:
     plan: dict
     targets: dict
     _truth: object = field(repr=False)
+    _budget: object = field(repr=False, default=None)
+
+    @cached_property
+    def budget_mk(self):
+        """Error of the radiance, without the sensor's noise, by its causes: {cause: root mean square [mK]}.
+
+        "nodes": spectral nodes and solution, a bound; "bake": light between surfaces; "sampling": rays and texture
+        places of this frame; "total". Estimates from above. None for a frame of the reference engine, whose error
+        is its noise.
+        """
+        return None if self._budget is None else self._budget()
 
     @cached_property
     def apparent_temperature(self):

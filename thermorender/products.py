@@ -147,6 +147,7 @@ def record(frame):
         "seed": frame.seed,
         "camera": frame.camera.name,
         "plan": frame.plan,
+        "budget_mk": frame.budget_mk and {cause: round(value, 2) for cause, value in frame.budget_mk.items()},
         "targets": frame.targets,
     }
 

@@ -185,7 +185,7 @@ def solve(transport, emitted, reflectance, sky, beyond, tolerance):
 
 
 def noise(transport, emitted, reflectance, sky, beyond, incident):
-    """Return (Monte Carlo error of each face's reflected radiance (F,), their root mean square), [W m⁻² sr⁻¹].
+    """Return the Monte Carlo error of each face's reflected radiance, (F,) [W m⁻² sr⁻¹].
 
     The sum over nodes, one standard error. That of one face is a single draw and tells little by itself; the root
     mean square over many faces is an estimate.
@@ -212,7 +212,7 @@ def noise(transport, emitted, reflectance, sky, beyond, incident):
         source = seen[:, 0] - seen[:, 1] + _outside(up, down, transport.rays, sky, beyond, part)
         size = np.abs(source).max(axis=0)
         total += (rho * gmres(operator, rho, source, _NOISE_ACCURACY * size)).sum(axis=1)
-    return np.abs(total), float(np.sqrt(np.mean(total**2)))
+    return np.abs(total)
 
 
 def _blocks(shape):

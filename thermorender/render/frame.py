@@ -15,7 +15,16 @@ from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.render import bake, cache, fold
 from thermorender.render.geometry import Channels, Geometry
 from thermorender.render.plan import REFERENCE_K, make_plan
-from thermorender.render.sampling import STAGES, UNSEEN, CameraRays, edge_error, edge_step, places
+from thermorender.render.sampling import (
+    STAGES,
+    UNSEEN,
+    CameraRays,
+    contrast,
+    edge_error,
+    edge_step,
+    places,
+    texture_error,
+)
 from thermorender.render.variant import activate
 from thermorender.scene.surface import BEYOND, FILLED
 
@@ -51,9 +60,10 @@ class Renderer:
     ----------
     plan : Plan
         What this scene needs and what was left out.
-    bake_mk, bake_noise_mk : float or None
-        Bound on the error of the solution of the light between surfaces, and root mean square over the faces of its
-        Monte Carlo error, estimated from independent halves of the rays [mK]; None before `prepare`.
+    bake_mk : dict or None
+        Errors of the reflected light [mK]: "solution", a bound, and root mean squares over the surfaces: "noise" of
+        the rays, from independent halves, "faces", of light taken as constant over a face, and "texels", of folding
+        it into texels. None before `prepare`.
     cache_note : str or None
         Why the traced light could not be kept on disk, where it could not.
     """
@@ -81,14 +91,15 @@ class Renderer:
         self._material = np.concatenate([surface.material.ravel() for surface in scene.surfaces])
         self._temperature = np.concatenate([surface.temperature.ravel() for surface in scene.surfaces])
         self._tolerance_mk = tolerance_mk
-        self.bake_noise_mk = self.cache_note = None
+        self._per_mk = float(band_radiance_derivative(REFERENCE_K, *self.plan.band_um)) * 1e-3
+        self.cache_note = None
         self.bake_mk = self._texels = self._faces = self._outside = self._colour = None
         self._rays_of = {}
         if same and scene.surfaces is like.scene.surfaces and scene.spec == like.scene.spec:
             if like._tolerance_mk == tolerance_mk and like.plan.rays == rays and like.plan.band_um == self.plan.band_um:
                 # The same light: another camera or sampling of one scene needs no new solution.
                 self._texels, self._faces, self._outside = like._texels, like._faces, like._outside
-                self.bake_mk, self.bake_noise_mk = like.bake_mk, like.bake_noise_mk
+                self.bake_mk = like.bake_mk
 
     def prepare(self):
         """Trace and solve the light between surfaces now rather than with the first frame."""
@@ -112,9 +123,10 @@ class Renderer:
             A pose that is no rigid transform.
         """
         pose = checked_pose(pose)
-        return self.frame_of(self.radiance(pose), pose, time_s, index)
+        radiance, sampling = self._radiance(pose)
+        return self.frame_of(radiance, pose, time_s, index, budget=lambda: self._budget(radiance, sampling))
 
-    def frame_of(self, radiance, pose, time_s=0.0, index=0, plan=None):
+    def frame_of(self, radiance, pose, time_s=0.0, index=0, plan=None, budget=None):
         """Return the Frame of a radiance image (H, W) that was made elsewhere for this pose; `plan` says how."""
         return Frame(
             radiance=radiance,
@@ -123,17 +135,39 @@ class Renderer:
             index=int(index),
             seed=self.seed,
             camera=self.scene.camera,
-            plan=plan or {**self.plan.as_dict(), "bake_noise_mk": round(self.bake_noise_mk, 3)},
+            plan=plan or self.plan.as_dict(),
             targets=self._targets(pose),
             _truth=lambda: self._truth(pose),
+            _budget=budget,
         )
 
     def radiance(self, pose):
         """Return the band radiance seen from a pose, (H, W) float32 [W m⁻² sr⁻¹], without noise or truth."""
+        return self._radiance(pose)[0]
+
+    def _radiance(self, pose):
         self.prepare()
-        per_mk = band_radiance_derivative(REFERENCE_K, *self.plan.band_um) * 1e-3
-        limit = self.plan.edge_mk * per_mk
-        return self._shade(pose, self.scene.camera, self._texels, self._faces, self._outside, limit)[0]
+        limit = self.plan.edge_mk * self._per_mk
+        image, sampling = self._shade(pose, self.scene.camera, self._texels, self._faces, self._outside, limit)
+        return image[0], sampling
+
+    def _budget(self, radiance, sampling):
+        plan = self.plan
+        span, step, refined = sampling
+        if span is None:
+            # Nothing was asked about edges: any contrast may be one.
+            span = step = contrast(radiance)
+        edges = edge_error(step, plan.samples).ravel()
+        for pixels, left, count in refined:
+            edges[pixels] = edge_error(left, count)
+        texture = texture_error(span - step, plan.samples * plan.taps)
+        light = self.bake_mk
+        parts = {
+            "nodes": plan.nodes_mk + light["solution"],
+            "bake": float(np.sqrt(sum(light[which] ** 2 for which in ("noise", "faces", "texels")))),
+            "sampling": float(np.sqrt(np.mean(edges**2) + np.mean(texture**2)) / self._per_mk),
+        }
+        return {**parts, "total": float(np.sqrt(sum(value**2 for value in parts.values())))}
 
     def cast_only(self, pose):
         """Cast a frame's rays and nothing else: the floor under the time of a frame."""
@@ -158,7 +192,7 @@ class Renderer:
             flags = np.concatenate([surface.flags.ravel() for surface in self.scene.surfaces])
             known = ((flags & FILLED) == 0).astype(np.float32)
             self._colour = Channels(self._mi, np.column_stack([linear, known]))
-        found = self._shade(pose, camera, self._colour, None, np.zeros((2, 4)), _VISIBLE_EDGE)
+        found, _ = self._shade(pose, camera, self._colour, None, np.zeros((2, 4)), _VISIBLE_EDGE)
         return _srgb_from_linear(np.moveaxis(found[:3], 0, -1)), found[3] > 0.999
 
     def _bake(self, tolerance_mk):
@@ -175,7 +209,7 @@ class Renderer:
         outside = np.array([scene.spec.sky_temperature, scene.surroundings_temperature])
         self._outside = band_radiance(outside, *band)[:, None]
         if not plan.bake:
-            self.bake_mk = self.bake_noise_mk = 0.0
+            self.bake_mk = dict.fromkeys(("solution", "noise", "faces", "texels"), 0.0)
             self._texels, self._faces = Channels(mi, emitted[:, None]), None
             return
         if self._transport is None:
@@ -187,19 +221,18 @@ class Renderer:
         self._progress("solving the light between surfaces", 0.0)
         face_emitted, face_reflectance = fold.face_means(self._geometry, plan, self._material, self._temperature)
         sky_nodes, beyond_nodes = plan.node_radiance(outside)
-        per_mk = band_radiance_derivative(REFERENCE_K, *band) * 1e-3
-        tolerance = 0.1 * tolerance_mk * per_mk / plan.nodes
+        tolerance = 0.1 * tolerance_mk * self._per_mk / plan.nodes
         incident, bounds = bake.solve(
             self._transport, face_emitted, face_reflectance, sky_nodes, beyond_nodes, tolerance
         )
-        reflectance = 1.0 - plan.emissivity
-        self.bake_mk = float((reflectance.max(axis=0) * bounds).sum() / per_mk)
-        _, noise = bake.noise(self._transport, face_emitted, face_reflectance, sky_nodes, beyond_nodes, incident)
-        self.bake_noise_mk = noise / per_mk
-        light = fold.light(plan, incident)
-        texel, face, rest = fold.fold(self._geometry, emitted, self._material, light)
-        self.fold_mk = rest / per_mk
+        noise = bake.noise(self._transport, face_emitted, face_reflectance, sky_nodes, beyond_nodes, incident)
+        texel, face, scatter = fold.fold(self._geometry, emitted, self._material, fold.light(plan, incident))
         self._texels, self._faces = Channels(mi, texel[:, None]), Channels(mi, face[:, None])
+        share = self._geometry.share
+        varies = fold.variation(self._geometry, incident @ (share @ face_reflectance), noise)
+        solution = ((1.0 - plan.emissivity).max(axis=0) * bounds).sum()
+        errors = {"solution": solution, "noise": np.sqrt(share @ noise**2), "faces": varies, "texels": scatter}
+        self.bake_mk = {name: float(value / self._per_mk) for name, value in errors.items()}
         self._progress("solving the light between surfaces", 1.0)
 
     def _camera_rays(self, camera):
@@ -208,7 +241,12 @@ class Renderer:
         return self._rays_of[camera]
 
     def _shade(self, pose, camera, texels, faces, outside, edge_limit):
-        """Mean over a pixel's rays of what they see, (channels, H, W) float32; more rays at edges that err more."""
+        """Return (image, sampling): the mean over a pixel's rays of what they see, and what is known of its error.
+
+        image : (channels, H, W) float32
+        sampling : (contrast, step, [(pixels, step, rays), …])
+            As by `edge_step`, None where edges are not looked for, and the pixels that got more rays.
+        """
         mi = self._mi
         rays = self._camera_rays(camera)
         view = _opaque(mi, pose)
@@ -235,17 +273,22 @@ class Renderer:
             dr.scatter(target, value, rays.pixel)
         dr.eval(targets)
         image = np.stack([np.array(target) for target in targets]).reshape(-1, camera.height, camera.width)
+        span = step = None
+        refined = []
         if edge_limit < np.inf:
             guide, image = image[texels.count :], image[: texels.count]
-            step = edge_step(image.sum(axis=0), *guide)
+            span, step = edge_step(image.sum(axis=0), *guide)
             look = lambda slope: self._look(view, slope, [slope], texels, faces, outside)[1]  # noqa: E731
-            self._refine(rays, image, step, edge_limit, look)
-        return image
+            refined = self._refine(rays, image, step, edge_limit, look)
+        return image, (span, step, refined)
 
-    @staticmethod
-    def _refine(rays, image, step, edge_limit, look):
-        """Replace pixels of an image (channels, H, W) that err too much for their `step` by the mean of more rays."""
-        position = np.sort(rays.position[np.flatnonzero(edge_error(step) > edge_limit)])
+    def _refine(self, rays, image, step, edge_limit, look):
+        """Replace pixels of an image (channels, H, W) that err too much for their `step` by the mean of more rays.
+
+        Returns [(pixels, step within them, rays), …].
+        """
+        refined = []
+        position = np.sort(rays.position[np.flatnonzero(edge_error(step, self.plan.samples) > edge_limit)])
         unseen = UNSEEN * step.ravel()[rays.order[position]]
         total, low, high, first = 0.0, np.inf, -np.inf, 0
         for last in STAGES:
@@ -258,8 +301,11 @@ class Renderer:
             image.reshape(len(image), -1)[:, rays.order[position]] = total / last
             guide = values.sum(axis=0)
             low, high = np.minimum(low, guide.min(axis=-1)), np.maximum(high, guide.max(axis=-1))
-            on = edge_error(np.maximum(high - low, unseen), last) > edge_limit
+            left = np.maximum(high - low, unseen)
+            refined.append((rays.order[position], left, last))
+            on = edge_error(left, last) > edge_limit
             position, total, low, high, unseen, first = position[on], total[:, on], low[on], high[on], unseen[on], last
+        return refined
 
     def _look(self, view, slope, taps, texels, faces, outside):
         """Return (hit, channels): what rays hit, and the mean over their taps of the light that comes from there."""
