@@ -43,8 +43,15 @@ def test_table_and_inverse():
     assert np.isnan(table(200.0)) and np.isnan(table.inverse(1e6))
 
 
+def measured_in_band():
+    ranges = ((material, material.valid_range_um) for material in load_library().values())
+    materials = [material for material, (first, last) in ranges if first <= BAND[0] and last >= BAND[1]]
+    assert len(materials) > 50
+    return materials
+
+
 def test_emitted_plus_reflected_in_an_isothermal_room_is_black():
-    for material in load_library().values():
+    for material in measured_in_band():
         total = emitted_radiance(material.emissivity_at, 290.0, *BAND) + reflected_radiance(
             material.emissivity_at, 290.0, *BAND
         )
@@ -61,7 +68,7 @@ def test_low_emissivity_is_ill_posed(emissivity, celsius):
 
 
 def test_kinetic_is_the_inverse_of_what_a_surface_shows():
-    for material in load_library().values():
+    for material in measured_in_band():
         shown = emitted_radiance(material.emissivity_at, 301.0, *BAND) + reflected_radiance(
             material.emissivity_at, 255.0, *BAND
         )

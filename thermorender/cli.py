@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from thermorender.errors import ThermorenderError
+from thermorender.materials_cli import app as materials
 
 app = typer.Typer(
     help="Long-wave infrared frames of terrain flights, radiometrically true, in kelvin.",
@@ -18,6 +19,7 @@ app = typer.Typer(
 
 validate = typer.Typer(help="Hold the renderer against references.", no_args_is_help=True)
 app.add_typer(validate, name="validate")
+app.add_typer(materials, name="materials")
 
 SceneName = Annotated[str, typer.Argument(help="Scene folder, or the name of a shipped one: heath, village, ridge.")]
 Out = Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")]

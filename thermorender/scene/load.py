@@ -130,6 +130,8 @@ class Scene:
                 state.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
         for material in self.materials:
             state.update(material.name.encode() + material.wavelength_um.tobytes() + material.emissivity.tobytes())
+            if material.emissivity_by_angle is not None:
+                state.update(material.emissivity_by_angle.tobytes())
         spec = self.spec
         state.update(repr((self.camera, spec.sky_temperature, spec.surroundings_temperature)).encode())
         return state.hexdigest()
@@ -216,6 +218,11 @@ class _Materials:
     def add(self, material):
         if material not in self.used:
             material.emissivity_at(np.array(self.camera.band_um))
+            if material.directional != "lambertian":
+                raise ThermorenderError(
+                    f"{self.where}: material {material.name!r} depends on the angle of view, which frames do not show "
+                    "yet; give a Lambertian one, such as 'water', 'ice' or 'glass'"
+                )
             self.used.append(material)
         return self.used.index(material)
 

@@ -1,13 +1,11 @@
 """Surface materials: emissivity spectra with their source, read from tables a person edits in a spreadsheet.
 
-A library is a folder with `index.csv` (one row per material) and `spectra/<name>.csv` (its measured
-emissivity). The package ships one; a scene may lay its own `materials/` folder over it. A material knows
-the wavelengths at which it was measured and refuses all others.
+A library is a folder with `index.csv` (one row per material) and `spectra/<name>.csv` (its measured emissivity, its
+refractive index, or its emissivity by angle). The package ships one; a scene may lay its own `materials/` folder over
+it. A material knows the wavelengths at which it was measured and refuses all others.
 """
 
-import csv
 import difflib
-import io
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,20 +14,30 @@ import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.paths import data_folder
+from thermorender.physics.fresnel import LARGEST_SLOPE
+from thermorender.physics.planck import spectral_radiance
+from thermorender.scene.material_files import (
+    INDEX_COLUMNS,
+    LONGEST_WAVELENGTH_UM,
+    ROUGHNESS_COLUMN,
+    number_in_cell,
+    read_angles,
+    read_emissivity,
+    read_refractive_index,
+    read_table,
+)
 from thermorender.units import kelvin
 
-INDEX_COLUMNS = (
-    "name", "title", "colour_r", "colour_g", "colour_b", "solar_absorptance", "directional",
-    "temperature_k", "samples", "source", "citation", "licence", "note",
-)  # fmt: skip
-SPECTRUM_COLUMNS = ("wavelength_um", "emissivity", "emissivity_std")
-DIRECTIONAL_MODELS = ("lambertian",)
+# How emissivity depends on the angle, as written in the index, and what that makes of `spectra/<name>.csv`.
+DIRECTIONAL_MODELS = ("lambertian", "fresnel", "table")
+NAME = re.compile(r"[A-Za-z0-9_-]+")
 
 # Wavelengths computed as 1e4 / wavenumber land beside the end of a table by rounding only.
 ROUNDING_UM = 1e-9
 
-# Longer than any table in µm, shorter than any thermal table in nm.
-LONGEST_WAVELENGTH_UM = 1000.0
+# Four nodes a panel take Planck's law exactly over this much of a band, down to 100 K.
+LONGEST_PANEL_UM = 0.25
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +51,7 @@ class Material:
     wavelength_um : (N,) float64 array
         Wavelengths of the measurement [µm], rising.
     emissivity : (N,) float64 array
-        Hemispherical emissivity, mean over the samples [1].
+        Hemispherical emissivity [1]: mean over the samples of a Lambertian material, 2 ∫ ε(µ) µ dµ of others.
     emissivity_std : (N,) float64 array
         Standard deviation over the samples [1]; NaN where one sample only tells nothing about it.
     colour : tuple of 3 int
@@ -55,11 +63,18 @@ class Material:
     source, citation, licence : str
         Where the numbers come from, what to cite, under which terms.
     directional : str
-        How emissivity depends on angle: "lambertian", not at all.
+        How emissivity depends on angle: "lambertian", not at all; "fresnel", from the refractive index and the
+        roughness; "table", from measured angles.
     samples : int
         How many measured samples the mean is taken over.
     note : str
         What a user should know: samples left out, assumptions.
+    rms_slope : float
+        Roughness of a "fresnel" material: root mean square slope of its facets, 0 for a mirror.
+    cosines, emissivity_by_angle : (M,) and (N, M) float64 arrays, or None
+        Cosines of the angle from the normal, rising from 0 to 1, and the emissivity there [1]; None for Lambertian.
+    gaps_um : tuple of (start, end)
+        Holes of the measurement [µm]; asking inside one is refused.
     """
 
     name: str
@@ -76,9 +91,15 @@ class Material:
     directional: str = "lambertian"
     samples: int = 1
     note: str = ""
+    rms_slope: float = 0.0
+    cosines: np.ndarray | None = None
+    emissivity_by_angle: np.ndarray | None = None
+    gaps_um: tuple = ()
 
     def __post_init__(self):
-        for key in SPECTRUM_COLUMNS:
+        for key in ("wavelength_um", "emissivity", "emissivity_std", "cosines", "emissivity_by_angle"):
+            if getattr(self, key) is None:
+                continue
             values = np.array(getattr(self, key), dtype=np.float64)
             values.setflags(write=False)
             object.__setattr__(self, key, values)
@@ -89,7 +110,7 @@ class Material:
         return float(self.wavelength_um[0]), float(self.wavelength_um[-1])
 
     def emissivity_at(self, wavelength_um):
-        """Return the emissivity at the wavelengths asked, linear between the measured ones.
+        """Return the hemispherical emissivity at the wavelengths asked, linear between the tabulated ones.
 
         Parameters
         ----------
@@ -99,13 +120,86 @@ class Material:
         Returns
         -------
         float64 array of the shape of `wavelength_um`
-            Emissivity [1].
+            Emissivity [1]. For a Lambertian material that of every direction; else the mean over the hemisphere,
+            weighted with the cosine: what the surface emits as a whole, and absorbs of diffuse light.
 
         Raises
         ------
         ThermorenderError
-            A wavelength lies outside the measured range; nothing is extrapolated.
+            A wavelength lies outside the measured range or in a hole of it; nothing is extrapolated.
         """
+        return np.interp(self._measured(wavelength_um), self.wavelength_um, self.emissivity)
+
+    def emissivity_at_angle(self, wavelength_um, cos_theta):
+        """Return the emissivity towards a direction, broadcast over both arguments.
+
+        Parameters
+        ----------
+        wavelength_um : float or array
+            Wavelength [µm].
+        cos_theta : float or array
+            Cosine of the angle between direction and surface normal, 0…1.
+
+        Returns
+        -------
+        float64 array
+            Emissivity [1], unpolarised; linear between the tabulated wavelengths and cosines.
+
+        Raises
+        ------
+        ThermorenderError
+            As `emissivity_at`, or a cosine is not within 0…1.
+        """
+        wavelength, cosine = np.broadcast_arrays(
+            self._measured(wavelength_um), np.asarray(cos_theta, dtype=np.float64)
+        )
+        outside = cosine[~((cosine >= 0.0) & (cosine <= 1.0))]
+        if outside.size:
+            raise ThermorenderError(
+                f"material {self.name!r} was asked for its emissivity at cos_theta={outside[0]:g}; give the cosine "
+                "of the angle from the surface normal, 0 (grazing) to 1 (along the normal)"
+            )
+        if self.emissivity_by_angle is None:
+            return np.interp(wavelength, self.wavelength_um, self.emissivity)
+        row, down = _place(self.wavelength_um, wavelength)
+        column, along = _place(self.cosines, cosine)
+        table = self.emissivity_by_angle
+        upper = table[row, column] * (1.0 - along) + table[row, column + 1] * along
+        lower = table[row + 1, column] * (1.0 - along) + table[row + 1, column + 1] * along
+        return upper * (1.0 - down) + lower * down
+
+    def band_emissivity(self, lower_um, upper_um, temperature, cos_theta=None):
+        """Return the share of a blackbody's band radiance the material emits [1], in the shape of `temperature`.
+
+        Parameters
+        ----------
+        lower_um, upper_um : float
+            Limits of the camera's flat band [µm].
+        temperature : array
+            Temperature of the surface [K]: Planck's law weighs the spectrum.
+        cos_theta : float, optional
+            Cosine of the angle from the normal; without it the hemispherical emissivity.
+
+        Notes
+        -----
+        ∫ ε(λ) B(λ, T) dλ / ∫ B(λ, T) dλ, by Gauss–Legendre between every two rows of the table, where ε is linear and B
+        smooth: exact to 1e-12.
+        """
+        between = self.wavelength_um[(self.wavelength_um > lower_um) & (self.wavelength_um < upper_um)]
+        steps = np.linspace(lower_um, upper_um, int(np.ceil((upper_um - lower_um) / LONGEST_PANEL_UM)) + 1)
+        edges = np.union1d(between, steps)
+        half = 0.5 * np.diff(edges)[:, None]
+        wavelength = (edges[:-1, None] + half + half * _NODES).ravel()
+        if cos_theta is None:
+            emissivity = self.emissivity_at(wavelength)
+        else:
+            emissivity = self.emissivity_at_angle(wavelength, cos_theta)
+        temperature = np.asarray(temperature, dtype=np.float64)
+        planck = spectral_radiance(wavelength, temperature[..., None]) * (half * _WEIGHTS).ravel()
+        return (planck @ emissivity) / planck.sum(axis=-1)
+
+    def _measured(self, wavelength_um):
+        """Return the wavelengths as an array after refusing those at which nothing was measured."""
         asked = np.asarray(wavelength_um, dtype=np.float64)
         first, last = self.valid_range_um
         if not np.all((asked >= first - ROUNDING_UM) & (asked <= last + ROUNDING_UM)):
@@ -120,19 +214,26 @@ class Material:
                 f"{first:g}–{last:g} µm only; choose a band inside that range, or a material (or your own "
                 "table) that covers it"
             )
-        return np.interp(asked, self.wavelength_um, self.emissivity)
+        for start, end in self.gaps_um:
+            inside = (asked > start + ROUNDING_UM) & (asked < end - ROUNDING_UM)
+            if inside.any():
+                raise ThermorenderError(
+                    f"material {self.name!r} was asked for its emissivity at {asked[inside].flat[0]:g} µm, but its "
+                    f"table has no row between {start:g} and {end:g} µm; measure there, or add rows you answer for"
+                )
+        return asked
 
     def __str__(self):
         first, last = self.valid_range_um
         low, high = int(self.emissivity.argmin()), int(self.emissivity.argmax())
-        spread = "unknown, one sample"
+        spread = "unknown, one sample" if self.samples == 1 else "unknown"
         if np.isfinite(self.emissivity_std).any():
             spread = f"±{np.nanmean(self.emissivity_std):.3f} over {self.samples} samples"
         lines = [
             f"{self.name}: {self.title}",
             f"  measured      {first:g}–{last:g} µm at {self.wavelength_um.size} wavelengths",
             f"  emissivity    {self.emissivity[low]:.3f} at {self.wavelength_um[low]:g} µm to "
-            f"{self.emissivity[high]:.3f} at {self.wavelength_um[high]:g} µm, {self.directional}",
+            f"{self.emissivity[high]:.3f} at {self.wavelength_um[high]:g} µm, {self._directional_words()}",
             f"  spread        {spread}",
             f"  sunlight      absorbs {self.solar_absorptance:.2f}; sRGB colour {self.colour}",
             f"  temperature   {self.temperature:g} K by day, assumed where nothing better is known",
@@ -143,6 +244,11 @@ class Material:
         if self.note:
             lines.append(f"  note          {self.note}")
         return "\n".join(lines)
+
+    def _directional_words(self):
+        words = {"lambertian": "lambertian", "table": f"hemispherical, from {np.size(self.cosines)} angles"}
+        roughness = f"rms slope {self.rms_slope:g}" if self.rms_slope else "smooth"
+        return words.get(self.directional, f"hemispherical, fresnel, {roughness}")
 
 
 def grey(name, emissivity):
@@ -225,98 +331,20 @@ def load_library(directory=None):
     ThermorenderError
         A table is missing or holds something that cannot be right; the message names file and row.
     """
-    library = _read_library(data_folder("materials"))
+    library = read_library(data_folder("materials"))
     if directory is not None:
-        library.update(_read_library(Path(directory)))
+        library.update(read_library(Path(directory)))
     return library
 
 
-def read_table(path, columns):
-    """Return the rows of a CSV file as (row number in the spreadsheet, dict of column to stripped text).
-
-    Rows with nothing in them are left out; columns beyond those asked for are the user's own and pass.
-
-    Parameters
-    ----------
-    path : path
-        Comma-separated text, UTF-8, first row the column names.
-    columns : sequence of str
-        Columns that must be there.
-
-    Raises
-    ------
-    ThermorenderError
-        The file is absent, not UTF-8, separated by semicolons, or a column is missing.
-    """
-    path = Path(path)
-    if not path.is_file():
-        raise ThermorenderError(
-            f"{path} does not exist; a materials folder holds index.csv and spectra/<name>.csv"
-        )
-    try:
-        # utf-8-sig: spreadsheets put a byte order mark first.
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise ThermorenderError(
-            f"{path} is not UTF-8 text ({error.reason}); save it as 'CSV UTF-8' in the spreadsheet"
-        ) from error
-    first_line = text.partition("\n")[0]
-    if ";" in first_line and "," not in first_line:
-        raise ThermorenderError(
-            f"{path}, row 1 is separated by semicolons; save it comma-separated with a point as decimal mark"
-        )
-    try:
-        table = list(csv.reader(io.StringIO(text)))
-    except csv.Error as error:
-        raise ThermorenderError(
-            f"{path} is not a CSV file ({error}); save it as 'CSV UTF-8' in the spreadsheet"
-        ) from None
-    header = [cell.strip() for cell in table[0]] if table else []
-    missing = [column for column in columns if column not in header]
-    if missing:
-        raise ThermorenderError(
-            f"{path}, row 1 lacks column {', '.join(missing)} (found: {', '.join(header) or 'nothing'}); the "
-            f"first row must hold {', '.join(columns)}"
-        )
-    rows = []
-    for number, cells in enumerate(table[1:], start=2):
-        if any(cell.strip() for cell in cells):
-            cells = cells + [""] * (len(header) - len(cells))
-            rows.append((number, {key: cell.strip() for key, cell in zip(header, cells, strict=False)}))
-    return rows
-
-
-def number_in_cell(path, row, column, text, low, high, mend):
-    """Return the number written in a table's cell after checking that it lies within low…high.
-
-    Raises
-    ------
-    ThermorenderError
-        The text is no number or lies outside; the message names file, row, column, what arrived, what is
-        allowed, and `mend`, what to do.
-    """
-    try:
-        value = float(text)
-    except ValueError:
-        raise ThermorenderError(
-            f"{path}, row {row}: {column}={text!r} is not a number; write {low:g}…{high:g} with a point as "
-            "decimal mark and no unit"
-        ) from None
-    if not low <= value <= high:
-        raise ThermorenderError(
-            f"{path}, row {row}: {column}={value:g} is not within {low:g}…{high:g}; {mend}"
-        )
-    return value
-
-
-def _read_library(directory):
+def read_library(directory):
     """Return the materials of one folder by name."""
     index = directory / "index.csv"
     library = {}
-    for row, cells in read_table(index, INDEX_COLUMNS):
+    for row, cells in read_table(index, INDEX_COLUMNS, directory):
         name = cells["name"]
         # The name becomes a file name, so it must not lead elsewhere.
-        if not re.fullmatch(r"[A-Za-z0-9_-]+", name):
+        if not NAME.fullmatch(name):
             raise ThermorenderError(
                 f"{index}, row {row}: name={name!r} is not a material name; use letters, digits, _ and -"
             )
@@ -348,13 +376,19 @@ def _read_material(directory, index, row, cells):
     temperature = number("temperature_k", 0.0, 6000.0, "give kelvin")
     kelvin(f"{index}, row {row}: temperature_k", temperature)
     colour = [number(f"colour_{c}", 0, 255, "give sRGB as a colour picker shows it") for c in "rgb"]
-    wavelength, emissivity, std = _read_spectrum(directory / "spectra" / f"{cells['name']}.csv")
+    rms_slope = 0.0
+    if cells.get(ROUGHNESS_COLUMN):
+        rms_slope = number(ROUGHNESS_COLUMN, 0.0, LARGEST_SLOPE, "give the root mean square slope, 0 for a mirror")
+    path = directory / "spectra" / f"{cells['name']}.csv"
+    if cells["directional"] == "fresnel":
+        spectrum = read_refractive_index(path, rms_slope, directory)
+    else:
+        spectrum = {"lambertian": read_emissivity, "table": read_angles}[cells["directional"]](path, directory)
     return Material(
         name=cells["name"],
         title=cells["title"],
-        wavelength_um=wavelength,
-        emissivity=emissivity,
-        emissivity_std=std,
+        **spectrum,
+        rms_slope=rms_slope,
         colour=tuple(int(round(c)) for c in colour),
         solar_absorptance=number("solar_absorptance", 0.0, 1.0, "give the share absorbed, 0.7 for 70 %"),
         temperature=temperature,
@@ -367,34 +401,7 @@ def _read_material(directory, index, row, cells):
     )
 
 
-def _read_spectrum(path):
-    """Return wavelength [µm], emissivity and its standard deviation, each (N,), of a spectrum table."""
-    wavelength, emissivity, std = [], [], []
-    for row, cells in read_table(path, SPECTRUM_COLUMNS):
-        value = number_in_cell(
-            path, row, "wavelength_um", cells["wavelength_um"], 0.0, LONGEST_WAVELENGTH_UM,
-            "the column is in µm; divide by 1000 if the values are nanometres",
-        )  # fmt: skip
-        if wavelength and value <= wavelength[-1]:
-            fault = "repeats" if value == wavelength[-1] else "is less than"
-            raise ThermorenderError(
-                f"{path}, row {row}: wavelength_um={value:g} {fault} the row above "
-                f"({wavelength[-1]:g}); sort the table by its first column, rising, "
-                "and keep one row for each wavelength"
-            )
-        wavelength.append(value)
-        emissivity.append(
-            number_in_cell(
-                path, row, "emissivity", cells["emissivity"], 0.0, 1.0,
-                "divide by 100 if the values are percent, take 1 minus them if they are reflectances",
-            )  # fmt: skip
-        )
-        text = cells["emissivity_std"]
-        mend = "give the standard deviation over the samples, or leave the cell empty"
-        std.append(number_in_cell(path, row, "emissivity_std", text, 0.0, 1.0, mend) if text else np.nan)
-    if len(wavelength) < 2:
-        raise ThermorenderError(
-            f"{path} holds {len(wavelength)} rows of data; a spectrum needs 2 at least (two rows of the same "
-            "emissivity make a grey material)"
-        )
-    return np.array(wavelength), np.array(emissivity), np.array(std)
+def _place(nodes, values):
+    """Return the index of the node below each value, and the value's share of the way to the next one."""
+    below = np.clip(np.searchsorted(nodes, values, side="right") - 1, 0, nodes.size - 2)
+    return below, np.clip((values - nodes[below]) / (nodes[below + 1] - nodes[below]), 0.0, 1.0)

@@ -1,0 +1,208 @@
+"""Emissivity by angle against closed forms, another library, two sets of optical constants, and measured water."""
+
+import re
+
+import numpy as np
+import pytest
+from conftest import shared_data
+
+from thermorender.errors import ThermorenderError
+from thermorender.physics import fresnel
+from thermorender.scene.materials import load_library
+
+DEGREES = np.array([0.0, 10.0, 30.0, 45.0, 60.0, 70.0, 75.0, 80.0])
+
+
+@pytest.fixture(scope="module")
+def library():
+    return load_library()
+
+
+def optical_constants(file):
+    """Wavelength [µm], n and k of a refractiveindex.info table, read without the package."""
+    text = shared_data(f"optical_constants/{file}").read_text(encoding="utf-8")
+    rows = [line.split() for line in text.splitlines() if re.fullmatch(r"\s+[\d.Ee+-]+ [\d.Ee+-]+ [\d.Ee+-]+", line)]
+    table = np.array(rows, dtype=float)
+    return table[np.argsort(table[:, 0])].T
+
+
+def measured(file):
+    """Wavelength [µm] and emissivity of an ECOSTRESS spectrum, read without the package."""
+    text = shared_data(f"emissivity/ecostress/spectra/{file}").read_text(encoding="latin-1")
+    rows = [line.split() for line in text.splitlines()[15:]]
+    table = np.array(sorted([float(a), 1.0 - float(b) / 100.0] for a, b in (row for row in rows if len(row) == 2)))
+    return table.T
+
+
+# --- smooth surfaces --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("n", "k"), [(1.5, 0.0), (1.15, 0.1), (0.6, 0.3), (12.0, 55.0)])
+def test_along_the_normal_the_closed_form_holds(n, k):
+    expected = 4.0 * n / ((n + 1.0) ** 2 + k**2)
+    assert fresnel.smooth_emissivity(1.0, n, k) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize(("n", "k"), [(1.5, 0.0), (1.15, 0.1), (0.6, 0.3), (12.0, 55.0)])
+def test_at_45_degrees_parallel_reflectance_is_the_square_of_perpendicular(n, k):
+    """Abelès' identity, which holds for every complex index."""
+    perpendicular, parallel = fresnel.reflectances(np.sqrt(0.5), n, k)
+    assert parallel == pytest.approx(perpendicular**2, rel=1e-12)
+
+
+def test_brewster_angle_and_grazing_view():
+    brewster = np.cos(np.arctan(1.5))
+    assert fresnel.reflectances(brewster, 1.5, 0.0)[1] == pytest.approx(0.0, abs=1e-15)
+    assert fresnel.smooth_emissivity(0.0, 1.15, 0.1) == pytest.approx(0.0, abs=1e-7)
+
+
+def test_fresnel_agrees_with_mitsubas():
+    """The renderer beneath computes Fresnel's equations of a complex index by itself, in single precision."""
+    import mitsuba
+
+    variant = mitsuba.scalar_rgb
+    for n, k in ((1.218, 0.0508), (1.5, 0.0), (0.6, 0.5), (12.0, 55.0)):
+        cosines = np.cos(np.radians([0.0, 30.0, 60.0, 75.0, 85.0, 89.0]))
+        expected = [variant.fresnel_conductor(float(cosine), variant.Complex2f(n, k)) for cosine in cosines]
+        np.testing.assert_allclose(1.0 - fresnel.smooth_emissivity(cosines, n, k), expected, atol=2e-6)
+
+
+def test_hemispherical_emissivity_of_a_dielectric_is_walshs():
+    """Walsh's closed form of the reflectance for diffuse light (Duntley 1942, doi:10.1364/JOSA.32.000061)."""
+    for n in (1.2, 1.5, 2.0):
+        q = n**2
+        reflected = (
+            0.5
+            + (n - 1.0) * (3.0 * n + 1.0) / (6.0 * (n + 1.0) ** 2)
+            + q * (q - 1.0) ** 2 / (q + 1.0) ** 3 * np.log((n - 1.0) / (n + 1.0))
+            - 2.0 * n**3 * (q + 2.0 * n - 1.0) / ((q + 1.0) * (q**2 - 1.0))
+            + 8.0 * q**2 * (q**2 + 1.0) / ((q + 1.0) * (q**2 - 1.0) ** 2) * np.log(n)
+        )
+        table = fresnel.directional_emissivity([n], [0.0])
+        assert fresnel.hemispherical(fresnel.COSINES, table)[0] == pytest.approx(1.0 - reflected, abs=1e-5)
+    # Tabulated: 9.18 % for n = 1.5.
+    assert fresnel.hemispherical(fresnel.COSINES, fresnel.directional_emissivity([1.5], [0.0]))[0] == pytest.approx(
+        1.0 - 0.0918, abs=5e-5
+    )
+
+
+def test_table_of_cosines_is_fine_enough():
+    """2e-5 for water and 3e-4 for metals, as said beside COSINES."""
+    cosine = np.cos(np.radians(np.linspace(0.0, 89.9, 3000)))
+    for n, k, tolerance in ((1.15, 0.1, 2.2e-5), (12.0, 55.0, 3e-4), (30.0, 90.0, 3e-4)):
+        table = fresnel.directional_emissivity([n], [k])[0]
+        found = np.interp(cosine, fresnel.COSINES, table)
+        np.testing.assert_allclose(found, fresnel.smooth_emissivity(cosine, n, k), atol=tolerance)
+
+
+# --- rough surfaces ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("slope", [0.055, 0.169, 0.4])
+def test_roughness_against_a_crowd_of_random_facets(slope):
+    """Facets with Gaussian slopes, drawn and weighted with the area they show, within four standard errors."""
+    random = np.random.Generator(np.random.Philox(7))
+    along, across = random.normal(0.0, slope / np.sqrt(2.0), (2, 400_000))
+    table = fresnel.directional_emissivity([1.15], [0.1], slope)[0]
+    for degrees in (0.0, 45.0, 70.0, 80.0, 88.0):
+        cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+        shown = np.maximum(cosine - along * sine, 0.0)
+        facing = np.clip(shown / np.sqrt(1.0 + along**2 + across**2), 0.0, 1.0)
+        emissivity = fresnel.smooth_emissivity(facing, 1.15, 0.1)
+        expected = (shown * emissivity).sum() / shown.sum()
+        error = np.sqrt((shown**2 * (emissivity - expected) ** 2).sum()) / shown.sum()
+        assert np.interp(cosine, fresnel.COSINES, table) == pytest.approx(expected, abs=4.0 * error + 3e-5)
+
+
+def test_almost_smooth_is_smooth():
+    smooth = fresnel.directional_emissivity([1.15], [0.1])
+    rough = fresnel.directional_emissivity([1.15], [0.1], 1e-3)
+    inside = fresnel.COSINES > np.cos(np.radians(85.0))
+    np.testing.assert_allclose(rough[:, inside], smooth[:, inside], atol=3e-5)
+
+
+def test_emissivity_stays_a_share_and_light_is_conserved():
+    """Whatever the index, 0 ≤ ε ≤ 1; under an even sky a surface at its temperature looks black from everywhere."""
+    n, k = np.meshgrid([0.3, 1.0, 1.3, 4.0, 40.0], [0.0, 0.1, 1.0, 10.0, 100.0])
+    for slope in (0.0, 0.1, 0.5):
+        table = fresnel.directional_emissivity(n.ravel(), k.ravel(), slope)
+        assert table.min() >= -1e-12 and table.max() <= 1.0 + 1e-12
+        mean = fresnel.hemispherical(fresnel.COSINES, table)
+        assert np.all(mean >= table.min(axis=1) - 1e-12) and np.all(mean <= table.max(axis=1) + 1e-12)
+    np.testing.assert_allclose(fresnel.hemispherical(fresnel.COSINES, np.ones((3, 257))), 1.0, rtol=1e-12)
+
+
+def test_wind_slopes_are_cox_and_munks():
+    """Mean square slopes read off their regression: 0.003 in a calm, 0.0542 at 10 m/s."""
+    np.testing.assert_allclose(fresnel.wind_slope([0.0, 10.0]) ** 2, [0.003, 0.0542], rtol=1e-12)
+    assert load_library()["water_breeze"].rms_slope == pytest.approx(np.sqrt(0.003 + 0.0256), abs=5e-5)
+
+
+def test_wrong_slopes_are_refused():
+    with pytest.raises(ThermorenderError, match=r"rms_slope=5 is not within 0…0.5; give the tangent"):
+        fresnel.directional_emissivity([1.2], [0.1], 5.0)
+
+
+# --- water and ice ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "file", "tolerance"),
+    [
+        ("water_fresnel", "water.tapwater.none.liquid.all.tapwater.jhu.becknic.spectrum.txt", 0.005),
+        ("water_fresnel", "water.seawater.none.liquid.tir.seawater.jhu.becknic.spectrum.txt", 0.005),
+        ("ice_fresnel", "water.ice.none.solid.all.ice_dat_.jhu.becknic.spectrum.txt", 0.001),
+    ],
+)
+def test_optical_constants_give_the_measured_emissivity_at_10_degrees(library, name, file, tolerance):
+    wavelength, emissivity = measured(file)
+    inside = (wavelength >= 7.0) & (wavelength <= 14.0)
+    found = library[name].emissivity_at_angle(wavelength[inside], np.cos(np.radians(10.0)))
+    np.testing.assert_allclose(found, emissivity[inside], atol=tolerance)
+
+
+@pytest.mark.parametrize(
+    ("degrees", "of_band"),
+    [(0, 0.002), (10, 0.002), (30, 0.002), (45, 0.002), (60, 0.004), (70, 0.005), (75, 0.006), (80, 0.007)],
+)
+def test_water_by_angle_agrees_with_segelsteins_constants(library, degrees, of_band):
+    """Other constants, another form of the equations: what is left is how far two compilations of n and k differ."""
+    wavelength, n, k = optical_constants("H2O-Segelstein.yml")
+    grid = np.linspace(7.5, 13.5, 601)
+    index = np.interp(grid, wavelength, n) + 1j * np.interp(grid, wavelength, k)
+    cosine = np.cos(np.radians(degrees))
+    refracted = np.sqrt(1.0 - (1.0 - cosine**2) / index**2)
+    reflected = [abs((cosine - index * refracted) / (cosine + index * refracted)) ** 2,
+                 abs((refracted - index * cosine) / (refracted + index * cosine)) ** 2]  # fmt: skip
+    difference = library["water_fresnel"].emissivity_at_angle(grid, cosine) - (1.0 - np.mean(reflected, axis=0))
+    assert abs(difference.mean()) < of_band and abs(difference).max() < 2.6 * of_band
+
+
+def test_water_falls_with_angle_as_measured(library):
+    """About 7 % less at 65° than at nadir over 8–14 µm.
+
+    Measured: "Experimental investigation of the angular variation of emissivity in the thermal infrared band" (SPIE).
+    """
+    water = library["water_fresnel"]
+    nadir, oblique = (water.band_emissivity(8.0, 14.0, 290.0, np.cos(np.radians(angle))) for angle in (0.0, 65.0))
+    assert 1.0 - oblique / nadir == pytest.approx(0.07, abs=0.005)
+
+
+@pytest.mark.parametrize(
+    ("name", "file"),
+    [
+        ("water_fresnel", "H2O-Hale.yml"), ("ice_fresnel", "H2O-Warren-2008.yml"),
+        ("glass_fresnel", "soda-lime-Rubin-IR.yml"), ("silica_fused", "SiO2-Popova.yml"),
+        ("aluminium_polished", "Al-Ordal.yml"), ("copper_polished", "Cu-Ordal.yml"),
+        ("gold_polished", "Au-Ordal.yml"), ("iron_polished", "Fe-Ordal.yml"),
+    ],
+)  # fmt: skip
+def test_shipped_constants_are_the_papers(library, name, file):
+    """Along the normal, from the paper's rows by the closed form, at every row within the table."""
+    wavelength, n, k = optical_constants(file)
+    low, high = library[name].valid_range_um
+    inside = (wavelength >= low) & (wavelength <= high)
+    assert low <= 7.0 and high >= 15.0 and inside.sum() >= 6
+    expected = 4.0 * n / ((n + 1.0) ** 2 + k**2)
+    found = library[name].emissivity_at_angle(wavelength[inside], 1.0)
+    np.testing.assert_allclose(found, expected[inside], atol=1e-5)

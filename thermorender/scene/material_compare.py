@@ -1,0 +1,170 @@
+"""Two materials, or two libraries, held against each other in a camera's band; and two libraries made one."""
+
+import os
+import shutil
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from thermorender.errors import ThermorenderError
+from thermorender.physics.planck import band_radiance, brightness_temperature
+from thermorender.scene.material_files import INDEX_COLUMNS, ROUGHNESS_COLUMN, read_table
+from thermorender.scene.material_store import store
+from thermorender.scene.materials import read_library
+
+# What a change of emissivity is told in: a camera's band, a surface, and the sky it reflects.
+BAND_UM = (7.5, 13.5)
+SURFACE_K = 300.0
+SKY_K = 250.0
+
+TOLD = (
+    "title", "colour", "solar_absorptance", "temperature", "directional", "rms_slope", "samples", "source", "citation",
+    "licence", "note",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How one material of two libraries differs.
+
+    Attributes
+    ----------
+    name : str
+    emissivity : (float or None, float or None)
+        Hemispherical band emissivity in the first and the second; None where it is absent or not measured.
+    millikelvin : float or None
+        By how much the second looks warmer [mK], at 300 K under a 250 K sky.
+    what : str
+        What differs in words.
+    """
+
+    name: str
+    emissivity: tuple
+    millikelvin: float | None
+    what: str
+
+
+def apparent_temperature(material, band_um=BAND_UM, temperature=SURFACE_K, sky_temperature=SKY_K):
+    """Return the temperature a camera reads off a surface under an even sky [K].
+
+    Parameters
+    ----------
+    material : Material
+        Taken with its hemispherical emissivity.
+    band_um : (lower, upper)
+        The camera's flat band [µm].
+    temperature, sky_temperature : float
+        Of the surface and of the blackbody it reflects [K].
+
+    Notes
+    -----
+    Brightness temperature of ∫ [ε B(T) + (1 − ε) B(T_sky)] dλ.
+    """
+    own, sky = band_radiance(temperature, *band_um), band_radiance(sky_temperature, *band_um)
+    emitted = material.band_emissivity(*band_um, temperature) * own
+    reflected = (1.0 - material.band_emissivity(*band_um, sky_temperature)) * sky
+    return brightness_temperature(emitted + reflected, *band_um)
+
+
+def covers(material, band_um):
+    """Return whether a material was measured over all of a band [µm]."""
+    try:
+        material.band_emissivity(*band_um, SURFACE_K)
+    except ThermorenderError:
+        return False
+    return True
+
+
+def compare(first, second, name, band_um=BAND_UM):
+    """Return the Difference between two materials.
+
+    Parameters
+    ----------
+    first, second : Material or None
+        None: absent.
+    name : str
+    band_um : (lower, upper)
+    """
+    measured = [material is not None and covers(material, band_um) for material in (first, second)]
+    emissivity = tuple(
+        float(material.band_emissivity(*band_um, SURFACE_K)) if known else None
+        for material, known in zip((first, second), measured, strict=True)
+    )
+    if first is None or second is None:
+        return Difference(name, emissivity, None, "only in the " + ("first" if second is None else "second"))
+    shift = None
+    if all(measured):
+        shift = 1e3 * (apparent_temperature(second, band_um) - apparent_temperature(first, band_um))
+    what = [key for key in TOLD if getattr(first, key) != getattr(second, key)]
+    if not _same_spectrum(first, second):
+        what.insert(0, "spectrum")
+    return Difference(name, emissivity, shift, ", ".join(what))
+
+
+def diff(first, second, band_um=BAND_UM):
+    """Return the Differences between two libraries (dicts of name to Material); equal materials are left out."""
+    found = [compare(first.get(name), second.get(name), name, band_um) for name in dict.fromkeys([*first, *second])]
+    return [difference for difference in found if difference.what]
+
+
+def merge(first, second, output, prefer=None):
+    """Make one library of two in a new folder; return (names from the first, names from the second, conflicts).
+
+    A material only one of them holds is taken; one that both hold alike is taken once; one that they hold
+    differently is a conflict, refused unless `prefer` says which folder wins.
+
+    Parameters
+    ----------
+    first, second : path
+        Folders with `index.csv` and `spectra/`.
+    output : path
+        Folder to make; it must not exist.
+    prefer : {None, "first", "second"}
+
+    Raises
+    ------
+    ThermorenderError
+        There are conflicts and no winner, the output exists, or a library cannot be read. Nothing is written then.
+    """
+    first, second, output = Path(first), Path(second), Path(output)
+    if output.exists():
+        raise ThermorenderError(f"{output} exists; give a new folder with -o")
+    if prefer not in (None, "first", "second"):
+        raise ThermorenderError(f"--prefer={prefer!r} is not allowed; give first or second")
+    libraries = [read_library(folder) for folder in (first, second)]
+    differing = [d.name for d in diff(*libraries) if d.name in libraries[0] and d.name in libraries[1]]
+    if differing and prefer is None:
+        raise ThermorenderError(
+            f"{first} and {second} hold {', '.join(differing)} differently; look with `thermorender materials diff`, "
+            "then say which wins with --prefer first or --prefer second"
+        )
+    taken = {name: first for name in libraries[0]} | {
+        name: second for name in libraries[1] if name not in libraries[0] or (name in differing and prefer == "second")
+    }
+    output.parent.mkdir(parents=True, exist_ok=True)
+    scratch = Path(tempfile.mkdtemp(prefix=f".{output.name}-", dir=output.parent))
+    try:
+        for folder in (first, second):
+            for _, cells in read_table(folder / "index.csv", INDEX_COLUMNS, folder):
+                if taken[cells["name"]] == folder:
+                    table = (folder / "spectra" / f"{cells['name']}.csv").read_text(encoding="utf-8-sig")
+                    row = {key: cells[key] for key in (*INDEX_COLUMNS, ROUGHNESS_COLUMN) if key in cells}
+                    store(row, table, scratch)
+        scratch.chmod(0o755)
+        os.rename(scratch, output)
+    except BaseException:
+        shutil.rmtree(scratch, ignore_errors=True)
+        raise
+    chosen = [[name for name, folder in taken.items() if folder == place] for place in (first, second)]
+    return *chosen, differing
+
+
+def _same_spectrum(first, second):
+    def content(material):
+        return [
+            None if values is None else (values.shape, values.tobytes())
+            for values in (material.wavelength_um, material.emissivity, material.emissivity_std,
+                           material.cosines, material.emissivity_by_angle)
+        ]  # fmt: skip
+
+    return content(first) == content(second)

@@ -1,0 +1,254 @@
+"""Tables of materials as files: rows of CSV with their faults told, and the three forms of a spectrum table.
+
+Every fault names file, row and column, and says how to mend it. Nothing outside the library's folder is read.
+"""
+
+import csv
+import io
+import re
+from pathlib import Path
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.physics import fresnel
+
+INDEX_COLUMNS = (
+    "name", "title", "colour_r", "colour_g", "colour_b", "solar_absorptance", "directional",
+    "temperature_k", "samples", "source", "citation", "licence", "note",
+)  # fmt: skip
+# Only Fresnel materials need it, so a table without it is whole.
+ROUGHNESS_COLUMN = "rms_slope"
+SPECTRUM_COLUMNS = ("wavelength_um", "emissivity", "emissivity_std")
+INDEX_OF_REFRACTION_COLUMNS = ("wavelength_um", "n", "k")
+ANGLE_COLUMN = re.compile(r"at_(\d+(?:\.\d+)?)")
+
+# Longer than any table in µm, shorter than any thermal table in nm.
+LONGEST_WAVELENGTH_UM = 1000.0
+LARGEST_INDEX = 1000.0
+
+# Between rows so far apart a Fresnel material's emissivity is computed, not interpolated.
+FINEST_UM = 0.05
+
+# Rows further apart than both are a hole in the measurement, not its sampling.
+GAP_UM = 0.5
+GAP_STEPS = 5.0
+
+
+def read_text(path, directory=None):
+    """Return the text of a UTF-8 file, after checking that it lies within `directory`.
+
+    Raises
+    ------
+    ThermorenderError
+        The file is absent, leads out of the folder, or is not UTF-8.
+    """
+    path = Path(path)
+    if directory is not None and not path.resolve().is_relative_to(Path(directory).resolve()):
+        raise ThermorenderError(f"{path} leads out of {directory}; put the file itself into the folder")
+    if not path.is_file():
+        raise ThermorenderError(
+            f"{path} does not exist; a materials folder holds index.csv and spectra/<name>.csv"
+        )
+    try:
+        # utf-8-sig: spreadsheets put a byte order mark first.
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ThermorenderError(
+            f"{path} is not UTF-8 text ({error.reason}); save it as 'CSV UTF-8' in the spreadsheet"
+        ) from error
+    except OSError as error:
+        raise ThermorenderError(f"{path} cannot be read ({error.strerror}); mend its permissions") from error
+
+
+def read_table(path, columns, directory=None):
+    """Return the rows of a CSV file as (row number in the spreadsheet, dict of column to stripped text).
+
+    Rows with nothing in them are left out; columns beyond those asked for are the user's own and pass.
+
+    Parameters
+    ----------
+    path : path
+        Comma-separated text, UTF-8, first row the column names.
+    columns : sequence of str
+        Columns that must be there.
+    directory : path, optional
+        Folder the file must lie in.
+
+    Raises
+    ------
+    ThermorenderError
+        The file is absent, elsewhere, not UTF-8, separated by semicolons, or a column is missing or twice there.
+    """
+    text = read_text(path, directory)
+    first_line = text.partition("\n")[0]
+    if ";" in first_line and "," not in first_line:
+        raise ThermorenderError(
+            f"{path}, row 1 is separated by semicolons; save it comma-separated with a point as decimal mark"
+        )
+    try:
+        table = list(csv.reader(io.StringIO(text)))
+    except csv.Error as error:
+        raise ThermorenderError(
+            f"{path} is not a CSV file ({error}); save it as 'CSV UTF-8' in the spreadsheet"
+        ) from None
+    header = [cell.strip() for cell in table[0]] if table else []
+    missing = [column for column in columns if column not in header]
+    if missing:
+        raise ThermorenderError(
+            f"{path}, row 1 lacks column {', '.join(missing)} (found: {', '.join(header) or 'nothing'}); the "
+            f"first row must hold {', '.join(columns)}"
+        )
+    twice = [column for column in dict.fromkeys(header) if column and header.count(column) > 1]
+    if twice:
+        raise ThermorenderError(f"{path}, row 1 holds column {twice[0]} twice; rename or delete one of them")
+    rows = []
+    for number, cells in enumerate(table[1:], start=2):
+        if any(cell.strip() for cell in cells):
+            cells = cells + [""] * (len(header) - len(cells))
+            rows.append((number, {key: cell.strip() for key, cell in zip(header, cells, strict=False)}))
+    return rows
+
+
+def number_in_cell(path, row, column, text, low, high, mend):
+    """Return the number written in a table's cell after checking that it lies within low…high.
+
+    Raises
+    ------
+    ThermorenderError
+        The text is no number or lies outside; the message names file, row, column, what arrived, what is
+        allowed, and `mend`, what to do.
+    """
+    try:
+        value = float(text)
+    except ValueError:
+        raise ThermorenderError(
+            f"{path}, row {row}: {column}={text!r} is not a number; write {low:g}…{high:g} with a point as "
+            "decimal mark and no unit"
+        ) from None
+    if not low <= value <= high:
+        raise ThermorenderError(
+            f"{path}, row {row}: {column}={value:g} is not within {low:g}…{high:g}; {mend}"
+        )
+    return value
+
+
+def gaps(wavelength_um):
+    """Return the holes of a table as a list of (start, end) [µm].
+
+    A hole is a step longer than 0.5 µm and than five times the table's middle step: nothing was measured there,
+    and a straight line across it would be invented.
+    """
+    wavelength = np.asarray(wavelength_um, dtype=np.float64)
+    steps = np.diff(wavelength)
+    if steps.size == 0:
+        return []
+    wide = steps > max(GAP_UM, GAP_STEPS * float(np.median(steps)))
+    return [(float(wavelength[i]), float(wavelength[i + 1])) for i in np.flatnonzero(wide)]
+
+
+def read_emissivity(path, directory=None):
+    """Return what a Lambertian table holds, as arguments of a Material: wavelength_um, emissivity, emissivity_std.
+
+    Raises
+    ------
+    ThermorenderError
+        A cell cannot be right; the message names file, row and column.
+    """
+    mend = "give the standard deviation over the samples, or leave the cell empty"
+    rows, wavelength = _rows(path, SPECTRUM_COLUMNS, directory)
+    return {
+        "wavelength_um": wavelength,
+        "emissivity": np.array([_share(path, row, "emissivity", cells["emissivity"]) for row, cells in rows]),
+        "emissivity_std": np.array(
+            [
+                number_in_cell(path, row, "emissivity_std", text, 0.0, 1.0, mend) if text else np.nan
+                for row, text in ((row, cells["emissivity_std"]) for row, cells in rows)
+            ]
+        ),
+        "gaps_um": tuple(gaps(wavelength)),
+    }
+
+
+def read_refractive_index(path, rms_slope, directory=None):
+    """Return what a table of n and k gives, as arguments of a Material: emissivity by wavelength and angle.
+
+    Between rows n and k are taken as linear, and the emissivity is computed at every row and at most 0.05 µm apart.
+    """
+    mend = "give the refractive index n + ik, k not negative"
+    rows, wavelength = _rows(path, INDEX_OF_REFRACTION_COLUMNS, directory)
+    n, k = (
+        np.array([number_in_cell(path, row, key, cells[key], low, LARGEST_INDEX, mend) for row, cells in rows])
+        for key, low in (("n", 1e-3), ("k", 0.0))
+    )
+    fine = np.concatenate(
+        [
+            np.linspace(low, high, int(np.ceil((high - low) / FINEST_UM - 1e-9)), endpoint=False)
+            for low, high in zip(wavelength[:-1], wavelength[1:], strict=True)
+        ]
+        + [wavelength[-1:]]
+    )
+    by_angle = fresnel.directional_emissivity(np.interp(fine, wavelength, n), np.interp(fine, wavelength, k), rms_slope)
+    return _directional(fine, fresnel.COSINES, by_angle, gaps(wavelength))
+
+
+def read_angles(path, directory=None):
+    """Return what a table by angle gives, as arguments of a Material: columns at_0, at_10 … at_90 [degrees].
+
+    The table must run from 0 to 90 degrees, because nothing is extrapolated; between its angles emissivity is linear
+    in the cosine.
+    """
+    rows, wavelength = _rows(path, ("wavelength_um", "at_0", "at_90"), directory)
+    columns = [column for column in rows[0][1] if ANGLE_COLUMN.fullmatch(column)]
+    angle = np.array([float(ANGLE_COLUMN.fullmatch(column)[1]) for column in columns])
+    if angle.max() > 90.0:
+        raise ThermorenderError(
+            f"{path}, row 1: column at_{angle.max():g} is beyond 90 degrees; angles count from the normal, 0…90"
+        )
+    order = np.argsort(-angle)
+    by_angle = np.array([[_share(path, row, column, cells[column]) for column in columns] for row, cells in rows])
+    cosines = np.cos(np.radians(angle[order]))
+    # 90° comes out as 6e-17.
+    cosines[0] = 0.0
+    return _directional(wavelength, cosines, by_angle[:, order], gaps(wavelength))
+
+
+def _directional(wavelength, cosines, by_angle, holes):
+    return {
+        "wavelength_um": wavelength,
+        "emissivity": fresnel.hemispherical(cosines, by_angle),
+        "emissivity_std": np.full(wavelength.size, np.nan),
+        "cosines": cosines,
+        "emissivity_by_angle": by_angle,
+        "gaps_um": tuple(holes),
+    }
+
+
+def _rows(path, columns, directory):
+    """Return the rows of a spectrum table and their wavelengths (N,) [µm], checked to rise."""
+    rows = read_table(path, columns, directory)
+    wavelength = []
+    for row, cells in rows:
+        value = number_in_cell(
+            path, row, "wavelength_um", cells["wavelength_um"], 0.0, LONGEST_WAVELENGTH_UM,
+            "the column is in µm; divide by 1000 if the values are nanometres",
+        )  # fmt: skip
+        if wavelength and value <= wavelength[-1]:
+            fault = "repeats" if value == wavelength[-1] else "is less than"
+            raise ThermorenderError(
+                f"{path}, row {row}: wavelength_um={value:g} {fault} the row above "
+                f"({wavelength[-1]:g}); sort the table by its first column, rising, "
+                "and keep one row for each wavelength"
+            )
+        wavelength.append(value)
+    if len(wavelength) < 2:
+        raise ThermorenderError(
+            f"{path} holds {len(wavelength)} rows of data; a spectrum needs 2 at least (two rows of the same "
+            "emissivity make a grey material)"
+        )
+    return rows, np.array(wavelength)
+
+
+def _share(path, row, column, text):
+    mend = "divide by 100 if the values are percent, take 1 minus them if they are reflectances"
+    return number_in_cell(path, row, column, text, 0.0, 1.0, mend)

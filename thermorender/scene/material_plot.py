@@ -1,0 +1,103 @@
+"""A picture of materials' emissivity against wavelength, with its spread, and against angle where it depends on it."""
+
+from pathlib import Path
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+
+# What cameras of the long-wave infrared see: drawn even where a table reaches further.
+DRAWN_UM = (7.0, 14.0)
+MOST_MATERIALS = 8
+
+
+def plot(materials, path, band_um=(7.5, 13.5), temperature=300.0):
+    """Write a PNG of the spectra of materials; return its path.
+
+    Parameters
+    ----------
+    materials : sequence of Material
+        One to eight.
+    path : path
+        Ends in .png.
+    band_um : (lower, upper)
+        Camera band, shaded [µm].
+    temperature : float
+        Of the surface, for the band emissivity in the legend [K].
+
+    Notes
+    -----
+    Lines are hemispherical emissivity; bands are ± one standard deviation over the samples. If a material depends on
+    angle, a second panel shows its band emissivity against the angle from the normal.
+
+    Raises
+    ------
+    ThermorenderError
+        There are none or too many materials, or the path is no PNG.
+    """
+    path = Path(path)
+    if not 1 <= len(materials) <= MOST_MATERIALS:
+        raise ThermorenderError(
+            f"{len(materials)} materials cannot be told apart in one plot; give 1 to {MOST_MATERIALS}"
+        )
+    if path.suffix.lower() != ".png":
+        raise ThermorenderError(f"{path} is not a PNG; give a name that ends in .png")
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    directional = [material for material in materials if material.emissivity_by_angle is not None]
+    figure = Figure(figsize=(12.5 if directional else 8.0, 5.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(1, 2 if directional else 1, squeeze=False, width_ratios=[1.6, 1] if directional else [1])[0]
+    axes[0].axvspan(*band_um, color="0.93", zorder=0)
+    lowest = 1.0
+    for index, material in enumerate(materials):
+        colour = f"C{index}"
+        inside = (material.wavelength_um >= DRAWN_UM[0]) & (material.wavelength_um <= DRAWN_UM[1])
+        wavelength, mean, std = (
+            values[inside] for values in (material.wavelength_um, material.emissivity, material.emissivity_std)
+        )
+        for start, _ in material.gaps_um:
+            after = np.searchsorted(wavelength, start, side="right")
+            wavelength, mean, std = (np.insert(values, after, np.nan) for values in (wavelength, mean, std))
+        axes[0].plot(wavelength, mean, color=colour, linewidth=1.6, label=_label(material, band_um, temperature))
+        if np.isfinite(std).any():
+            upper = np.minimum(mean + std, 1.0)
+            axes[0].fill_between(wavelength, mean - std, upper, color=colour, alpha=0.2, linewidth=0)
+        lowest = min(lowest, np.nanmin(np.where(np.isfinite(std), mean - std, mean)))
+        if material in directional:
+            angle = np.degrees(np.arccos(material.cosines))
+            fine = np.union1d(angle, np.linspace(0.0, 90.0, 181))
+            low, high = np.clip(band_um, *material.valid_range_um)
+            band = [material.band_emissivity(low, high, temperature, np.cos(np.radians(a))) for a in fine]
+            axes[1].plot(fine, band, color=colour, linewidth=1.6)
+    axes[0].set(
+        xlim=DRAWN_UM, ylim=(max(0.0, lowest - 0.02), 1.005), xlabel="wavelength [µm]", ylabel="emissivity [1]",
+        title="hemispherical emissivity, mean ± standard deviation over samples",
+    )  # fmt: skip
+    axes[0].grid(alpha=0.3)
+    figure.legend(
+        loc="outside lower center", ncols=1 if len(materials) < 4 else 2, frameon=False, fontsize=9,
+        title=f"grey: camera band {band_um[0]:g}–{band_um[1]:g} µm; ε over it at {temperature:g} K", title_fontsize=9,
+    )  # fmt: skip
+    if directional:
+        axes[1].set(xlim=(0, 90), ylim=(0, 1.005), xlabel="angle from the normal [°]", ylabel="band emissivity [1]",
+                    title="by direction")  # fmt: skip
+        axes[1].set_xticks(range(0, 91, 15))
+        axes[1].grid(alpha=0.3)
+    figure.savefig(path, dpi=120)
+    return path
+
+
+def _label(material, band_um, temperature):
+    first, last = material.valid_range_um
+    low, high = max(band_um[0], first), min(band_um[1], last)
+    if (low, high) == tuple(band_um):
+        return f"{material.name}: ε = {material.band_emissivity(low, high, temperature):.3f}, {_samples(material)}"
+    return f"{material.name}: measured {first:g}–{last:g} µm only, {_samples(material)}"
+
+
+def _samples(material):
+    if material.directional == "fresnel":
+        return "from n and k"
+    return "1 sample" if material.samples == 1 else f"{material.samples} samples"
