@@ -106,19 +106,13 @@ def trace(geometry, rays, progress=None, seed=0):
         0…2³²−1; another seed is another, independent estimate.
     """
     mi, count, half = geometry.mi, geometry.face_count, (rays + 1) // 2
-    base = low_discrepancy(half, 4).astype(np.float32)
-    base = [mi.Float(column.copy()) for column in base.T]
-    faces = [mi.Float(values.astype(np.float32).ravel()) for values in _faces(geometry.surfaces)]
-    lift = 64.0 * 2.0**-24 * (1.0 + geometry.reach)
+    rays_of = _Rays(geometry, half)
     up, down = (np.empty((count, 2), dtype=np.uint16) for _ in range(2))
     lengths, seen, hits = [], [], []
     step = max(1, _RAYS_AT_ONCE // (2 * half))
     for first in range(0, count, step):
         here = min(step, count - first)
-        index = dr.arange(mi.UInt32, here * 2 * half)
-        # Opaque numbers: as literals they would have the kernel compiled anew for each part.
-        row = index // half + dr.opaque(mi.UInt32, 2 * first)
-        origin, direction = _rays(mi, faces, base, row, index % half, lift, dr.opaque(mi.UInt32, seed))
+        origin, direction, _ = rays_of(first, here, seed)
         found = geometry.cast(mi.Ray3f(origin, direction))
         # One number per ray: the face, or one of two beyond the last for sky and surroundings.
         code = dr.select(found.valid, found.face, dr.select(direction.z >= 0.0, count, count + 1))
@@ -228,20 +222,41 @@ def _outside(up, down, rays, sky, beyond, part):
     return up * np.asarray(sky)[part] + down * np.asarray(beyond)[part]
 
 
-def _rays(mi, faces, base, row, number, lift, seed):
-    """(origin, direction) of ray `number` of a row, half a face's rays, as Dr.Jit arrays."""
-    corner, edge_u, edge_v, normal = (dr.gather(mi.Vector3f, values, row >> 1) for values in faces)
-    # One random shift per row decorrelates neighbours and halves, and keeps the set's even spread.
-    key = seed * 2 + _SEED
-    # With the customary 4 rounds the shifts of successive rows are correlated; with 6 no test tells.
-    shifts = (*mi.sample_tea_32(row, key, 8), *mi.sample_tea_32(row, key + 1, 8))
-    u = [dr.gather(mi.Float, values, number) for values in base]
-    u = [value + mi.Float(shift >> 8) * 2.0**-24 for value, shift in zip(u, shifts, strict=True)]
-    u = [value - dr.floor(value) for value in u]
-    local = mi.warp.square_to_cosine_hemisphere(mi.Point2f(u[0], u[1]))
-    spot = mi.warp.square_to_uniform_triangle(mi.Point2f(u[2], u[3]))
-    origin = corner + spot.x * edge_u + spot.y * edge_v + normal * lift
-    return mi.Point3f(origin), mi.Frame3f(mi.Normal3f(normal)).to_world(local)
+def face_rays(geometry, half):
+    """Return (origin, direction, origin on the face's other side) of 2 × `half` rays off every face.
+
+    Dr.Jit arrays, the rays of a face side by side.
+    """
+    return _Rays(geometry, half)(0, geometry.face_count, 0)
+
+
+class _Rays:
+    """The cosine-distributed rays off faces, in two halves of `half` rays."""
+
+    def __init__(self, geometry, half):
+        self._mi, self._half = geometry.mi, half
+        self._base = [self._mi.Float(column.astype(np.float32)) for column in low_discrepancy(half, 4).T]
+        self._faces = [self._mi.Float(values.astype(np.float32).ravel()) for values in _faces(geometry.surfaces)]
+        self._lift = 64.0 * 2.0**-24 * (1.0 + geometry.reach)
+
+    def __call__(self, first, count, seed):
+        """(origin, direction, origin on the other side) of the rays of `count` faces from `first` on."""
+        mi, half = self._mi, self._half
+        index = dr.arange(mi.UInt32, count * 2 * half)
+        # Opaque numbers: as literals they would have the kernel compiled anew for each part.
+        row, number = index // half + dr.opaque(mi.UInt32, 2 * first), index % half
+        corner, edge_u, edge_v, normal = (dr.gather(mi.Vector3f, values, row >> 1) for values in self._faces)
+        # One random shift per row, half a face's rays, decorrelates neighbours and halves, and keeps the even spread.
+        key = dr.opaque(mi.UInt32, seed) * 2 + _SEED
+        # With the customary 4 rounds the shifts of successive rows are correlated; with 6 no test tells.
+        shifts = (*mi.sample_tea_32(row, key, 8), *mi.sample_tea_32(row, key + 1, 8))
+        u = [dr.gather(mi.Float, values, number) for values in self._base]
+        u = [value + mi.Float(shift >> 8) * 2.0**-24 for value, shift in zip(u, shifts, strict=True)]
+        u = [value - dr.floor(value) for value in u]
+        local = mi.warp.square_to_cosine_hemisphere(mi.Point2f(u[0], u[1]))
+        spot = mi.warp.square_to_uniform_triangle(mi.Point2f(u[2], u[3]))
+        point, lift = corner + spot.x * edge_u + spot.y * edge_v, normal * self._lift
+        return mi.Point3f(point + lift), mi.Frame3f(mi.Normal3f(normal)).to_world(local), mi.Point3f(point - lift)
 
 
 def _counted(code, count):

@@ -5,6 +5,8 @@ What a pixel needs is folded beforehand into the radiance of each texel and a co
 pixel's rays, never temperature.
 """
 
+from dataclasses import dataclass
+
 import drjit as dr
 import numpy as np
 
@@ -13,7 +15,8 @@ from thermorender.frames import Frame
 from thermorender.physics.band import RadianceTable
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.render import bake, cache, fold
-from thermorender.render.geometry import Channels, Geometry
+from thermorender.render.geometry import Channels, Geometry, Hit
+from thermorender.render.moving import Moving, Still
 from thermorender.render.plan import REFERENCE_K, make_plan
 from thermorender.render.sampling import (
     STAGES,
@@ -95,7 +98,12 @@ class Renderer:
         self.cache_note = None
         self.bake_mk = self._texels = self._faces = self._outside = self._colour = None
         self._rays_of = {}
-        if same and scene.surfaces is like.scene.surfaces and scene.spec == like.scene.spec:
+        self._still = self._faces_alone = None
+        self._placed = not scene.movers
+        self._moving = [
+            Moving(self._mi, mover, self.plan, scene.materials, _linear_from_srgb) for mover in scene.movers
+        ]
+        if same and scene.surfaces is like.scene.surfaces and scene.spec == like.scene.spec and not scene.movers:
             if like._tolerance_mk == tolerance_mk and like.plan.rays == rays and like.plan.band_um == self.plan.band_um:
                 # The same light: another camera or sampling of one scene needs no new solution.
                 self._texels, self._faces, self._outside = like._texels, like._faces, like._outside
@@ -106,7 +114,7 @@ class Renderer:
         if self.bake_mk is None:
             self._bake(self._tolerance_mk)
 
-    def frame(self, pose, time_s=0.0, index=0):
+    def frame(self, pose, time_s=0.0, index=0, objects=None):
         """Return the Frame seen from `pose`.
 
         Parameters
@@ -114,20 +122,27 @@ class Renderer:
         pose : (4, 4) array
             world_from_camera: camera looks along +z, x right, y down; metres in the scene's local frame.
         time_s : float
+            Where on their tracks moving objects are [s].
         index : int
             Number of the frame; with the seed it decides the noise.
+        objects : dict, optional
+            {name of a moving object: {column of its track: value}} to take instead of the track's.
 
         Raises
         ------
         ThermorenderError
-            A pose that is no rigid transform.
+            A pose that is no rigid transform, or an object that does not move or leaves the terrain.
         """
         pose = checked_pose(pose)
+        self.prepare()
+        if self._moving or objects:
+            self._put(time_s, objects or {})
         radiance, sampling = self._radiance(pose)
         return self.frame_of(radiance, pose, time_s, index, budget=lambda: self._budget(radiance, sampling))
 
     def frame_of(self, radiance, pose, time_s=0.0, index=0, plan=None, budget=None):
         """Return the Frame of a radiance image (H, W) that was made elsewhere for this pose; `plan` says how."""
+        layers, warm = self._layers(pose), [moving.temperature for moving in self._moving]
         return Frame(
             radiance=radiance,
             pose=pose,
@@ -137,18 +152,54 @@ class Renderer:
             camera=self.scene.camera,
             plan=plan or self.plan.as_dict(),
             targets=self._targets(pose),
-            _truth=lambda: self._truth(pose),
+            _truth=lambda: self._truth(pose, layers, warm),
             _budget=budget,
         )
 
     def radiance(self, pose):
-        """Return the band radiance seen from a pose, (H, W) float32 [W m⁻² sr⁻¹], without noise or truth."""
+        """Return the band radiance seen from a pose, (H, W) float32 [W m⁻² sr⁻¹], without noise or truth.
+
+        Moving objects are where the last frame had them, at first at their tracks' time 0.
+        """
+        self.prepare()
+        if not self._placed:
+            self._put(0.0, {})
         return self._radiance(pose)[0]
 
+    def _put(self, time_s, objects):
+        """Move the moving objects to where they are at a time, and their light with them."""
+        self._placed = True
+        movers = {mover.name: mover for mover in self.scene.movers}
+        for name in objects:
+            if name not in movers:
+                raise ThermorenderError(
+                    f"object {name!r} does not move; give one with a track ({', '.join(movers) or 'there is none'})"
+                )
+        added = []
+        for moving in self._moving:
+            mover = movers[moving.name]
+            values = mover.at(time_s, **objects.get(moving.name, {}))
+            world = mover.world_from_own(values, self.scene.ground)
+            added.append(moving.put(world, values["temperature_k"], self._still))
+        if any(faces.size for faces, _ in added):
+            light = self._faces_alone.copy()
+            for faces, more in added:
+                light[faces] += more
+            self._faces = Channels(self._mi, light[:, None])
+
+    def _layers(self, pose, colour=False):
+        """The still scene and each moving object where it is now, with their light or their colour."""
+        still = (self._colour, None) if colour else (self._texels, self._faces)
+        layers = [_Layer(self._geometry, _opaque(self._mi, pose), *still)]
+        for moving in self._moving:
+            own = _opaque(self._mi, np.linalg.inv(moving.pose) @ pose)
+            light = (moving.colour, None) if colour else (moving.texels, moving.faces)
+            layers.append(_Layer(moving.geometry, own, *light))
+        return layers
+
     def _radiance(self, pose):
-        self.prepare()
         limit = self.plan.edge_mk * self._per_mk
-        image, sampling = self._shade(pose, self.scene.camera, self._texels, self._faces, self._outside, limit)
+        image, sampling = self._shade(self._layers(pose), self.scene.camera, self._outside, limit)
         return image[0], sampling
 
     def _budget(self, radiance, sampling):
@@ -192,7 +243,9 @@ class Renderer:
             flags = np.concatenate([surface.flags.ravel() for surface in self.scene.surfaces])
             known = ((flags & FILLED) == 0).astype(np.float32)
             self._colour = Channels(self._mi, np.column_stack([linear, known]))
-        found, _ = self._shade(pose, camera, self._colour, None, np.zeros((2, 4)), _VISIBLE_EDGE)
+        if not self._placed:
+            self._put(0.0, {})
+        found, _ = self._shade(self._layers(pose, colour=True), camera, np.zeros((2, 4)), _VISIBLE_EDGE)
         return _srgb_from_linear(np.moveaxis(found[:3], 0, -1)), found[3] > 0.999
 
     def _bake(self, tolerance_mk):
@@ -228,6 +281,10 @@ class Renderer:
         noise = bake.noise(self._transport, face_emitted, face_reflectance, sky_nodes, beyond_nodes, incident)
         texel, face, scatter = fold.fold(self._geometry, emitted, self._material, fold.light(plan, incident))
         self._texels, self._faces = Channels(mi, texel[:, None]), Channels(mi, face[:, None])
+        if self._moving:
+            leaving = face_emitted + face_reflectance * incident
+            self._still = Still(self._geometry, leaving, face_reflectance, sky_nodes, beyond_nodes)
+            self._faces_alone = face
         share = self._geometry.share
         varies = fold.variation(self._geometry, incident @ (share @ face_reflectance), noise)
         solution = ((1.0 - plan.emissivity).max(axis=0) * bounds).sum()
@@ -240,7 +297,7 @@ class Renderer:
             self._rays_of[camera] = CameraRays(self._mi, camera)
         return self._rays_of[camera]
 
-    def _shade(self, pose, camera, texels, faces, outside, edge_limit):
+    def _shade(self, layers, camera, outside, edge_limit):
         """Return (image, sampling): the mean over a pixel's rays of what they see, and what is known of its error.
 
         image : (channels, H, W) float32
@@ -249,15 +306,15 @@ class Renderer:
         """
         mi = self._mi
         rays = self._camera_rays(camera)
-        view = _opaque(mi, pose)
         outside = [[dr.opaque(mi.Float, float(value)) for value in row] for row in outside]
-        several = len(self.scene.surfaces) > 1
-        total = [mi.Float(0.0) for _ in range(texels.count)]
+        several = len(layers) + len(self.scene.surfaces) > 2
+        channels = layers[0].texels.count
+        total = [mi.Float(0.0) for _ in range(channels)]
         pattern = places(self.plan.samples, self.plan.taps)
         for place, taps in pattern:
             slope = rays.slopes(*place)
             taps = [slope if tap == place else rays.slopes(*tap) for tap in taps]
-            hit, values = self._look(view, slope, taps, texels, faces, outside)
+            hit, values = self._look(layers, slope, taps, outside)
             total = [a + b for a, b in zip(total, values, strict=True)]
         total = [value / len(pattern) for value in total]
         if edge_limit < np.inf:
@@ -276,9 +333,9 @@ class Renderer:
         span = step = None
         refined = []
         if edge_limit < np.inf:
-            guide, image = image[texels.count :], image[: texels.count]
+            guide, image = image[channels:], image[:channels]
             span, step = edge_step(image.sum(axis=0), *guide)
-            look = lambda slope: self._look(view, slope, [slope], texels, faces, outside)[1]  # noqa: E731
+            look = lambda slope: self._look(layers, slope, [slope], outside)[1]  # noqa: E731
             refined = self._refine(rays, image, step, edge_limit, look)
         return image, (span, step, refined)
 
@@ -307,17 +364,40 @@ class Renderer:
             position, total, low, high, unseen, first = position[on], total[:, on], low[on], high[on], unseen[on], last
         return refined
 
-    def _look(self, view, slope, taps, texels, faces, outside):
+    def _look(self, layers, slope, taps, outside):
         """Return (hit, channels): what rays hit, and the mean over their taps of the light that comes from there."""
-        mi, geometry = self._mi, self._geometry
-        rotation, origin = view
+        mi = self._mi
+        hit, total = self._meet(layers[0], slope, taps)
+        surfaces = len(layers[0].geometry.surfaces)
+        for layer in layers[1:]:
+            other, values = self._meet(layer, slope, taps)
+            nearer = other.distance < hit.distance
+            total = [dr.select(nearer, b, a) for a, b in zip(total, values, strict=True)]
+            hit = Hit(
+                hit.valid | nearer,
+                dr.minimum(hit.distance, other.distance),
+                dr.select(nearer, other.face, hit.face),
+                dr.select(nearer, other.surface + surfaces, hit.surface),
+            )
+            surfaces += len(layer.geometry.surfaces)
+        rotation, _ = layers[0].view
+        up = dr.dot(rotation[2], mi.Vector3f(*slope, 1.0)) >= 0.0
+        sky, beyond = outside
+        return hit, [
+            dr.select(hit.valid, value, dr.select(up, sky[c], beyond[c])) for c, value in enumerate(total)
+        ]
+
+    def _meet(self, layer, slope, taps):
+        """As `_look`, of one layer and without what lies beyond it."""
+        mi, geometry = self._mi, layer.geometry
+        rotation, origin = layer.view
         ray = _ray(mi, rotation, origin, *slope)
         hit = geometry.cast(ray, coherent=True)
         record = geometry.record(hit.face, hit.valid)
         lattice = geometry.lattice(hit.surface, hit.valid)
         normal = geometry.normal(record)
         height = hit.distance * dr.dot(normal, ray.d)
-        total = [mi.Float(0.0) for _ in range(texels.count)]
+        total = [mi.Float(0.0) for _ in range(layer.texels.count)]
         for tap in taps:
             if tap is slope:
                 point = ray.o + hit.distance * ray.d
@@ -326,31 +406,36 @@ class Renderer:
                 along = mi.Vector3f(*(dr.dot(row, mi.Vector3f(*tap, 1.0)) for row in rotation))
                 slant = dr.dot(normal, along)
                 point = origin + dr.select(slant != 0.0, height / slant, 0.0) * along
-            values = geometry.bilinear(texels, lattice, *geometry.place(record, point), hit.valid)
+            values = geometry.bilinear(layer.texels, lattice, *geometry.place(record, point), hit.valid)
             total = [a + b for a, b in zip(total, values, strict=True)]
         total = [value / len(taps) for value in total]
-        if faces:
-            total = [a + b for a, b in zip(total, faces.at(hit.face, hit.valid), strict=True)]
-        up = ray.d.z >= 0.0
-        sky, beyond = outside
-        return hit, [
-            dr.select(hit.valid, value, dr.select(up, sky[c], beyond[c])) for c, value in enumerate(total)
-        ]
+        if layer.faces:
+            total = [a + b for a, b in zip(total, layer.faces.at(hit.face, hit.valid), strict=True)]
+        return hit, total
 
-    def _truth(self, pose):
-        mi, geometry, scene = self._mi, self._geometry, self.scene
+    def _truth(self, pose, layers, warm):
+        """Truth of the pixels' middles; `warm` are the moving objects' temperatures."""
+        mi, scene = self._mi, self.scene
         camera = scene.camera
         rays = self._camera_rays(camera)
-        x, y = rays.slopes(0.5, 0.5)
-        rotation, origin = _opaque(mi, pose)
-        ray = _ray(mi, rotation, origin, x, y)
-        hit = geometry.cast(ray, coherent=True)
-        column, row = geometry.place(geometry.record(hit.face, hit.valid), ray.o + hit.distance * ray.d)
-        texel = dr.select(hit.valid, geometry.nearest(hit.surface, column, row, hit.valid), 0)
-        position = origin + hit.distance * ray.d
+        slope = rays.slopes(0.5, 0.5)
+        valid, distance, texel, first = mi.Bool(False), mi.Float(np.inf), mi.UInt32(0), 0
+        for layer in layers:
+            geometry = layer.geometry
+            ray = _ray(mi, *layer.view, *slope)
+            hit = geometry.cast(ray, coherent=True)
+            column, row = geometry.place(geometry.record(hit.face, hit.valid), ray.o + hit.distance * ray.d)
+            nearer = hit.distance < distance
+            found = first + geometry.nearest(hit.surface, column, row, hit.valid)
+            texel, distance = dr.select(nearer, found, texel), dr.minimum(distance, hit.distance)
+            valid |= nearer
+            first += int(geometry.texel_start[-1])
+        rotation, origin = layers[0].view
+        ray = _ray(mi, rotation, origin, *slope)
+        position = origin + distance * ray.d
         # The direction is unit length, so depth along the axis is the distance over the slope's length.
-        depth = hit.distance / dr.sqrt(1.0 + x * x + y * y)
-        found = [mi.UInt32(hit.valid), texel, mi.UInt32(ray.d.z >= 0.0), depth, *position]
+        depth = distance / dr.sqrt(1.0 + slope[0] * slope[0] + slope[1] * slope[1])
+        found = [mi.UInt32(valid), texel, mi.UInt32(ray.d.z >= 0.0), depth, *position]
         # One evaluation for all: each by itself would cast the rays again.
         dr.eval(found)
         images = []
@@ -360,11 +445,15 @@ class Renderer:
             images.append(flat.reshape(camera.height, camera.width))
         valid, number, up, depth, *position = images
         valid, up = valid > 0, up > 0
-        flags = np.concatenate([surface.flags.ravel() for surface in scene.surfaces])
+        surfaces = [*scene.surfaces, *(surface for mover in scene.movers for surface in mover.surfaces)]
+        flags = np.concatenate([surface.flags.ravel() for surface in surfaces])
+        sizes = [int(layer.geometry.texel_start[-1]) for layer in layers[1:]]
+        temperature = np.concatenate([self._temperature, np.repeat(warm, sizes).astype(np.float32)])
+        own = np.repeat([moving.material for moving in self._moving], sizes).astype(np.uint8)
         band = np.array([_band_emissivity(material, self.plan.band_um) for material in scene.materials])
-        material = self._material[number]
+        material = np.concatenate([self._material, own])[number]
         return {
-            "kinetic_temperature": np.where(valid, self._temperature[number], np.nan).astype(np.float32),
+            "kinetic_temperature": np.where(valid, temperature[number], np.nan).astype(np.float32),
             "emissivity": np.where(valid, band[material], np.nan).astype(np.float32),
             "material": np.where(valid, material, NO_MATERIAL).astype(np.uint8),
             "depth": np.where(valid, depth, np.inf).astype(np.float32),
@@ -375,27 +464,48 @@ class Renderer:
     def _targets(self, pose):
         """Pixel and visibility of the scene's objects."""
         mi, camera = self._mi, self.scene.camera
-        targets = self.scene.targets
+        targets = dict(self.scene.targets)
+        for moving in self._moving:
+            corner = np.concatenate([surface.vertices for surface in moving.surfaces])
+            middle = 0.5 * (corner.min(axis=0) + corner.max(axis=0))
+            targets[moving.name] = moving.pose[:3, :3] @ middle + moving.pose[:3, 3]
         if not targets:
             return {}
         centre = np.array(list(targets.values()))
         local = (centre - pose[:3, 3]) @ pose[:3, :3]
         pixel = camera.project(local)
         distance = np.linalg.norm(local, axis=-1)
-        direction = (centre - pose[:3, 3]) / distance[:, None]
-        ray = mi.Ray3f(mi.Point3f(*map(float, pose[:3, 3])), mi.Vector3f(*direction.T.astype(np.float32)))
-        hit = self._geometry.cast(ray)
-        names = [self.scene.surfaces[s].name.split(":")[0] for s in np.asarray(hit.surface)]
+        nearest, names = np.full(len(centre), np.inf), np.full(len(centre), "", dtype=object)
+        layers = [(self._geometry, np.eye(4)), *((moving.geometry, moving.pose) for moving in self._moving)]
+        for geometry, place in layers:
+            inverse = np.linalg.inv(place)
+            start = (inverse[:3, :3] @ pose[:3, 3] + inverse[:3, 3]).tolist()
+            direction = ((centre - pose[:3, 3]) / distance[:, None]) @ inverse[:3, :3].T
+            hit = geometry.cast(mi.Ray3f(mi.Point3f(*start), mi.Vector3f(*direction.T.astype(np.float32))))
+            met, surface = np.array(hit.distance), np.array(hit.surface)
+            nearer = met < nearest
+            names[nearer] = [geometry.surfaces[number].name.split(":")[0] for number in surface[nearer]]
+            nearest = np.minimum(nearest, met)
         found = {}
         for k, name in enumerate(targets):
             inside = bool(0.0 <= pixel[k, 0] < camera.width and 0.0 <= pixel[k, 1] < camera.height)
             found[name] = {
                 "pixel": [round(float(value), 3) for value in pixel[k]] if np.isfinite(pixel[k]).all() else None,
                 "in_view": inside,
-                "visible": inside and bool(hit.valid[k]) and names[k] == name,
+                "visible": inside and bool(names[k] == name),
                 "range_m": round(float(distance[k]), 3),
             }
         return found
+
+
+@dataclass(frozen=True)
+class _Layer:
+    """A ray caster, the view (rotation, origin) in its frame, and the channels of its texels and faces."""
+
+    geometry: Geometry
+    view: tuple
+    texels: Channels
+    faces: Channels | None
 
 
 def checked_pose(pose):

@@ -51,6 +51,8 @@ class Plan:
         Error of a pixel that shows an edge from which on it gets more rays [mK]; infinite: never.
     coldest, warmest : float
         Temperatures of the scene, its sky and surroundings [K].
+    moving : int
+        Objects with a track.
     """
 
     band_um: tuple
@@ -66,6 +68,7 @@ class Plan:
     edge_mk: float
     coldest: float
     warmest: float
+    moving: int = 0
 
     @property
     def nodes(self):
@@ -80,6 +83,9 @@ class Plan:
     def rows(self):
         """Return the plan as (item, in or out, why) rows for a table."""
         needed = "in" if self.bake else "out"
+        moving = ("moving objects", "out", "none has a track")
+        if self.moving:
+            moving = (moving[0], str(self.moving), "cast in their own frames; their light by one bounce each way")
         edges = ("more rays at edges", "out", "edge_mk is infinite")
         if self.edge_mk < np.inf:
             edges = (edges[0], "in", f"up to {STAGES[-1]} where one surface hides another and errs {self.edge_mk:g} mK")
@@ -91,6 +97,7 @@ class Plan:
             ("rays per pixel", str(self.samples), "band radiance averaged, never temperature"),
             ("texture places per ray", str(self.taps), "on the plane of the face that is hit"),
             edges,
+            moving,
             ("air", "out", "this scene declares none"),
             ("specular rays", "out", "every material is Lambertian"),
         ]
@@ -159,6 +166,12 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
         for material in np.unique(surface.material)
         for limit in (np.min, np.max)
     ]
+    things += [
+        (int(surface.material.flat[0]), temperature)
+        for mover in scene.movers
+        for surface in mover.surfaces
+        for temperature in mover.temperatures()
+    ]
     every = [*ground, *outside, *(temperature for _, temperature in things)]
     coldest, warmest = min(every), max(every)
     wavelength, weight = quadrature(*band)
@@ -200,6 +213,7 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
         edge_mk=float(edge_mk),
         coldest=coldest,
         warmest=warmest,
+        moving=len(scene.movers),
     )
 
 

@@ -4,6 +4,7 @@ import hashlib
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -13,11 +14,14 @@ from thermorender.scene import materials as material_tables
 from thermorender.scene import mesh, terrain
 from thermorender.scene.georeference import FARTHEST_M, LocalFrame
 from thermorender.scene.ground import Ground
+from thermorender.scene.material_map import learned_materials
+from thermorender.scene.mixture import Mixture
 from thermorender.scene.raster import bounds_in, grid_of, onto, read_band, read_colour
 from thermorender.scene.refine import refined
 from thermorender.scene.spec import SceneSpec, TemperatureSpec, read_scene
-from thermorender.scene.surface import FALLBACK, FILLED, SURFACE, Surface, fill, nearest_valid
+from thermorender.scene.surface import FALLBACK, FILLED, SURFACE, UNKNOWN, Surface, fill, nearest_valid
 from thermorender.scene.temperature import Texels, resolve
+from thermorender.scene.tracks import Mover, read_track
 from thermorender.sensor.camera import Camera, load_camera
 
 
@@ -32,7 +36,7 @@ class Scene:
     frame : LocalFrame or None
         Where the local East-North-Up frame lies on Earth; None for a mesh without [frame].
     surfaces : tuple of Surface
-        The terrain's first, then one or more per object.
+        The terrain's first, then one or more per object that stands still.
     terrain_count : int
         How many of them are terrain.
     materials : tuple of Material
@@ -40,8 +44,12 @@ class Scene:
     camera : Camera
     grid : Grid or None
         Map grid of the terrain's texels.
+    movers : tuple of Mover
+        Objects with a track.
     report : dict
         What the temperature source has to tell, per learned map.
+    emissivity_report : dict
+        What the learned emissivity map has to tell; empty without one.
     """
 
     spec: SceneSpec
@@ -51,7 +59,9 @@ class Scene:
     materials: tuple
     camera: Camera
     grid: object
+    movers: tuple = ()
     report: dict = field(default_factory=dict)
+    emissivity_report: dict = field(default_factory=dict)
 
     @property
     def name(self):
@@ -97,9 +107,9 @@ class Scene:
 
     @property
     def targets(self):
-        """{name: (3,) local position of its middle [m]} of the scene's objects."""
+        """{name: (3,) local position of its middle [m]} of the objects that stand still."""
         found = {}
-        for item in self.spec.objects:
+        for item in (item for item in self.spec.objects if item.track is None):
             corners = np.concatenate(
                 [s.vertices for s in self.surfaces[self.terrain_count :] if s.name.split(":")[0] == item.name]
             )
@@ -132,6 +142,12 @@ class Scene:
             state.update(material.name.encode() + material.wavelength_um.tobytes() + material.emissivity.tobytes())
             if material.emissivity_by_angle is not None:
                 state.update(material.emissivity_by_angle.tobytes())
+        for mover in self.movers:
+            state.update(repr((mover.item, mover.lift_m)).encode() + mover.time_s.tobytes())
+            for name, values in mover.columns.items():
+                state.update(name.encode() + values.tobytes())
+            for surface in mover.surfaces:
+                state.update(surface.vertices.tobytes() + surface.faces.tobytes() + surface.colour.tobytes())
         spec = self.spec
         state.update(repr((self.camera, spec.sky_temperature, spec.surroundings_temperature)).encode())
         return state.hexdigest()
@@ -144,7 +160,7 @@ class Scene:
             f"{self.name}: {self.spec.title}",
             f"  mesh          {faces} triangles, {texels} texels of {self.surfaces[0].texel_m:.3g} m",
             f"  temperature   {self.spec.temperature.source}, {terrain_k.min():.1f}–{terrain_k.max():.1f} K",
-            f"  materials     {', '.join(material.name for material in self.materials)}",
+            f"  materials     {self._materials_words()}",
             f"  sky           {self.spec.sky_temperature:g} K",
             f"  objects       {', '.join(item.name for item in self.spec.objects) or 'none'}",
             f"  camera        {self.camera.name}, {self.camera.width}×{self.camera.height}",
@@ -153,6 +169,18 @@ class Scene:
             lines.insert(2, f"  origin        {self.frame.latitude_deg:.6f}°, {self.frame.longitude_deg:.6f}°, "
                             f"{self.frame.height_m:g} m above the ellipsoid")  # fmt: skip
         return "\n".join(lines)
+
+
+    def _materials_words(self):
+        pure = [material.name for material in self.materials if not isinstance(material, Mixture)]
+        mixes, report = len(self.materials) - len(pure), self.emissivity_report
+        words = ", ".join(pure) + (f" and {mixes} mixes of them" if mixes else "")
+        if report:
+            words += (
+                f"; told from colour by {report['model']!r}, {report['share_unknown']:.1%} unknown and taken for "
+                f"{report['fallback']}"
+            )
+        return words
 
 
 def scene_folder(name):
@@ -193,14 +221,22 @@ def load_scene(name):
     where = str(spec.folder / "scene.toml")
     camera = load_camera(spec.camera, f"{where}: camera.model")
     materials = _Materials(library, camera, where)
+    emissivity_report = {}
     if spec.terrain.elevation:
-        frame, grid, surfaces = _raster_terrain(spec, materials)
+        frame, grid, surfaces = _raster_terrain(spec, materials, emissivity_report)
     else:
         frame, grid, surfaces = _mesh_terrain(spec, materials)
-    scene = Scene(spec, frame, tuple(surfaces), len(surfaces), (), camera, grid)
-    objects = [surface for item in spec.objects for surface in _object(item, scene, materials)]
-    terrain_surfaces, objects = refined(scene.surfaces, objects)
-    scene = replace(scene, surfaces=(*terrain_surfaces, *objects), materials=tuple(materials.used))
+    scene = Scene(
+        spec, frame, tuple(surfaces), len(surfaces), (), camera, grid, emissivity_report=emissivity_report
+    )
+    things = [_object(item, materials) for item in spec.objects]
+    still = [surface for thing in things if not thing.item.track for surface in _placed(thing, thing.at(0.0), scene)]
+    movers = [thing for thing in things if thing.item.track]
+    passing = [surface for thing in movers for values in thing.stations() for surface in _placed(thing, values, scene)]
+    terrain_surfaces, done = refined(scene.surfaces, still + passing)
+    still = done[: len(still)]
+    movers = tuple(replace(thing, surfaces=tuple(refined((), thing.surfaces)[1])) for thing in movers)
+    scene = replace(scene, surfaces=(*terrain_surfaces, *still), movers=movers, materials=tuple(materials.used))
     return scene.with_temperature(spec.temperature)
 
 
@@ -217,7 +253,10 @@ class _Materials:
 
     def add(self, material):
         if material not in self.used:
-            material.emissivity_at(np.array(self.camera.band_um))
+            try:
+                material.emissivity_at(np.array(self.camera.band_um))
+            except ThermorenderError as error:
+                raise ThermorenderError(f"{self.where}: {error}") from None
             if material.directional != "lambertian":
                 raise ThermorenderError(
                     f"{self.where}: material {material.name!r} depends on the angle of view, which frames do not show "
@@ -227,7 +266,7 @@ class _Materials:
         return self.used.index(material)
 
 
-def _raster_terrain(spec, materials):
+def _raster_terrain(spec, materials, report):
     source = spec.terrain
     height, grid = terrain.read_elevation(source.elevation)
     if source.height_reference == "geoid":
@@ -249,12 +288,21 @@ def _raster_terrain(spec, materials):
         )
     shape = (texels.height, texels.width)
     valid = np.ones(shape, dtype=bool)
+    if spec.emissivity.source == "learned" and not source.orthophoto:
+        raise ThermorenderError(
+            f"{materials.where}: emissivity.source='learned' reads materials from an orthophoto; add terrain.orthophoto"
+        )
     if source.orthophoto:
         colour, valid = read_colour(source.orthophoto)
         if not valid.any():
             raise ThermorenderError(f"{source.orthophoto} is empty: every texel is masked; give another orthophoto")
-    material, known = _material_map(spec, materials, texels)
-    valid &= known
+    texel_m = terrain.texel_size_m(texels, frame)
+    unknown = np.zeros(shape, dtype=bool)
+    if spec.emissivity.source == "learned":
+        material, unknown = _learned_map(spec, materials, colour, valid, texel_m, report)
+    else:
+        material, known = _material_map(spec, materials, texels)
+        valid &= known
     if not source.orthophoto:
         typical = np.array([m.colour for m in materials.used], dtype=np.uint8)
         colour = typical[material]
@@ -269,8 +317,8 @@ def _raster_terrain(spec, materials):
         colour=colour,
         material=material,
         temperature=np.full(shape, np.nan, np.float32),
-        flags=np.where(valid, SURFACE, SURFACE | FILLED).astype(np.uint8),
-        texel_m=terrain.texel_size_m(texels, frame),
+        flags=(SURFACE | np.where(valid, 0, FILLED) | np.where(unknown, UNKNOWN, 0)).astype(np.uint8),
+        texel_m=texel_m,
     )
     return frame, texels, [surface]
 
@@ -329,6 +377,17 @@ def _material_map(spec, materials, texels):
     return np.where(known, material, 0).astype(np.uint8), known
 
 
+def _learned_map(spec, materials, colour, valid, texel_m, report):
+    """(material index (h, w) uint8, unknown (h, w) bool) of the terrain's texels, told from their colour."""
+    if not valid.all():
+        colour = fill(colour, nearest_valid(valid))
+    number, used, unknown, told = learned_materials(
+        spec.emissivity, materials.library, colour, texel_m, materials.camera.band_um, materials.where
+    )
+    report.update(told)
+    return np.array([materials.add(material) for material in used], dtype=np.uint8)[number], unknown
+
+
 def _single_material(source, materials):
     if source.source == "material":
         return materials.index(source.material, "emissivity.material")
@@ -336,9 +395,10 @@ def _single_material(source, materials):
 
 
 def _mesh_terrain(spec, materials):
-    if spec.emissivity.source == "classes":
+    if spec.emissivity.source in ("classes", "learned"):
         raise ThermorenderError(
-            f"{materials.where}: emissivity.source='classes' needs an elevation raster; give 'constant' or 'material'"
+            f"{materials.where}: emissivity.source={spec.emissivity.source!r} needs an elevation raster; give 'constant' "
+            "or 'material'"
         )
     index = _single_material(spec.emissivity, materials)
     surfaces = [_part_surface(part, index, np.nan) for part in mesh.load(spec.terrain.mesh)]
@@ -362,35 +422,30 @@ def _part_surface(part, material, temperature):
     )
 
 
-def _object(item, scene, materials):
-    """Surfaces of one object, standing on the ground below its position."""
+def _object(item, materials):
+    """The Mover of one object: its surfaces in its own frame, and its track if it has one."""
     if item.file:
         parts = mesh.load(item.file)
     else:
         vertices, faces = mesh.primitive(item.shape, item.size)
         colour = np.array(item.colour, dtype=np.uint8).reshape(1, 1, 3)
         parts = [mesh.Part(item.shape, vertices, faces, np.full((len(faces), 3, 2), 0.5, np.float32), colour)]
-    east, north, above = item.position
-    ground = float(scene.ground(east, north))
-    if not np.isfinite(ground):
-        raise ThermorenderError(
-            f"{scene.where}: object {item.name!r} stands at {east:g} m east, {north:g} m north, where there is no "
-            "terrain; move its position"
-        )
-    heading = np.radians(item.yaw_deg)
-    # Clockwise from north, so the object's own y axis points along the heading.
-    turn = np.array(
-        [[np.cos(heading), np.sin(heading), 0.0], [-np.sin(heading), np.cos(heading), 0.0], [0.0, 0.0, 1.0]]
-    )
     # A flat object lies a finger above the ground it covers, so that neither hides the other.
     lift = 0.02 if item.shape == "disc" else 0.0
-    offset = np.array([east, north, ground + above + lift])
     material = materials.index(item.material, f"object {item.name!r}")
+    surfaces = (
+        _part_surface(replace(part, name=f"{item.name}:{part.name}"), material, item.temperature) for part in parts
+    )
+    time_s, columns = read_track(item.track) if item.track else (np.zeros(1), {})
+    return Mover(item, tuple(surfaces), lift, time_s, MappingProxyType(columns))
+
+
+def _placed(thing, values, scene):
+    """Surfaces of an object in the scene's frame, for values as by `Mover.at`."""
+    try:
+        matrix = thing.world_from_own(values, scene.ground)
+    except ThermorenderError as error:
+        raise ThermorenderError(f"{scene.where}: {error}") from None
     return [
-        _part_surface(
-            replace(part, name=f"{item.name}:{part.name}", vertices=part.vertices @ turn.T + offset),
-            material,
-            item.temperature,
-        )
-        for part in parts
+        replace(surface, vertices=surface.vertices @ matrix[:3, :3].T + matrix[:3, 3]) for surface in thing.surfaces
     ]

@@ -19,6 +19,8 @@ else:
     import tomli as tomllib
 
 REQUIRED = object()
+# A learned emissivity map's texel is unknown where its most probable material is less probable than this.
+DEFAULT_CONFIDENCE = 0.35
 _CLASS_NUMBERS = {str(number) for number in range(1, 256)}
 
 
@@ -54,6 +56,9 @@ class EmissivitySpec:
     material: str | None
     raster: Path | None
     classes: dict
+    model: str | None = None
+    fallback: str | None = None
+    confidence: float = DEFAULT_CONFIDENCE
 
 
 @dataclass(frozen=True)
@@ -69,6 +74,7 @@ class ObjectSpec:
     temperature: float
     material: str
     colour: tuple[float, float, float]
+    track: Path | None
 
 
 @dataclass(frozen=True)
@@ -174,6 +180,11 @@ class _Reader:
             return load_model(self.text(value, where)).name
         except ThermorenderError as error:
             raise ThermorenderError(f"{self.path}: {where}: {error}") from None
+
+    def emissivity_map(self, value, where):
+        from thermorender.learned.emissivity import SHIPPED
+
+        return value if self.text(value, where) in SHIPPED else str(self.file(value, where))
 
     def vector(self, length):
         def read(value, where):
@@ -307,15 +318,20 @@ class _Reader:
 
     def emissivity(self, raw):
         keys = {
-            "source": (self.choice("constant", "material", "classes"), REQUIRED),
+            "source": (self.choice("constant", "material", "classes", "learned"), REQUIRED),
             "value": (self.share, None),
             "material": (self.text, None),
             "raster": (self.file, None),
             "classes": (self.mapping(self.text), {}),
+            "model": (self.emissivity_map, None),
+            "fallback": (self.text, None),
+            "confidence": (self.share, DEFAULT_CONFIDENCE),
         }
         values = self.table(raw, "emissivity", keys)
         source = values["source"]
-        for key in {"constant": ["value"], "material": ["material"], "classes": ["raster", "classes"]}[source]:
+        needs = {"constant": ["value"], "material": ["material"], "classes": ["raster", "classes"],
+                 "learned": ["model", "fallback"]}  # fmt: skip
+        for key in needs[source]:
             self.needs(values, "emissivity", key, f"source={source!r}")
         classes = {}
         for key, name in values["classes"].items():
@@ -337,6 +353,7 @@ class _Reader:
             "temperature": (self.temperature, REQUIRED),
             "material": (self.text, REQUIRED),
             "colour": (self.vector(3), (128.0, 128.0, 128.0)),
+            "track": (self.file, None),
         }
         values = self.table(raw, where, keys)
         if (values["shape"] is None) == (values["file"] is None):

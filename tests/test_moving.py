@@ -1,0 +1,122 @@
+"""Moving objects: the same light as if they stood still, along their tracks, without tracing the scene again."""
+
+import numpy as np
+import pytest
+
+import thermorender as tr
+from scenes import write_terrain
+from thermorender.errors import ThermorenderError
+from thermorender.physics.planck import brightness_temperature
+from thermorender.render import bake
+from thermorender.scene.tracks import read_track
+
+BAND = (7.5, 13.5)
+
+
+def scene_with(folder, track=None, shape="box", size=(3, 3, 1.5), rest="", **keywords):
+    extra = (
+        f'[[object]]\nname = "thing"\nshape = "{shape}"\nsize = {list(size)}\nposition = [1, 2, 0.5]\nyaw_deg = 30\n'
+        f'temperature = 340.0\nmaterial = "paint_black"\n{rest}'
+    )
+    if track:
+        extra += 'track = "track.csv"\n'
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "track.csv").write_text(track)
+    # Sand reflects most of what the small tests have.
+    sand = np.full((64, 64), 2)
+    return tr.load_scene(write_terrain(folder, height=np.zeros((33, 33)), classes=sand, extra=extra, **keywords))
+
+
+@pytest.mark.parametrize(("shape", "size"), [("box", (3, 3, 1.5)), ("disc", (3, 3, 1))])
+def test_an_object_with_a_track_shines_as_one_that_stands_still(tmp_path, shape, size):
+    pose = tr.pose(1, -6, 8, pitch_deg=-45)
+    still = tr.Renderer(scene_with(tmp_path / "still", None, shape, size), rays=256).frame(pose)
+    moving = tr.Renderer(scene_with(tmp_path / "moving", "time_s,yaw_deg\n0,30\n", shape, size), rays=256).frame(pose)
+    for name in ("kinetic_temperature", "material", "mask", "depth", "emissivity"):
+        # A place between two texels may fall to either.
+        assert np.mean(~np.isclose(moving.truth[name], still.truth[name], rtol=1e-5)) < 1e-4
+    assert moving.targets == still.targets and moving.targets["thing"]["visible"]
+    difference = 1e3 * (moving.apparent_temperature - still.apparent_temperature)
+    material = still.truth["material"]
+    thing = material == material[int(still.targets["thing"]["pixel"][1]), int(still.targets["thing"]["pixel"][0])]
+    # What a grain of 256 rays leaves; the object's own share of the ground's light is some kelvin there.
+    near = ~thing & (np.linalg.norm(still.truth["position"][..., :2] - [1, 2], axis=-1) < 3.0)
+    assert near.sum() > 5000 and abs(difference[near].mean()) < 15.0
+    assert difference[near].std() < 250.0 and abs(difference[thing].mean()) < 5.0
+    cold = scene_with(tmp_path / "cold", "time_s,temperature_k\n0,300\n", shape, size)
+    change = still.apparent_temperature - tr.Renderer(cold, rays=256).frame(pose).apparent_temperature
+    assert change[near].mean() > 0.3
+
+
+def test_it_moves_without_another_trace(tmp_path, monkeypatch):
+    scene = scene_with(tmp_path / "s", "time_s,east_m,yaw_deg,temperature_k\n0,-6,350,300\n10,6,10,320\n")
+    renderer = tr.Renderer(scene, rays=16)
+    renderer.prepare()
+    monkeypatch.setattr(bake, "trace", lambda *_: pytest.fail("light was traced again"))
+    pose = tr.pose(0, 2, 30, pitch_deg=-90)
+    seen = []
+    for time_s, east, kelvin in ((-1.0, -6.0, 300.0), (5.0, 0.0, 310.0), (10.0, 6.0, 320.0)):
+        frame = renderer.frame(pose, time_s=time_s)
+        column, row = frame.targets["thing"]["pixel"]
+        height = 30.0 - 0.5 - 0.75
+        assert column == pytest.approx(320 + scene.camera.focal_length_px * east / height, abs=0.5)
+        assert frame.truth["kinetic_temperature"][int(row), int(column)] == pytest.approx(kelvin)
+        seen.append(frame)
+    # A frame keeps its own truth after the object went on.
+    column, row = seen[0].targets["thing"]["pixel"]
+    assert seen[0].truth["kinetic_temperature"][int(row), int(column)] == pytest.approx(300.0)
+    back = renderer.frame(pose, time_s=-1.0)
+    np.testing.assert_array_equal(back.radiance, seen[0].radiance)
+    given = renderer.frame(pose, objects={"thing": {"temperature_k": 360.0, "east_m": 1.0}})
+    column, row = given.targets["thing"]["pixel"]
+    assert given.apparent_temperature[int(row), int(column)] > 350.0
+    image, known = renderer.visible(pose)
+    assert known[int(row), int(column)] and image.any()
+
+
+def test_heading_turns_the_short_way(tmp_path):
+    scene = scene_with(tmp_path / "s", "time_s,yaw_deg\n0,350\n10,10\n")
+    (mover,) = scene.movers
+    assert mover.at(5.0)["yaw_deg"] % 360.0 == pytest.approx(0.0, abs=1e-9)
+    ahead = mover.world_from_own(mover.at(5.0), scene.ground)[:3, :3] @ [0, 1, 0]
+    np.testing.assert_allclose(ahead, [0, 1, 0], atol=1e-9)
+
+
+def test_a_track_is_part_of_the_scene(tmp_path):
+    one = scene_with(tmp_path / "a", "time_s,yaw_deg\n0,30\n")
+    other = scene_with(tmp_path / "b", "time_s,yaw_deg\n0,31\n")
+    assert one.digest() != other.digest()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "too little"),
+        ("time_s,yaw\n0,1\n", "the column 'yaw'"),
+        ("time_s,yaw_deg\n", "too little"),
+        ("time_s,yaw_deg\n0,x\n", "row 2: '0,x' is not 2 finite numbers"),
+        ("time_s,yaw_deg\n0,1,2\n", "row 2"),
+        ("time_s,yaw_deg\n0,1\n0,2\n", "row 3: time_s does not rise"),
+        ("time_s,temperature_k\n0,20\n", "20 is below 100 K"),
+    ],
+)
+def test_bad_tracks(tmp_path, text, words):
+    path = tmp_path / "track.csv"
+    path.write_text(text)
+    with pytest.raises(ThermorenderError, match=words):
+        read_track(path)
+
+
+def test_bad_settings(tmp_path):
+    scene = scene_with(tmp_path / "s", "time_s,yaw_deg\n0,30\n")
+    renderer = tr.Renderer(scene, rays=4)
+    for objects, words in (
+        ({"other": {}}, "object 'other' does not move; give one with a track [(]thing[)]"),
+        ({"thing": {"speed": 1.0}}, "object 'thing' has no 'speed' to set"),
+        ({"thing": {"east_m": np.nan}}, "east_m=nan is not allowed"),
+        ({"thing": {"temperature_k": 20.0}}, "20 is below 100 K"),
+        ({"thing": {"east_m": 1e4}}, "where there is no terrain"),
+    ):
+        with pytest.raises(ThermorenderError, match=words):
+            renderer.frame(tr.pose(0, 0, 30, pitch_deg=-90), objects=objects)
+    assert brightness_temperature(renderer.frame(tr.pose(0, 0, 30, pitch_deg=-90)).radiance.mean(), *BAND) > 200.0

@@ -1,0 +1,159 @@
+"""What moves or changes its temperature: objects whose place, heading and temperature are given over time."""
+
+import csv
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.scene.surface import scene_kelvin
+
+COLUMNS = ("east_m", "north_m", "above_ground_m", "yaw_deg", "temperature_k")
+
+
+@dataclass(frozen=True, eq=False)
+class Mover:
+    """An object with a track.
+
+    Attributes
+    ----------
+    item : ObjectSpec
+        What the scene file says; its values hold for the columns the track leaves out.
+    surfaces : tuple of Surface
+        In the object's own frame: x right, y ahead, z up, the middle of its base at the origin.
+    lift_m : float
+        How far above its base's stated height it is put.
+    time_s : (n,) float64
+        Rising [s].
+    columns : mapping
+        {name of COLUMNS: (n,) float64}.
+    """
+
+    item: object
+    surfaces: tuple
+    lift_m: float
+    time_s: np.ndarray
+    columns: MappingProxyType
+
+    @property
+    def name(self):
+        """The object's name."""
+        return self.item.name
+
+    def at(self, time_s, **given):
+        """Return {column: value} at a time [s], linear between the track's rows and constant beyond its ends.
+
+        Parameters
+        ----------
+        time_s : float
+        given : float
+            Values of COLUMNS to take instead.
+
+        Raises
+        ------
+        ThermorenderError
+            A name that is no column, or a value that is not finite.
+        """
+        for name, value in given.items():
+            if name not in COLUMNS:
+                raise ThermorenderError(f"object {self.name!r} has no {name!r} to set; give {', '.join(COLUMNS)}")
+            if not np.isfinite(value):
+                raise ThermorenderError(f"object {self.name!r}: {name}={value} is not allowed; give a finite number")
+        if "temperature_k" in given:
+            scene_kelvin(f"object {self.name!r}: temperature_k", given["temperature_k"])
+        item = self.item
+        values = dict(zip(COLUMNS, (*item.position, item.yaw_deg, item.temperature), strict=True))
+        values |= {name: float(np.interp(time_s, self.time_s, column)) for name, column in self.columns.items()}
+        return values | {name: float(value) for name, value in given.items()}
+
+    def temperatures(self):
+        """Return the coldest and warmest temperature of the track [K]."""
+        found = self.columns.get("temperature_k", np.array([self.item.temperature]))
+        return float(found.min()), float(found.max())
+
+    def stations(self, most=100):
+        """Return values as by `at` along the track, an object's length apart; none where they are more than `most`."""
+        corner = np.concatenate([surface.vertices for surface in self.surfaces])
+        length = float((corner.max(axis=0) - corner.min(axis=0)).max())
+        place = np.column_stack([self.columns.get(name, np.zeros(len(self.time_s))) for name in COLUMNS[:3]])
+        way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(place, axis=0), axis=1))])
+        count = int(np.ceil(way[-1] / length)) + 1
+        if count > most:
+            return []
+        # Where the object stands still, only the first time counts.
+        keep = np.concatenate([[True], np.diff(way) > 0.0])
+        return [self.at(t) for t in np.interp(np.linspace(0.0, way[-1], count), way[keep], self.time_s[keep])]
+
+    def world_from_own(self, values, ground):
+        """Return (4, 4) from the object's own frame to the scene's, for values as by `at`.
+
+        Parameters
+        ----------
+        values : dict
+        ground : callable
+            (east, north) → height of the terrain [m].
+
+        Raises
+        ------
+        ThermorenderError
+            There is no terrain below.
+        """
+        east, north = values["east_m"], values["north_m"]
+        height = float(ground(east, north))
+        if not np.isfinite(height):
+            raise ThermorenderError(
+                f"object {self.name!r} stands at {east:g} m east, {north:g} m north, where there is no terrain; "
+                "keep its position on it"
+            )
+        heading = np.radians(values["yaw_deg"])
+        matrix = np.eye(4)
+        # Clockwise from north, so the object's own y axis points along the heading.
+        matrix[:2, :2] = [[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]]
+        matrix[:3, 3] = east, north, height + values["above_ground_m"] + self.lift_m
+        return matrix
+
+
+def read_track(path):
+    """Return (time_s (n,), {column: (n,)}) of a track: a CSV with `time_s` and any of COLUMNS.
+
+    Raises
+    ------
+    ThermorenderError
+        A file that cannot be read, unknown or missing columns, cells that are no numbers, time that does not rise.
+    """
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ThermorenderError(f"{path} cannot be read as CSV in UTF-8 ({error}); give a track") from None
+    header = [cell.strip() for cell in rows[0]] if rows else []
+    allowed = ("time_s", *COLUMNS)
+    odd = next((name for name in header if name not in allowed or header.count(name) > 1), None)
+    if odd is not None or "time_s" not in header or len(header) < 2 or len(rows) < 2:
+        what = f"the column {odd!r}" if odd is not None else "too little"
+        raise ThermorenderError(
+            f"{path} has {what}; give a row of names, of which time_s and any of {', '.join(COLUMNS)}, each once, "
+            "and rows of numbers below it"
+        )
+    values = np.empty((len(rows) - 1, len(header)))
+    for number, row in enumerate(rows[1:]):
+        try:
+            values[number] = [float(cell) for cell in row]
+        except ValueError:
+            values[number] = np.nan
+        if not np.isfinite(values[number]).all():
+            raise ThermorenderError(
+                f"{path}, row {number + 2}: {','.join(row)!r} is not {len(header)} finite numbers; mend that row"
+            )
+    columns = dict(zip(header, values.T.copy(), strict=True))
+    time_s = columns.pop("time_s")
+    if (np.diff(time_s) <= 0.0).any():
+        row = int(np.argmax(np.diff(time_s) <= 0.0)) + 3
+        raise ThermorenderError(f"{path}, row {row}: time_s does not rise; sort the rows and leave each time once")
+    if "yaw_deg" in columns:
+        # The short way round between two rows.
+        columns["yaw_deg"] = np.unwrap(columns["yaw_deg"], period=360.0)
+    for value in columns.get("temperature_k", ()):
+        scene_kelvin(f"{path}: temperature_k", value)
+    return time_s, columns
