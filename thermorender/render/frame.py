@@ -220,15 +220,22 @@ class Renderer:
         }
         return {**parts, "total": float(np.sqrt(sum(value**2 for value in parts.values())))}
 
-    def cast_only(self, pose):
-        """Cast a frame's rays and nothing else: the floor under the time of a frame."""
-        rotation, origin = _opaque(self._mi, checked_pose(pose))
-        slopes = self._camera_rays(self.scene.camera).slopes
-        rays = [
-            _ray(self._mi, rotation, origin, *slopes(*place))
-            for place, _ in places(self.plan.samples, self.plan.taps)
-        ]
-        dr.eval([self._geometry.caster.ray_intersect_preliminary(ray, coherent=True).t for ray in rays])
+    def rays(self, pose):
+        """Return the slopes of all rays that a frame from `pose` casts into the still scene, [(x/z, y/z), …]."""
+        _, (_, _, refined) = self._radiance(checked_pose(pose))
+        rays = self._camera_rays(self.scene.camera)
+        slopes, first = [rays.slopes(*place) for place, _ in places(self.plan.samples, self.plan.taps)], 0
+        for pixels, _, last in refined:
+            slopes.append(rays.edge_slopes(rays.position[pixels], first, last))
+            first = last
+        dr.eval(slopes)
+        return slopes
+
+    def cast_only(self, pose, rays):
+        """Cast rays, as by `rays`, and nothing else: the floor under the time of a frame."""
+        view = _opaque(self._mi, checked_pose(pose))
+        cast = self._geometry.caster.ray_intersect_preliminary
+        dr.eval([cast(_ray(self._mi, *view, *slope), coherent=True).t for slope in rays])
         dr.sync_thread()
 
     def visible(self, pose, camera=None):

@@ -11,6 +11,7 @@ from thermorender.sensor.optics import detector_irradiance, radiance_from_irradi
 from thermorender.units import ZERO_CELSIUS_K
 
 NETD_REFERENCE_K = 300.0
+_NOISE_BANDS = 4
 
 
 def noise_irradiance(camera):
@@ -26,10 +27,22 @@ def noise_irradiance(camera):
 def noise(camera, seed, index):
     """Return one frame's temporal noise, (H, W) float32, in standard deviations.
 
-    It depends on `seed` and the frame's `index` only: counter-based Philox, no state between frames.
+    It depends on `seed` and the frame's `index` only: counter-based Philox, no state between frames. Bands of rows
+    have counters of their own, so that threads can share the work and the bytes do not depend on how many there are.
     """
-    generator = np.random.Generator(np.random.Philox(key=np.array([seed, index], dtype=np.uint64)))
-    return generator.standard_normal((camera.height, camera.width), dtype=np.float32)
+    from concurrent.futures import ThreadPoolExecutor
+
+    values = np.empty((camera.height, camera.width), dtype=np.float32)
+    bands = np.array_split(values, _NOISE_BANDS)
+
+    def fill(number):
+        key, counter = np.array([seed, index], dtype=np.uint64), np.array([0, 0, 0, number], dtype=np.uint64)
+        generator = np.random.Generator(np.random.Philox(key=key, counter=counter))
+        generator.standard_normal(out=bands[number], dtype=np.float32)
+
+    with ThreadPoolExecutor(_NOISE_BANDS) as pool:
+        list(pool.map(fill, range(_NOISE_BANDS)))
+    return values
 
 
 def counts(radiance, camera, seed, index):
@@ -44,9 +57,11 @@ def counts(radiance, camera, seed, index):
         Seed of the flight and number of the frame.
     """
     irradiance = detector_irradiance(radiance, camera.f_number, camera.lens_transmittance)
-    irradiance = irradiance + np.float32(noise_irradiance(camera)) * noise(camera, seed, index)
-    low, step = _scale(camera)
-    return np.clip(np.rint((irradiance - low) / step), 0, 2**camera.bits - 1).astype(np.uint16)
+    irradiance += noise_irradiance(camera) * noise(camera, seed, index)
+    low, step = map(float, _scale(camera))
+    irradiance -= low
+    irradiance /= step
+    return np.clip(np.rint(irradiance, out=irradiance), 0, 2**camera.bits - 1, out=irradiance).astype(np.uint16)
 
 
 def radiance_from_counts(values, camera):

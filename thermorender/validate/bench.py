@@ -28,8 +28,8 @@ SETTINGS = tuple((name, {"quality": name}) for name in ("fast", "standard", "hig
 HEIGHT_M = 120.0
 # Camera pitch [deg] of each view; all look at the middle of the scene.
 VIEWS = {"nadir": -90.0, "oblique": -45.0}
-HEADER = ("scene", "view", "setting", "rays only [ms]", "frame [ms]", "÷ rays", "with sensor [ms]", "÷ rays",
-          "frames/s", "error [mK]", "after optics [mK]")  # fmt: skip
+HEADER = ("scene", "view", "setting", "rays per pixel", "rays only [ms]", "frame [ms]", "÷ rays", "with sensor [ms]",
+          "÷ rays", "frames/s", "error [mK]", "after optics [mK]")  # fmt: skip
 
 
 def bench(scene_names=("heath",), triangles=None, repeats=15, progress=None, settings=SETTINGS, device="auto"):
@@ -53,10 +53,11 @@ def bench(scene_names=("heath",), triangles=None, repeats=15, progress=None, set
     -------
     dict
         machine, versions, repeats, and scenes: {name: {triangles, texels, pixels, optics_sigma_px, build_s, bake_s,
-        peak_mib, settings: {label: {plan, views: {view: {rays_ms, radiance_ms, frame_ms, radiance_over_rays,
-        frame_over_rays, frames_per_s, error_mk, optics_error_mk}}}}}}. Times are medians; a ratio is given as its
-        quartiles, the median in the middle. peak_mib is the most memory the process held from the first renderer's
-        start to the last timed frame, None where the system does not tell (anything but Linux).
+        peak_mib, settings: {label: {plan, views: {view: {rays_per_pixel, rays_ms, radiance_ms, frame_ms,
+        radiance_over_rays, frame_over_rays, frames_per_s, error_mk, optics_error_mk}}}}}}. rays_ms is casting all rays
+        of the frame and nothing else. Times are medians; a ratio is given as its quartiles, the median in the middle.
+        peak_mib is the most memory the process held from the first renderer's start to the last timed frame, None
+        where the system does not tell (anything but Linux).
 
     Raises
     ------
@@ -82,7 +83,7 @@ def rows(result):
     """Return a result of `bench` as rows of text under `HEADER`."""
     return [
         (
-            name, view, label, f"{seen['rays_ms']:.1f}", f"{seen['radiance_ms']:.1f}",
+            name, view, label, f"{seen['rays_per_pixel']:.2f}", f"{seen['rays_ms']:.1f}", f"{seen['radiance_ms']:.1f}",
             f"{seen['radiance_over_rays'][1]:.2f}", f"{seen['frame_ms']:.1f}", f"{seen['frame_over_rays'][1]:.2f}",
             f"{seen['frames_per_s']:.1f}", f"{seen['error_mk']:.1f}", f"{seen['optics_error_mk']:.1f}",
         )
@@ -149,7 +150,9 @@ def _times(renderer, place, repeats):
         frame = renderer.frame(place)
         return frame.counts, frame.display
 
-    jobs = (lambda: renderer.cast_only(place), lambda: renderer.radiance(place), sensor)
+    rays = renderer.rays(place)
+    per_pixel = sum(len(x) for x, _ in rays) / (renderer.scene.camera.width * renderer.scene.camera.height)
+    jobs = (lambda: renderer.cast_only(place, rays), lambda: renderer.radiance(place), sensor)
     seconds = np.empty((repeats, len(jobs)))
     # The first two turns compile kernels and are not counted.
     for turn in range(-2, repeats):
@@ -158,10 +161,11 @@ def _times(renderer, place, repeats):
             job()
             if turn >= 0:
                 seconds[turn, number] = time.perf_counter() - start
-    rays, radiance, frame = np.median(seconds, axis=0)
+    casting, radiance, frame = np.median(seconds, axis=0)
     quartiles = np.percentile(seconds[:, 1:] / seconds[:, :1], (25, 50, 75), axis=0)
     return {
-        "rays_ms": 1e3 * float(rays),
+        "rays_per_pixel": per_pixel,
+        "rays_ms": 1e3 * float(casting),
         "radiance_ms": 1e3 * float(radiance),
         "frame_ms": 1e3 * float(frame),
         "radiance_over_rays": quartiles[:, 0].tolist(),
