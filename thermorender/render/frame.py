@@ -23,6 +23,7 @@ from thermorender.render.sampling import (
     UNSEEN,
     CameraRays,
     contrast,
+    edge_bound,
     edge_error,
     edge_step,
     places,
@@ -208,9 +209,9 @@ class Renderer:
         if span is None:
             # Nothing was asked about edges: any contrast may be one.
             span = step = contrast(radiance)
-        edges = edge_error(step, plan.samples).ravel()
+        edges = edge_bound(step, plan.samples).ravel()
         for pixels, left, count in refined:
-            edges[pixels] = edge_error(left, count)
+            edges[pixels] = edge_bound(left, count)
         texture = texture_error(span - step, plan.samples * plan.taps)
         light = self.bake_mk
         parts = {

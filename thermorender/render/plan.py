@@ -17,7 +17,7 @@ from thermorender.physics.planck import band_radiance_derivative, brightness_tem
 from thermorender.render.sampling import PATTERNS, STAGES
 
 # Rays per pixel, texture places per ray, and the error from which on an edge pixel gets more rays [mK].
-QUALITIES = {"fast": (1, 2, 500.0), "standard": (1, 4, 150.0), "high": (4, 4, 30.0)}
+QUALITIES = {"fast": (1, 2, 500.0), "standard": (1, 4, 140.0), "high": (4, 4, 25.0)}
 MOST_NODES = 64
 # How much the light's colour (ln of warm over cold Planck spectra) counts beside reflectance; found on the shipped
 # scenes, where 0.03 … 0.3 need about as many nodes.

@@ -20,9 +20,9 @@ _CELLS = {1: (1, 1), 2: (1, 2), 4: (2, 2), 8: (2, 4), 16: (4, 4)}
 STAGES = (16, 64)
 # Second difference of inverse depth, over inverse depth, from which on a pixel surely shows an edge.
 _SURE_EDGE = 0.02
-# Error of the mean of n evenly spread rays over an edge: this share of the step, times n^−0.8. On heath 0.06,
-# 0.016 and 0.004 are left at 4, 16 and 64 rays, round its hottest objects 0.13, 0.045 and 0.0135.
-_EDGE_ERROR = 0.3
+# Error of the mean of n evenly spread rays over an edge: this share of the step, over n. On heath 0.06, 0.016 and 0.004
+# are left at 4, 16 and 64 rays, round its hottest objects 0.13, 0.045 and 0.0135: the bound, times n^−0.8.
+_EDGE_ERROR, _EDGE_BOUND = 0.25, 0.3
 # Error of the mean of n places over texture: this share of the contrast with the neighbours, times n^−0.8. Above what
 # heath and ridge show away from edges: 0.015–0.035, 0.011–0.019, 0.005–0.010 and 0.002–0.004 at 1, 2, 4 and 16 places.
 _TEXTURE_ERROR = 0.04
@@ -153,8 +153,13 @@ def contrast(radiance):
 
 
 def edge_error(step, count):
-    """Return the error of the mean of `count` rays over a pixel in which radiance differs by `step`."""
-    return _EDGE_ERROR * count**-0.8 * step
+    """Return the usual error of the mean of `count` rays over a pixel in which radiance differs by `step`."""
+    return _EDGE_ERROR * step / count
+
+
+def edge_bound(step, count):
+    """Return the error of the mean of `count` rays over a pixel whose step is one sharp edge."""
+    return _EDGE_BOUND * count**-0.8 * step
 
 
 def texture_error(span, count):

@@ -11,7 +11,6 @@ from thermorender.sensor.optics import detector_irradiance, radiance_from_irradi
 from thermorender.units import ZERO_CELSIUS_K
 
 NETD_REFERENCE_K = 300.0
-_NOISE_BANDS = 4
 
 
 def noise_irradiance(camera):
@@ -27,22 +26,10 @@ def noise_irradiance(camera):
 def noise(camera, seed, index):
     """Return one frame's temporal noise, (H, W) float32, in standard deviations.
 
-    It depends on `seed` and the frame's `index` only: counter-based Philox, no state between frames. Bands of rows
-    have counters of their own, so that threads can share the work and the bytes do not depend on how many there are.
+    It depends on `seed` and the frame's `index` only: counter-based Philox, no state between frames.
     """
-    from concurrent.futures import ThreadPoolExecutor
-
-    values = np.empty((camera.height, camera.width), dtype=np.float32)
-    bands = np.array_split(values, _NOISE_BANDS)
-
-    def fill(number):
-        key, counter = np.array([seed, index], dtype=np.uint64), np.array([0, 0, 0, number], dtype=np.uint64)
-        generator = np.random.Generator(np.random.Philox(key=key, counter=counter))
-        generator.standard_normal(out=bands[number], dtype=np.float32)
-
-    with ThreadPoolExecutor(_NOISE_BANDS) as pool:
-        list(pool.map(fill, range(_NOISE_BANDS)))
-    return values
+    generator = np.random.Generator(np.random.Philox(key=np.array([seed, index], dtype=np.uint64)))
+    return generator.standard_normal((camera.height, camera.width), dtype=np.float32)
 
 
 def counts(radiance, camera, seed, index):
