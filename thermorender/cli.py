@@ -285,6 +285,7 @@ def compare(
 def bench(
     scenes: Annotated[list[str] | None, typer.Argument(help="Scenes; default: heath.")] = None,
     triangles: Annotated[int | None, typer.Option(help="Adds a synthetic terrain of so many triangles.")] = None,
+    texels: Annotated[int | None, typer.Option(help="Texels along each side of it; two per cell where absent.")] = None,
     repeats: Annotated[int, typer.Option(help="Turns of each measurement.")] = 15,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="JSON file for the result.")] = None,
     device: Device = "auto",
@@ -294,7 +295,8 @@ def bench(
     from thermorender.validate import bench as run
 
     with _progress() as tell:
-        result = run.bench(scenes or (() if triangles else ("heath",)), triangles, repeats, tell, device=device)
+        scenes = scenes or (() if triangles else ("heath",))
+        result = run.bench(scenes, triangles, texels, repeats, tell, device=device)
     _table(run.HEADER, run.rows(result))
     for line in run.costs(result):
         typer.echo(line)

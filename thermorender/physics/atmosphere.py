@@ -7,8 +7,8 @@ node Beer's law holds exactly, so transmittances of adjoining paths multiply, an
 it is invisible. Products are taken per node and summed over nodes last; a band average of transmittance is wrong
 to multiply with.
 
-The constants are fitted to LOWTRAN7 (`thermorender.weather.fit`). Fitted are paths of 100 m and more; shorter ones follow
-from the same terms, where LOWTRAN's own band model absorbs too much.
+The constants are fitted to LOWTRAN7 (`thermorender.weather.fit`). Fitted are paths of 100 m and more; shorter ones
+follow from the same terms, where LOWTRAN's own band model absorbs too much.
 """
 
 from dataclasses import dataclass, replace
