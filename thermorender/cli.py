@@ -20,6 +20,8 @@ app = typer.Typer(
 validate = typer.Typer(help="Hold the renderer against references.", no_args_is_help=True)
 app.add_typer(validate, name="validate")
 app.add_typer(materials, name="materials")
+train = typer.Typer(help="Train learned maps.", no_args_is_help=True)
+app.add_typer(train, name="train")
 
 SceneName = Annotated[str, typer.Argument(help="Scene folder, or the name of a shipped one: heath, village, ridge.")]
 Out = Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")]
@@ -334,6 +336,85 @@ def demo(
     typer.echo(f"look at {output / 'flight' / 'flight.mp4'} and at the pictures in {output / 'comparison'}")
 
 
+@train.command("emissivity")
+def train_emissivity(
+    scenes: Annotated[
+        list[str] | None,
+        typer.Argument(help="Scenes with orthophoto and class raster; default: procedural scenes of every kind."),
+    ] = None,
+    output: Annotated[Path, typer.Option("-o", "--output", help="File for the map, .npz.")] = Path("emissivity.npz"),
+    labels: Annotated[
+        Path | None, typer.Option(help="GeoJSON polygons with a property 'material', in place of one scene's classes.")
+    ] = None,
+    texel_m: Annotated[float | None, typer.Option(help="Ground sampling distance to train at [m].")] = None,
+    lights: Annotated[
+        int | None, typer.Option(help="Times each orthophoto is also seen in other light; default 0, procedural 2.")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of the training.")] = 0,
+):
+    """Train a map from colour and texture to materials."""
+    from thermorender.learned.emissivity import save_map
+    from thermorender.scene.material_training import train_on
+
+    with _progress() as tell:
+        model, confusion = train_on(scenes or (), labels, output.stem, texel_m, lights, seed, tell)
+        output.parent.mkdir(parents=True, exist_ok=True)
+        save_map(model, output)
+    typer.echo(str(model))
+    rows = [
+        (name, str(row.sum()), f"{row[k] / row.sum():.1%}" if row.sum() else "not tested")
+        for k, (name, row) in enumerate(zip(model.materials, confusion, strict=True))
+    ]
+    _table(("material", "texels held out", "right"), rows)
+    typer.echo(str(output))
+
+
+@app.command("map-materials")
+def map_materials(
+    scene: SceneName,
+    output: Out,
+    model: Annotated[str, typer.Option(help="Emissivity map: a file, or procedural.")] = "procedural",
+    fallback: Annotated[str, typer.Option(help="Material that stands in for unknown texels.")] = "soil_loam",
+    confidence: Annotated[
+        float | None, typer.Option(help="A texel whose best material is less probable is unknown.")
+    ] = None,
+    without: Annotated[str, typer.Option(help="Comma-separated materials known not to occur.")] = "",
+):
+    """Write the materials a learned map sees in a scene's orthophoto, to inspect and correct by hand."""
+    from thermorender import products as files
+    from thermorender.scene.load import scene_folder
+    from thermorender.scene.material_map import write_map
+
+    with _progress() as tell, files.output_folder(output) as folder:
+        written, shares = write_map(
+            scene_folder(scene), folder, model, fallback, confidence, _split(without),
+            lambda share: tell("mapping the materials", share),
+        )  # fmt: skip
+    _table(("material", "share"), [(name, f"{share:.1%}") for name, share in shares.items()])
+    for path in written.values():
+        typer.echo(str(path))
+
+
+@validate.command("emissivity")
+def validate_emissivity(
+    output: Out = Path("out/validation"),
+    model: Annotated[str, typer.Option(help="Emissivity map: a file, or procedural.")] = "procedural",
+    seeds: Annotated[str, typer.Option(help="Comma-separated seeds of procedural scenes not trained on.")] = "201,202",
+):
+    """Errors of a learned emissivity map on procedural scenes, beside simpler ways."""
+    from thermorender import products as files
+    from thermorender.validate import emissivity as run
+
+    if not all(part.isdigit() for part in _split(seeds)) or not _split(seeds):
+        raise ThermorenderError(f"--seeds={seeds!r} is not allowed; give whole numbers such as 201,202")
+    with _progress() as tell, files.output_folder(output) as folder:
+        result = run.hold(model, [int(part) for part in _split(seeds)], tell=tell)
+        files.write_json(folder / "emissivity.json", result)
+        run.write_confusion(result, folder / "emissivity_confusion.csv")
+    _table(run.HEADER, run.rows(result))
+    typer.echo(f"numbers and confusion table in {output}")
+
+
 # What typer raises for a wrong command line: its own copy of click's exception, or click's, by version.
 UsageError = typer.BadParameter.__base__
 
@@ -375,6 +456,12 @@ def _scene(name, temperature, range_c):
         typer.echo(
             f"{model}: {report['share_outside_0_1']:.1%} of the intensities lie outside 0…1, "
             f"{report['share_fallback']:.1%} of the texels fall back to their material's temperature"
+        )
+    told = loaded.emissivity_report
+    if told:
+        typer.echo(
+            f"{told['model']}: {told['share_unknown']:.1%} of the texels are of unknown material and taken for "
+            f"{told['fallback']}"
         )
     return loaded
 

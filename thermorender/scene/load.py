@@ -105,7 +105,7 @@ class Scene:
         """Callable (east, north) → local height of the terrain [m], NaN off it."""
         return Ground(self.surfaces[: self.terrain_count])
 
-    @property
+    @cached_property
     def targets(self):
         """{name: (3,) local position of its middle [m]} of the objects that stand still."""
         found = {}
@@ -382,7 +382,7 @@ def _learned_map(spec, materials, colour, valid, texel_m, report):
     if not valid.all():
         colour = fill(colour, nearest_valid(valid))
     number, used, unknown, told = learned_materials(
-        spec.emissivity, materials.library, colour, texel_m, materials.camera.band_um, materials.where
+        spec.emissivity, materials.library, colour, valid, texel_m, materials.camera.band_um, materials.where
     )
     report.update(told)
     return np.array([materials.add(material) for material in used], dtype=np.uint8)[number], unknown
@@ -397,8 +397,8 @@ def _single_material(source, materials):
 def _mesh_terrain(spec, materials):
     if spec.emissivity.source in ("classes", "learned"):
         raise ThermorenderError(
-            f"{materials.where}: emissivity.source={spec.emissivity.source!r} needs an elevation raster; give 'constant' "
-            "or 'material'"
+            f"{materials.where}: emissivity.source={spec.emissivity.source!r} needs an elevation raster; give "
+            "'constant' or 'material'"
         )
     index = _single_material(spec.emissivity, materials)
     surfaces = [_part_surface(part, index, np.nan) for part in mesh.load(spec.terrain.mesh)]

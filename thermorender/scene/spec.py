@@ -59,6 +59,7 @@ class EmissivitySpec:
     model: str | None = None
     fallback: str | None = None
     confidence: float = DEFAULT_CONFIDENCE
+    without: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -180,6 +181,11 @@ class _Reader:
             return load_model(self.text(value, where)).name
         except ThermorenderError as error:
             raise ThermorenderError(f"{self.path}: {where}: {error}") from None
+
+    def texts(self, value, where):
+        if not isinstance(value, list):
+            self.fail(where, value, "a list of texts")
+        return tuple(self.text(item, where) for item in value)
 
     def emissivity_map(self, value, where):
         from thermorender.learned.emissivity import SHIPPED
@@ -326,6 +332,7 @@ class _Reader:
             "model": (self.emissivity_map, None),
             "fallback": (self.text, None),
             "confidence": (self.share, DEFAULT_CONFIDENCE),
+            "without": (self.texts, ()),
         }
         values = self.table(raw, "emissivity", keys)
         source = values["source"]

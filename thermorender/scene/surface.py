@@ -13,6 +13,7 @@ FILLED = 2  # no colour or material is known here; the nearest valid texel stand
 FALLBACK = 4  # no temperature could be had here: the nearest one, or the material's own where a learned map fails
 SATURATED = 8  # the sensor's range is exceeded
 BEYOND = 16  # no surface is hit but the ray points below the horizon: the surroundings beyond the terrain
+UNKNOWN = 32  # a learned emissivity map does not know this material: the scene's fallback stands in
 
 
 @dataclass(frozen=True)

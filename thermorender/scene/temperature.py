@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from thermorender.errors import ThermorenderError
+from thermorender.scene.mixture import Mixture
 from thermorender.scene.raster import grid_of, onto, read_band
 from thermorender.scene.surface import FALLBACK, fill, nearest_valid, scene_kelvin
 from thermorender.units import ZERO_CELSIUS_K
@@ -79,14 +80,21 @@ def _raster(spec, texels):
 
 
 def _material(spec, texels):
-    known = [material.name for material in texels.materials]
+    pure = [part for material in texels.materials for part, _ in getattr(material, "parts", ((material, 1.0),))]
+    known = list(dict.fromkeys(material.name for material in pure))
     for name in spec.materials:
         if name not in known:
             raise ThermorenderError(
                 f"{texels.where}: temperature.materials.{name} is not a material of this scene; "
                 f"it has {', '.join(known)}"
             )
-    values = np.array([spec.materials.get(material.name, material.temperature) for material in texels.materials])
+
+    def own(material):
+        if isinstance(material, Mixture):
+            return sum(share * own(part) for part, share in material.parts)
+        return spec.materials.get(material.name, material.temperature)
+
+    values = np.array([own(material) for material in texels.materials])
     return values[texels.material], np.zeros(texels.material.shape, np.uint8)
 
 

@@ -1,0 +1,568 @@
+"""Materials from RGB: features, the network's arithmetic, tiles, unknown texels, palettes, training, scenes, files."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+
+import thermorender as tr
+from scenes import write_mesh, write_raster, write_terrain
+from thermorender.errors import ThermorenderError
+from thermorender.learned import emissivity as learned
+from thermorender.learned.emissivity import EmissivityMap, load_map, map_materials, save_map
+from thermorender.learned.emissivity_features import NAMES, NEAR, features, lab
+from thermorender.learned.emissivity_training import Labelled, train
+from thermorender.physics.planck import band_radiance, brightness_temperature
+from thermorender.scene.material_map import UNKNOWN_CLASS, write_map
+from thermorender.scene.material_training import labelled_scene, train_on
+from thermorender.scene.materials import grey, load_library
+from thermorender.scene.mixture import Mixture, mix, palette
+from thermorender.scene.surface import FILLED, UNKNOWN
+from thermorender.scene.synthetic import make
+from thermorender.validate import emissivity as validation
+
+# Three materials in stripes: mean colour and noise of each.
+STRIPES = {
+    "grass_green": ((70, 110, 50), 14.0),
+    "asphalt": ((105, 104, 102), 3.0),
+    "sand_quartz": ((200, 180, 140), 6.0),
+}
+PATCH = (slice(50, 78), slice(150, 178))  # of the scene: in the middle stripe
+SMALL = {"village": (110.0, 0.25, 0.5)}
+
+
+def striped(seed, rows=96, columns=144):
+    """(rgb, number 1…3) of a picture with a stripe of each material."""
+    generator = np.random.default_rng(seed)
+    number = np.repeat(np.arange(1, 4, dtype=np.uint8), columns // 3)[None].repeat(rows, axis=0)
+    rgb = np.empty((rows, columns, 3))
+    for value, (colour, noise) in enumerate(STRIPES.values(), 1):
+        here = number == value
+        rgb[here] = np.array(colour) + noise * generator.standard_normal((here.sum(), 1))
+    return np.clip(rgb, 0, 255).astype(np.uint8), number
+
+
+@pytest.fixture(scope="module")
+def model():
+    names = dict(enumerate(STRIPES, 1))
+    pictures = [Labelled(*striped(seed), names, 0.5, f"stripes {seed}") for seed in (1, 2)]
+    return train(pictures, 0.5, "stripes", seed=3)[0]
+
+
+@pytest.fixture
+def scene(tmp_path, model):
+    """Folder of a striped scene with a magenta patch, its materials learned."""
+    rgb, number = striped(7, 128, 288)
+    rgb[PATCH] = (255, 0, 255)
+    folder = write_terrain(tmp_path / "stripes", np.zeros((64, 144)), classes=number, colour=rgb)
+    save_map(model, folder / "own.npz")
+    learned_source(folder)
+    return folder
+
+
+def learned_source(folder, text='model = "own.npz"\nfallback = "granite"\n'):
+    whole = (folder / "scene.toml").read_text(encoding="utf-8")
+    start, end = whole.index("[emissivity]"), whole.index("[sky]")
+    (folder / "scene.toml").write_text(f'{whole[:start]}[emissivity]\nsource = "learned"\n{text}{whole[end:]}', "utf-8")
+
+
+def test_lab_is_that_of_the_tables():
+    # Lindbloom's calculator, sRGB with its own D65 white: red, green, blue, white, black.
+    bytes_ = np.array([[255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 255], [0, 0, 0]], np.uint8)
+    published = [[53.24, 80.09, 67.20], [87.73, -86.18, 83.18], [32.30, 79.19, -107.86], [100, 0, 0], [0, 0, 0]]
+    # Its white is (0.9505, 1, 1.0888), of more digits here.
+    assert lab(bytes_) == pytest.approx(np.array(published), abs=0.06)
+
+
+def test_features_tell_texture_and_direction():
+    generator = np.random.default_rng(0)
+    flat = np.full((96, 96, 3), 120, np.uint8)
+    rough = np.clip(120 + 20 * generator.standard_normal((96, 96, 1)), 0, 255).astype(np.uint8).repeat(3, axis=2)
+    furrows = (120 + 30 * np.sin(np.arange(96) * 1.2)).astype(np.uint8)[None, :, None].repeat(96, 0).repeat(3, 2)
+    of = {name: {key: features(image)[48, 48, NAMES.index(key)] for key in ("L spread 4", "steepness", "one way")}
+          for name, image in (("flat", flat), ("rough", rough), ("furrows", furrows))}  # fmt: skip
+    assert of["flat"]["L spread 4"] == pytest.approx(0.0, abs=1e-2) and of["flat"]["steepness"] < 1e-3
+    # 20 bytes of noise are 8 of lightness at this grey: d L*/d byte = 0.40.
+    assert np.expm1(of["rough"]["L spread 4"]) == pytest.approx(8.0, rel=0.15)
+    assert of["furrows"]["one way"] > 0.9 > 0.4 > of["rough"]["one way"]
+
+
+def test_probabilities_are_those_of_scikit_learn():
+    from sklearn.neural_network import MLPClassifier
+
+    generator = np.random.default_rng(1)
+    x = generator.normal(size=(400, len(NAMES)))
+    y = (x[:, 0] + x[:, 1] ** 2 > 1).astype(int) + (x[:, 2] > 0.5)
+    mean, scale = np.float32(x.mean(axis=0)), np.float32(x.std(axis=0))
+    network = MLPClassifier((7, 5), max_iter=60, tol=1.0, n_iter_no_change=60, random_state=0)
+    with pytest.warns(match="Maximum iterations"):
+        network.fit((x - mean) / scale, y)
+    layers = tuple(map(tuple, zip(network.coefs_, network.intercepts_, strict=True)))
+    centres = generator.normal(size=(9, len(NEAR)))
+    own = EmissivityMap("own", ("a", "b", "c"), 0.5, mean, scale, layers, centres, 2.0, {})
+    found, strangeness = own.probabilities(x)
+    assert found == pytest.approx(network.predict_proba((x - mean) / scale), abs=1e-6)
+    away = np.linalg.norm(((x - mean) / scale)[:, None, NEAR] - centres, axis=-1).min(axis=1)
+    assert strangeness == pytest.approx(away / 2.0, rel=1e-4)
+
+
+def test_two_materials_are_trained_as_well():
+    rgb, number = striped(1)
+    number[number == 3] = 0
+    two, confusion = train([Labelled(rgb, number, {1: "grass_green", 2: "asphalt"}, 0.5, "x")], 0.5, "two")
+    assert two.layers[-1][1].shape == (2,)
+    assert np.trace(confusion) / confusion.sum() > 0.98
+    mapped = map_materials(two, rgb, 0.5)
+    assert (mapped.index[:, :40, 0] == two.materials.index("grass_green")).mean() > 0.97
+    assert mapped.share[..., 2].max() == 0.0
+
+
+def test_unseen_picture_is_mapped_right(model):
+    rgb, number = striped(11)
+    mapped = map_materials(model, rgb, 0.5)
+    named = np.array(model.materials)[mapped.index[..., 0]]
+    assert (named == np.array(["", *STRIPES])[number]).mean() > 0.97
+    assert mapped.share.sum(axis=-1) == pytest.approx(np.ones(rgb.shape[:2]), abs=1e-5)
+    assert (np.diff(mapped.share, axis=-1) <= 0.0).all()
+    assert model.about["held_out_accuracy"] > 0.95 and "stripes 1; stripes 2" == model.about["trained_on"]
+
+
+def test_same_seed_same_map():
+    names = dict(enumerate(STRIPES, 1))
+    picture = Labelled(*striped(1), names, 0.5, "stripes")
+    one, two, other = (train([picture], 0.5, "m", lights=1, seed=seed)[0] for seed in (0, 0, 1))
+    assert all((a == b).all() for a, b in zip(one.layers[0], two.layers[0], strict=True))
+    assert (one.layers[0][0] != other.layers[0][0]).any()
+
+
+@pytest.mark.parametrize("axes", [(0, 1, 2), (1, 0, 2)])
+def test_tiles_leave_no_seams(model, monkeypatch, axes):
+    # A trained map is sure of these stripes whatever the wide windows say; one at random heeds every feature.
+    generator = np.random.default_rng(0)
+    heedful = replace(
+        model, layers=((np.float32(generator.normal(0.0, 0.3, (len(NAMES), 3))), np.zeros(3, np.float32)),)
+    )
+    # Stripes meet 12 texels before one tile ends, and 24 before the end of the next.
+    rgb = striped(5, 40, 732)[0].transpose(axes)
+    monkeypatch.setattr(learned, "_TILE_TEXELS", 256)
+    found = np.empty((3, *rgb.shape[:2]))
+
+    def keep(rows, columns, probabilities):
+        found[:, rows, columns] = probabilities
+
+    mapped = map_materials(heedful, rgb, 0.5, keep=keep)
+    whole, strangeness = heedful.probabilities(features(rgb).reshape(-1, len(NAMES)))
+    assert found.reshape(3, -1).T == pytest.approx(whole, abs=2e-4)
+    best = np.where(strangeness <= 1.0, whole.max(axis=-1), 0.0).reshape(rgb.shape[:2])
+    # A texel beside the threshold of strangeness may fall to either side of it.
+    assert (np.abs(mapped.confidence - best) > 2e-3).mean() < 1e-4
+
+
+@pytest.mark.parametrize("factor", [2, 5])
+def test_a_finer_orthophoto_is_brought_to_the_map_s_own_grid(model, factor):
+    rgb, number = striped(11)
+    fine = rgb.repeat(factor, axis=0).repeat(factor, axis=1)
+    coarse = map_materials(model, rgb, 0.5)
+    mapped = map_materials(model, fine, 0.5 / factor)
+    assert mapped.confidence.shape == fine.shape[:2]
+    middle = slice(factor // 2, None, factor)
+    same = mapped.index[middle, middle, 0] == coarse.index[..., 0]
+    assert same.mean() > 0.97
+    if factor % 2:  # at the middle of a texel nothing is interpolated
+        assert mapped.confidence[middle, middle] == pytest.approx(coarse.confidence, abs=2e-2)
+
+
+def test_too_coarse_an_orthophoto_is_refused(model):
+    with pytest.raises(ThermorenderError, match="texels of 6 m, but emissivity map 'stripes' was trained at 0.5 m"):
+        map_materials(model, np.zeros((8, 8, 3), np.uint8), 6.0)
+
+
+def test_what_was_never_seen_is_unknown(model):
+    rgb, _ = striped(11)
+    rgb[30:60, 60:90] = (255, 0, 255)
+    confidence = map_materials(model, rgb, 0.5).confidence
+    assert (confidence[34:56, 64:86] == 0.0).all()
+    assert (confidence[:, :30] > 0.35).mean() > 0.97
+
+
+def test_materials_known_not_to_occur_are_left_out(model):
+    rgb, _ = striped(11)
+    described = features(rgb).reshape(-1, len(NAMES))
+    fewer = model.without(["asphalt"])
+    kept = [k for k, name in enumerate(model.materials) if name != "asphalt"]
+    whole, part = model.probabilities(described)[0].astype(float), fewer.probabilities(described)[0]
+    sure = whole[:, kept].sum(axis=-1) > 1e-3
+    assert part[sure] == pytest.approx((whole[:, kept] / whole[:, kept].sum(axis=-1, keepdims=True))[sure], abs=1e-3)
+    with pytest.raises(ThermorenderError, match="knows no 'snow' to leave out; it tells apart"):
+        model.without(["snow"])
+    with pytest.raises(ThermorenderError, match="has 1 materials left without asphalt, sand_quartz; leave it two"):
+        model.without(["asphalt", "sand_quartz"])
+
+
+def test_a_map_is_read_as_it_was_written(model, tmp_path):
+    save_map(model, tmp_path / "m.npz")
+    again = load_map(tmp_path / "m.npz")
+    rgb, _ = striped(4)
+    assert (map_materials(again, rgb, 0.5).share == map_materials(model, rgb, 0.5).share).all()
+    assert (again.materials, again.about, again.texel_m) == (model.materials, model.about, model.texel_m)
+    assert "RGB → 3 materials at 0.5 m" in str(again)
+
+
+@pytest.mark.parametrize("damage", ["cut", "pickle", "text", "shape", "nan"])
+def test_a_file_that_is_no_map_is_refused(model, tmp_path, damage):
+    path = tmp_path / "m.npz"
+    save_map(model, path)
+    if damage == "cut":
+        path.write_bytes(path.read_bytes()[:-400])
+    elif damage == "pickle":
+        np.savez(path, head=np.array({"format": 1}, dtype=object))
+    elif damage == "text":
+        path.write_text("hello")
+    elif damage == "shape":
+        save_map(replace(model, materials=("grass_green",)), path)
+    else:
+        save_map(replace(model, mean=model.mean * np.float32(np.nan)), path)
+    with pytest.raises(ThermorenderError, match=r"m\.npz is no emissivity map \(.+\); make one with"):
+        load_map(path)
+
+
+def test_a_missing_map_names_the_shipped_one():
+    with pytest.raises(ThermorenderError, match="map 'nowhere.npz' does not exist; give a file .* procedural"):
+        load_map("nowhere.npz")
+
+
+def test_a_mix_is_the_mean_of_its_parts():
+    library = load_library()
+    parts = [(library["sand_quartz"], 0.25), (library["snow"], 0.75)]
+    mixed = mix(parts)
+    wavelength = np.linspace(7.5, 13.5, 777)
+    wanted = 0.25 * parts[0][0].emissivity_at(wavelength) + 0.75 * parts[1][0].emissivity_at(wavelength)
+    # Linear between the rows of both tables.
+    assert mixed.emissivity_at(wavelength) == pytest.approx(wanted, abs=1e-12)
+    assert mixed.name == "0.25 sand_quartz + 0.75 snow" and mix([(library["snow"], 1.0)]) is library["snow"]
+    with pytest.raises(ThermorenderError, match="was measured over"):
+        mixed.emissivity_at(200.0)
+
+
+def test_a_palette_keeps_the_emissivity_of_every_mix():
+    library = load_library()
+    own = [library[name] for name in ("sand_quartz", "snow", "paint_metallic", "grass_green")]
+    generator = np.random.default_rng(2)
+    share = np.sort(generator.dirichlet((0.6, 0.6, 0.6), (60, 80)), axis=-1)[..., ::-1]
+    index = np.argsort(generator.random((60, 80, 4)), axis=-1)[..., :3].astype(np.uint8)
+    index[0, 0], share[0, 0] = (3, 0, 1), (1.0, 0.0, 0.0)
+    for most in (200, 30):
+        number, made, error = palette(index, share, own, (7.5, 13.5), most)
+        assert len(made) <= most and number.max() < len(made)
+        spectrum = np.linspace(7.5, 13.5, 48)
+        mean = np.array([material.emissivity_at(spectrum).mean() for material in own])
+        got = np.array([material.emissivity_at(spectrum).mean() for material in made])[number]
+        change = np.abs(got - (share * mean[index]).sum(axis=-1))
+        assert error["largest"] == pytest.approx(change.max(), abs=1e-9)
+        assert error["mean"] == pytest.approx(change.mean(), abs=1e-9)
+        if most == 200:
+            assert made[number[0, 0]] is own[3]
+            # Half an eighth of each of two shares, between materials no further apart than these.
+            assert error["largest"] < 0.125 * np.ptp(mean) and error["mean"] < 0.02
+    one_way, other_way = np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1, 3), np.uint8)
+    one_way[..., :2], other_way[..., :2] = (0, 1), (1, 0)
+    half = np.array([[[0.5, 0.5, 0.0]]])
+    both = palette(np.hstack([one_way, other_way]), half.repeat(2, axis=1), own, (7.5, 13.5), 200)
+    assert len(both[1]) == 1
+
+
+def test_a_scene_takes_its_materials_from_its_orthophoto(scene):
+    loaded = tr.load_scene(scene)
+    surface, names = loaded.surfaces[0], [material.name for material in loaded.materials]
+    found = np.array(names)[surface.material]
+    assert (found[:, :80] == "grass_green").mean() > 0.9
+    assert (found[:, 106:130] == "asphalt").mean() > 0.9
+    assert (found[:, 200:] == "sand_quartz").mean() > 0.9
+    unknown = (surface.flags & UNKNOWN) > 0
+    assert unknown[PATCH].all() and (found[unknown] == "granite").all()
+    assert unknown[:, :80].mean() < 0.02
+    assert loaded.emissivity_report["share_unknown"] == pytest.approx(unknown.mean())
+    assert "unknown and taken for granite" in str(loaded)
+
+
+def test_confidence_and_without_are_heeded(scene):
+    learned_source(scene, 'model = "own.npz"\nfallback = "granite"\nconfidence = 1.0\n')
+    strict = tr.load_scene(scene).emissivity_report["share_unknown"]
+    learned_source(scene, 'model = "own.npz"\nfallback = "granite"\nconfidence = 0.01\nwithout = ["asphalt"]\n')
+    loose = tr.load_scene(scene)
+    assert strict > 2.0 * loose.emissivity_report["share_unknown"]
+    assert not any("asphalt" in material.name for material in loose.materials)
+
+
+def test_what_cannot_be_told_apart_is_mixed(scene):
+    # Of the sand's texels, as many as one in four are called asphalt: by colour nobody can say which.
+    rgb, number = striped(1)
+    number[(number == 3) & (np.random.default_rng(0).random(number.shape) < 0.25)] = 2
+    save_map(train([Labelled(rgb, number, dict(enumerate(STRIPES, 1)), 0.5, "x")], 0.5, "x")[0], scene / "own.npz")
+    text = (scene / "scene.toml").read_text(encoding="utf-8")
+    table = "[temperature.materials]\nasphalt = 320.0\ngrass_green = 290.0\nsand_quartz = 300.0"
+    text = text.replace('source = "raster"\nraster = "temperature.tif"', f'source = "material"\n{table}', 1)
+    (scene / "scene.toml").write_text(text, encoding="utf-8")
+    loaded = tr.load_scene(scene)
+    kelvin = {"asphalt": 320.0, "grass_green": 290.0, "sand_quartz": 300.0}
+    surface = loaded.surfaces[0]
+    asphalt = np.zeros(len(loaded.materials))
+    for number, material in enumerate(loaded.materials):
+        here = surface.material == number
+        if isinstance(material, Mixture) and here.any():
+            shares = {part.name: share for part, share in material.parts}
+            assert sum(shares.values()) == 1.0
+            wanted = sum(share * kelvin[name] for name, share in shares.items())
+            assert surface.temperature[here] == pytest.approx(np.full(here.sum(), wanted), abs=1e-3)
+            asphalt[number] = shares.get("asphalt", 0.0)
+    # Rare materials are drawn more often than their area, by its square root.
+    share = asphalt[surface.material[:, 220:260]].mean()
+    assert share == pytest.approx(0.25, abs=0.12)
+    assert f"and {sum(isinstance(m, Mixture) for m in loaded.materials)} mixes of them" in str(loaded)
+
+
+def test_unknown_texels_show_in_the_truth_of_a_frame(scene):
+    loaded = tr.load_scene(scene)
+    frame = tr.Renderer(loaded, "fast", rays=4).frame(straight_down(60.0))
+    mask, material = frame.truth["mask"], frame.truth["material"]
+    unknown = (mask & UNKNOWN) > 0
+    assert 0.005 < unknown.mean() < 0.3
+    names = np.array([material.name for material in loaded.materials])
+    assert (names[material[unknown]] == "granite").all()
+
+
+def straight_down(up):
+    pose = np.eye(4)
+    pose[:3, :3] = np.diag([1.0, -1.0, -1.0])
+    pose[2, 3] = up
+    return pose
+
+
+def test_empty_borders_stay_filled_and_are_not_counted_unknown(scene):
+    rgb, _ = striped(7, 128, 288)
+    rgb[:, 240:] = 0
+    write_raster(scene / "orthophoto.tif", np.moveaxis(rgb, -1, 0), 0.5, photometric="RGB")
+    loaded = tr.load_scene(scene)
+    flags = loaded.surfaces[0].flags
+    assert ((flags[:, 240:] & FILLED) > 0).all() and not (flags[:, 240:] & UNKNOWN).any()
+    assert loaded.emissivity_report["share_unknown"] == pytest.approx((flags[:, :240] & UNKNOWN > 0).mean())
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('model = "own.npz"\n', "emissivity.fallback is missing; source='learned' needs it"),
+        ('fallback = "granite"\n', "emissivity.model is missing; source='learned' needs it"),
+        ('model = "lost.npz"\nfallback = "granite"\n', "emissivity.model='lost.npz' does not exist"),
+        ('model = "scene.toml"\nfallback = "granite"\n', "scene.toml is no emissivity map"),
+        ('model = "own.npz"\nfallback = "granit"\n', "fallback uses material 'granit'.* closest are granite"),
+        ('model = "own.npz"\nfallback = "granite"\nconfidence = 1.5\n', "emissivity.confidence=1.5 is not allowed"),
+        ('model = "own.npz"\nfallback = "granite"\nwithout = "snow"\n', "without='snow' is not allowed; give a list"),
+        ('model = "own.npz"\nfallback = "granite"\nwithout = ["snow"]\n', "knows no 'snow' to leave out"),
+    ],
+)  # fmt: skip
+def test_scene_files_that_cannot_be_used(scene, text, words):
+    learned_source(scene, text)
+    with pytest.raises(ThermorenderError, match=words):
+        tr.load_scene(scene)
+
+
+def test_learned_materials_need_an_orthophoto(scene, tmp_path):
+    text = (scene / "scene.toml").read_text(encoding="utf-8")
+    (scene / "scene.toml").write_text(text.replace('orthophoto = "orthophoto.tif"\n', ""), encoding="utf-8")
+    with pytest.raises(ThermorenderError, match="emissivity.source='learned' reads materials from an orthophoto"):
+        tr.load_scene(scene)
+    with pytest.raises(ThermorenderError, match="has no terrain.orthophoto beside terrain.elevation"):
+        labelled_scene(scene)
+    import trimesh
+
+    folder = write_mesh(tmp_path / "mesh", trimesh.creation.box())
+    learned_source(folder, 'model = "procedural"\nfallback = "granite"\n')
+    with pytest.raises(ThermorenderError, match="emissivity.source='learned' needs an elevation raster"):
+        tr.load_scene(folder)
+
+
+def test_map_materials_writes_what_a_scene_can_use(scene, tmp_path, model):
+    output = tmp_path / "out"
+    output.mkdir()
+    written, shares = write_map(scene, output, scene / "own.npz", "granite")
+    with rasterio.open(written["classes"]) as file:
+        classes, colours = file.read(1), file.colormap(1)
+    assert colours[UNKNOWN_CLASS][:3] == (255, 0, 255)
+    table = np.array([colours[k][:3] for k in range(1, 4)], np.uint8)
+    gaps = np.linalg.norm(lab(table)[:, None] - lab(table), axis=-1)[np.triu_indices(3, 1)]
+    assert gaps.min() > 18.0
+    assert (classes[PATCH] == UNKNOWN_CLASS).all()
+    named = np.array(["none", *model.materials])[np.where(classes == UNKNOWN_CLASS, 0, classes)]
+    assert (named[:, :80] == "grass_green").mean() > 0.97
+    assert sum(shares.values()) == pytest.approx(1.0) and shares["unknown"] == (classes == UNKNOWN_CLASS).mean()
+    with rasterio.open(written["probabilities"]) as file:
+        assert file.descriptions == model.materials
+        planes = file.read().astype(int)
+    assert (np.abs(planes.sum(axis=0) - 255) <= 2).all()
+    sure = (classes > 0) & (classes != UNKNOWN_CLASS)
+    assert (planes.argmax(axis=0) + 1 == classes)[sure].mean() > 0.999
+    with rasterio.open(written["confidence"]) as file:
+        assert (file.read(1)[PATCH] == 0).all()
+    assert written["materials"].stat().st_size > 5000
+    # What was written, put into the scene, gives the same materials.
+    text = (scene / "scene.toml").read_text(encoding="utf-8")
+    start, end = text.index("[emissivity]"), text.index("[sky]")
+    own = written["emissivity"].read_text(encoding="utf-8")
+    (scene / "classes.tif").write_bytes(written["classes"].read_bytes())
+    (scene / "scene.toml").write_text(text[:start] + own + text[end:], encoding="utf-8")
+    loaded = tr.load_scene(scene)
+    names = np.array([material.name for material in loaded.materials])[loaded.surfaces[0].material]
+    assert (names == np.array([*model.materials, "granite"])[np.where(sure, classes.astype(int) - 1, 3)]).all()
+    # Unknown texels are nothing to learn from.
+    assert (labelled_scene(scene).material[~sure] == 0).all()
+
+
+def polygons(path, shapes, crs="urn:ogc:def:crs:EPSG::32634", key="material"):
+    features_ = [
+        {"type": "Feature", "properties": {key: name},
+         "geometry": {"type": "Polygon", "coordinates": [[*map(list, ring), list(ring[0])]]}}
+        for name, ring in shapes
+    ]  # fmt: skip
+    content = {"type": "FeatureCollection", "features": features_}
+    if crs:
+        content["crs"] = {"type": "name", "properties": {"name": crs}}
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return path
+
+
+def boxes(offset=500000.0):
+    """A box in each stripe of the scene, in map coordinates; texels are 0.5 m, the corner lies at 5780000 north."""
+    ring = lambda left, right: [(offset + x, 5780000.0 - y) for x, y in  # noqa: E731
+                                ((left, 4), (right, 4), (right, 60), (left, 60))]  # fmt: skip
+    return [("grass_green", ring(2, 40)), ("asphalt", ring(52, 70)), ("sand_quartz", ring(100, 140))]
+
+
+def test_polygons_train_a_map(scene, tmp_path):
+    path = polygons(tmp_path / "ground.geojson", boxes())
+    labelled = labelled_scene(scene, path)
+    assert labelled.names == {1: "grass_green", 2: "asphalt", 3: "sand_quartz"}
+    # 38 m × 56 m and so on, in texels of 0.25 m².
+    assert np.bincount(labelled.material.ravel()).tolist()[1:] == [8512, 4032, 8960]
+    assert labelled.material[8, 4] == 1 and labelled.material[7, 4] == 0 and labelled.material[8, 3] == 0
+    model, confusion = train_on([scene], path, "ground")
+    assert np.trace(confusion) / confusion.sum() > 0.97 and "ground.geojson on stripes" in model.about["trained_on"]
+
+
+def test_polygons_in_longitude_and_latitude_land_in_the_same_place(scene, tmp_path):
+    from rasterio.warp import transform
+
+    there = [(name, list(zip(*transform("EPSG:32634", "OGC:CRS84", *zip(*ring, strict=True)), strict=True)))
+             for name, ring in boxes()]  # fmt: skip
+    degrees = labelled_scene(scene, polygons(tmp_path / "deg.geojson", there, crs=None))
+    metres = labelled_scene(scene, polygons(tmp_path / "m.geojson", boxes()))
+    assert (degrees.material != metres.material).mean() < 0.01
+
+
+@pytest.mark.parametrize(
+    ("make_file", "words"),
+    [
+        (lambda p: polygons(p, boxes(), key="class"), "feature 1 is no polygon with a property 'material'"),
+        (lambda p: polygons(p, boxes(100000.0)), "covers no texel of .*orthophoto.tif"),
+        (lambda p: polygons(p, [("gras_green", boxes()[0][1])]), "uses material 'gras_green'.* closest are grass"),
+        (lambda p: polygons(p, []), "names 0 materials; label polygons of 2…254 materials"),
+        (lambda p: polygons(p, boxes()[:1]), "two or more materials, but .* has those of grass_green only; label more"),
+        (lambda p: polygons(p, boxes(), crs="EPSG:nonsense"), "is no GeoJSON FeatureCollection"),
+        (lambda p: p.write_text("[1, 2"), "is no GeoJSON FeatureCollection"),
+        (lambda p: p.write_text('{"features": [{"geometry": 1, "properties": {"material": "snow"}}]}'), "feature 1 is"),
+        (lambda p: None, "labels.geojson cannot be read: No such file"),
+    ],
+)  # fmt: skip
+def test_labels_that_cannot_be_used(scene, tmp_path, make_file, words):
+    path = tmp_path / "labels.geojson"
+    make_file(path)
+    with pytest.raises(ThermorenderError, match=words):
+        train_on([scene], path)
+
+
+def test_training_settings_are_checked(scene, tmp_path):
+    with pytest.raises(ThermorenderError, match="belongs to one scene, but 0 are given"):
+        train_on([], tmp_path / "labels.geojson")
+    with pytest.raises(ThermorenderError, match="--texel-m=0 is not allowed"):
+        train_on([scene], None, texel_m=0.0)
+    with pytest.raises(ThermorenderError, match="--lights=-1 is not allowed"):
+        train_on([write_terrain(tmp_path / "classes")], lights=-1)
+    with pytest.raises(ThermorenderError, match=r"has no class raster to train on \(emissivity.source='learned'\)"):
+        train_on([scene])
+
+
+def test_a_class_raster_trains_a_map(tmp_path):
+    rgb, number = striped(3)
+    folder = write_terrain(tmp_path / "classes", np.zeros((48, 72)), classes=np.minimum(number, 2), colour=rgb)
+    model, confusion = train_on([folder], seed=1)
+    assert set(model.materials) == {"grass_green", "sand_quartz"} and model.texel_m == pytest.approx(0.5, rel=1e-2)
+    assert np.trace(confusion) / confusion.sum() > 0.9
+
+
+def test_the_shipped_map_is_small_and_labelled():
+    path = learned.SHIPPED["procedural"]
+    assert Path(path).stat().st_size <= 2_000_000
+    shipped = load_map("procedural")
+    assert set(shipped.materials) <= set(load_library())
+    assert shipped.name == "procedural" and "procedural village seed 101" in shipped.about["trained_on"]
+    assert shipped.texel_m == 0.5 and shipped.about["split"].startswith("one block of 12 m in 5")
+
+
+def test_the_shipped_map_beats_simpler_ways_on_unseen_land(monkeypatch):
+    monkeypatch.setattr(validation, "make", lambda kind, seed: make(kind, seed, *SMALL[kind]))
+    result = validation.hold("procedural", (11,), kinds=("village",))
+    arms = result["all"]
+    learned_arm = arms["learned, mix of three"]
+    assert learned_arm["accuracy"] > 0.7
+    for other in ("nearest colour", "commonest material", "fallback"):
+        assert learned_arm["mk_mean"] < 0.7 * arms[other]["mk_mean"], other
+        assert learned_arm["emissivity_mean"] < 0.7 * arms[other]["emissivity_mean"], other
+    table = np.array(result["confusion"])
+    assert table.sum() == 440 * 440 and len(result["materials"]) == table.shape[0] == table.shape[1] - 1
+    right = sum(table[k, k] for k in range(len(table))) / table.sum()
+    # Unknown texels count as wrong in the table, and as the fallback in the arm.
+    assert right == pytest.approx(learned_arm["accuracy"], abs=0.02)
+
+
+def test_the_map_is_not_held_against_what_it_was_trained_on():
+    with pytest.raises(ThermorenderError, match="seed 101 is one that 'procedural' was trained on; give another"):
+        validation.hold("procedural", (101,))
+
+
+def test_errors_of_temperature_are_those_of_grey_surfaces():
+    temperature = np.array([[280.0, 300.0, 320.0]])
+    judge = validation._Judge([grey("black", 1.0), grey("grey", 0.9)], temperature, 250.0)
+    truth = np.zeros((1, 3), int)
+    _, emissivity, kelvin = judge(truth, *validation._pure(truth + 1))
+    band = (7.5, 13.5)
+    wanted = brightness_temperature(0.9 * band_radiance(temperature, *band) + 0.1 * band_radiance(250.0, *band), *band)
+    assert emissivity == pytest.approx([-0.1] * 3, abs=1e-6)
+    # The tables' steps err by 45 µK.
+    assert kelvin == pytest.approx((wanted - temperature)[0], abs=1e-4)
+    half = np.array([[[0, 1]] * 3])
+    _, emissivity, _ = judge(truth, half, np.full((1, 3, 2), 0.5))
+    assert emissivity == pytest.approx([-0.05] * 3, abs=1e-6)
+
+
+def test_the_verbs_train_and_map(scene, tmp_path):
+    from typer.testing import CliRunner
+
+    from thermorender.cli import app
+
+    def run(*arguments):
+        return CliRunner().invoke(app, [*map(str, arguments)], catch_exceptions=True)
+
+    path = polygons(tmp_path / "ground.geojson", boxes())
+    done = run("train", "emissivity", scene, "--labels", path, "-o", tmp_path / "maps" / "ground.npz")
+    assert done.exit_code == 0 and "ground: RGB → 3 materials at 0.5" in done.output, done.output
+    assert load_map(tmp_path / "maps" / "ground.npz").name == "ground"
+    done = run("map-materials", scene, "--model", tmp_path / "maps" / "ground.npz", "-o", tmp_path / "mapped")
+    assert done.exit_code == 0 and "sand_quartz" in done.output, done.output
+    assert len(list((tmp_path / "mapped").iterdir())) == 5
+    failed = run("map-materials", scene, "--without", "snow", "-o", tmp_path / "none", "--model", scene / "own.npz")
+    assert "knows no 'snow' to leave out" in str(failed.exception) and not (tmp_path / "none").exists()
+    failed = run("validate", "emissivity", "--seeds", "one", "-o", tmp_path / "none")
+    assert "--seeds='one' is not allowed" in str(failed.exception)

@@ -1,0 +1,299 @@
+"""RGB → emissivity: which materials each texel of an orthophoto may be of, told from its colour and texture.
+
+A small fully connected network, trained elsewhere (`emissivity_training`), gives the probability of each material;
+the three most probable are kept as shares of a mix. Confidence is the largest probability, and 0 for texels unlike
+anything the map was trained on: those and all below a threshold are *unknown*, and the scene's declared fallback
+stands in. Emissivity itself is not learned: it comes from the material table.
+"""
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.learned.emissivity_features import HALO_TEXELS, NAMES, NEAR, features
+
+SHIPPED = {"procedural": Path(__file__).with_name("emissivity_procedural.npz")}
+# An orthophoto may be this many times coarser than the map's own grid: beyond, its texture is another.
+COARSEST_RATIO = 2.5
+_TILE_TEXELS = 512  # on the map's own grid
+_CHUNK_TEXELS = 8192
+_FORMAT = 1
+
+
+@dataclass(frozen=True, eq=False)
+class EmissivityMap:
+    """A trained RGB → materials map.
+
+    Attributes
+    ----------
+    name : str
+    materials : tuple of str
+        Names of the C materials it tells apart, in the order of its probabilities.
+    texel_m : float
+        Ground sampling distance it was trained at [m].
+    mean, scale : (F,) float32
+        Of the features, by which they are standardised.
+    layers : tuple of (weight (n, m), bias (m,)) float32
+        Of the network: rectified linear units between, softmax at the end.
+    centres : (K, len(NEAR)) float32
+        Typical standardised features of the training texels' near surroundings.
+    reach : float
+        Distance from the nearest centre beyond which a texel is unlike anything trained on.
+    about : dict
+        Where it comes from: scenes, seeds, split, accuracy on texels held out.
+    """
+
+    name: str
+    materials: tuple
+    texel_m: float
+    mean: np.ndarray
+    scale: np.ndarray
+    layers: tuple
+    centres: np.ndarray
+    reach: float
+    about: dict
+
+    def probabilities(self, described):
+        """Return (probabilities (N, C) float32, strangeness (N,) float32) of features, (N, F).
+
+        Strangeness is the distance from the nearest centre over `reach`: above 1, the texel is like no other.
+        """
+        standard = (described - self.mean) / self.scale
+        value = standard
+        for weight, bias in self.layers[:-1]:
+            value = np.maximum(value @ weight + bias, 0.0)
+        weight, bias = self.layers[-1]
+        value = value @ weight + bias
+        value = np.exp(value - value.max(axis=-1, keepdims=True))
+        value /= value.sum(axis=-1, keepdims=True)
+        near = standard[:, NEAR]
+        squared = (self.centres**2).sum(axis=-1) - 2.0 * (near @ self.centres.T)
+        distance = np.sqrt(np.maximum(squared.min(axis=-1) + (near**2).sum(axis=-1), 0.0))
+        return value, distance / np.float32(self.reach)
+
+    def without(self, materials):
+        """Return this map for land where some of its materials are known not to occur.
+
+        Raises
+        ------
+        ThermorenderError
+            A material the map does not tell anyway, or fewer than two are left.
+        """
+        for material in materials:
+            if material not in self.materials:
+                raise ThermorenderError(
+                    f"emissivity map {self.name!r} knows no {material!r} to leave out; it tells apart "
+                    f"{', '.join(self.materials)}"
+                )
+        kept = [k for k, material in enumerate(self.materials) if material not in materials]
+        if len(kept) < 2:
+            raise ThermorenderError(
+                f"emissivity map {self.name!r} has {len(kept)} materials left without {', '.join(materials)}; "
+                "leave it two or more"
+            )
+        # The softmax over the outputs that stay is the probability given that none of the others is there.
+        weight, bias = self.layers[-1]
+        layers = (*self.layers[:-1], (weight[:, kept], bias[kept]))
+        return replace(self, materials=tuple(self.materials[k] for k in kept), layers=layers)
+
+    def __str__(self):
+        size = " → ".join(str(len(bias)) for _, bias in self.layers)
+        lines = [
+            f"{self.name}: RGB → {len(self.materials)} materials at {self.texel_m:g} m",
+            f"  materials     {', '.join(self.materials)}",
+            f"  network       {len(self.mean)} features → {size}",
+            *(f"  {key:13s} {value}" for key, value in self.about.items()),
+        ]
+        return "\n".join(lines)
+
+
+@dataclass(frozen=True, eq=False)
+class Mapped:
+    """What a map makes of an orthophoto.
+
+    Attributes
+    ----------
+    index : (h, w, 3) uint8
+        The three most probable materials, the most probable first, as numbers in `EmissivityMap.materials`.
+    share : (h, w, 3) float32
+        Their probabilities, scaled to a sum of one.
+    confidence : (h, w) float32
+        Probability of the first, 0 where the texel is unlike anything trained on.
+    """
+
+    index: np.ndarray
+    share: np.ndarray
+    confidence: np.ndarray
+
+
+def map_materials(model, rgb, texel_m, progress=None, keep=None):
+    """Return the Mapped of an orthophoto.
+
+    Parameters
+    ----------
+    model : EmissivityMap
+    rgb : (h, w, 3) uint8
+        sRGB.
+    texel_m : float
+        Its ground sampling distance [m]: it is brought to the model's own, and the probabilities back to its texels.
+    progress : callable (share done), optional
+    keep : callable (rows, columns, probabilities (C, h', w')), optional
+        Is given every tile's probabilities.
+
+    Raises
+    ------
+    ThermorenderError
+        The orthophoto is too coarse for this map.
+
+    Notes
+    -----
+    Works tile by tile: beyond the result it needs about 0.4 GB, whatever the size of the orthophoto.
+    """
+    import cv2
+
+    on_grid = to_grid(rgb, texel_m, model)
+    shape, grid_shape = rgb.shape[:2], on_grid.shape[:2]
+    ratio = [of_grid / of_texels for of_grid, of_texels in zip(grid_shape, shape, strict=True)]
+    count = min(len(model.materials), 3)
+    result = Mapped(np.zeros((*shape, 3), np.uint8), np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32))
+    # Whole blocks of tiled rasters, for those who write what `keep` is given.
+    tile = int(np.clip(_TILE_TEXELS / max(ratio) // 256, 1, 6)) * 256
+    starts = [(top, left) for top in range(0, shape[0], tile) for left in range(0, shape[1], tile)]
+    for number, (top, left) in enumerate(starts):
+        here = (slice(top, min(top + tile, shape[0])), slice(left, min(left + tile, shape[1])))
+        # Centres of the tile's texels on the model's grid, and the part of that grid around them.
+        place = [(np.arange(part.start, part.stop) + 0.5) * r - 0.5 for part, r in zip(here, ratio, strict=True)]
+        inner = [
+            (max(int(np.floor(line[0])), 0), min(int(np.floor(line[-1])) + 2, size))
+            for line, size in zip(place, grid_shape, strict=True)
+        ]
+        found = _on_grid(model, on_grid, inner)
+        if grid_shape != shape:
+            y, x = (np.float32(line - low) for line, (low, _) in zip(place, inner, strict=True))
+            x, y = np.meshgrid(x, y)
+            planes = [cv2.remap(plane, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for plane in found]
+            found = np.stack(planes)
+        else:
+            found = found[:, : here[0].stop - top, : here[1].stop - left]
+        probabilities, strangeness = found[:-1], found[-1]
+        if keep:
+            keep(*here, probabilities)
+        left_over = probabilities.copy()
+        for rank in range(count):
+            best = left_over.argmax(axis=0)
+            result.index[here][..., rank] = best
+            result.share[here][..., rank] = np.take_along_axis(probabilities, best[None], axis=0)[0]
+            np.put_along_axis(left_over, best[None], -1.0, axis=0)
+        first = result.share[here][..., 0]
+        result.confidence[here] = np.where(strangeness <= 1.0, first, 0.0)
+        result.share[here] /= result.share[here].sum(axis=-1, keepdims=True)
+        if progress:
+            progress((number + 1) / len(starts))
+    return result
+
+
+def to_grid(rgb, texel_m, model):
+    """Return an orthophoto, (h, w, 3) uint8, at the ground sampling distance of an EmissivityMap."""
+    import cv2
+
+    if not texel_m <= COARSEST_RATIO * model.texel_m:
+        raise ThermorenderError(
+            f"the orthophoto has texels of {texel_m:.3g} m, but emissivity map {model.name!r} was trained at "
+            f"{model.texel_m:g} m and reads at most {COARSEST_RATIO * model.texel_m:g} m; give a finer orthophoto, or "
+            "train a map on it with `thermorender train emissivity`"
+        )
+    size = [max(1, round(n * texel_m / model.texel_m)) for n in rgb.shape[:2]]
+    if abs(texel_m / model.texel_m - 1.0) < 0.02:
+        return rgb
+    finer = texel_m < model.texel_m
+    return cv2.resize(rgb, size[::-1], interpolation=cv2.INTER_AREA if finer else cv2.INTER_CUBIC)
+
+
+def _on_grid(model, image, inner):
+    """Probabilities and, last, strangeness of a part of an image on the model's grid, (C + 1, h, w) float32."""
+    (top, bottom), (left, right) = inner
+    up, over = max(top - HALO_TEXELS, 0), max(left - HALO_TEXELS, 0)
+    part = image[up : bottom + HALO_TEXELS, over : right + HALO_TEXELS]
+    described = features(part)[top - up : bottom - up, left - over : right - over]
+    described = described.reshape(-1, len(NAMES))
+    planes = np.empty((len(model.materials) + 1, len(described)), dtype=np.float32)
+    # A few texels at a time stay in the processor's cache.
+    for start in range(0, len(described), _CHUNK_TEXELS):
+        chunk = slice(start, start + _CHUNK_TEXELS)
+        probabilities, planes[-1, chunk] = model.probabilities(described[chunk])
+        planes[:-1, chunk] = probabilities.T
+    return planes.reshape(-1, bottom - top, right - left)
+
+
+def save_map(model, path):
+    """Write an EmissivityMap as arrays and one JSON text."""
+    head = {
+        "format": _FORMAT, "name": model.name, "materials": model.materials, "texel_m": model.texel_m,
+        "features": NAMES, "reach": model.reach, "layers": len(model.layers), "about": model.about,
+    }  # fmt: skip
+    arrays = {"head": np.array(json.dumps(head)), "mean": model.mean, "scale": model.scale, "centres": model.centres}
+    for number, (weight, bias) in enumerate(model.layers):
+        arrays[f"weight{number}"], arrays[f"bias{number}"] = weight, bias
+    with open(path, "wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
+def load_map(name):
+    """Return the EmissivityMap of a file, or a shipped one by name.
+
+    Raises
+    ------
+    ThermorenderError
+        There is none, or the file is no emissivity map this version reads.
+    """
+    path = SHIPPED.get(str(name), Path(name))
+    if not path.is_file():
+        raise ThermorenderError(
+            f"emissivity map {str(name)!r} does not exist; give a file made by `thermorender train emissivity`, "
+            f"or {', '.join(SHIPPED)}"
+        )
+    try:
+        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
+            head = json.loads(str(file["head"]))
+            if (head["format"], tuple(head["features"])) != (_FORMAT, NAMES):
+                raise ValueError("it was made for other features")
+            layers = tuple((_floats(file[f"weight{n}"]), _floats(file[f"bias{n}"])) for n in range(head["layers"]))
+            model = EmissivityMap(
+                name=str(head["name"]),
+                materials=tuple(map(str, head["materials"])),
+                texel_m=float(head["texel_m"]),
+                mean=_floats(file["mean"]),
+                scale=_floats(file["scale"]),
+                layers=layers,
+                centres=_floats(file["centres"]),
+                reach=float(head["reach"]),
+                about=dict(head["about"]),
+            )
+        _check(model)
+    # A damaged archive fails in zipfile, zlib, json or NumPy, each with errors of its own.
+    except Exception as error:
+        reason = str(error).partition("\n")[0] or type(error).__name__
+        raise ThermorenderError(
+            f"{path} is no emissivity map ({reason}); make one with `thermorender train emissivity`"
+        ) from None
+    return model
+
+
+def _floats(values):
+    values = np.asarray(values, dtype=np.float32)
+    if not np.isfinite(values).all():
+        raise ValueError("it holds numbers that are not finite")
+    return values
+
+
+def _check(model):
+    """Refuse arrays that do not fit each other."""
+    widths = [len(NAMES), *(len(bias) for _, bias in model.layers)]
+    shapes = [weight.shape for weight, _ in model.layers]
+    fits = shapes == list(zip(widths[:-1], widths[1:], strict=True)) and widths[-1] == len(model.materials) >= 2
+    fits &= model.mean.shape == model.scale.shape == (len(NAMES),) and model.centres.shape[1:] == (len(NEAR),)
+    if not (fits and (model.scale > 0.0).all() and model.texel_m > 0.0 and model.reach > 0.0):
+        raise ValueError("its arrays do not fit each other")

@@ -1,0 +1,211 @@
+"""Materials of a scene from its orthophoto: the learned emissivity map applied, or written out to be corrected."""
+
+from pathlib import Path
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.learned.emissivity import load_map, map_materials
+from thermorender.learned.emissivity_features import lab
+from thermorender.scene import materials as material_tables
+from thermorender.scene import terrain
+from thermorender.scene.georeference import LocalFrame
+from thermorender.scene.mixture import palette
+from thermorender.scene.raster import grid_of, read_colour
+from thermorender.scene.spec import read_scene
+from thermorender.scene.surface import fill, nearest_valid
+
+# Of the 255 numbers a texel's material may have; the rest is for objects.
+_MOST_MIXES = 200
+# Class number that `map-materials` writes for unknown texels.
+UNKNOWN_CLASS = 255
+_UNKNOWN_COLOUR = (255, 0, 255)
+# Colours of a legend are told apart at a glance from this distance in CIELAB on.
+_TELLING_APART = 20.0
+
+
+def learned_materials(source, library, colour, valid, texel_m, band_um, where):
+    """Return (number (h, w) uint8, materials and mixes, unknown (h, w) bool, report) of a terrain's texels.
+
+    Parameters
+    ----------
+    source : EmissivitySpec
+        Of source "learned".
+    library : dict of str to Material
+    colour : (h, w, 3) uint8
+        sRGB, holes filled.
+    valid : (h, w) bool
+        Where there were none.
+    texel_m : float
+    band_um : (2,) floats
+        The camera's band [µm].
+    where : str
+        Name of the scene file, for messages.
+
+    Returns
+    -------
+    unknown : where the fallback stands in: its material is the last of the materials returned.
+    report : dict
+        Shares of unknown texels and what the palette changes.
+    """
+    model = load_map(source.model).without(source.without)
+    own = [material_tables.find(library, name, f"emissivity map {model.name!r}") for name in model.materials]
+    fallback = material_tables.find(library, source.fallback, f"{where}: emissivity.fallback")
+    mapped = map_materials(model, colour, texel_m)
+    unknown = valid & (mapped.confidence < source.confidence)
+    number, used, error = palette(mapped.index, mapped.share, own, band_um, _MOST_MIXES)
+    number[unknown] = len(used)
+    report = {
+        "model": model.name,
+        "fallback": fallback.name,
+        "share_unknown": float(unknown.sum() / valid.sum()),
+        "mean_confidence": float(mapped.confidence[valid].mean()),
+        "palette_mean": error["mean"],
+        "palette_largest": error["largest"],
+        "texel_m": texel_m,
+        "trained_texel_m": model.texel_m,
+    }
+    return number, [*used, fallback], unknown, report
+
+
+def orthophoto_of(spec):
+    """Return (rgb (h, w, 3) uint8 without holes, valid (h, w) bool, Grid, texel_m) of a scene's orthophoto.
+
+    Raises
+    ------
+    ThermorenderError
+        The scene has none.
+    """
+    source = spec.terrain
+    if not (source.elevation and source.orthophoto):
+        raise ThermorenderError(
+            f"{spec.folder / 'scene.toml'} has no terrain.orthophoto beside terrain.elevation; materials are read "
+            "from an orthophoto, so add one"
+        )
+    rgb, valid = read_colour(source.orthophoto)
+    if not valid.any():
+        raise ThermorenderError(f"{source.orthophoto} is empty: every texel is masked; give another orthophoto")
+    grid = grid_of(source.orthophoto)
+    frame = LocalFrame(*spec.frame) if spec.frame else terrain.frame_of(*terrain.read_elevation(source.elevation))
+    filled = rgb if valid.all() else fill(rgb, nearest_valid(valid))
+    return filled, valid, grid, terrain.texel_size_m(grid, frame)
+
+
+def write_map(folder, output, model="procedural", fallback="soil_loam", confidence=None, without=(), progress=None):
+    """Return {what: Path} written for a scene: class, probability and confidence rasters and a picture.
+
+    Parameters
+    ----------
+    folder : path
+        Scene folder.
+    output : path
+        Folder for the files, there already.
+    model : str
+        Name or file of the emissivity map.
+    fallback : str
+        Material that stands in for unknown texels.
+    confidence : float, optional
+        Below it a texel is unknown; by default as in scene files.
+    without : sequence of str
+        Materials of the map that are known not to occur.
+    progress : callable (share), optional
+
+    Notes
+    -----
+    `classes.tif` holds material numbers (0 no picture, 255 unknown) with a colour table, for correction by hand;
+    `emissivity.toml` is the table a scene file needs to use it. `probabilities.tif` has a band per material, in
+    1/255. `materials.png` shows orthophoto and classes side by side.
+    """
+    import rasterio
+    from rasterio.windows import Window
+
+    from thermorender.scene.spec import DEFAULT_CONFIDENCE
+
+    confidence = DEFAULT_CONFIDENCE if confidence is None else confidence
+    spec = read_scene(folder)
+    rgb, valid, grid, texel_m = orthophoto_of(spec)
+    library = material_tables.load_library(spec.folder / "materials" if (spec.folder / "materials").is_dir() else None)
+    material_tables.find(library, fallback, "--fallback")
+    model = load_map(model).without(without)
+    output = Path(output)
+    profile = {
+        "driver": "GTiff", "height": grid.height, "width": grid.width, "crs": grid.crs, "transform": grid.transform,
+        "dtype": "uint8", "compress": "deflate", "tiled": True,
+    }  # fmt: skip
+    paths = {
+        name: output / f"{name}{end}"
+        for name, end in (("classes", ".tif"), ("probabilities", ".tif"), ("confidence", ".tif"),
+                          ("materials", ".png"), ("emissivity", ".toml"))
+    }  # fmt: skip
+    with rasterio.open(paths["probabilities"], "w", count=len(model.materials), **profile) as file:
+        file.descriptions = model.materials
+        file.scales = (1.0 / 255.0,) * len(model.materials)
+
+        def keep(rows, columns, probabilities):
+            bands = np.where(valid[rows, columns], np.rint(255.0 * probabilities), 0.0).astype(np.uint8)
+            file.write(bands, window=Window.from_slices(rows, columns))
+
+        mapped = map_materials(model, rgb, texel_m, progress, keep)
+    unknown = mapped.confidence < confidence
+    classes = np.where(unknown, UNKNOWN_CLASS, mapped.index[..., 0] + 1)
+    classes = np.where(valid, classes, 0).astype(np.uint8)
+    colours = _legend_colours({n: library[name] for n, name in enumerate(model.materials, 1) if name in library})
+    with rasterio.open(paths["classes"], "w", count=1, **profile) as file:
+        file.write(classes, 1)
+        file.write_colormap(1, {0: (0, 0, 0, 0), UNKNOWN_CLASS: _UNKNOWN_COLOUR, **colours})
+    with rasterio.open(paths["confidence"], "w", count=1, **profile) as file:
+        file.write(np.where(valid, np.rint(255.0 * mapped.confidence), 0).astype(np.uint8), 1)
+        file.scales = (1.0 / 255.0,)
+    present = [int(value) for value in np.unique(classes[classes > 0])]
+    names = {**dict(enumerate(model.materials, 1)), UNKNOWN_CLASS: fallback}
+    lines = ["[emissivity]", 'source = "classes"', 'raster = "classes.tif"', "", "[emissivity.classes]"]
+    for value in sorted({*present, *range(1, len(model.materials) + 1), UNKNOWN_CLASS}):
+        lines.append(f'{value} = "{names[value]}"' + ("  # unknown" if value == UNKNOWN_CLASS else ""))
+    paths["emissivity"].write_text("\n".join(lines) + "\n", encoding="utf-8")
+    share = np.bincount(classes.ravel(), minlength=256) / max(valid.sum(), 1)
+    shown = {value: ("unknown" if value == UNKNOWN_CLASS else names[value], share[value]) for value in present}
+    _picture(paths["materials"], np.where(valid[..., None], rgb, 255), classes, shown, colours)
+    return paths, {name: float(part) for name, part in shown.values()}
+
+
+def _legend_colours(materials):
+    """{number: sRGB bytes}: each material's own colour, made lighter, darker or fuller where another has it already."""
+    import colour
+
+    def srgb(value):
+        return np.clip(colour.XYZ_to_sRGB(colour.Lab_to_XYZ(value)), 0.0, 1.0)
+
+    taken, found = [], {}
+    variants = [(light, full) for full in (1.6, 2.6, 0.8) for light in (0, 14, -14, 28, -28, 42)]
+    for number, material in materials.items():
+        own = lab(np.array(material.colour, dtype=np.uint8)).astype(np.float64)
+        choice = [srgb(own * (1.0, full, full) + (light, 0.0, 0.0)) for light, full in variants]
+        seen = [lab(np.uint8(np.rint(255.0 * c))) for c in choice]
+        away = [min((np.linalg.norm(one - other) for other in taken), default=np.inf) for one in seen]
+        best = next((k for k, distance in enumerate(away) if distance >= _TELLING_APART), int(np.argmax(away)))
+        taken.append(seen[best])
+        found[number] = tuple(int(v) for v in np.rint(255.0 * choice[best]))
+    return found
+
+
+def _picture(path, rgb, classes, shown, colours):
+    """Write orthophoto and classes side by side with a legend of the shares."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
+
+    table = np.full((256, 3), 255, dtype=np.uint8)
+    for value in shown:
+        table[value] = colours.get(value, _UNKNOWN_COLOUR)
+    step = max(1, -(-max(classes.shape) // 1400))
+    figure = Figure(figsize=(15.0, 7.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    left, right = figure.subplots(1, 2)
+    left.imshow(rgb[::step, ::step])
+    right.imshow(table[classes[::step, ::step]], interpolation="nearest")
+    for axes in (left, right):
+        axes.set_axis_off()
+    order = sorted(shown, key=lambda value: -shown[value][1])
+    patches = [Patch(color=table[value] / 255.0, label="{} {:.1%}".format(*shown[value])) for value in order]
+    figure.legend(handles=patches, loc="outside right center", frameon=False)
+    figure.savefig(path, dpi=110)

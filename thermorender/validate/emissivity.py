@@ -1,0 +1,201 @@
+"""The learned emissivity map held against procedural scenes whose materials are known.
+
+Beside the map stand three simpler ways: the colour nearest to the scene's own mean colour of each material (told the
+truth it needs), the scene's commonest material everywhere, and the fallback everywhere. Errors are of the band's
+emissivity and, with the scene's true temperatures and sky, of apparent temperature seen from straight above through
+no air, the sky reflected whole.
+"""
+
+import time
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.learned.emissivity import load_map, map_materials
+from thermorender.learned.emissivity_features import lab
+from thermorender.physics.band import RadianceTable, quadrature
+from thermorender.physics.planck import spectral_radiance
+from thermorender.scene.materials import find, load_library
+from thermorender.scene.spec import DEFAULT_CONFIDENCE
+from thermorender.scene.synthetic import KINDS, make
+
+ARMS = ("learned, mix of three", "learned, most probable", "nearest colour", "commonest material", "fallback")
+_BAND_UM = (7.5, 13.5)
+
+
+def hold(model="procedural", seeds=(201, 202), fallback="soil_loam", confidence=DEFAULT_CONFIDENCE,
+         kinds=tuple(KINDS), tell=None):  # fmt: skip
+    """Return the comparison as a dict: per scene and over all, the errors of each of ARMS; the confusion table.
+
+    Parameters
+    ----------
+    model : str
+        Name or file of the emissivity map.
+    seeds : sequence of int
+        Of the scenes; none the map was trained on.
+    fallback : str
+        Material that stands in for unknown texels.
+    confidence : float
+        Below it a texel is unknown.
+    kinds : sequence of str
+        Kinds of procedural scene.
+    tell : callable (what, share), optional
+
+    Raises
+    ------
+    ThermorenderError
+        The map was trained on one of these scenes.
+    """
+    tell = tell or (lambda what, share: None)
+    model, library = load_map(model), load_library()
+    # Of the others nothing is known in this band.
+    low, high = _BAND_UM
+    library = {n: m for n, m in library.items() if m.valid_range_um[0] <= low and m.valid_range_um[1] >= high}
+    names = list(library)
+    own = [find(library, name, f"emissivity map {model.name!r}").name for name in model.materials]
+    own = np.array([names.index(name) for name in own])
+    stand_in = names.index(find(library, fallback, "fallback").name)
+    jobs = [(kind, seed) for seed in seeds for kind in kinds]
+    for kind, seed in jobs:
+        if f"procedural {kind} seed {seed}" in str(model.about.get("trained_on", "")).split("; "):
+            raise ThermorenderError(f"seed {seed} is one that {model.name!r} was trained on; give another")
+    confusion = np.zeros((len(names), len(names) + 1), np.int64)
+    scenes, every = {}, {arm: [] for arm in ARMS}
+    for number, (kind, seed) in enumerate(jobs):
+        tell("making and mapping landscapes", number / len(jobs))
+        scene = make(kind, seed)
+        number_of = np.zeros(256, np.int64)
+        for value, name in scene.class_names.items():
+            number_of[value] = names.index(name)
+        truth = number_of[scene.classes]
+        began = time.perf_counter()
+        mapped = map_materials(model, scene.orthophoto, scene.texel_m)
+        seconds = time.perf_counter() - began
+        unknown = mapped.confidence < confidence
+        index, share = own[mapped.index], mapped.share.copy()
+        np.add.at(confusion, (truth, np.where(unknown, len(names), index[..., 0])), 1)
+        index[unknown, 0], share[unknown] = stand_in, (1.0, 0.0, 0.0)
+        guesses = {
+            ARMS[0]: (index, share),
+            ARMS[1]: _pure(index[..., 0]),
+            ARMS[2]: _pure(_nearest_colour(scene.orthophoto, truth)),
+            ARMS[3]: _pure(np.full(truth.shape, np.bincount(truth.ravel()).argmax())),
+            ARMS[4]: _pure(np.full(truth.shape, stand_in)),
+        }
+        judge = _Judge(list(library.values()), scene.temperature, scene.sky_temperature)
+        found = {}
+        for arm, (index, share) in guesses.items():
+            errors = judge(truth, index, share)
+            every[arm].append(errors)
+            found[arm] = _summary(*errors)
+        scenes[f"{kind} {seed}"] = {
+            "texels": truth.size,
+            "share_unknown": round(float(unknown.mean()), 5),
+            "seconds": round(seconds, 2),
+            "arms": found,
+        }
+    seen = np.flatnonzero(confusion.sum(axis=1) + confusion.sum(axis=0)[:-1])
+    confusion, names = confusion[seen][:, [*seen, -1]], [names[k] for k in seen]
+    accuracy = np.diag(confusion) / np.maximum(confusion.sum(axis=1), 1)
+    return {
+        "model": model.name,
+        "about": model.about,
+        "seeds": list(seeds),
+        "materials": names,
+        "confusion": confusion.tolist(),
+        "class_accuracy": {
+            name: round(float(part), 4)
+            for name, part, row in zip(names, accuracy, confusion.sum(axis=1), strict=True)
+            if row
+        },
+        "scenes": scenes,
+        "all": {arm: _summary(*map(np.concatenate, zip(*errors, strict=True))) for arm, errors in every.items()},
+    }
+
+
+def rows(result):
+    """Return the comparison as table rows of text, one per arm."""
+    return [
+        (arm, f"{e['accuracy']:.1%}", f"{e['emissivity_mean']:.4f}", f"{e['emissivity_rms']:.4f}",
+         f"{e['mk_mean']:.0f}", f"{e['mk_rms']:.0f}", f"{e['mk_95']:.0f}")
+        for arm, e in result["all"].items()
+    ]  # fmt: skip
+
+
+HEADER = ("arm", "accuracy", "mean |Δε|", "rms Δε", "mean |ΔT|, mK", "rms ΔT, mK", "95 % of |ΔT|, mK")
+
+
+class _Judge:
+    """Errors of guessed materials on the texels of a scene of known temperature."""
+
+    def __init__(self, materials, temperature, sky):
+        wavelength, weight = quadrature(*_BAND_UM)
+        low, high = float(temperature.min()), float(temperature.max())
+        spectra = np.array([material.emissivity_at(wavelength) for material in materials])
+        planck = weight * spectral_radiance(wavelength, 0.5 * (low + high))
+        self.emissivity = spectra @ planck / planck.sum()
+        self.reflected = (1.0 - spectra) @ (weight * spectral_radiance(wavelength, sky))
+        self.emitted = {}
+        self.materials, self.range = materials, (low, high)
+        self.apparent = RadianceTable.of(np.ones_like, min(low, sky) - 5.0, high + 5.0, *_BAND_UM)
+        self.temperature = temperature.astype(np.float64)
+
+    def __call__(self, truth, index, share):
+        """Return ((N,) right or not, Δε, ΔT [K]) of every texel."""
+        radiance, emissivity = self._seen(index, share)
+        true_radiance, true_emissivity = self._seen(*_pure(truth))
+        error = self.apparent.inverse(radiance) - self.apparent.inverse(true_radiance)
+        right = index[..., 0] == truth
+        return right.ravel(), np.float32(emissivity - true_emissivity).ravel(), np.float32(error).ravel()
+
+    def _seen(self, index, share):
+        radiance, emissivity = np.zeros(self.temperature.shape), np.zeros(self.temperature.shape)
+        for rank in range(index.shape[-1]):
+            for material in np.unique(index[..., rank]):
+                here = index[..., rank] == material
+                if material not in self.emitted:
+                    table = RadianceTable.of(self.materials[material].emissivity_at, *self.range, *_BAND_UM)
+                    self.emitted[material] = table
+                seen = self.emitted[material](self.temperature[here]) + self.reflected[material]
+                radiance[here] += share[here][:, rank] * seen
+                emissivity[here] += share[here][:, rank] * self.emissivity[material]
+        return radiance, emissivity
+
+
+def _pure(index):
+    return index[..., None].astype(np.int64), np.ones((*index.shape, 1))
+
+
+def _nearest_colour(rgb, truth):
+    """Material whose mean colour in this scene, in CIELAB, is nearest."""
+    image = lab(rgb)
+    best, nearest = np.full(truth.shape, np.inf, np.float32), np.zeros(truth.shape, np.int64)
+    for material in np.unique(truth):
+        away = ((image - image[truth == material].mean(axis=0)) ** 2).sum(axis=-1)
+        nearest[away < best] = material
+        best = np.minimum(best, away)
+    return nearest
+
+
+def _summary(right, emissivity, temperature):
+    mk = 1e3 * np.abs(temperature.astype(np.float64))
+    return {
+        "accuracy": round(float(right.mean()), 4),
+        "emissivity_mean": round(float(np.abs(emissivity).mean(dtype=np.float64)), 5),
+        "emissivity_rms": round(float(np.sqrt((emissivity.astype(np.float64) ** 2).mean())), 5),
+        "mk_mean": round(float(mk.mean()), 1),
+        "mk_rms": round(float(np.sqrt((mk**2).mean())), 1),
+        "mk_95": round(float(np.quantile(mk, 0.95)), 1),
+    }
+
+
+def write_confusion(result, path):
+    """Write the confusion table as CSV: rows the true material, columns the mapped one, in texels."""
+    import csv
+
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow(["true material", *result["materials"], "unknown", "share right"])
+        for name, row in zip(result["materials"], result["confusion"], strict=True):
+            if sum(row):
+                table.writerow([name, *row, result["class_accuracy"][name]])
