@@ -27,8 +27,8 @@ def table(path, cases, settings):
         f"Seconds of a whole frame without noise; RMS error over its middle {width}×{height} pixels against two",
         f"independent path-traced renders of {settings['oracle']} paths per pixel, free of their noise, with its range",
         "of two standard errors. Settings of thermorender are rays per pixel · texture places per ray · error from",
-        "which on a pixel at an edge gets more rays (inf: never). Sampling: against the same renderer with 256 rays per",
-        "pixel. Bold: no other setting is both faster and closer.",
+        "which on a pixel at an edge gets more rays (inf: never). Sampling: against the same renderer with 256",
+        "rays per pixel. Bold: no other setting is both faster and closer.",
     ]
     scenes = {record["scene"]: None for record in cases.values() if "view" in record}
     for scene in scenes:
