@@ -182,7 +182,7 @@ class Renderer:
             values = mover.at(time_s, **objects.get(moving.name, {}))
             world = mover.world_from_own(values, self.scene.ground)
             added.append(moving.put(world, values["temperature_k"], self._still))
-        if any(faces.size for faces, _ in added):
+        if self._still is not None:
             light = self._faces_alone.copy()
             for faces, more in added:
                 light[faces] += more
