@@ -49,8 +49,8 @@ class Geometry:
         Over all surfaces.
     face_start, texel_start : (S + 1,) int64
         First face and texel of each surface in the flat numbering.
-    share : (F,) float64
-        Each face's share of the area of all.
+    area, share : (F,) float64
+        Each face's area [m²], and its share of the area of all.
     reach : float
         Greatest distance of a vertex from the origin along an axis [m].
     """
@@ -62,8 +62,8 @@ class Geometry:
         self.texel_start = np.cumsum([0] + [surface.material.size for surface in surfaces])
         self.face_count = int(self.face_start[-1])
         corner = np.concatenate([surface.vertices[surface.faces] for surface in surfaces])
-        area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
-        self.share = area / max(area.sum(), 1e-300)
+        self.area = 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+        self.share = self.area / max(self.area.sum(), 1e-300)
         self.reach = max(float(np.abs(surface.vertices).max()) for surface in surfaces)
         meshes = {
             f"s{number}": _mesh(mi, f"s{number}", surface.vertices, surface.faces)

@@ -21,18 +21,16 @@ class Still:
     Attributes
     ----------
     geometry : Geometry
-    leaving, reflectance : (F, N)
-        Radiance that leaves each face [W m⁻² sr⁻¹] and its reflectance, at each node.
-    sky, beyond : (N,)
-        Radiance of the sky and of the surroundings [W m⁻² sr⁻¹].
+    reflectance : (F, N) float32
+        Of each face at each node.
+    seen : (F + 2, N) float32
+        Radiance that leaves each face, and that of the sky and of the surroundings [W m⁻² sr⁻¹].
     """
 
     def __init__(self, geometry, leaving, reflectance, sky, beyond):
         self.geometry, self.reflectance = geometry, reflectance.astype(np.float32)
         # As faces beyond the last: rays that hit nothing see these.
         self.seen = np.vstack([leaving, sky, beyond]).astype(np.float32)
-        corner = np.concatenate([surface.vertices[surface.faces] for surface in geometry.surfaces])
-        self.area = 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
 
 
 class Moving:
@@ -44,6 +42,8 @@ class Moving:
     mover : Mover
     plan : Plan
     materials : sequence of Material
+    linear : callable
+        sRGB bytes to linear light.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Moving:
         self._put = None
 
     def put(self, pose, temperature, still):
-        """Put the object to a pose and temperature; return {face: light it adds} to the still scene.
+        """Put the object to a pose and temperature; return (faces, light it adds to them) of the still scene.
 
         Parameters
         ----------
@@ -133,20 +133,15 @@ class Moving:
 
         # Of each ray that ends on the ground, that face sees the object in place of what lies behind.
         faces, changes = [], []
-        areas = self._areas()
         for first, hidden in ((met, end_reverse), (met_reverse, end)):
             hit = np.flatnonzero(first < others)
             face, own = first[hit], hit // rays
             change = ((leaving[own] - still.seen[hidden[hit]]) * still.reflectance[face]).sum(axis=1)
             faces.append(face)
-            changes.append(change * areas[own] / (rays * still.area[face]))
+            changes.append(change * self.geometry.area[own] / (rays * still.geometry.area[face]))
         faces, place = np.unique(np.concatenate(faces), return_inverse=True)
         added = np.bincount(place, np.concatenate(changes), len(faces)).astype(np.float32)
         return (rho * incident).sum(axis=1), (faces, added)
-
-    def _areas(self):
-        corner = np.concatenate([surface.vertices[surface.faces] for surface in self.surfaces])
-        return 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
 
 
 def _matrix(mi, pose):
