@@ -5,8 +5,6 @@ What a pixel needs is folded beforehand into the radiance of each texel and a co
 pixel's rays, never temperature.
 """
 
-from dataclasses import dataclass
-
 import drjit as dr
 import numpy as np
 
@@ -14,8 +12,8 @@ from thermorender.errors import ThermorenderError
 from thermorender.frames import Frame
 from thermorender.physics.band import RadianceTable
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
-from thermorender.render import bake, cache, fold
-from thermorender.render.geometry import Channels, Geometry, Hit
+from thermorender.render import bake, cache, fold, truth
+from thermorender.render.geometry import Channels, Geometry, Hit, Layer, opaque_view, view_ray
 from thermorender.render.moving import Moving, Still
 from thermorender.render.plan import REFERENCE_K, make_plan
 from thermorender.render.sampling import (
@@ -30,9 +28,8 @@ from thermorender.render.sampling import (
     texture_error,
 )
 from thermorender.render.variant import activate
-from thermorender.scene.surface import BEYOND, FILLED
+from thermorender.scene.surface import FILLED
 
-NO_MATERIAL = 255
 # Error from which on edge pixels of a visible view get more rays: a share of white, summed over the colours.
 _VISIBLE_EDGE = 0.03
 
@@ -143,7 +140,8 @@ class Renderer:
 
     def frame_of(self, radiance, pose, time_s=0.0, index=0, plan=None, budget=None):
         """Return the Frame of a radiance image (H, W) that was made elsewhere for this pose; `plan` says how."""
-        layers, warm = self._layers(pose), [moving.temperature for moving in self._moving]
+        rays, layers = self._camera_rays(self.scene.camera), self._layers(pose)
+        warm = [moving.temperature for moving in self._moving]
         return Frame(
             radiance=radiance,
             pose=pose,
@@ -152,8 +150,8 @@ class Renderer:
             seed=self.seed,
             camera=self.scene.camera,
             plan=plan or self.plan.as_dict(),
-            targets=self._targets(pose),
-            _truth=lambda: self._truth(pose, layers, warm),
+            targets=truth.targets(self.scene, self._geometry, self._moving, pose),
+            _truth=lambda: truth.truth(self.scene, rays, layers, warm),
             _budget=budget,
         )
 
@@ -191,11 +189,11 @@ class Renderer:
     def _layers(self, pose, colour=False):
         """The still scene and each moving object where it is now, with their light or their colour."""
         still = (self._colour, None) if colour else (self._texels, self._faces)
-        layers = [_Layer(self._geometry, _opaque(self._mi, pose), *still)]
+        layers = [Layer(self._geometry, opaque_view(self._mi, pose), *still)]
         for moving in self._moving:
-            own = _opaque(self._mi, np.linalg.inv(moving.pose) @ pose)
+            own = opaque_view(self._mi, np.linalg.inv(moving.pose) @ pose)
             light = (moving.colour, None) if colour else (moving.texels, moving.faces)
-            layers.append(_Layer(moving.geometry, own, *light))
+            layers.append(Layer(moving.geometry, own, *light))
         return layers
 
     def _radiance(self, pose):
@@ -234,9 +232,9 @@ class Renderer:
 
     def cast_only(self, pose, rays):
         """Cast rays, as by `rays`, and nothing else: the floor under the time of a frame."""
-        view = _opaque(self._mi, checked_pose(pose))
+        view = opaque_view(self._mi, checked_pose(pose))
         cast = self._geometry.caster.ray_intersect_preliminary
-        dr.eval([cast(_ray(self._mi, *view, *slope), coherent=True).t for slope in rays])
+        dr.eval([cast(view_ray(self._mi, *view, *slope), coherent=True).t for slope in rays])
         dr.sync_thread()
 
     def visible(self, pose, camera=None):
@@ -399,7 +397,7 @@ class Renderer:
         """As `_look`, of one layer and without what lies beyond it."""
         mi, geometry = self._mi, layer.geometry
         rotation, origin = layer.view
-        ray = _ray(mi, rotation, origin, *slope)
+        ray = view_ray(mi, rotation, origin, *slope)
         hit = geometry.cast(ray, coherent=True)
         record = geometry.record(hit.face, hit.valid)
         lattice = geometry.lattice(hit.surface, hit.valid)
@@ -421,100 +419,6 @@ class Renderer:
             total = [a + b for a, b in zip(total, layer.faces.at(hit.face, hit.valid), strict=True)]
         return hit, total
 
-    def _truth(self, pose, layers, warm):
-        """Truth of the pixels' middles; `warm` are the moving objects' temperatures."""
-        mi, scene = self._mi, self.scene
-        camera = scene.camera
-        rays = self._camera_rays(camera)
-        slope = rays.slopes(0.5, 0.5)
-        valid, distance, texel, first = mi.Bool(False), mi.Float(np.inf), mi.UInt32(0), 0
-        for layer in layers:
-            geometry = layer.geometry
-            ray = _ray(mi, *layer.view, *slope)
-            hit = geometry.cast(ray, coherent=True)
-            column, row = geometry.place(geometry.record(hit.face, hit.valid), ray.o + hit.distance * ray.d)
-            nearer = hit.distance < distance
-            found = first + geometry.nearest(hit.surface, column, row, hit.valid)
-            texel, distance = dr.select(nearer, found, texel), dr.minimum(distance, hit.distance)
-            valid |= nearer
-            first += int(geometry.texel_start[-1])
-        rotation, origin = layers[0].view
-        ray = _ray(mi, rotation, origin, *slope)
-        position = origin + distance * ray.d
-        # The direction is unit length, so depth along the axis is the distance over the slope's length.
-        depth = distance / dr.sqrt(1.0 + slope[0] * slope[0] + slope[1] * slope[1])
-        found = [mi.UInt32(valid), texel, mi.UInt32(ray.d.z >= 0.0), depth, *position]
-        # One evaluation for all: each by itself would cast the rays again.
-        dr.eval(found)
-        images = []
-        for values in found:
-            flat = np.empty(camera.height * camera.width, np.array(values).dtype)
-            flat[rays.order] = np.array(values)
-            images.append(flat.reshape(camera.height, camera.width))
-        valid, number, up, depth, *position = images
-        valid, up = valid > 0, up > 0
-        surfaces = [*scene.surfaces, *(surface for mover in scene.movers for surface in mover.surfaces)]
-        flags = np.concatenate([surface.flags.ravel() for surface in surfaces])
-        sizes = [int(layer.geometry.texel_start[-1]) for layer in layers[1:]]
-        temperature = np.concatenate([self._temperature, np.repeat(warm, sizes).astype(np.float32)])
-        own = np.repeat([moving.material for moving in self._moving], sizes).astype(np.uint8)
-        band = np.array([_band_emissivity(material, self.plan.band_um) for material in scene.materials])
-        material = np.concatenate([self._material, own])[number]
-        return {
-            "kinetic_temperature": np.where(valid, temperature[number], np.nan).astype(np.float32),
-            "emissivity": np.where(valid, band[material], np.nan).astype(np.float32),
-            "material": np.where(valid, material, NO_MATERIAL).astype(np.uint8),
-            "depth": np.where(valid, depth, np.inf).astype(np.float32),
-            "position": np.where(valid[..., None], np.stack(position, axis=-1), np.nan).astype(np.float32),
-            "mask": np.where(valid, flags[number], np.where(up, 0, BEYOND)).astype(np.uint8),
-        }
-
-    def _targets(self, pose):
-        """Pixel and visibility of the scene's objects."""
-        mi, camera = self._mi, self.scene.camera
-        targets = dict(self.scene.targets)
-        for moving in self._moving:
-            corner = np.concatenate([surface.vertices for surface in moving.surfaces])
-            middle = 0.5 * (corner.min(axis=0) + corner.max(axis=0))
-            targets[moving.name] = moving.pose[:3, :3] @ middle + moving.pose[:3, 3]
-        if not targets:
-            return {}
-        centre = np.array(list(targets.values()))
-        local = (centre - pose[:3, 3]) @ pose[:3, :3]
-        pixel = camera.project(local)
-        distance = np.linalg.norm(local, axis=-1)
-        nearest, names = np.full(len(centre), np.inf), np.full(len(centre), "", dtype=object)
-        layers = [(self._geometry, np.eye(4)), *((moving.geometry, moving.pose) for moving in self._moving)]
-        for geometry, place in layers:
-            inverse = np.linalg.inv(place)
-            start = (inverse[:3, :3] @ pose[:3, 3] + inverse[:3, 3]).tolist()
-            direction = ((centre - pose[:3, 3]) / distance[:, None]) @ inverse[:3, :3].T
-            hit = geometry.cast(mi.Ray3f(mi.Point3f(*start), mi.Vector3f(*direction.T.astype(np.float32))))
-            met, surface = np.array(hit.distance), np.array(hit.surface)
-            nearer = met < nearest
-            names[nearer] = [geometry.surfaces[number].name.split(":")[0] for number in surface[nearer]]
-            nearest = np.minimum(nearest, met)
-        found = {}
-        for k, name in enumerate(targets):
-            inside = bool(0.0 <= pixel[k, 0] < camera.width and 0.0 <= pixel[k, 1] < camera.height)
-            found[name] = {
-                "pixel": [round(float(value), 3) for value in pixel[k]] if np.isfinite(pixel[k]).all() else None,
-                "in_view": inside,
-                "visible": inside and bool(names[k] == name),
-                "range_m": round(float(distance[k]), 3),
-            }
-        return found
-
-
-@dataclass(frozen=True)
-class _Layer:
-    """A ray caster, the view (rotation, origin) in its frame, and the channels of its texels and faces."""
-
-    geometry: Geometry
-    view: tuple
-    texels: Channels
-    faces: Channels | None
-
 
 def checked_pose(pose):
     """Return a pose as (4, 4) float64 after refusing what is no rigid transform."""
@@ -529,23 +433,6 @@ def checked_pose(pose):
             "pose has a rotation that is not orthonormal and right-handed; normalise its quaternion"
         )
     return pose
-
-
-def _band_emissivity(material, band_um):
-    from thermorender.physics.band import emitted_radiance
-
-    return emitted_radiance(material.emissivity_at, REFERENCE_K, *band_um) / band_radiance(REFERENCE_K, *band_um)
-
-
-def _opaque(mi, pose):
-    """(rows of the rotation, origin) as Dr.Jit values, so that a new pose reuses the compiled kernel."""
-    values = [[dr.opaque(mi.Float, float(value)) for value in row] for row in pose[:3]]
-    return [mi.Vector3f(*row[:3]) for row in values], mi.Point3f(*(row[3] for row in values))
-
-
-def _ray(mi, rotation, origin, x, y):
-    local = dr.normalize(mi.Vector3f(x, y, 1.0))
-    return mi.Ray3f(origin, mi.Vector3f(*(dr.dot(row, local) for row in rotation)))
 
 
 def _linear_from_srgb(colour):

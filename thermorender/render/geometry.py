@@ -219,6 +219,28 @@ class Channels:
         return found
 
 
+@dataclass(frozen=True)
+class Layer:
+    """A ray caster, the view (rotation, origin) in its frame, and the channels of its texels and faces."""
+
+    geometry: Geometry
+    view: tuple
+    texels: Channels
+    faces: Channels | None
+
+
+def opaque_view(mi, pose):
+    """Return (rows of the rotation, origin) of a pose as Dr.Jit values: a new one reuses the compiled kernel."""
+    values = [[dr.opaque(mi.Float, float(value)) for value in row] for row in pose[:3]]
+    return [mi.Vector3f(*row[:3]) for row in values], mi.Point3f(*(row[3] for row in values))
+
+
+def view_ray(mi, rotation, origin, x, y):
+    """Return the rays (mi.Ray3f) of a view at slopes (x/z, y/z); their directions are of unit length."""
+    local = dr.normalize(mi.Vector3f(x, y, 1.0))
+    return mi.Ray3f(origin, mi.Vector3f(*(dr.dot(row, local) for row in rotation)))
+
+
 def _map_records(surface):
     """Affine maps (F, 8) from points to texels: gradient and offset of the column, then of the row.
 

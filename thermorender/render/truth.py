@@ -1,0 +1,124 @@
+"""What is really there: temperature, material, depth and place at the middle of each pixel, and where targets are.
+
+Truth is that of the one surface a pixel's middle shows, not a mean over the pixel: a mean of depths or materials at
+an edge would be that of nothing.
+"""
+
+import drjit as dr
+import numpy as np
+
+from thermorender.physics.band import emitted_radiance
+from thermorender.physics.planck import band_radiance
+from thermorender.render.geometry import view_ray
+from thermorender.render.plan import REFERENCE_K
+from thermorender.scene.surface import BEYOND
+
+NO_MATERIAL = 255
+
+
+def truth(scene, rays, layers, warm):
+    """Return {name: image} of what the pixels' middles show; the images are those of `Frame.truth`.
+
+    Parameters
+    ----------
+    scene : Scene
+    rays : CameraRays
+        Of the scene's camera.
+    layers : sequence of Layer
+        The still scene, then each moving object where it is.
+    warm : sequence of float
+        The moving objects' temperatures [K].
+    """
+    mi, camera = layers[0].geometry.mi, scene.camera
+    slope = rays.slopes(0.5, 0.5)
+    valid, distance, texel, first = mi.Bool(False), mi.Float(np.inf), mi.UInt32(0), 0
+    for layer in layers:
+        geometry = layer.geometry
+        ray = view_ray(mi, *layer.view, *slope)
+        hit = geometry.cast(ray, coherent=True)
+        column, row = geometry.place(geometry.record(hit.face, hit.valid), ray.o + hit.distance * ray.d)
+        nearer = hit.distance < distance
+        found = first + geometry.nearest(hit.surface, column, row, hit.valid)
+        texel, distance = dr.select(nearer, found, texel), dr.minimum(distance, hit.distance)
+        valid |= nearer
+        first += int(geometry.texel_start[-1])
+    ray = view_ray(mi, *layers[0].view, *slope)
+    position = ray.o + distance * ray.d
+    # The direction is unit length, so depth along the axis is the distance over the slope's length.
+    depth = distance / dr.sqrt(1.0 + slope[0] * slope[0] + slope[1] * slope[1])
+    found = [mi.UInt32(valid), texel, mi.UInt32(ray.d.z >= 0.0), depth, *position]
+    # One evaluation for all: each by itself would cast the rays again.
+    dr.eval(found)
+    images = []
+    for values in found:
+        flat = np.empty(camera.height * camera.width, np.array(values).dtype)
+        flat[rays.order] = np.array(values)
+        images.append(flat.reshape(camera.height, camera.width))
+    valid, number, up, depth, *position = images
+    valid, up = valid > 0, up > 0
+    moving = [surface for mover in scene.movers for surface in mover.surfaces]
+    flags, material = (
+        np.concatenate([getattr(surface, which).ravel() for surface in (*scene.surfaces, *moving)])[number]
+        for which in ("flags", "material")
+    )
+    sizes = [int(layer.geometry.texel_start[-1]) for layer in layers[1:]]
+    still = [surface.temperature.ravel() for surface in scene.surfaces]
+    temperature = np.concatenate([*still, np.repeat(warm, sizes).astype(np.float32)])[number]
+    band_um = scene.camera.band_um
+    black = band_radiance(REFERENCE_K, *band_um)
+    emissivity = np.array([emitted_radiance(m.emissivity_at, REFERENCE_K, *band_um) / black for m in scene.materials])
+    return {
+        "kinetic_temperature": np.where(valid, temperature, np.nan).astype(np.float32),
+        "emissivity": np.where(valid, emissivity[material], np.nan).astype(np.float32),
+        "material": np.where(valid, material, NO_MATERIAL).astype(np.uint8),
+        "depth": np.where(valid, depth, np.inf).astype(np.float32),
+        "position": np.where(valid[..., None], np.stack(position, axis=-1), np.nan).astype(np.float32),
+        "mask": np.where(valid, flags, np.where(up, 0, BEYOND)).astype(np.uint8),
+    }
+
+
+def targets(scene, geometry, movers, pose):
+    """Return {object: {pixel, in_view, visible, range_m}} of the scene's objects, as `Frame.targets` has it.
+
+    Parameters
+    ----------
+    scene : Scene
+    geometry : Geometry
+        Of what stands still.
+    movers : sequence of Moving
+        Where they are.
+    pose : (4, 4) array
+        world_from_camera.
+    """
+    mi, camera = geometry.mi, scene.camera
+    middles = dict(scene.targets)
+    for moving in movers:
+        corner = np.concatenate([surface.vertices for surface in moving.surfaces])
+        middle = 0.5 * (corner.min(axis=0) + corner.max(axis=0))
+        middles[moving.name] = moving.pose[:3, :3] @ middle + moving.pose[:3, 3]
+    if not middles:
+        return {}
+    centre = np.array(list(middles.values()))
+    local = (centre - pose[:3, 3]) @ pose[:3, :3]
+    pixel = camera.project(local)
+    distance = np.linalg.norm(local, axis=-1)
+    nearest, names = np.full(len(centre), np.inf), np.full(len(centre), "", dtype=object)
+    for shapes, place in ((geometry, np.eye(4)), *((moving.geometry, moving.pose) for moving in movers)):
+        inverse = np.linalg.inv(place)
+        start = (inverse[:3, :3] @ pose[:3, 3] + inverse[:3, 3]).tolist()
+        direction = ((centre - pose[:3, 3]) / distance[:, None]) @ inverse[:3, :3].T
+        hit = shapes.cast(mi.Ray3f(mi.Point3f(*start), mi.Vector3f(*direction.T.astype(np.float32))))
+        met, surface = np.array(hit.distance), np.array(hit.surface)
+        nearer = met < nearest
+        names[nearer] = [shapes.surfaces[number].name.split(":")[0] for number in surface[nearer]]
+        nearest = np.minimum(nearest, met)
+    found = {}
+    for k, name in enumerate(middles):
+        inside = bool(0.0 <= pixel[k, 0] < camera.width and 0.0 <= pixel[k, 1] < camera.height)
+        found[name] = {
+            "pixel": [round(float(value), 3) for value in pixel[k]] if np.isfinite(pixel[k]).all() else None,
+            "in_view": inside,
+            "visible": inside and bool(names[k] == name),
+            "range_m": round(float(distance[k]), 3),
+        }
+    return found
