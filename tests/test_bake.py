@@ -15,6 +15,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, brightness_temperature
 from thermorender.render import bake, cache
 from thermorender.render.geometry import Geometry
+from thermorender.render.outside import even
 from thermorender.render.variant import activate
 
 BAND = (7.5, 13.5)
@@ -43,10 +44,10 @@ def traced(folder, mesh, rays, seed=0):
 
 def solved(transport, emissivity, tolerance=1e-6, wall=WALL):
     """(radiance leaving, incident, bounds) of walls of one temperature under a black outside, a node per emissivity."""
-    emitted = np.broadcast_to(wall * np.asarray(emissivity), (len(transport.up), len(emissivity)))
+    emitted = np.broadcast_to(wall * np.asarray(emissivity), (len(transport.beyond), len(emissivity)))
     reflectance = np.broadcast_to(1.0 - np.asarray(emissivity), emitted.shape)
-    outside = np.zeros(len(emissivity))
-    incident, bounds = bake.solve(transport, emitted, reflectance, outside, outside, tolerance)
+    outside = even(np.zeros(len(emissivity)), np.zeros(len(emissivity)), len(emitted))
+    incident, bounds = bake.solve(transport, emitted, reflectance, outside, tolerance)
     return emitted + reflectance * incident, incident, bounds
 
 
@@ -98,7 +99,7 @@ def test_spherical_cavity_with_an_opening(cavity):
     leaving, _, _ = solved(transport, EMISSIVITIES)
     error = brightness_temperature(weight @ leaving, *BAND) - brightness_temperature(exact * WALL, *BAND)
     # Standard error of the mean share of the opening from the halves of all faces, carried to the temperature.
-    seen = transport.up + transport.down.astype(float)
+    seen = transport.up.sum(axis=2) + transport.down.astype(float)
     share_error = np.sqrt((((seen[:, 0] - seen[:, 1]) / transport.rays / 2 * weight) ** 2).sum())
     slope = band_radiance_derivative(brightness_temperature(exact * WALL, *BAND), *BAND)
     sigma = exact**2 * (1.0 - EMISSIVITIES) / EMISSIVITIES * WALL * share_error / slope
@@ -117,7 +118,7 @@ def test_work_hardly_depends_on_emissivity(cavity):
     products = []
     for emissivity in (EMISSIVITIES, *EMISSIVITIES[:, None]):
         counted = Counting(transport.operator)
-        view = SimpleNamespace(operator=counted, up=transport.up, down=transport.down, rays=transport.rays)
+        view = SimpleNamespace(operator=counted, sky=transport.sky, beyond=transport.beyond)
         assert solved(view, emissivity, tolerance)[2].max() <= tolerance
         products.append(counted.products)
     # Bounces need ln(1e-5) / ln(0.999 · 0.9) = 108 for the last. All together cost no more than the worst alone.
@@ -142,12 +143,12 @@ def test_long_v_groove(tmp_path):
     transport, corners, area = traced(tmp_path / "s", groove(24, along), 16384)
     middle = np.abs(corners[..., 1]).max(axis=1) < 0.5 + 1e-5
     leaving, _, _ = solved(transport, EMISSIVITIES[:3], tolerance=1e-7, wall=1.0)
-    escaping = area * (transport.sky + transport.beyond)
+    escaping = area * (transport.sky.sum(axis=1) + transport.beyond)
     found = (escaping[:, None] * leaving)[middle].sum(axis=0)
     assert area[middle].sum() == pytest.approx(2.0, abs=1e-5)
     # Standard error of what escapes, from the rays' halves; the rays start lifted off the wall by 64 · 2⁻²⁴ · 21 m,
     # 8e-5 of its width; more than 20 m away lies less than (1 / 20)² / 12 of what a wall sees.
-    seen = transport.up + transport.down.astype(float)
+    seen = transport.up.sum(axis=2) + transport.down.astype(float)
     half = (seen[:, 0] - seen[:, 1]) / transport.rays / 2 * area
     sigma = np.sqrt(((half[:, None] * leaving)[middle] ** 2).sum(axis=0))
     assert (np.abs(found - exact) < 3.0 * sigma + 8e-5 + 2.1e-4).all(), (found - exact, sigma)
@@ -161,7 +162,7 @@ def test_noise_is_what_more_rays_show(tmp_path):
     emitted = random.uniform(8.0, 12.0, len(mesh.faces))
     emitted = np.column_stack([emitted, 0.5 * (20.0 - emitted)])
     reflectance = np.full(emitted.shape, 0.9)
-    light = (emitted, reflectance, np.array([5.0, 97.5]), np.array([90.0, 55.0]))
+    light = (emitted, reflectance, even(np.array([5.0, 97.5]), np.array([90.0, 55.0]), len(emitted)))
     truth, _ = bake.solve(traced(tmp_path / "t", mesh, 64 * 64, seed=9)[0], *light, 1e-5)
     ratios = []
     for seed in (0, 1):
@@ -176,21 +177,22 @@ def test_noise_is_what_more_rays_show(tmp_path):
 
 
 def test_halves_are_independent_and_add_up(terrain, tmp_path):
-    shares = np.asarray(terrain.operator.sum(axis=1)).ravel() + terrain.sky + terrain.beyond
+    shares = np.asarray(terrain.operator.sum(axis=1)).ravel() + terrain.sky.sum(axis=1) + terrain.beyond
     np.testing.assert_allclose(shares, 1.0, atol=1e-12)
-    halves = np.asarray(terrain.halves.sum(axis=1)).reshape(-1, 2) + (terrain.up + terrain.down) / (2 * terrain.rays)
+    outside = terrain.up.sum(axis=2) + terrain.down
+    halves = np.asarray(terrain.halves.sum(axis=1)).reshape(-1, 2) + outside / (2 * terrain.rays)
     np.testing.assert_allclose(halves, 0.5, atol=1e-12)
     assert np.shares_memory(terrain.halves.data, terrain.operator.data)
     assert np.shares_memory(terrain.halves.indices, terrain.seen)
     better = traced(tmp_path / "s", rough(), 4096)[0]
-    error = terrain.up / terrain.rays - better.sky[:, None]
+    error = terrain.up.sum(axis=2) / terrain.rays - better.sky.sum(axis=1)[:, None]
     # Correlated halves would hide a part of their error from `noise`.
     assert abs(np.corrcoef(error.T)[0, 1]) < 4.0 / np.sqrt(len(error))
 
 
 def test_odd_and_single_rays(tmp_path):
     transport, _, _ = traced(tmp_path / "s", rough(4), 1)
-    assert transport.rays == 1 and (transport.up + transport.down).max() <= 1
+    assert transport.rays == 1 and (transport.up.sum(axis=2) + transport.down).max() <= 1
     assert np.asarray(transport.operator.sum(axis=1)).max() <= 1.0
     assert [traced(tmp_path / f"s{rays}", rough(4), rays)[0].rays for rays in (64, 65)] == [32, 33]
 

@@ -98,7 +98,7 @@ def test_transport_against_the_view_factor_of_parallel_squares(tmp_path, subdivi
     # Independent rays would err by this much (one standard error); stratified ones by less.
     standard_error = np.sqrt(exact * (1 - exact) / (rays * (~up).sum()))
     assert abs(seen - exact) < 4 * standard_error
-    sums = np.asarray(transport.operator.sum(axis=1)).ravel() + transport.sky + transport.beyond
+    sums = np.asarray(transport.operator.sum(axis=1)).ravel() + transport.sky.sum(axis=1) + transport.beyond
     np.testing.assert_allclose(sums, 1.0, atol=1e-9)
 
 
@@ -156,15 +156,15 @@ def test_plan_leaves_out_what_black_scenes_do_not_need(tmp_path, monkeypatch):
 def test_plan_gives_quartz_the_nodes_it_needs(tmp_path):
     scene = tr.load_scene(write_terrain(tmp_path / "s"))
     plan = make_plan(scene, tolerance_mk=2.0)
-    assert plan.nodes > 1 and plan.nodes_mk <= 2.0
+    assert plan.nodes > 1 and plan.spectrum.nodes_mk <= 2.0
     loose = make_plan(scene, tolerance_mk=500.0)
     assert loose.nodes < plan.nodes
     # A single node has the band's own emissivity: every wavelength counts with its share of 300 K light.
-    (single,) = make_plan(scene, tolerance_mk=5000.0).emissivity.T
+    (single,) = make_plan(scene, tolerance_mk=5000.0).spectrum.emissivity.T
     exact = [emitted_radiance(material.emissivity_at, 300.0, *BAND) for material in scene.materials]
     np.testing.assert_allclose(single, np.array(exact) / band_radiance(300.0, *BAND), rtol=1e-9)
     np.testing.assert_allclose(
-        plan.node_radiance(np.array([300.0])).sum(), band_radiance(300.0, *BAND), rtol=1e-10
+        plan.spectrum.black(np.array([300.0])).sum(), band_radiance(300.0, *BAND), rtol=1e-10
     )
 
 

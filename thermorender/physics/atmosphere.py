@@ -33,7 +33,7 @@ _PLANCK_NODE, _PLANCK_WEIGHT = np.polynomial.legendre.leggauss(6)
 _SKY_NODE, _SKY_WEIGHT = np.polynomial.legendre.leggauss(10)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Atmosphere:
     """Absorbing and emitting air over a spherical Earth.
 
@@ -81,6 +81,14 @@ class Atmosphere:
         density = exponential(ALTITUDE_M, self.altitude_m, self.density).T.copy()
         planck = self.planck(np.interp(ALTITUDE_M, self.altitude_m, self.temperature))
         object.__setattr__(self, "_profile", Profile.of(density, planck))
+
+    def __repr__(self):
+        clouds = f", {self.cloud_fraction:.0%} clouds at {self.cloud_base_m:.0f} m" if self.cloud_fraction else ""
+        passed = self.transmittance(0.0, 0.0, 1000.0) @ self.planck(REFERENCE_K) / self.planck(REFERENCE_K).sum()
+        return (
+            f"Atmosphere({self.lower_um.min():g}–{self.upper_um.max():g} µm in {self.nodes} nodes, "
+            f"{self.temperature[0]:.1f} K at the ground, transmittance {passed:.3f} over 1 km there{clouds})"
+        )
 
     @classmethod
     def standard(
@@ -239,13 +247,18 @@ class Atmosphere:
         weight · exp(c₂ tilt (1/285 K − 1/T)), normalised over the sub-band: Wien's law for a node whose light lies
         off the middle of its sub-band.
         """
-        temperature = np.asarray(temperature, dtype=np.float64)[..., None]
         half = 0.5 * (self._bands[:, 1] - self._bands[:, 0])
         wavelength = self._bands.mean(axis=1)[:, None] + half[:, None] * _PLANCK_NODE
-        band = spectral_radiance(wavelength, temperature[..., None]) @ _PLANCK_WEIGHT * half
+        temperature = np.asarray(temperature, dtype=np.float64)
+        band = spectral_radiance(wavelength, temperature[..., None, None]) @ _PLANCK_WEIGHT * half
+        return self.shares(temperature) * band[..., self._band_of]
+
+    def shares(self, temperature):
+        """Return the share of each node in a blackbody's radiance over its sub-band, (..., N)."""
+        temperature = np.asarray(temperature, dtype=np.float64)[..., None]
         # Tilts are at most half a sub-band, so the exponent stays below 30 from 20 K up.
         share = self.weight * np.exp(C2 * self.tilt * (1.0 / REFERENCE_K - 1.0 / np.maximum(temperature, 20.0)))
-        return share * (band / (share @ np.equal.outer(self._band_of, np.arange(len(half)))))[..., self._band_of]
+        return share / (share @ np.equal.outer(self._band_of, np.arange(len(self._bands))))[..., self._band_of]
 
     def air_temperature(self, at_m):
         """Return the air's temperature at altitudes above sea level [K], in their shape."""

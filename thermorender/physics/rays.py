@@ -7,7 +7,8 @@ import numpy as np
 
 # Mean radius of the Earth over 1 minus the mean refraction coefficient of light near the ground, 0.13 (Gauss): rays
 # drawn straight above an Earth of this radius keep the altitudes of refracted rays.
-EARTH_RADIUS_M = 6.371e6 / (1.0 - 0.13)
+MEAN_RADIUS_M = 6.371e6
+EARTH_RADIUS_M = MEAN_RADIUS_M / (1.0 - 0.13)
 # Altitudes of a path's steps are even in ln(this + altitude).
 _SCALE_M = 3.0e3
 _FEWEST_STEPS = 3

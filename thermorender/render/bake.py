@@ -23,7 +23,9 @@ from thermorender.errors import ThermorenderError
 from thermorender.render.gmres import STEPS, gmres
 
 # A cached Transport of another version is not used: count up with every change of what `trace` returns.
-VERSION = 1
+VERSION = 2
+# Bins of zenith angle in which rays to the sky are counted, even in the root of its cosine: narrow at the horizon.
+SKY_BINS = 16
 # Some 30 bytes per ray at once.
 _RAYS_AT_ONCE = 1 << 21
 _SEED = 0x7E44
@@ -49,8 +51,10 @@ class Transport:
         Faces that are hit, ascending in each row.
     hits : (nnz,) uint16
         How many rays hit them.
-    up, down : (F, 2) uint16
-        Rays of each half that see the sky, and the surroundings below the horizon.
+    up : (F, 2, SKY_BINS) uint16
+        Rays of each half that see the sky, by zenith angle.
+    down : (F, 2) uint16
+        Rays of each half that see the surroundings below the horizon.
     """
 
     rays: int
@@ -62,7 +66,7 @@ class Transport:
 
     @property
     def sky(self):
-        """Share of each face's cosine-weighted hemisphere that sees the sky, (F,)."""
+        """Share of each face's cosine-weighted hemisphere that sees each bin of the sky, (F, SKY_BINS)."""
         return self.up.sum(axis=1) / (2.0 * self.rays)
 
     @property
@@ -106,27 +110,39 @@ def trace(geometry, rays, progress=None, seed=0):
         0…2³²−1; another seed is another, independent estimate.
     """
     mi, count, half = geometry.mi, geometry.face_count, (rays + 1) // 2
-    rays_of = _Rays(geometry, half)
-    up, down = (np.empty((count, 2), dtype=np.uint16) for _ in range(2))
+    rays_of = FaceRays(geometry, half)
+    up, down = np.empty((count, 2, SKY_BINS), dtype=np.uint16), np.empty((count, 2), dtype=np.uint16)
     lengths, seen, hits = [], [], []
     step = max(1, _RAYS_AT_ONCE // (2 * half))
     for first in range(0, count, step):
         here = min(step, count - first)
-        origin, direction, _ = rays_of(first, here, seed)
+        origin, direction, _, _ = rays_of(first, here, seed)
         found = geometry.cast(mi.Ray3f(origin, direction))
-        # One number per ray: the face, or one of two beyond the last for sky and surroundings.
-        code = dr.select(found.valid, found.face, dr.select(direction.z >= 0.0, count, count + 1))
+        # One number per ray: the face, or one beyond the last for each bin of the sky and for the surroundings.
+        code = dr.select(found.valid, found.face, count + beyond_code(mi, direction))
         part = _counted(np.array(code, dtype=np.int32).reshape(2 * here, half), count)
         for whole, values in zip((lengths, seen, hits), part[:3], strict=True):
             whole.append(values)
-        up[first : first + here], down[first : first + here] = (n.reshape(here, 2) for n in part[3:])
+        up[first : first + here] = part[3][:, :SKY_BINS].reshape(here, 2, SKY_BINS)
+        down[first : first + here] = part[3][:, SKY_BINS].reshape(here, 2)
         if progress:
             progress((first + here) / count)
     start = np.concatenate([[0], np.cumsum(np.concatenate(lengths), dtype=np.int64)])
     return Transport(half, start, np.concatenate(seen), np.concatenate(hits), up, down)
 
 
-def solve(transport, emitted, reflectance, sky, beyond, tolerance):
+def sky_edges():
+    """Return the cosines of zenith angle between which the bins of the sky lie, (SKY_BINS + 1,)."""
+    return (np.arange(SKY_BINS + 1) / SKY_BINS) ** 2
+
+
+def beyond_code(mi, direction):
+    """Return what a ray sees that hits nothing: the bin of the sky, or SKY_BINS for the surroundings, UInt32."""
+    place = mi.UInt32(dr.sqrt(dr.clip(direction.z, 0.0, 1.0)) * SKY_BINS)
+    return dr.select(direction.z >= 0.0, dr.minimum(place, SKY_BINS - 1), SKY_BINS)
+
+
+def solve(transport, emitted, reflectance, outside, tolerance):
     """Return (incident (F, N) mean incident radiance of each face, error bound (N,)), both [W m⁻² sr⁻¹].
 
     Parameters
@@ -134,8 +150,8 @@ def solve(transport, emitted, reflectance, sky, beyond, tolerance):
     transport : Transport
     emitted, reflectance : (F, N)
         Mean emitted radiance [W m⁻² sr⁻¹] and reflectance of each face at each node.
-    sky, beyond : (N,)
-        Radiance of the sky and of the surroundings [W m⁻² sr⁻¹].
+    outside : Outside
+        Light from sky, surroundings and sun.
     tolerance : float
         Error bound to reach at each node [W m⁻² sr⁻¹].
 
@@ -153,7 +169,9 @@ def solve(transport, emitted, reflectance, sky, beyond, tolerance):
     operator, incident, bounds = transport.operator, np.empty(emitted.shape), np.empty(emitted.shape[1])
     for part in _blocks(emitted.shape):
         rho = reflectance[:, part]
-        source = operator @ emitted[:, part] + _outside(transport.up, transport.down, transport.rays, sky, beyond, part)
+        source = operator @ emitted[:, part] + outside.light(transport.sky, transport.beyond, part)
+        if outside.direct is not None:
+            source += outside.direct[:, part]
         reflected = (operator @ rho).max(axis=0, initial=0.0)
         if reflected.max() > _MOST_REFLECTED:
             raise ThermorenderError(
@@ -178,7 +196,7 @@ def solve(transport, emitted, reflectance, sky, beyond, tolerance):
     return incident, bounds
 
 
-def noise(transport, emitted, reflectance, sky, beyond, incident):
+def noise(transport, emitted, reflectance, outside, incident):
     """Return the Monte Carlo error of each face's reflected radiance, (F,) [W m⁻² sr⁻¹].
 
     The sum over nodes, one standard error. That of one face is a single draw and tells little by itself; the root
@@ -186,7 +204,7 @@ def noise(transport, emitted, reflectance, sky, beyond, incident):
 
     Parameters
     ----------
-    transport, emitted, reflectance, sky, beyond
+    transport, emitted, reflectance, outside
         As given to `solve`.
     incident : (F, N)
         Its result.
@@ -198,12 +216,11 @@ def noise(transport, emitted, reflectance, sky, beyond, incident):
     δ = K ρ δ + (x₁ − x₂) / 2 to first order, which matters in cavities.
     """
     operator, halves, total = transport.operator, transport.halves, np.zeros(len(emitted))
-    signs = np.array([1, -1])
-    up, down = (counts.astype(np.int32) * signs for counts in (transport.up, transport.down))
+    up, down = ((n[:, 0].astype(np.int32) - n[:, 1]) / (2.0 * transport.rays) for n in (transport.up, transport.down))
     for part in _blocks(emitted.shape):
         rho = reflectance[:, part]
         seen = (halves @ (emitted[:, part] + rho * incident[:, part])).reshape(len(emitted), 2, -1)
-        source = seen[:, 0] - seen[:, 1] + _outside(up, down, transport.rays, sky, beyond, part)
+        source = seen[:, 0] - seen[:, 1] + outside.light(up, down, part)
         size = np.abs(source).max(axis=0)
         total += (rho * gmres(operator, rho, source, _NOISE_ACCURACY * size)).sum(axis=1)
     return np.abs(total)
@@ -216,21 +233,15 @@ def _blocks(shape):
     return [slice(first, min(first + size, nodes)) for first in range(0, nodes, size)]
 
 
-def _outside(up, down, rays, sky, beyond, part):
-    """Radiance from outside on every face, (F, nodes): the mean of the halves' counts of rays."""
-    up, down = (counts.sum(axis=1)[:, None] / (2.0 * rays) for counts in (up, down))
-    return up * np.asarray(sky)[part] + down * np.asarray(beyond)[part]
-
-
 def face_rays(geometry, half):
-    """Return (origin, direction, origin on the face's other side) of 2 × `half` rays off every face.
+    """Return (origin, direction, origin on the face's other side, normal) of 2 × `half` rays off every face.
 
     Dr.Jit arrays, the rays of a face side by side.
     """
-    return _Rays(geometry, half)(0, geometry.face_count, 0)
+    return FaceRays(geometry, half)(0, geometry.face_count, 0)
 
 
-class _Rays:
+class FaceRays:
     """The cosine-distributed rays off faces, in two halves of `half` rays."""
 
     def __init__(self, geometry, half):
@@ -240,7 +251,7 @@ class _Rays:
         self._lift = 64.0 * 2.0**-24 * (1.0 + geometry.reach)
 
     def __call__(self, first, count, seed):
-        """(origin, direction, origin on the other side) of the rays of `count` faces from `first` on."""
+        """(origin, direction, origin on the other side, normal) of the rays of `count` faces from `first` on."""
         mi, half = self._mi, self._half
         index = dr.arange(mi.UInt32, count * 2 * half)
         # Opaque numbers: as literals they would have the kernel compiled anew for each part.
@@ -256,11 +267,12 @@ class _Rays:
         local = mi.warp.square_to_cosine_hemisphere(mi.Point2f(u[0], u[1]))
         spot = mi.warp.square_to_uniform_triangle(mi.Point2f(u[2], u[3]))
         point, lift = corner + spot.x * edge_u + spot.y * edge_v, normal * self._lift
-        return mi.Point3f(point + lift), mi.Frame3f(mi.Normal3f(normal)).to_world(local), mi.Point3f(point - lift)
+        towards = mi.Frame3f(mi.Normal3f(normal)).to_world(local)
+        return mi.Point3f(point + lift), towards, mi.Point3f(point - lift), normal
 
 
 def _counted(code, count):
-    """(length of each row, faces, hits, rays up, rays down) of the faces that rows of rays see, (rows, rays)."""
+    """(length of each row, faces, hits, rays to nothing (rows, SKY_BINS + 1)) of what (rows, rays) of rays see."""
     rows, rays = code.shape
     code.sort(axis=1)
     flat = code.ravel()
@@ -270,12 +282,11 @@ def _counted(code, count):
     place = np.flatnonzero(begins)
     hits = np.diff(place, append=flat.size).astype(np.uint16)
     seen = flat[place]
-    down, up = (np.zeros(rows, dtype=np.uint16) for _ in range(2))
-    for counts, which in ((up, count), (down, count + 1)):
-        missed = seen == which
-        counts[place[missed] // rays] = hits[missed]
+    beyond = np.zeros((rows, SKY_BINS + 1), dtype=np.uint16)
     surface = seen < count
-    return np.bincount(place[surface] // rays, minlength=rows), seen[surface], hits[surface], up, down
+    missed = ~surface
+    beyond[place[missed] // rays, seen[missed] - count] = hits[missed]
+    return np.bincount(place[surface] // rays, minlength=rows), seen[surface], hits[surface], beyond
 
 
 def _faces(surfaces):

@@ -33,18 +33,19 @@ def face_means(geometry, plan, material, temperature):
     for surface, column, row in geometry.places_in_faces(_pattern(geometry)):
         numbers.append(geometry.nearest(surface, column, row))
         dr.eval(numbers[-1])
+    spectrum = plan.spectrum
     grid = RadianceTable.grid(plan.coldest, plan.warmest)
-    black = plan.node_radiance(grid).astype(np.float32)
+    black = spectrum.black(grid).astype(np.float32)
     material, temperature = mi.UInt32(material), mi.Float(temperature)
     place = (temperature - float(grid[0])) / float(grid[1] - grid[0])
     lower = mi.UInt32(dr.clip(place, 0.0, float(len(grid) - 2)))
     weight = place - mi.Float(lower)
-    emitted = np.empty((geometry.face_count, plan.nodes))
+    emitted = np.empty((geometry.face_count, spectrum.nodes))
     reflectance = np.empty_like(emitted)
-    for node in range(plan.nodes):
+    for node in range(spectrum.nodes):
         table = mi.Float(np.ascontiguousarray(black[:, node]))
         planck = dr.lerp(dr.gather(mi.Float, table, lower), dr.gather(mi.Float, table, lower + 1), weight)
-        epsilon = dr.gather(mi.Float, mi.Float(plan.emissivity[:, node].astype(np.float32)), material)
+        epsilon = dr.gather(mi.Float, mi.Float(spectrum.emissivity[:, node].astype(np.float32)), material)
         leaving = planck * epsilon
         dr.eval(leaving, epsilon)
         sums = [sum(dr.gather(mi.Float, values, number) for number in numbers) for values in (leaving, epsilon)]
@@ -90,12 +91,12 @@ def fold(geometry, emitted, material, light):
     return np.array(texel), mean, float(np.sqrt(geometry.share @ np.maximum(square - mean * mean, 0.0)))
 
 
-def light(plan, incident):
-    """Return the band radiance that each material reflects on each face, (F, M) float32 [W m⁻² sr⁻¹].
+def light(incident, reflected):
+    """Return the radiance that each material reflects on each face, (F, M) float32 [W m⁻² sr⁻¹].
 
-    `incident` is that of each face at each node, (F, N) [W m⁻² sr⁻¹].
+    `incident` is that of each face at each node, (F, N) [W m⁻² sr⁻¹], `reflected` a material's share of each, (M, N).
     """
-    return (incident @ (1.0 - plan.emissivity).T).astype(np.float32)
+    return (incident @ reflected.T).astype(np.float32)
 
 
 def variation(geometry, reflected, noise, samples=2000, seed=0):

@@ -5,16 +5,19 @@ What a pixel needs is folded beforehand into the radiance of each texel and a co
 pixel's rays, never temperature.
 """
 
+from dataclasses import replace
+
 import drjit as dr
 import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.frames import Frame
-from thermorender.physics.band import RadianceTable
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.render import bake, cache, fold, truth
-from thermorender.render.geometry import Channels, Geometry, Hit, Layer, opaque_view, view_ray
+from thermorender.render.air import Air, Vacuum
+from thermorender.render.geometry import Channels, Geometry, Hit, Layer, Shown, opaque_view, view_ray
 from thermorender.render.moving import Moving, Still
+from thermorender.render.outside import of_scene
 from thermorender.render.plan import REFERENCE_K, make_plan
 from thermorender.render.sampling import (
     STAGES,
@@ -84,6 +87,8 @@ class Renderer:
                 "like=… renders other surfaces; give a renderer of the same scene at other temperatures"
             )
         self._geometry = like._geometry if same else Geometry(self._mi, scene.surfaces)
+        corner = [limit(surface.vertices, axis=0) for limit in (np.min, np.max) for surface in scene.surfaces]
+        self._box = np.stack([np.min(corner, axis=0), np.max(corner, axis=0)])
         self._transport = None
         if same and like.plan.rays == rays:
             like.prepare()
@@ -94,7 +99,13 @@ class Renderer:
         self._tolerance_mk = tolerance_mk
         self._per_mk = float(band_radiance_derivative(REFERENCE_K, *self.plan.band_um)) * 1e-3
         self.cache_note = None
-        self.bake_mk = self._texels = self._faces = self._outside = self._colour = None
+        self.bake_mk = self._shown = self._colour = None
+        if scene.air is None:
+            outside = np.array([scene.spec.sky_temperature, scene.surroundings_temperature])
+            self._air = Vacuum(self._mi, *band_radiance(outside, *self.plan.band_um)[:, None])
+        else:
+            self._air = Air(self._mi, scene, self.plan.spectrum)
+        self._between_here = None
         self._rays_of = {}
         self._still = self._faces_alone = None
         self._placed = not scene.movers
@@ -104,7 +115,7 @@ class Renderer:
         if same and scene.surfaces is like.scene.surfaces and scene.spec == like.scene.spec and not scene.movers:
             if like._tolerance_mk == tolerance_mk and like.plan.rays == rays and like.plan.band_um == self.plan.band_um:
                 # The same light: another camera or sampling of one scene needs no new solution.
-                self._texels, self._faces, self._outside = like._texels, like._faces, like._outside
+                self._shown = like._shown
                 self.bake_mk = like.bake_mk
 
     def prepare(self):
@@ -184,22 +195,31 @@ class Renderer:
             light = self._faces_alone.copy()
             for faces, more in added:
                 light[faces] += more
-            self._faces = Channels(self._mi, light[:, None])
+            self._shown = replace(self._shown, faces=Channels(self._mi, light))
 
     def _layers(self, pose, colour=False):
         """The still scene and each moving object where it is now, with their light or their colour."""
-        still = (self._colour, None) if colour else (self._texels, self._faces)
-        layers = [Layer(self._geometry, opaque_view(self._mi, pose), *still)]
+        layers = [Layer(self._geometry, opaque_view(self._mi, pose), self._colour if colour else self._shown)]
         for moving in self._moving:
             own = opaque_view(self._mi, np.linalg.inv(moving.pose) @ pose)
-            light = (moving.colour, None) if colour else (moving.texels, moving.faces)
-            layers.append(Layer(moving.geometry, own, *light))
+            layers.append(Layer(moving.geometry, own, moving.colour if colour else moving.shown))
         return layers
 
     def _radiance(self, pose):
         limit = self.plan.edge_mk * self._per_mk
-        image, sampling = self._shade(self._layers(pose), self.scene.camera, self._outside, limit)
+        image, sampling = self._shade(self._layers(pose), self.scene.camera, self._between(pose), limit)
         return image[0], sampling
+
+    def _between(self, pose):
+        """What lies between a camera at `pose` and what it sees: its air, or none."""
+        if self.scene.air is None:
+            return self._air
+        boxes = [self._box, *(moving.box() for moving in self._moving)]
+        box = np.stack([np.min([b[0] for b in boxes], axis=0), np.max([b[1] for b in boxes], axis=0)])
+        key = pose[:3, 3].tobytes() + box.tobytes()
+        if self._between_here is None or self._between_here[0] != key:
+            self._between_here = key, self._air.view(pose[:3, 3], box)
+        return self._between_here[1]
 
     def _budget(self, radiance, sampling):
         plan = self.plan
@@ -213,10 +233,12 @@ class Renderer:
         texture = texture_error(span - step, plan.samples * plan.taps)
         light = self.bake_mk
         parts = {
-            "nodes": plan.nodes_mk + light["solution"],
+            "nodes": plan.spectrum.nodes_mk + light["solution"],
             "bake": float(np.sqrt(sum(light[which] ** 2 for which in ("noise", "faces", "texels")))),
             "sampling": float(np.sqrt(np.mean(edges**2) + np.mean(texture**2)) / self._per_mk),
         }
+        if self.scene.air is not None:
+            parts["air"] = plan.spectrum.channels_mk
         return {**parts, "total": float(np.sqrt(sum(value**2 for value in parts.values())))}
 
     def rays(self, pose):
@@ -248,28 +270,29 @@ class Renderer:
             linear = _linear_from_srgb(np.concatenate([s.colour.reshape(-1, 3) for s in self.scene.surfaces]))
             flags = np.concatenate([surface.flags.ravel() for surface in self.scene.surfaces])
             known = ((flags & FILLED) == 0).astype(np.float32)
-            self._colour = Channels(self._mi, np.column_stack([linear, known]))
+            self._colour = Shown(Channels(self._mi, np.column_stack([linear, known])))
         if not self._placed:
             self._put(0.0, {})
-        found, _ = self._shade(self._layers(pose, colour=True), camera, np.zeros((2, 4)), _VISIBLE_EDGE)
+        nothing = Vacuum(self._mi, *np.zeros((2, 4)))
+        found, _ = self._shade(self._layers(pose, colour=True), camera, nothing, _VISIBLE_EDGE)
         return _srgb_from_linear(np.moveaxis(found[:3], 0, -1)), found[3] > 0.999
 
     def _bake(self, tolerance_mk):
         """Fold the scene into texel channels, face channels and the radiance of sky and surroundings."""
         plan, scene, mi = self.plan, self.scene, self._mi
-        band = plan.band_um
-        emitted = np.empty(len(self._material), dtype=np.float32)
+        spectrum = plan.spectrum
+        emitted = np.empty((len(self._material), spectrum.channels), dtype=np.float32)
         for index, material in enumerate(scene.materials):
             here = self._material == index
             if here.any():
                 warm = self._temperature[here]
-                table = RadianceTable.of(material.emissivity_at, float(warm.min()), float(warm.max()), *band)
-                emitted[here] = table(warm)
-        outside = np.array([scene.spec.sky_temperature, scene.surroundings_temperature])
-        self._outside = band_radiance(outside, *band)[:, None]
+                limits = float(warm.min()), float(warm.max())
+                grid, table = spectrum.emitted(material.emissivity_at, *limits, plan.band_um)
+                for channel, values in enumerate(table.T):
+                    emitted[here, channel] = np.interp(warm, grid, values)
         if not plan.bake:
             self.bake_mk = dict.fromkeys(("solution", "noise", "faces", "texels"), 0.0)
-            self._texels, self._faces = Channels(mi, emitted[:, None]), None
+            self._shown = Shown.of(mi, emitted)
             return
         if self._transport is None:
             what = "tracing the light between surfaces"
@@ -279,21 +302,28 @@ class Renderer:
             )
         self._progress("solving the light between surfaces", 0.0)
         face_emitted, face_reflectance = fold.face_means(self._geometry, plan, self._material, self._temperature)
-        sky_nodes, beyond_nodes = plan.node_radiance(outside)
-        tolerance = 0.1 * tolerance_mk * self._per_mk / plan.nodes
-        incident, bounds = bake.solve(
-            self._transport, face_emitted, face_reflectance, sky_nodes, beyond_nodes, tolerance
-        )
-        noise = bake.noise(self._transport, face_emitted, face_reflectance, sky_nodes, beyond_nodes, incident)
-        texel, face, scatter = fold.fold(self._geometry, emitted, self._material, fold.light(plan, incident))
-        self._texels, self._faces = Channels(mi, texel[:, None]), Channels(mi, face[:, None])
+        outside = of_scene(scene, plan, self._geometry)
+        tolerance = 0.1 * tolerance_mk * self._per_mk / spectrum.nodes
+        incident, bounds = bake.solve(self._transport, face_emitted, face_reflectance, outside, tolerance)
+        noise = bake.noise(self._transport, face_emitted, face_reflectance, outside, incident)
+        face = np.empty((self._geometry.face_count, spectrum.channels), dtype=np.float32)
+        for channel in range(spectrum.channels):
+            light = fold.light(incident, spectrum.reflected[:, channel])
+            emitted[:, channel], face[:, channel], scatter = fold.fold(
+                self._geometry, emitted[:, channel], self._material, light
+            )
+        if spectrum.channels > 1:
+            # What scatter means in kelvin is told by the band, whose light no path has weakened.
+            light = fold.light(incident, np.tensordot(spectrum.solver.sum(axis=0), spectrum.reflected, (0, 1)))
+            _, _, scatter = fold.fold(self._geometry, emitted[:, 0], self._material, light)
+        self._shown = Shown.of(mi, emitted, face)
         if self._moving:
             leaving = face_emitted + face_reflectance * incident
-            self._still = Still(self._geometry, leaving, face_reflectance, sky_nodes, beyond_nodes)
+            self._still = Still(self._geometry, leaving, face_reflectance, outside)
             self._faces_alone = face
         share = self._geometry.share
         varies = fold.variation(self._geometry, incident @ (share @ face_reflectance), noise)
-        solution = ((1.0 - plan.emissivity).max(axis=0) * bounds).sum()
+        solution = ((1.0 - spectrum.emissivity).max(axis=0) * bounds).sum()
         errors = {"solution": solution, "noise": np.sqrt(share @ noise**2), "faces": varies, "texels": scatter}
         self.bake_mk = {name: float(value / self._per_mk) for name, value in errors.items()}
         self._progress("solving the light between surfaces", 1.0)
@@ -303,7 +333,7 @@ class Renderer:
             self._rays_of[camera] = CameraRays(self._mi, camera)
         return self._rays_of[camera]
 
-    def _shade(self, layers, camera, outside, edge_limit):
+    def _shade(self, layers, camera, between, edge_limit):
         """Return (image, sampling): the mean over a pixel's rays of what they see, and what is known of its error.
 
         image : (channels, H, W) float32
@@ -312,16 +342,15 @@ class Renderer:
         """
         mi = self._mi
         rays = self._camera_rays(camera)
-        outside = [[dr.opaque(mi.Float, float(value)) for value in row] for row in outside]
         several = len(layers) + len(self.scene.surfaces) > 2
-        channels = layers[0].texels.count
-        total = [mi.Float(0.0) for _ in range(channels)]
+        total = None
         pattern = places(self.plan.samples, self.plan.taps)
         for place, taps in pattern:
             slope = rays.slopes(*place)
             taps = [slope if tap == place else rays.slopes(*tap) for tap in taps]
-            hit, values = self._look(layers, slope, taps, outside)
-            total = [a + b for a, b in zip(total, values, strict=True)]
+            hit, values = self._look(layers, slope, taps, between)
+            total = values if total is None else [a + b for a, b in zip(total, values, strict=True)]
+        channels = len(total)
         total = [value / len(pattern) for value in total]
         if edge_limit < np.inf:
             # One or two more channels tell where the edges are.
@@ -341,7 +370,7 @@ class Renderer:
         if edge_limit < np.inf:
             guide, image = image[channels:], image[:channels]
             span, step = edge_step(image.sum(axis=0), *guide)
-            look = lambda slope: self._look(layers, slope, [slope], outside)[1]  # noqa: E731
+            look = lambda slope: self._look(layers, slope, [slope], between)[1]  # noqa: E731
             refined = self._refine(rays, image, step, edge_limit, look)
         return image, (span, step, refined)
 
@@ -370,9 +399,8 @@ class Renderer:
             position, total, low, high, unseen, first = position[on], total[:, on], low[on], high[on], unseen[on], last
         return refined
 
-    def _look(self, layers, slope, taps, outside):
+    def _look(self, layers, slope, taps, between):
         """Return (hit, channels): what rays hit, and the mean over their taps of the light that comes from there."""
-        mi = self._mi
         hit, total = self._meet(layers[0], slope, taps)
         surfaces = len(layers[0].geometry.surfaces)
         for layer in layers[1:]:
@@ -386,12 +414,8 @@ class Renderer:
                 dr.select(nearer, other.surface + surfaces, hit.surface),
             )
             surfaces += len(layer.geometry.surfaces)
-        rotation, _ = layers[0].view
-        up = dr.dot(rotation[2], mi.Vector3f(*slope, 1.0)) >= 0.0
-        sky, beyond = outside
-        return hit, [
-            dr.select(hit.valid, value, dr.select(up, sky[c], beyond[c])) for c, value in enumerate(total)
-        ]
+        ray = view_ray(self._mi, *layers[0].view, *slope)
+        return hit, between.arrive(hit, total, ray.o, ray.d)
 
     def _meet(self, layer, slope, taps):
         """As `_look`, of one layer and without what lies beyond it."""
@@ -403,20 +427,23 @@ class Renderer:
         lattice = geometry.lattice(hit.surface, hit.valid)
         normal = geometry.normal(record)
         height = hit.distance * dr.dot(normal, ray.d)
-        total = [mi.Float(0.0) for _ in range(layer.texels.count)]
+        shown, met = layer.shown, ray.o + hit.distance * ray.d
+        total = [mi.Float(0.0) for _ in range(shown.texels.count)]
         for tap in taps:
             if tap is slope:
-                point = ray.o + hit.distance * ray.d
+                point = met
             else:
                 # Where the tap's own ray would meet the plane of the face that was hit.
                 along = mi.Vector3f(*(dr.dot(row, mi.Vector3f(*tap, 1.0)) for row in rotation))
                 slant = dr.dot(normal, along)
                 point = origin + dr.select(slant != 0.0, height / slant, 0.0) * along
-            values = geometry.bilinear(layer.texels, lattice, *geometry.place(record, point), hit.valid)
+            values = geometry.bilinear(shown.texels, lattice, *geometry.place(record, point), hit.valid)
             total = [a + b for a, b in zip(total, values, strict=True)]
         total = [value / len(taps) for value in total]
-        if layer.faces:
-            total = [a + b for a, b in zip(total, layer.faces.at(hit.face, hit.valid), strict=True)]
+        if shown.rest:
+            total += geometry.bilinear(shown.rest, lattice, *geometry.place(record, met), hit.valid)
+        if shown.faces:
+            total = [a + b for a, b in zip(total, shown.faces.at(hit.face, hit.valid), strict=True)]
         return hit, total
 
 

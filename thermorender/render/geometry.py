@@ -220,13 +220,37 @@ class Channels:
 
 
 @dataclass(frozen=True)
+class Shown:
+    """What surfaces show: channels of their texels, and corrections of their faces.
+
+    Attributes
+    ----------
+    texels : Channels
+        Read at every place of a pixel: all there is, or the first of the spectral channels, which carries nearly all.
+    rest : Channels or None
+        The other spectral channels, read once per ray, as they tell a hundredth of what the first does.
+    faces : Channels or None
+        Added to all channels of the texels.
+    """
+
+    texels: Channels
+    rest: Channels | None = None
+    faces: Channels | None = None
+
+    @classmethod
+    def of(cls, mi, texels, faces=None):
+        """Return what surfaces show by spectral channels of texels (T, K) and faces (F, K)."""
+        rest = Channels(mi, texels[:, 1:]) if texels.shape[1] > 1 else None
+        return cls(Channels(mi, texels[:, :1]), rest, None if faces is None else Channels(mi, faces))
+
+
+@dataclass(frozen=True)
 class Layer:
-    """A ray caster, the view (rotation, origin) in its frame, and the channels of its texels and faces."""
+    """A ray caster, the view (rotation, origin) in its frame, and what its surfaces show."""
 
     geometry: Geometry
     view: tuple
-    texels: Channels
-    faces: Channels | None
+    shown: Shown
 
 
 def opaque_view(mi, pose):

@@ -9,9 +9,8 @@ weaker by the reflectances of the two.
 import drjit as dr
 import numpy as np
 
-from thermorender.physics.band import emitted_radiance
 from thermorender.render import bake
-from thermorender.render.geometry import Channels, Geometry
+from thermorender.render.geometry import Channels, Geometry, Shown
 from thermorender.render.gmres import gmres
 
 
@@ -23,14 +22,14 @@ class Still:
     geometry : Geometry
     reflectance : (F, N) float32
         Of each face at each node.
-    seen : (F + 2, N) float32
-        Radiance that leaves each face, and that of the sky and of the surroundings [W m⁻² sr⁻¹].
+    seen : (F + SKY_BINS + 1, N) float32
+        Radiance that leaves each face, and that of the sky's bins and of the surroundings [W m⁻² sr⁻¹].
     """
 
-    def __init__(self, geometry, leaving, reflectance, sky, beyond):
+    def __init__(self, geometry, leaving, reflectance, outside):
         self.geometry, self.reflectance = geometry, reflectance.astype(np.float32)
         # As faces beyond the last: rays that hit nothing see these.
-        self.seen = np.vstack([leaving, sky, beyond]).astype(np.float32)
+        self.seen = np.vstack([leaving, outside.sky.mean(axis=0), outside.beyond]).astype(np.float32)
 
 
 class Moving:
@@ -53,9 +52,9 @@ class Moving:
         From there to the scene's frame, after `put`.
     temperature : float
         [K], after `put`.
-    texels, faces : Channels
-        Radiance of the texels and its correction per face, as a still object has them, after `put`.
-    colour : Channels
+    shown : Shown
+        As a still object's, after `put`.
+    colour : Shown
         Linear colour of the texels, and 1.
     """
 
@@ -63,7 +62,7 @@ class Moving:
         self.name, self.surfaces, self._plan = mover.name, mover.surfaces, plan
         self.geometry = Geometry(mi, mover.surfaces)
         colour = linear(np.concatenate([surface.colour.reshape(-1, 3) for surface in mover.surfaces]))
-        self.colour = Channels(mi, np.column_stack([colour, np.ones(len(colour))]))
+        self.colour = Shown(Channels(mi, np.column_stack([colour, np.ones(len(colour))])))
         # One material all over.
         self.material = int(mover.surfaces[0].material.flat[0])
         self._emissivity_at = materials[self.material].emissivity_at
@@ -84,31 +83,38 @@ class Moving:
         Returns
         -------
         faces : (n,) int64
-        added : (n,) float32
-            Radiance that these faces of the still scene reflect more than without the object [W m⁻² sr⁻¹].
+        added : (n, K) float32
+            What these faces of the still scene reflect more than without the object, in each channel [W m⁻² sr⁻¹].
         """
         key = (pose.tobytes(), temperature)
         if self._put and self._put[0] == key:
             return self._put[1]
         mi, plan = self.geometry.mi, self._plan
         self.pose, self.temperature = pose, temperature
-        emitted = float(emitted_radiance(self._emissivity_at, temperature, *plan.band_um))
-        self.texels = Channels(mi, np.full((self._texel_count, 1), emitted))
-        light, added = np.zeros(self.geometry.face_count), (np.zeros(0, np.int64), np.zeros(0, np.float32))
+        emitted = plan.spectrum.emitted_at(self._emissivity_at, temperature, plan.band_um)
+        channels = plan.spectrum.channels
+        light = np.zeros((self.geometry.face_count, channels))
+        added = np.zeros(0, np.int64), np.zeros((0, channels), np.float32)
         if still is not None:
             light, added = self._light(pose, temperature, still)
-        self.faces = Channels(mi, light[:, None])
+        self.shown = Shown.of(mi, np.tile(emitted, (self._texel_count, 1)), light)
         self._put = (key, added)
         return added
+
+    def box(self):
+        """Return the lowest and highest corner of the object where it is now, (2, 3) [m]."""
+        place = np.concatenate([surface.vertices for surface in self.surfaces]) @ self.pose[:3, :3].T + self.pose[:3, 3]
+        return np.stack([place.min(axis=0), place.max(axis=0)])
 
     def _light(self, pose, temperature, still):
         """(light that each own face reflects, what `put` returns)."""
         from scipy.sparse import csr_array
 
         mi, plan, count, others = self.geometry.mi, self._plan, self.geometry.face_count, still.geometry.face_count
+        spectrum, known = plan.spectrum, len(still.seen)
         half = (plan.rays + 1) // 2
         rays = 2 * half
-        origin, direction, reverse = bake.face_rays(self.geometry, half)
+        origin, direction, reverse, _ = bake.face_rays(self.geometry, half)
         matrix, origin_m = _matrix(mi, pose)
         start, along = matrix @ origin + origin_m, matrix @ direction
         # Both ways off a face: a sheet shines to both sides, and either end tells what the object hides from the other.
@@ -116,18 +122,18 @@ class Moving:
         for own_from, sign in ((origin, 1.0), (reverse, -1.0)):
             own = self.geometry.cast(mi.Ray3f(mi.Point3f(own_from), mi.Vector3f(sign * direction)))
             end = still.geometry.cast(mi.Ray3f(mi.Point3f(start), sign * along))
-            there = dr.select(end.valid, end.face, dr.select(sign * along.z >= 0.0, others, others + 1))
-            codes.append(dr.select(own.distance < end.distance, others + 2 + own.face, there))
+            there = dr.select(end.valid, end.face, others + bake.beyond_code(mi, sign * along))
+            codes.append(dr.select(own.distance < end.distance, known + own.face, there))
             ends.append(there)
         dr.eval(codes, ends)
         met, met_reverse = (np.array(values, dtype=np.int64) for values in codes)
         end, end_reverse = (np.array(values, dtype=np.int64) for values in ends)
         index = np.arange(0, count * rays + 1, rays)
-        seen = csr_array((np.full(met.size, 1.0 / rays), met, index), shape=(count, others + 2 + count))
-        rho = np.broadcast_to(1.0 - plan.emissivity[self.material], (count, plan.nodes))
-        emitted = plan.emissivity[self.material] * plan.node_radiance([temperature])[0]
-        between = seen[:, others + 2 :].tocsr()
-        source = seen[:, : others + 2] @ still.seen + (between.sum(axis=1))[:, None] * emitted
+        seen = csr_array((np.full(met.size, 1.0 / rays), met, index), shape=(count, known + count))
+        rho = np.broadcast_to(1.0 - spectrum.emissivity[self.material], (count, spectrum.nodes))
+        emitted = spectrum.emissivity[self.material] * spectrum.black([temperature])[0]
+        between = seen[:, known:].tocsr()
+        source = seen[:, :known] @ still.seen + (between.sum(axis=1))[:, None] * emitted
         incident = gmres(between, rho, source, 1e-6 * np.abs(source).max(axis=0))
         leaving = emitted + rho * incident
 
@@ -136,12 +142,13 @@ class Moving:
         for first, hidden in ((met, end_reverse), (met_reverse, end)):
             hit = np.flatnonzero(first < others)
             face, own = first[hit], hit // rays
-            change = ((leaving[own] - still.seen[hidden[hit]]) * still.reflectance[face]).sum(axis=1)
+            change = ((leaving[own] - still.seen[hidden[hit]]) * still.reflectance[face]) @ spectrum.share.T
             faces.append(face)
-            changes.append(change * self.geometry.area[own] / (rays * still.geometry.area[face]))
+            changes.append(change * (self.geometry.area[own] / (rays * still.geometry.area[face]))[:, None])
         faces, place = np.unique(np.concatenate(faces), return_inverse=True)
-        added = np.bincount(place, np.concatenate(changes), len(faces)).astype(np.float32)
-        return (rho * incident).sum(axis=1), (faces, added)
+        changes = np.concatenate(changes)
+        added = np.stack([np.bincount(place, change, len(faces)) for change in changes.T], axis=1)
+        return incident @ spectrum.reflected[self.material].T, (faces, added.astype(np.float32))
 
 
 def _matrix(mi, pose):

@@ -12,6 +12,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.paths import data_folder
 from thermorender.scene import materials as material_tables
 from thermorender.scene import mesh, terrain
+from thermorender.scene.air import declared_air
 from thermorender.scene.georeference import FARTHEST_M, LocalFrame
 from thermorender.scene.ground import Ground
 from thermorender.scene.material_map import learned_materials
@@ -44,6 +45,8 @@ class Scene:
     camera : Camera
     grid : Grid or None
         Map grid of the terrain's texels.
+    air : Atmosphere or None
+        What the scene declares, in the camera's band.
     movers : tuple of Mover
         Objects with a track.
     report : dict
@@ -59,6 +62,7 @@ class Scene:
     materials: tuple
     camera: Camera
     grid: object
+    air: object = None
     movers: tuple = ()
     report: dict = field(default_factory=dict)
     emissivity_report: dict = field(default_factory=dict)
@@ -72,6 +76,14 @@ class Scene:
     def where(self):
         """Path of the scene file, for messages."""
         return str(self.spec.folder / "scene.toml")
+
+    @property
+    def altitude_m(self):
+        """Altitude of the local frame's origin above sea level [m]: as declared, else as the frame lies, else 0."""
+        air = self.spec.atmosphere
+        if air and air.altitude_m is not None:
+            return air.altitude_m
+        return self.frame.height_m - (self.geoid_undulation_m or 0.0) if self.frame else 0.0
 
     @property
     def surroundings_temperature(self):
@@ -150,6 +162,10 @@ class Scene:
                 state.update(surface.vertices.tobytes() + surface.faces.tobytes() + surface.colour.tobytes())
         spec = self.spec
         state.update(repr((self.camera, spec.sky_temperature, spec.surroundings_temperature)).encode())
+        if self.air:
+            state.update(repr((self.air.cloud_fraction, self.air.cloud_base_m, self.altitude_m, spec.sun)).encode())
+            for name in ("weight", "altitude_m", "temperature", "density", "absorption"):
+                state.update(getattr(self.air, name).tobytes())
         return state.hexdigest()
 
     def __str__(self):
@@ -161,7 +177,7 @@ class Scene:
             f"  mesh          {faces} triangles, {texels} texels of {self.surfaces[0].texel_m:.3g} m",
             f"  temperature   {self.spec.temperature.source}, {terrain_k.min():.1f}–{terrain_k.max():.1f} K",
             f"  materials     {self._materials_words()}",
-            f"  sky           {self.spec.sky_temperature:g} K",
+            f"  sky           {self._sky_words()}",
             f"  objects       {', '.join(item.name for item in self.spec.objects) or 'none'}",
             f"  camera        {self.camera.name}, {self.camera.width}×{self.camera.height}",
         ]
@@ -170,6 +186,10 @@ class Scene:
                             f"{self.frame.height_m:g} m above the ellipsoid")  # fmt: skip
         return "\n".join(lines)
 
+    def _sky_words(self):
+        if self.air is None:
+            return f"{self.spec.sky_temperature:g} K"
+        return f"that of {self.air}, {self.altitude_m:.0f} m above sea level"
 
     def _materials_words(self):
         pure = [material.name for material in self.materials if not isinstance(material, Mixture)]
@@ -227,8 +247,9 @@ def load_scene(name):
     else:
         frame, grid, surfaces = _mesh_terrain(spec, materials)
     scene = Scene(
-        spec, frame, tuple(surfaces), len(surfaces), (), camera, grid, emissivity_report=emissivity_report
-    )
+        spec, frame, tuple(surfaces), len(surfaces), (), camera, grid,
+        air=declared_air(spec.atmosphere, camera.band_um, where), emissivity_report=emissivity_report,
+    )  # fmt: skip
     things = [_object(item, materials) for item in spec.objects]
     still = [surface for thing in things if not thing.item.track for surface in _placed(thing, thing.at(0.0), scene)]
     movers = [thing for thing in things if thing.item.track]

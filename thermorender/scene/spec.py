@@ -79,20 +79,46 @@ class ObjectSpec:
 
 
 @dataclass(frozen=True)
+class AtmosphereSpec:
+    """The air: a standard atmosphere, a table or a measured profile, its clouds, and where the scene lies in it."""
+
+    standard: str | None
+    file: Path | None
+    profile: Path | None
+    aerosol: str
+    visibility_km: float
+    temperature_offset_k: float
+    humidity_factor: float
+    cloud_fraction: float
+    cloud_base_m: float
+    altitude_m: float | None
+
+
+@dataclass(frozen=True)
+class SunSpec:
+    """Where the sun stands."""
+
+    elevation_deg: float
+    azimuth_deg: float
+
+
+@dataclass(frozen=True)
 class SceneSpec:
-    """A whole scene file."""
+    """A whole scene file; `sky_temperature` is None where there is an atmosphere, whose sky it is then."""
 
     folder: Path
     title: str
     terrain: TerrainSpec
     temperature: TemperatureSpec
     emissivity: EmissivitySpec
-    sky_temperature: float
+    sky_temperature: float | None
     surroundings_temperature: float | None
     camera: str
     truth_temperature: Path | None
     frame: tuple[float, float, float] | None
     objects: tuple[ObjectSpec, ...]
+    atmosphere: AtmosphereSpec | None = None
+    sun: SunSpec | None = None
 
 
 def read_scene(folder):
@@ -249,7 +275,9 @@ class _Reader:
                 "terrain": REQUIRED,
                 "temperature": REQUIRED,
                 "emissivity": REQUIRED,
-                "sky": REQUIRED,
+                "sky": None,
+                "atmosphere": None,
+                "sun": None,
                 "surroundings": {},
                 "camera": {},
                 "truth": {},
@@ -266,7 +294,16 @@ class _Reader:
             frame = tuple(self.table(frame, "frame", {axis: (self.number, REQUIRED) for axis in axes}).values())
             if not (abs(frame[0]) <= 90.0 and abs(frame[1]) <= 360.0):
                 self.fail("frame", list(frame), "latitude −90…90, longitude −180…180 or 0…360 and a height in metres")
-        sky = self.table(top["sky"], "sky", {"temperature": (self.cold, REQUIRED)})
+        if (top["sky"] is None) == (top["atmosphere"] is None):
+            raise ThermorenderError(
+                f"{self.path}: the scene needs either [sky], of one temperature and without air, or [atmosphere], "
+                "whose sky it then has; give exactly one"
+            )
+        if top["sun"] is not None and top["atmosphere"] is None:
+            raise ThermorenderError(f"{self.path}: [sun] shines through the air; add [atmosphere] or leave [sun] out")
+        sky = {"temperature": None}
+        if top["sky"] is not None:
+            sky = self.table(top["sky"], "sky", {"temperature": (self.cold, REQUIRED)})
         surroundings = self.table(top["surroundings"], "surroundings", {"temperature": (self.cold, None)})
         camera = self.table(top["camera"], "camera", {"model": (self.camera_model, "zenmuse-xt2")})
         truth = self.table(top["truth"], "truth", {"temperature": (self.file, None)})
@@ -282,6 +319,8 @@ class _Reader:
             temperature=self.temperature_source(top["temperature"]),
             emissivity=self.emissivity(top["emissivity"]),
             sky_temperature=sky["temperature"],
+            atmosphere=None if top["atmosphere"] is None else self.atmosphere(top["atmosphere"]),
+            sun=None if top["sun"] is None else self.sun(top["sun"]),
             surroundings_temperature=surroundings["temperature"],
             camera=camera["model"],
             truth_temperature=truth["temperature"],
@@ -346,6 +385,40 @@ class _Reader:
                 self.fail("emissivity.classes", key, "class numbers 1…255 (0 marks no data)")
             classes[int(key)] = name
         return EmissivitySpec(**{**values, "classes": classes})
+
+    def atmosphere(self, raw):
+        keys = {
+            "standard": (self.text, None),
+            "file": (self.file, None),
+            "profile": (self.file, None),
+            "aerosol": (self.text, "none"),
+            "visibility_km": (self.number, 23.0),
+            "temperature_offset_k": (self.number, 0.0),
+            "humidity_factor": (self.number, 1.0),
+            "cloud_fraction": (self.number, 0.0),
+            "cloud_base_m": (self.number, 2000.0),
+            "altitude_m": (self.number, None),
+        }
+        values = self.table(raw, "atmosphere", keys)
+        given = [key for key in ("standard", "file", "profile") if values[key] is not None]
+        if len(given) != 1:
+            self.fail("atmosphere", dict(raw), "exactly one of standard = …, file = … or profile = …")
+        # What another kind of air would ignore is refused rather than passed over.
+        only = {"aerosol": ("standard", "profile"), "visibility_km": ("profile",),
+                "temperature_offset_k": ("standard",), "humidity_factor": ("standard",)}  # fmt: skip
+        for key, kinds in only.items():
+            if key in raw and given[0] not in kinds:
+                self.fail(f"atmosphere.{key}", raw[key], f"it with {' or '.join(kinds)} only, not with {given[0]}")
+        return AtmosphereSpec(**values)
+
+    def sun(self, raw):
+        keys = {"elevation_deg": (self.number, REQUIRED), "azimuth_deg": (self.number, REQUIRED)}
+        values = self.table(raw, "sun", keys)
+        if not -90.0 <= values["elevation_deg"] <= 90.0:
+            self.fail("sun.elevation_deg", values["elevation_deg"], "degrees above the horizon, −90…90")
+        if not abs(values["azimuth_deg"]) <= 360.0:
+            self.fail("sun.azimuth_deg", values["azimuth_deg"], "degrees from north, eastward positive, −360…360")
+        return SunSpec(**values)
 
     def object(self, raw, index):
         name = raw.get("name", f"number {index}") if isinstance(raw, dict) else f"number {index}"

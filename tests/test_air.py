@@ -1,0 +1,259 @@
+"""Frames through air, against sums over the air's own nodes and wavelengths at single pixels."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from conftest import shared_data
+
+import thermorender as tr
+from scenes import write_mesh
+from thermorender.errors import ThermorenderError
+from thermorender.physics import sun
+from thermorender.physics.atmosphere import Atmosphere
+from thermorender.physics.band import quadrature
+from thermorender.physics.planck import (
+    band_radiance_derivative,
+    brightness_temperature,
+    spectral_radiance,
+)
+from thermorender.physics.rays import MEAN_RADIUS_M
+from thermorender.render import bake, outside
+from thermorender.render.geometry import Geometry
+from thermorender.render.plan import make_plan
+from thermorender.render.variant import activate
+
+BAND = (7.5, 13.5)
+DOWN = {"pitch_deg": -90.0}
+AIR = '[atmosphere]\nstandard = "midlatitude-summer"\naerosol = "rural-23km"\n'
+
+
+def plane(side):
+    h = side / 2
+    return trimesh.Trimesh([[-h, -h, 0], [h, -h, 0], [h, h, 0], [-h, h, 0]], [[0, 1, 2], [0, 2, 3]])
+
+
+def write(folder, mesh, air=AIR, temperature=300.0, material=None, emissivity=1.0, extra=""):
+    """A mesh scene with air in place of [sky]; `material` in place of a constant emissivity."""
+    write_mesh(folder, mesh, temperature, emissivity, extra=extra)
+    path = folder / "scene.toml"
+    text = path.read_text().replace("[sky]\ntemperature = 250.0\n", air)
+    if material:
+        constant = f'source = "constant"\nvalue = {emissivity}'
+        text = text.replace(constant, f'source = "material"\nmaterial = "{material}"')
+    path.write_text(text)
+    return folder
+
+
+def isothermal(folder, temperature):
+    """A scene's line naming a table of hazy air of one temperature all the way up."""
+    air = Atmosphere.standard("tropical", "rural-5km")
+    folder.mkdir(parents=True, exist_ok=True)
+    replace(air, temperature=np.full_like(air.temperature, temperature)).save(folder / "air.npz")
+    return '[atmosphere]\nfile = "air.npz"\n'
+
+
+def directions(camera, pose, pixel):
+    local = camera.directions(np.asarray(pixel, dtype=float) + 0.5)
+    world = np.column_stack([local, np.ones(len(local))]) @ pose[:3, :3].T
+    return world / np.linalg.norm(world, axis=1, keepdims=True)
+
+
+def ground_radiance(air, material, temperature, height, cosine, ground_m=0.0):
+    """Band radiance of a plane behind air, summed per node; wavelengths within a node share its transmittance."""
+    length = height / cosine
+    # A flat plane under a round sky: its ends lie higher than its middle.
+    end = ground_m + (length**2 - height**2) / (2.0 * MEAN_RADIUS_M)
+    passed, added = air.path(ground_m + height, end, length)
+    sky, leaving = air.sky_irradiance_mean(ground_m), np.empty(air.nodes)
+    for node, (low, high) in enumerate(zip(air.lower_um, air.upper_um, strict=True)):
+        wavelength, weight = quadrature(low, high)
+        own, cool = (spectral_radiance(wavelength, t) * weight for t in (temperature, 285.0))
+        emissivity = material.emissivity_at(wavelength)
+        leaving[node] = emissivity @ own / own.sum() * air.planck(temperature)[node]
+        leaving[node] += (1.0 - emissivity) @ cool / cool.sum() * sky[node]
+    return passed @ leaving + added.sum(axis=1)
+
+
+@pytest.mark.parametrize(("height", "pitch"), [(2.0, -10.0), (120.0, -45.0), (5000.0, -30.0)])
+def test_isothermal_air_is_invisible(tmp_path, height, pitch):
+    folder = tmp_path / "s"
+    extra = "[surroundings]\ntemperature = 290.0\n"
+    air = isothermal(folder, 290.0)
+    scene = tr.load_scene(write(folder, plane(4.0 * height), air, temperature=290.0, extra=extra))
+    frame = tr.Renderer(scene).frame(tr.pose(0, 0, height, pitch_deg=pitch))
+    below = ~((frame.truth["mask"] == 0) & ~np.isfinite(frame.truth["depth"]))
+    assert 0.3 < below.mean() and np.isfinite(frame.truth["depth"]).any()
+    # All of it but the sky, which is thin straight up: ground, and what lies beyond it.
+    assert np.abs(frame.apparent_temperature[below] - 290.0).max() < 1e-3
+
+
+@pytest.mark.parametrize("material", ["grass_green", "sand_quartz"])
+@pytest.mark.parametrize(("height", "pitch"), [(1.5, -20.0), (120.0, -90.0), (120.0, -45.0), (12000.0, -60.0)])
+def test_ground_behind_air_is_the_sum_over_nodes(tmp_path, height, pitch, material):
+    scene = tr.load_scene(write(tmp_path / "s", plane(4.0 * height), temperature=305.0, material=material))
+    renderer = tr.Renderer(scene, rays=4096)
+    pose = tr.pose(0, 0, height, pitch_deg=pitch)
+    frame = renderer.frame(pose)
+    pixel = np.column_stack([a.ravel() for a in np.meshgrid([5, 200, 320, 634], [90, 256, 400, 507])])
+    direction = directions(scene.camera, pose, pixel)
+    hit = np.isfinite(frame.truth["depth"][pixel[:, 1], pixel[:, 0]])
+    exact = ground_radiance(scene.air, renderer.scene.materials[0], 305.0, height, -direction[hit, 2])
+    seen = frame.radiance[pixel[hit, 1], pixel[hit, 0]]
+    error = (seen - exact) / band_radiance_derivative(brightness_temperature(exact, *BAND), *BAND) * 1e3
+    spectrum = renderer.plan.spectrum
+    # Nodes and channels as planned; 2 mK for the grid of lengths, and the sky in 8 bins of 4096 rays.
+    assert hit.sum() >= 8 and np.abs(error).max() < spectrum.nodes_mk + spectrum.channels_mk + 2.0, error
+
+
+def test_sky_and_the_ground_beyond(tmp_path):
+    scene = tr.load_scene(write(tmp_path / "s", plane(10.0), extra="[surroundings]\ntemperature = 310.0\n"))
+    pose = tr.pose(0, 0, 120.0, pitch_deg=10.0)
+    frame = tr.Renderer(scene).frame(pose)
+    pixel = np.array([[320, 3], [100, 100], [320, 300], [600, 330], [320, 420], [50, 500]])
+    z = directions(scene.camera, pose, pixel)[:, 2]
+    up, air = z > 0.0, scene.air
+    exact = np.empty(len(pixel))
+    exact[up] = air.sky_radiance(120.0, z[up]).sum(axis=1)
+    length = 120.0 / -z[~up] * (1.0 + 120.0 / z[~up] ** 2 / (2.0 * MEAN_RADIUS_M))
+    passed, added = air.path(120.0, 0.0, length)
+    exact[~up] = passed @ air.planck(310.0) + added.sum(axis=1)
+    kelvin = frame.apparent_temperature[pixel[:, 1], pixel[:, 0]] - brightness_temperature(exact, *BAND)
+    # The table's 10 mK, and what refraction bends, which the straight chord here leaves out.
+    assert np.abs(kelvin).max() < 0.02, kelvin
+    assert list(frame.truth["mask"][pixel[:, 1], pixel[:, 0]] == 0) == list(up)
+
+
+def test_sky_bins_on_a_wall_and_on_a_slope(tmp_path):
+    # A single face of any tilt: the hemisphere's upper part sees the sky, the lower one the ground beyond.
+    air = Atmosphere.standard("us-1976", "rural-23km").in_band(*BAND)
+    node, weight = np.polynomial.legendre.leggauss(200)
+    cosine = 0.5 * (node + 1.0)
+    for tilt in (0.0, 40.0, 90.0):
+        turned = trimesh.Trimesh([[-1, -1, 0], [1, -1, 0], [0, 1, 0]], [[0, 1, 2]])
+        turned.apply_transform(trimesh.transformations.rotation_matrix(np.radians(tilt), [1, 0, 0]))
+        scene = tr.load_scene(write_mesh(tmp_path / f"{tilt}", turned))
+        transport = bake.trace(Geometry(activate(), scene.surfaces), 1 << 15)
+        light = outside.Outside(outside.sky_bins(air, 0.0)[None], np.ones((1, 1)), np.zeros(air.nodes))
+        found = light.light(transport.sky, transport.beyond).sum()
+        # ∫ L cos θ dω / π by zenith angle and azimuth, the cosine to the face's normal clipped at 0.
+        azimuth = np.linspace(0.0, 2.0 * np.pi, 4000, endpoint=False)
+        sine = np.sqrt(1.0 - cosine**2)[:, None]
+        facing = cosine[:, None] * np.cos(np.radians(tilt)) + sine * np.sin(np.radians(tilt)) * np.cos(azimuth)
+        share = np.maximum(facing, 0.0).mean(axis=1) * 2.0
+        exact = (0.5 * weight * share) @ air.sky_radiance(0.0, cosine).sum(axis=1)
+        # Bins and rays: 30 mK of apparent temperature, reflected with 0.05 1.5 mK of a frame.
+        assert abs(found - exact) < 0.03 * band_radiance_derivative(280.0, *BAND), (tilt, found, exact)
+
+
+def test_sun_lights_what_faces_it(tmp_path):
+    roof = '[[object]]\nname = "roof"\nshape = "box"\nsize = [4.0, 4.0, 0.2]\nposition = [0, 0, 2.0]\n'
+    roof += 'temperature = 300.0\nmaterial = "paint_metallic"\n'
+    bright = "[sun]\nelevation_deg = 30.0\nazimuth_deg = 90.0\n"
+    mesh = plane(16.0)
+    for _ in range(4):
+        mesh = mesh.subdivide()
+    frames = []
+    for name, extra in (("dark", roof), ("lit", bright + roof)):
+        scene = tr.load_scene(write(tmp_path / name, mesh, extra=extra, emissivity=0.6))
+        frames.append(tr.Renderer(scene).frame(tr.pose(0, 0, 12.0, **DOWN)))
+    more = frames[1].radiance - frames[0].radiance
+    position = frames[0].truth["position"]
+    ground = np.abs(position[..., 2]) < 0.01
+    # The roof's shadow lies west of it: 2 m of height over tan 30° are 3.5 m.
+    shade = ground & (np.abs(position[..., 0] + 3.46) < 1.0) & (np.abs(position[..., 1]) < 1.0)
+    open_ground = ground & (position[..., 0] > 3.2) & (np.abs(position[..., 1]) < 4.0)
+    wavelength, weight = quadrature(*BAND)
+    above = sun.irradiance(wavelength) @ weight
+    passed = scene.air.sun_transmittance(0.0, 0.5) @ scene.air.planck(5036.0) / scene.air.planck(5036.0).sum()
+    expected = 0.4 * 0.5 * above * passed / np.pi
+    # What reaches the shade is sunlight off the lit ground, by way of the roof's shiny underside.
+    assert shade.any() and np.abs(more[shade]).max() < 0.08 * expected
+    # Nodes of the air weigh the sun's light as they do a blackbody's of 285 K.
+    assert np.median(more[open_ground]) == pytest.approx(expected, rel=0.03)
+
+
+def test_sunlight_above_the_air_is_that_of_modtran():
+    tape = shared_data("emissivity/pyradi_modtran/tape7.LWIRSun")
+    lines = tape.read_text(encoding="latin-1").splitlines()
+    head = next(number for number, line in enumerate(lines) if "TOA_SUN" in line)
+    column = lines[head].replace("BBODY_T[K]", "BBODY_T").split().index("TOA_SUN")
+    rows = [line.split() for line in lines[head + 1 :] if len(line.split()) > column]
+    wavenumber = np.array([float(row[0]) for row in rows])
+    theirs = np.array([float(row[column]) for row in rows]) * 1e4 * wavenumber**2 / 1e4
+    ours = sun.irradiance(1e4 / wavenumber)
+    # MODTRAN's own tables of the sun differ by as much; a distance of the sun is in theirs, and not in ours.
+    assert np.abs(ours / theirs - 1.0).max() < 0.07
+
+
+def test_grey_sand_is_wrong_and_its_nodes_cure_it(tmp_path):
+    # Hot sand reflects most where a clear sky is coldest and the air lets most pass.
+    air = '[atmosphere]\nstandard = "tropical"\n'
+    own = tr.load_scene(write(tmp_path / "own", plane(2000.0), air, temperature=340.0, material="sand_quartz"))
+    sand = own.materials[0]
+    grey = float(sand.band_emissivity(*BAND, 340.0))
+    even = tr.load_scene(write(tmp_path / "grey", plane(2000.0), air, temperature=340.0, emissivity=round(grey, 9)))
+    true, wrong = (tr.Renderer(scene, rays=1024) for scene in (own, even))
+    pose = tr.pose(0, 0, 1000.0, **DOWN)
+    seen = [float(renderer.frame(pose).apparent_temperature[256, 320]) for renderer in (true, wrong)]
+    exact = brightness_temperature(ground_radiance(own.air, sand, 340.0, 1000.0, np.ones(1))[0], *BAND)
+    assert abs(seen[0] - exact) < 0.01, (seen, exact)
+    assert abs(seen[1] - exact) > 0.3, (seen, exact)
+    assert true.plan.nodes > wrong.plan.nodes
+
+
+def test_plan_says_what_air_brings(tmp_path):
+    scene = tr.load_scene(write(tmp_path / "s", plane(10.0), emissivity=0.95))
+    rows = {row[0]: row for row in make_plan(scene).rows()}
+    assert "channels" in rows["air"][1] and "kilometre" in rows["air"][2] and rows["sun"][1] == "out"
+    sunny = '[sun]\nelevation_deg = 40\nazimuth_deg = 180\n'
+    lit = tr.load_scene(write(tmp_path / "lit", plane(10.0), emissivity=0.95, extra=sunny))
+    assert make_plan(lit).sun and 5.0 < make_plan(lit).sun_mk < 100.0
+    # Nearly black ground: half a millikelvin at most.
+    black = tr.load_scene(write(tmp_path / "black", plane(10.0), emissivity=0.9995, extra=sunny))
+    assert not make_plan(black).sun and 0.0 < make_plan(black).sun_mk < 0.5
+    night = tr.load_scene(write(tmp_path / "night", plane(10.0), extra=sunny.replace("40", "-5")))
+    assert not make_plan(night).sun
+    frame = tr.Renderer(scene).frame(tr.pose(0, 0, 5, **DOWN))
+    assert {"nodes", "bake", "sampling", "air", "total"} == set(frame.budget_mk)
+    without = tr.load_scene(write_mesh(tmp_path / "without", plane(10.0)))
+    assert make_plan(without).spectrum.channels == 1 and make_plan(without).air_mk is None
+
+
+@pytest.mark.parametrize(
+    ("air", "words"),
+    [
+        ("", "needs either [sky]"),
+        (AIR + "[sky]\ntemperature = 250.0\n", "needs either [sky]"),
+        ('[atmosphere]\nstandard = "polar"\n', "atmosphere='polar' is unknown"),
+        ('[atmosphere]\nstandard = "tropical"\naerosol = "smoke"\n', "aerosol='smoke' is unknown"),
+        ("[atmosphere]\n", "exactly one of standard"),
+        ('[atmosphere]\nstandard = "tropical"\nvisibility_km = 5\n', "atmosphere.visibility_km"),
+        ('[atmosphere]\nstandard = "tropical"\nclouds = 1\n', "did you mean 'cloud"),
+        ('[atmosphere]\nstandard = "tropical"\ncloud_fraction = 40\n', "cloud_fraction=40 is out of range"),
+        ('[atmosphere]\nfile = "scene.toml"\n', "is no table of an atmosphere"),
+        (AIR + "[sun]\nelevation_deg = 100\nazimuth_deg = 0\n", "sun.elevation_deg"),
+        ("[sky]\ntemperature = 250.0\n[sun]\nelevation_deg = 10\nazimuth_deg = 0\n", "add [atmosphere]"),
+    ],
+)
+def test_bad_air_is_refused_by_key(tmp_path, air, words):
+    folder = write(tmp_path / "s", plane(4.0), air)
+    with pytest.raises(ThermorenderError) as caught:
+        tr.load_scene(folder)
+    assert words in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_camera_in_space_is_refused(tmp_path):
+    scene = tr.load_scene(write(tmp_path / "s", plane(4.0)))
+    with pytest.raises(ThermorenderError, match="out of range"):
+        tr.Renderer(scene).frame(tr.pose(0, 0, 4e4, **DOWN))
+
+
+def test_clouds_warm_the_sky(tmp_path):
+    found = []
+    for share in (0.0, 1.0):
+        scene = tr.load_scene(write(tmp_path / f"{share}", plane(4.0), AIR + f"cloud_fraction = {share}\n"))
+        found.append(tr.Renderer(scene).frame(tr.pose(0, 0, 2.0, pitch_deg=80.0)).apparent_temperature[256, 320])
+    assert found[1] > found[0] + 20.0
+    assert found[1] < scene.air.air_temperature(0.0)

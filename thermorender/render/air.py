@@ -1,0 +1,203 @@
+"""What a ray brings back from what it meets: through the air of one camera position, or through none.
+
+A path from a given camera is told by its length and the altitude it ends at. For each position the air is computed
+on a small grid of both, as wide as the scene can be from there: the weights of the texels' channels and the path
+radiance. Rays look it up; rays that meet nothing look up sky and surroundings by their zenith angle.
+"""
+
+import drjit as dr
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.physics.atmosphere import HIGHEST_CAMERA_M
+from thermorender.physics.rays import EARTH_RADIUS_M, MEAN_RADIUS_M, horizon_cos_zenith
+
+# A grid's lengths grow by at most this factor from one to the next, and its altitudes are at most this far apart [m].
+_GROWTH = 1.08
+_FEWEST = 4
+_ALTITUDE_M = 100.0
+# Zenith angles of what lies beyond, below and above the horizon; densest there. 5 mK of the sky from 120 m.
+_BEYOND = 64
+# Heights above the ground at which these are computed [m], each higher by a factor, and how many are kept.
+_LOWEST_M, _STEP, _KEPT = 0.1, 1.03, 16
+
+
+class Vacuum:
+    """No air: channels arrive as they left, from sky and surroundings as they are.
+
+    Parameters
+    ----------
+    mi : module
+    sky, beyond : (C,) floats
+        Channels of rays that meet nothing, above and below the horizon.
+    """
+
+    def __init__(self, mi, sky, beyond):
+        self._sky, self._beyond = ([dr.opaque(mi.Float, float(value)) for value in row] for row in (sky, beyond))
+
+    def arrive(self, hit, values, origin, direction):
+        """Return what rays bring back, a list of Float, of the channels `values` where they meet something."""
+        up = direction.z >= 0.0
+        return [
+            dr.select(hit.valid, value, dr.select(up, sky, beyond))
+            for value, sky, beyond in zip(values, self._sky, self._beyond, strict=True)
+        ]
+
+
+class Air:
+    """The air of a scene, from which views of single camera positions are made.
+
+    Parameters
+    ----------
+    mi : module
+    scene : Scene
+    spectrum : Spectrum
+    """
+
+    def __init__(self, mi, scene, spectrum):
+        self._mi, self._air, self._solver = mi, scene.air, spectrum.solver
+        self._altitude_m, self._beyond_k = scene.altitude_m, scene.surroundings_temperature
+        self._seen = {}
+
+    def view(self, origin, box):
+        """Return the AirView from a camera position.
+
+        Parameters
+        ----------
+        origin : (3,) array
+            In the scene's local frame [m].
+        box : (2, 3) array
+            Lowest and highest corner of all that can be met [m].
+        """
+        base = self._altitude_m
+        camera = float(altitude(origin, base))
+        if camera > HIGHEST_CAMERA_M:
+            raise ThermorenderError(
+                f"pose: the camera is {camera:.0f} m above sea level, out of range of the air; give up to "
+                f"{HIGHEST_CAMERA_M:.0f} m"
+            )
+        outside = np.maximum(np.maximum(box[0] - origin, origin - box[1]), 0.0)
+        nearest = max(float(np.linalg.norm(outside)), 1.0)
+        farthest = max(float(np.linalg.norm(np.abs(box - origin).max(axis=0))), 1.01 * nearest)
+        corner = np.append(np.abs(box[:, :2]).max(axis=0), box[1, 2])
+        low, high = base + box[0, 2], float(altitude(corner, base))
+        columns = max(_FEWEST, 1 + int(np.ceil(np.log(farthest / nearest) / np.log(_GROWTH))))
+        rows = 2 + int((high - low) / _ALTITUDE_M)
+        length = np.geomspace(nearest, farthest, columns)
+        # At each length, from the lowest to the highest place at that distance from the camera.
+        bottom, top = np.maximum(low, camera - length), np.minimum(high, camera + length)
+        end = bottom + np.linspace(0.0, 1.0, rows)[:, None] * np.maximum(top - bottom, 0.0)
+        end = np.clip(end, camera - length, camera + length)
+        passed, added = self._air.path(camera, end, np.broadcast_to(length, end.shape))
+        cells = np.concatenate([passed @ self._solver, added.sum(axis=-1, keepdims=True)], axis=-1)
+        frame = (base, low, high, camera, np.log(nearest), (columns - 1) / np.log(farthest / nearest))
+        horizon = float(horizon_cos_zenith(camera))
+        return AirView(self._mi, cells, frame, self._beyond(camera), horizon)
+
+    def _beyond(self, camera):
+        """Band radiance of rays that meet nothing, (2, _BEYOND), linear between altitudes kept from earlier views."""
+        height = max(camera - self._altitude_m, _LOWEST_M)
+        place = np.log(height / _LOWEST_M) / np.log(_STEP)
+        lower = int(place)
+        both = []
+        for number in (lower, lower + 1):
+            if number not in self._seen:
+                if len(self._seen) >= _KEPT:
+                    self._seen.pop(next(iter(self._seen)))
+                at = min(self._altitude_m + _LOWEST_M * _STEP**number, HIGHEST_CAMERA_M)
+                parts = np.linspace(0.0, 1.0, _BEYOND)
+                self._seen[number] = beyond(self._air, at, self._altitude_m, self._beyond_k, parts)
+            both.append(self._seen[number])
+        share = (height / _LOWEST_M / _STEP**lower - 1.0) / (_STEP - 1.0)
+        return (1.0 - share) * both[0] + share * both[1]
+
+
+class AirView:
+    """The air seen from one camera position.
+
+    Parameters
+    ----------
+    mi : module
+    cells : (rows, columns, K + 1) array
+        Weights of the channels and path radiance, by altitude of the end and length of the path.
+    frame : tuple
+        Altitude of the local frame's origin, of the lowest and the highest end, and of the camera [m]; logarithm of
+        the first column's length, and columns per unit of it.
+    beyond : (2, n) array
+        As by `beyond`.
+    horizon : float
+        Cosine of the horizon's zenith angle.
+    """
+
+    def __init__(self, mi, cells, frame, beyond, horizon):
+        self._mi, (rows, columns, count) = mi, cells.shape
+        padded = np.pad(cells.reshape(-1, count), ((0, 0), (0, -count % 4))).astype(np.float32)
+        self._groups = [mi.Float(np.ascontiguousarray(padded[:, k : k + 4]).ravel()) for k in range(0, count, 4)]
+        self._numbers = [dr.opaque(mi.Float, float(number)) for number in (*frame, columns, rows - 1)]
+        self._sky = mi.Float(beyond.astype(np.float32).ravel())
+        self._horizon = dr.opaque(mi.Float, horizon)
+
+    def arrive(self, hit, values, origin, direction):
+        """Return what rays bring back, [Float], of the channels `values` where they meet something."""
+        mi = self._mi
+        base, low, high, camera, first, step, count, rows = self._numbers
+        point = origin + hit.distance * direction
+        end = base + point.z + 0.5 / MEAN_RADIUS_M * (point.x * point.x + point.y * point.y)
+        column = dr.clip((dr.log(hit.distance) - first) * step, 0.0, count - 1.001)
+        bottom, top = dr.maximum(low, camera - hit.distance), dr.minimum(high, camera + hit.distance)
+        row = dr.clip((end - bottom) / dr.maximum(top - bottom, 1e-3), 0.0, 0.9999) * rows
+        left, upper = dr.floor(column), dr.floor(row)
+        across, down = column - left, row - upper
+        cell, below = mi.UInt32(upper * count + left), mi.UInt32(count)
+        factors = [*values, 1.0]
+        total = mi.Float(0.0)
+        for index, weight in ((cell, (1 - across) * (1 - down)), (cell + 1, across * (1 - down)),
+                              (cell + below, (1 - across) * down), (cell + below + 1, across * down)):  # fmt: skip
+            found = [value for group in self._groups for value in dr.gather(mi.Vector4f, group, index, hit.valid)]
+            total += weight * sum(number * factor for number, factor in zip(found, factors, strict=False))
+        return [dr.select(hit.valid, total, self._seen_beyond(direction.z, ~hit.valid))]
+
+    def _seen_beyond(self, cosine, active):
+        """What rays see that meet nothing."""
+        mi, half = self._mi, _BEYOND - 1
+        # Two tables one after the other, below and above the horizon, as `beyond` makes them.
+        rise = cosine - self._horizon
+        above = rise >= 0.0
+        span = dr.select(above, 1.0 - self._horizon, 1.0 + self._horizon)
+        place = dr.sqrt(dr.clip(dr.abs(rise) / span, 0.0, 1.0)) * (half * 0.9999)
+        lower = mi.UInt32(place)
+        index = lower + dr.select(above, _BEYOND, 0)
+        a, b = (dr.gather(mi.Float, self._sky, index + k, active) for k in (0, 1))
+        return dr.lerp(a, b, place - mi.Float(lower))
+
+
+def altitude(points, altitude_m):
+    """Return the altitude above sea level [m] of points (..., 3) of the local frame, over a round Earth."""
+    points = np.asarray(points, dtype=np.float64)
+    return altitude_m + points[..., 2] + np.square(points[..., :2]).sum(axis=-1) * (0.5 / MEAN_RADIUS_M)
+
+
+def beyond(air, camera_m, ground_m, temperature, place):
+    """Return the band radiance of rays that meet nothing, (2, n): below the horizon, and above it [W m⁻² sr⁻¹].
+
+    Parameters
+    ----------
+    air : Atmosphere
+    camera_m, ground_m : float
+        Altitudes of the camera and of the black ground beyond the scene [m].
+    temperature : float
+        Of that ground [K].
+    place : (n,) array
+        Square roots of how far the cosine of the zenith angle lies from the horizon's, 0 there, 1 straight down or up.
+    """
+    horizon = float(horizon_cos_zenith(camera_m))
+    rise = np.square(place)
+    sky = air.sky_radiance(camera_m, horizon + rise * (1.0 - horizon)).sum(axis=-1)
+    # A chord of the sphere down to the ground, at most as long as to its own horizon.
+    ground_m = min(ground_m, camera_m - 0.1)
+    height, radius = camera_m - ground_m, EARTH_RADIUS_M + ground_m
+    along = (radius + height) * (rise * (1.0 + horizon) - horizon)
+    reach = np.square(along) - height * (2.0 * radius + height)
+    length = along - np.sqrt(np.maximum(reach, 0.0))
+    passed, added = air.path(camera_m, ground_m, np.maximum(length, height))
+    return np.stack([passed @ air.planck(temperature) + added.sum(axis=-1), sky])

@@ -1,0 +1,400 @@
+"""How few numbers stand for the spectrum of a scene, and what that costs in mK.
+
+*Points* are a fine quadrature of the camera's band; with air, every wavelength counts once for each absorption term
+of its sub-band. *Nodes* are sets of points, not necessarily neighbours, at which light between surfaces is solved: in
+a node every material has nearly the same reflectance, its light nearly the same colour and the air nearly the same
+transmittance. Ward's clustering (1963, doi:10.1080/01621459.1963.10500845) finds them. *Channels* are what a texel
+keeps: without air its band radiance; with air a few sums over the spectrum, of which the radiance behind any path is
+a weighted sum. They are the principal components of what all paths make of all spectra of the scene.
+
+Emission is integrated over all points and needs no nodes. Reflection couples the reflectance of one surface with the
+spectrum of its surroundings; its nodes are as few as keep the error on the scene's own envelope below the tolerance.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.physics.atmosphere import HIGHEST_CAMERA_M
+from thermorender.physics.band import RadianceTable, emitted_radiance, quadrature
+from thermorender.physics.planck import (
+    band_radiance,
+    band_radiance_derivative,
+    brightness_temperature,
+    spectral_radiance,
+)
+
+MOST_NODES = 64
+MOST_CHANNELS = 8
+REFERENCE_K = 300.0
+# How strongly the fit of reflected light is held near the mean, and paths that it is judged behind.
+_RIDGE = 1e-4
+_JUDGED_PATHS = 12
+# How much the light's colour (ln of warm over cold Planck spectra) counts beside reflectance; found on the shipped
+# scenes, where 0.03 … 0.3 need about as many nodes.
+_COLOUR_WEIGHT = 0.1
+# Tables of materials have their kinks every 0.05 µm.
+_PANEL_UM = 0.05
+# Directions of the sky, and of paths from cameras, from straight up or down to grazing.
+_SKY_COSINES = (1.0, 0.5, 0.2, 0.05)
+_PATH_COSINES = (1.0, 0.7, 0.4, 0.2, 0.1, 0.03)
+_LONGEST_PATH_M = 1e5
+# Temperatures handled at a time.
+_CHUNK = 256
+
+
+@dataclass(frozen=True)
+class Points:
+    """Fine quadrature of a band.
+
+    Attributes
+    ----------
+    wavelength_um, weight : (Q,) float64
+        [µm].
+    air : Atmosphere or None
+    node : (Q,) int
+        The air's node of each point; zeros without air.
+    """
+
+    wavelength_um: np.ndarray
+    weight: np.ndarray
+    air: object
+    node: np.ndarray
+
+    @classmethod
+    def of(cls, band_um, air=None):
+        """Return the points of a band, for an Atmosphere in it or for none."""
+        if air is None:
+            wavelength, weight = quadrature(*band_um)
+            return cls(wavelength, weight, None, np.zeros(len(weight), dtype=int))
+        parts = [
+            quadrature(low, high, int(np.ceil((high - low) / _PANEL_UM - 1e-9)))
+            for low, high in zip(air.lower_um, air.upper_um, strict=True)
+        ]
+        node = np.repeat(np.arange(air.nodes), [len(part[0]) for part in parts])
+        return cls(*(np.concatenate(part) for part in zip(*parts, strict=True)), air, node)
+
+    def planck(self, temperature):
+        """Return a blackbody's radiance at each point, weight included, (..., Q) [W m⁻² sr⁻¹]."""
+        temperature = np.asarray(temperature, dtype=np.float64)
+        radiance = spectral_radiance(self.wavelength_um, temperature[..., None]) * self.weight
+        return radiance if self.air is None else radiance * self.air.shares(temperature)[..., self.node]
+
+    @cached_property
+    def _inside(self):
+        """Share of each point in its node's light."""
+        black = self.planck(REFERENCE_K)
+        return black / np.bincount(self.node, black)[self.node]
+
+    def spread(self, radiance):
+        """Return radiance of the air's nodes, (..., n), spread over the points as a blackbody's is, (..., Q)."""
+        return radiance[..., self.node] * self._inside
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Nodes and channels of one scene.
+
+    Attributes
+    ----------
+    points : Points
+    label : (Q,) int
+        Node of each point.
+    emissivity : (M, N) float64
+        Planck-weighted emissivity of each material in each node.
+    reflected : (M, K, N) float64
+        What each material reflects into each channel of the light in each node.
+    share : (K, N) float64
+        Of each node's light in each channel.
+    basis : (K, n) float64
+        Share of each of the air's nodes in each channel; ones without air.
+    solver : (n, K) float64
+        Transmittance of a path in the air's nodes to the weights of the channels behind it.
+    nodes_mk : float
+        Worst error of the nodes in reflected light [mK].
+    channels_mk : float
+        Worst error of the channels in what any surface shows behind any path [mK]; 0 without air.
+    """
+
+    points: Points
+    label: np.ndarray
+    emissivity: np.ndarray
+    reflected: np.ndarray
+    share: np.ndarray
+    basis: np.ndarray
+    solver: np.ndarray
+    nodes_mk: float
+    channels_mk: float
+
+    @property
+    def nodes(self):
+        """Number of nodes N."""
+        return self.emissivity.shape[1]
+
+    @property
+    def channels(self):
+        """Number of channels K."""
+        return len(self.basis)
+
+    def gathered(self, values):
+        """Return sums of (..., Q) values over the points of each node, (..., N)."""
+        return _gathered(values, self.label)
+
+    def black(self, temperature):
+        """Return blackbody radiance of each node, (n, N) [W m⁻² sr⁻¹], at temperatures (n,)."""
+        temperature = np.asarray(temperature, dtype=np.float64)
+        parts = np.split(temperature, range(_CHUNK, len(temperature), _CHUNK))
+        return np.concatenate([self.gathered(self.points.planck(part)) for part in parts])
+
+    def of_air(self, radiance):
+        """Return radiance of the air's nodes, (..., n), as that of these nodes, (..., N)."""
+        return self.gathered(self.points.spread(radiance))
+
+    def emitted(self, emissivity, coldest, warmest, band_um):
+        """Return (temperatures (G,) [K], channels (G, K) [W m⁻² sr⁻¹]) that a material emits, for interpolation.
+
+        As `RadianceTable.of`, with its error; `emissivity` is a callable of wavelengths [µm].
+        """
+        air = self.points.air
+        if air is None:
+            table = RadianceTable.of(emissivity, coldest, warmest, *band_um)
+            return table.temperature, table.radiance[:, None]
+        grid = RadianceTable.grid(coldest, warmest)
+        coarse = np.linspace(grid[0], grid[-1], 257)
+        bands, band_of = np.unique(np.stack([air.lower_um, air.upper_um], axis=1), axis=0, return_inverse=True)
+        ratio = [
+            np.interp(grid, coarse, emitted_radiance(emissivity, coarse, *band) / band_radiance(coarse, *band))
+            for band in bands
+        ]
+        nodes = air.planck(grid) * np.stack(ratio, axis=1)[:, band_of.reshape(-1)]
+        return grid, nodes @ self.basis.T
+
+    def emitted_at(self, emissivity, temperature, band_um):
+        """Return the channels (K,) that a material emits at one temperature [W m⁻² sr⁻¹]."""
+        grid, table = self.emitted(emissivity, temperature, temperature, band_um)
+        return np.array([np.interp(temperature, grid, channel) for channel in table.T])
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """What temperatures and light a scene has.
+
+    Attributes
+    ----------
+    band_um : (2,) floats
+    ground : (2,) floats
+        Coldest and warmest temperature of the terrain [K].
+    things : list of (material, temperature)
+        Objects, each material at its extremes.
+    sky_temperature : float or None
+        Of an isotropic sky [K]; None where there is air.
+    surroundings_temperature : float
+        [K].
+    air : Atmosphere or None
+    altitude_m : (2,) floats
+        Of the lowest and the highest surface above sea level.
+    """
+
+    band_um: tuple
+    ground: tuple
+    things: list
+    sky_temperature: float | None
+    surroundings_temperature: float
+    air: object
+    altitude_m: tuple
+
+    @property
+    def temperatures(self):
+        """All temperatures [K]."""
+        skies = [] if self.sky_temperature is None else [self.sky_temperature]
+        own = [temperature for _, temperature in self.things]
+        return [*self.ground, *own, *skies, self.surroundings_temperature]
+
+    def sources(self, points):
+        """Return (outside (n, Q), ground (2, Q), things (t, Q)): what shines by itself, at the points.
+
+        Sky and surroundings; blackbodies at the terrain's extremes and at each object's temperature.
+        """
+        ground = _black(points, self.ground)
+        things = _black(points, [temperature for _, temperature in self.things]) if self.things else ground[:0]
+        beyond = _black(points, [self.surroundings_temperature])
+        if self.air is None:
+            return np.concatenate([_black(points, [self.sky_temperature]), beyond]), ground, things
+        at, cosine = np.meshgrid(self.altitude_m, _SKY_COSINES)
+        sky = self.air.sky_radiance(at.ravel(), cosine.ravel())
+        return np.concatenate([points.spread(sky), beyond]), ground, things
+
+    def light(self, emissivity, outside, ground, things):
+        """Return spectra that can fall on a surface of this scene, (n, X), from sources at points or at nodes.
+
+        The outside; any material of the ground at its extremes, reflecting the outside or ground at its extremes; and
+        objects, reflecting the outside. Light of an object off another surface is left out: it is weakened by the
+        small solid angle of one seen from the other.
+        """
+        others = np.concatenate([ground, outside])
+        light = [outside]
+        for own in emissivity:
+            light += [own * black + (1.0 - own) * others for black in ground]
+        for (material, _), black in zip(self.things, things, strict=True):
+            light.append(emissivity[material] * black + (1.0 - emissivity[material]) * outside)
+        return np.concatenate(light)
+
+    def paths(self):
+        """Return transmittances (P, n) of paths from cameras of any height to the surfaces; the first has no length."""
+        if self.air is None:
+            return np.ones((1, 1))
+        low, high = self.altitude_m
+        height = np.geomspace(1.0, HIGHEST_CAMERA_M - high, 14)
+        height, cosine, to = (a.ravel() for a in np.meshgrid(height, _PATH_COSINES, (low, high)))
+        length = (high + height - to) / cosine
+        kept = length <= _LONGEST_PATH_M
+        passed = self.air.transmittance(high + height[kept], to[kept], length[kept])
+        return np.concatenate([np.ones((1, self.air.nodes)), passed])
+
+
+def make_spectrum(materials, envelope, tolerance_mk, reflects):
+    """Return the Spectrum of a scene.
+
+    Parameters
+    ----------
+    materials : sequence of Material
+    envelope : Envelope
+    tolerance_mk : float
+        Worst error allowed to nodes and channels [mK].
+    reflects : bool
+        Whether reflection is solved; without, one node stands for all.
+
+    Raises
+    ------
+    ThermorenderError
+        The tolerance is not reached with 64 nodes.
+
+    Notes
+    -----
+    What a material reflects of a node's light is not its mean reflectance there but the least-squares fit, over the
+    envelope's light, of what it reflects at the points, held near the mean. That corrects most of what spectra vary
+    within a node, so that a third of the nodes do.
+    """
+    points = Points.of(envelope.band_um, envelope.air)
+    spectra = np.array([material.emissivity_at(points.wavelength_um) for material in materials])
+    passed = envelope.paths()
+    case = _Case(points, spectra, envelope, passed)
+    basis, solver, channels_mk = _channels(case, tolerance_mk)
+    label = np.zeros(len(points.node), dtype=int)
+    if not reflects:
+        return case.spectrum(label, basis, solver, channels_mk)
+    from scipy.cluster.hierarchy import fcluster, linkage
+
+    tree = linkage(case.features(), "ward")
+    for count in range(1, MOST_NODES + 1):
+        found = case.spectrum(fcluster(tree, count, "maxclust") - 1, basis, solver, channels_mk, fit=True)
+        if found.nodes_mk <= tolerance_mk:
+            return found
+    raise ThermorenderError(
+        f"tolerance_mk={tolerance_mk:g} is not reached with {MOST_NODES} spectral nodes ({found.nodes_mk:.3g} mK "
+        "remain); give a larger tolerance"
+    )
+
+
+class _Case:
+    """A scene's envelope at the points: its light, what its surfaces show of it, and the kelvin these are judged by."""
+
+    def __init__(self, points, spectra, envelope, passed):
+        self.points, self.spectra, self.envelope, self.passed = points, spectra, envelope, passed
+        self.black = points.planck(REFERENCE_K)
+        self.sources = envelope.sources(points)
+        self.light = envelope.light(spectra, *self.sources)
+        self._wanted = None
+
+    @cached_property
+    def per_mk(self):
+        """Radiance of a millikelvin of each surface at its coldest that reflects each light, (M, L)."""
+        coldest = self.sources[1][0]
+        shown = (1.0 - self.spectra) @ self.light.T + (self.spectra @ coldest)[:, None]
+        return _per_mk(shown, self.envelope.band_um)
+
+    def wanted(self, basis):
+        """What each surface reflects of each light into each channel, (M, K, L)."""
+        if self._wanted is None or self._wanted[0] is not basis:
+            found = [(1.0 - self.spectra) * row[self.points.node] @ self.light.T for row in basis]
+            self._wanted = basis, np.stack(found, axis=1)
+        return self._wanted[1]
+
+    def features(self):
+        """What the points of one node should have in common, (Q, n)."""
+        points, envelope, spectra = self.points, self.envelope, self.spectra
+        warmest, coldest = max(envelope.temperatures), min(envelope.ground)
+        colour = np.log(
+            spectral_radiance(points.wavelength_um, warmest) / spectral_radiance(points.wavelength_um, coldest)
+        )
+        features = [*(1.0 - spectra), _COLOUR_WEIGHT * (colour - colour.mean())]
+        if envelope.air is not None:
+            # The sky matters as far as it is reflected. How air lets light pass matters little beside.
+            sky = self.sources[0][:-1] / self.black
+            features += [*((1.0 - spectra).mean(axis=1).max() * sky[[0, -1]])]
+        return np.stack(features, axis=1)
+
+    def spectrum(self, label, basis, solver, channels_mk, fit=False):
+        """Return the Spectrum of nodes; with a fit of what is reflected, and its error, where asked."""
+        inside = self.black / np.bincount(label, self.black)[label]
+        channels = basis[:, self.points.node] * inside
+        emissivity, share = _gathered(self.spectra * inside, label), _gathered(channels, label)
+        reflected = _gathered((1.0 - self.spectra)[:, None] * channels, label)
+        nodes_mk = 0.0
+        if fit:
+            # As it will be solved: light at nodes, reflected once with their mean reflectance.
+            light = self.envelope.light(emissivity, *(_gathered(source, label) for source in self.sources))
+            wanted = self.wanted(basis)
+            missing = (wanted - reflected @ light.T) / self.per_mk.min(axis=0)
+            left, size, right = np.linalg.svd(light / self.per_mk.min(axis=0)[:, None], full_matrices=False)
+            damped = size / (size**2 + (_RIDGE * size[0]) ** 2)
+            reflected = reflected + missing @ left * damped @ right
+            left_over = (wanted - reflected @ light.T) / self.per_mk[:, None]
+            weights = self.passed[:: max(1, len(self.passed) // _JUDGED_PATHS)] @ solver
+            nodes_mk = float(np.abs(np.einsum("pk,mkl->pml", weights, left_over, optimize=True)).max())
+        return Spectrum(self.points, label, emissivity, reflected, share, basis, solver, nodes_mk, channels_mk)
+
+
+def _channels(case, tolerance_mk):
+    """(basis (K, n), solver (n, K), worst error [mK]) that stand for transmittances (P, n)."""
+    if case.envelope.air is None:
+        return np.ones((1, 1)), np.ones((1, 1)), 0.0
+    # What surfaces show: each at the extremes of the ground, or at its own temperature, reflecting any light.
+    ground, things = case.sources[1:]
+    own = [(m, black) for m in range(len(case.spectra)) for black in ground]
+    own += [(m, black) for (m, _), black in zip(case.envelope.things, things, strict=True)]
+    node = case.points.node
+    reflected = [_gathered((1.0 - emissivity) * case.light, node) for emissivity in case.spectra]
+    shown = np.concatenate([_gathered(case.spectra[m] * black, node) + reflected[m] for m, black in own])
+    shown /= _per_mk(shown.sum(axis=1), case.envelope.band_um)[:, None]
+    square = shown.T @ shown
+    size, axes = np.linalg.eigh(square)
+    left, size, _ = np.linalg.svd(case.passed @ (axes * np.sqrt(np.maximum(size, 0.0))), full_matrices=False)
+    for count in range(1, MOST_CHANNELS + 1):
+        basis = np.linalg.lstsq(left[:, :count] * size[:count], case.passed, rcond=None)[0]
+        # Channels of the size of a radiance keep their digits in float32.
+        basis /= np.abs(basis).max(axis=1, keepdims=True)
+        solver = square @ basis.T @ np.linalg.pinv(basis @ square @ basis.T)
+        worst = float(np.abs((case.passed @ solver @ basis - case.passed) @ shown.T).max())
+        if worst <= tolerance_mk:
+            break
+    return basis, solver, worst
+
+
+def _per_mk(radiance, band_um):
+    """Radiance of a millikelvin of blackbodies of band radiances [W m⁻² sr⁻¹]."""
+    return band_radiance_derivative(brightness_temperature(radiance, *band_um), *band_um) * 1e-3
+
+
+def _black(points, temperatures):
+    """Blackbody radiance at the points, (n, Q); none at 0 K."""
+    return np.stack([points.planck(t) if t > 0.0 else np.zeros(len(points.node)) for t in temperatures])
+
+
+def _gathered(values, label):
+    """Sums of (..., Q) values over the points of each node, (..., N)."""
+    order = np.argsort(label, kind="stable")
+    first = np.flatnonzero(np.diff(label[order], prepend=-1))
+    return np.add.reduceat(values[..., order], first, axis=-1)
