@@ -223,10 +223,11 @@ class Renderer:
 
     def _budget(self, radiance, sampling):
         plan = self.plan
-        span, step, refined = sampling
-        if span is None:
+        step, refined = sampling
+        span = contrast(radiance)
+        if step is None:
             # Nothing was asked about edges: any contrast may be one.
-            span = step = contrast(radiance)
+            step = span
         edges = edge_bound(step, plan.samples).ravel()
         for pixels, left, count in refined:
             edges[pixels] = edge_bound(left, count)
@@ -243,7 +244,7 @@ class Renderer:
 
     def rays(self, pose):
         """Return the slopes of all rays that a frame from `pose` casts into the still scene, [(x/z, y/z), …]."""
-        _, (_, _, refined) = self._radiance(checked_pose(pose))
+        _, (_, refined) = self._radiance(checked_pose(pose))
         rays = self._camera_rays(self.scene.camera)
         slopes, first = [rays.slopes(*place) for place, _ in places(self.plan.samples, self.plan.taps)], 0
         for pixels, _, last in refined:
@@ -337,7 +338,7 @@ class Renderer:
         """Return (image, sampling): the mean over a pixel's rays of what they see, and what is known of its error.
 
         image : (channels, H, W) float32
-        sampling : (contrast, step, [(pixels, step, rays), …])
+        sampling : (step, [(pixels, step, rays), …])
             As by `edge_step`, None where edges are not looked for, and the pixels that got more rays.
         """
         mi = self._mi
@@ -365,38 +366,38 @@ class Renderer:
             dr.scatter(target, value, rays.pixel)
         dr.eval(targets)
         image = np.stack([np.array(target) for target in targets]).reshape(-1, camera.height, camera.width)
-        span = step = None
-        refined = []
+        step, refined = None, []
         if edge_limit < np.inf:
             guide, image = image[channels:], image[:channels]
-            span, step = edge_step(image.sum(axis=0), *guide)
+            step = edge_step(image.sum(axis=0), *guide)
             look = lambda slope: self._look(layers, slope, [slope], between)[1]  # noqa: E731
             refined = self._refine(rays, image, step, edge_limit, look)
-        return image, (span, step, refined)
+        return image, (step, refined)
 
     def _refine(self, rays, image, step, edge_limit, look):
         """Replace pixels of an image (channels, H, W) that err too much for their `step` by the mean of more rays.
 
         Returns [(pixels, step within them, rays), …].
         """
-        refined = []
-        position = np.sort(rays.position[np.flatnonzero(edge_error(step, self.plan.samples) > edge_limit)])
-        unseen = UNSEEN * step.ravel()[rays.order[position]]
+        image, refined = image.reshape(len(image), -1), []
+        pixels = np.flatnonzero(edge_error(step, self.plan.samples) > edge_limit)
+        unseen = UNSEEN * step.ravel()[pixels]
         total, low, high, first = 0.0, np.inf, -np.inf, 0
         for last in STAGES:
-            if not position.size:
+            if not pixels.size:
                 break
-            values = look(rays.edge_slopes(position, first, last))
-            dr.eval(values)
-            values = np.stack([np.array(value) for value in values]).reshape(len(image), -1, last - first)
-            total = total + values.sum(axis=-1)
-            image.reshape(len(image), -1)[:, rays.order[position]] = total / last
-            guide = values.sum(axis=0)
-            low, high = np.minimum(low, guide.min(axis=-1)), np.maximum(high, guide.max(axis=-1))
+            values = look(rays.edge_slopes(rays.position[pixels], first, last))
+            guide = sum(values)
+            dr.eval(values, guide)
+            found = [dr.block_sum(value, last - first) for value in values]
+            found += [dr.block_reduce(op, guide, last - first) for op in (dr.ReduceOp.Min, dr.ReduceOp.Max)]
+            *sums, least, most = (np.array(value) for value in found)
+            total, low, high = total + np.stack(sums), np.minimum(low, least), np.maximum(high, most)
+            image[:, pixels] = total / last
             left = np.maximum(high - low, unseen)
-            refined.append((rays.order[position], left, last))
+            refined.append((pixels, left, last))
             on = edge_error(left, last) > edge_limit
-            position, total, low, high, unseen, first = position[on], total[:, on], low[on], high[on], unseen[on], last
+            pixels, total, low, high, unseen, first = pixels[on], total[:, on], low[on], high[on], unseen[on], last
         return refined
 
     def _look(self, layers, slope, taps, between):
