@@ -257,3 +257,31 @@ def test_clouds_warm_the_sky(tmp_path):
         found.append(tr.Renderer(scene).frame(tr.pose(0, 0, 2.0, pitch_deg=80.0)).apparent_temperature[256, 320])
     assert found[1] > found[0] + 20.0
     assert found[1] < scene.air.air_temperature(0.0)
+
+
+def test_standard_air_in_place_of_a_scenes_sky(tmp_path):
+    scene = tr.load_scene(write_mesh(tmp_path / "s", plane(10.0), emissivity=1.0))
+    told = tr.load_scene(write(tmp_path / "t", plane(10.0)))
+    aired = scene.with_air("midlatitude-summer", "rural-23km")
+    pose = tr.pose(0, 0, 50, **DOWN)
+    assert np.array_equal(*(tr.Renderer(each).radiance(pose) for each in (aired, told)))
+    assert len({scene.digest(), aired.digest(), scene.with_air("tropical").digest()}) == 3
+    with pytest.raises(ThermorenderError, match="atmosphere='moon' is unknown"):
+        scene.with_air("moon")
+
+
+def test_moving_object_in_air_is_as_one_that_stands(tmp_path):
+    item = '[[object]]\nname = "car"\nshape = "box"\nsize = [1.8, 4.0, 1.2]\nposition = [0, 0, 0.0]\n'
+    item += 'temperature = 310.0\nmaterial = "paint_metallic"\n'
+    mesh = plane(20.0)
+    for _ in range(5):
+        mesh = mesh.subdivide()
+    images = []
+    for name, more in (("still", ""), ("moving", 'track = "car.csv"\n')):
+        folder = write(tmp_path / name, mesh, emissivity=0.9, extra=item + more)
+        (folder / "car.csv").write_text("time_s,east_m\n0,0\n1,0.0\n") if more else None
+        images.append(tr.Renderer(tr.load_scene(folder), rays=512).frame(tr.pose(0, -8, 9, pitch_deg=-50.0)))
+    difference = images[1].apparent_temperature - images[0].apparent_temperature
+    # Noise of the rays, on the car's 0.59 of reflected light; a wrong sky or channel would be kelvins.
+    assert np.sqrt(np.mean(np.square(difference))) < 0.06
+    assert images[0].apparent_temperature.std() > 1.0

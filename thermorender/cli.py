@@ -31,6 +31,11 @@ Tolerance = Annotated[float, typer.Option(help="Error allowed to the spectral no
 Rays = Annotated[int, typer.Option(help="Rays per face for the light between surfaces.")]
 Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
 Products = Annotated[str, typer.Option(help="Comma-separated: exr, truth, counts, counts-tiff, display, video.")]
+Air = Annotated[
+    str | None,
+    typer.Option(help="Standard atmosphere in place of the scene's own sky: midlatitude-summer, or with an aerosol "
+                 "tropical,rural-23km."),
+]  # fmt: skip
 Temperature = Annotated[
     str | None, typer.Option(help="Learned map that gives the temperatures in place of the scene's own source.")
 ]
@@ -124,12 +129,12 @@ def make_scene(
 
 
 @app.command()
-def plan(scene: SceneName, quality: Quality = "standard", rays: Rays = 128, tolerance_mk: Tolerance = 5.0):
+def plan(scene: SceneName, quality: Quality = "standard", rays: Rays = 128, tolerance_mk: Tolerance = 5.0,
+         air: Air = None):  # fmt: skip
     """Print what rendering a scene needs, what is left out, and the bound that allows it."""
     from thermorender.render.plan import make_plan
-    from thermorender.scene.load import load_scene
 
-    loaded = load_scene(scene)
+    loaded = _scene(scene, None, None, air)
     typer.echo(str(loaded))
     _table(("item", "in", "why"), make_plan(loaded, quality, rays=rays, tolerance_mk=tolerance_mk).rows())
 
@@ -148,6 +153,7 @@ def render(
     products: Products = "exr,truth,counts,display",
     temperature: Temperature = None,
     range_c: RangeC = None,
+    air: Air = None,
     seed: Seed = 0,
     engine: Annotated[
         str, typer.Option(help="renderer, or reference: slow path tracing by stock Mitsuba.")
@@ -168,7 +174,7 @@ def render(
     wanted = files.check(_split(products))
     numbers = parse_numbers("--pose", pose, ("E", "N", "U", "YAW", "PITCH", "ROLL"))
     with _progress() as tell:
-        loaded = _scene(scene, temperature, range_c)
+        loaded = _scene(scene, temperature, range_c, air)
         east, north, up, *angles = numbers
         if not local_up:
             ground = float(loaded.ground(east, north))
@@ -212,6 +218,7 @@ def fly(
     products: Products = "exr,truth,counts,display,video",
     temperature: Temperature = None,
     range_c: RangeC = None,
+    air: Air = None,
     allow_below_ground: Below = False,
     resume: Annotated[bool, typer.Option("--resume", help="Continue a stopped flight.")] = False,
     seed: Seed = 0,
@@ -226,7 +233,7 @@ def fly(
 
     wanted = files.check(_split(products))
     with _progress() as tell:
-        loaded = _scene(scene, temperature, range_c)
+        loaded = _scene(scene, temperature, range_c, air)
         path = _trajectory(loaded, trajectory, format, anchor, clock_offset_s, mount, lever_arm_m)
         _above_ground(loaded, path, rate_hz, start_s, stop_s, allow_below_ground)
         renderer = _renderer(loaded, quality, rays, tolerance_mk, seed, device, tell)
@@ -248,6 +255,7 @@ def compare(
     anchor: AnchorText = None,
     rate_hz: Annotated[float, typer.Option(help="Poses per second of flight.")] = 1.0,
     range_c: RangeC = None,
+    air: Air = None,
     allow_below_ground: Below = False,
     seed: Seed = 0,
     quality: Quality = "standard",
@@ -262,6 +270,7 @@ def compare(
 
     with _progress() as tell:
         loaded = load_scene(scene)
+        loaded = loaded.with_air(*_air(air)) if air is not None else loaded
         path = _trajectory(loaded, trajectory, format, anchor, 0.0, None, "0,0,0")
         _above_ground(loaded, path, rate_hz, None, None, allow_below_ground)
         with files.output_folder(output):
@@ -290,6 +299,7 @@ def bench(
     texels: Annotated[int | None, typer.Option(help="Texels along each side of it; two per cell where absent.")] = None,
     repeats: Annotated[int, typer.Option(help="Turns of each measurement.")] = 15,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="JSON file for the result.")] = None,
+    air: Air = None,
     device: Device = "auto",
 ):
     """Measure frames per second, their ratio to casting the rays alone, and the error of each quality."""
@@ -298,7 +308,7 @@ def bench(
 
     with _progress() as tell:
         scenes = scenes or (() if triangles else ("heath",))
-        result = run.bench(scenes, triangles, texels, repeats, tell, device=device)
+        result = run.bench(scenes, triangles, texels, repeats, tell, device=device, air=_air(air))
     _table(run.HEADER, run.rows(result))
     for line in run.costs(result):
         typer.echo(line)
@@ -443,7 +453,12 @@ def _fail(message):
     raise SystemExit(2) from None
 
 
-def _scene(name, temperature, range_c):
+def _air(text):
+    """(standard atmosphere, aerosol) of --air, or None."""
+    return None if text is None else tuple(_split(text)[:2]) or ("",)
+
+
+def _scene(name, temperature, range_c, air=None):
     from thermorender.scene.load import load_scene
     from thermorender.scene.spec import TemperatureSpec
 
@@ -452,6 +467,8 @@ def _scene(name, temperature, range_c):
         loaded = loaded.with_temperature(TemperatureSpec(source="learned", model=temperature, range_c=_range(range_c)))
     elif range_c:
         raise ThermorenderError(f"--range-c={range_c!r} needs a learned map; add --temperature fok-1to1")
+    if air is not None:
+        loaded = loaded.with_air(*_air(air))
     for model, report in loaded.report.items():
         typer.echo(
             f"{model}: {report['share_outside_0_1']:.1%} of the intensities lie outside 0…1, "

@@ -40,8 +40,9 @@ class Plan:
         Objects with a track.
     air_mk : float or None
         What a kilometre of the scene's air changes a surface of 300 K by [mK]; None without air.
-    sun_mk : float
-        Most that the sun's own light can change any diffuse surface's apparent temperature by [mK].
+    sun_mk : float or None
+        Most that the sun's own light can change any diffuse surface's apparent temperature by [mK]; None where the
+        scene declares no sun.
     sun : bool
         Whether it is in.
     """
@@ -58,7 +59,7 @@ class Plan:
     warmest: float
     moving: int
     air_mk: float | None
-    sun_mk: float
+    sun_mk: float | None
     sun: bool
 
     @property
@@ -94,10 +95,12 @@ class Plan:
             return [("air", "out", "this scene declares none")]
         spectrum = self.spectrum
         why = f"a kilometre changes 300 K by {_kelvin(self.air_mk)}; worst error of the channels "
-        sun = f"changes a diffuse surface by at most {_kelvin(self.sun_mk)}" if self.sun_mk else "below the horizon"
+        sun = "this scene declares none"
+        if self.sun_mk is not None:
+            sun = f"changes a diffuse surface by at most {_kelvin(self.sun_mk)}" if self.sun_mk else "below the horizon"
         return [
             ("air", f"{spectrum.channels} channels", f"{why}{spectrum.channels_mk:.3g} mK"),
-            ("sun", "in" if self.sun else "out", sun if self.sun_mk is not None else "this scene declares none"),
+            ("sun", "in" if self.sun else "out", sun),
         ]
 
     def as_dict(self):
@@ -165,14 +168,14 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
     brightest = max([warmest, *([] if scene.air is None else [scene.air.temperature.max()])])
     reflection_mk = float((reflectance @ (spectral_radiance(wavelength, brightest) * weight)).max() / per_mk)
     bake = reflection_mk > 0.1 * tolerance_mk
-    air_mk, sun_mk = None, 0.0
+    air_mk = sun_mk = None
     if scene.air is not None:
         below = scene.altitude_m
         passed, added = (values[0] for values in scene.air.path(below, below, [1000.0]))
         arrives = passed @ scene.air.planck(REFERENCE_K) + added.sum()
         air_mk = abs(float(arrives - band_radiance(REFERENCE_K, *band))) / per_mk
-    if scene.spec.sun is not None and scene.spec.sun.elevation_deg > 0.0:
-        light = irradiance(wavelength) / np.pi
+    if scene.spec.sun is not None:
+        light = irradiance(wavelength) / np.pi * (scene.spec.sun.elevation_deg > 0.0)
         sun_mk = float((reflectance @ (light * weight)).max() / per_mk)
     spectrum = make_spectrum(scene.materials, envelope, tolerance_mk, bake)
     return Plan(
@@ -189,7 +192,7 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
         moving=len(scene.movers),
         air_mk=air_mk,
         sun_mk=sun_mk,
-        sun=sun_mk > 0.1 * tolerance_mk,
+        sun=sun_mk is not None and sun_mk > 0.1 * tolerance_mk,
     )
 
 

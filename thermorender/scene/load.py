@@ -19,7 +19,7 @@ from thermorender.scene.material_map import learned_materials
 from thermorender.scene.mixture import Mixture
 from thermorender.scene.raster import bounds_in, grid_of, onto, read_band, read_colour
 from thermorender.scene.refine import refined
-from thermorender.scene.spec import SceneSpec, TemperatureSpec, read_scene
+from thermorender.scene.spec import AtmosphereSpec, SceneSpec, TemperatureSpec, read_scene
 from thermorender.scene.surface import FALLBACK, FILLED, SURFACE, UNKNOWN, Surface, fill, nearest_valid
 from thermorender.scene.temperature import Texels, resolve
 from thermorender.scene.tracks import Mover, read_track
@@ -142,6 +142,18 @@ class Scene:
         return replace(
             self, spec=replace(self.spec, temperature=spec), surfaces=tuple(surfaces), report=report
         )
+
+    def with_air(self, standard, aerosol="none"):
+        """Return this scene under a standard atmosphere, in place of its own sky or air.
+
+        Parameters
+        ----------
+        standard, aerosol : str
+            As `Atmosphere.standard`.
+        """
+        air = AtmosphereSpec(standard=standard, aerosol=aerosol)
+        spec = replace(self.spec, sky_temperature=None, atmosphere=air)
+        return replace(self, spec=spec, air=declared_air(air, self.camera.band_um, self.name))
 
     def digest(self):
         """Return a fingerprint (hex) of everything a frame of this scene depends on."""

@@ -7,7 +7,7 @@ scene's folder and must lie inside it.
 
 import difflib
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 from thermorender.errors import ThermorenderError
@@ -82,16 +82,16 @@ class ObjectSpec:
 class AtmosphereSpec:
     """The air: a standard atmosphere, a table or a measured profile, its clouds, and where the scene lies in it."""
 
-    standard: str | None
-    file: Path | None
-    profile: Path | None
-    aerosol: str
-    visibility_km: float
-    temperature_offset_k: float
-    humidity_factor: float
-    cloud_fraction: float
-    cloud_base_m: float
-    altitude_m: float | None
+    standard: str | None = None
+    file: Path | None = None
+    profile: Path | None = None
+    aerosol: str = "none"
+    visibility_km: float = 23.0
+    temperature_offset_k: float = 0.0
+    humidity_factor: float = 1.0
+    cloud_fraction: float = 0.0
+    cloud_base_m: float = 2000.0
+    altitude_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -387,18 +387,8 @@ class _Reader:
         return EmissivitySpec(**{**values, "classes": classes})
 
     def atmosphere(self, raw):
-        keys = {
-            "standard": (self.text, None),
-            "file": (self.file, None),
-            "profile": (self.file, None),
-            "aerosol": (self.text, "none"),
-            "visibility_km": (self.number, 23.0),
-            "temperature_offset_k": (self.number, 0.0),
-            "humidity_factor": (self.number, 1.0),
-            "cloud_fraction": (self.number, 0.0),
-            "cloud_base_m": (self.number, 2000.0),
-            "altitude_m": (self.number, None),
-        }
+        readers = {"standard": self.text, "file": self.file, "profile": self.file, "aerosol": self.text}
+        keys = {item.name: (readers.get(item.name, self.number), item.default) for item in fields(AtmosphereSpec)}
         values = self.table(raw, "atmosphere", keys)
         given = [key for key in ("standard", "file", "profile") if values[key] is not None]
         if len(given) != 1:
