@@ -425,6 +425,26 @@ def validate_emissivity(
     typer.echo(f"numbers and confusion table in {output}")
 
 
+@validate.command("air")
+def validate_air(
+    scene: Annotated[str, typer.Argument(help="Scene folder, or the name of a shipped one.")] = "heath",
+    output: Out = Path("out/validation"),
+    air: Annotated[str, typer.Option(help="Standard atmosphere and aerosol.")] = "midlatitude-summer,rural-23km",
+    device: Device = "auto",
+):
+    """What air costs a frame, and what its spectral channels leave wrong."""
+    from thermorender import products as files
+    from thermorender.scene.load import load_scene
+    from thermorender.validate import air as run
+
+    with _progress() as tell, files.output_folder(output) as folder:
+        result = run.hold(load_scene(scene), _air(air), device=device, progress=tell)
+        files.write_json(folder / "air.json", result)
+        run.figure(result, folder / "air.png")
+    _table(run.HEADER, run.rows(result))
+    typer.echo(f"numbers and figure in {output}")
+
+
 # What typer raises for a wrong command line: its own copy of click's exception, or click's, by version.
 UsageError = typer.BadParameter.__base__
 

@@ -229,7 +229,10 @@ class _Site:
             for _ in range(2):
                 render()
             seconds, image = _seconds(render, self.mode.seconds)
-            found = {"seconds": seconds, "bake_s": bake_s, "default": default, "sampling_mk": None}
+            # The budget of the same part of the frame that the error is taken over.
+            part = Renderer(self.part, **{**self.own, **keywords}, like=renderer)
+            budget = part.frame(self.poses[view]).budget_mk["total"]
+            found = {"seconds": seconds, "bake_s": bake_s, "default": default, "sampling_mk": None, "budget_mk": budget}
         image = self._middle(image)
         if keywords and not anew:
             found["sampling_mk"] = rms_mk(image, self.finest(view), self.scene.camera)

@@ -5,7 +5,7 @@ import numpy as np
 from thermorender import products
 
 _COLUMNS = ("engine", "setting", "frame [s]", "error [mK]", "range [mK]", "after lens [mK]", "sampling [mK]",
-            "bake [s]")  # fmt: skip
+            "budget [mK]", "bake [s]")  # fmt: skip
 
 
 def pareto(points):
@@ -28,12 +28,13 @@ def table(path, cases, settings):
         f"independent path-traced renders of {settings['oracle']} paths per pixel, free of their noise, with its range",
         "of two standard errors. Settings of thermorender are rays per pixel · texture places per ray · error from",
         "which on a pixel at an edge gets more rays (inf: never). Sampling: against the same renderer with 256",
-        "rays per pixel. Bold: no other setting is both faster and closer.",
+        "rays per pixel. Budget: what the frame itself says of its error. Bold: no other setting is both faster and",
+        "closer.",
     ]
     scenes = {record["scene"]: None for record in cases.values() if "view" in record}
     for scene in scenes:
         for view in {record["view"]: None for record in cases.values() if record["scene"] == scene}:
-            lines += ["", f"## {scene}, {view}", "", f"| {' | '.join(_COLUMNS)} |", "|---|---" + "|--:" * 6 + "|"]
+            lines += ["", f"## {scene}, {view}", "", f"| {' | '.join(_COLUMNS)} |", "|---|---" + "|--:" * 7 + "|"]
             chosen = sorted(
                 (record for record in cases.values() if record["scene"] == scene and record["view"] == view),
                 key=lambda record: record["seconds"],
@@ -44,7 +45,8 @@ def table(path, cases, settings):
                 cells = [
                     record["engine"], ("bake: " if record["group"] == "bake rays" else "") + record["setting"],
                     f"{record['seconds']:.3g}", f"{record['error_mk']:.1f}", f"{low:.1f}–{high:.1f}",
-                    f"{record['optics_error_mk']:.1f}", _text(record.get("sampling_mk")), _text(record.get("bake_s")),
+                    f"{record['optics_error_mk']:.1f}",
+                    *(_text(record.get(key)) for key in ("sampling_mk", "budget_mk", "bake_s")),
                 ]  # fmt: skip
                 if number in front:
                     cells[:2] = (f"**{cell}**" for cell in cells[:2])
