@@ -12,7 +12,7 @@ from thermorender.physics.planck import band_radiance
 from thermorender.render import cache
 from thermorender.render.reference import squared_error
 from thermorender.sensor.camera import load_camera
-from thermorender.validate import bench, cavity, convergence, metrics
+from thermorender.validate import bench, cavity, convergence, growth, metrics
 from thermorender.validate.convergence_report import pareto
 
 CAMERA = load_camera("zenmuse-xt2")
@@ -145,3 +145,15 @@ def test_convergence_measures_what_is_missing_only(tmp_path, monkeypatch):
         convergence.convergence((scene,), tmp_path, mode=mode)
     with pytest.raises(ThermorenderError, match=r"mode='slow' is unknown; give one of quick, full"):
         convergence.convergence((), tmp_path, mode="slow")
+
+
+def test_growth_measures_each_axis_in_a_process_of_its_own(tmp_path):
+    base, axes = (200, 16, 2), {"triangles": (200,), "texels": (16,), "nodes": (1, 4)}
+    cases = growth.hold(tmp_path, axes, base)
+    assert [case["nodes"] for case in cases.values()] == [2, 2, 1, 4]
+    assert all(case["bake_s"] > 0.0 and case["frame_ms"] > 0.0 for case in cases.values())
+    assert len(growth.rows(cases)) == 4 and (tmp_path / "growth.png").stat().st_size > 5000
+    # What is there is not measured again.
+    path = tmp_path / "growth.json"
+    path.write_text(path.read_text().replace('"bake_s": ', '"bake_s": 1e9, "was": '))
+    assert all(case["bake_s"] == 1e9 for case in growth.hold(tmp_path, axes, base).values())

@@ -445,6 +445,17 @@ def validate_air(
     typer.echo(f"numbers and figure in {output}")
 
 
+@validate.command("growth")
+def validate_growth(output: Out = Path("out/validation"), device: Device = "auto"):
+    """How time and memory grow with triangles, texels and spectral nodes; continues where it was stopped."""
+    from thermorender.validate import growth as run
+
+    with _progress() as tell:
+        cases = run.hold(output, progress=tell, device=device)
+    _table(run.HEADER, run.rows(cases))
+    typer.echo(f"numbers and figure in {output}")
+
+
 # What typer raises for a wrong command line: its own copy of click's exception, or click's, by version.
 UsageError = typer.BadParameter.__base__
 

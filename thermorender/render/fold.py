@@ -14,6 +14,7 @@ from thermorender.render.bake import low_discrepancy
 
 # Places per face, and per texel of an average face, from which its mean is taken.
 _FEWEST, _MOST, _PER_TEXEL = 4, 64, 2
+_TEXELS_AT_ONCE = 1 << 22
 
 
 def face_means(geometry, plan, material, temperature):
@@ -29,37 +30,67 @@ def face_means(geometry, plan, material, temperature):
         Kinetic temperature of each texel [K].
     """
     mi = geometry.mi
-    numbers = []
-    for surface, column, row in geometry.places_in_faces(_pattern(geometry)):
-        numbers.append(geometry.nearest(surface, column, row))
-        dr.eval(numbers[-1])
+    pattern = _pattern(geometry)
+    number = np.empty((geometry.face_count, len(pattern)), dtype=np.uint32)
+    for place, found in enumerate(geometry.places_in_faces(pattern)):
+        number[:, place] = np.array(geometry.nearest(*found))
+    number = mi.UInt32(number.ravel())
     spectrum = plan.spectrum
     grid = RadianceTable.grid(plan.coldest, plan.warmest)
     black = spectrum.black(grid).astype(np.float32)
-    material, temperature = mi.UInt32(material), mi.Float(temperature)
-    place = (temperature - float(grid[0])) / float(grid[1] - grid[0])
+    place = (dr.gather(mi.Float, mi.Float(temperature), number) - float(grid[0])) / float(grid[1] - grid[0])
     lower = mi.UInt32(dr.clip(place, 0.0, float(len(grid) - 2)))
     weight = place - mi.Float(lower)
+    kind = mi.UInt32(dr.gather(mi.UInt8, mi.UInt8(material), number))
+    dr.eval(lower, weight, kind)
     emitted = np.empty((geometry.face_count, spectrum.nodes))
     reflectance = np.empty_like(emitted)
     for node in range(spectrum.nodes):
         table = mi.Float(np.ascontiguousarray(black[:, node]))
         planck = dr.lerp(dr.gather(mi.Float, table, lower), dr.gather(mi.Float, table, lower + 1), weight)
-        epsilon = dr.gather(mi.Float, mi.Float(spectrum.emissivity[:, node].astype(np.float32)), material)
+        epsilon = dr.gather(mi.Float, mi.Float(spectrum.emissivity[:, node].astype(np.float32)), kind)
         leaving = planck * epsilon
         dr.eval(leaving, epsilon)
-        sums = [sum(dr.gather(mi.Float, values, number) for number in numbers) for values in (leaving, epsilon)]
-        emitted[:, node] = np.asarray(sums[0]) / len(numbers)
-        reflectance[:, node] = 1.0 - np.asarray(sums[1]) / len(numbers)
+        sums = [np.array(dr.block_sum(values, len(pattern)), dtype=np.float64) for values in (leaving, epsilon)]
+        emitted[:, node] = sums[0] / len(pattern)
+        reflectance[:, node] = 1.0 - sums[1] / len(pattern)
     return emitted, reflectance
 
 
-def fold(geometry, emitted, material, light):
+def emitted(plan, materials, material, temperature):
+    """Return what each texel emits into each channel, a list of K arrays (T,) float32 [W m⁻² sr⁻¹].
+
+    Parameters
+    ----------
+    plan : Plan
+    materials : sequence of Material
+    material : (T,) uint8
+        Number of each texel's material.
+    temperature : (T,) float32
+        [K].
+    """
+    found = [np.empty(len(material), dtype=np.float32) for _ in range(plan.spectrum.channels)]
+    limits = float(temperature.min()), float(temperature.max())
+    tables = [plan.spectrum.emitted(each.emissivity_at, *limits, plan.band_um) for each in materials]
+    # A few million texels at a time: tables are looked up in double precision.
+    for start in range(0, len(material), _TEXELS_AT_ONCE):
+        part = slice(start, start + _TEXELS_AT_ONCE)
+        for number in np.unique(material[part]):
+            here = np.flatnonzero(material[part] == number)
+            warm, (grid, table) = temperature[part][here], tables[number]
+            for channel, values in enumerate(table.T):
+                found[channel][part][here] = np.interp(warm, grid, values)
+    return found
+
+
+def fold(geometry, covers, emitted, material, light):
     """Return (radiance of each texel (T,), correction of each face (F,), what is left), float32 [W m⁻² sr⁻¹].
 
     Parameters
     ----------
     geometry : Geometry
+    covers : UInt32
+        The face that covers each texel, from `Geometry.face_of_texel`.
     emitted : (T,) float32
         Emitted band radiance of each texel [W m⁻² sr⁻¹].
     material : (T,) uint8
@@ -73,22 +104,24 @@ def fold(geometry, emitted, material, light):
     mi, count, kinds = geometry.mi, *light.shape
     # One more row for texels that no face covers: the mean, as they only blend into their neighbours.
     table = mi.Float(np.vstack([light, light.mean(axis=0, dtype=np.float64)]).astype(np.float32).ravel())
-    material = mi.UInt32(material)
-    reflected = dr.gather(mi.Float, table, geometry.face_of_texel * kinds + material)
-    texel = mi.Float(emitted) + reflected
-    dr.eval(reflected, texel)
+    material = mi.UInt8(material)
+
+    def reflected(face, number):
+        return dr.gather(mi.Float, table, face * kinds + mi.UInt32(dr.gather(mi.UInt8, material, number)))
+
+    texel = mi.Float(emitted) + reflected(covers, dr.arange(mi.UInt32, len(emitted)))
+    dr.eval(texel)
     face = dr.arange(mi.UInt32, count)
     mean, square = dr.zeros(mi.Float, count), dr.zeros(mi.Float, count)
     pattern = _pattern(geometry)
     for surface, column, row in geometry.places_in_faces(pattern):
         missing = mi.Float(0.0)
         for number, weight in geometry.corners(geometry.lattice(surface), column, row):
-            own = dr.gather(mi.Float, table, face * kinds + dr.gather(mi.UInt32, material, number))
-            missing += weight * (own - dr.gather(mi.Float, reflected, number))
+            missing += weight * (reflected(face, number) - reflected(dr.gather(mi.UInt32, covers, number), number))
         mean, square = mean + missing, square + missing * missing
         dr.eval(mean, square)
     mean, square = np.array(mean) / len(pattern), np.array(square) / len(pattern)
-    return np.array(texel), mean, float(np.sqrt(geometry.share @ np.maximum(square - mean * mean, 0.0)))
+    return texel.numpy(), mean, float(np.sqrt(geometry.share @ np.maximum(square - mean * mean, 0.0)))
 
 
 def light(incident, reflected):

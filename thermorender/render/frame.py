@@ -94,8 +94,8 @@ class Renderer:
             like.prepare()
             self._transport = like._transport
         self._progress = progress or (lambda what, share: None)
-        self._material = np.concatenate([surface.material.ravel() for surface in scene.surfaces])
-        self._temperature = np.concatenate([surface.temperature.ravel() for surface in scene.surfaces])
+        self._material = _flat([surface.material for surface in scene.surfaces])
+        self._temperature = _flat([surface.temperature for surface in scene.surfaces])
         self._tolerance_mk = tolerance_mk
         self._per_mk = float(band_radiance_derivative(REFERENCE_K, *self.plan.band_um)) * 1e-3
         self.cache_note = None
@@ -282,18 +282,10 @@ class Renderer:
         """Fold the scene into texel channels, face channels and the radiance of sky and surroundings."""
         plan, scene, mi = self.plan, self.scene, self._mi
         spectrum = plan.spectrum
-        emitted = np.empty((len(self._material), spectrum.channels), dtype=np.float32)
-        for index, material in enumerate(scene.materials):
-            here = self._material == index
-            if here.any():
-                warm = self._temperature[here]
-                limits = float(warm.min()), float(warm.max())
-                grid, table = spectrum.emitted(material.emissivity_at, *limits, plan.band_um)
-                for channel, values in enumerate(table.T):
-                    emitted[here, channel] = np.interp(warm, grid, values)
+        texel = fold.emitted(plan, scene.materials, self._material, self._temperature)
         if not plan.bake:
             self.bake_mk = dict.fromkeys(("solution", "noise", "faces", "texels"), 0.0)
-            self._shown = Shown.of(mi, emitted)
+            self._shown = Shown.of(mi, texel)
             return
         if self._transport is None:
             what = "tracing the light between surfaces"
@@ -308,16 +300,18 @@ class Renderer:
         incident, bounds = bake.solve(self._transport, face_emitted, face_reflectance, outside, tolerance)
         noise = bake.noise(self._transport, face_emitted, face_reflectance, outside, incident)
         face = np.empty((self._geometry.face_count, spectrum.channels), dtype=np.float32)
-        for channel in range(spectrum.channels):
-            light = fold.light(incident, spectrum.reflected[:, channel])
-            emitted[:, channel], face[:, channel], scatter = fold.fold(
-                self._geometry, emitted[:, channel], self._material, light
-            )
+        covers = self._geometry.face_of_texel()
         if spectrum.channels > 1:
             # What scatter means in kelvin is told by the band, whose light no path has weakened.
             light = fold.light(incident, np.tensordot(spectrum.solver.sum(axis=0), spectrum.reflected, (0, 1)))
-            _, _, scatter = fold.fold(self._geometry, emitted[:, 0], self._material, light)
-        self._shown = Shown.of(mi, emitted, face)
+            _, _, scatter = fold.fold(self._geometry, covers, texel[0], self._material, light)
+        for channel in range(spectrum.channels):
+            light = fold.light(incident, spectrum.reflected[:, channel])
+            texel[channel], face[:, channel], left = fold.fold(
+                self._geometry, covers, texel[channel], self._material, light
+            )
+        scatter = left if spectrum.channels == 1 else scatter
+        self._shown = Shown.of(mi, texel, face)
         if self._moving:
             leaving = face_emitted + face_reflectance * incident
             self._still = Still(self._geometry, leaving, face_reflectance, outside)
@@ -461,6 +455,11 @@ def checked_pose(pose):
             "pose has a rotation that is not orthonormal and right-handed; normalise its quaternion"
         )
     return pose
+
+
+def _flat(images):
+    """All texels side by side; a single image is not copied, as it may fill gigabytes."""
+    return images[0].reshape(-1) if len(images) == 1 else np.concatenate([image.ravel() for image in images])
 
 
 def _linear_from_srgb(colour):

@@ -6,7 +6,6 @@ plane to its place on the texel map; it also tells the plane, so that places nea
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import drjit as dr
 import numpy as np
@@ -158,9 +157,8 @@ class Geometry:
             total = values if total is None else [a + b for a, b in zip(total, values, strict=True)]
         return total
 
-    @cached_property
     def face_of_texel(self):
-        """The face that covers the centre of each texel, UInt32 over all texels; `face_count` where there is none.
+        """Return the face that covers each texel's centre, UInt32 over all texels; `face_count` where there is none.
 
         The map itself is looked at from above: rays down onto its triangles. A face whose map has no area covers
         nothing.
@@ -205,10 +203,12 @@ class Channels:
         for first in range(0, self.count, 4):
             group = values[:, first : first + 4]
             width = {1: 1, 2: 2, 3: 4, 4: 4}[group.shape[1]]
-            padded = np.zeros((len(group), width), dtype=np.float32)
-            padded[:, : group.shape[1]] = group
+            if group.shape[1] != width or self.count != width:
+                padded = np.zeros((len(group), width), dtype=np.float32)
+                padded[:, : group.shape[1]] = group
+                group = padded
             kind = {1: mi.Float, 2: mi.Vector2f, 4: mi.Vector4f}[width]
-            self.groups.append((kind, group.shape[1], mi.Float(padded.ravel())))
+            self.groups.append((kind, min(self.count - first, width), mi.Float(group.ravel())))
 
     def at(self, index, active=True):
         """Return the channels at flat indices, as a list of Float."""
@@ -239,9 +239,9 @@ class Shown:
 
     @classmethod
     def of(cls, mi, texels, faces=None):
-        """Return what surfaces show by spectral channels of texels (T, K) and faces (F, K)."""
-        rest = Channels(mi, texels[:, 1:]) if texels.shape[1] > 1 else None
-        return cls(Channels(mi, texels[:, :1]), rest, None if faces is None else Channels(mi, faces))
+        """Return what surfaces show by spectral channels of texels, K arrays (T,), and of faces, (F, K)."""
+        rest = Channels(mi, np.stack(texels[1:], axis=1)) if len(texels) > 1 else None
+        return cls(Channels(mi, texels[0][:, None]), rest, None if faces is None else Channels(mi, faces))
 
 
 @dataclass(frozen=True)

@@ -97,7 +97,7 @@ class Moving:
         added = np.zeros(0, np.int64), np.zeros((0, channels), np.float32)
         if still is not None:
             light, added = self._light(pose, temperature, still)
-        self.shown = Shown.of(mi, np.tile(emitted, (self._texel_count, 1)), light)
+        self.shown = Shown.of(mi, [np.full(self._texel_count, value, np.float32) for value in emitted], light)
         self._put = (key, added)
         return added
 

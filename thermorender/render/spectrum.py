@@ -11,7 +11,7 @@ Emission is integrated over all points and needs no nodes. Reflection couples th
 spectrum of its surroundings; its nodes are as few as keep the error on the scene's own envelope below the tolerance.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -298,6 +298,18 @@ def make_spectrum(materials, envelope, tolerance_mk, reflects):
     )
 
 
+def with_nodes(spectrum, materials, count):
+    """Return a Spectrum with about `count` nodes, even parts of its points by wavelength, whatever they err by.
+
+    For measuring what nodes cost: `make_spectrum` takes as few as do.
+    """
+    points = spectrum.points
+    label = np.arange(len(points.node)) * min(count, len(points.node)) // len(points.node)
+    spectra = np.array([material.emissivity_at(points.wavelength_um) for material in materials])
+    emissivity, reflected, share = _means(points, spectra, spectrum.basis, label)
+    return replace(spectrum, label=label, emissivity=emissivity, reflected=reflected, share=share)
+
+
 class _Case:
     """A scene's envelope at the points: its light, what its surfaces show of it, and the kelvin these are judged by."""
 
@@ -338,10 +350,7 @@ class _Case:
 
     def spectrum(self, label, basis, solver, channels_mk, fit=False):
         """Return the Spectrum of nodes; with a fit of what is reflected, and its error, where asked."""
-        inside = self.black / np.bincount(label, self.black)[label]
-        channels = basis[:, self.points.node] * inside
-        emissivity, share = _gathered(self.spectra * inside, label), _gathered(channels, label)
-        reflected = _gathered((1.0 - self.spectra)[:, None] * channels, label)
+        emissivity, reflected, share = _means(self.points, self.spectra, basis, label)
         nodes_mk = 0.0
         if fit:
             # As it will be solved: light at nodes, reflected once with their mean reflectance.
@@ -381,6 +390,15 @@ def _channels(case, tolerance_mk):
         if worst <= tolerance_mk:
             break
     return basis, solver, worst
+
+
+def _means(points, spectra, basis, label):
+    """Planck-weighted (emissivity (M, N), reflected (M, K, N), share (K, N)) of nodes, as in `Spectrum`."""
+    black = points.planck(REFERENCE_K)
+    inside = black / np.bincount(label, black)[label]
+    channels = basis[:, points.node] * inside
+    reflected = _gathered((1.0 - spectra)[:, None] * channels, label)
+    return _gathered(spectra * inside, label), reflected, _gathered(channels, label)
 
 
 def _per_mk(radiance, band_um):

@@ -111,7 +111,7 @@ def costs(result):
 
 def _measure(scene, settings, device, repeats):
     """One scene's part of the result."""
-    _forget_peak_memory()
+    forget_peak_memory()
     poses, sigma = views(scene), optics_sigma_px(scene.camera)
     first, done, made = None, {}, []
     for label, keywords in settings:
@@ -126,7 +126,7 @@ def _measure(scene, settings, device, repeats):
         done[label] = {"plan": renderer.plan.as_dict(), "views": found}
         made.append((renderer, keywords))
     # The converged images are what nobody renders in use; their memory does not count.
-    peak = _peak_memory_mib()
+    peak = peak_memory_mib()
     finest_of = {}
     for (renderer, keywords), measured in zip(made, done.values(), strict=True):
         light = {key: value for key, value in keywords.items() if key not in SAMPLING}
@@ -287,13 +287,15 @@ def machine():
     return {"processor": processor, "cores": os.cpu_count(), "memory_gib": memory, "system": platform.system()}
 
 
-def _forget_peak_memory():
+def forget_peak_memory():
+    """Start the record of the most memory this process held anew, where the system keeps one."""
     # Linux starts its record of the most memory held anew.
     with suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
 
 
-def _peak_memory_mib():
+def peak_memory_mib():
+    """Return the most memory this process held since [MiB], or None where the system does not tell."""
     with suppress(OSError, StopIteration):
         lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
         return float(next(line.split()[1] for line in lines if line.startswith("VmHWM"))) / 1024.0

@@ -1,0 +1,123 @@
+"""How cost grows: triangles, texels and spectral nodes, one at a time, each case in a process of its own.
+
+A fresh process tells the most memory that one case held: synthetic terrain, caster, bake and frames, but not the
+making of the terrain. Nodes are given in number, not by a tolerance.
+"""
+
+import json
+import multiprocessing
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+
+from thermorender import products
+from thermorender.validate import bench
+from thermorender.validate.metrics import cache_off
+from thermorender.versions import versions
+
+# What the two axes that are not varied stand at: triangles, texels along a side, nodes.
+BASE = (1_000_000, 2048, 8)
+AXES = {
+    "triangles": (100_000, 300_000, 1_000_000, 3_000_000, 10_000_000),
+    "texels": (1024, 2048, 4096, 8192, 16384),
+    "nodes": (1, 4, 16, 64),
+}
+RAYS = 16
+HEADER = ("varied", "triangles", "texels", "nodes", "build [s]", "bake [s]", "frame [ms]", "peak [GiB]")
+
+
+def hold(folder, axes=AXES, base=BASE, progress=None, device="auto"):
+    """Measure what is not yet in `growth.json` of a folder; return {case: record}, as is written there.
+
+    Parameters
+    ----------
+    folder : path
+    axes : dict
+        Values of triangles, texels (along a side) and nodes; the others stand at `base`.
+    base : (int, int, int)
+    progress : callable, optional
+        Called with (what, share done).
+    device : {"auto", "cpu", "cuda"}
+    """
+    folder = products.make_folder(folder)
+    path = folder / "growth.json"
+    kept = json.loads(path.read_text(encoding="utf-8"))["cases"] if path.is_file() else {}
+    names = tuple(AXES)
+    jobs = [
+        (axis, dict(zip(names, base, strict=True)) | {axis: value}) for axis, values in axes.items() for value in values
+    ]
+    context = multiprocessing.get_context("spawn")
+    for number, (axis, case) in enumerate(jobs):
+        name = "/".join((axis, *(str(value) for value in case.values())))
+        if progress:
+            progress(name, number / len(jobs))
+        if name in kept:
+            continue
+        with ProcessPoolExecutor(1, context) as pool:
+            kept[name] = {"varied": axis, **case, **pool.submit(_measure, *case.values(), device).result()}
+        record = {"machine": bench.machine(), "versions": versions(), "rays": RAYS, "cases": kept}
+        products.write_json(path, record)
+        figure(kept, folder / "growth.png")
+    if progress:
+        progress("measured", 1.0)
+    return kept
+
+
+def _measure(triangles, texels, nodes, device):
+    from thermorender.render.frame import Renderer
+    from thermorender.render.spectrum import with_nodes
+
+    scene = bench.terrain(triangles, texels)
+    bench.forget_peak_memory()
+    start = time.perf_counter()
+    renderer = Renderer(scene, rays=RAYS, device=device)
+    renderer.plan = replace(renderer.plan, spectrum=with_nodes(renderer.plan.spectrum, scene.materials, nodes))
+    built = time.perf_counter()
+    with cache_off():
+        renderer.prepare()
+    baked = time.perf_counter()
+    place, seconds = bench.views(scene)["oblique"], []
+    for turn in range(7):
+        begin = time.perf_counter()
+        renderer.radiance(place)
+        if turn > 1:
+            seconds.append(time.perf_counter() - begin)
+    return {
+        "build_s": built - start, "bake_s": baked - built, "frame_ms": 1e3 * float(np.median(seconds)),
+        "peak_mib": bench.peak_memory_mib(),
+    }  # fmt: skip
+
+
+def rows(cases):
+    """Return the cases as rows of text under `HEADER`."""
+    return [
+        (case["varied"], str(case["triangles"]), f"{case['texels']}²", str(case["nodes"]), f"{case['build_s']:.1f}",
+         f"{case['bake_s']:.1f}", f"{case['frame_ms']:.0f}",
+         "unknown" if case["peak_mib"] is None else f"{case['peak_mib'] / 1024:.2f}")
+        for case in cases.values()
+    ]  # fmt: skip
+
+
+def figure(cases, path):
+    """Draw bake, frame and memory along each axis."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    kinds = (("bake_s", "bake, 16 rays per face [s]", 1.0), ("frame_ms", "frame at 45° [ms]", 1.0),
+             ("peak_mib", "most memory [GiB]", 1.0 / 1024))  # fmt: skip
+    drawing, axes = pyplot.subplots(len(kinds), len(AXES), figsize=(11, 8), layout="constrained", squeeze=False)
+    for column, axis in zip(axes.T, AXES, strict=True):
+        own = sorted((case for case in cases.values() if case["varied"] == axis), key=lambda case: case[axis])
+        for place, (key, label, unit) in zip(column, kinds, strict=True):
+            known = [case for case in own if case[key] is not None]
+            place.plot([case[axis] for case in known], [case[key] * unit for case in known], "o-", ms=4)
+            place.set(xscale="log", yscale="log", xlabel=axis + (" along a side" if axis == "texels" else ""),
+                      ylabel=label)  # fmt: skip
+            place.grid(True, which="both", lw=0.3, color="0.85")
+    with products.atomic(path) as part:
+        drawing.savefig(part, dpi=80)
+    pyplot.close(drawing)
