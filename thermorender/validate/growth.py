@@ -114,6 +114,8 @@ def figure(cases, path):
         own = sorted((case for case in cases.values() if case["varied"] == axis), key=lambda case: case[axis])
         for place, (key, label, unit) in zip(column, kinds, strict=True):
             known = [case for case in own if case[key] is not None]
+            if not known:
+                continue
             place.plot([case[axis] for case in known], [case[key] * unit for case in known], "o-", ms=4)
             place.set(xscale="log", yscale="log", xlabel=axis + (" along a side" if axis == "texels" else ""),
                       ylabel=label)  # fmt: skip
