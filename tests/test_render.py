@@ -14,7 +14,7 @@ from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.render import bake
 from thermorender.render.geometry import Geometry
 from thermorender.render.plan import make_plan
-from thermorender.render.sampling import morton_order
+from thermorender.render.sampling import edge_step, morton_order
 from thermorender.render.variant import activate
 from thermorender.scene.surface import BEYOND, FILLED, SURFACE
 from thermorender.validate.metrics import converged, rms_mk
@@ -332,6 +332,27 @@ def test_morton_order_is_a_permutation():
     order = morton_order(13, 22)
     assert sorted(order) == list(range(13 * 22))
     assert order[:4].tolist() == [0, 1, 22, 23]
+
+
+def test_an_edge_is_where_depth_jumps_and_radiance_differs():
+    row, column = np.mgrid[:9, :12].astype(np.float32)
+    plane, texture = 0.02 + 1e-4 * column + 2e-4 * row, np.where(column > 5, 7.0, 5.0).astype(np.float32)
+
+    def inner(radiance, inverse_depth):
+        return edge_step(radiance, inverse_depth)[2:-2, 2:-2]
+
+    assert inner(texture, plane).max() < 1e-3
+    # The right half lies further off: the edge is in column 5 or 6, and their neighbours differ from neither.
+    broken = np.where(column > 5, 0.8 * plane, plane)
+    step = inner(texture, broken)
+    np.testing.assert_allclose(step, np.broadcast_to([0, 0, 0, 2, 2, 0, 0, 0], step.shape), atol=1e-3)
+    assert inner(np.full_like(texture, 6.0), broken).max() == 0.0
+    # A thing in one pixel may reach into its neighbours, and half as surely across the corners.
+    thing = (row == 4) & (column == 5)
+    step = inner(np.where(thing, 9.0, 5.0).astype(np.float32), np.where(thing, 2.0 * plane, plane))
+    expected = np.zeros_like(step)
+    expected[1:4, 2:5] = [[2.0, 4.0, 2.0], [4.0, 4.0, 4.0], [2.0, 4.0, 2.0]]
+    np.testing.assert_allclose(step, expected, atol=1e-3)
 
 
 def test_errors(tmp_path):

@@ -12,7 +12,7 @@ from thermorender.render.sampling import PATTERNS, STAGES
 from thermorender.render.spectrum import REFERENCE_K, Envelope, Spectrum, make_spectrum
 
 # Rays per pixel, texture places per ray, and the error from which on an edge pixel gets more rays [mK].
-QUALITIES = {"fast": (1, 2, 500.0), "standard": (1, 4, 140.0), "high": (4, 4, 25.0)}
+QUALITIES = {"fast": (1, 4, 500.0), "standard": (1, 4, 150.0), "high": (4, 4, 24.0)}
 
 
 @dataclass(frozen=True)
