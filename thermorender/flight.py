@@ -7,11 +7,14 @@ is refused.
 
 import json
 import os
+import zipfile
 
 import numpy as np
 
 from thermorender import products as product_files
 from thermorender.errors import ThermorenderError
+from thermorender.sensor.chain import sensor_of
+from thermorender.sensor.exposure import Exposure
 from thermorender.versions import versions
 
 
@@ -64,17 +67,23 @@ def fly(renderer, trajectory, folder, rate_hz=None, products=product_files.DEFAU
         "products": list(products),
         "versions": versions(),
     }
+    exposure = _exposure(renderer, trajectory, 1.0 / rate)
     with product_files.output_folder(folder) as folder:
         done = _done(folder, settings, products, resume)
+        if 0 < done < len(times):
+            _recall(folder, exposure, done, lambda index: _taken(renderer, exposure, poses, times, index))
         for index in range(done, len(times)):
-            frame = renderer.frame(poses[index], time_s=times[index], index=index)
+            frame = _taken(renderer, exposure, poses, times, index)
             # Only now, so that a mistake that shows with the first frame leaves nothing behind.
             if not (folder / "flight.json").exists():
                 product_files.write_json(folder / "flight.json", settings)
             product_files.write(folder, frame, products)
+            _remember(folder, exposure, index)
             _append(folder / "frames.jsonl", product_files.record(frame))
             if progress:
                 progress(index + 1, len(times))
+        for path in _memories(folder):
+            path.unlink(missing_ok=True)
         if "video" in products:
             images = [product_files.paths(folder, index, ("display",))["display"] for index in range(len(times))]
             product_files.write_video(folder / "flight.mp4", images, rate)
@@ -133,6 +142,61 @@ def _done(folder, settings, products, resume):
     with product_files.atomic(lines) as part:
         part.write_text("".join(line + "\n" for line in kept), encoding="utf-8")
     return len(kept)
+
+
+def _exposure(renderer, trajectory, interval_s):
+    """The Exposure of a flight: the sensor with what it keeps from frame to frame."""
+    scene = renderer.scene
+    first, last = trajectory.span_s
+    terrain = np.concatenate([surface.vertices[:, 2] for surface in scene.surfaces[: scene.terrain_count]])
+
+    def pose_at(time_s):
+        return trajectory.pose(min(max(time_s, first), last))
+
+    def ground_at(pose):
+        height = float(scene.ground(*pose[:2, 3]))
+        return height if np.isfinite(height) else float(terrain.min())
+
+    return Exposure(
+        sensor_of(scene.camera, renderer.seed),
+        lambda time_s: renderer.frame(pose_at(time_s), time_s=time_s).radiance,
+        pose_at,
+        ground_at,
+        interval_s,
+        warp=not scene.movers,
+    )
+
+
+def _taken(renderer, exposure, poses, times, index):
+    """One frame of the flight with what its sensor reads."""
+    frame = renderer.frame(poses[index], time_s=times[index], index=index)
+    return frame.with_reading(*exposure.read(index, float(times[index]), frame.radiance))
+
+
+def _memories(folder):
+    """The files that hold the sensor's state after frames of even and of odd number."""
+    return folder / "sensor_even.npz", folder / "sensor_odd.npz"
+
+
+def _remember(folder, exposure, index):
+    """Keep the sensor's state beside the frame's line: two files in turn, so that one of them is always whole."""
+    with product_files.atomic(_memories(folder)[index % 2]) as part:
+        np.savez(part, index=index, **exposure.state())
+
+
+def _recall(folder, exposure, done, take):
+    """Bring the sensor to where it was after `done` frames: from its file, or by taking these frames again."""
+    last = done - 1
+    try:
+        with np.load(_memories(folder)[last % 2]) as file:
+            arrays = {name: file[name] for name in file.files}
+        if arrays.pop("index") == last:
+            exposure.restore(arrays)
+            return
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        pass
+    for index in range(done):
+        take(index)
 
 
 def _append(path, value):
