@@ -188,8 +188,8 @@ def _recall(folder, exposure, done, take):
     """Bring the sensor to where it was after `done` frames: from its file, or by taking these frames again."""
     last = done - 1
     try:
-        with np.load(_memories(folder)[last % 2]) as file:
-            arrays = {name: file[name] for name in file.files}
+        with open(_memories(folder)[last % 2], "rb") as file, np.load(file) as kept:
+            arrays = dict(kept)
         if arrays.pop("index") == last:
             exposure.restore(arrays)
             return

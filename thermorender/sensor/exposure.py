@@ -23,8 +23,9 @@ MEMORY = 8.0
 # Motion between two instants, and between two renders [px].
 INSTANT_PX, RENDER_PX = 3.0, 20.0
 # Root mean square error of instants d pixels apart, over pixels whose radiance spans less than 1 K along their way:
-# this times d² [mK px⁻²]; found on heath, from 64 down to 4 instants per time constant.
-_INSTANT_MK = 0.2
+# the first times d² [mK px⁻²]. Renders d pixels apart add the second times √d [mK px^−½]. Both found on heath from
+# 100 m, with 64 down to 4 instants per time constant and renders 10 to 40 pixels apart.
+_INSTANT_MK, _RENDER_MK = 0.2, 2.5
 # Instants from which on linear interpolation is smooth enough, as their errors average.
 _MANY = 16
 MOST_INSTANTS = 400
@@ -70,15 +71,14 @@ class Exposure:
     interval_s : float
         From one frame to the next [s].
     warp : bool
-        Whether images may be moved as the ground moves; otherwise every instant is rendered. Never used for a
-        camera with distortion.
+        Whether images may be moved as the ground moves; otherwise every instant is rendered.
     """
 
     def __init__(self, sensor, look, pose_at, ground_at, interval_s, warp=True):
         self.sensor, self._look, self._pose_at, self._ground_at = sensor, look, pose_at, ground_at
         self.interval_s = interval_s
         self._delays = row_delays(sensor.camera, interval_s)
-        self._warp = warp and not any(sensor.camera.distortion)
+        self._warp = warp
         self.membrane, self.held = None, None
 
     def read(self, index, time_s, radiance):
@@ -115,7 +115,7 @@ class Exposure:
             plan = schedule(time_s, self._delays, camera.time_constant_s, motion, self._since(time_s), self._warp)
             signal = self._moving(plan, radiance, moment)
             how = {"instants": len(plan.times_s), "renders": len(plan.renders)}
-            error = _INSTANT_MK * plan.spacing_px**2
+            error = np.hypot(_INSTANT_MK * plan.spacing_px**2, _RENDER_MK * np.sqrt(RENDER_PX) if self._warp else 0.0)
         self.held = sensor.counts(signal, moment)
         return self.held, {"frozen": False, "motion_px": round(motion, 3), **how, "lag_mk": round(float(error), 2)}
 
@@ -196,7 +196,7 @@ class Exposure:
         wanted = self._pose_at(time_s)
         ground_m = self._ground_at(wanted)
         moved = [
-            warped(image, homography(self.sensor.camera, self._pose_at(at), wanted, ground_m), smooth)
+            warped(self.sensor.camera, image, homography(self._pose_at(at), wanted, ground_m), smooth)
             for at, image in images
         ]
         if len(moved) == 1:

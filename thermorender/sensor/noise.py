@@ -73,9 +73,9 @@ def bad_pixels(camera, seed):
 def _pattern(camera, seed, number, stream, pixel_mk, row_mk, column_mk):
     height, width = camera.height, camera.width
     values = _normal(seed, number, stream, height * width + height + width, np.float32(1.0))
-    rows, columns = values[height * width :][:height, None], values[height * width + height :]
-    pattern = values[: height * width].reshape(height, width) * np.float32(noise_power(camera, pixel_mk))
-    return pattern + np.float32(noise_power(camera, row_mk)) * rows + np.float32(noise_power(camera, column_mk)) * columns
+    pixel, row, column = (np.float32(noise_power(camera, sigma)) for sigma in (pixel_mk, row_mk, column_mk))
+    single, rest = values[: height * width].reshape(height, width), values[height * width :]
+    return pixel * single + row * rest[:height, None] + column * rest[height:]
 
 
 def _philox(seed, number, stream):

@@ -35,12 +35,13 @@ def relative_illumination(camera):
 
     Notes
     -----
-    cosⁿθ by the camera's `illumination_exponent`, n = 4 being the natural law of a thin lens, θ the angle of the
-    field; times 1 − v (r/R)² for the rims of the lens, v being `vignetting` and R the farthest pixel's distance r.
+    cosⁿθ by the camera's `illumination_exponent`, n = 4 being the natural law of a thin lens, θ the angle at which
+    the light arrives; times 1 − v (r/R)² for the rims of the lens, v being `vignetting` and R the farthest pixel's
+    distance r from the axis.
     """
+    x, y = camera.width / 2 + camera.principal_offset_px[0], camera.height / 2 + camera.principal_offset_px[1]
     row, column = np.mgrid[: camera.height, : camera.width] + 0.5
-    slope = camera.directions(np.stack([column, row], axis=-1))
-    radius2 = (slope**2).sum(axis=-1)
+    radius2 = ((column - x) ** 2 + (row - y) ** 2) / camera.focal_length_px**2
     rims = 1.0 - camera.vignetting * radius2 / radius2.max()
     return (rims * (1.0 + radius2) ** (-0.5 * camera.illumination_exponent)).astype(np.float32)
 
