@@ -14,7 +14,7 @@ import numpy as np
 from thermorender import products as product_files
 from thermorender.errors import ThermorenderError
 from thermorender.sensor.chain import sensor_of
-from thermorender.sensor.exposure import Exposure
+from thermorender.sensor.exposure import RENDER_PX, Exposure
 from thermorender.versions import versions
 
 
@@ -163,7 +163,8 @@ def _exposure(renderer, trajectory, interval_s):
         pose_at,
         ground_at,
         interval_s,
-        warp=not scene.movers,
+        # Objects that move by themselves do not move as the ground does.
+        render_px=0.0 if scene.movers else RENDER_PX,
     )
 
 

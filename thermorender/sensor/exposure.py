@@ -13,21 +13,23 @@ import numpy as np
 from thermorender.physics.planck import band_radiance_derivative
 from thermorender.sensor.chain import in_sequence
 from thermorender.sensor.detector import Membrane, advanced, read_rows, row_delays, steady, stepped
-from thermorender.sensor.motion import homography, motion_px, warped
+from thermorender.sensor.motion import homography, motion_px, moved, pixel_grid, places
 from thermorender.sensor.noise import NETD_REFERENCE_K
 
 # Motion within a time constant up to which a frame is one image [px].
-STILL_PX = 0.5
+STILL_PX = 0.02
+# Motion up to which one image, moved along straight lines to a few ages, stands for the past [px]. These ages [time
+# constants] and weights integrate cubics against e⁻ᵃ exactly (Gauss–Laguerre).
+GLIDE_PX = 0.8
+_AGES, _WEIGHTS = np.polynomial.laguerre.laggauss(2)
 # Time constants that a pixel remembers: e⁻⁸ of 15 K is 5 mK.
 MEMORY = 8.0
-# Motion between two instants, and between two renders [px].
-INSTANT_PX, RENDER_PX = 3.0, 20.0
-# Root mean square error of instants d pixels apart, over pixels whose radiance spans less than 1 K along their way:
-# the first times d² [mK px⁻²]. Renders d pixels apart add the second times √d [mK px^−½]. Both found on heath from
-# 100 m, with 64 down to 4 instants per time constant and renders 10 to 40 pixels apart.
-_INSTANT_MK, _RENDER_MK = 0.2, 2.5
-# Instants from which on linear interpolation is smooth enough, as their errors average.
-_MANY = 16
+# Error allowed to the spacing of instants [mK], and motion between two renders [px].
+LAG_MK, RENDER_PX = 10.0, 20.0
+# Root mean square errors over a frame, from above; found on heath from 100 and 120 m, where radiance changes by 0.7 K
+# per pixel. Of instants d pixels apart at v pixels per time constant: the first times d² min(1, d/v); of images that
+# are moved: the second; of moving one image to a few ages: the third times v².
+_INSTANT_MK, _MOVED_MK, _GLIDE_MK = 12.0, 15.0, 42.0
 MOST_INSTANTS = 400
 
 
@@ -70,19 +72,22 @@ class Exposure:
         Pose → height of the ground seen from there, taken as level [m, local up].
     interval_s : float
         From one frame to the next [s].
-    warp : bool
-        Whether images may be moved as the ground moves; otherwise every instant is rendered.
+    render_px : float
+        Motion between two renders [px], between which images are moved as the ground moves; 0: every instant is
+        rendered.
+    lag_mk : float
+        Error allowed to the spacing of instants [mK].
     """
 
-    def __init__(self, sensor, look, pose_at, ground_at, interval_s, warp=True):
+    def __init__(self, sensor, look, pose_at, ground_at, interval_s, render_px=RENDER_PX, lag_mk=LAG_MK):
         self.sensor, self._look, self._pose_at, self._ground_at = sensor, look, pose_at, ground_at
         self.interval_s = interval_s
         self._delays = row_delays(sensor.camera, interval_s)
-        self._warp = warp
+        self._render_px, self._lag_mk = render_px, lag_mk
         self.membrane, self.held = None, None
 
     def read(self, index, time_s, radiance):
-        """Return (counts (H, W) uint16, how it was made) of one frame; frames come in order.
+        """Return (counts (H, W) uint16, how they were made) of one frame; frames come in order.
 
         Parameters
         ----------
@@ -97,27 +102,38 @@ class Exposure:
         -------
         counts : (H, W) uint16
         how : dict
-            frozen (by a flat-field correction), motion_px (within a time constant), instants, renders, and lag_mk:
-            estimated error of the lag [mK]. With one instant that is the motion times the image's gradient; with
-            more that of pixels that see less than 1 K along their way.
+            frozen (by a flat-field correction), and as by `signal`.
         """
-        sensor, camera = self.sensor, self.sensor.camera
-        moment = in_sequence(camera, index, index * self.interval_s)
+        moment = in_sequence(self.sensor.camera, index, index * self.interval_s)
         if moment.frozen and self.held is not None:
             # The shutter stays closed for many time constants: nothing of before is remembered.
             self.membrane = None
             return self.held, {"frozen": True, "motion_px": None, "instants": 0, "renders": 1, "lag_mk": None}
-        motion = self._motion(time_s)
+        signal, how = self.signal(moment, time_s, radiance)
+        self.held = self.sensor.counts(signal, moment)
+        return self.held, {"frozen": False, **how}
+
+    def signal(self, moment, time_s, radiance):
+        """Return (signal (H, W) float32 [W], how it was made) that the read-out of one frame starts from.
+
+        `how` holds motion_px (within a time constant), instants, renders, and lag_mk: estimated error of the lag, root
+        mean square over the frame [mK].
+        """
+        motion, between = self._motion(time_s), bool(self._render_px)
         if motion <= STILL_PX:
-            signal, how = self._still(time_s, sensor.power(radiance, moment)), {"instants": 1, "renders": 1}
-            error = motion * _gradient_mk(radiance, sensor)
+            signal = self._still(time_s, self.sensor.power(radiance, moment))
+            late = np.hypot(1.0, np.std(self._delays) / (self.sensor.camera.time_constant_s or np.inf))
+            instants, renders, error = 1, 1, motion * late * _gradient_mk(radiance, self.sensor)
+        elif motion <= GLIDE_PX and between and self.sensor.camera.time_constant_s:
+            signal = self._gliding(time_s, radiance, moment)
+            instants, renders, error = len(_AGES), 1, np.hypot(_MOVED_MK, _GLIDE_MK * motion**2)
         else:
-            plan = schedule(time_s, self._delays, camera.time_constant_s, motion, self._since(time_s), self._warp)
+            plan = self._schedule(time_s, motion)
             signal = self._moving(plan, radiance, moment)
-            how = {"instants": len(plan.times_s), "renders": len(plan.renders)}
-            error = np.hypot(_INSTANT_MK * plan.spacing_px**2, _RENDER_MK * np.sqrt(RENDER_PX) if self._warp else 0.0)
-        self.held = sensor.counts(signal, moment)
-        return self.held, {"frozen": False, "motion_px": round(motion, 3), **how, "lag_mk": round(float(error), 2)}
+            instants, renders = len(plan.times_s), len(plan.renders)
+            error = np.hypot(_instants_mk(plan.spacing_px, motion), _MOVED_MK * between)
+        told = {"motion_px": round(motion, 3), "instants": instants, "renders": renders}
+        return signal, told | {"lag_mk": round(float(error), 1)}
 
     def state(self):
         """Return {name: array} of what the next frame depends on."""
@@ -143,10 +159,12 @@ class Exposure:
         now, before = self._pose_at(time_s), self._pose_at(time_s - span)
         return motion_px(camera, now, before, self._ground_at(now))
 
-    def _since(self, time_s):
-        """When what is remembered ends, if the frame's first row may still know of it."""
-        oldest = time_s + self._delays[0] - MEMORY * self.sensor.camera.time_constant_s
-        return self.membrane.time_s if self.membrane is not None and self.membrane.time_s > oldest else oldest
+    def _schedule(self, time_s, motion):
+        time_constant_s = self.sensor.camera.time_constant_s
+        since_s = time_s + self._delays[0] - MEMORY * time_constant_s
+        if self.membrane is not None:
+            since_s = max(since_s, self.membrane.time_s)
+        return schedule(time_s, self._delays, time_constant_s, motion, since_s, self._lag_mk, self._render_px)
 
     def _still(self, time_s, power):
         time_constant_s = self.sensor.camera.time_constant_s
@@ -155,6 +173,23 @@ class Exposure:
         before = self.membrane or steady(time_s, power)
         self.membrane = stepped(before, time_s, power, time_constant_s)
         return self.membrane.signal
+
+    def _gliding(self, time_s, radiance, moment):
+        """The signal of each row at its own time, from one image that is moved to a few ages, (H, W) float32 [W]."""
+        camera, image = self.sensor.camera, self.sensor.blurred(radiance)
+        now, before = (self._pose_at(time_s - ago) for ago in (0.0, camera.time_constant_s))
+        column, row = pixel_grid(camera)
+        right, down = places(camera, homography(now, before, self._ground_at(now)))
+        right -= column
+        down -= row
+        total = np.zeros_like(image)
+        for age, weight in zip(_AGES, _WEIGHTS.astype(np.float32), strict=True):
+            ago = (age - self._delays / camera.time_constant_s).astype(np.float32)[:, None]
+            # The blur of linear interpolation counts little at a small weight.
+            total += weight * moved(image, column + right * ago, row + down * ago, coarsely=weight < 0.2)
+        # Nothing that stands still is forgotten: the next frame sees it where it was.
+        self.membrane = None
+        return self.sensor.power(total, moment, blurred=True)
 
     def _moving(self, plan, radiance, moment):
         """The signal of each row at its own time, (H, W) float32 [W]."""
@@ -187,21 +222,24 @@ class Exposure:
                     seen[render] = self.sensor.blurred(image)
             seen = {render: seen[render] for render in (before, after)}
             images = [(times[render], image) for render, image in seen.items()]
-            yield time_s, self.sensor.power(self._between(images, time_s, len(times) < _MANY), moment, blurred=True)
+            yield time_s, self.sensor.power(self._between(images, time_s), moment, blurred=True)
 
-    def _between(self, images, time_s, smooth):
+    def _between(self, images, time_s):
         """The image at a time, from one or two images (time, (H, W) float32) of before and after."""
         if images[0][0] == time_s:
             return images[0][1]
-        wanted = self._pose_at(time_s)
+        camera, wanted = self.sensor.camera, self._pose_at(time_s)
         ground_m = self._ground_at(wanted)
-        moved = [
-            warped(self.sensor.camera, image, homography(self._pose_at(at), wanted, ground_m), smooth)
-            for at, image in images
-        ]
-        if len(moved) == 1:
-            return moved[0][0]
-        (first, in_first), (second, in_second) = moved
+        found = []
+        for at, image in images:
+            column, row = places(camera, homography(self._pose_at(at), wanted, ground_m))
+            inside = (np.abs(column + 0.5 - 0.5 * camera.width) <= 0.5 * camera.width) & (
+                np.abs(row + 0.5 - 0.5 * camera.height) <= 0.5 * camera.height
+            )
+            found.append((moved(image, column, row), inside))
+        if len(found) == 1:
+            return found[0][0]
+        (first, in_first), (second, in_second) = found
         share = (time_s - images[0][0]) / (images[1][0] - images[0][0])
         # Where one of them does not see the place, the other counts alone.
         weight = np.where(in_first == in_second, np.float32(share), in_second.astype(np.float32))
@@ -210,7 +248,7 @@ class Exposure:
         return np.add(first, second, out=first)
 
 
-def schedule(time_s, delays, time_constant_s, motion, since_s, warp):
+def schedule(time_s, delays, time_constant_s, motion, since_s, lag_mk=LAG_MK, render_px=RENDER_PX):
     """Return the Schedule of a frame.
 
     Parameters
@@ -225,8 +263,10 @@ def schedule(time_s, delays, time_constant_s, motion, since_s, warp):
         Of the image within a time constant, above 0 [px].
     since_s : float
         From when on the power matters [s].
-    warp : bool
-        Whether images may be moved between renders.
+    lag_mk : float
+        Error allowed to the spacing of instants [mK].
+    render_px : float
+        Motion between two renders [px]; 0: every instant is rendered.
 
     Notes
     -----
@@ -236,7 +276,8 @@ def schedule(time_s, delays, time_constant_s, motion, since_s, warp):
     span = time_constant_s or delays[-1] - delays[0]
     rows = time_s + delays
     age_scale = 3.0 * time_constant_s or np.inf
-    step = INSTANT_PX / motion * span
+    wanted_px = max(np.sqrt(lag_mk / _INSTANT_MK), np.cbrt(lag_mk * motion / _INSTANT_MK))
+    step = wanted_px / motion * span
     while True:
         times = [rows[-1]]
         while times[-1] > since_s and len(times) <= MOST_INSTANTS:
@@ -249,12 +290,17 @@ def schedule(time_s, delays, time_constant_s, motion, since_s, warp):
     way = np.concatenate([[0.0], np.cumsum(np.diff(times) * motion / span * np.exp(-age / age_scale))])
     own = int(np.searchsorted(times, time_s))
     renders = np.arange(len(times))
-    if warp:
+    if render_px:
         way -= way[own]
-        least, most = (int(np.ceil(abs(end) / RENDER_PX - 0.5)) for end in way[[0, -1]])
-        wanted = np.arange(-least, most + 1) * RENDER_PX
+        least, most = (int(np.ceil(abs(end) / render_px - 0.5)) for end in way[[0, -1]])
+        wanted = np.arange(-least, most + 1) * render_px
         renders = np.unique(np.abs(way[:, None] - wanted).argmin(axis=0))
     return Schedule(times, renders, own, rows, float(min(step, times[-1] - times[0]) * motion / span))
+
+
+def _instants_mk(spacing_px, motion):
+    """Estimated error of instants [mK] that are `spacing_px` apart at `motion` pixels per time constant."""
+    return _INSTANT_MK * spacing_px**2 * min(1.0, spacing_px / motion)
 
 
 def _gradient_mk(radiance, sensor):
