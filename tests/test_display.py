@@ -72,7 +72,7 @@ def test_memory_is_an_exponential_mean(mode):
     # After a jump of the scene the measure nears the new one as 1 − exp(−t/τ), however often it is looked at.
     look = Look(mode, memory_s=0.5)
     before, after = SCENE, (SCENE + 700).astype(np.uint16)
-    old, new = (MODES[mode][0](counts) for counts in (before, after))
+    old, new = (MODES[mode][0](counts, (0.5, 0.5)) for counts in (before, after))
     for steps in (1, 9):
         state, _ = look.image(before)
         np.testing.assert_array_equal(state, old)

@@ -2,11 +2,13 @@
 
 import sys
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from thermorender.camera_cli import fit_camera
 from thermorender.errors import ThermorenderError
 from thermorender.materials_cli import app as materials
 
@@ -20,6 +22,7 @@ app = typer.Typer(
 validate = typer.Typer(help="Hold the renderer against references.", no_args_is_help=True)
 app.add_typer(validate, name="validate")
 app.add_typer(materials, name="materials")
+app.command("fit-camera")(fit_camera)
 train = typer.Typer(help="Train learned maps.", no_args_is_help=True)
 app.add_typer(train, name="train")
 
@@ -197,6 +200,7 @@ def render(
                 from thermorender.render.reference import frame as reference_frame
 
                 frame = reference_frame(renderer, place, paths, progress=lambda share: tell("tracing paths", share))
+            look = replace(look, tails_percent=frame.camera.agc_tails_percent)
             written = files.write(folder, frame, wanted, look.image(frame.counts)[1], settings)
             if visible:
                 written["visible"] = folder / "frame_000000_visible.png"

@@ -8,7 +8,7 @@ is refused.
 import json
 import os
 import zipfile
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 
@@ -41,7 +41,7 @@ def fly(renderer, trajectory, folder, rate_hz=None, products=product_files.DEFAU
     progress : callable, optional
         Called with (frames done, frames in all).
     look : Look, optional
-        How the display shows the counts; linear and white-hot where None.
+        How the display shows the counts; linear and white-hot where None. Its tails are the camera's.
     operator : Operator, optional
         Settings of the operator's software.
 
@@ -56,7 +56,7 @@ def fly(renderer, trajectory, folder, rate_hz=None, products=product_files.DEFAU
         Unknown products, a folder that is in use or cannot be written, or a resume with other settings.
     """
     products = product_files.check(products, operator)
-    look = look or Look()
+    look = replace(look or Look(), tails_percent=renderer.scene.camera.agc_tails_percent)
     rate = renderer.scene.camera.frame_rate_hz if rate_hz is None else float(rate_hz)
     times = trajectory.frame_times(rate, start_s, stop_s)
     poses = trajectory.sampled(times).poses()

@@ -8,8 +8,9 @@ import numpy as np
 from thermorender.physics.band import RadianceTable
 from thermorender.physics.planck import band_radiance
 from thermorender.scene.surface import SATURATED
-from thermorender.sensor import display, readout
+from thermorender.sensor import readout
 from thermorender.sensor.chain import sensor_of
+from thermorender.sensor.display import Look
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ class Frame:
     @cached_property
     def display(self):
         """The counts spread over 8 bits for a screen, white hot, (H, W) uint8."""
-        return display.linear(self.counts)
+        return Look(tails_percent=self.camera.agc_tails_percent).image(self.counts)[1]
 
     @cached_property
     def truth(self):

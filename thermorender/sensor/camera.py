@@ -115,6 +115,8 @@ class Camera:
     tlinear_mk : float
         Apparent temperature of one count where counts are linear in temperature, from 0 K on: 40 or 400 mK;
         0: linear in irradiance.
+    agc_tails_percent : (2,) floats
+        Shares of the darkest and of the brightest pixels that the display's gain control lets saturate [%].
     """
 
     name: str
@@ -160,6 +162,7 @@ class Camera:
     low_gain_range_c: tuple = _key(-ZERO_CELSIUS_K, 5000.0, (-40.0, 550.0), count=2, above=True, say=_CELSIUS)
     low_gain_netd_mk: float = _key(0.0, 1e5, 0.0)
     tlinear_mk: float = _choice(0.0, 40.0, 400.0)
+    agc_tails_percent: tuple = _key(0.0, 49.0, (0.5, 0.5), count=2)
 
     @property
     def count_range_k(self):
@@ -261,6 +264,15 @@ class Camera:
         )
 
 
+def model_path(name, where="camera model"):
+    """Return the TOML file of a shipped model, or the path itself if it ends in .toml."""
+    path = Path(name) if str(name).endswith(".toml") else Path(__file__).parent / "cameras" / f"{name}.toml"
+    if not path.is_file():
+        known = sorted(item.stem for item in (Path(__file__).parent / "cameras").glob("*.toml"))
+        raise ThermorenderError(f"{where} {str(name)!r} is unknown; give one of {', '.join(known)} or a .toml file")
+    return path
+
+
 def load_camera(name, where="camera model"):
     """Return the Camera of a shipped model, or of a TOML file of the same form given by path.
 
@@ -275,10 +287,7 @@ def load_camera(name, where="camera model"):
     ThermorenderError
         An unknown model or key, a missing key, or a value out of range; the message names it.
     """
-    path = Path(name) if str(name).endswith(".toml") else Path(__file__).parent / "cameras" / f"{name}.toml"
-    if not path.is_file():
-        known = sorted(item.stem for item in (Path(__file__).parent / "cameras").glob("*.toml"))
-        raise ThermorenderError(f"{where} {str(name)!r} is unknown; give one of {', '.join(known)} or a .toml file")
+    path = model_path(name, where)
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

@@ -13,8 +13,6 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 from thermorender.sensor.palettes import palette
 
-# Shares of the darkest and brightest pixels that may saturate on the screen.
-_TAILS = (0.5, 99.5)
 # No stretch is steeper than 255 levels over so many counts.
 _LEAST_SPAN = 64
 # Default plateau value of FLIR's Tau 2 core, in pixels of its 640×512 per count.
@@ -30,17 +28,20 @@ class Look:
     Attributes
     ----------
     mode : str
-        linear: stretched between the half-percent tails. plateau: histogram equalisation in which no count weighs
+        linear: stretched between the tails. plateau: histogram equalisation in which no count weighs
         more than a plateau. local: linear, then contrast equalised by tiles.
     palette : str
         white-hot, black-hot or ironbow.
     memory_s : float
         Time constant of the running mean of the gain control [s]; 0 shows each frame by its own measure.
+    tails_percent : (2,) floats
+        Shares of the darkest and of the brightest pixels that may saturate, plateau aside; cameras have their own.
     """
 
     mode: str = "linear"
     palette: str = "white-hot"
     memory_s: float = 0.0
+    tails_percent: tuple = (0.5, 0.5)
 
     def __post_init__(self):
         if self.mode not in MODES:
@@ -62,31 +63,21 @@ class Look:
             Time since the frame before [s].
         """
         measure, show = MODES[self.mode]
-        measured = measure(counts)
+        measured = measure(counts, self.tails_percent)
         if state is not None and self.memory_s > 0.0:
             measured = state + -np.expm1(-interval_s / self.memory_s) * (measured - state)
         levels = show(counts, measured)
         return measured, levels if self.palette == "white-hot" else palette(self.palette)[levels]
 
 
-def linear(counts):
-    """Return an 8-bit white-hot image, (H, W) uint8, stretched linearly between the half-percent tails.
+def _ends(counts, tails_percent):
+    """The counts shown black and white, (2,) float64.
 
-    Parameters
-    ----------
-    counts : (H, W) uint16
-
-    Notes
-    -----
     The span is never below 64 counts, so that noise on a flat scene is not blown up to full contrast.
     """
-    return _stretched(counts, _ends(counts))
-
-
-def _ends(counts):
-    """The counts shown black and white, (2,) float64."""
     below = np.cumsum(np.bincount(counts.ravel()))
-    low, high = np.searchsorted(below, np.array(_TAILS) / 100.0 * below[-1]).tolist()
+    shares = np.array([tails_percent[0], 100.0 - tails_percent[1]])
+    low, high = np.searchsorted(below, shares / 100.0 * below[-1]).tolist()
     middle, half = 0.5 * (low + high), 0.5 * max(high - low, _LEAST_SPAN)
     return np.array([middle - half, middle + half])
 
@@ -96,7 +87,7 @@ def _stretched(counts, ends):
     return _look_up(counts, (np.arange(65536, dtype=np.float32) - np.float32(low)) * np.float32(255.0 / (high - low)))
 
 
-def _equalisation(counts):
+def _equalisation(counts, tails_percent):
     """Level of every count, (65536,) float64, rising.
 
     A count's share of the 255 levels is its number of pixels, capped at the plateau and, so that noise on a flat
@@ -119,5 +110,5 @@ def _local(counts, ends):
     return cv2.createCLAHE(_LOCAL_CLIP, _LOCAL_TILES).apply(_stretched(counts, ends))
 
 
-# {mode: (counts → measure, (counts, measure) → levels)}. Measures of a mode may be averaged.
+# {mode: ((counts, tails) → measure, (counts, measure) → levels)}. Measures of a mode may be averaged.
 MODES = {"linear": (_ends, _stretched), "plateau": (_equalisation, _look_up), "local": (_ends, _local)}

@@ -17,8 +17,8 @@ from thermorender.units import ZERO_CELSIUS_K
 TLINEAR_STEP_K = 0.04
 
 _UNITS = {"K": 0.0, "kelvin": 0.0, "°C": ZERO_CELSIUS_K, "degC": ZERO_CELSIUS_K, "C": ZERO_CELSIUS_K}
-_FLIR_JPEG = (".jpg", ".jpeg")
-SUFFIXES = (".tif", ".tiff", *_FLIR_JPEG)
+FLIR_JPEG = (".jpg", ".jpeg")
+SUFFIXES = (".tif", ".tiff", *FLIR_JPEG)
 
 
 def write_tlinear(path, temperature, step_k=TLINEAR_STEP_K):
@@ -67,7 +67,7 @@ def read_temperature(path, scale=None, operator=None):
         A file that cannot be read, has several bands, or does not tell what a count is.
     """
     path = Path(path)
-    if path.suffix.lower() in _FLIR_JPEG:
+    if path.suffix.lower() in FLIR_JPEG:
         from thermorender.sensor.flir_jpeg import read_flir_jpeg
 
         if scale is not None:
