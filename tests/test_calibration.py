@@ -150,7 +150,8 @@ def test_row_and_column_noise_by_their_lines():
         spectra.add(still + rows + columns + RNG.normal(0.0, 0.05, (256, 320)))
     noise = noise_of(spectra)
     for (value, uncertainty), true in (
-        (noise.fixed_row, 0.02), (noise.row, 0.012), (noise.column, 0.03), (noise.fixed_column, 0.0), (noise.pixel, 0.05)
+        (noise.fixed_row, 0.02), (noise.row, 0.012), (noise.column, 0.03), (noise.fixed_column, 0.0),
+        (noise.pixel, 0.05),
     ):  # fmt: skip
         assert abs(value - true) < 3.0 * uncertainty + 0.08 * true
         assert uncertainty < 0.015

@@ -106,7 +106,8 @@ def fit_camera(paths, base="zenmuse-xt2", scale=None, progress=None):
             progress((number + 1) / len(files))
     noise = noise_of(spectra)
     found = _noise_keys(noise, camera, float(np.mean(means)), float(np.median(steps)), len(files))
-    blur = _blur_key(kept, np.hypot(noise.pixel[0], noise.fixed_pixel[0] if noise.fixed_pixel else 0.0), camera)
+    everywhere = noise.pixel[0] * np.sqrt((spectra.gain**2).mean())
+    blur = _blur_key(kept, np.hypot(everywhere, noise.fixed_pixel[0] if noise.fixed_pixel else 0.0), camera)
     return found | blur | _display_key(np.array(tails))
 
 
