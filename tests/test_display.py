@@ -50,6 +50,16 @@ def test_plateau_lies_between_stretch_and_equalisation():
     assert np.diff(shown.ravel().astype(int)).min() >= 0
 
 
+def test_linear_stretches_between_the_tails():
+    ramp = np.linspace(2000, 6000, 512 * 640).reshape(512, 640).astype(np.uint16)
+    for tails in ((0.5, 0.5), (0.0, 10.0)):
+        shown = Look(tails_percent=tails).image(ramp)[1]
+        assert shown.min() == 0 and shown.max() == 255 and (np.diff(shown.ravel().astype(int)) >= 0).all()
+        # Half a level of 255 more is rounded to the ends at either side.
+        low, high = 2000 + 40 * tails[0], 6000 - 40 * tails[1]
+        assert np.abs(shown - np.clip((ramp - low) / (high - low), 0, 1) * 255.0).max() < 0.6
+
+
 @pytest.mark.parametrize("mode", MODES)
 def test_noise_on_a_flat_scene_stays_quiet(mode):
     quiet = RNG.normal(5000, 2, (512, 640)).astype(np.uint16)

@@ -7,7 +7,7 @@ import pytest
 
 from thermorender.frames import apparent_temperature
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, brightness_temperature
-from thermorender.sensor import chain, display, noise, optics, psf, readout
+from thermorender.sensor import chain, noise, optics, psf, readout
 from thermorender.sensor.camera import Camera, load_camera
 from thermorender.sensor.chain import Moment, Sensor, at_rest, in_sequence
 
@@ -399,11 +399,3 @@ def test_every_camera_reads_a_blackbody_right():
         seen = read_mk(camera, 1)[0]
         # The mean of one frame holds σ_t, grown towards the corners.
         assert abs(seen.mean()) < 15.0 and 40.0 < seen.std() < 250.0, name
-
-
-def test_display_stretches_and_keeps_noise_quiet():
-    ramp = np.linspace(2000, 6000, 512 * 640).reshape(512, 640).astype(np.uint16)
-    shown = display.linear(ramp)
-    assert shown.min() == 0 and shown.max() == 255 and (np.diff(shown.ravel().astype(int)) >= 0).all()
-    quiet = display.linear(np.random.default_rng(0).normal(5000, 2, (512, 640)).astype(np.uint16))
-    assert quiet.std() < 12

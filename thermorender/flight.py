@@ -72,7 +72,7 @@ def fly(renderer, trajectory, folder, rate_hz=None, products=product_files.DEFAU
         "last_time_s": float(times[-1]),
         "path_digest": _digest(poses),
         "products": list(products),
-        "display": asdict(look),
+        "display": asdict(look) | {"tails_percent": list(look.tails_percent)},
         "operator": operator and asdict(operator),
         "versions": versions(),
     }

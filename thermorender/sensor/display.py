@@ -76,8 +76,8 @@ def _ends(counts, tails_percent):
     The span is never below 64 counts, so that noise on a flat scene is not blown up to full contrast.
     """
     below = np.cumsum(np.bincount(counts.ravel()))
-    shares = np.array([tails_percent[0], 100.0 - tails_percent[1]])
-    low, high = np.searchsorted(below, shares / 100.0 * below[-1]).tolist()
+    low = int(np.searchsorted(below, tails_percent[0] / 100.0 * below[-1], side="right"))
+    high = int(np.searchsorted(below, (1.0 - tails_percent[1] / 100.0) * below[-1]))
     middle, half = 0.5 * (low + high), 0.5 * max(high - low, _LEAST_SPAN)
     return np.array([middle - half, middle + half])
 
