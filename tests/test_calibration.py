@@ -195,7 +195,7 @@ def test_width_through_a_lens():
     assert np.sqrt(0.4**2 + 1 / 12) < whole < 1.0
 
 
-def test_the_file_it_writes_is_a_camera(fitted, base, tmp_path):
+def test_the_file_it_writes_is_a_camera(fitted, base, tmp_path, monkeypatch):
     folder, estimates = fitted
     calibration.write_camera(tmp_path / "mine.toml", base, estimates)
     mine = load_camera(tmp_path / "mine.toml")
@@ -204,7 +204,11 @@ def test_the_file_it_writes_is_a_camera(fitted, base, tmp_path):
         assert getattr(mine, key) == pytest.approx(estimate.value, rel=1e-3)
     text = (tmp_path / "mine.toml").read_text()
     assert "± " in text and text.count("\nnetd_mk =") == 1
-    run = CliRunner().invoke(cli.app, ["fit-camera", str(folder), "--base", str(base), "-o", str(tmp_path / "b.toml")])
+    asked = []
+    monkeypatch.setattr(calibration, "fit_camera", lambda *arguments: asked.append(arguments) or estimates)
+    arguments = ["fit-camera", str(folder), "--base", str(base), "-o", str(tmp_path / "b.toml"), "--scale", "0.04,1"]
+    run = CliRunner().invoke(cli.app, arguments)
+    assert asked == [([folder], str(base), (0.04, 1.0))]
     assert run.exit_code == 0 and (tmp_path / "b.toml").read_text() == text.replace("mine", "b")
     assert f"netd_mk = {estimates['netd_mk'].text} ± " in run.output
 
@@ -243,3 +247,23 @@ def test_a_real_camera(tmp_path):
     assert 0.1 < found["blur_sigma_px"].value < 1.0
     calibration.write_camera(tmp_path / "xt.toml", "zenmuse-xt2", found)
     assert load_camera(tmp_path / "xt.toml").agc_tails_percent[0] == 0.0
+
+
+def test_simulated_frames_beside_footage(fitted, base, tmp_path, monkeypatch):
+    from thermorender.validate import sensor_statistics
+
+    scene = TABLE(polygons(2 * CAMERA.height, 2 * CAMERA.width).astype(float)).astype(np.float32)
+    cuts = [(10, 20), (200, 40), (30, 300), (250, 310)]
+    views = [scene[i : i + CAMERA.height, j : j + CAMERA.width] for i, j in cuts]
+    monkeypatch.setattr(sensor_statistics, "_views", lambda *rest: views)
+    monkeypatch.setattr(sensor_statistics, "fit_camera", lambda *rest: fitted[1])
+    result = sensor_statistics.compare([fitted[0]], tmp_path, base)
+    assert {path.name for path in tmp_path.iterdir()} == {"footage.json", "footage.png", "footage.toml"}
+    real, as_filed, simulated = result["sides"].values()
+    for part in ("pixel", "fixed_pixel", "row"):
+        (true, error), (filed, _), (found, other) = (side["noise_mk"][part] for side in (real, as_filed, simulated))
+        assert abs(found - true) < 3.0 * np.hypot(error, other) + 0.02 * true
+        assert part == "row" or abs(filed - true) > 2.0 * abs(found - true)
+    # The noise of a real frame is found again at the corner as in the middle.
+    np.testing.assert_allclose(simulated["field"]["noise_mk"], real["field"]["noise_mk"], rtol=0.15)
+    assert real["frames"] == 10 and len(sensor_statistics.rows(result)[0]) == len(sensor_statistics.HEADER)

@@ -16,11 +16,16 @@ Scale = Annotated[
 def fit_camera(frames: Frames, output: Output, base: Base = "zenmuse-xt2", scale: Scale = None):
     """Estimate noise, fixed pattern, blur and gain control from real frames, and write a camera file."""
     from thermorender.sensor import calibration
-    from thermorender.trajectory import parse_numbers
 
-    numbers = parse_numbers("--scale", scale, ("STEP", "ZERO")) if scale else None
-    estimates = calibration.fit_camera(frames, base, numbers)
+    estimates = calibration.fit_camera(frames, base, parse_scale(scale))
     calibration.write_camera(output, base, estimates)
     for key, estimate in estimates.items():
         typer.echo(f"{key} = {estimate.text} ± {estimate.uncertainty:.2g}: {estimate.how}")
     typer.echo(str(output))
+
+
+def parse_scale(text):
+    """Return (kelvin per count, kelvin of count 0) of an option, None where it is not given."""
+    from thermorender.trajectory import parse_numbers
+
+    return tuple(parse_numbers("--scale", text, ("STEP", "ZERO"))) if text else None

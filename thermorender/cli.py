@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from thermorender.camera_cli import fit_camera
+from thermorender.camera_cli import Base, Frames, Scale, fit_camera, parse_scale
 from thermorender.errors import ThermorenderError
 from thermorender.materials_cli import app as materials
 
@@ -435,6 +435,26 @@ def validate_emissivity(
         run.write_confusion(result, folder / "emissivity_confusion.csv")
     _table(run.HEADER, run.rows(result))
     typer.echo(f"numbers and confusion table in {output}")
+
+
+@validate.command("footage")
+def validate_footage(
+    frames: Frames,
+    output: Out = Path("out/validation"),
+    base: Base = "zenmuse-xt2",
+    scale: Scale = None,
+    scene: Annotated[str, typer.Option(help="Scene the simulated frames show.")] = "heath",
+    name: Annotated[str, typer.Option(help="Of the files to write.")] = "footage",
+    device: Device = "auto",
+):
+    """Power spectra and noise of simulated frames beside those of real ones."""
+    from thermorender import products as files
+    from thermorender.validate import sensor_statistics as run
+
+    with _progress() as tell, files.output_folder(output) as folder:
+        result = run.compare(frames, folder, base, parse_scale(scale), scene, name, tell=tell, device=device)
+    _table(run.HEADER, run.rows(result))
+    typer.echo(f"numbers, figure and fitted camera in {output}")
 
 
 # What typer raises for a wrong command line: its own copy of click's exception, or click's, by version.

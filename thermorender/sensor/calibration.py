@@ -90,7 +90,7 @@ def fit_camera(paths, base="zenmuse-xt2", scale=None, progress=None):
     kept, steps, means, tails = [], [], [], []
     every = max(len(files) // _EDGE_FRAMES, 1)
     for number, path in enumerate(files):
-        image, saturated = _frame(path, scale)
+        image, saturated = read_frame(path, scale)
         if image.shape != (camera.height, camera.width):
             raise ThermorenderError(
                 f"{path} is {image.shape[1]}×{image.shape[0]} pixels and the base camera {camera.name} "
@@ -208,8 +208,11 @@ def _blur_key(images, noise_k, camera):
     return {"blur_sigma_px": Estimate(value, 0.5 * (high - low), how)}
 
 
-def _frame(path, scale):
-    """(apparent temperatures (H, W) [K], [shares of pixels below and above the display's scale [%]]) of a file."""
+def read_frame(path, scale):
+    """Return the apparent temperatures of a file, (H, W) [K], and what its display saturates.
+
+    The latter is a list: shares of pixels below and above the colour scale [%], or nothing where none is stored.
+    """
     if path.suffix.lower() not in FLIR_JPEG:
         return read_temperature(path, scale), []
     picture = read_flir_jpeg(path)
