@@ -79,7 +79,7 @@ def write_frames(folder, images):
 
 @pytest.fixture(scope="module")
 def fitted(base, tmp_path_factory):
-    folder = write_frames(tmp_path_factory.mktemp("footage") / "moving", footage(CAMERA, 10))
+    folder = write_frames(tmp_path_factory.mktemp("footage") / "moving", footage(CAMERA, 8))
     return folder, calibration.fit_camera([folder], base)
 
 
@@ -97,7 +97,7 @@ def test_a_known_camera_is_found_again(fitted, key):
 
 
 def test_a_still_camera(base, tmp_path):
-    folder = write_frames(tmp_path / "still", footage(CAMERA, 6, still=True))
+    folder = write_frames(tmp_path / "still", footage(CAMERA, 5, still=True))
     found = calibration.fit_camera([folder], base)
     assert "still camera" in found["netd_mk"].how
     assert found["netd_mk"].value == pytest.approx(CAMERA.netd_mk, rel=0.03)
@@ -266,4 +266,4 @@ def test_simulated_frames_beside_footage(fitted, base, tmp_path, monkeypatch):
         assert part == "row" or abs(filed - true) > 2.0 * abs(found - true)
     # The noise of a real frame is found again at the corner as in the middle.
     np.testing.assert_allclose(simulated["field"]["noise_mk"], real["field"]["noise_mk"], rtol=0.15)
-    assert real["frames"] == 10 and len(sensor_statistics.rows(result)[0]) == len(sensor_statistics.HEADER)
+    assert real["frames"] == 8 and len(sensor_statistics.rows(result)[0]) == len(sensor_statistics.HEADER)

@@ -10,7 +10,7 @@ import numpy as np
 _HALF = 6
 # Steps weaker than this times the noise are left out, and so are fits no better than these.
 _LEAST_STEP, _WORST_MISFIT, _WORST_ERROR = 15.0, 4.0, 0.15
-_MOST_PER_FRAME = 120
+_MOST_PER_FRAME = 60
 
 
 def edge_widths(image, noise):

@@ -114,8 +114,6 @@ def _records(container):
         kind = struct.unpack(order + "H", entry[:2])[0]
         offset, length = struct.unpack(order + "II", entry[12:20])
         if kind and kind not in records:
-            if offset + length > len(container):
-                raise _Damaged(f"record {kind} reaches beyond the end")
             records[kind] = container[offset : offset + length]
     return records
 
