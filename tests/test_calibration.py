@@ -100,7 +100,8 @@ def test_a_still_camera(base, tmp_path):
     folder = write_frames(tmp_path / "still", footage(CAMERA, 5, still=True))
     found = calibration.fit_camera([folder], base)
     assert "still camera" in found["netd_mk"].how
-    assert found["netd_mk"].value == pytest.approx(CAMERA.netd_mk, rel=0.03)
+    # Rows and columns, which few frames tell badly, make 4 % of the whole.
+    assert found["netd_mk"].value == pytest.approx(CAMERA.netd_mk, rel=0.05)
     assert found["sigma_vh_mk"].value == pytest.approx(CAMERA.sigma_vh_mk, rel=0.15)
 
 
