@@ -177,6 +177,15 @@ def test_width_of_a_blurred_step(sigma):
     assert abs(width - sigma) < 2.5 * uncertainty
 
 
+@pytest.mark.parametrize("blur", [0.4, 0.8])
+def test_blur_of_a_lens_without_its_pixel_and_diffraction(blur):
+    quiet = {key: 0.0 for key in ("sigma_tv_mk", "sigma_th_mk", "sigma_v_mk", "sigma_h_mk", "sigma_vh_mk")}
+    camera = replace(CAMERA, blur_sigma_px=blur, netd_mk=30.0, **quiet)
+    images = list(footage(camera, 2))
+    estimate = calibration._blur_key(images, 0.060, camera)["blur_sigma_px"]
+    assert abs(estimate.value - blur) < 2.0 * estimate.uncertainty < 0.17
+
+
 def test_thin_lines_are_no_edges():
     y, x = np.mgrid[:96, :128]
     line = 290.0 + 8.0 * np.exp(-0.5 * ((x - 60.0 - 0.3 * y) / 0.6) ** 2) + RNG.normal(0.0, 0.05, x.shape)
