@@ -164,8 +164,10 @@ def record(frame):
 
 def operator_reading(frame, operator):
     """Return the temperatures an operator's software reads from a frame's counts, (H, W) float32 [K]."""
-    signal = radiance_from_counts(frame.counts, frame.camera)
-    return operator_temperature(signal, camera_constants(frame.camera), operator).astype(np.float32)
+    # There are fewer counts than pixels.
+    signal = radiance_from_counts(np.arange(int(frame.counts.max()) + 1), frame.camera)
+    read = operator_temperature(signal, camera_constants(frame.camera), operator).astype(np.float32)
+    return read[frame.counts]
 
 
 def write_radiometric(path, frame, operator):

@@ -67,7 +67,7 @@ class Look:
         if state is not None and self.memory_s > 0.0:
             measured = state + -np.expm1(-interval_s / self.memory_s) * (measured - state)
         levels = show(counts, measured)
-        return measured, levels if self.palette == "white-hot" else palette(self.palette)[levels]
+        return measured, levels if self.palette == "white-hot" else np.take(palette(self.palette), levels, axis=0)
 
 
 def _ends(counts, tails_percent):
