@@ -13,7 +13,7 @@ import numpy as np
 from thermorender import products
 from thermorender.physics.band import RadianceTable
 from thermorender.physics.planck import band_radiance
-from thermorender.sensor.calibration import fit_camera, frame_files, read_frame, write_camera
+from thermorender.sensor.calibration import fit_camera, frame_files, noise_scale, read_frame, write_camera
 from thermorender.sensor.camera import load_camera
 from thermorender.sensor.chain import Sensor
 from thermorender.sensor.frame_statistics import Spectra, block_means, block_powers, noise_of
@@ -71,7 +71,7 @@ def compare(paths, output, base="zenmuse-xt2", scale=None, scene="heath", name="
 
 
 def rows(result):
-    """Return the parts of the noise of each side as seen in the frames, for a table with `HEADER`."""
+    """Return the parts of the noise of each side as a camera file states them, for a table with `HEADER`."""
     found = []
     for side, told in result["sides"].items():
         parts = ("—" if told["noise_mk"][p] is None else "{:.1f} ± {:.1f}".format(*told["noise_mk"][p]) for p in _PARTS)
@@ -113,25 +113,27 @@ def _statistics(images, camera):
     for image in images:
         spectra.add(image)
         powers.append(block_powers(np.where(np.isfinite(image), image, np.nanmean(image))))
-    noise = noise_of(spectra)
+    noise, mean_k = noise_of(spectra), float(spectra.image.mean())
+    # At one temperature and without the lens, as a camera file states it, or warm scenes would look less noisy.
+    scale = noise_scale(camera, mean_k)
     frequency, total, fixed = _radial(spectra)
     down, right = spectra.frequencies()
     half = camera.height // 2
     return {
         "frames": spectra.count,
-        "mean_k": float(spectra.image.mean()),
-        "noise_mk": {part: _millikelvin(getattr(noise, part)) for part in _PARTS},
+        "mean_k": mean_k,
+        "noise_mk": {part: _millikelvin(getattr(noise, part), scale) for part in _PARTS},
         "frequency": _short(frequency),
         "power": _short(total),
         "fixed_power": None if fixed is None else _short(fixed),
         "rows": _line(down[1:half, 0], spectra.total[1:half, 0]),
         "columns": _line(right[0, 1:-1], spectra.total[0, 1:-1]),
-        "field": _field(np.array(powers), camera),
+        "field": _field(np.array(powers) / scale**2, camera),
     }
 
 
-def _millikelvin(part):
-    return None if part is None else _short(1e3 * np.array(part))
+def _millikelvin(part, scale):
+    return None if part is None else _short(1e3 / scale * np.array(part))
 
 
 def _short(values):
@@ -196,10 +198,10 @@ def _figure(path, sides, title):
                  title="all directions off the axes; dashed: what stays on the detector")  # fmt: skip
     lines.set(xlabel="frequency [cycles per pixel]", ylabel="power [K²]", xlim=(0.0, 0.5),
               title="along the axes: whole rows and columns")  # fmt: skip
-    parts.set(ylabel="standard deviation [mK]", title="parts of the noise, as seen in the middle of frames")
+    parts.set(ylabel="standard deviation [mK]", title="parts of the noise, at 300 K without the lens")
     parts.set_xticks(range(len(_PARTS)), [part.replace("_", "\n") for part in _PARTS])
     field.set(xlabel="distance from the middle, as a share of the corner's", ylabel="finest detail where flat [mK]",
-              title="noise over the field", ylim=(0.0, None))  # fmt: skip
+              title="noise over the field, likewise", ylim=(0.0, None))  # fmt: skip
     for axes in (spectrum, lines, parts, field):
         axes.legend(fontsize=8)
         axes.grid(alpha=0.3)
