@@ -18,7 +18,7 @@ _BLOCK, _FLAT = 32, 0.1
 # does not choose the other.
 _TEXTURE, _FINE = (0.1, 0.22), (0.5, 0.71)
 # Share of the power of a scene's texture that passes lens and pixel as finest detail, found on simulated heath.
-_LEAK = 0.006
+_LEAK = 0.0015
 # Bins beside an axis hold the leakage of its line; those after, its surroundings.
 _LEAKED, _BESIDE = 3, 13
 # Row and column noise is looked for where little of the scene is left [cycles per pixel].
