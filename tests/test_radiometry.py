@@ -207,6 +207,19 @@ def test_raw_values_against_another_reader(name):
     assert (int(raw.sum(dtype=np.int64)), int(raw[0, 0]), int(raw[-1, -1])) == FLYR[name]
 
 
+@pytest.mark.parametrize("name", ["QUEROB1_EINBRGB_BWWG4662", "QUEROB1_EOUTTREERGB_HHYI3759"])
+def test_temperatures_against_another_package(name):
+    # Made by ThermalRaster (R) from the same files, for ε = 1 and no distance.
+    import rasterio
+
+    path = shared_data(f"pairs/flirone_trees/{name}_thermal_degC_eps1.tif")
+    ours = read_temperature(shared_data(f"pairs/flir_rjpeg_samples/{name}.JPG"), operator=Operator()) - 273.15
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        with rasterio.open(path) as file:
+            np.testing.assert_allclose(ours, file.read(1), atol=1e-4)
+
+
 def fff(raw, order="<", size=None, records=2):
     """A radiometric JPEG written by hand: one APP1 segment, two records."""
     height, width = size or raw.shape
