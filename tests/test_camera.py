@@ -42,7 +42,7 @@ def test_folding_distortion_is_refused():
 
 
 def test_camera_files(tmp_path):
-    with pytest.raises(ThermorenderError, match="'zenmuse' is unknown; give one of ideal, zenmuse-xt2"):
+    with pytest.raises(ThermorenderError, match="give one of boson-640, ideal, tau2-640, zenmuse-xt2"):
         load_camera("zenmuse")
     text = (load_camera.__globals__["Path"](load_camera.__code__.co_filename).parent / "cameras/ideal.toml").read_text()
     path = tmp_path / "mine.toml"
@@ -52,9 +52,37 @@ def test_camera_files(tmp_path):
         ("f_number = 1.0", "f_number = -1.0", "f_number=-1.0 is not allowed; give a number above 0"),
         ("[7.5, 13.5]", "[13.5, 7.5]", "give the lower value first"),
         ("bits = 16", "bits = 20", "bits=20 is not allowed; give 2…16"),
+        ("pixel_pitch_um = 17.0", "pixel_pitch_mm = 0.017", "'pixel_pitch_mm'; did you mean 'pixel_pitch_um' in µm"),
+        ("pixel_pitch_um = 17.0", "pixel_pitch_um = 17e-6", "pixel_pitch_um=1.7e-05 is not allowed; give 0.5…1000 µm"),
+        ("focal_length_mm = 13.0\n", "", "key 'focal_length_mm' is missing; add it in mm"),
+        ("bits = 16", "bits = 16\ntime_constant_ms = -1", "time_constant_ms=-1 is not allowed; give 0…1000 ms"),
+        ("bits = 16", "bits = 16\ncase_temperature_c = 298.15", "case_temperature_c=298.15 .* give -100…150 °C"),
+        ("bits = 16", "bits = 16\ndrift_mk_per_k = 'a'", "drift_mk_per_k='a' is not allowed; give .* mK per K"),
+        ("bits = 16", "bits = 16\ndiffraction = 1", "diffraction=1 is not allowed; give one of false, true"),
+        ("bits = 16", "bits = 16\ngain = 'middle'", "gain='middle' is not allowed; give one of high, low"),
+        ("bits = 16", "bits = 16\ntlinear_mk = 0.04", "tlinear_mk=0.04 .* give one of 0.0, 40.0, 400.0 mK"),
+        ("bits = 16", "bits = 16\nsigma_tv_mk = 0.001", "leave nothing of netd_mk=0.001"),
     ):
         path.write_text(text.replace(old, new, 1))
         with pytest.raises(ThermorenderError, match=words):
             load_camera(str(path))
-    path.write_text(text)
-    assert load_camera(str(path)).name == "mine"
+    path.write_text(text + "gain = 'low'\ntlinear_mk = 400\n")
+    camera = load_camera(str(path))
+    assert camera.name == "mine" and camera.tlinear_mk == 400.0
+    assert camera.count_range_k == pytest.approx((233.15, 823.15))
+
+
+@pytest.mark.parametrize(
+    ("name", "field_deg"),
+    [
+        ("zenmuse-xt2-9mm", (69.0, 56.0)),
+        ("zenmuse-xt2-19mm", (32.0, 26.0)),
+        ("tau2-640", (32.0, 26.0)),
+        ("boson-640", (31.0, 25.0)),
+    ],
+)
+def test_published_fields_of_view(name, field_deg):
+    camera = load_camera(name)
+    middle = np.array([[0.0, 256.0], [320.0, 0.0]])
+    half = np.degrees(np.arctan(np.abs(camera.directions(middle)).max(axis=1)))
+    assert 2.0 * half == pytest.approx(field_deg, abs=1.0)

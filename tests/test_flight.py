@@ -11,6 +11,9 @@ from thermorender import products
 from thermorender.errors import ThermorenderError
 from thermorender.flight import fly
 from thermorender.scene.spec import TemperatureSpec
+from thermorender.sensor.display import Look
+from thermorender.sensor.radiometric_files import read_temperature
+from thermorender.sensor.radiometry import Operator
 
 MARKER = """
 [[object]]
@@ -63,7 +66,8 @@ def test_products_and_records(setting, tmp_path):
     assert record["index"] == 2 and record["units"]["radiance"] == "W m-2 sr-1"
     counts = cv2.imread(str(tmp_path / "f/frame_000002_counts.png"), cv2.IMREAD_UNCHANGED)
     assert counts.dtype == np.uint16
-    np.testing.assert_array_equal(counts, frame.counts)
+    assert np.abs(counts.astype(int) - frame.counts).max() > 0  # the flight's pixels remember, a single frame's do not
+    assert lines[2]["plan"]["sensor"]["motion_px"] == pytest.approx(2.0 * 0.01 * 765 / 12, rel=0.01)
     video = cv2.VideoCapture(str(tmp_path / "f/flight.mp4"))
     assert video.get(cv2.CAP_PROP_FRAME_COUNT) == 5 and video.get(cv2.CAP_PROP_FRAME_WIDTH) == 640
     assert video.get(cv2.CAP_PROP_FPS) == pytest.approx(4.0)
@@ -90,6 +94,81 @@ def test_resume_gives_the_same_bytes(setting, tmp_path):
     assert summary["rendered"] == 4
     assert contents(tmp_path / "part") == contents(tmp_path / "whole")
     assert fly(renderer, path, tmp_path / "part", rate_hz=4.0, resume=True)["rendered"] == 0
+
+
+def test_a_hovering_flight_starts_as_a_single_frame(setting, tmp_path):
+    import cv2
+
+    renderer, path = setting
+    still = tr.Trajectory(path.time_s, path.position[[0, 0]], path.quaternion)
+    fly(renderer, still, tmp_path / "f", rate_hz=1.0, products=("counts",))
+    counts = cv2.imread(str(tmp_path / "f/frame_000000_counts.png"), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(counts, renderer.frame(path.pose(0.0)).counts)
+
+
+@pytest.mark.parametrize("lost", ["nothing", "the state", "half of the state"])
+def test_resume_restores_what_the_pixels_remember(setting, tmp_path, lost):
+    # At 100 Hz a third of a frame is that before; at 4 Hz nothing would be.
+    renderer, path = setting
+    flight = {"rate_hz": 100.0, "stop_s": 0.05, "products": ("counts",)}
+    fly(renderer, path, tmp_path / "whole", **flight)
+
+    def stop(done, total):
+        if done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fly(renderer, path, tmp_path / "part", progress=stop, **flight)
+    state = tmp_path / "part/sensor_even.npz"
+    assert state.exists()
+    if lost == "the state":
+        state.unlink()
+    elif lost == "half of the state":
+        state.write_bytes(state.read_bytes()[:100000])
+    assert fly(renderer, path, tmp_path / "part", resume=True, **flight)["rendered"] == 3
+    assert contents(tmp_path / "part") == contents(tmp_path / "whole")
+    assert not list((tmp_path / "part").glob("sensor*"))
+
+
+@pytest.mark.parametrize("lost", [False, True])
+def test_resume_continues_the_gain_control(setting, tmp_path, lost):
+    renderer, path = setting
+    flight = {"rate_hz": 4.0, "products": ("display",), "look": Look("plateau", "ironbow", memory_s=1.0)}
+    fly(renderer, path, tmp_path / "whole", **flight)
+
+    def stop(done, total):
+        if done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fly(renderer, path, tmp_path / "part", progress=stop, **flight)
+    if lost:
+        (tmp_path / "part/sensor_even.npz").unlink()
+    assert fly(renderer, path, tmp_path / "part", resume=True, **flight)["rendered"] == 2
+    assert contents(tmp_path / "part") == contents(tmp_path / "whole")
+    # Without memory the last frame looks different, so the memory did reach it.
+    fly(renderer, path, tmp_path / "none", **flight | {"look": Look("plateau", "ironbow")})
+    assert contents(tmp_path / "none")["frame_000004.png"] != contents(tmp_path / "whole")["frame_000004.png"]
+    with pytest.raises(ThermorenderError, match="was flown with display="):
+        fly(renderer, path, tmp_path / "whole", resume=True, **flight | {"look": Look()})
+
+
+def test_the_operator_stands_beside_the_truth(setting, tmp_path):
+    renderer, path = setting
+    operator = Operator(emissivity=0.95, reflected_c=-13.15, air_c=15.0, distance_m=12.0)
+    fly(renderer, path, tmp_path / "f", rate_hz=1.0, products=("exr", "truth", "radiometric"), operator=operator)
+    channels, record = products.read_exr(tmp_path / "f/frame_000001.exr")
+    read = channels["operator_temperature"]
+    assert record["operator"]["emissivity"] == 0.95 and record["units"]["operator_temperature"] == "K"
+    assert np.abs(read_temperature(tmp_path / "f/frame_000001_radiometric.tif") - read).max() < 0.0201
+    # Where nothing is taken away, the formula and the true apparent temperature differ by noise, blur and fit only.
+    fly(renderer, path, tmp_path / "g", rate_hz=1.0, products=("exr",), operator=Operator())
+    plain = products.read_exr(tmp_path / "g/frame_000001.exr")[0]
+    difference = plain["operator_temperature"] - plain["apparent_temperature"]
+    assert abs(np.median(difference)) < 0.1 and 0.02 < np.median(np.abs(difference)) < 0.3
+    assert np.median(read - plain["operator_temperature"]) > 0.5
+    with pytest.raises(ThermorenderError, match="goes into 'exr' and 'radiometric'"):
+        fly(renderer, path, tmp_path / "h", products=("counts",), operator=operator)
 
 
 def test_resume_refuses_other_settings(setting, tmp_path):

@@ -2,11 +2,13 @@
 
 import sys
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from thermorender.camera_cli import Base, Frames, Scale, fit_camera, parse_scale
 from thermorender.errors import ThermorenderError
 from thermorender.materials_cli import app as materials
 
@@ -20,6 +22,7 @@ app = typer.Typer(
 validate = typer.Typer(help="Hold the renderer against references.", no_args_is_help=True)
 app.add_typer(validate, name="validate")
 app.add_typer(materials, name="materials")
+app.command("fit-camera")(fit_camera)
 train = typer.Typer(help="Train learned maps.", no_args_is_help=True)
 app.add_typer(train, name="train")
 
@@ -30,7 +33,16 @@ Quality = Annotated[str, typer.Option(help="fast, standard or high: how finely a
 Tolerance = Annotated[float, typer.Option(help="Error allowed to the spectral nodes [mK].")]
 Rays = Annotated[int, typer.Option(help="Rays per face for the light between surfaces.")]
 Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
-Products = Annotated[str, typer.Option(help="Comma-separated: exr, truth, counts, counts-tiff, display, video.")]
+Products = Annotated[
+    str, typer.Option(help="Comma-separated: exr, truth, counts, counts-tiff, radiometric, display, video.")
+]
+Display = Annotated[str, typer.Option(help="linear, plateau or local: how counts become 8 bits.")]
+Palette = Annotated[str, typer.Option(help="white-hot, black-hot or ironbow.")]
+OperatorText = Annotated[
+    str | None,
+    typer.Option("--operator", help="Settings of the operator's software, e.g. emissivity=0.95,reflected_c=-20,"
+                 "air_c=15,humidity=0.5,distance_m=100: what it then reads goes into EXR and radiometric."),
+]  # fmt: skip
 Air = Annotated[
     str | None,
     typer.Option(help="Standard atmosphere in place of the scene's own sky: midlatitude-summer, or with an aerosol "
@@ -151,6 +163,9 @@ def render(
     ] = False,
     visible: Annotated[bool, typer.Option("--visible", help="Write the visible view as well.")] = False,
     products: Products = "exr,truth,counts,display",
+    display: Display = "linear",
+    palette: Palette = "white-hot",
+    operator: OperatorText = None,
     temperature: Temperature = None,
     range_c: RangeC = None,
     air: Air = None,
@@ -171,7 +186,8 @@ def render(
 
     if engine not in ("renderer", "reference"):
         raise ThermorenderError(f"--engine={engine!r} is unknown; give renderer or reference")
-    wanted = files.check(_split(products))
+    look, settings = _look(display, palette), _operator(operator)
+    wanted = files.check(_split(products), settings)
     numbers = parse_numbers("--pose", pose, ("E", "N", "U", "YAW", "PITCH", "ROLL"))
     with _progress() as tell:
         loaded = _scene(scene, temperature, range_c, air)
@@ -190,7 +206,8 @@ def render(
                 from thermorender.render.reference import frame as reference_frame
 
                 frame = reference_frame(renderer, place, paths, progress=lambda share: tell("tracing paths", share))
-            written = files.write(folder, frame, wanted)
+            look = replace(look, tails_percent=frame.camera.agc_tails_percent)
+            written = files.write(folder, frame, wanted, look.image(frame.counts)[1], settings)
             if visible:
                 written["visible"] = folder / "frame_000000_visible.png"
                 files.write_image(written["visible"], renderer.visible(frame.pose)[0])
@@ -216,6 +233,10 @@ def fly(
     stop_s: Stop = None,
     rate_hz: Annotated[float | None, typer.Option(help="Frames per second; default: the camera's.")] = None,
     products: Products = "exr,truth,counts,display,video",
+    display: Display = "linear",
+    palette: Palette = "white-hot",
+    agc_memory_s: Annotated[float, typer.Option(help="Time constant of the gain control; 0: none [s].")] = 0.0,
+    operator: OperatorText = None,
     temperature: Temperature = None,
     range_c: RangeC = None,
     air: Air = None,
@@ -231,7 +252,8 @@ def fly(
     from thermorender import products as files
     from thermorender.flight import fly as run
 
-    wanted = files.check(_split(products))
+    look, settings = _look(display, palette, agc_memory_s), _operator(operator)
+    wanted = files.check(_split(products), settings)
     with _progress() as tell:
         loaded = _scene(scene, temperature, range_c, air)
         path = _trajectory(loaded, trajectory, format, anchor, clock_offset_s, mount, lever_arm_m)
@@ -239,7 +261,7 @@ def fly(
         renderer = _renderer(loaded, quality, rays, tolerance_mk, seed, device, tell)
         summary = run(
             renderer, path, output, rate_hz, wanted, start_s, stop_s, resume,
-            lambda done, total: tell(f"frame {done} of {total}", done / total),
+            lambda done, total: tell(f"frame {done} of {total}", done / total), look, settings,
         )  # fmt: skip
     _tell_cache(renderer)
     typer.echo(f"{summary['frames']} frames, {summary['rendered']} rendered now, in {summary['folder']}")
@@ -456,6 +478,26 @@ def validate_growth(output: Out = Path("out/validation"), device: Device = "auto
     typer.echo(f"numbers and figure in {output}")
 
 
+@validate.command("footage")
+def validate_footage(
+    frames: Frames,
+    output: Out = Path("out/validation"),
+    base: Base = "zenmuse-xt2",
+    scale: Scale = None,
+    scene: Annotated[str, typer.Option(help="Scene the simulated frames show.")] = "heath",
+    name: Annotated[str, typer.Option(help="Of the files to write.")] = "footage",
+    device: Device = "auto",
+):
+    """Power spectra and noise of simulated frames beside those of real ones."""
+    from thermorender import products as files
+    from thermorender.validate import sensor_statistics as run
+
+    with _progress() as tell, files.output_folder(output) as folder:
+        result = run.compare(frames, folder, base, parse_scale(scale), scene, name, tell=tell, device=device)
+    _table(run.HEADER, run.rows(result))
+    typer.echo(f"numbers, figure and fitted camera in {output}")
+
+
 # What typer raises for a wrong command line: its own copy of click's exception, or click's, by version.
 UsageError = typer.BadParameter.__base__
 
@@ -512,6 +554,18 @@ def _scene(name, temperature, range_c, air=None):
             f"{told['fallback']}"
         )
     return loaded
+
+
+def _look(mode, palette, memory_s=0.0):
+    from thermorender.sensor.display import Look
+
+    return Look(mode, palette, memory_s)
+
+
+def _operator(text):
+    from thermorender.sensor.radiometry import Operator
+
+    return Operator.parse(text) if text else None
 
 
 def _renderer(scene, quality, rays, tolerance_mk, seed, device, tell):

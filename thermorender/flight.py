@@ -7,16 +7,21 @@ is refused.
 
 import json
 import os
+import zipfile
+from dataclasses import asdict, replace
 
 import numpy as np
 
 from thermorender import products as product_files
 from thermorender.errors import ThermorenderError
+from thermorender.sensor.chain import sensor_of
+from thermorender.sensor.display import Look
+from thermorender.sensor.exposure import RENDER_PX, Exposure
 from thermorender.versions import versions
 
 
 def fly(renderer, trajectory, folder, rate_hz=None, products=product_files.DEFAULT, start_s=None, stop_s=None,
-        resume=False, progress=None):  # fmt: skip
+        resume=False, progress=None, look=None, operator=None):  # fmt: skip
     """Render a flight into a folder and return its summary.
 
     Parameters
@@ -28,13 +33,17 @@ def fly(renderer, trajectory, folder, rate_hz=None, products=product_files.DEFAU
     rate_hz : float, optional
         Frames per second; the camera's own where None.
     products : sequence of str
-        Some of exr, truth, counts, counts-tiff, display, video.
+        Some of exr, truth, counts, counts-tiff, radiometric, display, video.
     start_s, stop_s : float, optional
         Part of the trajectory's time to fly [s].
     resume : bool
         Continue a stopped flight of the same settings.
     progress : callable, optional
         Called with (frames done, frames in all).
+    look : Look, optional
+        How the display shows the counts; linear and white-hot where None. Its tails are the camera's.
+    operator : Operator, optional
+        Settings of the operator's software.
 
     Returns
     -------
@@ -46,7 +55,8 @@ def fly(renderer, trajectory, folder, rate_hz=None, products=product_files.DEFAU
     ThermorenderError
         Unknown products, a folder that is in use or cannot be written, or a resume with other settings.
     """
-    products = product_files.check(products)
+    products = product_files.check(products, operator)
+    look = replace(look or Look(), tails_percent=renderer.scene.camera.agc_tails_percent)
     rate = renderer.scene.camera.frame_rate_hz if rate_hz is None else float(rate_hz)
     times = trajectory.frame_times(rate, start_s, stop_s)
     poses = trajectory.sampled(times).poses()
@@ -62,19 +72,33 @@ def fly(renderer, trajectory, folder, rate_hz=None, products=product_files.DEFAU
         "last_time_s": float(times[-1]),
         "path_digest": _digest(poses),
         "products": list(products),
+        "display": asdict(look) | {"tails_percent": list(look.tails_percent)},
+        "operator": operator and asdict(operator),
         "versions": versions(),
     }
+    exposure = _exposure(renderer, trajectory, 1.0 / rate)
     with product_files.output_folder(folder) as folder:
         done = _done(folder, settings, products, resume)
+        agc = None
+
+        def take(index, agc):
+            frame = _taken(renderer, exposure, poses, times, index)
+            return frame, *(look.image(frame.counts, agc, 1.0 / rate) if "display" in products else (None, None))
+
+        if 0 < done < len(times):
+            agc = _recall(folder, exposure, done, take)
         for index in range(done, len(times)):
-            frame = renderer.frame(poses[index], time_s=times[index], index=index)
+            frame, agc, image = take(index, agc)
             # Only now, so that a mistake that shows with the first frame leaves nothing behind.
             if not (folder / "flight.json").exists():
                 product_files.write_json(folder / "flight.json", settings)
-            product_files.write(folder, frame, products)
+            product_files.write(folder, frame, products, image, operator)
+            _remember(folder, exposure, agc, index)
             _append(folder / "frames.jsonl", product_files.record(frame))
             if progress:
                 progress(index + 1, len(times))
+        for path in _memories(folder):
+            path.unlink(missing_ok=True)
         if "video" in products:
             images = [product_files.paths(folder, index, ("display",))["display"] for index in range(len(times))]
             product_files.write_video(folder / "flight.mp4", images, rate)
@@ -133,6 +157,69 @@ def _done(folder, settings, products, resume):
     with product_files.atomic(lines) as part:
         part.write_text("".join(line + "\n" for line in kept), encoding="utf-8")
     return len(kept)
+
+
+def _exposure(renderer, trajectory, interval_s):
+    """The Exposure of a flight: the sensor with what it keeps from frame to frame."""
+    scene = renderer.scene
+    first, last = trajectory.span_s
+    terrain = np.concatenate([surface.vertices[:, 2] for surface in scene.surfaces[: scene.terrain_count]])
+
+    def pose_at(time_s):
+        return trajectory.pose(min(max(time_s, first), last))
+
+    def ground_at(pose):
+        height = float(scene.ground(*pose[:2, 3]))
+        return height if np.isfinite(height) else float(terrain.min())
+
+    return Exposure(
+        sensor_of(scene.camera, renderer.seed),
+        lambda time_s: renderer.frame(pose_at(time_s), time_s=time_s).radiance,
+        pose_at,
+        ground_at,
+        interval_s,
+        # Objects that move by themselves do not move as the ground does.
+        render_px=0.0 if scene.movers else RENDER_PX,
+    )
+
+
+def _taken(renderer, exposure, poses, times, index):
+    """One frame of the flight with what its sensor reads."""
+    frame = renderer.frame(poses[index], time_s=times[index], index=index)
+    return frame.with_reading(*exposure.read(index, float(times[index]), frame.radiance))
+
+
+def _memories(folder):
+    """The files that hold the sensor's state after frames of even and of odd number."""
+    return folder / "sensor_even.npz", folder / "sensor_odd.npz"
+
+
+def _remember(folder, exposure, agc, index):
+    """Keep the state of sensor and display beside the frame's line: two files in turn, so that one is always whole."""
+    state = exposure.state() | ({} if agc is None else {"agc": agc})
+    with product_files.atomic(_memories(folder)[index % 2]) as part:
+        np.savez(part, index=index, **state)
+
+
+def _recall(folder, exposure, done, take):
+    """Bring the sensor to where it was after `done` frames, from its file or by taking them again; the display's state.
+
+    `take` is called with a frame's index and the display's state, and returns the frame and the state after it.
+    """
+    last = done - 1
+    try:
+        with open(_memories(folder)[last % 2], "rb") as file, np.load(file) as kept:
+            arrays = dict(kept)
+        if arrays.pop("index") == last:
+            agc = arrays.pop("agc", None)
+            exposure.restore(arrays)
+            return agc
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        pass
+    agc = None
+    for index in range(done):
+        _, agc, _ = take(index, agc)
+    return agc
 
 
 def _append(path, value):

@@ -1,6 +1,6 @@
 """A frame: what the camera sees from one pose, with the truth behind it, each part computed when asked for."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -8,7 +8,9 @@ import numpy as np
 from thermorender.physics.band import RadianceTable
 from thermorender.physics.planck import band_radiance
 from thermorender.scene.surface import SATURATED
-from thermorender.sensor import bolometer, display
+from thermorender.sensor import readout
+from thermorender.sensor.chain import sensor_of
+from thermorender.sensor.display import Look
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,11 @@ class Frame:
     targets: dict
     _truth: object = field(repr=False)
     _budget: object = field(repr=False, default=None)
+    _reading: object = field(repr=False, default=None)
+
+    def with_reading(self, counts, how):
+        """Return the same frame as a flight's sensor read it: counts (H, W) uint16, and `how` for the plan."""
+        return replace(self, _reading=counts, plan={**self.plan, "sensor": how})
 
     @cached_property
     def budget_mk(self):
@@ -60,13 +67,15 @@ class Frame:
 
     @cached_property
     def counts(self):
-        """What the detector reads, with noise, (H, W) uint16."""
-        return bolometer.counts(self.radiance, self.camera, self.seed, self.index)
+        """What the detector reads, with noise, (H, W) uint16; a camera at rest where the frame is not of a flight."""
+        if self._reading is not None:
+            return self._reading
+        return sensor_of(self.camera, self.seed).still(self.radiance, self.index)
 
     @cached_property
     def display(self):
         """The counts spread over 8 bits for a screen, white hot, (H, W) uint8."""
-        return display.linear(self.counts)
+        return Look(tails_percent=self.camera.agc_tails_percent).image(self.counts)[1]
 
     @cached_property
     def truth(self):
@@ -81,7 +90,7 @@ class Frame:
             is hit.
         """
         found = self._truth()
-        saturated = bolometer.saturated(self.counts, self.camera)
+        saturated = readout.saturated(self.counts, self.camera)
         found["mask"] = found["mask"] | np.where(saturated, SATURATED, 0).astype(np.uint8)
         return found
 

@@ -3,11 +3,15 @@
 import json
 import os
 from contextlib import contextmanager, suppress
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
 from thermorender.errors import ThermorenderError
+from thermorender.sensor.radiometric_files import write_tlinear
+from thermorender.sensor.radiometry import Operator, camera_constants, operator_temperature
+from thermorender.sensor.readout import radiance_from_counts
 
 DEFAULT = ("exr", "truth", "counts", "display", "video")
 
@@ -89,14 +93,17 @@ def write_image(path, image):
             raise OSError(f"no encoder took a {image.dtype} image")
 
 
-def write_exr(path, frame, truth):
+def write_exr(path, frame, truth, operator=None):
     """Write a frame's radiance and apparent temperature, and its truth where asked, as one multi-channel EXR.
 
-    The header's `thermorender` attribute holds time, pose, seed, plan and units as JSON.
+    With an `operator`, what his software reads from the counts stands beside them. The header's `thermorender`
+    attribute holds time, pose, seed, plan and units as JSON.
     """
     import OpenEXR
 
     channels = {"radiance": frame.radiance, "apparent_temperature": frame.apparent_temperature}
+    if operator is not None:
+        channels["operator_temperature"] = operator_reading(frame, operator)
     if truth:
         for name, values in frame.truth.items():
             if values.dtype == np.uint8:
@@ -109,6 +116,7 @@ def write_exr(path, frame, truth):
     units = {
         "radiance": "W m-2 sr-1",
         "apparent_temperature": "K",
+        "operator_temperature": "K",
         "truth.kinetic_temperature": "K",
         "truth.depth": "m along the optical axis",
         "truth.position": "m, local East-North-Up",
@@ -116,7 +124,9 @@ def write_exr(path, frame, truth):
     header = {
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
-        "thermorender": json.dumps({**record(frame), "units": units}),
+        "thermorender": json.dumps(
+            {**record(frame), "operator": operator and asdict(operator), "units": units}
+        ),
     }
     with atomic(path) as part:
         OpenEXR.File(header, channels).write(str(part))
@@ -152,15 +162,33 @@ def record(frame):
     }
 
 
+def operator_reading(frame, operator):
+    """Return the temperatures an operator's software reads from a frame's counts, (H, W) float32 [K]."""
+    # There are fewer counts than pixels.
+    signal = radiance_from_counts(np.arange(int(frame.counts.max()) + 1), frame.camera)
+    read = operator_temperature(signal, camera_constants(frame.camera), operator).astype(np.float32)
+    return read[frame.counts]
+
+
+def write_radiometric(path, frame, operator):
+    """Write what the operator's software reads as a 16-bit TIFF of 0.04 K per count."""
+    with atomic(path) as part:
+        write_tlinear(part, operator_reading(frame, operator or Operator()))
+
+
+# {product: (end of the file name, writer(path, frame, truth, operator, image))}
 WRITERS = {
-    "exr": (".exr", lambda path, frame, products: write_exr(path, frame, "truth" in products)),
-    "counts": ("_counts.png", lambda path, frame, products: write_image(path, frame.counts)),
-    "counts-tiff": ("_counts.tif", lambda path, frame, products: write_image(path, frame.counts)),
-    "display": (".png", lambda path, frame, products: write_image(path, frame.display)),
+    "exr": (".exr", lambda path, frame, truth, operator, image: write_exr(path, frame, truth, operator)),
+    "counts": ("_counts.png", lambda path, frame, truth, operator, image: write_image(path, frame.counts)),
+    "counts-tiff": ("_counts.tif", lambda path, frame, truth, operator, image: write_image(path, frame.counts)),
+    "radiometric": (
+        "_radiometric.tif", lambda path, frame, truth, operator, image: write_radiometric(path, frame, operator),
+    ),
+    "display": (".png", lambda path, frame, truth, operator, image: write_image(path, image)),
 }
 
 
-def check(products):
+def check(products, operator=None):
     """Return the products as a tuple after refusing unknown names and combinations that give nothing."""
     products = tuple(products)
     if not products:
@@ -173,6 +201,8 @@ def check(products):
         raise ThermorenderError("product 'truth' is channels of the EXR; add 'exr'")
     if "video" in products and "display" not in products:
         raise ThermorenderError("product 'video' is made of the display images; add 'display'")
+    if operator is not None and not {"exr", "radiometric"} & set(products):
+        raise ThermorenderError("the operator's reading goes into 'exr' and 'radiometric'; add one of these products")
     return products
 
 
@@ -183,16 +213,29 @@ def paths(folder, index, products):
     }
 
 
-def write(folder, frame, products):
-    """Write a frame's files and return their paths."""
+def write(folder, frame, products, image=None, operator=None):
+    """Write a frame's files and return their paths.
+
+    Parameters
+    ----------
+    folder : path
+    frame : Frame
+    products : sequence of str
+    image : (H, W) or (H, W, 3) uint8, optional
+        What `display` shows; `frame.display` where None.
+    operator : Operator, optional
+        Settings of the operator's software, for `radiometric` and the EXR.
+    """
     files = paths(folder, frame.index, products)
+    if image is None and "display" in files:
+        image = frame.display
     for name, path in files.items():
-        WRITERS[name][1](path, frame, products)
+        WRITERS[name][1](path, frame, "truth" in products, operator, image)
     return files
 
 
 def write_video(path, images, rate_hz):
-    """Write 8-bit PNG files as an H.264 MP4.
+    """Write 8-bit PNG files, grey or colour, as an H.264 MP4.
 
     Parameters
     ----------
@@ -210,7 +253,7 @@ def write_video(path, images, rate_hz):
             str(part),
             (first.shape[1], first.shape[0]),
             fps=rate_hz,
-            pix_fmt_in="gray",
+            pix_fmt_in="gray" if first.ndim == 2 else "rgb24",
             pix_fmt_out="yuv420p",
             codec="libx264",
             macro_block_size=1,
@@ -228,10 +271,10 @@ def write_video(path, images, rate_hz):
 
 
 def _display(path, shape=None):
-    """A display image read back, (H, W) uint8, after refusing one that is damaged or of another size."""
+    """A display image read back, (H, W) or (H, W, 3) RGB uint8; one that is damaged or of another size is refused."""
     import cv2
 
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if image is None or shape not in (None, image.shape):
         raise ThermorenderError(f"{path} is damaged; remove it and continue with --resume")
-    return np.ascontiguousarray(image)
+    return np.ascontiguousarray(image if image.ndim == 2 else image[..., ::-1])

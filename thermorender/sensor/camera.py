@@ -7,7 +7,7 @@ coordinates are in pixels from the upper left corner of the image, so pixel (row
 
 import difflib
 import sys
-from dataclasses import dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 
@@ -23,11 +23,27 @@ else:
 
 # More along a side is no microbolometer, and a frame of it fits no memory.
 MOST_PIXELS = 16384
+_SHARE, _CELSIUS = "a share up to 1", f"{-ZERO_CELSIUS_K:g}…5000 °C, above absolute zero"
+
+
+def _key(low, high, default=MISSING, count=1, whole=False, above=False, say=None):
+    """A number of a camera file, or `count` of them: low … high, `low` itself excluded where `above`.
+
+    Two numbers above a bound are an interval. `say` tells the bounds in words.
+    """
+    told = {"low": low, "high": high, "count": count, "whole": whole, "above": above}
+    told |= {"ordered": count == 2 and above, "say": say}
+    return field(metadata=told, default=default)
+
+
+def _choice(*values):
+    """A key that takes one of some values, the first where it is left out."""
+    return field(metadata={"values": values}, default=values[0])
 
 
 @dataclass(frozen=True)
 class Camera:
-    """One camera model.
+    """One camera model. Keys with a default describe effects; left out, the effect is absent.
 
     Attributes
     ----------
@@ -43,33 +59,125 @@ class Camera:
     band_um : (2,) floats
         Spectral band, taken as flat [µm].
     netd_mk, netd_f_number : float
-        Noise-equivalent temperature difference at 300 K [mK] and the f-number it is stated for.
+        Noise-equivalent temperature difference at 300 K [mK] and the f-number it is stated for: all temporal noise
+        of a pixel in the middle of the image.
     bits : int
         Depth of a count.
     range_c : (2,) floats
-        Apparent temperatures of the lowest and the highest count [°C].
+        Apparent temperatures of the lowest and the highest count in high gain [°C].
     frame_rate_hz : float
     principal_offset_px : (2,) floats
         Principal point from the image centre, right and down [px].
     distortion : (5,) floats
         Brown–Conrady k1, k2, p1, p2, k3 on normalised image coordinates.
+    diffraction : bool
+        Whether the lens is limited by diffraction; a perfect point otherwise.
+    defocus_um : float
+        Distance of the detector from the focal plane [µm].
+    blur_sigma_px : float
+        Width of a Gaussian for what the lens blurs besides [px].
+    illumination_exponent : float
+        n of the cosⁿ fall of the irradiance with field angle: 4 for the natural law, 0 for none.
+    vignetting : float
+        Share of the light that the lens's rims take away at the corner of the image, besides that.
+    case_temperature_c, case_rise_k, case_time_constant_s : float
+        Temperature of housing and lens at the start [°C], how much it rises as the camera runs [K], and how fast [s].
+    housing_residual : float
+        Share of a change of the housing's and lens's own emission since the last flat-field correction that the
+        camera does not compensate.
+    narcissus_mk, narcissus_radius_px : float
+        Apparent temperature of the ring that is the detector's own reflection [mK], and the ring's radius [px].
+    absorptance : float
+        Share of the irradiance on a pixel's area that heats the pixel.
+    time_constant_ms : float
+        Thermal time constant of a pixel [ms].
+    row_time_us : float
+        Time from the read-out of a row to that of the next [µs]; 0: all at once.
+    sigma_t_mk, sigma_tv_mk, sigma_th_mk : float
+        Noise that changes with each frame: common to the frame, to a row, to a column. Part of the NETD; stated as
+        it is [mK].
+    sigma_v_mk, sigma_h_mk, sigma_vh_mk : float
+        Noise that stays from one flat-field correction to the next: of rows, of columns, of single pixels; stated
+        as the NETD is [mK].
+    drift_mk_per_k : float
+        Growth of the fixed pattern by each kelvin that the case has drifted since the last flat-field correction,
+        stated as the NETD is [mK/K].
+    bad_pixels : float
+        Share of the pixels that are dead or hot and are replaced by their neighbours.
+    ffc_interval_s, ffc_duration_s : float
+        Time from one flat-field correction to the next, 0: none after the start, and how long the image is frozen.
+    gain : {"high", "low"}
+        Which of the two ranges is used.
+    low_gain_range_c : (2,) floats
+        Apparent temperatures of the lowest and the highest count in low gain [°C].
+    low_gain_netd_mk : float
+        NETD in low gain [mK]; as in high gain where 0.
+    tlinear_mk : float
+        Apparent temperature of one count where counts are linear in temperature, from 0 K on: 40 or 400 mK;
+        0: linear in irradiance.
+    agc_tails_percent : (2,) floats
+        Shares of the darkest and of the brightest pixels that the display's gain control lets saturate [%].
     """
 
     name: str
-    width: int
-    height: int
-    pixel_pitch_um: float
-    focal_length_mm: float
-    f_number: float
-    lens_transmittance: float
-    band_um: tuple
-    netd_mk: float
-    netd_f_number: float
-    bits: int
-    range_c: tuple
-    frame_rate_hz: float
-    principal_offset_px: tuple = field(default=(0.0, 0.0))
-    distortion: tuple = field(default=(0.0, 0.0, 0.0, 0.0, 0.0))
+    width: int = _key(1, MOST_PIXELS, whole=True, say=f"up to {MOST_PIXELS} pixels")
+    height: int = _key(1, MOST_PIXELS, whole=True, say=f"up to {MOST_PIXELS} pixels")
+    pixel_pitch_um: float = _key(0.5, 1000.0)
+    focal_length_mm: float = _key(0.01, 1e5)
+    f_number: float = _key(0.2, 100.0)
+    lens_transmittance: float = _key(0.0, 1.0, above=True, say=_SHARE)
+    band_um: tuple = _key(0.0, 1000.0, count=2, above=True)
+    netd_mk: float = _key(0.0, 1e5, above=True)
+    netd_f_number: float = _key(0.2, 100.0)
+    bits: int = _key(2, 16, whole=True)
+    range_c: tuple = _key(-ZERO_CELSIUS_K, 5000.0, count=2, above=True, say=_CELSIUS)
+    frame_rate_hz: float = _key(0.0, 1e5, above=True)
+    principal_offset_px: tuple = _key(-MOST_PIXELS, MOST_PIXELS, (0.0, 0.0), count=2)
+    distortion: tuple = _key(-1e300, 1e300, (0.0, 0.0, 0.0, 0.0, 0.0), count=5)
+    diffraction: bool = _choice(False, True)
+    defocus_um: float = _key(-1000.0, 1000.0, 0.0)
+    blur_sigma_px: float = _key(0.0, 5.0, 0.0)
+    illumination_exponent: float = _key(0.0, 8.0, 0.0)
+    vignetting: float = _key(0.0, 0.9, 0.0)
+    case_temperature_c: float = _key(-100.0, 150.0, 25.0)
+    case_rise_k: float = _key(-100.0, 100.0, 0.0)
+    case_time_constant_s: float = _key(1.0, 1e6, 600.0)
+    housing_residual: float = _key(0.0, 1.0, 0.0)
+    narcissus_mk: float = _key(-1e5, 1e5, 0.0)
+    narcissus_radius_px: float = _key(1.0, MOST_PIXELS, 100.0)
+    absorptance: float = _key(0.0, 1.0, 1.0, above=True, say=_SHARE)
+    time_constant_ms: float = _key(0.0, 1000.0, 0.0)
+    row_time_us: float = _key(0.0, 1e4, 0.0)
+    sigma_t_mk: float = _key(0.0, 1e5, 0.0)
+    sigma_tv_mk: float = _key(0.0, 1e5, 0.0)
+    sigma_th_mk: float = _key(0.0, 1e5, 0.0)
+    sigma_v_mk: float = _key(0.0, 1e5, 0.0)
+    sigma_h_mk: float = _key(0.0, 1e5, 0.0)
+    sigma_vh_mk: float = _key(0.0, 1e5, 0.0)
+    drift_mk_per_k: float = _key(0.0, 1e5, 0.0)
+    bad_pixels: float = _key(0.0, 0.05, 0.0)
+    ffc_interval_s: float = _key(0.0, 1e6, 0.0)
+    ffc_duration_s: float = _key(0.0, 60.0, 0.0)
+    gain: str = _choice("high", "low")
+    low_gain_range_c: tuple = _key(-ZERO_CELSIUS_K, 5000.0, (-40.0, 550.0), count=2, above=True, say=_CELSIUS)
+    low_gain_netd_mk: float = _key(0.0, 1e5, 0.0)
+    tlinear_mk: float = _choice(0.0, 40.0, 400.0)
+    agc_tails_percent: tuple = _key(0.0, 49.0, (0.5, 0.5), count=2)
+
+    @property
+    def count_range_k(self):
+        """Apparent temperatures of the lowest and the highest count of the gain in use [K]."""
+        return tuple(end + ZERO_CELSIUS_K for end in (self.low_gain_range_c if self.gain == "low" else self.range_c))
+
+    @property
+    def gain_netd_mk(self):
+        """NETD of the gain in use [mK], at `netd_f_number` and 300 K."""
+        return self.low_gain_netd_mk if self.gain == "low" and self.low_gain_netd_mk else self.netd_mk
+
+    @property
+    def time_constant_s(self):
+        """Thermal time constant of a pixel [s]."""
+        return self.time_constant_ms * 1e-3
 
     @property
     def focal_length_px(self):
@@ -156,6 +264,15 @@ class Camera:
         )
 
 
+def model_path(name, where="camera model"):
+    """Return the TOML file of a shipped model, or the path itself if it ends in .toml."""
+    path = Path(name) if str(name).endswith(".toml") else Path(__file__).parent / "cameras" / f"{name}.toml"
+    if not path.is_file():
+        known = sorted(item.stem for item in (Path(__file__).parent / "cameras").glob("*.toml"))
+        raise ThermorenderError(f"{where} {str(name)!r} is unknown; give one of {', '.join(known)} or a .toml file")
+    return path
+
+
 def load_camera(name, where="camera model"):
     """Return the Camera of a shipped model, or of a TOML file of the same form given by path.
 
@@ -170,10 +287,7 @@ def load_camera(name, where="camera model"):
     ThermorenderError
         An unknown model or key, a missing key, or a value out of range; the message names it.
     """
-    path = Path(name) if str(name).endswith(".toml") else Path(__file__).parent / "cameras" / f"{name}.toml"
-    if not path.is_file():
-        known = sorted(item.stem for item in (Path(__file__).parent / "cameras").glob("*.toml"))
-        raise ThermorenderError(f"{where} {str(name)!r} is unknown; give one of {', '.join(known)} or a .toml file")
+    path = model_path(name, where)
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -182,56 +296,67 @@ def load_camera(name, where="camera model"):
     for key in raw:
         if key not in known:
             close = difflib.get_close_matches(key, known, n=1)
-            hint = f"did you mean {close[0]!r}? " if close else ""
+            hint = f"did you mean {close[0]!r}{_unit(close[0], ' in ')}? " if close else ""
             raise ThermorenderError(f"{path}: unknown key {key!r}; {hint}allowed are {', '.join(known)}")
     values = {"name": path.stem}
-    lengths = {"band_um": 2, "range_c": 2, "principal_offset_px": 2, "distortion": 5}
     for key, item in known.items():
-        if key not in raw:
-            if isinstance(item.default, tuple):
-                continue
-            raise ThermorenderError(f"{path}: key {key!r} is missing; add it")
-        value = raw[key]
-        numbers = value if key in lengths else [value]
-        if (
-            not isinstance(numbers, list)
-            or len(numbers) != lengths.get(key, 1)
-            or not all(isinstance(n, (int, float)) and not isinstance(n, bool) and abs(n) < 1e300 for n in numbers)
-        ):
-            raise ThermorenderError(
-                f"{path}: {key}={value!r} is not allowed; give {lengths.get(key, 'a')} finite number(s)"
-            )
-        if key not in lengths and value <= 0:
-            raise ThermorenderError(f"{path}: {key}={value!r} is not allowed; give a number above 0")
-        if key in ("width", "height", "bits") and value != int(value):
-            raise ThermorenderError(f"{path}: {key}={value!r} is not allowed; give a whole number")
-        if key in ("width", "height") and value > MOST_PIXELS:
-            raise ThermorenderError(f"{path}: {key}={value!r} is not allowed; give up to {MOST_PIXELS} pixels")
-        kind = int if key in ("width", "height", "bits") else float
-        values[key] = tuple(map(float, value)) if key in lengths else kind(value)
-    for key in ("band_um", "range_c"):
-        if not values[key][0] < values[key][1]:
-            raise ThermorenderError(f"{path}: {key}={list(values[key])} is not allowed; give the lower value first")
-    if not values["band_um"][0] > 0.0:
+        if key in raw:
+            values[key] = _checked(f"{path}: {key}={raw[key]!r} is not allowed; give ", key, raw[key], item.metadata)
+        elif item.default is MISSING:
+            raise ThermorenderError(f"{path}: key {key!r} is missing; add it{_unit(key, ' in ')}")
+    temporal = ("sigma_t_mk", "sigma_tv_mk", "sigma_th_mk")
+    common = sum(values.get(key, 0.0) ** 2 for key in temporal)
+    if common >= values["netd_mk"] ** 2:
         raise ThermorenderError(
-            f"{path}: band_um={list(values['band_um'])} is not allowed; give wavelengths above 0 µm"
+            f"{path}: {', '.join(temporal)} leave nothing of netd_mk={values['netd_mk']:g}, of which they are part; "
+            "lower them"
         )
-    if not values["range_c"][0] > -ZERO_CELSIUS_K:
-        raise ThermorenderError(
-            f"{path}: range_c={list(values['range_c'])} is not allowed; give °C above absolute zero"
-        )
-    if values["lens_transmittance"] > 1.0:
-        raise ThermorenderError(
-            f"{path}: lens_transmittance={values['lens_transmittance']:g} is not allowed; give a share up to 1"
-        )
-    if not 2 <= values["bits"] <= 16:
-        raise ThermorenderError(f"{path}: bits={values['bits']} is not allowed; give 2…16")
     camera = Camera(**values)
     # A folding distortion would otherwise show with the first frame only, after the scene is baked. Where it
     # folds, Newton's steps run off to infinity before they are refused.
     with np.errstate(all="ignore"):
         camera.directions(_image_edge(camera.width, camera.height))
     return camera
+
+
+# What the ends of keys' names stand for.
+_UNITS = {"um": "µm", "mm": "mm", "mk": "mK", "c": "°C", "hz": "Hz", "px": "px", "ms": "ms", "us": "µs", "s": "s"}
+_UNITS |= {"k": "K", "mk_per_k": "mK per K"}
+
+
+def _unit(key, before=" "):
+    """The unit at the end of a key's name with a word before it; nothing where there is none."""
+    unit = _UNITS.get("mk_per_k" if key.endswith("_mk_per_k") else key.rsplit("_", 1)[-1]) if "_" in key else None
+    return before + unit if unit else ""
+
+
+def _checked(refusal, key, value, told):
+    """Return a camera file's value as the dataclass keeps it, or raise the refusal with what is allowed."""
+    if "values" in told:
+        for allowed in told["values"]:
+            if value == allowed and isinstance(value, bool) == isinstance(allowed, bool):
+                return allowed
+        allowed = ", ".join(str(choice).lower() for choice in told["values"])
+        raise ThermorenderError(f"{refusal}one of {allowed}{_unit(key)}")
+    low, high, count, unit = told["low"], told["high"], told["count"], _unit(key)
+    numbers = value if count > 1 else [value]
+    if (
+        not isinstance(numbers, list)
+        or len(numbers) != count
+        or not all(isinstance(n, (int, float)) and not isinstance(n, bool) and abs(n) < 1e300 for n in numbers)
+    ):
+        raise ThermorenderError(f"{refusal}{count if count > 1 else 'a'} finite number(s){unit}")
+    least, most = min(numbers), max(numbers)
+    if told["whole"] and value != int(value):
+        raise ThermorenderError(f"{refusal}a whole number")
+    if least <= 0.0 and (low > 0.0 or (low == 0.0 and told["above"])):
+        raise ThermorenderError(f"{refusal}a number above 0{unit}")
+    if least < low or most > high or (told["above"] and least == low):
+        raise ThermorenderError(f"{refusal}{told['say'] or f'{low:g}…{high:g}{unit}'}")
+    if told["ordered"] and not numbers[0] < numbers[1]:
+        raise ThermorenderError(f"{refusal}the lower value first")
+    kind = int if told["whole"] else float
+    return tuple(map(kind, numbers)) if count > 1 else kind(value)
 
 
 def _image_edge(width, height):

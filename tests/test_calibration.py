@@ -1,0 +1,279 @@
+"""Cameras read back from their footage: noise, fixed pattern, blur, gain control; on simulated frames and real ones."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import shared_data
+from typer.testing import CliRunner
+
+from thermorender import cli
+from thermorender.errors import ThermorenderError
+from thermorender.physics.band import RadianceTable
+from thermorender.physics.planck import band_radiance
+from thermorender.sensor import calibration
+from thermorender.sensor.camera import load_camera
+from thermorender.sensor.chain import Sensor
+from thermorender.sensor.edge_width import edge_widths, sharpest, width_through
+from thermorender.sensor.frame_statistics import Spectra, block_powers, noise_of
+from thermorender.sensor.psf import otf
+from thermorender.sensor.radiometric_files import write_tlinear
+from thermorender.sensor.readout import radiance_from_counts
+
+GRID = RadianceTable.grid(250.0, 345.0)
+TABLE = RadianceTable(GRID, band_radiance(GRID, 7.5, 13.5))
+STEP_K = 0.006
+# A small XT2 whose every part is big enough to be told from the others.
+CAMERA = replace(
+    load_camera("zenmuse-xt2"), name="known", width=320, height=256, focal_length_mm=6.5, netd_mk=45.0, sigma_t_mk=0.0,
+    sigma_tv_mk=8.0, sigma_th_mk=10.0, sigma_v_mk=9.0, sigma_h_mk=14.0, sigma_vh_mk=25.0, bad_pixels=0.0,
+    blur_sigma_px=0.4, bits=16, range_c=(-20.0, 60.0),
+)  # fmt: skip
+RNG = np.random.default_rng(12)
+
+
+def polygons(height, width, oversampled=4, count=60):
+    """Temperature of flat patches with straight borders, (height, width) pixel means of an oversampled drawing [K]."""
+    import cv2
+
+    image = np.full((height * oversampled, width * oversampled), 296.0, np.float32)
+    for _ in range(count):
+        middle = RNG.uniform(0, 1, 2) * [width, height] * oversampled
+        size, turn = RNG.uniform(25, 60, 2) * oversampled, RNG.uniform(0, 180)
+        corners = cv2.boxPoints((middle.tolist(), size.tolist(), turn))
+        cv2.fillPoly(image, [np.rint(corners).astype(np.int32)], float(RNG.uniform(286, 306)))
+    return image.reshape(height, oversampled, width, oversampled).mean(axis=(1, 3))
+
+
+def footage(camera, frames, still=False, seed=4):
+    """Apparent temperatures of a camera over a scene of patches, with a little texture [K]."""
+    scene = polygons(2 * camera.height, 2 * camera.width)
+    sensor = Sensor(camera, seed)
+    for index in range(frames):
+        i, j = (0, 0) if still else (int(RNG.integers(0, n)) for n in (camera.height, camera.width))
+        view = scene[i : i + camera.height, j : j + camera.width].astype(np.float64)
+        counts = sensor.still(TABLE(view).astype(np.float32), index)
+        yield TABLE.inverse(radiance_from_counts(counts, camera))
+
+
+@pytest.fixture(scope="module")
+def base(tmp_path_factory):
+    """Camera file of CAMERA with the shipped camera's noise and blur: what a user starts from."""
+    path = tmp_path_factory.mktemp("base") / "small.toml"
+    text = calibration.model_path("zenmuse-xt2").read_text(encoding="utf-8")
+    for old, new in (("width = 640", "width = 320"), ("height = 512", "height = 256"), ("bits = 14", "bits = 16"),
+                     ("focal_length_mm = 13.0", "focal_length_mm = 6.5"),
+                     ("range_c = [-25.0, 135.0]", "range_c = [-20.0, 60.0]")):  # fmt: skip
+        assert old in text
+        text = text.replace(old, new)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def write_frames(folder, images):
+    folder.mkdir()
+    for number, image in enumerate(images):
+        write_tlinear(folder / f"{number:03d}.tif", image, STEP_K)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def fitted(base, tmp_path_factory):
+    folder = write_frames(tmp_path_factory.mktemp("footage") / "moving", footage(CAMERA, 8))
+    return folder, calibration.fit_camera([folder], base)
+
+
+@pytest.mark.parametrize(
+    "key", ["netd_mk", "sigma_tv_mk", "sigma_th_mk", "sigma_v_mk", "sigma_h_mk", "sigma_vh_mk", "blur_sigma_px"]
+)
+def test_a_known_camera_is_found_again(fitted, key):
+    estimate, true = fitted[1][key], getattr(CAMERA, key)
+    # Rows and columns are as few as the picture has: their own spread is 1/√(2n) of what they are.
+    drawn = {"sigma_v_mk": 256, "sigma_h_mk": 320}.get(key, np.inf)
+    allowed = 3.0 * np.hypot(estimate.uncertainty, true / np.sqrt(2.0 * drawn)) + 0.02 * true
+    assert abs(estimate.value - true) < allowed
+    assert allowed < 0.4 * true or key in ("sigma_tv_mk", "sigma_th_mk", "blur_sigma_px")
+    assert estimate.uncertainty < 0.35 * true or key == "sigma_th_mk"
+
+
+def test_a_still_camera(base, tmp_path):
+    folder = write_frames(tmp_path / "still", footage(CAMERA, 5, still=True))
+    found = calibration.fit_camera([folder], base)
+    assert "still camera" in found["netd_mk"].how
+    # Rows and columns, which few frames tell badly, make 4 % of the whole.
+    assert found["netd_mk"].value == pytest.approx(CAMERA.netd_mk, rel=0.05)
+    assert found["sigma_vh_mk"].value == pytest.approx(CAMERA.sigma_vh_mk, rel=0.15)
+
+
+def test_one_frame_holds_everything(base, tmp_path):
+    folder = write_frames(tmp_path / "one", footage(CAMERA, 1))
+    found = calibration.fit_camera([folder], base)
+    assert set(found) <= {"netd_mk", "blur_sigma_px"} and "holds the fixed pattern" in found["netd_mk"].how
+    parts = [CAMERA.netd_mk, CAMERA.sigma_v_mk, CAMERA.sigma_h_mk, CAMERA.sigma_vh_mk]
+    # The correction's gain raises the temporal part only, by up to 1.9 in the corners.
+    assert found["netd_mk"].value == pytest.approx(np.linalg.norm(parts), rel=0.08)
+
+
+def test_scale_of_noise_as_the_published_ratio():
+    # 50 mK at f/1.0 are 72.5 mK at f/1.25, (4F²+1)/5, and 1/0.9 more through a lens of that transmittance.
+    assert calibration.noise_scale(CAMERA, 300.0) == pytest.approx(1.45 / 0.9)
+    assert calibration.noise_scale(replace(CAMERA, f_number=1.0, lens_transmittance=1.0), 300.0) == pytest.approx(1.0)
+    # The same noise is more kelvins where radiance grows more slowly: dL/dT over 7.5–13.5 µm by differences.
+    slope = [band_radiance(t + 0.5, 7.5, 13.5) - band_radiance(t - 0.5, 7.5, 13.5) for t in (300.0, 270.0)]
+    assert calibration.noise_scale(CAMERA, 270.0) == pytest.approx(1.45 / 0.9 * slope[0] / slope[1], rel=1e-4)
+
+
+def test_spectra_of_white_noise_and_of_what_stays():
+    # Variance of white noise at every frequency; of the mean product of frames only what they share.
+    shared, spectra = RNG.normal(0.0, 0.03, (128, 192)), Spectra((128, 192))
+    for _ in range(40):
+        spectra.add(290.0 + shared + RNG.normal(0.0, 0.05, (128, 192)))
+    frequencies = spectra.off_axis((0.05, 0.71)).sum()
+    expected, scatter = 0.03**2 + 0.05**2, 3.0 * np.sqrt(3.8 / frequencies)
+    assert spectra.total[spectra.off_axis((0.05, 0.71))].mean() == pytest.approx(expected, rel=scatter)
+    assert spectra.fixed[spectra.off_axis((0.05, 0.71))].mean() == pytest.approx(0.03**2, rel=1.2 * scatter)
+    blocks = block_powers(RNG.normal(0.0, 0.05, (512, 640)))
+    assert blocks[:, 1].mean() == pytest.approx(0.05**2, rel=0.02)
+    # Taking the slopes away takes a little of the coarser band.
+    assert 0.93 * 0.05**2 < blocks[:, 0].mean() < 1.02 * 0.05**2
+
+
+def test_blocks_are_blind_to_slopes():
+    down, right = np.mgrid[:128, :160]
+    assert block_powers(3.0 * down - 2.0 * right).max() < 1e-18
+
+
+def test_row_and_column_noise_by_their_lines():
+    spectra = Spectra((256, 320))
+    still = RNG.normal(0.0, 0.02, (256, 1))
+    for _ in range(12):
+        rows, columns = RNG.normal(0.0, 0.012, (256, 1)), RNG.normal(0.0, 0.03, (1, 320))
+        spectra.add(still + rows + columns + RNG.normal(0.0, 0.05, (256, 320)))
+    noise = noise_of(spectra)
+    for (value, uncertainty), true in (
+        (noise.fixed_row, 0.02), (noise.row, 0.012), (noise.column, 0.03), (noise.fixed_column, 0.0),
+        (noise.pixel, 0.05),
+    ):  # fmt: skip
+        assert abs(value - true) < 3.0 * uncertainty + 0.08 * true
+        assert uncertainty < 0.015
+
+
+def blurred_step(sigma, angle, noise=0.0):
+    from scipy.special import erf
+
+    y, x = np.mgrid[:96, :128] - 48.0
+    u = (x - 16.0) * np.cos(angle) + y * np.sin(angle)
+    return 290.0 + 4.0 * erf(u / (np.sqrt(2.0) * sigma)) + RNG.normal(0.0, max(noise, 1e-6), x.shape)
+
+
+@pytest.mark.parametrize("sigma", [0.45, 0.7, 1.2])
+def test_width_of_a_blurred_step(sigma):
+    widths = np.concatenate([edge_widths(blurred_step(sigma, angle, 0.05), 0.05) for angle in (0.1, 0.7, 1.3, -0.5)])
+    assert len(widths) >= 20
+    assert np.median(widths[:, 0]) == pytest.approx(sigma, rel=0.03)
+    # The stated uncertainty is that of the scatter.
+    assert np.std(widths[:, 0]) == pytest.approx(np.median(widths[:, 1]), rel=0.5)
+    width, uncertainty = sharpest(widths)
+    assert abs(width - sigma) < 2.5 * uncertainty
+
+
+@pytest.mark.parametrize("blur", [0.4, 0.8])
+def test_blur_of_a_lens_without_its_pixel_and_diffraction(blur):
+    quiet = {key: 0.0 for key in ("sigma_tv_mk", "sigma_th_mk", "sigma_v_mk", "sigma_h_mk", "sigma_vh_mk")}
+    camera = replace(CAMERA, blur_sigma_px=blur, netd_mk=30.0, **quiet)
+    images = list(footage(camera, 2))
+    estimate = calibration._blur_key(images, 0.060, camera)["blur_sigma_px"]
+    assert abs(estimate.value - blur) < 2.0 * estimate.uncertainty < 0.17
+
+
+def test_thin_lines_are_no_edges():
+    y, x = np.mgrid[:96, :128]
+    line = 290.0 + 8.0 * np.exp(-0.5 * ((x - 60.0 - 0.3 * y) / 0.6) ** 2) + RNG.normal(0.0, 0.05, x.shape)
+    assert len(edge_widths(line, 0.05)) == 0
+    assert sharpest(np.zeros((0, 2))) is None
+
+
+def test_width_through_a_lens():
+    assert width_through(lambda f: np.exp(-2.0 * (np.pi * 0.7 * f) ** 2)) == pytest.approx(0.7, rel=1e-3)
+    # A square pixel alone draws a ramp of one pixel: the nearest blurred step, by trying all.
+    from scipy.special import erf
+
+    place, sigmas = np.linspace(-6.0, 6.0, 1201), np.linspace(0.25, 0.4, 301)
+    misfit = [((erf(place / (np.sqrt(2.0) * s)) - np.clip(2.0 * place, -1.0, 1.0)) ** 2).sum() for s in sigmas]
+    assert width_through(np.sinc) == pytest.approx(sigmas[np.argmin(misfit)], abs=0.01)
+    whole = width_through(lambda f: otf(CAMERA, f) * np.sinc(f))
+    assert np.sqrt(0.4**2 + 1 / 12) < whole < 1.0
+
+
+def test_the_file_it_writes_is_a_camera(fitted, base, tmp_path, monkeypatch):
+    folder, estimates = fitted
+    calibration.write_camera(tmp_path / "mine.toml", base, estimates)
+    mine = load_camera(tmp_path / "mine.toml")
+    assert mine.name == "mine" and mine.width == 320 and mine.f_number == CAMERA.f_number
+    for key, estimate in estimates.items():
+        assert getattr(mine, key) == pytest.approx(estimate.value, rel=1e-3)
+    text = (tmp_path / "mine.toml").read_text()
+    assert "± " in text and text.count("\nnetd_mk =") == 1
+    asked = []
+    monkeypatch.setattr(calibration, "fit_camera", lambda *arguments: asked.append(arguments) or estimates)
+    arguments = ["fit-camera", str(folder), "--base", str(base), "-o", str(tmp_path / "b.toml"), "--scale", "0.04,1"]
+    run = CliRunner().invoke(cli.app, arguments)
+    assert asked == [([folder], str(base), (0.04, 1.0))]
+    assert run.exit_code == 0 and (tmp_path / "b.toml").read_text() == text.replace("mine", "b")
+    assert f"netd_mk = {estimates['netd_mk'].text} ± " in run.output
+
+
+def test_what_is_refused(base, tmp_path):
+    small, odd = np.full((64, 64), 290.0), np.full((256, 320), 290.0)
+    write_tlinear(tmp_path / "small.tif", small)
+    write_tlinear(tmp_path / "odd.tif", odd)
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "note.txt").write_text("x")
+    for paths, words in (
+        ([tmp_path / "small.tif"], "is 64×64 pixels and the base camera small 320×256"),
+        ([tmp_path / "empty"], "no frames"),
+        ([tmp_path / "none.tif"], "does not exist"),
+        ([tmp_path / "note.txt"], "unknown kind"),
+    ):
+        with pytest.raises(ThermorenderError, match=words):
+            calibration.fit_camera(paths, base)
+    with pytest.raises(ThermorenderError, match="base camera 'bogus' is unknown"):
+        calibration.fit_camera([tmp_path / "odd.tif"], "bogus")
+    with pytest.raises(ThermorenderError, match="ends in .toml"):
+        calibration.write_camera(tmp_path / "a.txt", base, {})
+    with pytest.raises(ThermorenderError, match="too small to read noise from"):
+        Spectra((64, 64))
+    with pytest.raises(ThermorenderError, match="the others"):
+        Spectra((128, 128)).add(np.zeros((128, 96)))
+    with pytest.raises(ThermorenderError, match="no finite value"):
+        Spectra((128, 128)).add(np.full((128, 128), np.nan))
+
+
+def test_a_real_camera(tmp_path):
+    # Radiometric JPEGs of a Zenmuse XT, whose core is specified to have less than 50 mK at f/1.0.
+    found = calibration.fit_camera([shared_data("pairs/thermal_only/eth_crops_xt/flight1/rjpeg")], "zenmuse-xt2")
+    assert 20.0 < found["netd_mk"].value < 50.0
+    assert found["agc_tails_percent"].value == pytest.approx((0.0, 0.0), abs=0.01)
+    assert 0.1 < found["blur_sigma_px"].value < 1.0
+    calibration.write_camera(tmp_path / "xt.toml", "zenmuse-xt2", found)
+    assert load_camera(tmp_path / "xt.toml").agc_tails_percent[0] == 0.0
+
+
+def test_simulated_frames_beside_footage(fitted, base, tmp_path, monkeypatch):
+    from thermorender.validate import sensor_statistics
+
+    scene = TABLE(polygons(2 * CAMERA.height, 2 * CAMERA.width).astype(float)).astype(np.float32)
+    cuts = [(10, 20), (200, 40), (30, 300), (250, 310)]
+    views = [scene[i : i + CAMERA.height, j : j + CAMERA.width] for i, j in cuts]
+    monkeypatch.setattr(sensor_statistics, "_views", lambda *rest: views)
+    monkeypatch.setattr(sensor_statistics, "fit_camera", lambda *rest: fitted[1])
+    result = sensor_statistics.compare([fitted[0]], tmp_path, base)
+    assert {path.name for path in tmp_path.iterdir()} == {"footage.json", "footage.png", "footage.toml"}
+    real, as_filed, simulated = result["sides"].values()
+    for part in ("pixel", "fixed_pixel", "row"):
+        (true, error), (filed, _), (found, other) = (side["noise_mk"][part] for side in (real, as_filed, simulated))
+        assert abs(found - true) < 3.0 * np.hypot(error, other) + 0.02 * true
+        assert part == "row" or abs(filed - true) > 2.0 * abs(found - true)
+    # The noise of a real frame is found again at the corner as in the middle.
+    np.testing.assert_allclose(simulated["field"]["noise_mk"], real["field"]["noise_mk"], rtol=0.15)
+    assert real["frames"] == 8 and len(sensor_statistics.rows(result)[0]) == len(sensor_statistics.HEADER)

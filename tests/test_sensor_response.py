@@ -1,0 +1,275 @@
+"""The pixels' memory: exponential response, rolling rows, and frames whose image moves."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from thermorender.errors import ThermorenderError
+from thermorender.physics.planck import band_radiance, band_radiance_derivative
+from thermorender.sensor import detector, motion
+from thermorender.sensor.camera import load_camera
+from thermorender.sensor.chain import Sensor, at_rest
+from thermorender.sensor.exposure import Exposure, schedule
+from thermorender.trajectory.path import pose
+
+CAMERA = replace(load_camera("zenmuse-xt2"), width=80, height=64, ffc_interval_s=0.0)
+TAU = 0.010
+K295 = band_radiance(295.0, *CAMERA.band_um)
+SLOPE = band_radiance_derivative(295.0, *CAMERA.band_um)
+
+
+def textured(camera, place, rows=slice(None)):
+    """Radiance of level ground with waves of 20 to 75 m and a span of about 1 K, seen from a pose."""
+    row, column = (index[rows] for index in np.mgrid[: camera.height, : camera.width] + 0.5)
+    slope = camera.directions(np.stack([column, row], axis=-1))
+    ray = np.concatenate([slope, np.ones_like(slope[..., :1])], axis=-1) @ place[:3, :3].T
+    x, y = (place[axis, 3] - place[2, 3] * ray[..., axis] / ray[..., 2] for axis in (0, 1))
+    waves = 0.3 * np.sin(x / 6.0 + 1.0) * np.cos(y / 8.0) + 0.2 * np.cos((x + y) / 12.0)
+    waves += 0.1 * np.sin((y - 0.3 * x) / 3.0)
+    # Linear in radiance: fast, and no matter here.
+    return (K295 + SLOPE * waves).astype(np.float32)
+
+
+# --- one pixel --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rate_hz", [9.0, 30.0, 60.0])
+def test_response_to_a_step_is_exponential_at_any_frame_rate(rate_hz):
+    dark, light = np.zeros((2, 2), np.float32), np.ones((2, 2), np.float32)
+    membrane = detector.steady(0.0, dark)
+    for frame in range(1, 8):
+        membrane = detector.stepped(membrane, frame / rate_hz, light, TAU)
+        assert membrane.signal[0, 0] == pytest.approx(1.0 - np.exp(-frame / rate_hz / TAU), abs=1e-6)
+
+
+@pytest.mark.parametrize("span_s", [1e-6, 0.003, 0.02, 0.5])
+def test_response_to_a_ramp_and_its_weights(span_s):
+    # P = t gives ΔT = t − τ + τ e^(−t/τ).
+    old, first, last = detector.response_weights(span_s, TAU)
+    assert old + first + last == pytest.approx(1.0, abs=1e-12)
+    assert last * span_s == pytest.approx(span_s - TAU + TAU * np.exp(-span_s / TAU), rel=1e-6)
+    # Two halves are one whole.
+    half, a, b = detector.response_weights(0.5 * span_s, TAU)
+    assert half * (a * 1.0 + b * 1.5) + a * 1.5 + b * 2.0 == pytest.approx(first * 1.0 + last * 2.0, rel=1e-9)
+
+
+def test_without_a_time_constant_a_pixel_shows_the_present():
+    assert [float(w) for w in detector.response_weights(0.01, 0.0)] == [0.0, 0.0, 1.0]
+
+
+def test_response_agrees_with_a_numerical_solution():
+    from scipy.integrate import solve_ivp
+
+    power = lambda t: np.interp(t, [0.0, 0.004, 0.010, 0.030], [1.0, 3.0, -1.0, 2.0])  # noqa: E731
+    solved = solve_ivp(lambda t, y: (power(t) - y) / TAU, (0.0, 0.030), [0.5], rtol=1e-10, atol=1e-12, max_step=1e-4)
+    membrane = detector.Membrane(0.0, np.float32(0.5), np.float32(1.0))
+    for time_s in (0.004, 0.010, 0.030):
+        membrane = detector.advanced(membrane, time_s, np.float32(power(time_s)), TAU)
+    assert membrane.signal == pytest.approx(solved.y[0, -1], abs=1e-6)
+
+
+def test_rows_are_read_one_after_another():
+    delays = detector.row_delays(CAMERA)
+    assert np.diff(delays) == pytest.approx(63.5e-6) and delays.sum() == pytest.approx(0.0, abs=1e-12)
+    # No slower than the frames themselves.
+    assert np.diff(detector.row_delays(CAMERA, 1e-3)) == pytest.approx(1e-3 / 64)
+    # A step at time 0: each row knows of it for as long as since then.
+    dark, light = np.zeros((64, 80), np.float32), np.ones((64, 80), np.float32)
+    out = np.empty((64, 80), np.float32)
+    membrane = detector.Membrane(0.0, dark, light)
+    times = delays - delays[0]
+    detector.read_rows(membrane, times[-1], light, times, slice(0, 64), TAU, out)
+    np.testing.assert_allclose(out[:, 5], 1.0 - np.exp(-times / TAU), atol=1e-6)
+
+
+# --- motion -----------------------------------------------------------------------------------------------------
+
+
+def test_motion_in_pixels_by_hand():
+    camera = load_camera("zenmuse-xt2")
+    f = camera.focal_length_px
+    down = lambda e, n, u, yaw: pose(e, n, u, yaw, -90.0)  # noqa: E731
+    assert motion.motion_px(camera, down(0, 0, 100, 0), down(0, 0, 100, 0), 0.0) == pytest.approx(0.0, abs=1e-9)
+    moved = motion.motion_px(camera, down(2, 0, 110, 0), down(0, 0, 110, 0), 10.0)
+    assert moved == pytest.approx(f * 2 / 100, rel=1e-6)
+    # A turn about the optical axis moves the corner by the chord.
+    chord = 2.0 * np.hypot(320, 256) * np.sin(np.radians(3.6) / 2)
+    assert motion.motion_px(camera, down(0, 0, 100, 3.6), down(0, 0, 100, 0), 0.0) == pytest.approx(chord, rel=1e-6)
+    # Above the horizon a shift moves nothing, a turn everything.
+    level = lambda e, yaw: pose(e, 0, 100, yaw, 40.0)  # noqa: E731
+    assert motion.motion_px(camera, level(5, 0), level(0, 0), 0.0) == pytest.approx(0.0, abs=1e-9)
+    assert motion.motion_px(camera, level(0, 1), level(0, 0), 0.0) > f * np.radians(1) * np.cos(np.radians(60))
+
+
+@pytest.mark.parametrize("distortion", [(0.0,) * 5, (-0.25, 0.06, 1e-3, -1e-3, 0.0)])
+def test_an_image_moved_over_level_ground_is_that_seen_from_there(distortion):
+    camera = replace(load_camera("zenmuse-xt2"), width=160, height=128, distortion=distortion, focal_length_mm=4.0)
+    here, there = pose(0, 0, 40, 10, -75, 2), pose(0.6, 0.4, 40.5, 13, -74, 0)
+    seen, wanted = textured(camera, here), textured(camera, there)
+    column, row = motion.places(camera, motion.homography(here, there, 0.0))
+    moved = motion.moved(seen, column, row)
+    inside = (column >= 0.0) & (column <= 159.0) & (row >= 0.0) & (row <= 127.0)
+    assert 0.8 < inside.mean() < 1.0
+    # Cubic interpolation; off the net of so wide and distorted a view a twentieth of a pixel.
+    whole = np.sqrt(np.mean((seen - wanted) ** 2))
+    assert np.sqrt(np.mean((moved - wanted)[inside > 0] ** 2)) < 0.02 * whole
+
+
+def test_a_slope_stays_straight_where_it_is_moved():
+    column, row = np.meshgrid(np.arange(40, dtype=np.float32), np.arange(30, dtype=np.float32))
+    for fraction in np.arange(0.0, 1.0, 1 / 32):
+        moved = motion.moved(column + 2.0 * row, column + np.float32(fraction), row + np.float32(1.0 - fraction))
+        wanted = (column + 2.0 * row + 2.0 - fraction)[3:-3, 3:-3]
+        # By whole 32nds of a pixel.
+        np.testing.assert_allclose(moved[3:-3, 3:-3], wanted, atol=0.05)
+
+
+# --- frames -----------------------------------------------------------------------------------------------------
+
+
+def rocket(time_s):
+    """One turn a second and 200 m/s at 100 m."""
+    return pose(0.0, 204.0 * time_s, 100.0, 360.0 * time_s, -90.0)
+
+
+def exposure(camera, path, rate_hz=30.0, render_px=20.0):
+    looks = []
+
+    def look(time_s):
+        looks.append(time_s)
+        return textured(camera, path(time_s))
+
+    return Exposure(Sensor(camera, 0), look, path, lambda place: 0.0, 1.0 / rate_hz, render_px), looks
+
+
+def radiance_of(signal, taken):
+    """What a signal stands for [W m⁻² sr⁻¹]."""
+    one = taken.sensor.power(np.ones_like(signal), at_rest(taken.sensor.camera), blurred=True)
+    return signal / one
+
+
+# As wide a view as the camera's own and as slow a read-out, on coarser pixels, without the lens's blur.
+COARSE = replace(CAMERA, pixel_pitch_um=17.0 * 8, row_time_us=63.5 * 8, diffraction=False, blur_sigma_px=0.0)
+
+
+@pytest.mark.parametrize("render_px", [0.0, 20.0])
+def test_a_rolling_and_racing_view_is_right_against_64_instants_per_time_constant(render_px):
+    taken, looks = exposure(COARSE, rocket, render_px=render_px)
+    now = textured(COARSE, rocket(0.0))
+    signal, how = taken.signal(at_rest(COARSE), 0.0, now)
+    assert 4.5 < how["motion_px"] < 5.5 and how["renders"] == len(looks) + 1
+    assert how["renders"] < 0.5 * how["instants"] if render_px else how["renders"] == how["instants"]
+    seen = radiance_of(signal, taken)
+    rows = range(3, 64, 12)
+    expected = past_of(COARSE, rocket, taken._delays, rows)
+    mk = lambda image: 1e3 / SLOPE * np.sqrt(np.mean((image - expected) ** 2))  # noqa: E731
+    assert mk(seen[list(rows)]) < 20.0
+    assert mk(now[list(rows)]) > 100.0
+
+
+def past_of(camera, path, delays, rows):
+    """Radiance of some rows as 64 instants per time constant make it, (len(rows), W)."""
+    times = (np.arange(-8 * 64, 0) + 0.5) / 64 * TAU
+    found = []
+    for row in rows:
+        past = [textured(camera, path(delays[row] + t), slice(row, row + 1))[0] for t in times]
+        found.append(np.average(past, axis=0, weights=np.exp(times / TAU)))
+    return np.array(found)
+
+
+@pytest.mark.parametrize("speed", [10.0, 60.0])
+def test_a_gliding_view_is_right_from_one_image(speed):
+    path = lambda time_s: pose(speed * time_s, 0.0, 100.0, 20.0, -60.0)  # noqa: E731
+    taken, looks = exposure(COARSE, path)
+    now, rows = textured(COARSE, path(0.0)), range(3, 64, 12)
+    signal, how = taken.signal(at_rest(COARSE), 0.0, now)
+    assert 0.02 < how["motion_px"] < 0.8 and how["renders"] == 1 and not looks
+    expected = past_of(COARSE, path, taken._delays, rows)
+    mk = lambda image: 1e3 / SLOPE * np.sqrt(np.mean((image[list(rows)] - expected)[:, 3:-3] ** 2))  # noqa: E731
+    # OpenCV moves images by whole 32nds of a pixel, 0.01 pixels root mean square.
+    gradient = np.hypot(*np.gradient(now.astype(float))).mean() * 1e3 / SLOPE
+    assert mk(radiance_of(signal, taken)) < 0.03 * gradient < 0.5 * mk(now)
+
+
+def test_a_slow_view_is_one_image_with_the_memory_of_those_before():
+    camera = replace(COARSE, row_time_us=0.0)
+    slow = lambda time_s: pose(0.2 * time_s, 0.0, 100.0, 0.0, -90.0)  # noqa: E731
+    taken, looks = exposure(camera, slow, rate_hz=30.0)
+    rng = np.random.default_rng(0)
+    images = [(K295 + rng.normal(size=(64, 80))).astype(np.float32) for _ in range(4)]
+    expected, old = images[0].astype(float), np.exp(-1 / 30.0 / TAU)
+    for index, image in enumerate(images):
+        how = taken.read(index, index / 30.0, image)[1]
+        expected = image + old * (expected - image)
+        assert (how["instants"], how["renders"]) == (1, 1) and how["motion_px"] < 0.1
+    np.testing.assert_allclose(radiance_of(taken.membrane.signal, taken), expected, rtol=1e-6)
+    assert not looks
+
+
+@pytest.mark.parametrize("path", [rocket, lambda time_s: pose(0, 0, 100, 0, -90)])
+def test_a_state_restored_gives_the_same_bytes(path):
+    def read(taken, index):
+        return taken.read(index, index / 30.0, textured(COARSE, path(index / 30.0)) + 10.0 * index)[0].tobytes()
+
+    whole, _ = exposure(COARSE, path)
+    frames = [read(whole, index) for index in range(3)]
+    part, _ = exposure(COARSE, path)
+    for index in range(2):
+        read(part, index)
+    resumed, _ = exposure(COARSE, path)
+    resumed.restore({name: np.array(value) for name, value in part.state().items()})
+    assert read(resumed, 2) == frames[2]
+    # It is what is remembered that makes them so.
+    fresh, _ = exposure(COARSE, path)
+    assert read(fresh, 2) != frames[2]
+
+
+def test_a_frozen_image_is_the_last_one_before():
+    camera = replace(COARSE, ffc_interval_s=0.2, ffc_duration_s=0.08)
+    taken, _ = exposure(camera, lambda time_s: pose(0, 0, 100, 0, -90))
+    scene = textured(camera, pose(0, 0, 100, 0, -90))
+    counts = [taken.read(index, index / 30.0, scene + 0.1 * index)[0] for index in range(10)]
+    told = [taken.read(index, index / 30.0, scene)[1]["frozen"] for index in range(6, 10)]
+    assert all((counts[index] == counts[5]).all() for index in (6, 7, 8))
+    assert (counts[9] != counts[5]).any() and told == [True, True, True, False]
+
+
+def test_schedule_grows_coarser_with_age_and_is_bounded():
+    delays = detector.row_delays(load_camera("zenmuse-xt2"))
+    plan = schedule(5.0, delays, TAU, 40.0, 5.0 + delays[0] - 0.08)
+    gaps = np.diff(plan.times_s)
+    assert plan.times_s[0] == pytest.approx(5.0 + delays[0] - 0.08) and plan.times_s[-1] == 5.0 + delays[-1]
+    assert plan.times_s[plan.own] == 5.0 and plan.own in plan.renders
+    # Three pixels at 40 pixels a time constant, and e^(8/3) times that at the oldest.
+    assert gaps[-10:].max() == pytest.approx(3.2 / 40.0 * TAU, rel=0.02) and gaps[1] > 8.0 * gaps[-1]
+    assert 8 <= len(plan.renders) <= 16 and 60 <= len(plan.times_s) <= 100
+    assert len(schedule(5.0, delays, TAU, 1e5, 4.9).times_s) <= 403
+    few = schedule(5.0, delays, TAU, 0.9, 5.0 + delays[0] - 0.08)
+    assert len(few.renders) == 1 and len(few.times_s) <= 10
+
+
+def test_validation_measures_lag_blur_and_chain(tmp_path, monkeypatch):
+    from scenes import write_terrain
+    from thermorender.validate import sensor as validation
+
+    # An eighth of its renders are enough to see that it measures.
+    monkeypatch.setattr(validation, "REFERENCE", 8)
+    sensor = validation.sensor
+    folder = write_terrain(tmp_path / "scene", height=np.zeros((48, 48)), extra='[camera]\nmodel = "small.toml"\n')
+    shipped = (Path(detector.__file__).parent / "cameras" / "zenmuse-xt2.toml").read_text(encoding="utf-8")
+    small = shipped.replace("width = 640", "width = 64").replace("height = 512", "height = 48")
+    (folder / "small.toml").write_text(small.replace("row_time_us = 63.5", "row_time_us = 635"), encoding="utf-8")
+    result = sensor(tmp_path / "out", folder, ("drone, low",))
+    records = result["lag"]["drone, low"]
+    flown = next(record for record in records if (record["lag_mk"], record["render_px"]) == (10.0, 20.0))
+    assert flown["all_mk"] < 0.25 * records[0]["all_mk"] and flown["renders"] < flown["instants"]
+    errors = {(record["fine"], record["coarse"]): record["error_mk"] for record in result["blur"]}
+    assert errors[7, 5] < errors[5, 0] < errors[1, 0]
+    assert 0.0 < result["chain"]["standing_ratio"] and 0.0 < result["chain"]["gliding_ratio"]
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {
+        "sensor.json", "sensor.md", "sensor.png", "effects.png",
+    }  # fmt: skip
+    with pytest.raises(ThermorenderError, match="flight 'balloon' is unknown; give some of rocket, down"):
+        sensor(tmp_path / "out", folder, ("balloon",))

@@ -1,0 +1,310 @@
+"""A sequence of images as a microbolometer takes them: each pixel remembers, and rows are read one after another.
+
+Where the image hardly moves within a time constant, one radiance image per frame is enough. Where it moves, the power
+on the pixels is followed through instants close to each other, linear in time between them, and the response to that
+is exact. Few of these instants need a rendered image: between renders, an image is moved as the ground moves, and what
+comes from the render before and the render after is blended.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from thermorender.physics.planck import band_radiance_derivative
+from thermorender.sensor.chain import in_sequence
+from thermorender.sensor.detector import Membrane, advanced, read_rows, row_delays, steady, stepped
+from thermorender.sensor.motion import homography, motion_px, moved, pixel_grid, places
+from thermorender.sensor.noise import NETD_REFERENCE_K
+
+# Motion within a time constant up to which a frame is one image [px].
+STILL_PX = 0.02
+# Motion up to which one image, moved along straight lines to a few ages, stands for the past [px]. These ages [time
+# constants] and weights integrate cubics against e⁻ᵃ exactly (Gauss–Laguerre).
+GLIDE_PX = 0.8
+_AGES, _WEIGHTS = np.polynomial.laguerre.laggauss(2)
+# Time constants that a pixel remembers: e⁻⁸ of 15 K is 5 mK.
+MEMORY = 8.0
+# Error allowed to the spacing of instants [mK], and motion between two renders [px].
+LAG_MK, RENDER_PX = 10.0, 20.0
+# Root mean square errors over a frame, from above; found on heath from 100 and 120 m, where radiance changes by 0.7 K
+# per pixel. Of instants d pixels apart at v pixels per time constant: the first times d² min(1, d/v); of images that
+# are moved: the second; of moving one image to a few ages: the third times v².
+_INSTANT_MK, _MOVED_MK, _GLIDE_MK = 12.0, 15.0, 42.0
+MOST_INSTANTS = 400
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Instants of one frame.
+
+    Attributes
+    ----------
+    times_s : (n,) float64
+        Increasing; the last is that of the last row [s].
+    renders : (m,) int64
+        Which of them are rendered.
+    own : int
+        Which instant is the frame's own time; it is rendered.
+    row_times_s : (H,) float64
+        When each row is read [s].
+    spacing_px : float
+        Motion between two instants [px].
+    """
+
+    times_s: np.ndarray
+    renders: np.ndarray
+    own: int
+    row_times_s: np.ndarray
+    spacing_px: float
+
+
+class Exposure:
+    """What a flight keeps of its sensor from one frame to the next.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    look : callable
+        Time [s] → (H, W) float32 band radiance then [W m⁻² sr⁻¹].
+    pose_at : callable
+        Time [s] → (4, 4) world_from_camera.
+    ground_at : callable
+        Pose → height of the ground seen from there, taken as level [m, local up].
+    interval_s : float
+        From one frame to the next [s].
+    render_px : float
+        Motion between two renders [px], between which images are moved as the ground moves; 0: every instant is
+        rendered.
+    lag_mk : float
+        Error allowed to the spacing of instants [mK].
+    """
+
+    def __init__(self, sensor, look, pose_at, ground_at, interval_s, render_px=RENDER_PX, lag_mk=LAG_MK):
+        self.sensor, self._look, self._pose_at, self._ground_at = sensor, look, pose_at, ground_at
+        self.interval_s = interval_s
+        self._delays = row_delays(sensor.camera, interval_s)
+        self._render_px, self._lag_mk = render_px, lag_mk
+        self.membrane, self.held = None, None
+
+    def read(self, index, time_s, radiance):
+        """Return (counts (H, W) uint16, how they were made) of one frame; frames come in order.
+
+        Parameters
+        ----------
+        index : int
+            Number of the frame, from 0 at the start of the flight.
+        time_s : float
+            The frame's time: the middle of its read-out [s].
+        radiance : (H, W) float32
+            As seen at that time [W m⁻² sr⁻¹].
+
+        Returns
+        -------
+        counts : (H, W) uint16
+        how : dict
+            frozen (by a flat-field correction), and as by `signal`.
+        """
+        moment = in_sequence(self.sensor.camera, index, index * self.interval_s)
+        if moment.frozen and self.held is not None:
+            # The shutter stays closed for many time constants: nothing of before is remembered.
+            self.membrane = None
+            return self.held, {"frozen": True, "motion_px": None, "instants": 0, "renders": 1, "lag_mk": None}
+        signal, how = self.signal(moment, time_s, radiance)
+        self.held = self.sensor.counts(signal, moment)
+        return self.held, {"frozen": False, **how}
+
+    def signal(self, moment, time_s, radiance):
+        """Return (signal (H, W) float32 [W], how it was made) that the read-out of one frame starts from.
+
+        `how` holds motion_px (within a time constant), instants, renders, and lag_mk: estimated error of the lag, root
+        mean square over the frame [mK].
+        """
+        motion, between = self._motion(time_s), bool(self._render_px)
+        if motion <= STILL_PX:
+            signal = self._still(time_s, self.sensor.power(radiance, moment))
+            late = np.hypot(1.0, np.std(self._delays) / (self.sensor.camera.time_constant_s or np.inf))
+            instants, renders, error = 1, 1, motion * late * _gradient_mk(radiance, self.sensor)
+        elif motion <= GLIDE_PX and between and self.sensor.camera.time_constant_s:
+            signal = self._gliding(time_s, radiance, moment)
+            instants, renders, error = len(_AGES), 1, np.hypot(_MOVED_MK, _GLIDE_MK * motion**2)
+        else:
+            plan = self._schedule(time_s, motion)
+            signal = self._moving(plan, radiance, moment)
+            instants, renders = len(plan.times_s), len(plan.renders)
+            error = np.hypot(_instants_mk(plan.spacing_px, motion), _MOVED_MK * between)
+        told = {"motion_px": round(motion, 3), "instants": instants, "renders": renders}
+        return signal, told | {"lag_mk": round(float(error), 1)}
+
+    def state(self):
+        """Return {name: array} of what the next frame depends on."""
+        arrays = {"held": self.held} if self.sensor.camera.ffc_interval_s else {}
+        if self.membrane is not None:
+            arrays |= {"time_s": np.float64(self.membrane.time_s)}
+            arrays |= {"signal": self.membrane.signal, "power": self.membrane.power}
+        return arrays
+
+    def restore(self, arrays):
+        """Take over a `state`."""
+        self.held = arrays.get("held")
+        self.membrane = None
+        if "signal" in arrays:
+            self.membrane = Membrane(float(arrays["time_s"]), arrays["signal"], arrays["power"])
+
+    def _motion(self, time_s):
+        camera = self.sensor.camera
+        # Without a time constant only the read-out of the rows takes time.
+        span = camera.time_constant_s or self._delays[-1] - self._delays[0]
+        if not span:
+            return 0.0
+        now, before = self._pose_at(time_s), self._pose_at(time_s - span)
+        return motion_px(camera, now, before, self._ground_at(now))
+
+    def _schedule(self, time_s, motion):
+        time_constant_s = self.sensor.camera.time_constant_s
+        since_s = time_s + self._delays[0] - MEMORY * time_constant_s
+        if self.membrane is not None:
+            since_s = max(since_s, self.membrane.time_s)
+        return schedule(time_s, self._delays, time_constant_s, motion, since_s, self._lag_mk, self._render_px)
+
+    def _still(self, time_s, power):
+        time_constant_s = self.sensor.camera.time_constant_s
+        if not time_constant_s:
+            return power
+        before = self.membrane or steady(time_s, power)
+        self.membrane = stepped(before, time_s, power, time_constant_s)
+        return self.membrane.signal
+
+    def _gliding(self, time_s, radiance, moment):
+        """The signal of each row at its own time, from one image that is moved to a few ages, (H, W) float32 [W]."""
+        camera, image = self.sensor.camera, self.sensor.blurred(radiance)
+        now, before = (self._pose_at(time_s - ago) for ago in (0.0, camera.time_constant_s))
+        column, row = pixel_grid(camera)
+        right, down = places(camera, homography(now, before, self._ground_at(now)))
+        right -= column
+        down -= row
+        total = np.zeros_like(image)
+        for age, weight in zip(_AGES, _WEIGHTS.astype(np.float32), strict=True):
+            ago = (age - self._delays / camera.time_constant_s).astype(np.float32)[:, None]
+            # The blur of linear interpolation counts little at a small weight.
+            total += weight * moved(image, column + right * ago, row + down * ago, coarsely=weight < 0.2)
+        # Nothing that stands still is forgotten: the next frame sees it where it was.
+        self.membrane = None
+        return self.sensor.power(total, moment, blurred=True)
+
+    def _moving(self, plan, radiance, moment):
+        """The signal of each row at its own time, (H, W) float32 [W]."""
+        time_constant_s = self.sensor.camera.time_constant_s
+        signal, done = np.empty_like(radiance), 0
+        if self.membrane is not None and self.membrane.time_s < plan.times_s[0]:
+            self.membrane = None
+        for time_s, power in self._powers(plan, radiance, moment):
+            if self.membrane is None:
+                self.membrane = steady(time_s, power)
+            until = len(plan.row_times_s)
+            if time_s < plan.times_s[-1]:
+                until = np.searchsorted(plan.row_times_s, time_s, "right")
+            if until > done:
+                rows = slice(done, until)
+                read_rows(self.membrane, time_s, power, plan.row_times_s[rows], rows, time_constant_s, signal)
+                done = until
+            self.membrane = advanced(self.membrane, time_s, power, time_constant_s)
+        return signal
+
+    def _powers(self, plan, radiance, moment):
+        """Yield (time, absorbed power) of each instant of a schedule, in order."""
+        times, renders, seen = plan.times_s, plan.renders, {}
+        for number, time_s in enumerate(times):
+            before = renders[max(np.searchsorted(renders, number, "right") - 1, 0)]
+            after = renders[min(np.searchsorted(renders, number), len(renders) - 1)]
+            for render in (before, after):
+                if render not in seen:
+                    image = radiance if render == plan.own else self._look(times[render])
+                    seen[render] = self.sensor.blurred(image)
+            seen = {render: seen[render] for render in (before, after)}
+            images = [(times[render], image) for render, image in seen.items()]
+            yield time_s, self.sensor.power(self._between(images, time_s), moment, blurred=True)
+
+    def _between(self, images, time_s):
+        """The image at a time, from one or two images (time, (H, W) float32) of before and after."""
+        if images[0][0] == time_s:
+            return images[0][1]
+        camera, wanted = self.sensor.camera, self._pose_at(time_s)
+        ground_m = self._ground_at(wanted)
+        found = []
+        for at, image in images:
+            column, row = places(camera, homography(self._pose_at(at), wanted, ground_m))
+            inside = (np.abs(column + 0.5 - 0.5 * camera.width) <= 0.5 * camera.width) & (
+                np.abs(row + 0.5 - 0.5 * camera.height) <= 0.5 * camera.height
+            )
+            found.append((moved(image, column, row), inside))
+        if len(found) == 1:
+            return found[0][0]
+        (first, in_first), (second, in_second) = found
+        share = (time_s - images[0][0]) / (images[1][0] - images[0][0])
+        # Where one of them does not see the place, the other counts alone.
+        weight = np.where(in_first == in_second, np.float32(share), in_second.astype(np.float32))
+        second -= first
+        second *= weight
+        return np.add(first, second, out=first)
+
+
+def schedule(time_s, delays, time_constant_s, motion, since_s, lag_mk=LAG_MK, render_px=RENDER_PX):
+    """Return the Schedule of a frame.
+
+    Parameters
+    ----------
+    time_s : float
+        Of the frame [s].
+    delays : (H,) array
+        When each row is read, against that [s].
+    time_constant_s : float
+        Of a pixel [s]; where 0, `motion` is that during the read-out.
+    motion : float
+        Of the image within a time constant, above 0 [px].
+    since_s : float
+        From when on the power matters [s].
+    lag_mk : float
+        Error allowed to the spacing of instants [mK].
+    render_px : float
+        Motion between two renders [px]; 0: every instant is rendered.
+
+    Notes
+    -----
+    Of the integral of a curved function against e⁻ᵃ, the trapezoids' errors are balanced where their widths grow as
+    e^(a/3); so do the spans between instants before the first row is read, and those between renders.
+    """
+    span = time_constant_s or delays[-1] - delays[0]
+    rows = time_s + delays
+    age_scale = 3.0 * time_constant_s or np.inf
+    wanted_px = max(np.sqrt(lag_mk / _INSTANT_MK), np.cbrt(lag_mk * motion / _INSTANT_MK))
+    step = wanted_px / motion * span
+    while True:
+        times = [rows[-1]]
+        while times[-1] > since_s and len(times) <= MOST_INSTANTS:
+            times.append(times[-1] - step * np.exp(max(rows[0] - times[-1], 0.0) / age_scale))
+        if len(times) <= MOST_INSTANTS:
+            break
+        step *= 1.25
+    times = np.unique([since_s, time_s, *times[:-1]])
+    age = np.maximum(rows[0] - 0.5 * (times[1:] + times[:-1]), 0.0)
+    way = np.concatenate([[0.0], np.cumsum(np.diff(times) * motion / span * np.exp(-age / age_scale))])
+    own = int(np.searchsorted(times, time_s))
+    renders = np.arange(len(times))
+    if render_px:
+        way -= way[own]
+        least, most = (int(np.ceil(abs(end) / render_px - 0.5)) for end in way[[0, -1]])
+        wanted = np.arange(-least, most + 1) * render_px
+        renders = np.unique(np.abs(way[:, None] - wanted).argmin(axis=0))
+    return Schedule(times, renders, own, rows, float(min(step, times[-1] - times[0]) * motion / span))
+
+
+def _instants_mk(spacing_px, motion):
+    """Estimated error of instants [mK] that are `spacing_px` apart at `motion` pixels per time constant."""
+    return _INSTANT_MK * spacing_px**2 * min(1.0, spacing_px / motion)
+
+
+def _gradient_mk(radiance, sensor):
+    """Root mean square change of an image from pixel to pixel [mK]."""
+    change = np.diff(radiance[::8]), np.diff(radiance[:, ::8], axis=0)
+    per_mk = 1e-3 * band_radiance_derivative(NETD_REFERENCE_K, *sensor.camera.band_um)
+    return np.sqrt(0.5 * sum(float(np.mean(part**2)) for part in change)) / per_mk

@@ -1,0 +1,194 @@
+"""Read FLIR's radiometric JPEGs: the raw signal, the factory's constants and the operator's settings.
+
+The container ("FFF") is cut into the JPEG's APP1 segments. It holds a directory of records; the raw image is
+record 1 (16-bit values, plain or as PNG with swapped bytes) and the camera's block is record 0x20. Places of the
+fields: the FLIR tables of ExifTool's documentation (https://exiftool.org/TagNames/FLIR.html).
+"""
+
+import io
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.sensor.radiometry import AirModel, Operator, PlanckConstants, operator_temperature
+from thermorender.units import ZERO_CELSIUS_K
+
+_RAW, _CAMERA = 0x01, 0x20
+_MOST_PIXELS = 1 << 26
+_MOST_RECORDS = 512
+
+
+@dataclass(frozen=True)
+class RadiometricJpeg:
+    """One radiometric JPEG.
+
+    Attributes
+    ----------
+    raw : (H, W) uint16
+        Signal of the detector.
+    planck : PlanckConstants
+        Of the factory's calibration, with `raw` as the signal.
+    operator : Operator
+        Settings stored with the picture.
+    air : AirModel
+    camera : dict
+        model, serial, lens, range_c (the calibrated range) and scale_raw (the signals at the ends of the colour
+        scale beside the picture; None where the file tells none).
+    """
+
+    raw: np.ndarray
+    planck: PlanckConstants
+    operator: Operator
+    air: AirModel
+    camera: dict
+
+    def temperature(self, operator=None):
+        """Return what the software shows, (H, W) float64 [K], with the stored or other settings."""
+        return operator_temperature(self.raw, self.planck, operator or self.operator, self.air)
+
+
+def read_flir_jpeg(path):
+    """Return the RadiometricJpeg of a file.
+
+    Raises
+    ------
+    ThermorenderError
+        No radiometric JPEG of FLIR, or a damaged one; the message says what is missing.
+    """
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ThermorenderError(f"{path} cannot be read: {error.strerror}; give a radiometric JPEG") from None
+    try:
+        records = _records(_container(data))
+        missing = [name for kind, name in ((_RAW, "raw image"), (_CAMERA, "camera block")) if kind not in records]
+        if missing:
+            raise _Damaged(f"it holds no {' and no '.join(missing)}")
+        return RadiometricJpeg(_raw_image(records[_RAW]), **_camera_block(records[_CAMERA]))
+    except (_Damaged, ThermorenderError) as error:
+        reason = str(error)
+    except struct.error:
+        reason = "a record ends too early"
+    raise ThermorenderError(f"{path} is no whole FLIR radiometric JPEG: {reason}; give the camera's original file")
+
+
+class _Damaged(Exception):
+    """What is wrong with the file's contents, as half a sentence."""
+
+
+def _container(data):
+    """The FFF container, joined from the JPEG's APP1 segments by their number."""
+    if data[:2] != b"\xff\xd8":
+        raise _Damaged("it is no JPEG")
+    parts, place = {}, 2
+    while place + 4 <= len(data) and data[place] == 0xFF:
+        marker, length = data[place + 1], int.from_bytes(data[place + 2 : place + 4], "big")
+        segment = data[place + 4 : place + 2 + length]
+        if marker == 0xE1 and segment[:5] == b"FLIR\0" and len(segment) > 8:
+            parts[segment[6]] = segment[8:]
+            last = segment[7]
+        if marker in (0xD9, 0xDA) or length < 2:
+            break
+        place += 2 + length
+    if not parts:
+        raise _Damaged("it carries no FLIR data (DJI's own format needs DJI's software)")
+    if sorted(parts) != list(range(last + 1)):
+        raise _Damaged(f"{last + 1} pieces of FLIR data are announced and {len(parts)} are there")
+    return b"".join(parts[number] for number in sorted(parts))
+
+
+def _records(container):
+    """{kind: bytes} of the container's records, the first of each kind."""
+    if container[:4] not in (b"FFF\0", b"AFF\0") or len(container) < 64:
+        raise _Damaged("the FLIR data do not begin with FFF")
+    # The version, 100 to 199, tells the order of bytes.
+    order = ">" if 100 <= struct.unpack(">I", container[20:24])[0] < 200 else "<"
+    start, count = struct.unpack(order + "II", container[24:32])
+    records = {}
+    for k in range(min(count, _MOST_RECORDS)):
+        entry = container[start + 32 * k : start + 32 * k + 32]
+        kind = struct.unpack(order + "H", entry[:2])[0]
+        offset, length = struct.unpack(order + "II", entry[12:20])
+        if kind and kind not in records:
+            records[kind] = container[offset : offset + length]
+    return records
+
+
+def _order(record):
+    """Each record tells its own order of bytes by a leading 2."""
+    return "<" if record[:2] == b"\x02\x00" else ">"
+
+
+def _raw_image(record):
+    order = _order(record)
+    width, height = struct.unpack(order + "HH", record[2:6])
+    pixels = record[32:]
+    if not 0 < width * height <= _MOST_PIXELS:
+        raise _Damaged(f"the raw image is {width}×{height} pixels")
+    if pixels[:8] == b"\x89PNG\r\n\x1a\n":
+        raw = _png(pixels, (width, height))
+        # PNG knows big-endian values only; cameras that think little-endian store theirs without turning them.
+        return raw.byteswap() if order == "<" else raw
+    if len(pixels) < 2 * width * height:
+        raise _Damaged(f"the raw image has {len(pixels)} of {2 * width * height} bytes")
+    return np.frombuffer(pixels, order + "u2", width * height).reshape(height, width).astype(np.uint16)
+
+
+def _png(data, size):
+    import warnings
+
+    from PIL import Image
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
+                if image.size != size or image.mode not in ("I;16", "I;16B", "I"):
+                    raise _Damaged(f"the PNG inside is {image.size[0]}×{image.size[1]} {image.mode}")
+                return np.asarray(image).astype(np.uint16)
+    except (OSError, SyntaxError, ValueError, Warning, struct.error) as error:
+        raise _Damaged(f"the PNG inside cannot be read: {error}") from None
+
+
+def _camera_block(record):
+    order = _order(record)
+
+    def number(place, kind="f"):
+        return struct.unpack_from(order + kind, record, place)[0]
+
+    def text(place, length):
+        return record[place : place + length].split(b"\0")[0].decode("latin-1").strip()
+
+    planck = PlanckConstants(
+        r1=number(0x58), b=number(0x5C), f=number(0x60), o=float(number(0x308, "i")), r2=number(0x30C)
+    )
+    finite = np.isfinite([planck.r1, planck.b, planck.f, planck.r2]).all()
+    if not (finite and planck.r1 > 0.0 and planck.b > 0.0 and planck.r2 > 0.0):
+        raise _Damaged("its Planck constants are not positive numbers")
+    humidity = number(0x3C)
+    operator = Operator(
+        emissivity=number(0x20),
+        distance_m=number(0x24),
+        reflected_c=number(0x28) - ZERO_CELSIUS_K,
+        air_c=number(0x2C) - ZERO_CELSIUS_K,
+        window_c=number(0x30) - ZERO_CELSIUS_K,
+        window_transmittance=number(0x34),
+        # Some cameras store per cent.
+        humidity=humidity / 100.0 if humidity > 2.0 else humidity,
+    )
+    air = AirModel(*(number(place) for place in (0x70, 0x74, 0x78, 0x7C, 0x80)))
+    if not np.isfinite([air.alpha1, air.alpha2, air.beta1, air.beta2, air.x]).all() or air.x == 0.0:
+        air = AirModel()
+    middle, span = number(0x338, "H"), number(0x33C, "i")
+    camera = {
+        "model": text(0xD4, 32),
+        "serial": text(0x104, 16),
+        "lens": text(0x170, 32),
+        "range_c": (number(0x94) - ZERO_CELSIUS_K, number(0x90) - ZERO_CELSIUS_K),
+        "scale_raw": (middle - span / 2, middle + span / 2) if middle else None,
+    }
+    return {"planck": planck, "operator": operator, "air": air, "camera": camera}

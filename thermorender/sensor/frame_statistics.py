@@ -1,0 +1,273 @@
+"""What a sequence of frames tells of its camera's noise, without knowing the scene.
+
+The lens lets no fine detail through, so in flat parts of a picture the highest frequencies are the noise's own. What
+is the same on the detector in every frame is the fixed pattern: the mean product of different frames' spectra, from
+which the scene of a moving camera drops out. Noise of whole rows and columns stands in a spectrum as two lines over
+their surroundings.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+
+# Sides of the blocks in which flat parts are looked for [px], and the share of them taken for flat.
+_BLOCK, _FLAT = 32, 0.1
+# What tells flat from not, and where the noise is read [cycles per pixel]: apart, so that choosing blocks by one
+# does not choose the other.
+_TEXTURE, _FINE = (0.1, 0.22), (0.5, 0.71)
+# Share of the power of a scene's texture that passes lens and pixel as finest detail, found on simulated heath.
+_LEAK = 0.0015
+# Bins beside an axis hold the leakage of its line; those after, its surroundings.
+_LEAKED, _BESIDE = 3, 13
+# Row and column noise is looked for where little of the scene is left [cycles per pixel].
+_LINE_FROM = 0.3
+# Power of Hann's window in its middle line over that of a flat window, and how many of its neighbouring frequencies
+# tell as much as one that stands alone.
+_HANN_LINE, _HANN_ALIKE = 2.0 / 3.0, 3.8
+
+
+class Spectra:
+    """Power spectra of frames of one size, gathered frame by frame.
+
+    Parameters
+    ----------
+    shape : (H, W)
+    gain : (H, W) array, optional
+        By how much the flat-field correction raises each pixel's own noise; 1 everywhere where None.
+
+    Attributes
+    ----------
+    shape : (H, W)
+    count : int
+        Frames gathered.
+    image : (H, W) float64
+        Mean frame.
+    """
+
+    def __init__(self, shape, gain=None):
+        self.shape, self.count, self._blocks = shape, 0, []
+        self.gain = np.ones(shape) if gain is None else gain
+        self._image, self._power, self._sum = np.zeros(shape), 0.0, 0.0
+        if min(shape) < 3 * _BLOCK:
+            raise ThermorenderError(
+                f"frames of {shape[1]}×{shape[0]} pixels are too small to read noise from; give some of at least "
+                f"{3 * _BLOCK}×{3 * _BLOCK}"
+            )
+
+    def add(self, image):
+        """Add a frame, (H, W) [K]; NaN takes the frame's mean."""
+        if image.shape != self.shape:
+            raise ThermorenderError(
+                f"a frame is {image.shape[1]}×{image.shape[0]} pixels and the others {self.shape[1]}×{self.shape[0]}; "
+                "give frames of one camera"
+            )
+        if not np.isfinite(image).any():
+            raise ThermorenderError("a frame has no finite value; leave it out")
+        image = np.where(np.isfinite(image), image, np.nanmean(image))
+        spectrum = _spectrum(image - image.mean())
+        self.count += 1
+        self._image += image
+        self._power, self._sum = self._power + np.abs(spectrum) ** 2, self._sum + spectrum
+        self._blocks.append(block_powers(image))
+
+    @property
+    def image(self):
+        return self._image / self.count
+
+    @property
+    def total(self):
+        """Mean power of a frame, (H, W//2+1) [K²]; white noise of variance σ² has σ² at every frequency."""
+        return self._power / self.count
+
+    @property
+    def fixed(self):
+        """Mean power of what is the same in every frame, (H, W//2+1) [K²], unbiased; None of a single frame."""
+        if self.count == 1:
+            return None
+        return (np.abs(self._sum) ** 2 - self._power) / (self.count * (self.count - 1))
+
+    @property
+    def blocks(self):
+        """Powers of texture and of the finest detail in each block of each frame, (n, 2) [K²]."""
+        return np.concatenate(self._blocks)
+
+    def frequencies(self):
+        """Return the frequencies (H, 1) down and (1, W//2+1) to the right [cycles per pixel]."""
+        return np.fft.fftfreq(self.shape[0])[:, None], np.fft.rfftfreq(self.shape[1])[None]
+
+    def off_axis(self, band):
+        """Return which frequencies lie in a band (low, high) and beside both axes, (H, W//2+1) bool."""
+        down, right = self.frequencies()
+        radius = np.hypot(down, right)
+        beside = (np.abs(down) * self.shape[0] > _LEAKED) & (right * self.shape[1] > _LEAKED)
+        return beside & (radius >= band[0]) & (radius < band[1])
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations of the parts of the noise as they are seen in the frames [K], each (value, uncertainty).
+
+    Attributes
+    ----------
+    pixel, row, column : (2,) floats
+        What changes with each frame, where the gain of the flat-field correction is 1; of a single frame, all there
+        is.
+    fixed_pixel, fixed_row, fixed_column : (2,) floats or None
+        What stays; None of a single frame.
+    still : bool
+        Whether the camera stood still, so that the scene is in every frame.
+    """
+
+    pixel: tuple
+    row: tuple
+    column: tuple
+    fixed_pixel: tuple | None = None
+    fixed_row: tuple | None = None
+    fixed_column: tuple | None = None
+    still: bool = False
+
+
+def noise_of(spectra):
+    """Return the Noise behind Spectra.
+
+    Notes
+    -----
+    From a moving camera the noise of single pixels is that of the flattest tenth of blocks, less what is fixed; it is
+    a bound from above where nothing in the pictures is flat. From a still one it is what differs between frames, and
+    the fixed part is read in the flattest blocks of the mean frame. Rows and columns of the scene itself (fields,
+    roofs) pass for temporal row and column noise of a moving camera.
+    """
+    window = _window(spectra.shape) ** 2
+    seen_gain = float((window * spectra.gain**2).sum() / window.sum())
+    lines = [(value / seen_gain, error / seen_gain) for value, error in _lines(spectra, spectra.total, spectra.count)]
+    blocks = spectra.blocks
+    gains = np.tile(block_means(spectra.gain**2), spectra.count)
+    if spectra.count == 1:
+        return Noise(_sigma(*_flat_power(blocks, gains, 0.0)), *(_sigma(*line) for line in lines))
+    fine, coarse = (spectra.off_axis(band) for band in (_FINE, _TEXTURE))
+    fixed_lines = _lines(spectra, spectra.fixed, None)
+    changing = [
+        (whole[0] - still[0] / seen_gain, np.hypot(whole[1], still[1] / seen_gain))
+        for whole, still in zip(lines, fixed_lines, strict=True)
+    ]
+    alone = fine.sum() / _HANN_ALIKE
+    still = bool(spectra.fixed[coarse].mean() > 0.5 * spectra.total[coarse].mean())
+    if still:
+        temporal = float((spectra.total - spectra.fixed)[fine].mean()) / seen_gain
+        temporal_error = temporal / np.sqrt(alone * (spectra.count - 1))
+        rest = temporal / spectra.count * block_means(spectra.gain**2)
+        power = block_powers(spectra.image)
+        fixed, fixed_error = _flat_power(power, np.ones(len(power)), rest)
+    else:
+        fixed = float(spectra.fixed[fine].mean())
+        # Of the product of frames, and of the pattern being one of many possible.
+        pairs = spectra.count * (spectra.count - 1)
+        fixed_error = np.hypot(spectra.total[fine].mean() / np.sqrt(alone * pairs), fixed / np.sqrt(alone))
+        temporal, temporal_error = _flat_power(blocks, gains, fixed)
+        temporal_error = np.hypot(temporal_error, fixed_error)
+    return Noise(
+        _sigma(temporal, temporal_error),
+        *(_sigma(*line) for line in changing),
+        _sigma(fixed, fixed_error),
+        *(_sigma(*line) for line in fixed_lines),
+        still=still,
+    )
+
+
+def block_powers(image):
+    """Return the powers of texture and of the finest detail in each block of an image, (n, 2) [K²]."""
+    blocks = _cut(image)
+    blocks = blocks - blocks.mean(axis=(1, 2), keepdims=True)
+    # A slope across the block would leak into all frequencies.
+    for slope in np.mgrid[:_BLOCK, :_BLOCK] - 0.5 * (_BLOCK - 1):
+        blocks -= np.tensordot(blocks, slope, axes=2)[:, None, None] / (slope**2).sum() * slope
+    power = np.abs(_spectrum(blocks)) ** 2
+    down, right = np.fft.fftfreq(_BLOCK)[:, None], np.fft.rfftfreq(_BLOCK)[None]
+    radius, beside = np.hypot(down, right), (np.abs(down) * _BLOCK > 2) & (right * _BLOCK > 2) & (right < 0.5)
+    bands = [beside & (radius >= low) & (radius < high) for low, high in (_TEXTURE, _FINE)]
+    return np.stack([power[:, band].mean(axis=1) for band in bands], axis=-1)
+
+
+def block_means(image):
+    """Return the mean of each block of an image, (n,), in the order of `block_powers`."""
+    return _cut(image).mean(axis=(1, 2))
+
+
+def _cut(image):
+    """Blocks (n, side, side) of an image, row by row."""
+    height, width = (n // _BLOCK for n in image.shape)
+    blocks = image[: height * _BLOCK, : width * _BLOCK].reshape(height, _BLOCK, width, _BLOCK)
+    return blocks.transpose(0, 2, 1, 3).reshape(-1, _BLOCK, _BLOCK)
+
+
+def _window(shape):
+    """Hann's window (H, W), without its zero ends."""
+    return np.outer(*(np.hanning(n + 2)[1:-1] for n in shape))
+
+
+def _spectrum(image):
+    """Spectrum (…, H, W//2+1) through Hann's window, so scaled that white noise keeps its variance."""
+    window = _window(image.shape[-2:])
+    return np.fft.rfft2(image * window) / np.sqrt((window**2).sum())
+
+
+def _flat_power(blocks, gains, other):
+    """(power of the finest detail where it is flat, its uncertainty) [K²], per gain and less the power of others."""
+    order = np.argsort(blocks[:, 0] / gains)
+    fine = np.broadcast_to(blocks[:, 1] - other, gains.shape)
+
+    def flattest(share):
+        chosen = order[: max(int(share * len(order)), 4)]
+        spread = fine[chosen].std() / np.sqrt(len(chosen))
+        return fine[chosen].mean() / gains[chosen].mean(), spread / gains[chosen].mean()
+
+    power, error = flattest(_FLAT)
+    # How much more comes in with twice, and how much less is left with half the blocks; and where even the flattest
+    # have texture, what of it gets through.
+    change = 0.5 * (flattest(2.0 * _FLAT)[0] - flattest(0.5 * _FLAT)[0])
+    chosen = order[: max(int(_FLAT * len(order)), 4)]
+    texture = (blocks[chosen, 0] - blocks[chosen, 1]).mean() / gains[chosen].mean()
+    return power, float(np.linalg.norm([error, change, _LEAK * max(texture, 0.0)]))
+
+
+def _lines(spectra, power, count):
+    """((variance of row noise, its uncertainty), the same of columns) [K²] by the excess of the two axes.
+
+    With a number of frames, medians of the powers are taken: scenes have their own rows and columns at some
+    frequencies, noise at all. Powers of mixed sign are averaged.
+    """
+    height, width = spectra.shape
+    down, right = (np.abs(axis).ravel() for axis in spectra.frequencies())
+    beside_rows = power[:, _LEAKED:_BESIDE]
+    beside_columns = np.concatenate([power[_LEAKED:_BESIDE], power[1 - _BESIDE : 1 - _LEAKED]])
+    found = []
+    for line, beside, frequency, length in (
+        (power[:, 0], beside_rows.T, down, width),
+        (power[0], beside_columns, right, height),
+    ):
+        fine = frequency > _LINE_FROM
+        line, beside = line[fine], beside[:, fine].ravel()
+        if count is None:
+            level, around = line.mean(), beside.mean()
+        else:
+            level, around = (np.median(values) / _gamma_median(count) for values in (line, beside))
+        # In the full circle of rows' frequencies each stands twice; Hann's window ties three of a line together.
+        alone = fine.sum() / (2.0 if length == width else 1.0) / np.sqrt(_HANN_ALIKE)
+        scale = 1.0 / (length * _HANN_LINE)
+        found.append(((level - around) * scale, np.std(line) / np.sqrt(alone) * scale))
+    return found
+
+
+def _gamma_median(count):
+    """Median over mean of the average of `count` exponentially distributed powers."""
+    from scipy.special import gammaincinv
+
+    return gammaincinv(count, 0.5) / count
+
+
+def _sigma(variance, error):
+    """(standard deviation, uncertainty) of a variance that may come out below zero."""
+    sigma = np.sqrt(max(variance, 0.0))
+    return float(sigma), float(np.sqrt(max(variance, 0.0) + error) - sigma)

@@ -1,0 +1,125 @@
+"""Table, figure and pictures of what `thermorender.validate.sensor` measures."""
+
+import numpy as np
+
+from thermorender import products
+
+_LAG = ("allowed to instants [mK]", "motion between renders [px]", "instants", "renders", "time [ms]",
+        "smooth pixels [mK]", "all pixels [mK]", "estimate [mK]")  # fmt: skip
+
+
+def table(path, result):
+    """Write a result as Markdown."""
+    chain = result["chain"]
+    lines = [
+        "# The sensor's error against run time",
+        "",
+        f"Camera {result['camera']} over {result['scene']}, 30 frames/s, rows read one after another. From radiance",
+        f"to counts: {chain['standing_ms']:.1f} ms for a camera that stands, {chain['standing_ratio']:.2f} times one",
+        f"`scipy.ndimage.gaussian_filter` of σ = 1 px ({chain['gaussian_ms']:.1f} ms); {chain['gliding_ms']:.1f} ms",
+        f"for a drone's that moves 0.6 px in a time constant, {chain['gliding_ratio']:.2f} times.",
+        "",
+        "## Lag: how a moving view is followed",
+        "",
+        "RMS error of a frame without noise against 64 renders per time constant; smooth pixels see less than 1 K",
+        "within a time constant. Times hold the renders but for the frame's own. In bold what a flight uses.",
+    ]
+    for name, records in result["lag"].items():
+        share, motion = records[0]["smooth_share"], records[0]["motion_px"]
+        lines += ["", f"### {name}: {motion:.1f} px in a time constant, {share:.1%} of the pixels smooth", ""]
+        lines += [f"| {' | '.join(_LAG)} |", "|" + "--:|" * len(_LAG)]
+        for record in records:
+            cells = [
+                "one image" if record["lag_mk"] is None else f"{record['lag_mk']:g}",
+                {None: "", 0.0: "each instant"}.get(record["render_px"], f"{record['render_px'] or 0:g}"),
+                str(record["instants"]), str(record["renders"]), f"{record['ms']:.3g}", _text(record["smooth_mk"]),
+                _text(record["all_mk"]), _text(record["estimate_mk"]),
+            ]  # fmt: skip
+            if (record["lag_mk"], record["render_px"]) == (10.0, 20.0):
+                cells = [f"**{cell}**" for cell in cells]
+            lines.append(f"| {' | '.join(cells)} |")
+    lines += ["", "## Blur: sizes of the lens's kernels", "",
+              "RMS error of two views against the transfer function itself. In bold what is used.", "",
+              "| kernel on pixels | on 8×8 squares | time [ms] | error [mK] | of a scene's contrast |",
+              "|--:|--:|--:|--:|--:|"]  # fmt: skip
+    for record in result["blur"]:
+        cells = [
+            f"{record['fine']}×{record['fine']}" if record["fine"] > 1 else "no blur",
+            f"{record['coarse']}×{record['coarse']}" if record["coarse"] else "",
+            f"{record['ms']:.2f}", f"{record['error_mk']:.1f}",
+            "" if record["predicted"] is None else f"{record['predicted']:.2%}",
+        ]  # fmt: skip
+        if (record["fine"], record["coarse"]) == (7, 5):
+            cells = [f"**{cell}**" for cell in cells]
+        lines.append(f"| {' | '.join(cells)} |")
+    with products.atomic(path) as part:
+        part.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def figure(path, result):
+    """Draw error against run time: of the lag, one panel per flight, and of the blur."""
+    pyplot = _pyplot()
+    flights = result["lag"]
+    drawing, axes = pyplot.subplots(1, len(flights) + 1, figsize=(4.6 * (len(flights) + 1), 4.4), layout="constrained")
+    for axis, (name, records) in zip(axes, flights.items(), strict=False):
+        for label, mark, chosen in (
+            ("one image, no memory", "x", [r for r in records if r["lag_mk"] is None]),
+            ("each instant rendered", "o-", [r for r in records if r["render_px"] == 0.0]),
+            ("moved between renders", "s", [r for r in records if r["render_px"]]),
+        ):
+            for which, colour in (("smooth_mk", "C0"), ("all_mk", "C1")):
+                points = [(r["ms"], r[which]) for r in chosen if r[which]]
+                if points:
+                    tag = {"smooth_mk": "smooth pixels", "all_mk": "all pixels"}[which]
+                    axis.plot(*zip(*points, strict=True), mark, color=colour, ms=5, lw=1, label=f"{label}: {tag}")
+            for record in chosen:
+                if (record["lag_mk"], record["render_px"]) == (10.0, 20.0):
+                    axis.plot(record["ms"], record["all_mk"], "*", color="C1", ms=14, mec="k", label="as flown")
+        axis.set(title=f"{name}: {records[0]['motion_px']:.1f} px per time constant", xlabel="time of a frame [ms]")
+        axis.axhline(20.0, color="0.6", lw=1, ls=":")
+    axis = axes[-1]
+    for label, mark, chosen in (
+        ("on pixels alone", "o-", [r for r in result["blur"] if r["fine"] > 1 and not r["coarse"]]),
+        ("with squares of 8×8", "s-", [r for r in result["blur"] if r["coarse"]]),
+    ):
+        axis.plot([r["ms"] for r in chosen], [r["error_mk"] for r in chosen], mark, ms=5, lw=1, label=label)
+        for record in chosen:
+            place = (record["ms"], record["error_mk"])
+            axis.annotate(f"{record['fine']}×{record['fine']}", place, (4, 4), textcoords="offset points", fontsize=7)
+    axis.set(title="lens's blur", xlabel="time of the blur [ms]")
+    for axis in axes:
+        axis.set(xscale="log", yscale="log", ylabel="RMS error [mK]")
+        axis.grid(True, which="both", lw=0.3, color="0.85")
+        axis.legend(fontsize=7)
+    with products.atomic(path) as part:
+        drawing.savefig(part, dpi=80)
+    pyplot.close(drawing)
+
+
+def pictures(path, images):
+    """Draw images [(title, (H, W) array, unit), …], each with its own scale."""
+    pyplot = _pyplot()
+    drawing, axes = pyplot.subplots(2, -(-len(images) // 2), figsize=(16, 6.6), layout="constrained")
+    for axis, (title, image, unit) in zip(axes.ravel(), images, strict=False):
+        low, high = np.percentile(image, (0.5, 99.5))
+        drawn = axis.imshow(image, cmap="gray", vmin=low, vmax=high, interpolation="nearest")
+        axis.set(title=f"{title} [{unit}]", xticks=[], yticks=[])
+        drawing.colorbar(drawn, ax=axis, shrink=0.75)
+    for axis in axes.ravel()[len(images) :]:
+        axis.axis("off")
+    with products.atomic(path) as part:
+        drawing.savefig(part, dpi=70)
+    pyplot.close(drawing)
+
+
+def _text(value):
+    return "" if value is None else f"{value:.1f}"
+
+
+def _pyplot():
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    return pyplot
