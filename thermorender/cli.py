@@ -1,16 +1,18 @@
 """The command line: one verb per job; it parses, calls and prints."""
 
 import sys
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from thermorender.camera_cli import Base, Frames, Scale, fit_camera, parse_scale
+from thermorender.camera_cli import fit_camera
 from thermorender.errors import ThermorenderError
 from thermorender.materials_cli import app as materials
+from thermorender.terminal import air as parse_air
+from thermorender.terminal import progress, split, table
+from thermorender.validate_cli import app as validate
 
 app = typer.Typer(
     help="Long-wave infrared frames of terrain flights, radiometrically true, in kelvin.",
@@ -19,7 +21,6 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-validate = typer.Typer(help="Hold the renderer against references.", no_args_is_help=True)
 app.add_typer(validate, name="validate")
 app.add_typer(materials, name="materials")
 app.command("fit-camera")(fit_camera)
@@ -88,7 +89,7 @@ def doctor(
     if install:
         typer.echo(install_llvm())
     rows, healthy = examine()
-    _table(("", "", "to mend"), rows)
+    table(("", "", "to mend"), rows)
     if not healthy:
         raise ThermorenderError("no back end renders on this machine; mend the rows above")
 
@@ -134,7 +135,7 @@ def make_scene(
     """Make a procedural scene with known temperatures from a seed."""
     from thermorender.scene import synthetic
 
-    with _progress() as tell:
+    with progress() as tell:
         tell("making the landscape", 0.0)
         folder = synthetic.write(synthetic.make(kind, seed, size_m, texel_m, post_m), output)
     typer.echo(str(folder))
@@ -148,7 +149,7 @@ def plan(scene: SceneName, quality: Quality = "standard", rays: Rays = 128, tole
 
     loaded = _scene(scene, None, None, air)
     typer.echo(str(loaded))
-    _table(("item", "in", "why"), make_plan(loaded, quality, rays=rays, tolerance_mk=tolerance_mk).rows())
+    table(("item", "in", "why"), make_plan(loaded, quality, rays=rays, tolerance_mk=tolerance_mk).rows())
 
 
 @app.command()
@@ -187,9 +188,9 @@ def render(
     if engine not in ("renderer", "reference"):
         raise ThermorenderError(f"--engine={engine!r} is unknown; give renderer or reference")
     look, settings = _look(display, palette), _operator(operator)
-    wanted = files.check(_split(products), settings)
+    wanted = files.check(split(products), settings)
     numbers = parse_numbers("--pose", pose, ("E", "N", "U", "YAW", "PITCH", "ROLL"))
-    with _progress() as tell:
+    with progress() as tell:
         loaded = _scene(scene, temperature, range_c, air)
         east, north, up, *angles = numbers
         if not local_up:
@@ -253,8 +254,8 @@ def fly(
     from thermorender.flight import fly as run
 
     look, settings = _look(display, palette, agc_memory_s), _operator(operator)
-    wanted = files.check(_split(products), settings)
-    with _progress() as tell:
+    wanted = files.check(split(products), settings)
+    with progress() as tell:
         loaded = _scene(scene, temperature, range_c, air)
         path = _trajectory(loaded, trajectory, format, anchor, clock_offset_s, mount, lever_arm_m)
         _above_ground(loaded, path, rate_hz, start_s, stop_s, allow_below_ground)
@@ -290,14 +291,14 @@ def compare(
     from thermorender.scene.load import load_scene
     from thermorender.validate.comparison import compare as run
 
-    with _progress() as tell:
+    with progress() as tell:
         loaded = load_scene(scene)
-        loaded = loaded.with_air(*_air(air)) if air is not None else loaded
+        loaded = loaded.with_air(*parse_air(air)) if air is not None else loaded
         path = _trajectory(loaded, trajectory, format, anchor, 0.0, None, "0,0,0")
         _above_ground(loaded, path, rate_hz, None, None, allow_below_ground)
         with files.output_folder(output):
             summary = run(
-                loaded, path, output, _split(models), rate_hz, _range(range_c), tell,
+                loaded, path, output, split(models), rate_hz, _range(range_c), tell,
                 quality=quality, rays=rays, tolerance_mk=tolerance_mk, seed=seed, device=device,
             )  # fmt: skip
     rows = [
@@ -305,7 +306,7 @@ def compare(
                  ("mean_c", "mean_absolute_c", "std_c")), str(error["pixels"]))
         for name, error in summary["errors"].items()
     ]  # fmt: skip
-    _table(("arm", "mean error [°C]", "mean absolute error [°C]", "standard deviation [°C]", "pixels"), rows)
+    table(("arm", "mean error [°C]", "mean absolute error [°C]", "standard deviation [°C]", "pixels"), rows)
     for name, report in summary["maps"].items():
         typer.echo(
             f"{name}: {report['share_outside_0_1']:.1%} of the texels' intensities lie outside 0…1, "
@@ -328,31 +329,14 @@ def bench(
     from thermorender import products as files
     from thermorender.validate import bench as run
 
-    with _progress() as tell:
+    with progress() as tell:
         scenes = scenes or (() if triangles else ("heath",))
-        result = run.bench(scenes, triangles, texels, repeats, tell, device=device, air=_air(air))
-    _table(run.HEADER, run.rows(result))
+        result = run.bench(scenes, triangles, texels, repeats, tell, device=device, air=parse_air(air))
+    table(run.HEADER, run.rows(result))
     for line in run.costs(result):
         typer.echo(line)
     if output:
         files.write_json(output, result)
-
-
-@validate.command()
-def convergence(
-    scenes: Annotated[list[str] | None, typer.Argument(help="Scenes; default: heath village ridge.")] = None,
-    output: Out = Path("validation"),
-    quick: Annotated[bool, typer.Option("--quick", help="Minutes instead of hours.")] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Measure anew what is there.")] = False,
-    device: Device = "auto",
-):
-    """Error against run time, beside stock Mitsuba, against the path-traced reference."""
-    from thermorender.validate.convergence import SCENES
-    from thermorender.validate.convergence import convergence as run
-
-    with _progress() as tell:
-        run(scenes or SCENES, output, tell, "quick" if quick else "full", overwrite, device)
-    typer.echo(f"table, numbers and figures in {output}")
 
 
 @app.command()
@@ -388,7 +372,7 @@ def train_emissivity(
     from thermorender.learned.emissivity import save_map
     from thermorender.scene.material_training import train_on
 
-    with _progress() as tell:
+    with progress() as tell:
         model, confusion = train_on(scenes or (), labels, output.stem, texel_m, lights, seed, tell)
         output.parent.mkdir(parents=True, exist_ok=True)
         save_map(model, output)
@@ -397,7 +381,7 @@ def train_emissivity(
         (name, str(row.sum()), f"{row[k] / row.sum():.1%}" if row.sum() else "not tested")
         for k, (name, row) in enumerate(zip(model.materials, confusion, strict=True))
     ]
-    _table(("material", "texels held out", "right"), rows)
+    table(("material", "texels held out", "right"), rows)
     typer.echo(str(output))
 
 
@@ -417,85 +401,14 @@ def map_materials(
     from thermorender.scene.load import scene_folder
     from thermorender.scene.material_map import write_map
 
-    with _progress() as tell, files.output_folder(output) as folder:
+    with progress() as tell, files.output_folder(output) as folder:
         written, shares = write_map(
-            scene_folder(scene), folder, model, fallback, confidence, _split(without),
+            scene_folder(scene), folder, model, fallback, confidence, split(without),
             lambda share: tell("mapping the materials", share),
         )  # fmt: skip
-    _table(("material", "share"), [(name, f"{share:.1%}") for name, share in shares.items()])
+    table(("material", "share"), [(name, f"{share:.1%}") for name, share in shares.items()])
     for path in written.values():
         typer.echo(str(path))
-
-
-@validate.command("emissivity")
-def validate_emissivity(
-    output: Out = Path("out/validation"),
-    model: Annotated[str, typer.Option(help="Emissivity map: a file, or procedural.")] = "procedural",
-    seeds: Annotated[str, typer.Option(help="Comma-separated seeds of procedural scenes not trained on.")] = "201,202",
-):
-    """Errors of a learned emissivity map on procedural scenes, beside simpler ways."""
-    from thermorender import products as files
-    from thermorender.validate import emissivity as run
-
-    if not all(part.isdigit() for part in _split(seeds)) or not _split(seeds):
-        raise ThermorenderError(f"--seeds={seeds!r} is not allowed; give whole numbers such as 201,202")
-    with _progress() as tell, files.output_folder(output) as folder:
-        result = run.hold(model, [int(part) for part in _split(seeds)], tell=tell)
-        files.write_json(folder / "emissivity.json", result)
-        run.write_confusion(result, folder / "emissivity_confusion.csv")
-    _table(run.HEADER, run.rows(result))
-    typer.echo(f"numbers and confusion table in {output}")
-
-
-@validate.command("air")
-def validate_air(
-    scene: Annotated[str, typer.Argument(help="Scene folder, or the name of a shipped one.")] = "heath",
-    output: Out = Path("out/validation"),
-    air: Annotated[str, typer.Option(help="Standard atmosphere and aerosol.")] = "midlatitude-summer,rural-23km",
-    device: Device = "auto",
-):
-    """What air costs a frame, and what its spectral channels leave wrong."""
-    from thermorender import products as files
-    from thermorender.scene.load import load_scene
-    from thermorender.validate import air as run
-
-    with _progress() as tell, files.output_folder(output) as folder:
-        result = run.hold(load_scene(scene), _air(air), device=device, progress=tell)
-        files.write_json(folder / "air.json", result)
-        run.figure(result, folder / "air.png")
-    _table(run.HEADER, run.rows(result))
-    typer.echo(f"numbers and figure in {output}")
-
-
-@validate.command("growth")
-def validate_growth(output: Out = Path("out/validation"), device: Device = "auto"):
-    """How time and memory grow with triangles, texels and spectral nodes; continues where it was stopped."""
-    from thermorender.validate import growth as run
-
-    with _progress() as tell:
-        cases = run.hold(output, progress=tell, device=device)
-    _table(run.HEADER, run.rows(cases))
-    typer.echo(f"numbers and figure in {output}")
-
-
-@validate.command("footage")
-def validate_footage(
-    frames: Frames,
-    output: Out = Path("out/validation"),
-    base: Base = "zenmuse-xt2",
-    scale: Scale = None,
-    scene: Annotated[str, typer.Option(help="Scene the simulated frames show.")] = "heath",
-    name: Annotated[str, typer.Option(help="Of the files to write.")] = "footage",
-    device: Device = "auto",
-):
-    """Power spectra and noise of simulated frames beside those of real ones."""
-    from thermorender import products as files
-    from thermorender.validate import sensor_statistics as run
-
-    with _progress() as tell, files.output_folder(output) as folder:
-        result = run.compare(frames, folder, base, parse_scale(scale), scene, name, tell=tell, device=device)
-    _table(run.HEADER, run.rows(result))
-    typer.echo(f"numbers, figure and fitted camera in {output}")
 
 
 # What typer raises for a wrong command line: its own copy of click's exception, or click's, by version.
@@ -526,11 +439,6 @@ def _fail(message):
     raise SystemExit(2) from None
 
 
-def _air(text):
-    """(standard atmosphere, aerosol) of --air, or None."""
-    return None if text is None else tuple(_split(text)[:2]) or ("",)
-
-
 def _scene(name, temperature, range_c, air=None):
     from thermorender.scene.load import load_scene
     from thermorender.scene.spec import TemperatureSpec
@@ -541,7 +449,7 @@ def _scene(name, temperature, range_c, air=None):
     elif range_c:
         raise ThermorenderError(f"--range-c={range_c!r} needs a learned map; add --temperature fok-1to1")
     if air is not None:
-        loaded = loaded.with_air(*_air(air))
+        loaded = loaded.with_air(*parse_air(air))
     for model, report in loaded.report.items():
         typer.echo(
             f"{model}: {report['share_outside_0_1']:.1%} of the intensities lie outside 0…1, "
@@ -611,37 +519,3 @@ def _range(text):
     from thermorender.trajectory import parse_numbers
 
     return parse_numbers("--range-c", text, ("COLD", "WARM")) if text else None
-
-
-def _split(text):
-    return tuple(part.strip() for part in text.split(",") if part.strip())
-
-
-@contextmanager
-def _progress():
-    """Give a function (what, share done) that draws a bar on a terminal and nothing elsewhere."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        tasks = {}
-
-        def tell(what, share):
-            key = "frames" if what.startswith("frame ") else what
-            if key not in tasks:
-                tasks[key] = bar.add_task(what, total=1.0)
-            bar.update(tasks[key], completed=share, description=what)
-
-        yield tell
-
-
-def _table(header, rows):
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(*header, box=None, pad_edge=False)
-    for row in rows:
-        table.add_row(*map(str, row))
-    Console().print(table)

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from thermorender.errors import ThermorenderError
+from thermorender.terminal import table
 
 app = typer.Typer(help="Look at, check, import and join tables of surface materials.", no_args_is_help=True)
 
@@ -29,7 +30,7 @@ def list_materials(library: Library = None, band: Band = "7.5,13.5", temperature
         first, last = material.valid_range_um
         rows.append((material.name, *(f"{v:.4f}" if known else "not measured" for v in values), f"{first:g}–{last:g}",
                      material.directional, f"{material.solar_absorptance:.2f}", material.title))  # fmt: skip
-    _table(("name", "emissivity", "along normal", "measured [µm]", "by angle", "solar", "title"), rows)
+    table(("name", "emissivity", "along normal", "measured [µm]", "by angle", "solar", "title"), rows)
     typer.echo(
         f"{len(rows)} materials; emissivity: hemispherical, over {limits[0]:g}–{limits[1]:g} µm at {temperature:g} K"
     )
@@ -153,7 +154,7 @@ def diff(
         for d in found
     ]  # fmt: skip
     if rows:
-        _table(("material", "emissivity, first", "second", "shift [mK]", "differs in"), rows)
+        table(("material", "emissivity, first", "second", "shift [mK]", "differs in"), rows)
     typer.echo(f"{len(rows)} differences; emissivity over {limits[0]:g}–{limits[1]:g} µm at 300 K; shift of what a "
                "camera reads when the second takes the first's place")  # fmt: skip
 
@@ -198,11 +199,3 @@ def _numbers(option, text, names):
     from thermorender.trajectory import parse_numbers
 
     return tuple(parse_numbers(option, text, names))
-
-
-def _table(header, rows):
-    """Print columns in whole lines, so that pipes and spreadsheets get them too."""
-    lines = [tuple(map(str, line)) for line in (header, *rows)]
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    for line in lines:
-        typer.echo("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())

@@ -1,0 +1,43 @@
+"""What commands share at the terminal: a progress bar, a table, comma-separated options."""
+
+from contextlib import contextmanager
+
+import typer
+
+
+@contextmanager
+def progress():
+    """Give a function (what, share done) that draws a bar on a terminal and nothing elsewhere."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        tasks = {}
+
+        def tell(what, share):
+            key = "frames" if what.startswith("frame ") else what
+            if key not in tasks:
+                tasks[key] = bar.add_task(what, total=1.0)
+            bar.update(tasks[key], completed=share, description=what)
+
+        yield tell
+
+
+def table(header, rows):
+    """Print columns in whole lines, so that pipes and spreadsheets get them too."""
+    lines = [tuple(map(str, line)) for line in (header, *rows)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    for line in lines:
+        typer.echo("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
+
+
+def air(text):
+    """Return (standard atmosphere, aerosol) of an option --air, or None for None."""
+    return None if text is None else split(text)[:2] or ("",)
+
+
+def split(text):
+    """Return the parts of a comma-separated option."""
+    return tuple(part.strip() for part in text.split(",") if part.strip())
