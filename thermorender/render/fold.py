@@ -84,7 +84,7 @@ def emitted(plan, materials, material, temperature):
 
 
 def fold(geometry, covers, emitted, material, light):
-    """Return (radiance of each texel (T,), correction of each face (F,), what is left), float32 [W m⁻² sr⁻¹].
+    """Return (radiance of each texel (T,), correction of each face (F,), what is left (F,)), float32.
 
     Parameters
     ----------
@@ -99,7 +99,8 @@ def fold(geometry, covers, emitted, material, light):
 
     Notes
     -----
-    What is left is the root mean square over the area of the scatter that the constant of a face does not restore.
+    Radiance and correction in W m⁻² sr⁻¹. What is left is the mean square, in their unit squared, of the scatter
+    within a face, which a constant does not restore.
     """
     mi, count, kinds = geometry.mi, *light.shape
     # One more row for texels that no face covers: the mean, as they only blend into their neighbours.
@@ -121,7 +122,7 @@ def fold(geometry, covers, emitted, material, light):
         mean, square = mean + missing, square + missing * missing
         dr.eval(mean, square)
     mean, square = np.array(mean) / len(pattern), np.array(square) / len(pattern)
-    return texel.numpy(), mean, float(np.sqrt(geometry.share @ np.maximum(square - mean * mean, 0.0)))
+    return texel.numpy(), mean, np.maximum(square - mean * mean, 0.0)
 
 
 def light(incident, reflected):

@@ -33,6 +33,8 @@ from thermorender.render.sampling import (
 from thermorender.render.variant import activate
 from thermorender.scene.surface import FILLED
 
+# Every how many pixels the light's error is looked up for a frame's budget.
+_BUDGET_PIXELS = 16
 # Error from which on edge pixels of a visible view get more rays: a share of white, summed over the colours.
 _VISIBLE_EDGE = 0.03
 
@@ -99,7 +101,7 @@ class Renderer:
         self._tolerance_mk = tolerance_mk
         self._per_mk = float(band_radiance_derivative(REFERENCE_K, *self.plan.band_um)) * 1e-3
         self.cache_note = None
-        self.bake_mk = self._shown = self._colour = None
+        self.bake_mk = self._shown = self._face_error = self._colour = None
         if scene.air is None:
             outside = np.array([scene.spec.sky_temperature, scene.surroundings_temperature])
             self._air = Vacuum(self._mi, *band_radiance(outside, *self.plan.band_um)[:, None])
@@ -115,7 +117,7 @@ class Renderer:
         if same and scene.surfaces is like.scene.surfaces and scene.spec == like.scene.spec and not scene.movers:
             if like._tolerance_mk == tolerance_mk and like.plan.rays == rays and like.plan.band_um == self.plan.band_um:
                 # The same light: another camera or sampling of one scene needs no new solution.
-                self._shown = like._shown
+                self._shown, self._face_error = like._shown, like._face_error
                 self.bake_mk = like.bake_mk
 
     def prepare(self):
@@ -147,7 +149,7 @@ class Renderer:
         if self._moving or objects:
             self._put(time_s, objects or {})
         radiance, sampling = self._radiance(pose)
-        return self.frame_of(radiance, pose, time_s, index, budget=lambda: self._budget(radiance, sampling))
+        return self.frame_of(radiance, pose, time_s, index, budget=lambda: self._budget(pose, radiance, sampling))
 
     def frame_of(self, radiance, pose, time_s=0.0, index=0, plan=None, budget=None):
         """Return the Frame of a radiance image (H, W) that was made elsewhere for this pose; `plan` says how."""
@@ -221,8 +223,8 @@ class Renderer:
             self._between_here = key, self._air.view(pose[:3, 3], box)
         return self._between_here[1]
 
-    def _budget(self, radiance, sampling):
-        plan = self.plan
+    def _budget(self, pose, radiance, sampling):
+        plan, mi = self.plan, self._mi
         step, refined = sampling
         span = contrast(radiance)
         if step is None:
@@ -232,10 +234,17 @@ class Renderer:
         for pixels, left, count in refined:
             edges[pixels] = edge_bound(left, count)
         texture = texture_error(span - step, plan.samples * plan.taps)
-        light = self.bake_mk
+        light = 0.0
+        if self._face_error is not None:
+            # Of the faces that some of the pixels show; what differs within the faces is known of the scene only.
+            rays = self._camera_rays(self.scene.camera)
+            slope = rays.slopes(0.5, 0.5, dr.arange(mi.UInt32, 0, len(rays.order), _BUDGET_PIXELS))
+            hit = self._geometry.cast(view_ray(mi, *opaque_view(mi, pose), *slope))
+            shown = np.array(dr.gather(mi.Float, self._face_error, hit.face, hit.valid), dtype=np.float64)
+            light = np.sqrt(shown.mean() / self._per_mk**2 + self.bake_mk["faces"] ** 2)
         parts = {
-            "nodes": plan.spectrum.nodes_mk + light["solution"],
-            "bake": float(np.sqrt(sum(light[which] ** 2 for which in ("noise", "faces", "texels")))),
+            "nodes": plan.spectrum.nodes_mk + self.bake_mk["solution"],
+            "bake": float(light),
             "sampling": float(np.sqrt(np.mean(edges**2) + np.mean(texture**2)) / self._per_mk),
         }
         if self.scene.air is not None:
@@ -317,9 +326,12 @@ class Renderer:
             self._still = Still(self._geometry, leaving, face_reflectance, outside)
             self._faces_alone = face
         share = self._geometry.share
+        # Of each face, for the budget of a frame that shows some of them.
+        self._face_error = mi.Float(np.float32(noise**2 + scatter))
         varies = fold.variation(self._geometry, incident @ (share @ face_reflectance), noise)
         solution = ((1.0 - spectrum.emissivity).max(axis=0) * bounds).sum()
-        errors = {"solution": solution, "noise": np.sqrt(share @ noise**2), "faces": varies, "texels": scatter}
+        rms = [np.sqrt(share @ square) for square in (noise**2, scatter)]
+        errors = {"solution": solution, "noise": rms[0], "faces": varies, "texels": rms[1]}
         self.bake_mk = {name: float(value / self._per_mk) for name, value in errors.items()}
         self._progress("solving the light between surfaces", 1.0)
 

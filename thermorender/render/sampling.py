@@ -23,8 +23,9 @@ _SURE_EDGE = 0.01
 # How surely a pixel shows an edge that only a neighbour, or its corner, tells of.
 _BESIDE = 0.5
 # Error of the mean of n evenly spread rays over an edge: this share of the step, over n. On heath 0.06, 0.016 and 0.004
-# are left at 4, 16 and 64 rays, round its hottest objects 0.13, 0.045 and 0.0135: the bound, times n^−0.8.
-_EDGE_ERROR, _EDGE_BOUND = 0.25, 0.3
+# are left at 4, 16 and 64 rays, round its hottest objects 0.13, 0.045 and 0.0135, and among a village's parked cars a
+# fifth more: the bound, times n^−0.8.
+_EDGE_ERROR, _EDGE_BOUND = 0.25, 0.37
 # Error of the mean of n places over texture: this share of the contrast with the neighbours, times n^−0.8. Above what
 # heath and ridge show away from edges: 0.015–0.035, 0.011–0.019, 0.005–0.010 and 0.002–0.004 at 1, 2, 4 and 16 places.
 _TEXTURE_ERROR = 0.04
