@@ -55,8 +55,8 @@ class Frame:
         """Error of the radiance, without the sensor's noise, by its causes: {cause: root mean square [mK]}.
 
         "nodes": spectral nodes and solution, a bound; "bake": light between the surfaces that are seen; "sampling":
-        rays and texture places of this frame; "air": spectral channels, a bound; "total". Estimates from above. None for a frame of the reference engine, whose error
-        is its noise.
+        rays and texture places of this frame; "air": spectral channels, a bound; "total". Estimates from above. None
+        for a frame of the reference engine, whose error is its noise.
         """
         return None if self._budget is None else self._budget()
 
