@@ -20,7 +20,7 @@ Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
 def convergence(
     scenes: Annotated[list[str] | None, typer.Argument(help="Scenes; default: heath village ridge.")] = None,
     output: Out = Path("validation"),
-    quick: Annotated[bool, typer.Option("--quick", help="Minutes instead of hours.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Minutes instead of an hour.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Measure anew what is there.")] = False,
     device: Device = "auto",
 ):
