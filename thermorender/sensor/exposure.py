@@ -119,13 +119,14 @@ class Exposure:
         `how` holds motion_px (within a time constant), instants, renders, and lag_mk: estimated error of the lag, root
         mean square over the frame [mK].
         """
-        motion, between = self._motion(time_s), bool(self._render_px)
+        views, between = self._views(time_s), bool(self._render_px)
+        motion = motion_px(self.sensor.camera, *views)
         if motion <= STILL_PX:
             signal = self._still(time_s, self.sensor.power(radiance, moment))
             late = np.hypot(1.0, np.std(self._delays) / (self.sensor.camera.time_constant_s or np.inf))
             instants, renders, error = 1, 1, motion * late * _gradient_mk(radiance, self.sensor)
         elif motion <= GLIDE_PX and between and self.sensor.camera.time_constant_s:
-            signal = self._gliding(time_s, radiance, moment)
+            signal = self._gliding(views, radiance, moment)
             instants, renders, error = len(_AGES), 1, np.hypot(_MOVED_MK, _GLIDE_MK * motion**2)
         else:
             plan = self._schedule(time_s, motion)
@@ -150,14 +151,13 @@ class Exposure:
         if "signal" in arrays:
             self.membrane = Membrane(float(arrays["time_s"]), arrays["signal"], arrays["power"])
 
-    def _motion(self, time_s):
+    def _views(self, time_s):
+        """(pose now, pose a time constant ago, height of the ground [m])."""
         camera = self.sensor.camera
         # Without a time constant only the read-out of the rows takes time.
         span = camera.time_constant_s or self._delays[-1] - self._delays[0]
-        if not span:
-            return 0.0
-        now, before = self._pose_at(time_s), self._pose_at(time_s - span)
-        return motion_px(camera, now, before, self._ground_at(now))
+        now = self._pose_at(time_s)
+        return now, self._pose_at(time_s - span) if span else now, self._ground_at(now)
 
     def _schedule(self, time_s, motion):
         time_constant_s = self.sensor.camera.time_constant_s
@@ -174,12 +174,11 @@ class Exposure:
         self.membrane = stepped(before, time_s, power, time_constant_s)
         return self.membrane.signal
 
-    def _gliding(self, time_s, radiance, moment):
+    def _gliding(self, views, radiance, moment):
         """The signal of each row at its own time, from one image that is moved to a few ages, (H, W) float32 [W]."""
         camera, image = self.sensor.camera, self.sensor.blurred(radiance)
-        now, before = (self._pose_at(time_s - ago) for ago in (0.0, camera.time_constant_s))
         column, row = pixel_grid(camera)
-        right, down = places(camera, homography(now, before, self._ground_at(now)))
+        right, down = places(camera, homography(*views))
         right -= column
         down -= row
         total = np.zeros_like(image)

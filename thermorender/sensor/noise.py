@@ -17,6 +17,7 @@ NETD_REFERENCE_K = 300.0
 _FRAME, _PATTERN, _DRIFT, _BAD = range(4)
 
 
+@lru_cache(maxsize=64)
 def noise_power(camera, difference_mk):
     """Return the absorbed power [W] of a temperature difference [mK] as the camera's NETD is stated.
 

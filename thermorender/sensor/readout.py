@@ -51,6 +51,7 @@ def _radiance(values, camera):
     return ends[0] + (ends[1] - ends[0]) / (2**camera.bits - 1) * values
 
 
+@lru_cache(maxsize=4)
 def _scale(camera):
     """(power of count 0, power of one count) [W]."""
     radiance = _radiance(np.array([0.0, 1.0]), camera)

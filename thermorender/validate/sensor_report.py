@@ -59,13 +59,20 @@ def table(path, result):
 def figure(path, result):
     """Draw error against run time: of the lag, one panel per flight, and of the blur."""
     pyplot = _pyplot()
+    from matplotlib.ticker import NullFormatter
+
     flights = result["lag"]
-    drawing, axes = pyplot.subplots(1, len(flights) + 1, figsize=(4.6 * (len(flights) + 1), 4.4), layout="constrained")
+    columns = -(-(len(flights) + 1) // 2)
+    drawing, axes = pyplot.subplots(2, columns, figsize=(4.8 * columns, 8.0), layout="constrained", squeeze=False)
+    *rest, last = axes.ravel()
+    axes = [*rest[: len(flights)], last]
+    for spare in rest[len(flights) :]:
+        spare.axis("off")
     for axis, (name, records) in zip(axes, flights.items(), strict=False):
         for label, mark, chosen in (
-            ("one image, no memory", "x", [r for r in records if r["lag_mk"] is None]),
-            ("each instant rendered", "o-", [r for r in records if r["render_px"] == 0.0]),
-            ("moved between renders", "s", [r for r in records if r["render_px"]]),
+            ("one image", "x", [r for r in records if r["lag_mk"] is None]),
+            ("all rendered", "o-", [r for r in records if r["render_px"] == 0.0]),
+            ("moved between", "s", [r for r in records if r["render_px"]]),
         ):
             for which, colour in (("smooth_mk", "C0"), ("all_mk", "C1")):
                 points = [(r["ms"], r[which]) for r in chosen if r[which]]
@@ -89,17 +96,18 @@ def figure(path, result):
     axis.set(title="lens's blur", xlabel="time of the blur [ms]")
     for axis in axes:
         axis.set(xscale="log", yscale="log", ylabel="RMS error [mK]")
+        axis.xaxis.set_minor_formatter(NullFormatter())
         axis.grid(True, which="both", lw=0.3, color="0.85")
-        axis.legend(fontsize=7)
+        axis.legend(fontsize=6)
     with products.atomic(path) as part:
-        drawing.savefig(part, dpi=80)
+        drawing.savefig(part, dpi=72)
     pyplot.close(drawing)
 
 
 def pictures(path, images):
     """Draw images [(title, (H, W) array, unit), …], each with its own scale."""
     pyplot = _pyplot()
-    drawing, axes = pyplot.subplots(2, -(-len(images) // 2), figsize=(16, 6.6), layout="constrained")
+    drawing, axes = pyplot.subplots(2, -(-len(images) // 2), figsize=(18, 7.4), layout="constrained")
     for axis, (title, image, unit) in zip(axes.ravel(), images, strict=False):
         low, high = np.percentile(image, (0.5, 99.5))
         drawn = axis.imshow(image, cmap="gray", vmin=low, vmax=high, interpolation="nearest")
@@ -108,7 +116,7 @@ def pictures(path, images):
     for axis in axes.ravel()[len(images) :]:
         axis.axis("off")
     with products.atomic(path) as part:
-        drawing.savefig(part, dpi=70)
+        drawing.savefig(part, dpi=45)
     pyplot.close(drawing)
 
 
