@@ -171,6 +171,19 @@ def test_the_operator_stands_beside_the_truth(setting, tmp_path):
         fly(renderer, path, tmp_path / "h", products=("counts",), operator=operator)
 
 
+def test_what_moves_by_itself_is_rendered_at_each_instant(tmp_path):
+    folder = write_terrain(tmp_path / "scene", extra=MARKER + 'track = "marker.csv"\n')
+    (folder / "marker.csv").write_text("time_s,east_m\n0,-1\n1,1\n")
+    renderer = tr.Renderer(tr.load_scene(folder), rays=4, samples=1)
+    path = tr.Trajectory(np.array([0.0, 1.0]), np.array([[-1.0, 0, 12], [1.0, 0, 12]]), np.array([[0, 1.0, 0, 0]] * 2))
+    for name in ("a", "b"):
+        fly(renderer, path, tmp_path / name, rate_hz=2.0, products=("counts",))
+    told = [json.loads(line)["plan"]["sensor"] for line in (tmp_path / "a/frames.jsonl").read_text().splitlines()]
+    # At the start the camera has stood still; from then on it passes over the marker at 1.3 pixels a time constant.
+    assert told[0]["instants"] == 1 and told[1]["renders"] == told[1]["instants"] > 5
+    assert contents(tmp_path / "a") == contents(tmp_path / "b")
+
+
 def test_resume_refuses_other_settings(setting, tmp_path):
     renderer, path = setting
     fly(renderer, path, tmp_path / "f", rate_hz=2.0, products=("counts",))

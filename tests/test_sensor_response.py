@@ -117,6 +117,12 @@ def test_an_image_moved_over_level_ground_is_that_seen_from_there(distortion):
     assert np.sqrt(np.mean((moved - wanted)[inside > 0] ** 2)) < 0.02 * whole
 
 
+def test_a_camera_on_the_ground_is_no_division_by_nothing():
+    camera, here, there = load_camera("ideal"), pose(0, 0, 5, 0, -30), pose(0.01, 0, 5, 0, -30)
+    assert np.isfinite(motion.motion_px(camera, here, there, 5.0))
+    assert np.isfinite(motion.homography(here, there, 5.0)).all()
+
+
 def test_a_slope_stays_straight_where_it_is_moved():
     column, row = np.meshgrid(np.arange(40, dtype=np.float32), np.arange(30, dtype=np.float32))
     for fraction in np.arange(0.0, 1.0, 1 / 32):

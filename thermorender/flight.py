@@ -2,7 +2,8 @@
 
 A frame counts as done when its line stands in `frames.jsonl`; the line is appended after its files have their
 final names. `flight.json` holds everything the bytes depend on, so a resume that would not give the same bytes
-is refused.
+is refused. What the sensor's pixels remember is kept in two files, written in turn, until the flight is done; where
+it is lost, a resume takes the frames before once more to have it again.
 """
 
 import json

@@ -1,9 +1,11 @@
 """A sequence of images as a microbolometer takes them: each pixel remembers, and rows are read one after another.
 
-Where the image hardly moves within a time constant, one radiance image per frame is enough. Where it moves, the power
-on the pixels is followed through instants close to each other, linear in time between them, and the response to that
-is exact. Few of these instants need a rendered image: between renders, an image is moved as the ground moves, and what
-comes from the render before and the render after is blended.
+Where the image hardly moves within a time constant, one radiance image per frame is enough, and what the pixels
+remember of the frames before. Where it glides by less than a pixel, that image is moved back along its way, to the
+ages that stand best for the exponential past of each row. Where it races, the power on the pixels is followed through
+instants close to each other, linear in time between them, and the response to that is exact. Few of these instants
+need a rendered image: between renders, an image is moved as the ground moves, and what comes from the render before
+and the render after is blended.
 """
 
 from dataclasses import dataclass
@@ -186,7 +188,7 @@ class Exposure:
             ago = (age - self._delays / camera.time_constant_s).astype(np.float32)[:, None]
             # The blur of linear interpolation counts little at a small weight.
             total += weight * moved(image, column + right * ago, row + down * ago, coarsely=weight < 0.2)
-        # Nothing that stands still is forgotten: the next frame sees it where it was.
+        # Of a scene that stands still, the next frame's own image tells the past.
         self.membrane = None
         return self.sensor.power(total, moment, blurred=True)
 

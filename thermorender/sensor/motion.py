@@ -8,6 +8,7 @@ import numpy as np
 _CELL = 8
 # A ray that meets the ground farther than this, over the height above it, sees the sky or what moves like it.
 _FARTHEST = 50.0
+_LEAST_M = 0.1
 
 
 def motion_px(camera, pose, other, ground_m):
@@ -25,7 +26,7 @@ def motion_px(camera, pose, other, ground_m):
     pixel = np.stack(np.meshgrid(camera.width - 2 * across, camera.height - 2 * along), axis=-1).reshape(-1, 2)
     slope = camera.directions(pixel)
     ray = np.column_stack([slope, np.ones(len(slope))]) @ pose[:3, :3].T
-    height = pose[2, 3] - ground_m
+    height = _off(pose[2, 3] - ground_m)
     down = -ray[:, 2] * np.sign(height)
     length = abs(height) / np.maximum(down, 1e-9)
     far = length > _FARTHEST * abs(height)
@@ -35,6 +36,11 @@ def motion_px(camera, pose, other, ground_m):
     moved = np.linalg.norm(camera.project(seen) - pixel, axis=1)
     # What leaves the view behind the camera has crossed the whole image.
     return float(np.nan_to_num(moved, nan=np.hypot(camera.width, camera.height)).max())
+
+
+def _off(height):
+    """A height above the ground that is not nothing, as of a camera that lies on it."""
+    return np.copysign(max(abs(height), _LEAST_M), height)
 
 
 def homography(seen_from, wanted_from, ground_m):
@@ -49,7 +55,7 @@ def homography(seen_from, wanted_from, ground_m):
     """
     rotation = seen_from[:3, :3].T @ wanted_from[:3, :3]
     shift = seen_from[:3, :3].T @ (wanted_from[:3, 3] - seen_from[:3, 3])
-    normal, distance = wanted_from[2, :3], ground_m - wanted_from[2, 3]
+    normal, distance = wanted_from[2, :3], -_off(wanted_from[2, 3] - ground_m)
     return rotation + np.outer(shift, normal) / distance
 
 
