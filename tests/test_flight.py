@@ -197,6 +197,12 @@ def test_resume_refuses_other_settings(setting, tmp_path):
     higher = tr.Trajectory(path.time_s, path.position + [0.0, 0.0, 0.5], path.quaternion)
     with pytest.raises(ThermorenderError, match="was flown with path_digest="):
         fly(renderer, higher, tmp_path / "f", rate_hz=2.0, products=("counts",), resume=True)
+    # The same places at the frames (0, 0.5 and 1 s), but another way between them.
+    way = np.array([path.position[0], [0.0, 0.3, 12.0], [0.0, 0.0, 12.0], path.position[1]])
+    detour = tr.Trajectory(np.array([0.0, 0.25, 0.5, 1.0]), way, path.quaternion[[0, 0, 0, 0]])
+    np.testing.assert_array_equal(detour.pose(0.5), path.pose(0.5))
+    with pytest.raises(ThermorenderError, match="was flown with path_digest="):
+        fly(renderer, detour, tmp_path / "f", rate_hz=2.0, products=("counts",), resume=True)
     warmer = renderer.scene.with_temperature(TemperatureSpec(source="constant", value=300.0))
     other = tr.Renderer(warmer, rays=4, samples=1, seed=11)
     other.plan = renderer.plan

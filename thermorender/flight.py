@@ -71,7 +71,8 @@ def fly(renderer, trajectory, folder, rate_hz=None, products=product_files.DEFAU
         "frames": len(times),
         "first_time_s": float(times[0]),
         "last_time_s": float(times[-1]),
-        "path_digest": _digest(poses),
+        # Between frames too: the sensor remembers what it saw on the way.
+        "path_digest": _digest(poses, trajectory.time_s, trajectory.position, trajectory.quaternion),
         "products": list(products),
         "display": asdict(look) | {"tails_percent": list(look.tails_percent)},
         "operator": operator and asdict(operator),
@@ -235,7 +236,10 @@ def _append(path, value):
         ) from None
 
 
-def _digest(array):
+def _digest(*arrays):
     import hashlib
 
-    return hashlib.blake2b(np.ascontiguousarray(array).tobytes(), digest_size=16).hexdigest()
+    state = hashlib.blake2b(digest_size=16)
+    for array in arrays:
+        state.update(np.ascontiguousarray(array).tobytes())
+    return state.hexdigest()
