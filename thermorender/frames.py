@@ -30,8 +30,6 @@ class Frame:
     camera : Camera
     plan : dict
         What was rendered how.
-    targets : dict
-        {name: {"pixel": (column, row) or None, "in_view": bool, "visible": bool, "range_m": float}}.
     """
 
     radiance: np.ndarray
@@ -41,8 +39,8 @@ class Frame:
     seed: int
     camera: object
     plan: dict
-    targets: dict
     _truth: object = field(repr=False)
+    _targets: object = field(repr=False)
     _budget: object = field(repr=False, default=None)
     _reading: object = field(repr=False, default=None)
 
@@ -59,6 +57,11 @@ class Frame:
         for a frame of the reference engine, whose error is its noise.
         """
         return None if self._budget is None else self._budget()
+
+    @cached_property
+    def targets(self):
+        """Where the scene's objects are: {name: {"pixel": (column, row) or None, "in_view", "visible", "range_m"}}."""
+        return self._targets()
 
     @cached_property
     def apparent_temperature(self):

@@ -5,6 +5,7 @@ What a pixel needs is folded beforehand into the radiance of each texel and a co
 pixel's rays, never temperature.
 """
 
+from copy import copy
 from dataclasses import replace
 
 import drjit as dr
@@ -148,13 +149,17 @@ class Renderer:
         self.prepare()
         if self._moving or objects:
             self._put(time_s, objects or {})
-        radiance, sampling = self._radiance(pose)
-        return self.frame_of(radiance, pose, time_s, index, budget=lambda: self._budget(pose, radiance, sampling))
+        layers = self._layers(pose)
+        radiance, sampling = self._radiance(pose, layers)
+        budget = lambda: self._budget(pose, radiance, sampling)  # noqa: E731
+        return self.frame_of(radiance, pose, time_s, index, budget=budget, layers=layers)
 
-    def frame_of(self, radiance, pose, time_s=0.0, index=0, plan=None, budget=None):
+    def frame_of(self, radiance, pose, time_s=0.0, index=0, plan=None, budget=None, layers=None):
         """Return the Frame of a radiance image (H, W) that was made elsewhere for this pose; `plan` says how."""
-        rays, layers = self._camera_rays(self.scene.camera), self._layers(pose)
-        warm = [moving.temperature for moving in self._moving]
+        rays, layers = self._camera_rays(self.scene.camera), layers or self._layers(pose)
+        # Truth and targets are found when asked for, of the objects where they are now.
+        moving = [copy(each) for each in self._moving]
+        warm = [each.temperature for each in moving]
         return Frame(
             radiance=radiance,
             pose=pose,
@@ -163,7 +168,7 @@ class Renderer:
             seed=self.seed,
             camera=self.scene.camera,
             plan=plan or self.plan.as_dict(),
-            targets=truth.targets(self.scene, self._geometry, self._moving, pose),
+            _targets=lambda: truth.targets(self.scene, self._geometry, moving, pose),
             _truth=lambda: truth.truth(self.scene, rays, layers, warm),
             _budget=budget,
         )
@@ -176,7 +181,7 @@ class Renderer:
         self.prepare()
         if not self._placed:
             self._put(0.0, {})
-        return self._radiance(pose)[0]
+        return self._radiance(pose, self._layers(pose))[0]
 
     def _put(self, time_s, objects):
         """Move the moving objects to where they are at a time, and their light with them."""
@@ -207,9 +212,9 @@ class Renderer:
             layers.append(Layer(moving.geometry, own, moving.colour if colour else moving.shown))
         return layers
 
-    def _radiance(self, pose):
+    def _radiance(self, pose, layers):
         limit = self.plan.edge_mk * self._per_mk
-        image, sampling = self._shade(self._layers(pose), self.scene.camera, self._between(pose), limit)
+        image, sampling = self._shade(layers, self.scene.camera, self._between(pose), limit)
         return image[0], sampling
 
     def _between(self, pose):
@@ -253,7 +258,7 @@ class Renderer:
 
     def rays(self, pose):
         """Return the slopes of all rays that a frame from `pose` casts into the still scene, [(x/z, y/z), …]."""
-        _, (_, refined) = self._radiance(checked_pose(pose))
+        _, (_, refined) = self._radiance(checked_pose(pose), self._layers(pose))
         rays = self._camera_rays(self.scene.camera)
         slopes, first = [rays.slopes(*place) for place, _ in places(self.plan.samples, self.plan.taps)], 0
         for pixels, _, last in refined:
@@ -371,7 +376,7 @@ class Renderer:
         for target, value in zip(targets, total, strict=True):
             dr.scatter(target, value, rays.pixel)
         dr.eval(targets)
-        image = np.stack([np.array(target) for target in targets]).reshape(-1, camera.height, camera.width)
+        image = np.stack([target.numpy() for target in targets]).reshape(-1, camera.height, camera.width)
         step, refined = None, []
         if edge_limit < np.inf:
             guide, image = image[channels:], image[:channels]
