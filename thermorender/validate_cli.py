@@ -102,3 +102,17 @@ def validate_footage(
         result = run.compare(frames, folder, base, parse_scale(scale), scene, name, tell=tell, device=device)
     table(run.HEADER, run.rows(result))
     typer.echo(f"numbers, figure and fitted camera in {output}")
+
+
+@app.command("sensor")
+def validate_sensor(
+    scene: Annotated[str, typer.Argument(help="Scene folder, or the name of a shipped one.")] = "heath",
+    output: Out = Path("out/validation"),
+    device: Device = "auto",
+):
+    """Errors of lag and blur against run time, and what the whole chain costs."""
+    from thermorender.validate.sensor import sensor as run
+
+    with progress() as tell:
+        run(output, scene, device=device, progress=tell)
+    typer.echo(f"table, numbers and figures in {output}")
