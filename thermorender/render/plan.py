@@ -10,6 +10,7 @@ from thermorender.physics.planck import band_radiance, band_radiance_derivative,
 from thermorender.physics.sun import irradiance
 from thermorender.render.sampling import PATTERNS, STAGES
 from thermorender.render.spectrum import REFERENCE_K, Envelope, Spectrum, make_spectrum
+from thermorender.render.specular import Tables, make_tables
 
 # Rays per pixel, texture places per ray, and the error from which on an edge pixel gets more rays [mK].
 QUALITIES = {"fast": (1, 4, 500.0), "standard": (1, 4, 150.0), "high": (4, 4, 24.0)}
@@ -45,6 +46,11 @@ class Plan:
         scene declares no sun.
     sun : bool
         Whether it is in.
+    specular_mk : float or None
+        Most that the angle of view can change a directional material's apparent temperature by, up to 80° [mK]; None
+        where nothing is of one.
+    specular : Tables or None
+        How such materials reflect; None where mirror rays are left out.
     """
 
     band_um: tuple
@@ -61,6 +67,8 @@ class Plan:
     air_mk: float | None
     sun_mk: float | None
     sun: bool
+    specular_mk: float | None
+    specular: Tables | None
 
     @property
     def nodes(self):
@@ -86,8 +94,16 @@ class Plan:
             edges,
             moving,
             *self._air_rows(),
-            ("specular rays", "out", "every material is Lambertian"),
+            self._specular_row(),
         ]
+
+    def _specular_row(self):
+        if self.specular_mk is None:
+            return ("specular rays", "out", "every material is Lambertian")
+        why = f"from directional materials, which they change by at most {_kelvin(self.specular_mk)}"
+        if self.specular is None:
+            return ("specular rays", "out", why)
+        return ("specular rays", "in", f"{why}; worst error {self.specular.error_mk:.3g} mK")
 
     def _air_rows(self):
         """Rows of what the atmosphere brings."""
@@ -117,6 +133,7 @@ class Plan:
             "channels": self.spectrum.channels,
             "channels_mk": round(self.spectrum.channels_mk, 4),
             "sun": self.sun,
+            "specular": self.specular is not None,
         }
 
 
@@ -178,6 +195,7 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
         light = irradiance(wavelength) / np.pi * (scene.spec.sun.elevation_deg > 0.0)
         sun_mk = float((reflectance @ (light * weight)).max() / per_mk)
     spectrum = make_spectrum(scene.materials, envelope, tolerance_mk, bake)
+    specular = make_tables(scene, spectrum, envelope)
     return Plan(
         band_um=band,
         spectrum=spectrum,
@@ -193,6 +211,8 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
         air_mk=air_mk,
         sun_mk=sun_mk,
         sun=sun_mk is not None and sun_mk > 0.1 * tolerance_mk,
+        specular_mk=specular.bound_mk if specular else None,
+        specular=specular if specular and specular.bound_mk > 0.1 * tolerance_mk else None,
     )
 
 
