@@ -6,6 +6,7 @@ plane to its place on the texel map; it also tells the plane, so that places nea
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import drjit as dr
 import numpy as np

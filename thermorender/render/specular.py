@@ -188,7 +188,7 @@ class Laws:
         """
         mi, count, lines = self._mi, self.count, self._directions
         row, across = self._place(cosine, len(COSINES))
-        row += kind * len(COSINES)
+        row = row + kind * len(COSINES)
         near, far = (self._matrix.at(row + k, active) for k in (0, 1))
         matrix = [dr.lerp(a, b, across) for a, b in zip(near, far, strict=True)]
         column, along = self._place(up, lines) if lines > 1 else (mi.UInt32(0), mi.Float(0.0))
@@ -196,11 +196,11 @@ class Laws:
         below, step = up < 0.0, min(lines - 1, 1)
         column, along = dr.select(below, lines, column), dr.select(below, 0.0, along)
         step = dr.select(below, 0, mi.UInt32(step))
-        active &= ~valid
+        missed = active & ~valid
         added = [mi.Float(0.0) for _ in range(count)]
         for k, part in ((0, 1.0 - across), (1, across)):
             for index, share in ((column, 1.0 - along), (column + step, along)):
-                values = self._outside.at((row + k) * (lines + 1) + index, active)
+                values = self._outside.at((row + k) * (lines + 1) + index, missed)
                 added = [a + part * share * value for a, value in zip(added, values, strict=True)]
         return [
             added[k] + sum(m * value for m, value in zip(matrix[k * count : (k + 1) * count], light, strict=True))
@@ -240,8 +240,7 @@ def changed(layers, here, ray, hit, texel):
     geometry, mirror = here.geometry, here.shown.mirror
     mi = geometry.mi
     row = dr.gather(mi.UInt32, mirror.row, texel, hit.valid)
-    active = row > 0
-    row -= 1
+    active, row = row > 0, row - 1
     normal = mi.Vector3f(*geometry.normals.at(hit.face, active))
     slant = dr.dot(normal, ray.d)
     normal = dr.select(slant > 0.0, -normal, normal)
