@@ -4,10 +4,10 @@ To the light between surfaces such a material is diffuse, with its hemispherical
 and faces of `fold`. To the camera it is a mirror: where a ray meets one, a second ray goes on about the normal of the
 face, and the texel shows
 
-    black − M(θ) (black − seen),
+    black − [reflected(θ, black) − reflected(θ, seen)],
 
-all in channels: `black` a blackbody of its temperature, `seen` what the second ray meets, M what the material reflects
-at this angle. A ray that meets nothing reflects sky or surroundings, tabulated by both angles with their spectra. What
+all in channels: `black` a blackbody of its temperature, `seen` what the second ray meets. In an isothermal enclosure
+the two are one, and every wall looks black. A ray that meets nothing reflects sky or surroundings, tabulated by both angles with their spectra. What
 `fold` has put there is taken off again, so other materials know nothing of all this.
 
 A mirror in a mirror shows what the bake makes of it: emission and reflection of a diffuse surface. The mirror's normal
@@ -32,9 +32,9 @@ _DIRECTIONS = np.linspace(0.0, 1.0, 65) ** 2
 _GRAZING = np.cos(np.radians(80.0))
 _JUDGED = np.flatnonzero(COSINES >= _GRAZING)[::8]
 # Blackbodies between the coldest and the warmest texel, and how much more than other light they count in the fit of
-# M: they are what a mirror emits, and nearly what most of the ground does.
-_BLACK, _TRUST = 5, 30.0
-# Of the light's variation, the share below which the fit of M takes no notice: float32 does not tell it.
+# what is reflected: they are what a mirror emits, and nearly what most of the ground does.
+_BLACK, _TRUST = 5, 10.0
+# Of the light's variation, the share below which that fit takes no notice: float32 does not tell it.
 _SMALLEST = 1e-4
 
 
@@ -46,12 +46,14 @@ class Tables:
     ----------
     number : (M,) int
         1 + place in these tables of each material of the scene; 0 for Lambertian ones.
-    matrix : (D, 257, K, K) float64
-        What is reflected into each channel (last but one) of light given by its channels, for light that differs from
-        a blackbody of the mirror's temperature.
+    matrix : (D, 257, K, K + 1) float64
+        Difference in each channel between what is reflected of two lights, per difference of their channels and of
+        b ln b, their band radiance by its logarithm to the base e.
     outside : (D, 257, S, K) float64
-        What is reflected more of the sky at S − 1 zenith angles, and of the surroundings last, than `matrix` makes of
-        no light at all [W m⁻² sr⁻¹].
+        What is reflected of the sky at S − 1 zenith angles, and of the surroundings last, less what `matrix` takes for
+        the reflection of no light [W m⁻² sr⁻¹].
+    weight : (K,) float64
+        Of the channels in the band radiance.
     bound_mk : float
         Most that treating these materials as diffuse changes what they show, up to 80° [mK].
     error_mk : float
@@ -61,6 +63,7 @@ class Tables:
     number: np.ndarray
     matrix: np.ndarray
     outside: np.ndarray
+    weight: np.ndarray
     bound_mk: float
     error_mk: float
 
@@ -75,8 +78,9 @@ def make_tables(scene, spectrum, envelope):
 
     Notes
     -----
-    What a channel reflects depends on spectra that channels tell only in part. `matrix` is the affine least-squares
-    fit, over the scene's envelope of light in relative terms, of what is reflected against the channels. Its constant
+    What a channel reflects depends on spectra that channels tell only in part. `matrix` is the least-squares fit, over
+    the scene's envelope of light in relative terms, of what is reflected: a constant, a share of each channel, and a
+    share of b ln b, which bends as the reflection of blackbodies of very different temperatures does. The constant
     falls out of differences and is kept in `outside`.
     """
     points = spectrum.points
@@ -85,8 +89,8 @@ def make_tables(scene, spectrum, envelope):
         return None
     sources = envelope.sources(points)
     spectra = np.array([material.emissivity_at(points.wavelength_um) for material in scene.materials])
+    # Beginning with the outside itself.
     light = envelope.light(spectra, *sources)
-    light = light[light.sum(axis=1) > 0.0]
     cases = [
         _Case(scene, spectrum, scene.materials[number], spectra[number], envelope, sources[0], light, *texels)
         for number, texels in seen.items()
@@ -94,7 +98,8 @@ def make_tables(scene, spectrum, envelope):
     place = np.zeros(len(scene.materials), dtype=int)
     place[list(seen)] = 1 + np.arange(len(seen))
     stacked = [np.stack([getattr(case, name) for case in cases]) for name in ("matrix", "outside")]
-    return Tables(place, *stacked, *(max(getattr(case, name) for case in cases) for name in ("bound_mk", "error_mk")))
+    weight = spectrum.solver.sum(axis=0)
+    return Tables(place, *stacked, weight, *(max(getattr(case, name) for case in cases) for name in ("bound_mk", "error_mk")))
 
 
 class _Case:
@@ -110,9 +115,10 @@ class _Case:
 
         limits = min(coldest, *envelope.ground), max(warmest, *envelope.ground)
         black = points.planck(np.linspace(*limits, _BLACK))
-        every = np.concatenate([black, light])
-        size = every.sum(axis=1)
-        known = np.column_stack([every @ channel.T, np.full(len(size), size.mean())])
+        every = np.concatenate([black, light[len(outside) :]])
+        every = every[every.sum(axis=1) > 0.0]
+        size, channels = every.sum(axis=1), every @ channel.T
+        known = np.column_stack([channels, _bent(channels @ spectrum.solver.sum(axis=0)), np.full(len(size), size[0])])
         wanted = reflected(every)
         trust = np.where(np.arange(len(size)) < _BLACK, _TRUST, 1.0) / size
         fit = np.linalg.pinv(known * trust[:, None], rcond=_SMALLEST) @ (wanted * trust[:, None])
@@ -121,7 +127,7 @@ class _Case:
             sky = outside[:1]
         else:
             sky = points.spread(scene.air.sky_radiance(at_m, _DIRECTIONS))
-        self.outside = reflected(np.concatenate([sky, outside[-1:]])) - fit[:, None, -1] * size.mean()
+        self.outside = reflected(np.concatenate([sky, outside[-1:]])) - fit[:, None, -1] * size[0]
         band_um, judged = scene.camera.band_um, reflectance[_JUDGED]
         # The mirror and the diffuse surface may see any two things of the scene.
         emitted = (1.0 - diffuse - judged) @ black.T
@@ -164,13 +170,14 @@ class Laws:
 
     def __init__(self, mi, tables):
         self.number, self._mi = tables.number, mi
-        self.count = tables.matrix.shape[-1]
+        self.count = tables.matrix.shape[-2]
+        self._weight = [dr.opaque(mi.Float, float(value)) for value in tables.weight]
         self._directions = tables.outside.shape[2] - 1
-        self._matrix = Channels(mi, tables.matrix.reshape(-1, self.count**2))
+        self._matrix = Channels(mi, tables.matrix.reshape(-1, self.count * (self.count + 1)))
         self._outside = Channels(mi, tables.outside.reshape(-1, self.count))
 
-    def reflected(self, kind, cosine, light, valid, up, active):
-        """Return what materials reflect into each channel, [Float].
+    def reflected(self, kind, cosine, black, seen, valid, up, active):
+        """Return what materials reflect into each channel, less what they reflect of a blackbody, [Float].
 
         Parameters
         ----------
@@ -178,15 +185,17 @@ class Laws:
             Places in the tables.
         cosine : Float
             Of the angle of view.
-        light : list of Float
-            Channels of the light less those of the mirror's blackbody.
+        black, seen : list of Float
+            Channels of the blackbody and of the light.
         valid : Bool
-            Whether the light is that of something; else that of the outside is added.
+            Whether the light is that of something; else it is that of the outside.
         up : Float
             Cosine of the zenith angle that the outside is seen at.
         active : Bool
         """
         mi, count, lines = self._mi, self.count, self._directions
+        own, other = ([*light, _bent(self._band(light))] for light in (black, seen))
+        light = [dr.select(valid, a, 0.0) - b for a, b in zip(other, own, strict=True)]
         row, across = self._place(cosine, len(COSINES))
         row = row + kind * len(COSINES)
         near, far = (self._matrix.at(row + k, active) for k in (0, 1))
@@ -203,9 +212,13 @@ class Laws:
                 values = self._outside.at((row + k) * (lines + 1) + index, missed)
                 added = [a + part * share * value for a, value in zip(added, values, strict=True)]
         return [
-            added[k] + sum(m * value for m, value in zip(matrix[k * count : (k + 1) * count], light, strict=True))
+            added[k] + sum(m * value for m, value in zip(matrix[k * len(light) :], light, strict=False))
             for k in range(count)
         ]
+
+    def _band(self, light):
+        """Band radiance of light given by its channels."""
+        return sum(weight * value for weight, value in zip(self._weight, light, strict=True))
 
     def _place(self, cosine, count):
         """(lower index, share of the next) in a table of `count` squares of an even grid."""
@@ -260,11 +273,17 @@ def changed(layers, here, ray, hit, texel):
     valid = nearest < np.inf
     black = mirror.black.at(row, active)
     kind = dr.gather(mi.UInt32, mirror.kind, row, active)
-    light = [dr.select(valid, a, 0.0) - b for a, b in zip(seen, black, strict=True)]
-    reflected = mirror.laws.reflected(kind, cosine, light, valid, up, active)
+    reflected = mirror.laws.reflected(kind, cosine, black, seen, valid, up, active)
     diffuse = here.shown.at_texel(texel, hit.face, active)
     added = [dr.select(active, a + b - c, 0.0) for a, b, c in zip(black, reflected, diffuse, strict=True)]
     return added, dr.select(active, nearest, 0.0)
+
+
+def _bent(radiance):
+    """b ln b of band radiances; 0 for none."""
+    log = np.log if isinstance(radiance, np.ndarray) else dr.log
+    positive = (np if log is np.log else dr).maximum(radiance, 1e-20)
+    return positive * log(positive)
 
 
 def _met(layer, ray, active):
