@@ -53,8 +53,9 @@ class Frame:
         """Error of the radiance, without the sensor's noise, by its causes: {cause: root mean square [mK]}.
 
         "nodes": spectral nodes and solution, a bound; "bake": light between the surfaces that are seen; "sampling":
-        rays and texture places of this frame; "air": spectral channels, a bound; "total". Estimates from above. None
-        for a frame of the reference engine, whose error is its noise.
+        rays and texture places of this frame; "air": spectral channels, a bound; "mirrors": what they reflect, told
+        from channels, a bound; "total". Estimates from above. None for a frame of the reference engine, whose error
+        is its noise.
         """
         return None if self._budget is None else self._budget()
 
@@ -87,10 +88,10 @@ class Frame:
         Returns
         -------
         dict
-            kinetic_temperature [K], emissivity (band mean at 300 K), depth along the optical axis [m], each
-            (H, W) float32; position (H, W, 3) float32 in the local frame [m]; material (H, W) uint8, 255 for
-            none; mask (H, W) uint8, flags of `thermorender.scene.surface`. NaN (depth: infinity) where nothing
-            is hit.
+            kinetic_temperature [K], emissivity (band mean at 300 K; towards the camera where it depends on the angle),
+            depth along the optical axis [m], each (H, W) float32; position (H, W, 3) float32 in the local frame [m];
+            material (H, W) uint8, 255 for none; mask (H, W) uint8, flags of `thermorender.scene.surface`. NaN (depth:
+            infinity) where nothing is hit.
         """
         found = self._truth()
         saturated = readout.saturated(self.counts, self.camera)

@@ -14,7 +14,7 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 from thermorender.frames import Frame
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
-from thermorender.render import bake, cache, fold, truth
+from thermorender.render import bake, cache, fold, specular, truth
 from thermorender.render.air import Air, Vacuum
 from thermorender.render.geometry import Channels, Geometry, Hit, Layer, Shown, opaque_view, view_ray
 from thermorender.render.moving import Moving, Still
@@ -108,12 +108,14 @@ class Renderer:
             self._air = Vacuum(self._mi, *band_radiance(outside, *self.plan.band_um)[:, None])
         else:
             self._air = Air(self._mi, scene, self.plan.spectrum)
+        self._laws = specular.Laws(self._mi, self.plan.specular) if self.plan.specular else None
         self._between_here = None
         self._rays_of = {}
         self._still = self._faces_alone = None
         self._placed = not scene.movers
         self._moving = [
-            Moving(self._mi, mover, self.plan, scene.materials, _linear_from_srgb) for mover in scene.movers
+            Moving(self._mi, mover, self.plan, scene.materials, _linear_from_srgb, self._laws)
+            for mover in scene.movers
         ]
         if same and scene.surfaces is like.scene.surfaces and scene.spec == like.scene.spec and not scene.movers:
             if like._tolerance_mk == tolerance_mk and like.plan.rays == rays and like.plan.band_um == self.plan.band_um:
@@ -254,6 +256,8 @@ class Renderer:
         }
         if self.scene.air is not None:
             parts["air"] = plan.spectrum.channels_mk
+        if plan.specular:
+            parts["mirrors"] = plan.specular.error_mk
         return {**parts, "total": float(np.sqrt(sum(value**2 for value in parts.values())))}
 
     def rays(self, pose):
@@ -297,9 +301,13 @@ class Renderer:
         plan, scene, mi = self.plan, self.scene, self._mi
         spectrum = plan.spectrum
         texel = fold.emitted(plan, scene.materials, self._material, self._temperature)
+        mirror = None
+        if self._laws:
+            black = specular.black_of(plan, self._laws, self._material, self._temperature)
+            mirror = specular.Mirror(mi, self._laws, self._material, black)
         if not plan.bake:
             self.bake_mk = dict.fromkeys(("solution", "noise", "faces", "texels"), 0.0)
-            self._shown = Shown.of(mi, texel)
+            self._shown = Shown.of(mi, texel, mirror=mirror)
             return
         if self._transport is None:
             what = "tracing the light between surfaces"
@@ -325,7 +333,7 @@ class Renderer:
                 self._geometry, covers, texel[channel], self._material, light
             )
         scatter = left if spectrum.channels == 1 else scatter
-        self._shown = Shown.of(mi, texel, face)
+        self._shown = Shown.of(mi, texel, face, mirror)
         if self._moving:
             leaving = face_emitted + face_reflectance * incident
             self._still = Still(self._geometry, leaving, face_reflectance, outside)
@@ -367,7 +375,7 @@ class Renderer:
         if edge_limit < np.inf:
             # One or two more channels tell where the edges are.
             x, y = slope
-            total.append(dr.select(hit.valid, dr.sqrt(1.0 + x * x + y * y) / hit.distance, 0.0))
+            total.append(dr.select(hit.valid, dr.sqrt(1.0 + x * x + y * y) / (hit.distance + hit.mirrored), 0.0))
             if several:
                 total.append(mi.Float(hit.surface))
         size = camera.height * camera.width
@@ -413,10 +421,10 @@ class Renderer:
 
     def _look(self, layers, slope, taps, between):
         """Return (hit, channels): what rays hit, and the mean over their taps of the light that comes from there."""
-        hit, total = self._meet(layers[0], slope, taps)
+        hit, total = self._meet(layers, layers[0], slope, taps)
         surfaces = len(layers[0].geometry.surfaces)
         for layer in layers[1:]:
-            other, values = self._meet(layer, slope, taps)
+            other, values = self._meet(layers, layer, slope, taps)
             nearer = other.distance < hit.distance
             total = [dr.select(nearer, b, a) for a, b in zip(total, values, strict=True)]
             hit = Hit(
@@ -424,12 +432,13 @@ class Renderer:
                 dr.minimum(hit.distance, other.distance),
                 dr.select(nearer, other.face, hit.face),
                 dr.select(nearer, other.surface + surfaces, hit.surface),
+                dr.select(nearer, other.mirrored, hit.mirrored),
             )
             surfaces += len(layer.geometry.surfaces)
         ray = view_ray(self._mi, *layers[0].view, *slope)
         return hit, between.arrive(hit, total, ray.o, ray.d)
 
-    def _meet(self, layer, slope, taps):
+    def _meet(self, layers, layer, slope, taps):
         """As `_look`, of one layer and without what lies beyond it."""
         mi, geometry = self._mi, layer.geometry
         rotation, origin = layer.view
@@ -456,6 +465,10 @@ class Renderer:
             total += geometry.bilinear(shown.rest, lattice, *geometry.place(record, met), hit.valid)
         if shown.faces:
             total = [a + b for a, b in zip(total, shown.faces.at(hit.face, hit.valid), strict=True)]
+        if shown.mirror:
+            texel = geometry.nearest(hit.surface, *geometry.place(record, met), hit.valid)
+            added, mirrored = specular.changed(layers, layer, ray, hit, texel)
+            hit, total = replace(hit, mirrored=mirrored), [a + b for a, b in zip(total, added, strict=True)]
         return hit, total
 
 

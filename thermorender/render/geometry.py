@@ -6,6 +6,7 @@ plane to its place on the texel map; it also tells the plane, so that places nea
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import drjit as dr
 import numpy as np
@@ -25,12 +26,15 @@ class Hit:
         Along the ray [m]; infinite for a miss.
     face, surface : UInt32
         Numbers over the whole scene; 0 for a miss.
+    mirrored : Float
+        From a mirror to what it shows [m]; 0 where there is none.
     """
 
     valid: object
     distance: object
     face: object
     surface: object
+    mirrored: object = 0.0
 
 
 class Geometry:
@@ -82,10 +86,10 @@ class Geometry:
         records = [_map_records(surface) for surface in surfaces]
         self._record = mi.Float(np.concatenate(records).astype(np.float32).ravel())
 
-    def cast(self, ray, coherent=False):
+    def cast(self, ray, coherent=False, active=True):
         """Return the Hit of rays (an mi.Ray3f)."""
         mi = self.mi
-        found = self.caster.ray_intersect_preliminary(ray, coherent=coherent)
+        found = self.caster.ray_intersect_preliminary(ray, coherent=coherent, active=active)
         valid = found.is_valid()
         surface = dr.gather(mi.UInt32, self._surface_of, dr.reinterpret_array(mi.UInt32, found.shape), valid)
         face = dr.gather(mi.UInt32, self._face_start, surface, valid) + found.prim_index
@@ -156,6 +160,13 @@ class Geometry:
             values = [weight * value for value in channels.at(texel, active)]
             total = values if total is None else [a + b for a, b in zip(total, values, strict=True)]
         return total
+
+    @cached_property
+    def normals(self):
+        """Unit normals of all faces, Channels; zero where a face has no area."""
+        corner = np.concatenate([surface.vertices[surface.faces] for surface in self.surfaces])
+        normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+        return Channels(self.mi, normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300))
 
     def face_of_texel(self):
         """Return the face that covers each texel's centre, UInt32 over all texels; `face_count` where there is none.
@@ -231,17 +242,35 @@ class Shown:
         The other spectral channels, read once per ray, as they tell a hundredth of what the first does.
     faces : Channels or None
         Added to all channels of the texels.
+    mirror : Mirror or None
+        What changes where the material depends on the angle of view; None where none does.
     """
 
     texels: Channels
     rest: Channels | None = None
     faces: Channels | None = None
+    mirror: object = None
 
     @classmethod
-    def of(cls, mi, texels, faces=None):
+    def of(cls, mi, texels, faces=None, mirror=None):
         """Return what surfaces show by spectral channels of texels, K arrays (T,), and of faces, (F, K)."""
         rest = Channels(mi, np.stack(texels[1:], axis=1)) if len(texels) > 1 else None
-        return cls(Channels(mi, texels[0][:, None]), rest, None if faces is None else Channels(mi, faces))
+        return cls(Channels(mi, texels[0][:, None]), rest, None if faces is None else Channels(mi, faces), mirror)
+
+    def at_texel(self, texel, face, active=True):
+        """Return all channels of texels, seen on faces, as a list of Float."""
+        values = self.texels.at(texel, active) + (self.rest.at(texel, active) if self.rest else [])
+        return self._on(face, values, active)
+
+    def at(self, geometry, hit, place):
+        """Return all channels at places (column, row) of a Hit, linear between texels, as a list of Float."""
+        lattice = geometry.lattice(hit.surface, hit.valid)
+        values = [geometry.bilinear(part, lattice, *place, hit.valid) for part in (self.texels, self.rest) if part]
+        return self._on(hit.face, sum(values, []), hit.valid)
+
+    def _on(self, face, values, active):
+        added = self.faces.at(face, active) if self.faces else [0.0] * len(values)
+        return [a + b for a, b in zip(values, added, strict=True)]
 
 
 @dataclass(frozen=True)

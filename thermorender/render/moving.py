@@ -9,7 +9,7 @@ weaker by the reflectances of the two.
 import drjit as dr
 import numpy as np
 
-from thermorender.render import bake
+from thermorender.render import bake, specular
 from thermorender.render.geometry import Channels, Geometry, Shown
 from thermorender.render.gmres import gmres
 
@@ -43,6 +43,8 @@ class Moving:
     materials : sequence of Material
     linear : callable
         sRGB bytes to linear light.
+    laws : Laws or None
+        Of the scene's directional materials; None where none is shown as such.
 
     Attributes
     ----------
@@ -58,7 +60,7 @@ class Moving:
         Linear colour of the texels, and 1.
     """
 
-    def __init__(self, mi, mover, plan, materials, linear):
+    def __init__(self, mi, mover, plan, materials, linear, laws=None):
         self.name, self.surfaces, self._plan = mover.name, mover.surfaces, plan
         self.geometry = Geometry(mi, mover.surfaces)
         colour = linear(np.concatenate([surface.colour.reshape(-1, 3) for surface in mover.surfaces]))
@@ -67,6 +69,7 @@ class Moving:
         self.material = int(mover.surfaces[0].material.flat[0])
         self._emissivity_at = materials[self.material].emissivity_at
         self._texel_count = len(colour)
+        self._laws = laws if laws and laws.number[self.material] else None
         self._put = None
 
     def put(self, pose, temperature, still):
@@ -97,7 +100,12 @@ class Moving:
         added = np.zeros(0, np.int64), np.zeros((0, channels), np.float32)
         if still is not None:
             light, added = self._light(pose, temperature, still)
-        self.shown = Shown.of(mi, [np.full(self._texel_count, value, np.float32) for value in emitted], light)
+        mirror = None
+        if self._laws:
+            material = np.full(self._texel_count, self.material)
+            black = specular.black_of(plan, self._laws, material, np.full(self._texel_count, temperature))
+            mirror = specular.Mirror(mi, self._laws, material, black)
+        self.shown = Shown.of(mi, [np.full(self._texel_count, value, np.float32) for value in emitted], light, mirror)
         self._put = (key, added)
         return added
 

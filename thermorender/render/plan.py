@@ -10,6 +10,7 @@ from thermorender.physics.planck import band_radiance, band_radiance_derivative,
 from thermorender.physics.sun import irradiance
 from thermorender.render.sampling import PATTERNS, STAGES
 from thermorender.render.spectrum import REFERENCE_K, Envelope, Spectrum, make_spectrum
+from thermorender.render.specular import Tables, make_tables
 from thermorender.sensor.exposure import GLIDE_PX, LAG_MK
 
 # Rays per pixel, texture places per ray, and the error from which on an edge pixel gets more rays [mK].
@@ -48,6 +49,11 @@ class Plan:
         Whether it is in.
     time_constant_ms : float
         Of the camera's pixels [ms].
+    specular_mk : float or None
+        Most that the angle of view can change a directional material's apparent temperature by, up to 80° [mK]; None
+        where nothing is of one.
+    specular : Tables or None
+        How such materials reflect; None where mirror rays are left out.
     """
 
     band_um: tuple
@@ -65,6 +71,8 @@ class Plan:
     sun_mk: float | None
     sun: bool
     time_constant_ms: float
+    specular_mk: float | None
+    specular: Tables | None
 
     @property
     def nodes(self):
@@ -91,8 +99,16 @@ class Plan:
             moving,
             *self._air_rows(),
             self._lag_row(),
-            ("specular rays", "out", "every material is Lambertian"),
+            self._specular_row(),
         ]
+
+    def _specular_row(self):
+        if self.specular_mk is None:
+            return ("specular rays", "out", "every material is Lambertian")
+        why = f"from directional materials, which they change by at most {_kelvin(self.specular_mk)}"
+        if self.specular is None:
+            return ("specular rays", "out", why)
+        return ("specular rays", "in", f"{why}; worst error {self.specular.error_mk:.3g} mK")
 
     def _air_rows(self):
         """Rows of what the atmosphere brings."""
@@ -129,6 +145,7 @@ class Plan:
             "channels": self.spectrum.channels,
             "channels_mk": round(self.spectrum.channels_mk, 4),
             "sun": self.sun,
+            "specular": self.specular is not None,
         }
 
 
@@ -190,6 +207,7 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
         light = irradiance(wavelength) / np.pi * (scene.spec.sun.elevation_deg > 0.0)
         sun_mk = float((reflectance @ (light * weight)).max() / per_mk)
     spectrum = make_spectrum(scene.materials, envelope, tolerance_mk, bake)
+    specular = make_tables(scene, spectrum, envelope)
     return Plan(
         band_um=band,
         spectrum=spectrum,
@@ -206,6 +224,8 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
         sun_mk=sun_mk,
         time_constant_ms=scene.camera.time_constant_ms,
         sun=sun_mk is not None and sun_mk > 0.1 * tolerance_mk,
+        specular_mk=specular.bound_mk if specular else None,
+        specular=specular if specular and specular.bound_mk > 0.1 * tolerance_mk else None,
     )
 
 

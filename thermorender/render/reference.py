@@ -13,6 +13,7 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import C1L, C2
 from thermorender.render.frame import checked_pose
+from thermorender.render.specular import directional
 from thermorender.render.variant import activate
 
 VARIANTS = {"llvm_ad_mono": "llvm_ad_spectral", "cuda_ad_mono": "cuda_ad_spectral"}
@@ -42,13 +43,19 @@ def render(scene, pose, samples=64, depth=8, seed=0, device="auto", integrator="
     Raises
     ------
     ThermorenderError
-        A camera with distortion, a pose that is no rigid transform, samples below 1.
+        A camera with distortion, a pose that is no rigid transform, samples below 1, a directional material.
     """
     pose = checked_pose(pose)
     camera = scene.camera
     if any(camera.distortion) or any(camera.principal_offset_px):
         raise ThermorenderError(
             f"camera {camera.name}: the reference engine has no distortion or principal offset; use another camera"
+        )
+    mirrors = [scene.materials[number].name for number in directional(scene.materials)]
+    if mirrors:
+        raise ThermorenderError(
+            f"material {mirrors[0]!r} depends on the angle of view, which the reference engine does not know; give a "
+            "Lambertian one, such as 'water', 'ice' or 'glass'"
         )
     if samples < 1:
         raise ThermorenderError(f"samples={samples} is not allowed; give at least 1 path per pixel")

@@ -7,10 +7,12 @@ an edge would be that of nothing.
 import drjit as dr
 import numpy as np
 
-from thermorender.physics.band import emitted_radiance
-from thermorender.physics.planck import band_radiance
+from thermorender.physics.band import emitted_radiance, quadrature
+from thermorender.physics.fresnel import COSINES
+from thermorender.physics.planck import band_radiance, spectral_radiance
 from thermorender.render.geometry import view_ray
 from thermorender.render.plan import REFERENCE_K
+from thermorender.render.specular import directional
 from thermorender.scene.surface import BEYOND
 
 NO_MATERIAL = 255
@@ -32,6 +34,7 @@ def truth(scene, rays, layers, warm):
     mi, camera = layers[0].geometry.mi, scene.camera
     slope = rays.slopes(0.5, 0.5)
     valid, distance, texel, first = mi.Bool(False), mi.Float(np.inf), mi.UInt32(0), 0
+    by_angle, cosine = directional(scene.materials), mi.Float(0.0)
     for layer in layers:
         geometry = layer.geometry
         ray = view_ray(mi, *layer.view, *slope)
@@ -40,13 +43,16 @@ def truth(scene, rays, layers, warm):
         nearer = hit.distance < distance
         found = first + geometry.nearest(hit.surface, column, row, hit.valid)
         texel, distance = dr.select(nearer, found, texel), dr.minimum(distance, hit.distance)
+        if by_angle:
+            slant = dr.abs(dr.dot(mi.Vector3f(*geometry.normals.at(hit.face, hit.valid)), ray.d))
+            cosine = dr.select(nearer, slant, cosine)
         valid |= nearer
         first += int(geometry.texel_start[-1])
     ray = view_ray(mi, *layers[0].view, *slope)
     position = ray.o + distance * ray.d
     # The direction is unit length, so depth along the axis is the distance over the slope's length.
     depth = distance / dr.sqrt(1.0 + slope[0] * slope[0] + slope[1] * slope[1])
-    found = [mi.UInt32(valid), texel, mi.UInt32(ray.d.z >= 0.0), depth, *position]
+    found = [mi.UInt32(valid), texel, mi.UInt32(ray.d.z >= 0.0), cosine, depth, *position]
     # One evaluation for all: each by itself would cast the rays again.
     dr.eval(found)
     images = []
@@ -54,7 +60,7 @@ def truth(scene, rays, layers, warm):
         flat = np.empty(camera.height * camera.width, np.array(values).dtype)
         flat[rays.order] = np.array(values)
         images.append(flat.reshape(camera.height, camera.width))
-    valid, number, up, depth, *position = images
+    valid, number, up, cosine, depth, *position = images
     valid, up = valid > 0, up > 0
     moving = [surface for mover in scene.movers for surface in mover.surfaces]
     flags, material = (
@@ -67,9 +73,16 @@ def truth(scene, rays, layers, warm):
     band_um = scene.camera.band_um
     black = band_radiance(REFERENCE_K, *band_um)
     emissivity = np.array([emitted_radiance(m.emissivity_at, REFERENCE_K, *band_um) / black for m in scene.materials])
+    emissivity = emissivity[material]
+    for one in by_angle:
+        here = material == one
+        wavelength, weight = quadrature(*band_um)
+        share = spectral_radiance(wavelength, REFERENCE_K) * weight / black
+        table = scene.materials[one].emissivity_at_angle(wavelength, COSINES[:, None]) @ share
+        emissivity[here] = np.interp(cosine[here], COSINES, table)
     return {
         "kinetic_temperature": np.where(valid, temperature, np.nan).astype(np.float32),
-        "emissivity": np.where(valid, emissivity[material], np.nan).astype(np.float32),
+        "emissivity": np.where(valid, emissivity, np.nan).astype(np.float32),
         "material": np.where(valid, material, NO_MATERIAL).astype(np.uint8),
         "depth": np.where(valid, depth, np.inf).astype(np.float32),
         "position": np.where(valid[..., None], np.stack(position, axis=-1), np.nan).astype(np.float32),

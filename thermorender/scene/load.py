@@ -165,7 +165,7 @@ class Scene:
         for material in self.materials:
             state.update(material.name.encode() + material.wavelength_um.tobytes() + material.emissivity.tobytes())
             if material.emissivity_by_angle is not None:
-                state.update(material.emissivity_by_angle.tobytes())
+                state.update(material.cosines.tobytes() + material.emissivity_by_angle.tobytes())
         for mover in self.movers:
             state.update(repr((mover.item, mover.lift_m)).encode() + mover.time_s.tobytes())
             for name, values in mover.columns.items():
@@ -290,11 +290,6 @@ class _Materials:
                 material.emissivity_at(np.array(self.camera.band_um))
             except ThermorenderError as error:
                 raise ThermorenderError(f"{self.where}: {error}") from None
-            if material.directional != "lambertian":
-                raise ThermorenderError(
-                    f"{self.where}: material {material.name!r} depends on the angle of view, which frames do not show "
-                    "yet; give a Lambertian one, such as 'water', 'ice' or 'glass'"
-                )
             self.used.append(material)
         return self.used.index(material)
 

@@ -1,0 +1,249 @@
+"""Materials that depend on the angle of view, against closed forms, mirrored geometry and Lambertian scenes."""
+
+import numpy as np
+import pytest
+import trimesh
+
+import thermorender as tr
+from scenes import write_mesh, write_terrain
+from thermorender.errors import ThermorenderError
+from thermorender.physics.band import quadrature
+from thermorender.physics.planck import band_radiance_derivative, brightness_temperature, spectral_radiance
+from thermorender.physics.rays import MEAN_RADIUS_M
+from thermorender.render import reference
+from thermorender.render.geometry import Geometry
+from thermorender.render.plan import make_plan
+from thermorender.scene.material_files import INDEX_COLUMNS
+
+BAND = (7.5, 13.5)
+AIR = '[atmosphere]\nstandard = "midlatitude-summer"\naerosol = "rural-23km"\n'
+ANGLES = (0, 30, 60, 80, 90)
+SHEEN = (0.9, 0.88, 0.7, 0.3, 0.0)
+
+
+def plane(side, up=0.0):
+    h = side / 2
+    return trimesh.Trimesh([[-h, -h, up], [h, -h, up], [h, h, up], [-h, h, up]], [[0, 1, 2], [0, 2, 3]])
+
+
+def write(folder, mesh, material, temperature=300.0, sky=250.0, air=None, extra=""):
+    """A mesh scene of one material of the library, or of "black" or "sheen" (by angle), which it brings itself."""
+    write_mesh(folder, mesh, temperature, sky=sky, extra=extra)
+    path = folder / "scene.toml"
+    text = path.read_text().replace('source = "constant"\nvalue = 0.9', f'source = "material"\nmaterial = "{material}"')
+    path.write_text(text.replace(f"[sky]\ntemperature = {sky}\n", air) if air else text)
+    own_materials(folder)
+    return folder
+
+
+def own_materials(folder):
+    spectra = folder / "materials" / "spectra"
+    spectra.mkdir(parents=True)
+    rows = [",".join(INDEX_COLUMNS)]
+    for name, kind in (("black", "lambertian"), ("sheen", "table")):
+        cells = dict.fromkeys(INDEX_COLUMNS, "x") | dict.fromkeys([c for c in INDEX_COLUMNS if "colour" in c], "9")
+        cells |= {"name": name, "directional": kind, "solar_absorptance": "1", "temperature_k": "300", "samples": "1"}
+        rows.append(",".join(cells[column] for column in INDEX_COLUMNS))
+    (spectra.parent / "index.csv").write_text("\n".join(rows) + "\n")
+    (spectra / "black.csv").write_text("wavelength_um,emissivity,emissivity_std\n7,1,\n14,1,\n")
+    lines = [",".join(["wavelength_um", *(f"at_{angle}" for angle in ANGLES)])]
+    # Twice as shiny at the band's end as at its start, so that band means would not do.
+    for wavelength, share in ((7, 0.7), (14, 1.4)):
+        shiny = [1.0 - share * (1.0 - value) * (0.7 if value < 0.5 else 1.0) for value in SHEEN]
+        lines.append(",".join([str(wavelength), *(f"{max(value, 0.0):.6f}" for value in shiny)]))
+    (spectra / "sheen.csv").write_text("\n".join(lines) + "\n")
+
+
+def thing(name, material, temperature, size, position, rest="", shape="box"):
+    size, position = ([float(value) for value in values] for values in (size, position))
+    return (
+        f'[[object]]\nname = "{name}"\nshape = "{shape}"\nsize = {size}\nposition = {position}\n'
+        f'temperature = {temperature}\nmaterial = "{material}"\n{rest}\n'
+    )
+
+
+def directions(camera, pose):
+    """Unit directions (H, W, 3) through the pixels' middles."""
+    row, column = np.mgrid[: camera.height, : camera.width] + 0.5
+    local = camera.directions(np.stack([column, row], axis=-1).reshape(-1, 2))
+    world = np.column_stack([local[:, :2], np.ones(len(local))]) @ pose[:3, :3].T
+    return (world / np.linalg.norm(world, axis=1, keepdims=True)).reshape(camera.height, camera.width, 3)
+
+
+def shown(material, cosine, own, seen):
+    """Band radiance of a mirror of temperature `own` that shows a blackbody `seen`, summed over wavelengths."""
+    wavelength, weight = quadrature(*BAND)
+    emissivity = material.emissivity_at_angle(wavelength, np.asarray(cosine)[..., None])
+    warm, cold = (spectral_radiance(wavelength, t) * weight for t in (own, seen))
+    return emissivity @ warm + (1.0 - emissivity) @ cold
+
+
+def kelvin_apart(radiance, exact):
+    return (radiance - exact) / band_radiance_derivative(brightness_temperature(exact, *BAND), *BAND)
+
+
+@pytest.mark.parametrize("material", ["water_fresnel", "water_breeze", "silica_fused", "gold_polished", "sheen"])
+def test_level_mirror_under_an_isotropic_sky(tmp_path, material):
+    scene = tr.load_scene(write(tmp_path / "s", plane(4e4), material))
+    pose = tr.pose(0, 0, 10, pitch_deg=-18)
+    frame = tr.Renderer(scene, rays=2).frame(pose)
+    cosine = -directions(scene.camera, pose)[..., 2]
+    hit = np.isfinite(frame.truth["depth"])
+    cosine, seen = cosine[hit][::97], frame.radiance[hit][::97]
+    assert cosine.min() < 0.02 and cosine.max() > 0.5
+    exact = shown(scene.materials[0], cosine, 300.0, 250.0)
+    # 257 angles hold a material's emissivity to 3e-4 near grazing and 2e-5 elsewhere, of some 50 K by which sky and
+    # ground differ where the sky makes up most.
+    limit = np.where(cosine < 0.1, 12e-3, 2e-3)
+    if material == "sheen":
+        # A table's bend between two of the 257: a quarter of their step of 0.0033 times the change of slope, 0.65.
+        limit = 27e-3
+    error = np.abs(kelvin_apart(seen, exact))
+    assert (error < limit).all(), error.max()
+    # A diffuse surface would be far off, so the test can fail.
+    diffuse = scene.materials[0].band_emissivity(*BAND, 300.0)
+    assert np.abs(diffuse - scene.materials[0].band_emissivity(*BAND, 300.0, cosine.min())) > 0.05 or material[0] == "g"
+    wanted = [scene.materials[0].band_emissivity(*BAND, 300.0, value) for value in cosine[::400]]
+    assert np.abs(frame.truth["emissivity"][hit][::97][::400] - wanted).max() < 4e-4
+
+
+@pytest.mark.parametrize(("height", "pitch"), [(1.5, -14.0), (120.0, -45.0), (3000.0, -60.0)])
+@pytest.mark.parametrize("material", ["water_fresnel", "silica_fused"])
+def test_level_mirror_behind_air(tmp_path, height, pitch, material):
+    # Small faces, as a chord over kilometres would lie deep in the air of a round Earth.
+    scene = tr.load_scene(write(tmp_path / "s", plane(8.0 * height), material, 290.0, air=AIR))
+    renderer = tr.Renderer(scene, rays=2)
+    pose = tr.pose(0, 0, height, pitch_deg=pitch)
+    frame = renderer.frame(pose)
+    pixels = np.isfinite(frame.truth["depth"])[::61, ::73]
+    cosine = -directions(scene.camera, pose)[::61, ::73, 2][pixels]
+    seen, air = frame.radiance[::61, ::73][pixels], scene.air
+    length = height / cosine
+    passed, added = air.path(height, (length**2 - height**2) / (2.0 * MEAN_RADIUS_M), length)
+    at_m = np.square(4.0 * height) / MEAN_RADIUS_M
+    sky, leaving = air.sky_radiance(at_m, cosine), np.empty((len(cosine), air.nodes))
+    for node, limits in enumerate(zip(air.lower_um, air.upper_um, strict=True)):
+        wavelength, weight = quadrature(*limits)
+        own, cool = (spectral_radiance(wavelength, t) * weight for t in (290.0, 300.0))
+        emissivity = scene.materials[0].emissivity_at_angle(wavelength, cosine[:, None])
+        leaving[:, node] = emissivity @ own / own.sum() * air.planck(290.0)[node]
+        leaving[:, node] += (1.0 - emissivity) @ cool / cool.sum() * sky[:, node]
+    exact = (passed * leaving).sum(axis=1) + added.sum(axis=1)
+    plan = renderer.plan
+    # Channels as planned, the fit at blackbodies a thirtieth of its worst, 2 mK for the grid of lengths, 5 of the sky.
+    limit = plan.spectrum.channels_mk + plan.specular.error_mk / 30.0 + 2.0 + 5.0
+    error = 1e3 * kelvin_apart(seen, exact)
+    assert len(cosine) > 20 and np.abs(error).max() < limit, error
+
+
+def test_a_mirror_image_is_where_geometry_puts_it(tmp_path):
+    low, high = np.array([-2.0, 19.0, 3.0]), np.array([1.0, 22.0, 6.0])
+    extra = thing("hot", "black", 340.0, high - low, [*(0.5 * (low + high))[:2], low[2]])
+    scene = tr.load_scene(write(tmp_path / "s", plane(400.0), "water_fresnel", 290.0, extra=extra))
+    renderer = tr.Renderer(scene, rays=16, samples=1, taps=1, edge_mk=np.inf)
+    pose = tr.pose(0, 0, 5, pitch_deg=-14)
+    frame = renderer.frame(pose)
+    # Seen from the camera's own mirror image the box stands as it is: a ray meets it between its slabs.
+    towards, truth = directions(scene.camera, pose), frame.truth
+    flipped, eye = towards * [1, 1, -1], np.array([0.0, 0.0, -5.0])
+    ends = np.sort(np.stack([(low - eye) / flipped, (high - eye) / flipped]), axis=0)
+    water = towards[..., 2] < -0.01
+    image = water & (ends[0].max(axis=-1) < ends[1].min(axis=-1))
+    cosine = -towards[..., 2]
+    angle = np.linspace(0.0, 1.0, 200)
+    halfway = 0.5 * sum(shown(scene.materials[0], angle, 290.0, seen) for seen in (340.0, 250.0))
+    clear = water & (frame.radiance > np.interp(cosine, angle, halfway))
+    direct = truth["material"] == 1
+    clear &= ~direct
+    image &= ~direct
+    assert image.sum() > 1000
+    apart = np.argwhere(clear).mean(axis=0) - np.argwhere(image).mean(axis=0)
+    assert np.abs(apart).max() < 0.1 and (clear != image).sum() < 0.1 * np.sqrt(image.sum())
+    # Away from the outline: a blackbody of 340 K mirrored, or the sky.
+    import cv2
+
+    near = np.ones((5, 5), np.uint8)
+    inside = cv2.erode(image.astype(np.uint8), near) > 0
+    outside = water & ~direct & (cv2.dilate((image | direct).astype(np.uint8), near) == 0) & (cosine > 0.1)
+    error_mk = renderer.plan.specular.error_mk
+    for where, seen in ((inside, 340.0), (outside, 250.0)):
+        some = frame.radiance[where][::97], shown(scene.materials[0], cosine[where][::97], 290.0, seen)
+        error = 1e3 * kelvin_apart(*some)
+        assert np.abs(error).max() < (error_mk if seen == 340.0 else 2.0)
+    # The image is many kelvin, so an error of its place or strength would show.
+    assert 5.0 < kelvin_apart(*(shown(scene.materials[0], 0.3, 290.0, seen) for seen in (340.0, 250.0)))
+
+
+@pytest.mark.parametrize("material", ["water_fresnel", "gold_polished", "sheen"])
+def test_isothermal_enclosure_with_mirrors_reads_the_wall(tmp_path, material):
+    room = trimesh.creation.box(extents=(4, 4, 4)).subdivide()
+    room.invert()
+    scene = tr.load_scene(write(tmp_path / "s", room, material, sky=200.0))
+    renderer = tr.Renderer(scene, rays=64, tolerance_mk=0.5)
+    assert renderer.plan.specular
+    frame = renderer.frame(tr.pose(-1, 0, 0, yaw_deg=60))
+    # A leak would show 200 K; M differs from what it should be for black walls by a thousandth of its worst error.
+    assert np.abs(frame.apparent_temperature - 300.0).max() < 1e-3 + 1e-6 * renderer.plan.specular.error_mk
+
+
+def test_moving_mirrors_and_what_moves_in_mirrors(tmp_path):
+    frames = []
+    for track in (None, "time_s,yaw_deg\n0,30\n"):
+        rest = 'track = "t.csv"\n' if track else "yaw_deg = 30\n"
+        extra = thing("hot", "black", 340.0, [3, 3, 3], [0, 20, 3], rest)
+        extra += thing("plate", "gold_polished", 300.0, [4, 4, 0.5], [6, 14, 4], rest)
+        folder = tmp_path / str(bool(track))
+        write(folder, plane(100.0), "water_fresnel", 290.0, extra=extra)
+        (folder / "t.csv").write_text(track or "")
+        frames.append(tr.Renderer(tr.load_scene(folder), rays=256).frame(tr.pose(1, 0, 6, pitch_deg=-14)))
+    still, moving = frames
+    apart = np.abs(moving.apparent_temperature - still.apparent_temperature)
+    hot = np.isin(still.truth["material"], 1)
+    assert (moving.truth["emissivity"][hot] == still.truth["emissivity"][hot]).mean() > 0.999
+    # What a mirror shows of black and of mirrors does not depend on the bake's rays but through what they reflect.
+    assert np.percentile(apart, 99) < 0.02 and np.median(apart) < 1e-3
+    plate = still.truth["emissivity"] < 0.1
+    assert plate.sum() > 1000 and np.percentile(apart[plate], 90) < 0.05
+
+
+def test_without_such_materials_no_ray_is_cast_for_them(tmp_path, monkeypatch):
+    casts = []
+    cast = Geometry.cast
+    monkeypatch.setattr(Geometry, "cast", lambda self, *a, **k: casts.append(k) or cast(self, *a, **k))
+    counts, plans, radiance = [], [], []
+    classes = np.full((32, 32), 1)
+    for name, one, texels in (("diffuse", "water", 1), ("mirror", "water_fresnel", 1), ("unused", "water", 1)):
+        other = "water_fresnel" if name == "unused" else "sand_quartz"
+        folder = write_terrain(tmp_path / name, classes=classes * texels)
+        path = folder / "scene.toml"
+        path.write_text(path.read_text().replace("grass_green", one).replace("sand_quartz", other))
+        renderer = tr.Renderer(tr.load_scene(folder), rays=16, edge_mk=np.inf)
+        renderer.prepare()
+        casts.clear()
+        radiance.append(renderer.radiance(tr.pose(0, -4, 6, pitch_deg=-40)))
+        counts.append(len(casts))
+        plans.append(renderer.plan)
+    assert counts == [1, 2, 1]
+    assert np.abs(radiance[1] - radiance[0]).max() > 0.1
+    rows = [plan.rows()[-1] for plan in plans]
+    assert [row[:2] for row in rows] == [("specular rays", way) for way in ("out", "in", "out")]
+    assert "Lambertian" in rows[0][2] and "at most" in rows[1][2] and rows[2] == rows[0]
+    assert [plan.as_dict()["specular"] for plan in plans] == [False, True, False]
+
+
+def test_plan_leaves_mirrors_out_where_all_is_of_one_temperature(tmp_path):
+    plans = [make_plan(tr.load_scene(write(tmp_path / f"{sky}", plane(9.0), "water_fresnel", 300.0, sky)))
+             for sky in (300.0, 299.99, 280.0)]  # fmt: skip
+    assert [plan.specular is not None for plan in plans] == [False, True, True]
+    assert plans[0].specular_mk < 1e-6 and "out" in plans[0].rows()[-1]
+    # At 80° water reflects a third of the sky's 10 mK and 20 K.
+    scene = tr.load_scene(tmp_path / "280.0")
+    for plan, apart in zip(plans[1:], (0.01, 20.0), strict=True):
+        share = 1.0 - scene.materials[0].band_emissivity(*BAND, 290.0, np.cos(np.radians(80.0)))
+        assert 0.7 * share * apart < plan.specular_mk * 1e-3 < 1.3 * (share + 0.06) * apart
+
+
+def test_the_reference_engine_refuses_them(tmp_path):
+    scene = tr.load_scene(write(tmp_path / "s", plane(9.0), "water_fresnel"))
+    with pytest.raises(ThermorenderError, match="'water_fresnel' depends on the angle of view"):
+        reference.render(scene, tr.pose(0, 0, 5, pitch_deg=-90), samples=1)

@@ -1,0 +1,323 @@
+"""Materials that depend on the angle of view: what they emit towards the camera, and the mirror image on them.
+
+To the light between surfaces such a material is diffuse, with its hemispherical emissivity, and so it is in the texels
+and faces of `fold`. To the camera it is a mirror: where a ray meets one, a second ray goes on about the normal of the
+face, and the texel shows
+
+    black − [reflected(θ, black) − reflected(θ, seen)],
+
+all in channels: `black` a blackbody of its temperature, `seen` what the second ray meets. In an isothermal enclosure
+the two are one, and every wall looks black. A ray that meets nothing reflects sky or surroundings, tabulated by both
+angles with their spectra. What `fold` has put there is taken off again, so other materials know nothing of all this.
+
+A mirror in a mirror shows what the bake makes of it: emission and reflection of a diffuse surface. The mirror's normal
+is that of its flat face, whatever its roughness: roughness raises the emissivity at grazing angles but does not blur
+the image. Air between a mirror and what it shows is left out, as in the bake, and so is the glint of the sun.
+"""
+
+from dataclasses import dataclass
+
+import drjit as dr
+import numpy as np
+
+from thermorender.physics.fresnel import COSINES
+from thermorender.physics.planck import band_radiance_derivative, brightness_temperature
+from thermorender.render.air import altitude
+from thermorender.render.geometry import Channels
+from thermorender.render.spectrum import REFERENCE_K
+
+# Directions of the sky, even in the root of the cosine of zenith angle: 5 mK of the sky.
+_DIRECTIONS = np.linspace(0.0, 1.0, 65) ** 2
+# Steepest view for which bound and error are stated, and angles at which these are looked at.
+_GRAZING = np.cos(np.radians(80.0))
+_JUDGED = np.flatnonzero(COSINES >= _GRAZING)[::8]
+# Blackbodies between the coldest and the warmest texel, and how much more than other light they count in the fit of
+# what is reflected: they are what a mirror emits, and nearly what most of the ground does.
+_BLACK, _TRUST = 5, 10.0
+# Of the light's variation, the share below which that fit takes no notice: float32 does not tell it.
+_SMALLEST = 1e-4
+
+
+@dataclass(frozen=True)
+class Tables:
+    """How directional materials reflect, by the cosine of the angle of view at `COSINES`.
+
+    Attributes
+    ----------
+    number : (M,) int
+        1 + place in these tables of each material of the scene; 0 for Lambertian ones.
+    matrix : (D, 257, K, K + 1) float64
+        Difference in each channel between what is reflected of two lights, per difference of their channels and of
+        b ln b, their band radiance by its logarithm to the base e.
+    outside : (D, 257, S, K) float64
+        What is reflected of the sky at S − 1 zenith angles, and of the surroundings last, less what `matrix` takes for
+        the reflection of no light [W m⁻² sr⁻¹].
+    weight : (K,) float64
+        Of the channels in the band radiance.
+    bound_mk : float
+        Most that treating these materials as diffuse changes what they show, up to 80° [mK].
+    error_mk : float
+        Most that `matrix` errs for any light of the scene, up to 80° [mK].
+    """
+
+    number: np.ndarray
+    matrix: np.ndarray
+    outside: np.ndarray
+    weight: np.ndarray
+    bound_mk: float
+    error_mk: float
+
+
+def directional(materials):
+    """Return the numbers of the materials whose emissivity depends on the angle."""
+    return [number for number, material in enumerate(materials) if material.emissivity_by_angle is not None]
+
+
+def make_tables(scene, spectrum, envelope):
+    """Return the Tables of a scene, or None where nothing is of a directional material.
+
+    Notes
+    -----
+    What a channel reflects depends on spectra that channels tell only in part. `matrix` is the least-squares fit, over
+    the scene's envelope of light in relative terms, of what is reflected: a constant, a share of each channel, and a
+    share of b ln b, which bends as the reflection of blackbodies of very different temperatures does. The constant
+    falls out of differences and is kept in `outside`.
+    """
+    points = spectrum.points
+    seen = {number: texels for number in directional(scene.materials) if (texels := _texels(scene, number, envelope))}
+    if not seen:
+        return None
+    sources = envelope.sources(points)
+    spectra = np.array([material.emissivity_at(points.wavelength_um) for material in scene.materials])
+    # Beginning with the outside itself.
+    light = envelope.light(spectra, *sources)
+    cases = [
+        _Case(scene, spectrum, scene.materials[number], spectra[number], envelope, sources[0], light, *texels)
+        for number, texels in seen.items()
+    ]
+    place = np.zeros(len(scene.materials), dtype=int)
+    place[list(seen)] = 1 + np.arange(len(seen))
+    stacked = [np.stack([getattr(case, name) for case in cases]) for name in ("matrix", "outside")]
+    weight = spectrum.solver.sum(axis=0)
+    worst = [max(getattr(case, name) for case in cases) for name in ("bound_mk", "error_mk")]
+    return Tables(place, *stacked, weight, *worst)
+
+
+class _Case:
+    """One material's part of `Tables`."""
+
+    def __init__(self, scene, spectrum, material, diffuse, envelope, outside, light, at_m, coldest, warmest):
+        points = spectrum.points
+        channel = spectrum.basis[:, points.node]
+        reflectance = 1.0 - material.emissivity_at_angle(points.wavelength_um, COSINES[:, None])
+
+        def reflected(spectra):
+            return np.stack([reflectance @ (spectra * row).T for row in channel], axis=-1)
+
+        limits = min(coldest, *envelope.ground), max(warmest, *envelope.ground)
+        black = points.planck(np.linspace(*limits, _BLACK))
+        every = np.concatenate([black, light[len(outside) :]])
+        every = every[every.sum(axis=1) > 0.0]
+        size, channels = every.sum(axis=1), every @ channel.T
+        known = np.column_stack([channels, _bent(channels @ spectrum.solver.sum(axis=0)), np.full(len(size), size[0])])
+        wanted = reflected(every)
+        trust = np.where(np.arange(len(size)) < _BLACK, _TRUST, 1.0) / size
+        fit = np.linalg.pinv(known * trust[:, None], rcond=_SMALLEST) @ (wanted * trust[:, None])
+        self.matrix = fit[:, :-1].transpose(0, 2, 1)
+        if scene.air is None:
+            sky = outside[:1]
+        else:
+            sky = points.spread(scene.air.sky_radiance(at_m, _DIRECTIONS))
+        self.outside = reflected(np.concatenate([sky, outside[-1:]])) - fit[:, None, -1] * size[0]
+        band_um, judged = scene.camera.band_um, reflectance[_JUDGED]
+        # The mirror and the diffuse surface may see any two things of the scene.
+        emitted = (1.0 - diffuse - judged) @ black.T
+        image, glow = judged @ light.T, (1.0 - diffuse) @ light.T
+        most = emitted.max(axis=1) + image.max(axis=1) - glow.min()
+        least = emitted.min(axis=1) + image.min(axis=1) - glow.max()
+        self.bound_mk = float(np.abs([most, least]).max() / band_radiance_derivative(REFERENCE_K, *band_um)) * 1e3
+        shown = (black[0].sum() - judged @ black[0])[:, None] + judged @ every.T
+        per_mk = band_radiance_derivative(brightness_temperature(shown, *band_um), *band_um) * 1e-3
+        left = (wanted - known @ fit)[_JUDGED] @ spectrum.solver.sum(axis=0) / per_mk
+        self.error_mk = float((np.abs(left) + np.abs(left[:, :_BLACK]).max(axis=1, keepdims=True)).max())
+
+
+class Mirror:
+    """What the directional texels of one layer need.
+
+    Parameters
+    ----------
+    mi : module
+    laws : Laws
+        Of the scene.
+    material : (T,) uint8
+        Number of each texel's material.
+    black : (n, K) array
+        From `black_of`.
+    """
+
+    def __init__(self, mi, laws, material, black):
+        self.laws = laws
+        number = laws.number[material]
+        texels = np.flatnonzero(number)
+        row = np.zeros(len(number), dtype=np.uint32)
+        row[texels] = 1 + np.arange(len(texels))
+        self.row, self.kind = mi.UInt32(row), mi.UInt32(number[texels].astype(np.uint32) - 1)
+        self.black = Channels(mi, black)
+
+
+class Laws:
+    """Tables on the render side."""
+
+    def __init__(self, mi, tables):
+        self.number, self._mi = tables.number, mi
+        self.count = tables.matrix.shape[-2]
+        self._weight = [dr.opaque(mi.Float, float(value)) for value in tables.weight]
+        self._directions = tables.outside.shape[2] - 1
+        self._matrix = Channels(mi, tables.matrix.reshape(-1, self.count * (self.count + 1)))
+        self._outside = Channels(mi, tables.outside.reshape(-1, self.count))
+
+    def reflected(self, kind, cosine, black, seen, valid, up, active):
+        """Return what materials reflect into each channel, less what they reflect of a blackbody, [Float].
+
+        Parameters
+        ----------
+        kind : UInt32
+            Places in the tables.
+        cosine : Float
+            Of the angle of view.
+        black, seen : list of Float
+            Channels of the blackbody and of the light.
+        valid : Bool
+            Whether the light is that of something; else it is that of the outside.
+        up : Float
+            Cosine of the zenith angle that the outside is seen at.
+        active : Bool
+        """
+        mi, count, lines = self._mi, self.count, self._directions
+        own, other = ([*light, _bent(self._band(light))] for light in (black, seen))
+        light = [dr.select(valid, a, 0.0) - b for a, b in zip(other, own, strict=True)]
+        row, across = self._place(cosine, len(COSINES))
+        row = row + kind * len(COSINES)
+        near, far = (self._matrix.at(row + k, active) for k in (0, 1))
+        matrix = [dr.lerp(a, b, across) for a, b in zip(near, far, strict=True)]
+        column, along = self._place(up, lines) if lines > 1 else (mi.UInt32(0), mi.Float(0.0))
+        # The last column is the surroundings'.
+        below, step = up < 0.0, min(lines - 1, 1)
+        column, along = dr.select(below, lines, column), dr.select(below, 0.0, along)
+        step = dr.select(below, 0, mi.UInt32(step))
+        missed = active & ~valid
+        added = [mi.Float(0.0) for _ in range(count)]
+        for k, part in ((0, 1.0 - across), (1, across)):
+            for index, share in ((column, 1.0 - along), (column + step, along)):
+                values = self._outside.at((row + k) * (lines + 1) + index, missed)
+                added = [a + part * share * value for a, value in zip(added, values, strict=True)]
+        return [
+            added[k] + sum(m * value for m, value in zip(matrix[k * len(light) :], light, strict=False))
+            for k in range(count)
+        ]
+
+    def _band(self, light):
+        """Band radiance of light given by its channels."""
+        return sum(weight * value for weight, value in zip(self._weight, light, strict=True))
+
+    def _place(self, cosine, count):
+        """(lower index, share of the next) in a table of `count` squares of an even grid."""
+        place = dr.sqrt(dr.clip(cosine, 0.0, 1.0)) * (count - 1)
+        lower = dr.minimum(self._mi.UInt32(place), count - 2)
+        grid = self._mi.Float(lower)
+        # Linear in the cosine itself between its squares.
+        return lower, (place * place - grid * grid) / (2.0 * grid + 1.0)
+
+
+def black_of(plan, laws, material, temperature):
+    """Return the channels (n, K) of blackbodies of the directional texels' temperatures, in order [W m⁻² sr⁻¹]."""
+    warm = temperature[laws.number[material] > 0]
+    grid, table = plan.spectrum.emitted(np.ones_like, float(warm.min()), float(warm.max()), plan.band_um)
+    return np.stack([np.interp(warm, grid, channel) for channel in table.T], axis=1)
+
+
+def changed(layers, here, ray, hit, texel):
+    """Return (channels to be added, [Float], length [m] from a mirror to what it shows) for rays of one layer.
+
+    Parameters
+    ----------
+    layers : sequence of Layer
+        The still scene first.
+    here : Layer
+        Which of them the rays are cast into.
+    ray : Ray3f
+    hit : Hit
+    texel : UInt32
+        Flat number of the texel at the hit.
+    """
+    geometry, mirror = here.geometry, here.shown.mirror
+    mi = geometry.mi
+    row = dr.gather(mi.UInt32, mirror.row, texel, hit.valid)
+    active, row = row > 0, row - 1
+    normal = mi.Vector3f(*geometry.normals.at(hit.face, active))
+    slant = dr.dot(normal, ray.d)
+    normal = dr.select(slant > 0.0, -normal, normal)
+    cosine = dr.minimum(dr.abs(slant), 1.0)
+    direction = ray.d + 2.0 * cosine * normal
+    # As far off the surface as the rays of the bake, and more where the ray is long.
+    lift = 64.0 * 2.0**-24 * (1.0 + dr.maximum(geometry.reach, hit.distance))
+    origin = ray.o + hit.distance * ray.d + lift * normal
+    nearest, seen = mi.Float(np.inf), None
+    for layer in layers:
+        start, along = (origin, direction) if layer is here else _carried(here.view, layer.view, origin, direction)
+        values, distance = _met(layer, mi.Ray3f(mi.Point3f(start), along), active)
+        nearer = distance < nearest
+        seen = [dr.select(nearer, a, b) for a, b in zip(values, seen or values, strict=True)]
+        nearest = dr.minimum(nearest, distance)
+    up = direction.z if here is layers[0] else _carried(here.view, layers[0].view, origin, direction)[1].z
+    valid = nearest < np.inf
+    black = mirror.black.at(row, active)
+    kind = dr.gather(mi.UInt32, mirror.kind, row, active)
+    reflected = mirror.laws.reflected(kind, cosine, black, seen, valid, up, active)
+    diffuse = here.shown.at_texel(texel, hit.face, active)
+    added = [dr.select(active, a + b - c, 0.0) for a, b, c in zip(black, reflected, diffuse, strict=True)]
+    return added, dr.select(active, nearest, 0.0)
+
+
+def _bent(radiance):
+    """b ln b of band radiances; 0 for none."""
+    log = np.log if isinstance(radiance, np.ndarray) else dr.log
+    positive = (np if log is np.log else dr).maximum(radiance, 1e-20)
+    return positive * log(positive)
+
+
+def _met(layer, ray, active):
+    """(channels, distance) of what rays meet in a layer."""
+    geometry = layer.geometry
+    hit = geometry.cast(ray, active=active)
+    place = geometry.place(geometry.record(hit.face, hit.valid), ray.o + hit.distance * ray.d)
+    return layer.shown.at(geometry, hit, place), dr.select(hit.valid, hit.distance, np.inf)
+
+
+def _carried(one, other, point, direction):
+    """(point, direction) of one view's frame in that of another view from the same camera."""
+    (rows, origin), (into, start) = one, other
+    away = point - origin
+    local = [sum(row * value for row, value in zip(rows, vector, strict=True)) for vector in (away, direction)]
+    there = [type(direction)(*(dr.dot(row, vector) for row in into)) for vector in local]
+    return start + there[0], there[1]
+
+
+def _texels(scene, number, envelope):
+    """(mean altitude [m], coldest, warmest [K]) of what is of a material, or None where nothing is."""
+    warm, places = [], []
+    for surface in scene.surfaces:
+        own = surface.material == number
+        if own.any():
+            warm += [limit(surface.temperature[own]) for limit in (np.min, np.max)]
+            column, row = (surface.uv.mean(axis=1) * own.shape[::-1]).astype(int).T
+            faces = own[np.clip(row, 0, own.shape[0] - 1), np.clip(column, 0, own.shape[1] - 1)]
+            places.append(surface.vertices[surface.faces[faces]].reshape(-1, 3))
+    for mover in scene.movers:
+        if mover.surfaces[0].material.flat[0] == number:
+            warm += mover.temperatures()
+    if not warm:
+        return None
+    height = altitude(np.concatenate([*places, np.zeros((0, 3))]), scene.altitude_m)
+    return float(height.mean() if height.size else np.mean(envelope.altitude_m)), float(min(warm)), float(max(warm))
