@@ -86,10 +86,10 @@ class Geometry:
         records = [_map_records(surface) for surface in surfaces]
         self._record = mi.Float(np.concatenate(records).astype(np.float32).ravel())
 
-    def cast(self, ray, coherent=False, active=True):
+    def cast(self, ray, coherent=False):
         """Return the Hit of rays (an mi.Ray3f)."""
         mi = self.mi
-        found = self.caster.ray_intersect_preliminary(ray, coherent=coherent, active=active)
+        found = self.caster.ray_intersect_preliminary(ray, coherent=coherent)
         valid = found.is_valid()
         surface = dr.gather(mi.UInt32, self._surface_of, dr.reinterpret_array(mi.UInt32, found.shape), valid)
         face = dr.gather(mi.UInt32, self._face_start, surface, valid) + found.prim_index
@@ -257,10 +257,9 @@ class Shown:
         rest = Channels(mi, np.stack(texels[1:], axis=1)) if len(texels) > 1 else None
         return cls(Channels(mi, texels[0][:, None]), rest, None if faces is None else Channels(mi, faces), mirror)
 
-    def at_texel(self, texel, face, active=True):
+    def at_texel(self, texel, face):
         """Return all channels of texels, seen on faces, as a list of Float."""
-        values = self.texels.at(texel, active) + (self.rest.at(texel, active) if self.rest else [])
-        return self._on(face, values, active)
+        return self._on(face, self.texels.at(texel) + (self.rest.at(texel) if self.rest else []), True)
 
     def at(self, geometry, hit, place):
         """Return all channels at places (column, row) of a Hit, linear between texels, as a list of Float."""

@@ -4,11 +4,12 @@ To the light between surfaces such a material is diffuse, with its hemispherical
 and faces of `fold`. To the camera it is a mirror: where a ray meets one, a second ray goes on about the normal of the
 face, and the texel shows
 
-    black − [reflected(θ, black) − reflected(θ, seen)],
+    black − reflected(θ, black) + reflected(θ, seen),
 
-all in channels: `black` a blackbody of its temperature, `seen` what the second ray meets. In an isothermal enclosure
-the two are one, and every wall looks black. A ray that meets nothing reflects sky or surroundings, tabulated by both
-angles with their spectra. What `fold` has put there is taken off again, so other materials know nothing of all this.
+all in channels: `black` is a blackbody of its temperature, `seen` what the second ray meets. In an isothermal
+enclosure the two are one, and every wall looks black. A ray that meets nothing reflects sky or surroundings, tabulated
+by both angles with their spectra. What `fold` has put there is taken off again, so other materials know nothing of all
+this.
 
 A mirror in a mirror shows what the bake makes of it: emission and reflection of a diffuse surface. The mirror's normal
 is that of its flat face, whatever its roughness: roughness raises the emissivity at grazing angles but does not blur
@@ -177,7 +178,7 @@ class Laws:
         self._matrix = Channels(mi, tables.matrix.reshape(-1, self.count * (self.count + 1)))
         self._outside = Channels(mi, tables.outside.reshape(-1, self.count))
 
-    def reflected(self, kind, cosine, black, seen, valid, up, active):
+    def reflected(self, kind, cosine, black, seen, valid, up):
         """Return what materials reflect into each channel, less what they reflect of a blackbody, [Float].
 
         Parameters
@@ -192,25 +193,23 @@ class Laws:
             Whether the light is that of something; else it is that of the outside.
         up : Float
             Cosine of the zenith angle that the outside is seen at.
-        active : Bool
         """
         mi, count, lines = self._mi, self.count, self._directions
         own, other = ([*light, _bent(self._band(light))] for light in (black, seen))
         light = [dr.select(valid, a, 0.0) - b for a, b in zip(other, own, strict=True)]
         row, across = self._place(cosine, len(COSINES))
         row = row + kind * len(COSINES)
-        near, far = (self._matrix.at(row + k, active) for k in (0, 1))
+        near, far = (self._matrix.at(row + k) for k in (0, 1))
         matrix = [dr.lerp(a, b, across) for a, b in zip(near, far, strict=True)]
         column, along = self._place(up, lines) if lines > 1 else (mi.UInt32(0), mi.Float(0.0))
         # The last column is the surroundings'.
         below, step = up < 0.0, min(lines - 1, 1)
         column, along = dr.select(below, lines, column), dr.select(below, 0.0, along)
         step = dr.select(below, 0, mi.UInt32(step))
-        missed = active & ~valid
         added = [mi.Float(0.0) for _ in range(count)]
         for k, part in ((0, 1.0 - across), (1, across)):
             for index, share in ((column, 1.0 - along), (column + step, along)):
-                values = self._outside.at((row + k) * (lines + 1) + index, missed)
+                values = self._outside.at((row + k) * (lines + 1) + index, ~valid)
                 added = [a + part * share * value for a, value in zip(added, values, strict=True)]
         return [
             added[k] + sum(m * value for m, value in zip(matrix[k * len(light) :], light, strict=False))
@@ -251,33 +250,45 @@ def changed(layers, here, ray, hit, texel):
     texel : UInt32
         Flat number of the texel at the hit.
     """
+    mi, mirror = here.geometry.mi, here.shown.mirror
+    row = dr.gather(mi.UInt32, mirror.row, texel, hit.valid)
+    # A branch: where no ray of a packet meets a mirror nothing of this is computed.
+    *added, length = dr.if_stmt(
+        (ray.o, ray.d, hit.distance, hit.face, texel, row),
+        row > 0,
+        lambda *values: _changed(layers, here, *values),
+        lambda *values: tuple(mi.Float(0.0) for _ in range(mirror.black.count + 1)),
+    )
+    return added, length
+
+
+def _changed(layers, here, eye, view, distance, face, texel, row):
+    """As `changed`, in one tuple, for rays that meet mirrors: those of the texels `row`, counted from 1."""
     geometry, mirror = here.geometry, here.shown.mirror
     mi = geometry.mi
-    row = dr.gather(mi.UInt32, mirror.row, texel, hit.valid)
-    active, row = row > 0, row - 1
-    normal = mi.Vector3f(*geometry.normals.at(hit.face, active))
-    slant = dr.dot(normal, ray.d)
+    row = row - 1
+    normal = mi.Vector3f(*geometry.normals.at(face))
+    slant = dr.dot(normal, view)
     normal = dr.select(slant > 0.0, -normal, normal)
     cosine = dr.minimum(dr.abs(slant), 1.0)
-    direction = ray.d + 2.0 * cosine * normal
+    direction = view + 2.0 * cosine * normal
     # As far off the surface as the rays of the bake, and more where the ray is long.
-    lift = 64.0 * 2.0**-24 * (1.0 + dr.maximum(geometry.reach, hit.distance))
-    origin = ray.o + hit.distance * ray.d + lift * normal
+    lift = 64.0 * 2.0**-24 * (1.0 + dr.maximum(geometry.reach, distance))
+    origin = eye + distance * view + lift * normal
     nearest, seen = mi.Float(np.inf), None
     for layer in layers:
         start, along = (origin, direction) if layer is here else _carried(here.view, layer.view, origin, direction)
-        values, distance = _met(layer, mi.Ray3f(mi.Point3f(start), along), active)
-        nearer = distance < nearest
+        values, away = _met(layer, mi.Ray3f(mi.Point3f(start), along))
+        nearer = away < nearest
         seen = [dr.select(nearer, a, b) for a, b in zip(values, seen or values, strict=True)]
-        nearest = dr.minimum(nearest, distance)
+        nearest = dr.minimum(nearest, away)
     up = direction.z if here is layers[0] else _carried(here.view, layers[0].view, origin, direction)[1].z
     valid = nearest < np.inf
-    black = mirror.black.at(row, active)
-    kind = dr.gather(mi.UInt32, mirror.kind, row, active)
-    reflected = mirror.laws.reflected(kind, cosine, black, seen, valid, up, active)
-    diffuse = here.shown.at_texel(texel, hit.face, active)
-    added = [dr.select(active, a + b - c, 0.0) for a, b, c in zip(black, reflected, diffuse, strict=True)]
-    return added, dr.select(active, nearest, 0.0)
+    black = mirror.black.at(row)
+    kind = dr.gather(mi.UInt32, mirror.kind, row)
+    reflected = mirror.laws.reflected(kind, cosine, black, seen, valid, up)
+    diffuse = here.shown.at_texel(texel, face)
+    return (*(a + b - c for a, b, c in zip(black, reflected, diffuse, strict=True)), nearest)
 
 
 def _bent(radiance):
@@ -287,10 +298,10 @@ def _bent(radiance):
     return positive * log(positive)
 
 
-def _met(layer, ray, active):
+def _met(layer, ray):
     """(channels, distance) of what rays meet in a layer."""
     geometry = layer.geometry
-    hit = geometry.cast(ray, active=active)
+    hit = geometry.cast(ray, coherent=True)
     place = geometry.place(geometry.record(hit.face, hit.valid), ray.o + hit.distance * ray.d)
     return layer.shown.at(geometry, hit, place), dr.select(hit.valid, hit.distance, np.inf)
 
