@@ -45,7 +45,7 @@ class Tables:
 
     Attributes
     ----------
-    number : (M,) int
+    number : (M,) uint8
         1 + place in these tables of each material of the scene; 0 for Lambertian ones.
     matrix : (D, 257, K, K + 1) float64
         Difference in each channel between what is reflected of two lights, per difference of their channels and of
@@ -96,7 +96,7 @@ def make_tables(scene, spectrum, envelope):
         _Case(scene, spectrum, scene.materials[number], spectra[number], envelope, sources[0], light, *texels)
         for number, texels in seen.items()
     ]
-    place = np.zeros(len(scene.materials), dtype=int)
+    place = np.zeros(len(scene.materials), dtype=np.uint8)
     place[list(seen)] = 1 + np.arange(len(seen))
     stacked = [np.stack([getattr(case, name) for case in cases]) for name in ("matrix", "outside")]
     weight = spectrum.solver.sum(axis=0)
