@@ -1,5 +1,7 @@
 """Terrain and meshes: posts at pixel centres, maps the right way round, faces that look up, holes."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import rasterio
@@ -9,6 +11,7 @@ from rasterio.crs import CRS
 from thermorender.errors import ThermorenderError
 from thermorender.scene import terrain
 from thermorender.scene.georeference import LocalFrame
+from thermorender.scene.ground import Ground
 from thermorender.scene.mesh import load, primitive
 from thermorender.scene.raster import Grid
 
@@ -114,3 +117,10 @@ def test_a_mirrored_part_still_faces_outward(tmp_path):
     found = part(tmp_path, scene, "glb")
     outward = found.vertices[found.faces].mean(axis=1)
     assert (np.einsum("ij,ij->i", normals(found.vertices, found.faces), outward) > 0.0).all()
+
+
+def test_ground_of_a_mesh_with_vertical_walls():
+    box = trimesh.creation.box(extents=(4.0, 4.0, 2.0))
+    surface = SimpleNamespace(vertices=np.array(box.vertices), faces=np.array(box.faces, dtype=np.int32))
+    # Top of the box, over its rim's wall, and beside it; warnings are errors.
+    np.testing.assert_allclose(Ground((surface,))(np.array([0.5, 2.0, 9.0]), np.zeros(3)), [1.0, 1.0, np.nan])

@@ -51,7 +51,9 @@ class Ground:
         with np.errstate(divide="ignore", invalid="ignore"):
             v = (ap[:, 0] * ac[:, 1] - ap[:, 1] * ac[:, 0]) / area
             w = (ab[:, 0] * ap[:, 1] - ab[:, 1] * ap[:, 0]) / area
-        hit = (v >= -1e-9) & (w >= -1e-9) & (v + w <= 1.0 + 1e-9)
+            # Seen from above, a vertical wall has no area: its shares are infinite or none, and it is no ground.
+            hit = (v >= -1e-9) & (w >= -1e-9) & (v + w <= 1.0 + 1e-9)
+        a, b, c, v, w = (values[hit] for values in (a, b, c, v, w))
         height = np.full(len(point), -np.inf)
-        np.maximum.at(height, which[hit], (a[:, 2] + v * (b - a)[:, 2] + w * (c - a)[:, 2])[hit])
+        np.maximum.at(height, which[hit], a[:, 2] + v * (b - a)[:, 2] + w * (c - a)[:, 2])
         return np.where(np.isfinite(height), height, np.nan).reshape(east.shape)
