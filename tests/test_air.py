@@ -19,7 +19,7 @@ from thermorender.physics.planck import (
     spectral_radiance,
 )
 from thermorender.physics.rays import MEAN_RADIUS_M
-from thermorender.render import bake, outside
+from thermorender.render import bake, outside, reference
 from thermorender.render.geometry import Geometry
 from thermorender.render.plan import make_plan
 from thermorender.render.variant import activate
@@ -251,6 +251,12 @@ def test_a_camera_in_space_is_refused(tmp_path):
     scene = tr.load_scene(write(tmp_path / "s", plane(4.0)))
     with pytest.raises(ThermorenderError, match="out of range"):
         tr.Renderer(scene).frame(tr.pose(0, 0, 4e4, **DOWN))
+
+
+def test_the_reference_engine_refuses_air(tmp_path):
+    scene = tr.load_scene(write(tmp_path / "s", plane(4.0)))
+    with pytest.raises(ThermorenderError, match=r"has \[atmosphere\], which the reference engine does not know"):
+        reference.render(scene, tr.pose(0, 0, 5.0, **DOWN), samples=1)
 
 
 def test_clouds_warm_the_sky(tmp_path):

@@ -43,7 +43,7 @@ def render(scene, pose, samples=64, depth=8, seed=0, device="auto", integrator="
     Raises
     ------
     ThermorenderError
-        A camera with distortion, a pose that is no rigid transform, samples below 1, a directional material.
+        A camera with distortion, a pose that is no rigid transform, samples below 1, a directional material, air.
     """
     pose = checked_pose(pose)
     camera = scene.camera
@@ -56,6 +56,10 @@ def render(scene, pose, samples=64, depth=8, seed=0, device="auto", integrator="
         raise ThermorenderError(
             f"material {mirrors[0]!r} depends on the angle of view, which the reference engine does not know; give a "
             "Lambertian one, such as 'water', 'ice' or 'glass'"
+        )
+    if scene.air is not None:
+        raise ThermorenderError(
+            f"scene {scene.name!r} has [atmosphere], which the reference engine does not know; give it a [sky] instead"
         )
     if samples < 1:
         raise ThermorenderError(f"samples={samples} is not allowed; give at least 1 path per pixel")
