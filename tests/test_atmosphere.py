@@ -18,7 +18,7 @@ from thermorender.physics import absorbers
 from thermorender.physics.atmosphere import Atmosphere, read_table
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, brightness_temperature
 from thermorender.physics.rays import EARTH_RADIUS_M, horizon_cos_zenith
-from thermorender.weather import modtran
+from thermorender.weather import modtran, terms
 from thermorender.weather import profile as weather
 
 REFERENCE = Path(__file__).with_name("atmosphere_reference.npz")
@@ -215,6 +215,25 @@ def test_held_out_lines_of_sight_of_lowtran():
         assert np.median(error[sky, column]) < 20.0
         assert error[sky, column].max() < 130.0
         assert np.median(np.abs(relative[sky, column])) < 0.002
+
+
+def test_fewer_terms_of_the_table_err_more():
+    # The same judge as for tables of other sizes: the shipped one, and one whose sub-bands keep a single mean term.
+    table = read_table()
+    whole = terms.held(table, REFERENCE)
+    assert whole["nodes"] == 28 and whole["median_mk"] < 20.0 and whole["worst_mk"] < 100.0
+    bands = np.unique(table["lower_um"])
+    mean = dict(table)
+    for key in ("absorption", "tilt", "lower_um", "upper_um", "weight"):
+        values = np.float64(table[key])
+        mean[key] = np.stack([
+            np.average(values[table["lower_um"] == band], axis=0, weights=table["weight"][table["lower_um"] == band])
+            for band in bands
+        ])  # fmt: skip
+    mean["weight"] = np.ones(len(bands))
+    mean["aerosol_factor"] = np.ones((len(table["aerosol_factor"]), len(bands)))
+    single = terms.held(mean, REFERENCE)
+    assert single["nodes"] == 5 and single["median_mk"] > 200.0
 
 
 def test_sky_of_clouds():

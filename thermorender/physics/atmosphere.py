@@ -99,6 +99,7 @@ class Atmosphere:
         humidity_factor=1.0,
         cloud_fraction=0.0,
         cloud_base_m=2000.0,
+        table=None,
     ):
         """Return one of the six standard atmospheres of LOWTRAN7.
 
@@ -116,6 +117,8 @@ class Atmosphere:
             Share of the sky covered by black clouds, 0 … 1.
         cloud_base_m : float
             Altitude of their base above sea level, 0 … 15 km; they are as warm as the air there.
+        table : dict, optional
+            As from `read_table`, in place of the shipped one.
 
         Raises
         ------
@@ -128,7 +131,7 @@ class Atmosphere:
         Users Guide to LOWTRAN 7, AFGL-TR-88-0177. The aerosol's growth with humidity is that of the standard
         atmosphere, whatever `humidity_factor` is.
         """
-        table = read_table()
+        table = table or read_table()
         model = name_index("atmosphere", name, table["model"])
         haze = name_index("aerosol", aerosol, table["aerosol"])
         check_within("temperature_offset_k", temperature_offset_k, -40.0, 40.0, "kelvin")
