@@ -287,9 +287,9 @@ def make_spectrum(materials, envelope, tolerance_mk, reflects):
         return case.spectrum(label, basis, solver, channels_mk)
     from scipy.cluster.hierarchy import fcluster, linkage
 
-    tree = linkage(case.features(), "ward")
+    tree, wanted = linkage(case.features(), "ward"), case.wanted(basis)
     for count in range(1, MOST_NODES + 1):
-        found = case.spectrum(fcluster(tree, count, "maxclust") - 1, basis, solver, channels_mk, fit=True)
+        found = case.spectrum(fcluster(tree, count, "maxclust") - 1, basis, solver, channels_mk, wanted)
         if found.nodes_mk <= tolerance_mk:
             return found
     raise ThermorenderError(
@@ -318,7 +318,6 @@ class _Case:
         self.black = points.planck(REFERENCE_K)
         self.sources = envelope.sources(points)
         self.light = envelope.light(spectra, *self.sources)
-        self._wanted = None
 
     @cached_property
     def per_mk(self):
@@ -329,10 +328,7 @@ class _Case:
 
     def wanted(self, basis):
         """What each surface reflects of each light into each channel, (M, K, L)."""
-        if self._wanted is None or self._wanted[0] is not basis:
-            found = [(1.0 - self.spectra) * row[self.points.node] @ self.light.T for row in basis]
-            self._wanted = basis, np.stack(found, axis=1)
-        return self._wanted[1]
+        return np.stack([(1.0 - self.spectra) * row[self.points.node] @ self.light.T for row in basis], axis=1)
 
     def features(self):
         """What the points of one node should have in common, (Q, n)."""
@@ -348,14 +344,13 @@ class _Case:
             features += [*((1.0 - spectra).mean(axis=1).max() * sky[[0, -1]])]
         return np.stack(features, axis=1)
 
-    def spectrum(self, label, basis, solver, channels_mk, fit=False):
-        """Return the Spectrum of nodes; with a fit of what is reflected, and its error, where asked."""
+    def spectrum(self, label, basis, solver, channels_mk, wanted=None):
+        """Return the Spectrum of nodes; with a fit to what is `wanted` to be reflected, and its error, where given."""
         emissivity, reflected, share = _means(self.points, self.spectra, basis, label)
         nodes_mk = 0.0
-        if fit:
+        if wanted is not None:
             # As it will be solved: light at nodes, reflected once with their mean reflectance.
             light = self.envelope.light(emissivity, *(_gathered(source, label) for source in self.sources))
-            wanted = self.wanted(basis)
             missing = (wanted - reflected @ light.T) / self.per_mk.min(axis=0)
             left, size, right = np.linalg.svd(light / self.per_mk.min(axis=0)[:, None], full_matrices=False)
             damped = size / (size**2 + (_RIDGE * size[0]) ** 2)

@@ -25,11 +25,6 @@ def detector_irradiance(radiance, f_number, transmittance=1.0):
     return transmittance * np.pi * np.asarray(radiance) / (4.0 * f_number**2 + 1.0)
 
 
-def radiance_from_irradiance(irradiance, f_number, transmittance=1.0):
-    """Return the band radiance [W m⁻² sr⁻¹] behind a detector irradiance [W m⁻²]; inverse of the above."""
-    return np.asarray(irradiance) * (4.0 * f_number**2 + 1.0) / (np.pi * transmittance)
-
-
 def relative_illumination(camera):
     """Return the irradiance at each pixel over that on the optical axis, (H, W) float32 in 0 … 1.
 
