@@ -19,8 +19,9 @@ from thermorender.physics.planck import (
     spectral_radiance,
 )
 from thermorender.physics.rays import MEAN_RADIUS_M
-from thermorender.render import bake, outside, reference
+from thermorender.render import reference
 from thermorender.render.geometry import Geometry
+from thermorender.render.light import environment, radiosity
 from thermorender.render.plan import make_plan
 from thermorender.render.variant import activate
 
@@ -134,9 +135,9 @@ def test_sky_bins_on_a_wall_and_on_a_slope(tmp_path):
         turned = trimesh.Trimesh([[-1, -1, 0], [1, -1, 0], [0, 1, 0]], [[0, 1, 2]])
         turned.apply_transform(trimesh.transformations.rotation_matrix(np.radians(tilt), [1, 0, 0]))
         scene = tr.load_scene(write_mesh(tmp_path / f"{tilt}", turned))
-        transport = bake.trace(Geometry(activate(), scene.surfaces), 1 << 15)
-        light = outside.Outside(outside.sky_bins(air, 0.0)[None], np.ones((1, 1)), np.zeros(air.nodes))
-        found = light.light(transport.sky, transport.beyond).sum()
+        transport = radiosity.trace(Geometry(activate(), scene.surfaces), 1 << 15)
+        light = environment.Environment(environment.sky_bins(air, 0.0)[None], np.ones((1, 1)), np.zeros(air.nodes))
+        found = light.light(transport.sky, transport.background).sum()
         # ∫ L cos θ dω / π by zenith angle and azimuth, the cosine to the face's normal clipped at 0.
         azimuth = np.linspace(0.0, 2.0 * np.pi, 4000, endpoint=False)
         sine = np.sqrt(1.0 - cosine**2)[:, None]

@@ -640,7 +640,7 @@ def test_output_that_cannot_be_written(scene, call, tmp_path, verb):
 
 def test_a_failure_after_the_folder_is_made_removes_it(scene, refused, monkeypatch):
     from thermorender.errors import ThermorenderError
-    from thermorender.render.frame import Renderer
+    from thermorender.render.renderer import Renderer
 
     def fail(self, *arguments, **named):
         raise ThermorenderError("the bake failed")

@@ -5,7 +5,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from thermorender.frames import apparent_temperature
+from thermorender.frame import apparent_temperature
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, brightness_temperature
 from thermorender.sensor import chain, noise, optics, psf, readout
 from thermorender.sensor.camera import Camera, load_camera

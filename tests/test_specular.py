@@ -220,7 +220,7 @@ def test_without_such_materials_no_ray_is_cast_for_them(tmp_path, monkeypatch):
         path = folder / "scene.toml"
         path.write_text(path.read_text().replace("grass_green", one).replace("sand_quartz", other))
         renderer = tr.Renderer(tr.load_scene(folder), rays=16, edge_mk=np.inf)
-        renderer.prepare()
+        _ = renderer.baked
         casts.clear()
         radiance.append(renderer.radiance(tr.pose(0, -4, 6, pitch_deg=-40)))
         counts.append(len(casts))

@@ -9,7 +9,7 @@ import pytest
 import thermorender as tr
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance
-from thermorender.render import cache
+from thermorender.render.light import cache
 from thermorender.render.reference import squared_error
 from thermorender.sensor.camera import load_camera
 from thermorender.validate import bench, cavity, convergence, growth, metrics
@@ -97,7 +97,7 @@ def test_bench_tells_finite_numbers(tmp_path, monkeypatch):
     json.dumps(result)
     # A bake read from disk would be timed as one that costs nothing.
     assert not list(tmp_path.iterdir())
-    tr.Renderer(bench.terrain(200), rays=4).prepare()
+    _ = tr.Renderer(bench.terrain(200), rays=4).baked
     assert list(tmp_path.iterdir())
     (scene,) = result["scenes"].values()
     assert scene["triangles"] == 200 and scene["bake_s"] > 0.0

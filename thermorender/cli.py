@@ -477,14 +477,14 @@ def _operator(text):
 
 
 def _renderer(scene, quality, rays, tolerance_mk, seed, device, tell):
-    from thermorender.render.frame import Renderer
+    from thermorender.render.renderer import Renderer
 
     return Renderer(scene, quality, rays=rays, tolerance_mk=tolerance_mk, seed=seed, device=device, progress=tell)
 
 
 def _tell_cache(renderer):
-    if renderer.cache_note:
-        typer.echo(f"note: {renderer.cache_note}", err=True)
+    if renderer.baked.cache_note:
+        typer.echo(f"note: {renderer.baked.cache_note}", err=True)
 
 
 def _trajectory(scene, files, format, anchor, clock_offset_s, mount, lever_arm_m):

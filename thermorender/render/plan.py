@@ -8,9 +8,9 @@ from thermorender.errors import ThermorenderError
 from thermorender.physics.band import quadrature
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, spectral_radiance
 from thermorender.physics.sun import irradiance
+from thermorender.render.mirrors import ReflectanceTables, make_tables
 from thermorender.render.sampling import PATTERNS, STAGES
 from thermorender.render.spectrum import REFERENCE_K, Envelope, Spectrum, make_spectrum
-from thermorender.render.specular import Tables, make_tables
 from thermorender.sensor.exposure import GLIDE_PX, LAG_MK
 
 # Rays per pixel, texture places per ray, and the error from which on an edge pixel gets more rays [mK].
@@ -32,6 +32,8 @@ class Plan:
         Whether reflection is solved at all.
     rays : int
         Rays per face of the bake.
+    tolerance_mk : float
+        Error allowed to nodes, channels and the solution of the bake [mK].
     samples, taps : int
         Rays per pixel, and places per ray at which the texture is read.
     edge_mk : float
@@ -52,7 +54,7 @@ class Plan:
     specular_mk : float or None
         Most that the angle of view can change a directional material's apparent temperature by, up to 80° [mK]; None
         where nothing is of one.
-    specular : Tables or None
+    specular : ReflectanceTables or None
         How such materials reflect; None where mirror rays are left out.
     """
 
@@ -61,6 +63,7 @@ class Plan:
     reflection_mk: float
     bake: bool
     rays: int
+    tolerance_mk: float
     samples: int
     taps: int
     edge_mk: float
@@ -72,7 +75,7 @@ class Plan:
     sun: bool
     time_constant_ms: float
     specular_mk: float | None
-    specular: Tables | None
+    specular: ReflectanceTables | None
 
     @property
     def nodes(self):
@@ -214,6 +217,7 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
         reflection_mk=reflection_mk,
         bake=bake,
         rays=rays,
+        tolerance_mk=float(tolerance_mk),
         samples=samples,
         taps=taps,
         edge_mk=float(edge_mk),

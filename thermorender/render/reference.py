@@ -12,8 +12,8 @@ import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import C1L, C2
-from thermorender.render.frame import checked_pose
-from thermorender.render.specular import directional
+from thermorender.render.mirrors import directional
+from thermorender.render.renderer import checked_pose
 from thermorender.render.variant import activate
 
 VARIANTS = {"llvm_ad_mono": "llvm_ad_spectral", "cuda_ad_mono": "cuda_ad_spectral"}
@@ -94,7 +94,7 @@ def frame(renderer, pose, samples=64, depth=8, progress=None):
     """
     radiance = render(renderer.scene, pose, samples, depth, renderer.seed, progress=progress)
     plan = {"engine": "reference", "paths": samples, "depth": depth}
-    return renderer.frame_of(radiance.astype(np.float32), checked_pose(pose), plan=plan)
+    return renderer.frame_of(radiance.astype(np.float32), pose, plan)
 
 
 def squared_error(frame, first, second):

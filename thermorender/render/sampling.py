@@ -8,7 +8,7 @@ second difference does not vanish. How much an edge matters is told by the radia
 import drjit as dr
 import numpy as np
 
-# Sub-pixel places (right, down) in 0…1: lattices whose rows and columns are all different.
+# Sub-pixel offsets (right, down) in 0…1: lattices whose rows and columns are all different.
 _MULTIPLIER = {1: 1, 2: 1, 8: 5, 16: 7}
 PATTERNS = {
     count: tuple(((index * step % count + 0.5) / count, (index + 0.5) / count) for index in range(count))
@@ -33,14 +33,14 @@ _TEXTURE_ERROR = 0.04
 UNSEEN = 0.25
 
 
-def places(samples, taps):
-    """Return [(ray, [tap, …]), …] of a pixel, each place as (right, down) in 0…1.
+def offsets(samples, taps):
+    """Return [(ray, [tap, …]), …], sub-pixel offsets (right, down) in 0…1.
 
-    Single places make up one lattice. Where a ray has several, it stands in the middle of a cell of the pixel and
+    Single offsets make up one lattice. Where a ray has several, it stands in the middle of a cell of the pixel and
     they form a lattice in that cell.
     """
     if taps == 1:
-        return [(place, [place]) for place in PATTERNS[samples]]
+        return [(offset, [offset]) for offset in PATTERNS[samples]]
     rows, columns = _CELLS[samples]
     return [
         (
@@ -66,6 +66,9 @@ class CameraRays:
 
     Attributes
     ----------
+    camera : Camera
+    width, height : int
+        Of its image [px].
     order : (H·W,) int64
         Pixel numbers in the order the arrays keep.
     position : (H·W,) int64
@@ -75,7 +78,7 @@ class CameraRays:
     """
 
     def __init__(self, mi, camera):
-        self._mi = mi
+        self._mi, self.camera, self.width, self.height = mi, camera, camera.width, camera.height
         self.order = morton_order(camera.height, camera.width)
         self.position = np.empty_like(self.order)
         self.position[self.order] = np.arange(self.order.size)

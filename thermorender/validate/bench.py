@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.render.frame import Renderer
+from thermorender.render.renderer import Renderer
 from thermorender.scene import materials as material_tables
 from thermorender.scene.load import Scene, load_scene
 from thermorender.scene.spec import EmissivitySpec, SceneSpec, TemperatureSpec, TerrainSpec
@@ -119,7 +119,7 @@ def _measure(scene, settings, device, repeats):
         renderer = Renderer(scene, **{"device": device, "like": first, **keywords})
         built = time.perf_counter()
         with cache_off():
-            renderer.prepare()
+            _ = renderer.baked
         if first is None:
             first, build_s, bake_s = renderer, built - start, time.perf_counter() - built
         found = {view: _times(renderer, place, repeats) for view, place in poses.items()}

@@ -13,9 +13,9 @@ import numpy as np
 
 from thermorender import products as product_files
 from thermorender.errors import ThermorenderError
-from thermorender.frames import apparent_temperature
+from thermorender.frame import apparent_temperature
 from thermorender.learned.correlation import load_model
-from thermorender.render.frame import Renderer
+from thermorender.render.renderer import Renderer
 from thermorender.scene.spec import TemperatureSpec
 from thermorender.scene.surface import FALLBACK, FILLED, SURFACE
 from thermorender.versions import versions
@@ -116,7 +116,7 @@ def compare(scene, trajectory, folder, models, rate_hz=1.0, range_c=None, progre
     constant = ErrorSums()
     for index, (time_s, pose) in enumerate(zip(times, poses, strict=True)):
         frame = reference.frame(pose, time_s, index)
-        visible, covered = reference.visible(pose)
+        visible, covered = reference.visible(pose, time_s)
         flags = frame.truth["mask"]
         known = covered & ((flags & SURFACE) > 0) & ((flags & (FILLED | FALLBACK)) == 0)
         mean = float(frame.apparent_temperature[known].mean()) if known.any() else np.nan

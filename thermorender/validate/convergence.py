@@ -18,8 +18,8 @@ import numpy as np
 from thermorender import products
 from thermorender.errors import ThermorenderError
 from thermorender.render import reference
-from thermorender.render.frame import Renderer
 from thermorender.render.plan import QUALITIES
+from thermorender.render.renderer import Renderer
 from thermorender.render.variant import activate
 from thermorender.scene.load import load_scene
 from thermorender.validate import bench, cavity, convergence_report
@@ -256,7 +256,7 @@ class _Site:
             renderer = Renderer(self.scene, **settings)
             start = time.perf_counter()
             with cache_off():
-                renderer.prepare()
+                _ = renderer.baked
             self._baked = settings, renderer, time.perf_counter() - start
         return self._baked[1:]
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance_derivative, brightness_temperature
-from thermorender.render.frame import Renderer
+from thermorender.render.renderer import Renderer
 
 # Pixels of the converged image per pixel and direction, and rays in each: 256 per pixel.
 FINER, RAYS = 8, 4

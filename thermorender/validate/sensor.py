@@ -13,9 +13,9 @@ import numpy as np
 
 from thermorender import products
 from thermorender.errors import ThermorenderError
-from thermorender.frames import apparent_temperature
+from thermorender.frame import apparent_temperature
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
-from thermorender.render.frame import Renderer
+from thermorender.render.renderer import Renderer
 from thermorender.scene.load import load_scene
 from thermorender.sensor import exposure, psf
 from thermorender.sensor.chain import Sensor, at_rest, in_sequence
@@ -71,7 +71,6 @@ def sensor(folder, scene="heath", flights=tuple(FLIGHTS), device="auto", progres
     tell = progress or (lambda what, share: None)
     loaded = load_scene(scene)
     renderer = Renderer(loaded, device=device)
-    renderer.prepare()
     of = Sensor(loaded.camera, renderer.seed)
     lags, seen = {}, {}
     for number, name in enumerate(flights):

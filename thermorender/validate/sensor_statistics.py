@@ -81,7 +81,7 @@ def rows(result):
 
 def _views(scene, camera, seed, tell, options):
     """Band radiance of views straight down at places and headings drawn from the seed."""
-    from thermorender.render.frame import Renderer
+    from thermorender.render.renderer import Renderer
     from thermorender.scene.load import load_scene
     from thermorender.trajectory.path import pose
 

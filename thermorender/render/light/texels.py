@@ -1,4 +1,4 @@
-"""Emitted and reflected light folded into one radiance per texel and one correction per face.
+"""Emitted and reflected light baked into one radiance per texel and one correction per face.
 
 Light between surfaces is solved per face, materials and temperatures are given per texel. Each texel takes the
 light of the face that covers it; where a face is seen through texels of other faces (a wall narrower than a texel,
@@ -10,7 +10,7 @@ import drjit as dr
 import numpy as np
 
 from thermorender.physics.band import RadianceTable
-from thermorender.render.bake import low_discrepancy
+from thermorender.render.light.radiosity import low_discrepancy
 
 # Places per face, and per texel of an average face, from which its mean is taken.
 _FEWEST, _MOST, _PER_TEXEL = 4, 64, 2
@@ -32,7 +32,7 @@ def face_means(geometry, plan, material, temperature):
     mi = geometry.mi
     pattern = _pattern(geometry)
     number = np.empty((geometry.face_count, len(pattern)), dtype=np.uint32)
-    for place, found in enumerate(geometry.places_in_faces(pattern)):
+    for place, found in enumerate(geometry.points_in_faces(pattern)):
         number[:, place] = np.array(geometry.nearest(*found))
     number = mi.UInt32(number.ravel())
     spectrum = plan.spectrum
@@ -83,7 +83,7 @@ def emitted(plan, materials, material, temperature):
     return found
 
 
-def fold(geometry, covers, emitted, material, light):
+def bake_channel(geometry, covers, emitted, material, light):
     """Return (radiance of each texel (T,), correction of each face (F,), what is left (F,)), float32.
 
     Parameters
@@ -115,7 +115,7 @@ def fold(geometry, covers, emitted, material, light):
     face = dr.arange(mi.UInt32, count)
     mean, square = dr.zeros(mi.Float, count), dr.zeros(mi.Float, count)
     pattern = _pattern(geometry)
-    for surface, column, row in geometry.places_in_faces(pattern):
+    for surface, column, row in geometry.points_in_faces(pattern):
         missing = mi.Float(0.0)
         for number, weight in geometry.corners(geometry.lattice(surface), column, row):
             missing += weight * (reflected(face, number) - reflected(dr.gather(mi.UInt32, covers, number), number))
