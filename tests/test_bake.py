@@ -118,7 +118,7 @@ def test_work_hardly_depends_on_emissivity(cavity):
     products = []
     for emissivity in (EMISSIVITIES, *EMISSIVITIES[:, None]):
         counted = Counting(transport.operator)
-        view = SimpleNamespace(operator=counted, sky=transport.sky, beyond=transport.background)
+        view = SimpleNamespace(operator=counted, sky=transport.sky, background=transport.background)
         assert solved(view, emissivity, tolerance)[2].max() <= tolerance
         products.append(counted.products)
     # Bounces need ln(1e-5) / ln(0.999 · 0.9) = 108 for the last. All together cost no more than the worst alone.

@@ -373,6 +373,5 @@ def test_errors(tmp_path):
     ):
         with pytest.raises(ThermorenderError, match=words):
             tr.Renderer(scene, **keyword)
-    other = tr.load_scene(write_mesh(tmp_path / "o", square()))
-    with pytest.raises(ThermorenderError, match="renders other surfaces"):
-        tr.Renderer(other, like=renderer)
+    with pytest.raises(ThermorenderError, match="scene='heath' is no Scene; give what load_scene returns"):
+        tr.Renderer("heath")
