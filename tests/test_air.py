@@ -207,9 +207,6 @@ def test_grey_sand_is_wrong_and_its_nodes_cure_it(tmp_path):
 def test_plan_says_what_air_brings(tmp_path):
     scene = tr.load_scene(write(tmp_path / "s", plane(10.0), emissivity=0.95))
     rows = {row[0]: row for row in make_plan(scene).rows()}
-    assert rows["sub-frames"][1] == "by motion" and "10 ms" in rows["sub-frames"][2]
-    ideal = replace(scene, camera=replace(scene.camera, time_constant_ms=0.0))
-    assert {row[0]: row for row in make_plan(ideal).rows()}["sub-frames"][1] == "out"
     assert "channels" in rows["air"][1] and "kilometre" in rows["air"][2] and rows["sun"][1] == "out"
     sunny = '[sun]\nelevation_deg = 40\nazimuth_deg = 180\n'
     lit = tr.load_scene(write(tmp_path / "lit", plane(10.0), emissivity=0.95, extra=sunny))

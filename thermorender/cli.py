@@ -146,10 +146,12 @@ def plan(scene: SceneName, quality: Quality = "standard", rays: Rays = 128, tole
          air: Air = None):  # fmt: skip
     """Print what rendering a scene needs, what is left out, and the bound that allows it."""
     from thermorender.render.plan import make_plan
+    from thermorender.sensor.exposure import plan_row
 
     loaded = _scene(scene, None, None, air)
     typer.echo(str(loaded))
-    table(("item", "in", "why"), make_plan(loaded, quality, rays=rays, tolerance_mk=tolerance_mk).rows())
+    rows = make_plan(loaded, quality, rays=rays, tolerance_mk=tolerance_mk).rows()
+    table(("item", "in", "why"), [*rows, plan_row(loaded.camera)])
 
 
 @app.command()

@@ -11,7 +11,6 @@ from thermorender.physics.sun import irradiance
 from thermorender.render.mirrors import ReflectanceTables, make_tables
 from thermorender.render.sampling import PATTERNS, STAGES
 from thermorender.render.spectrum import REFERENCE_K, Envelope, Spectrum, make_spectrum
-from thermorender.sensor.exposure import GLIDE_PX, LAG_MK
 
 # Rays per pixel, texture places per ray, and the error from which on an edge pixel gets more rays [mK].
 QUALITIES = {"fast": (1, 4, 500.0), "standard": (1, 4, 150.0), "high": (4, 4, 24.0)}
@@ -49,8 +48,6 @@ class Plan:
         scene declares no sun.
     sun : bool
         Whether it is in.
-    time_constant_ms : float
-        Of the camera's pixels [ms].
     specular_mk : float or None
         Most that the angle of view can change a directional material's apparent temperature by, up to 80° [mK]; None
         where nothing is of one.
@@ -73,7 +70,6 @@ class Plan:
     air_mk: float | None
     sun_mk: float | None
     sun: bool
-    time_constant_ms: float
     specular_mk: float | None
     specular: ReflectanceTables | None
 
@@ -101,7 +97,6 @@ class Plan:
             edges,
             moving,
             *self._air_rows(),
-            self._lag_row(),
             self._specular_row(),
         ]
 
@@ -126,13 +121,6 @@ class Plan:
             ("air", f"{spectrum.channels} channels", f"{why}{spectrum.channels_mk:.3g} mK"),
             ("sun", "in" if self.sun else "out", sun),
         ]
-
-    def _lag_row(self):
-        """Row of what the pixels' memory brings to a flight."""
-        if self.time_constant_ms == 0.0:
-            return ("sub-frames", "out", "this camera's pixels remember nothing")
-        why = f"one render where a flight's view moves up to {GLIDE_PX:g} px in {self.time_constant_ms:g} ms"
-        return ("sub-frames", "by motion", f"{why}; beyond it as many as keep {LAG_MK:g} mK")
 
     def as_dict(self):
         """Return the plan as plain numbers, for the record beside each frame."""
@@ -226,7 +214,6 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
         moving=len(scene.movers),
         air_mk=air_mk,
         sun_mk=sun_mk,
-        time_constant_ms=scene.camera.time_constant_ms,
         sun=sun_mk is not None and sun_mk > 0.1 * tolerance_mk,
         specular_mk=specular.bound_mk if specular else None,
         specular=specular if specular and specular.bound_mk > 0.1 * tolerance_mk else None,
