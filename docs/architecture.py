@@ -1,7 +1,7 @@
 """Draw which room of thermorender imports which: docs/architecture.svg, read from the code's own imports.
 
-`python docs/architecture.py` writes the drawing; the tests read the same rooms, order and imports from here. Modules are
-parsed, not imported, and imports inside functions count like any others.
+`python docs/architecture.py` writes the drawing; the tests read the same rooms, order and imports from here. Modules
+are parsed, not imported, and imports inside functions count like any others.
 """
 
 import ast
@@ -118,22 +118,21 @@ def drawing():
     for (here, there), count in sorted(room_imports().items()):
         upward = order.index(there) >= order.index(here)
         start, end = middle[here] + 4, middle[there] - 4
-        bulge = left + width + 30 + 22 * abs(order.index(here) - order.index(there))
-        lines.append(
-            f'<path d="M {left + width} {start} C {bulge} {start}, {bulge} {end}, {left + width + 6} {end}" fill="none" '
-            f'stroke="{"#d62728" if upward else "#1f77b4"}" stroke-opacity="0.55" stroke-width="{1 + 0.5 * count**0.5:.1f}">'
-            f"<title>{here} imports {there}: {count} modules</title></path>"
-        )
-        lines.append(
-            f'<path d="M {left + width + 7} {end - 4} l -7 4 l 7 4 z" fill="{"#d62728" if upward else "#1f77b4"}"/>'
-        )
+        edge, colour = left + width, "#d62728" if upward else "#1f77b4"
+        bulge = edge + 30 + 22 * abs(order.index(here) - order.index(there))
+        lines += [
+            f'<path d="M {edge} {start} C {bulge} {start}, {bulge} {end}, {edge + 6} {end}" fill="none" '
+            f'stroke="{colour}" stroke-opacity="0.55" stroke-width="{1 + 0.5 * count**0.5:.1f}">',
+            f"<title>{here} imports {there}: {count} modules</title></path>",
+            f'<path d="M {edge + 7} {end - 4} l -7 4 l 7 4 z" fill="{colour}"/>',
+        ]
     for room, what in ROOMS.items():
         y = middle[room]
         files = sum(1 for module in modules() if room_of(module) == room)
         lines += [
             f'<rect x="{left}" y="{y - 17}" width="{width}" height="34" rx="5" fill="#f2f5f8" stroke="#8899aa"/>',
             f'<text x="{left + 10}" y="{y - 2}" font-size="14" font-weight="bold">{room}</text>',
-            f'<text x="{left + width - 10}" y="{y - 2}" font-size="11" text-anchor="end" fill="#556">{files} modules</text>',
+            f'<text x="{left + width - 10}" y="{y - 2}" font-size="11" text-anchor="end">{files} modules</text>',
             f'<text x="{left + 10}" y="{y + 12}" font-size="11" fill="#333">{what}</text>',
         ]
     return "\n".join([*lines, "</svg>"]) + "\n"

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import write_terrain
 
 import thermorender as tr
+from scenes import write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.render.light import radiosity
 from thermorender.scene.spec import TemperatureSpec

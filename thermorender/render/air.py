@@ -86,7 +86,7 @@ class Air:
         columns = max(_FEWEST, 1 + int(np.ceil(np.log(farthest / nearest) / np.log(_GROWTH))))
         rows = 2 + int((high - low) / _ALTITUDE_M)
         length = np.geomspace(nearest, farthest, columns)
-        # At each length, from the lowest to the highest place at that distance from the camera.
+        # At each length, from the lowest to the highest point at that distance from the camera.
         bottom, top = np.maximum(low, camera - length), np.minimum(high, camera + length)
         end = bottom + np.linspace(0.0, 1.0, rows)[:, None] * np.maximum(top - bottom, 0.0)
         end = np.clip(end, camera - length, camera + length)
@@ -99,8 +99,8 @@ class Air:
     def _background(self, camera):
         """Band radiance of rays that meet nothing, (2, _BACKGROUND), linear between altitudes of earlier views."""
         height = max(camera - self._altitude_m, _LOWEST_M)
-        place = np.log(height / _LOWEST_M) / np.log(_STEP)
-        lower = int(place)
+        position = np.log(height / _LOWEST_M) / np.log(_STEP)
+        lower = int(position)
         both = []
         for number in (lower, lower + 1):
             if number not in self._seen:
@@ -166,11 +166,11 @@ class AirView:
         rise = cosine - self._horizon
         above = rise >= 0.0
         span = dr.select(above, 1.0 - self._horizon, 1.0 + self._horizon)
-        place = dr.sqrt(dr.clip(dr.abs(rise) / span, 0.0, 1.0)) * (half * 0.9999)
-        lower = mi.UInt32(place)
+        position = dr.sqrt(dr.clip(dr.abs(rise) / span, 0.0, 1.0)) * (half * 0.9999)
+        lower = mi.UInt32(position)
         index = lower + dr.select(above, _BACKGROUND, 0)
         a, b = (dr.gather(mi.Float, self._sky, index + k, active) for k in (0, 1))
-        return dr.lerp(a, b, place - mi.Float(lower))
+        return dr.lerp(a, b, position - mi.Float(lower))
 
 
 def altitude(points, altitude_m):
@@ -179,7 +179,7 @@ def altitude(points, altitude_m):
     return altitude_m + points[..., 2] + np.square(points[..., :2]).sum(axis=-1) * (0.5 / MEAN_RADIUS_M)
 
 
-def background(air, camera_m, ground_m, temperature, place):
+def background(air, camera_m, ground_m, temperature, position):
     """Return the band radiance of rays that meet nothing, (2, n): below the horizon, and above it [W m⁻² sr⁻¹].
 
     Parameters
@@ -189,11 +189,11 @@ def background(air, camera_m, ground_m, temperature, place):
         Altitudes of the camera and of the black ground beyond the scene [m].
     temperature : float
         Of that ground [K].
-    place : (n,) array
+    position : (n,) array
         Square roots of how far the cosine of the zenith angle lies from the horizon's, 0 there, 1 straight down or up.
     """
     horizon = float(horizon_cos_zenith(camera_m))
-    rise = np.square(place)
+    rise = np.square(position)
     sky = air.sky_radiance(camera_m, horizon + rise * (1.0 - horizon)).sum(axis=-1)
     # A chord of the sphere down to the ground, at most as long as to its own horizon.
     ground_m = min(ground_m, camera_m - 0.1)

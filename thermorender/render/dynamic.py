@@ -204,9 +204,9 @@ class DynamicObject:
             change = ((leaving[own] - static.seen[hidden[hit]]) * static.reflectance[face]) @ spectrum.share.T
             faces.append(face)
             changes.append(change * (self.geometry.area[own] / (rays * geometry.area[face]))[:, None])
-        faces, place = np.unique(np.concatenate(faces), return_inverse=True)
+        faces, row = np.unique(np.concatenate(faces), return_inverse=True)
         changes = np.concatenate(changes)
-        added = np.stack([np.bincount(place, change, len(faces)) for change in changes.T], axis=1)
+        added = np.stack([np.bincount(row, change, len(faces)) for change in changes.T], axis=1)
         return incident @ spectrum.reflected[self._material].T, (faces, added.astype(np.float32))
 
 

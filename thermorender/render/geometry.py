@@ -1,8 +1,8 @@
 """A scene's meshes on the render side: the ray caster, and flat per-face and per-texel arrays for its kernels.
 
 All surfaces share one numbering of faces and one of texels, so a hit becomes two gathers: the face's record and the
-texels around the place. The record is the affine map from a point of the face's
-plane to its place on the texel map; it also tells the plane, so that places near a hit need no ray of their own.
+texels around the point. The record is the affine map from a point of the face's
+plane to its position on the texel map; it also tells the plane, so that points near a hit need no ray of their own.
 """
 
 from dataclasses import dataclass
@@ -119,7 +119,7 @@ class Geometry:
         corner = np.concatenate([s.uv * np.array(n, np.float32) for s, n in zip(self.surfaces, size, strict=True)])
         corner = [[mi.Float(np.ascontiguousarray(corner[:, k, axis])) for axis in (0, 1)] for k in range(3)]
         for u, v in np.asarray(pattern).tolist():
-            # Opaque weights: as literals they would have the kernel that uses them compiled anew for each place.
+            # Opaque weights: as literals they would have the kernel that uses them compiled anew for each point.
             u, v = dr.opaque(mi.Float, u), dr.opaque(mi.Float, v)
             column, row = (
                 (1.0 - u - v) * corner[0][axis] + u * corner[1][axis] + v * corner[2][axis] for axis in (0, 1)
@@ -127,7 +127,7 @@ class Geometry:
             yield surface, column, row
 
     def nearest(self, surface, column, row, active=True):
-        """Return the flat number of the texel at a place of a surface's map; outside, that at its edge."""
+        """Return the flat number of the texel at a position on a surface's map; outside, that at its edge."""
         mi = self.mi
         start, rows, columns = self.lattice(surface, active)
         i = dr.clip(mi.Int32(dr.floor(row)), 0, rows - 1)
@@ -140,7 +140,7 @@ class Geometry:
         return tuple(dr.gather(self.mi.Int32, values, surface, active) for values in arrays)
 
     def corners(self, lattice, column, row):
-        """Return the four texels round a place as [(flat number, weight), …]; outside the map, those at its edge."""
+        """Return the four texels round a position as [(flat number, weight), …]; outside the map, those at its edge."""
         mi = self.mi
         start, rows, columns = lattice
         x, y = column - 0.5, row - 0.5
@@ -156,7 +156,7 @@ class Geometry:
         ]
 
     def bilinear(self, channels, lattice, column, row, active=True):
-        """Return the Channels of a place of a surface's map, linear between texel centres, as a list of Float."""
+        """Return the Channels at a position on a surface's map, linear between texel centres, as a list of Float."""
         total = None
         for texel, weight in self.corners(lattice, column, row):
             values = [weight * value for value in channels.at(texel, active)]
@@ -239,7 +239,7 @@ class OutgoingRadiance:
     Attributes
     ----------
     texels : Channels
-        Read at every place of a pixel: all there is, or the first of the spectral channels, which carries nearly all.
+        Read at every tap of a pixel: all there is, or the first of the spectral channels, which carries nearly all.
     rest : Channels or None
         The other spectral channels, read once per ray, as they tell a hundredth of what the first does.
     faces : Channels or None

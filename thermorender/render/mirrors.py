@@ -46,7 +46,7 @@ class ReflectanceTables:
     Attributes
     ----------
     number : (M,) uint8
-        1 + place in these tables of each material of the scene; 0 for Lambertian ones.
+        1 + row in these tables of each material of the scene; 0 for Lambertian ones.
     matrix : (D, 257, K, K + 1) float64
         Difference in each channel between what is reflected of two lights, per difference of their channels and of
         b ln b, their band radiance by its logarithm to the base e.
@@ -96,12 +96,12 @@ def make_tables(scene, spectrum, envelope):
         _Case(scene, spectrum, scene.materials[number], spectra[number], envelope, sources[0], light, *texels)
         for number, texels in seen.items()
     ]
-    place = np.zeros(len(scene.materials), dtype=np.uint8)
-    place[list(seen)] = 1 + np.arange(len(seen))
+    row = np.zeros(len(scene.materials), dtype=np.uint8)
+    row[list(seen)] = 1 + np.arange(len(seen))
     stacked = [np.stack([getattr(case, name) for case in cases]) for name in ("matrix", "environment")]
     weight = spectrum.solver.sum(axis=0)
     worst = [max(getattr(case, name) for case in cases) for name in ("bound_mk", "error_mk")]
-    return ReflectanceTables(place, *stacked, weight, *worst)
+    return ReflectanceTables(row, *stacked, weight, *worst)
 
 
 class _Case:
@@ -131,7 +131,7 @@ class _Case:
             sky = points.spread(scene.air.sky_radiance(at_m, _DIRECTIONS))
         self.environment = reflected(np.concatenate([sky, environment[-1:]])) - fit[:, None, -1] * size[0]
         band_um, judged = scene.camera.band_um, reflectance[_JUDGED]
-        # The mirror and the diffuse surface may see any two things of the scene.
+        # The mirror and the diffuse surface may see any two surfaces of the scene.
         emitted = (1.0 - diffuse - judged) @ black.T
         image, glow = judged @ light.T, (1.0 - diffuse) @ light.T
         most = emitted.max(axis=1) + image.max(axis=1) - glow.min()
@@ -184,7 +184,7 @@ class DeviceTables:
         Parameters
         ----------
         kind : UInt32
-            Places in the tables.
+            Rows of the tables.
         cosine : Float
             Of the angle of view.
         black, seen : list of Float
@@ -197,11 +197,11 @@ class DeviceTables:
         mi, count, lines = self._mi, self.count, self._directions
         own, other = ([*light, _bent(self._band(light))] for light in (black, seen))
         light = [dr.select(valid, a, 0.0) - b for a, b in zip(other, own, strict=True)]
-        row, across = self._place(cosine, len(COSINES))
+        row, across = self._interval(cosine, len(COSINES))
         row = row + kind * len(COSINES)
         near, far = (self._matrix.at(row + k) for k in (0, 1))
         matrix = [dr.lerp(a, b, across) for a, b in zip(near, far, strict=True)]
-        column, along = self._place(up, lines) if lines > 1 else (mi.UInt32(0), mi.Float(0.0))
+        column, along = self._interval(up, lines) if lines > 1 else (mi.UInt32(0), mi.Float(0.0))
         # The last column is the surroundings'.
         below, step = up < 0.0, min(lines - 1, 1)
         column, along = dr.select(below, lines, column), dr.select(below, 0.0, along)
@@ -220,13 +220,13 @@ class DeviceTables:
         """Band radiance of light given by its channels."""
         return sum(weight * value for weight, value in zip(self._weight, light, strict=True))
 
-    def _place(self, cosine, count):
+    def _interval(self, cosine, count):
         """(lower index, share of the next) in a table of `count` squares of an even grid."""
-        place = dr.sqrt(dr.clip(cosine, 0.0, 1.0)) * (count - 1)
-        lower = dr.minimum(self._mi.UInt32(place), count - 2)
+        position = dr.sqrt(dr.clip(cosine, 0.0, 1.0)) * (count - 1)
+        lower = dr.minimum(self._mi.UInt32(position), count - 2)
         grid = self._mi.Float(lower)
         # Linear in the cosine itself between its squares.
-        return lower, (place * place - grid * grid) / (2.0 * grid + 1.0)
+        return lower, (position * position - grid * grid) / (2.0 * grid + 1.0)
 
 
 def black_of(plan, number, material, temperature):
@@ -245,7 +245,7 @@ def correction(layers, here, ray, hit, texel):
     Parameters
     ----------
     layers : sequence of Layer
-        The still scene first.
+        The static scene first.
     here : Layer
         Which of them the rays are cast into.
     ray : Ray3f
@@ -320,18 +320,18 @@ def _transformed(one, other, point, direction):
 
 def _texels(scene, number, envelope):
     """(mean altitude [m], coldest, warmest [K]) of what is of a material, or None where nothing is."""
-    warm, places = [], []
+    warm, points = [], []
     for surface in scene.surfaces:
         own = surface.material == number
         if own.any():
             warm += [limit(surface.temperature[own]) for limit in (np.min, np.max)]
             column, row = (surface.uv.mean(axis=1) * own.shape[::-1]).astype(int).T
             faces = own[np.clip(row, 0, own.shape[0] - 1), np.clip(column, 0, own.shape[1] - 1)]
-            places.append(surface.vertices[surface.faces[faces]].reshape(-1, 3))
+            points.append(surface.vertices[surface.faces[faces]].reshape(-1, 3))
     for mover in scene.movers:
         if mover.surfaces[0].material.flat[0] == number:
             warm += mover.temperatures()
     if not warm:
         return None
-    height = altitude(np.concatenate([*places, np.zeros((0, 3))]), scene.altitude_m)
+    height = altitude(np.concatenate([*points, np.zeros((0, 3))]), scene.altitude_m)
     return float(height.mean() if height.size else np.mean(envelope.altitude_m)), float(min(warm)), float(max(warm))

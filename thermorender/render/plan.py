@@ -12,7 +12,7 @@ from thermorender.render.mirrors import ReflectanceTables, make_tables
 from thermorender.render.sampling import PATTERNS, STAGES
 from thermorender.render.spectrum import REFERENCE_K, Envelope, Spectrum, make_spectrum
 
-# Rays per pixel, texture places per ray, and the error from which on an edge pixel gets more rays [mK].
+# Rays per pixel, texture taps per ray, and the error from which on an edge pixel gets more rays [mK].
 QUALITIES = {"fast": (1, 4, 500.0), "standard": (1, 4, 150.0), "high": (4, 4, 24.0)}
 
 
@@ -34,12 +34,12 @@ class Plan:
     tolerance_mk : float
         Error allowed to nodes, channels and the solution of the bake [mK].
     samples, taps : int
-        Rays per pixel, and places per ray at which the texture is read.
+        Rays per pixel, and taps per ray at which the texture is read.
     edge_mk : float
         Error of a pixel that shows an edge from which on it gets more rays [mK]; infinite: never.
     coldest, warmest : float
         Temperatures of the scene, its sky and surroundings [K].
-    moving : int
+    dynamic : int
         Objects with a track.
     air_mk : float or None
         What a kilometre of the scene's air changes a surface of 300 K by [mK]; None without air.
@@ -66,7 +66,7 @@ class Plan:
     edge_mk: float
     coldest: float
     warmest: float
-    moving: int
+    dynamic: int
     air_mk: float | None
     sun_mk: float | None
     sun: bool
@@ -81,9 +81,9 @@ class Plan:
     def rows(self):
         """Return the plan as (item, in or out, why) rows for a table."""
         needed = "in" if self.bake else "out"
-        moving = ("moving objects", "out", "none has a track")
-        if self.moving:
-            moving = (moving[0], str(self.moving), "cast in their own frames; their light by one bounce each way")
+        dynamic = ("dynamic objects", "out", "none has a track")
+        if self.dynamic:
+            dynamic = (dynamic[0], str(self.dynamic), "cast in their own frames; their light by one bounce each way")
         edges = ("more rays at edges", "out", "edge_mk is infinite")
         if self.edge_mk < np.inf:
             edges = (edges[0], "in", f"up to {STAGES[-1]} where one surface hides another and errs {self.edge_mk:g} mK")
@@ -93,9 +93,9 @@ class Plan:
             ("spectral nodes", str(self.nodes), f"worst error {self.spectrum.nodes_mk:.3g} mK"),
             ("bake rays per face", str(self.rays if self.bake else 0), "sky visibility and inter-reflection"),
             ("rays per pixel", str(self.samples), "band radiance averaged, never temperature"),
-            ("texture places per ray", str(self.taps), "on the plane of the face that is hit"),
+            ("texture taps per ray", str(self.taps), "on the plane of the face that is hit"),
             edges,
-            moving,
+            dynamic,
             *self._air_rows(),
             self._specular_row(),
         ]
@@ -149,7 +149,7 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
     quality : {"fast", "standard", "high"}
         Names the three numbers that follow.
     samples, taps : int, optional
-        Rays per pixel and texture places per ray (1, 2, 4, 8 or 16) in place of the quality's own.
+        Rays per pixel and texture taps per ray (1, 2, 4, 8 or 16) in place of the quality's own.
     edge_mk : float, optional
         Error from which on a pixel that shows an edge gets more rays [mK], in place of the quality's own; infinite:
         never.
@@ -211,7 +211,7 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
         edge_mk=float(edge_mk),
         coldest=coldest,
         warmest=warmest,
-        moving=len(scene.movers),
+        dynamic=len(scene.movers),
         air_mk=air_mk,
         sun_mk=sun_mk,
         sun=sun_mk is not None and sun_mk > 0.1 * tolerance_mk,
@@ -222,22 +222,22 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
 
 def _envelope(scene):
     """The Envelope of a scene."""
-    terrain, objects = scene.surfaces[: scene.terrain_count], scene.surfaces[scene.terrain_count :]
+    terrain, still = scene.surfaces[: scene.terrain_count], scene.surfaces[scene.terrain_count :]
     ground = [float(limit(surface.temperature)) for surface in terrain for limit in (np.min, np.max)]
     own = {}
-    for surface in objects:
+    for surface in still:
         for material in np.unique(surface.material):
             own.setdefault(int(material), []).extend(surface.temperature[surface.material == material].ravel())
     for mover in scene.movers:
         for surface in mover.surfaces:
             own.setdefault(int(surface.material.flat[0]), []).extend(mover.temperatures())
     extremes = {material: {float(min(values)), float(max(values))} for material, values in own.items()}
-    things = [(material, temperature) for material, both in extremes.items() for temperature in sorted(both)]
+    objects = [(material, temperature) for material, both in extremes.items() for temperature in sorted(both)]
     height = [limit(surface.vertices[:, 2]) for surface in scene.surfaces for limit in (np.min, np.max)]
     return Envelope(
         band_um=tuple(scene.camera.band_um),
         ground=(min(ground), max(ground)),
-        things=things,
+        objects=objects,
         sky_temperature=scene.spec.sky_temperature,
         surroundings_temperature=scene.surroundings_temperature,
         air=scene.air,

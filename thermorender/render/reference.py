@@ -146,7 +146,7 @@ def mitsuba_scene(mi, scene, pose, integrator, depth):
             },
         },
     }
-    # So large that its horizon is that of every place in the scene to 1e-3 rad.
+    # So large that its horizon is that of every point of the scene to 1e-3 rad.
     reach = 1e3 * max(float(np.abs(surface.vertices).max()) for surface in scene.surfaces)
     parts["outside"] = {
         "type": "sphere",
@@ -223,7 +223,7 @@ def _register(mi, name, scene, height):
             left, top = dr.floor(x), dr.floor(y)
             fx, fy = x - left, y - top
             result = wavelength * 0.0
-            place = (wavelength - start) / step
+            position = (wavelength - start) / step
             corners = ((0, 0, (1 - fx) * (1 - fy)), (0, 1, fx * (1 - fy)), (1, 0, (1 - fx) * fy), (1, 1, fx * fy))
             for di, dj, share in corners:
                 row = dr.clip(mi.Int32(top) + di, 0, rows - 1)
@@ -232,8 +232,8 @@ def _register(mi, name, scene, height):
                 base = dr.gather(mi.UInt32, material, index, active) * len(grid)
                 epsilon = mi.UnpolarizedSpectrum(0.0)
                 for k in range(len(epsilon)):
-                    lower = mi.UInt32(dr.clip(place[k], 0.0, len(grid) - 2.0))
-                    weight = place[k] - mi.Float(lower)
+                    lower = mi.UInt32(dr.clip(position[k], 0.0, len(grid) - 2.0))
+                    weight = position[k] - mi.Float(lower)
                     epsilon[k] = dr.lerp(
                         dr.gather(mi.Float, spectra, base + lower, active),
                         dr.gather(mi.Float, spectra, base + lower + 1, active),

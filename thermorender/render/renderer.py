@@ -32,7 +32,7 @@ class Renderer:
     quality : {"fast", "standard", "high"}
         How finely a pixel is sampled; see `thermorender.render.plan.QUALITIES`.
     samples, taps, edge_mk : optional
-        Rays per pixel, texture offsets per ray, and the error from which on a pixel that shows an edge gets more rays
+        Rays per pixel, texture taps per ray, and the error from which on a pixel that shows an edge gets more rays
         [mK], in place of the quality's own.
     rays : int
         Rays per face of the bake.

@@ -1,6 +1,6 @@
 """From a pose to radiance: rays are cast, what they hit is looked up, passed through the air, and averaged in pixels.
 
-What a place of a surface sends to the camera lies ready in texels and faces (`thermorender.render.light.texels`), so a
+What a point of a surface sends to the camera lies ready in texels and faces (`thermorender.render.light.texels`), so a
 frame is casting rays, fetching these, and summing; band radiance is averaged over a pixel's rays, never temperature.
 Pixels that show an edge get more rays, in stages, until their error is small enough.
 """

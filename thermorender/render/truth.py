@@ -1,4 +1,4 @@
-"""What is really there: temperature, material, depth and place at the middle of each pixel, and where targets are.
+"""What is really there: temperature, material, depth and position at the middle of each pixel, and where targets are.
 
 Truth is that of the one surface a pixel's middle shows, not a mean over the pixel: a mean of depths or materials at
 an edge would be that of nothing.
@@ -63,14 +63,14 @@ def truth(baked, rays, pose, placements):
         images.append(flat.reshape(camera.height, camera.width))
     valid, number, up, cosine, depth, *position = images
     valid, up = valid > 0, up > 0
-    moving = [surface for mover in scene.movers for surface in mover.surfaces]
+    dynamic = [surface for mover in scene.movers for surface in mover.surfaces]
     flags, material = (
-        np.concatenate([getattr(surface, which).ravel() for surface in (*scene.surfaces, *moving)])[number]
+        np.concatenate([getattr(surface, which).ravel() for surface in (*scene.surfaces, *dynamic)])[number]
         for which in ("flags", "material")
     )
     sizes = [int(layer.geometry.texel_start[-1]) for layer in layers[1:]]
-    still = [surface.temperature.ravel() for surface in scene.surfaces]
-    temperature = np.concatenate([*still, np.repeat(warm, sizes).astype(np.float32)])[number]
+    static = [surface.temperature.ravel() for surface in scene.surfaces]
+    temperature = np.concatenate([*static, np.repeat(warm, sizes).astype(np.float32)])[number]
     band_um = camera.band_um
     black = band_radiance(REFERENCE_K, *band_um)
     emissivity = np.array([emitted_radiance(m.emissivity_at, REFERENCE_K, *band_um) / black for m in scene.materials])

@@ -12,8 +12,8 @@ from thermorender.render.light import radiosity
 # Levels between which the sky changes linearly with altitude, at most this far apart [m].
 _LEVEL_M = 250.0
 _NODE, _WEIGHT = np.polynomial.legendre.leggauss(4)
-# Places on a face from which the sun is looked for, and rays cast at a time.
-_SUN_PLACES = 4
+# Points of a face from which the sun is looked for, and rays cast at a time.
+_SUN_POINTS = 4
 _FACES_AT_ONCE = 1 << 19
 
 
@@ -64,8 +64,8 @@ def of_scene(scene, plan, geometry):
     height = altitude(np.concatenate([s.vertices[s.faces].mean(axis=1) for s in geometry.surfaces]), scene.altitude_m)
     low, high = float(height.min()), float(height.max())
     levels = np.linspace(low, high, 1 + max(1, int(np.ceil((high - low) / _LEVEL_M))))
-    place = (height - low) / max(high - low, 1e-9) * (len(levels) - 1)
-    level = np.maximum(1.0 - np.abs(place[:, None] - np.arange(len(levels))), 0.0)
+    position = (height - low) / max(high - low, 1e-9) * (len(levels) - 1)
+    level = np.maximum(1.0 - np.abs(position[:, None] - np.arange(len(levels))), 0.0)
     sky = np.stack([spectrum.of_air(sky_bins(scene.air, at)) for at in levels])
     direct = _sunlight(scene, spectrum, geometry, low) if plan.sun else None
     return Environment(sky, level, background, direct)
@@ -93,7 +93,7 @@ def _sunlight(scene, spectrum, geometry, at_m):
     share = points.air.shares(sun.BRIGHTNESS_TEMPERATURE_K)[points.node]
     light = clear * sun.irradiance(points.wavelength_um) * points.weight * share
     light = spectrum.gathered(light * passed[points.node]) / np.pi
-    rays_of, seen = radiosity.FaceRays(geometry, _SUN_PLACES // 2), np.empty(geometry.face_count)
+    rays_of, seen = radiosity.FaceRays(geometry, _SUN_POINTS // 2), np.empty(geometry.face_count)
     direction = mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in towards))
     for first in range(0, geometry.face_count, _FACES_AT_ONCE):
         count = min(_FACES_AT_ONCE, geometry.face_count - first)

@@ -138,8 +138,8 @@ def sky_edges():
 
 def background_code(mi, direction):
     """Return what a ray sees that hits nothing: the bin of the sky, or SKY_BINS for the surroundings, UInt32."""
-    place = mi.UInt32(dr.sqrt(dr.clip(direction.z, 0.0, 1.0)) * SKY_BINS)
-    return dr.select(direction.z >= 0.0, dr.minimum(place, SKY_BINS - 1), SKY_BINS)
+    position = mi.UInt32(dr.sqrt(dr.clip(direction.z, 0.0, 1.0)) * SKY_BINS)
+    return dr.select(direction.z >= 0.0, dr.minimum(position, SKY_BINS - 1), SKY_BINS)
 
 
 def solve(transport, emitted, reflectance, environment, tolerance):
@@ -279,14 +279,14 @@ def _counted(code, count):
     begins = np.empty(flat.size, dtype=bool)
     np.not_equal(flat[1:], flat[:-1], out=begins[1:])
     begins[::rays] = True
-    place = np.flatnonzero(begins)
-    hits = np.diff(place, append=flat.size).astype(np.uint16)
-    seen = flat[place]
-    beyond = np.zeros((rows, SKY_BINS + 1), dtype=np.uint16)
+    first = np.flatnonzero(begins)
+    hits = np.diff(first, append=flat.size).astype(np.uint16)
+    seen = flat[first]
+    missing = np.zeros((rows, SKY_BINS + 1), dtype=np.uint16)
     surface = seen < count
     missed = ~surface
-    beyond[place[missed] // rays, seen[missed] - count] = hits[missed]
-    return np.bincount(place[surface] // rays, minlength=rows), seen[surface], hits[surface], beyond
+    missing[first[missed] // rays, seen[missed] - count] = hits[missed]
+    return np.bincount(first[surface] // rays, minlength=rows), seen[surface], hits[surface], missing
 
 
 def _faces(surfaces):

@@ -32,15 +32,15 @@ def face_means(geometry, plan, material, temperature):
     mi = geometry.mi
     pattern = _pattern(geometry)
     number = np.empty((geometry.face_count, len(pattern)), dtype=np.uint32)
-    for place, found in enumerate(geometry.points_in_faces(pattern)):
-        number[:, place] = np.array(geometry.nearest(*found))
+    for column, found in enumerate(geometry.points_in_faces(pattern)):
+        number[:, column] = np.array(geometry.nearest(*found))
     number = mi.UInt32(number.ravel())
     spectrum = plan.spectrum
     grid = RadianceTable.grid(plan.coldest, plan.warmest)
     black = spectrum.black(grid).astype(np.float32)
-    place = (dr.gather(mi.Float, mi.Float(temperature), number) - float(grid[0])) / float(grid[1] - grid[0])
-    lower = mi.UInt32(dr.clip(place, 0.0, float(len(grid) - 2)))
-    weight = place - mi.Float(lower)
+    position = (dr.gather(mi.Float, mi.Float(temperature), number) - float(grid[0])) / float(grid[1] - grid[0])
+    lower = mi.UInt32(dr.clip(position, 0.0, float(len(grid) - 2)))
+    weight = position - mi.Float(lower)
     kind = mi.UInt32(dr.gather(mi.UInt8, mi.UInt8(material), number))
     dr.eval(lower, weight, kind)
     emitted = np.empty((geometry.face_count, spectrum.nodes))
@@ -180,7 +180,7 @@ def variation(geometry, reflected, noise, samples=2000, seed=0):
 
 
 def _pattern(geometry):
-    """Barycentric places (n, 2), evenly spread over a triangle."""
+    """Barycentric points (n, 2), evenly spread over a triangle."""
     texels, faces = np.diff(geometry.texel_start), np.diff(geometry.face_start)
     count = max(
         1 if t == 1 else int(np.clip(np.ceil(_PER_TEXEL * t / f), _FEWEST, _MOST))
