@@ -9,16 +9,16 @@ from conftest import shared_data
 
 import thermorender as tr
 from scenes import write_mesh
+from thermorender.atmosphere.model import Atmosphere
+from thermorender.atmosphere.rays import MEAN_RADIUS_M
 from thermorender.errors import ThermorenderError
 from thermorender.physics import sun
-from thermorender.physics.atmosphere import Atmosphere
 from thermorender.physics.band import quadrature
 from thermorender.physics.planck import (
     band_radiance_derivative,
     brightness_temperature,
     spectral_radiance,
 )
-from thermorender.physics.rays import MEAN_RADIUS_M
 from thermorender.render import bake, outside, reference
 from thermorender.render.geometry import Geometry
 from thermorender.render.plan import make_plan

