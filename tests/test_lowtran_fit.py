@@ -11,8 +11,9 @@ import pytest
 
 from thermorender.atmosphere import absorbers
 from thermorender.atmosphere.lowtran import fit, program, spectra
-from thermorender.atmosphere.model import Atmosphere, read_table
+from thermorender.atmosphere.model import Atmosphere
 from thermorender.atmosphere.rays import EARTH_RADIUS_M
+from thermorender.atmosphere.tables import read_table
 from thermorender.physics.planck import spectral_radiance
 
 GRID = np.arange(program.FIRST, program.LAST + 1, program.STEP, dtype=float)

@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from thermorender.atmosphere.lowtran import fit, spectra
-from thermorender.atmosphere.model import Atmosphere, read_table
+from thermorender.atmosphere.model import Atmosphere
 from thermorender.atmosphere.rays import EARTH_RADIUS_M
+from thermorender.atmosphere.tables import read_table
 from thermorender.physics.planck import band_radiance_derivative, brightness_temperature
 
 BAND_UM = (7.5, 13.5)
