@@ -8,6 +8,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import air_by_steps
 import numpy as np
 import pytest
 from conftest import shared_data
@@ -146,6 +147,24 @@ def test_emission_against_quadrature(absorption, first, last):
     assert abs(error) < 15.0
 
 
+@pytest.mark.parametrize(("name", "aerosol"), AIRS)
+def test_model_against_a_thousand_steps(name, aerosol):
+    air = Atmosphere.standard(name, aerosol).in_band(7.5, 13.5)
+    for path in PATHS[:-1]:
+        passed, light = air_by_steps.between(air, *path)
+        through, emitted = air.path(*path)
+        # Altitudes on a grid of 1600 make 2e-5 of a node, 0.4 mK of 20 K of contrast. Emission: the model's few steps,
+        # 9 mK from the stratosphere down.
+        assert np.abs(through - passed).max() < 3e-5
+        assert abs(in_mk((emitted - light).sum(), 285.0, (7.5, 13.5))) < 10.0, path
+    for at, cosine in ((0.0, 1.0), (0.0, 0.3), (120.0, 0.01), (5000.0, -0.01)):
+        passed, light = air_by_steps.outward(air, at, cosine)
+        assert np.abs(air.sun_transmittance(at, cosine) - passed).max() < 3e-5
+        assert abs(in_mk((air.sky_radiance(at, cosine) - light).sum(), 285.0, (7.5, 13.5))) < 10.0
+    mean = air.sky_irradiance_mean(200.0) - air_by_steps.sky_mean(air, 200.0)
+    assert abs(in_mk(mean.sum(), 285.0, (7.5, 13.5))) < 10.0
+
+
 @pytest.mark.parametrize(("name", "published"), [("midlatitude-summer", 0.73), ("subarctic-winter", 0.94)])
 def test_transmittance_of_a_level_kilometre(name, published):
     """8–12 µm, rural aerosol, visibility 23 km: two figures after the point, as tables give them."""
@@ -196,25 +215,35 @@ def held_out():
     return error, relative, path[:, 1] == 0.0, offset[:, 1] != 1.0
 
 
-def test_held_out_lines_of_sight_of_lowtran():
-    """Apparent temperature of targets 20 K warmer and colder than their air: median 20 mK, worst 100 mK.
+# What the shipped table errs by against LOWTRAN7 [mK], as the README states it: median, worst of targets 20 K warmer
+# and 20 K colder than their air, and the same of the sky. Table and reference are files: facts to a millikelvin.
+HELD_OUT_MK = {
+    # band: (standard air (median, warm, cold), offset air (median, warm, cold), sky (median, worst))
+    (7.5, 13.5): ((9.0, 93.0, 78.0), (7.0, 81.0, 120.0), (13.0, 107.0)),
+    (8.0, 12.0): ((13.0, 136.0, 109.0), (15.0, 104.0, 178.0), (11.0, 123.0)),
+    (8.0, 14.0): ((10.0, 92.0, 84.0), (11.0, 83.0, 129.0), (15.0, 115.0)),
+}
 
-    Worse is known: 135 mK at 8–12 µm, from high up through haze, whose growth with humidity LOWTRAN takes at a
-    path's mean humidity and the table at each altitude's own; and targets that are 20 K colder than the air of
-    the upper troposphere (185 K), on which the same radiance is twice the temperature.
+
+def test_held_out_lines_of_sight_of_lowtran():
+    """Apparent temperatures err by no more than is stated in HELD_OUT_MK: 7 … 15 mK in the median, 178 mK at worst.
+
+    The worst are known: 136 mK at 8–12 µm, from high up through haze, whose growth with humidity LOWTRAN takes at a
+    path's mean humidity and the table at each altitude's own; and 178 mK for targets that are 20 K colder than the air
+    of the upper troposphere (185 K), on which the same radiance is twice the temperature.
     """
     error, relative, sky, offset = held_out()
     assert len(error) == 252 and sky.sum() == 84 and offset.sum() == 72
     error = np.abs(error)
     assert np.isfinite(error).all()
-    for column, (warm, cold) in enumerate(((100.0, 120.0), (140.0, 180.0), (100.0, 130.0))):
-        for which in (~sky & ~offset, ~sky & offset):
-            assert np.median(error[which, column]) < 20.0
-            assert error[which, column, 0].max() < warm
-            assert error[which, column, 1].max() < cold
+    for column, band in enumerate(BANDS):
+        *airs, (median, worst) = HELD_OUT_MK[band]
+        for which, limits in zip((~sky & ~offset, ~sky & offset), airs, strict=True):
+            found = (np.median(error[which, column]), *error[which, column].max(axis=0))
+            assert np.all(np.less(found, limits)) and np.all(np.greater(found, 0.9 * np.array(limits))), (band, found)
         # Of the sky: as light of a scene at 285 K, and relative.
-        assert np.median(error[sky, column]) < 20.0
-        assert error[sky, column].max() < 130.0
+        found = np.median(error[sky, column]), error[sky, column].max()
+        assert np.all(np.less(found, (median, worst))) and np.all(np.greater(found, (0.9 * median, 0.9 * worst))), found
         assert np.median(np.abs(relative[sky, column])) < 0.002
 
 
