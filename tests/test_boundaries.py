@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -40,8 +41,33 @@ def test_physics_is_pure():
             assert not name.startswith("thermorender.") or name.split(".")[1] in ("physics", "errors", "units"), path
 
 
+def modules(path):
+    """Names of the package's own modules that a file imports anywhere, `from package import module` too."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            inner = [f"{node.module}.{alias.name}" for alias in node.names]
+            found = [name for name in inner if (PACKAGE.parent / name.replace(".", "/")).with_suffix(".py").exists()]
+            yield from found or [node.module]
+
+
+def test_the_air_stands_on_physics_and_runs_in_no_circle():
+    below = {"errors", "units", "paths", "versions", "files", "schema", "physics", "atmosphere"}
+    graph = {}
+    for path in (PACKAGE / "atmosphere").rglob("*.py"):
+        name = "thermorender." + ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
+        graph[name] = {other for other in modules(path) if other.startswith("thermorender.")}
+        assert {other.split(".")[1] for other in graph[name]} <= below, f"{path} reaches forward"
+    assert len(graph) > 10
+    for other in graph.values():
+        other &= graph.keys()
+    # Raises CycleError, which names the circle.
+    tuple(TopologicalSorter(graph).static_order())
+
+
 def test_data_flow_has_one_direction():
-    order = ["physics", "weather", "sensor", "learned", "scene", "render", "validate"]
+    order = ["physics", "atmosphere", "sensor", "learned", "scene", "render", "validate"]
     for path in PACKAGE.rglob("*.py"):
         here = room(path)
         if here not in order:

@@ -6,10 +6,10 @@ import trimesh
 
 import thermorender as tr
 from scenes import write_mesh, write_terrain
+from thermorender.atmosphere.rays import MEAN_RADIUS_M
 from thermorender.errors import ThermorenderError
 from thermorender.physics.band import quadrature
 from thermorender.physics.planck import band_radiance_derivative, brightness_temperature, spectral_radiance
-from thermorender.physics.rays import MEAN_RADIUS_M
 from thermorender.render import reference
 from thermorender.render.geometry import Geometry
 from thermorender.render.plan import make_plan

@@ -8,9 +8,9 @@ radiance. Rays look it up; rays that meet nothing look up sky and surroundings b
 import drjit as dr
 import numpy as np
 
+from thermorender.atmosphere.model import HIGHEST_CAMERA_M
+from thermorender.atmosphere.rays import EARTH_RADIUS_M, MEAN_RADIUS_M, horizon_cos_zenith
 from thermorender.errors import ThermorenderError
-from thermorender.physics.atmosphere import HIGHEST_CAMERA_M
-from thermorender.physics.rays import EARTH_RADIUS_M, MEAN_RADIUS_M, horizon_cos_zenith
 
 # A grid's lengths grow by at most this factor from one to the next, and its altitudes are at most this far apart [m].
 _GROWTH = 1.08

@@ -16,8 +16,8 @@ from functools import cached_property
 
 import numpy as np
 
+from thermorender.atmosphere.model import HIGHEST_CAMERA_M
 from thermorender.errors import ThermorenderError
-from thermorender.physics.atmosphere import HIGHEST_CAMERA_M
 from thermorender.physics.band import RadianceTable, emitted_radiance, quadrature
 from thermorender.physics.planck import (
     band_radiance,

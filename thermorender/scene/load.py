@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from thermorender.atmosphere.declared import declared_air
 from thermorender.errors import ThermorenderError
 from thermorender.paths import data_folder
 from thermorender.scene import materials as material_tables
 from thermorender.scene import mesh, terrain
-from thermorender.scene.air import declared_air
 from thermorender.scene.georeference import FARTHEST_M, LocalFrame
 from thermorender.scene.ground import Ground
 from thermorender.scene.material_map import learned_materials
