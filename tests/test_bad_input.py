@@ -355,6 +355,15 @@ def test_islands_without_height_are_holes(scene, call, tmp_path):
     assert not (tmp_path / "p").exists()
 
 
+def test_names_of_files_and_folders_do_not_break_the_scene_file_that_names_them(scene, call, tmp_path):
+    odd = scene / 'a"\nsky = "\x7f.tif'
+    (scene / "orthophoto.tif").rename(odd)
+    folder = tmp_path / 'my "own"\x7f\\scene'
+    status, _, errors = call("import-terrain", scene / "elevation.tif", odd, "-o", folder)
+    assert (status, errors) == (0, "")
+    assert load_scene(folder).spec.title == folder.name
+
+
 def test_import_leaves_nothing(scene, refused, call, tmp_path):
     elevation, orthophoto = scene / "elevation.tif", scene / "orthophoto.tif"
     nan = "sky_temperature=nan is not a finite number"

@@ -1,6 +1,7 @@
 """Procedural scenes: repeatable to the byte, plausible in kelvin, and not to be had from colour or class."""
 
 import csv
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -104,6 +105,14 @@ def test_same_seed_same_bytes_other_seed_other_place(tmp_path):
         assert (one / name).read_bytes() != (other / name).read_bytes(), name
     difference = small("heath").elevation - small("heath", 1).elevation
     assert np.abs(difference).max() > 1.0
+
+
+def test_texts_with_quotes_and_backslashes_are_written_as_they_are(tmp_path):
+    title = 'A "heath" of C:\\new, in\ntwo lines'
+    (thing, *_) = small("heath").objects
+    scene = replace(small("heath"), title=title, objects=({**thing, "name": 'the "marker"'},))
+    spec = tomllib.loads((write(scene, tmp_path / "odd") / "scene.toml").read_text(encoding="utf-8"))
+    assert spec["title"] == title and spec["object"][0]["name"] == 'the "marker"'
 
 
 def test_what_is_written_is_what_was_made(tmp_path):

@@ -325,7 +325,22 @@ def toml_text(values, comment=""):
 
 def toml_line(name, value, comment=""):
     """Return the line of a key, with a comment behind it."""
-    return f"{_toml_key(name)} = {_toml_value(value)}" + (f"  # {_harmless(comment)}" if comment else "")
+    return f"{_toml_key(name)} = {toml_value(value)}" + (f"  # {_harmless(comment)}" if comment else "")
+
+
+def toml_value(value):
+    """Return a value as TOML writes it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, (str, Path)):
+        return _quoted(str(value))
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(toml_value, value))}]"
+    if isinstance(value, dict):
+        return "{" + ", ".join(toml_line(name, item) for name, item in value.items() if item is not None) + "}"
+    if isinstance(value, Real):
+        return repr(int(value) if isinstance(value, Integral) else float(value))
+    raise TypeError(f"{value!r} has no form in TOML")
 
 
 def _table_lines(values, path):
@@ -344,20 +359,6 @@ def _table_lines(values, path):
 
 def _toml_key(name):
     return str(name) if re.fullmatch("[A-Za-z0-9_-]+", str(name)) else _quoted(str(name))
-
-
-def _toml_value(value):
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, (str, Path)):
-        return _quoted(str(value))
-    if isinstance(value, (list, tuple)):
-        return f"[{', '.join(map(_toml_value, value))}]"
-    if isinstance(value, dict):
-        return "{" + ", ".join(toml_line(name, item) for name, item in value.items() if item is not None) + "}"
-    if isinstance(value, Real):
-        return repr(int(value) if isinstance(value, Integral) else float(value))
-    raise TypeError(f"{value!r} has no form in TOML")
 
 
 def _quoted(value):
