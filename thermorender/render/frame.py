@@ -14,6 +14,7 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 from thermorender.frames import Frame
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
+from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
 from thermorender.render import bake, cache, fold, specular, truth
 from thermorender.render.air import Air, Vacuum
 from thermorender.render.geometry import Channels, Geometry, Hit, Layer, Shown, opaque_view, view_ray
@@ -114,7 +115,7 @@ class Renderer:
         self._still = self._faces_alone = None
         self._placed = not scene.movers
         self._moving = [
-            Moving(self._mi, mover, self.plan, scene.materials, _linear_from_srgb, self._laws)
+            Moving(self._mi, mover, self.plan, scene.materials, linear_from_bytes, self._laws)
             for mover in scene.movers
         ]
         if same and scene.surfaces is like.scene.surfaces and scene.spec == like.scene.spec and not scene.movers:
@@ -286,7 +287,7 @@ class Renderer:
         """
         pose, camera = checked_pose(pose), camera or self.scene.camera
         if self._colour is None:
-            linear = _linear_from_srgb(np.concatenate([s.colour.reshape(-1, 3) for s in self.scene.surfaces]))
+            linear = linear_from_bytes(np.concatenate([s.colour.reshape(-1, 3) for s in self.scene.surfaces]))
             flags = np.concatenate([surface.flags.ravel() for surface in self.scene.surfaces])
             known = ((flags & FILLED) == 0).astype(np.float32)
             self._colour = Shown(Channels(self._mi, np.column_stack([linear, known])))
@@ -294,7 +295,7 @@ class Renderer:
             self._put(0.0, {})
         nothing = Vacuum(self._mi, *np.zeros((2, 4)))
         found, _ = self._shade(self._layers(pose, colour=True), camera, nothing, _VISIBLE_EDGE)
-        return _srgb_from_linear(np.moveaxis(found[:3], 0, -1)), found[3] > 0.999
+        return bytes_from_linear(np.moveaxis(found[:3], 0, -1)), found[3] > 0.999
 
     def _bake(self, tolerance_mk):
         """Fold the scene into texel channels, face channels and the radiance of sky and surroundings."""
@@ -490,15 +491,3 @@ def checked_pose(pose):
 def _flat(images):
     """All texels side by side; a single image is not copied, as it may fill gigabytes."""
     return images[0].reshape(-1) if len(images) == 1 else np.concatenate([image.ravel() for image in images])
-
-
-def _linear_from_srgb(colour):
-    """Linear light, float32, of sRGB bytes (IEC 61966-2-1)."""
-    value = np.arange(256) / 255.0
-    table = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-    return table.astype(np.float32)[colour]
-
-
-def _srgb_from_linear(light):
-    value = np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055)
-    return np.clip(np.rint(value * 255.0), 0, 255).astype(np.uint8)
