@@ -87,7 +87,7 @@ def unit_of(key, before=" "):
 
 
 def closest(name, known, count=1, cutoff=0.6):
-    """Return up to `count` of the known names that may have been meant, the nearest first."""
+    """Return up to `count` known names that may have been meant, nearest first; `cutoff` 0 takes any, 1 equal ones."""
     return difflib.get_close_matches(str(name), list(map(str, known)), n=count, cutoff=cutoff)
 
 

@@ -9,6 +9,7 @@ temperature, and is cut where the remaining tail is below 1e-20 of it: 64 Gauss�
 import numpy as np
 
 from thermorender.errors import ThermorenderError
+from thermorender.units import ZERO_CELSIUS_K
 
 # CODATA 2018, exact in the 2019 SI.
 _H, _C, _K = 6.62607015e-34, 299792458.0, 1.380649e-23
@@ -127,7 +128,7 @@ def _checked(temperature):
     temperature = np.asarray(temperature, dtype=np.float64)
     if np.any(temperature < 0.0):
         raise ThermorenderError(
-            f"temperature={np.nanmin(temperature):g} is below 0 K; values are kelvin, add 273.15 to °C"
+            f"temperature={np.nanmin(temperature):g} is below 0 K; values are kelvin, add {ZERO_CELSIUS_K} to °C"
         )
     return temperature
 

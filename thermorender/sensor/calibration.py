@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from thermorender import defaults
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance_derivative
 from thermorender.schema import toml_line, toml_value
@@ -71,7 +72,7 @@ def frame_files(paths):
     return files
 
 
-def fit_camera(paths, base="zenmuse-xt2", scale=None, progress=None):
+def fit_camera(paths, base=defaults.CAMERA, scale=None, progress=None):
     """Return what the frames of a camera tell of it, {key of a camera file: Estimate}.
 
     Parameters

@@ -14,15 +14,17 @@ from dataclasses import replace
 
 import numpy as np
 
+from thermorender.defaults import BAND_UM
 from thermorender.physics import absorbers, atmosphere
 from thermorender.physics.planck import C2, band_radiance_derivative
+from thermorender.units import ZERO_CELSIUS_K
 from thermorender.weather import lowtran
 
 # Sub-bands [µm] and their numbers of terms. The edges are the limits of cameras' bands, those of LOWTRAN's band models
 # (10 and 12 µm) and that of ozone's band (9.2 µm).
 SUB_BANDS = ((7.0, 7.5), (7.5, 8.0), (8.0, 9.2), (9.2, 10.0), (10.0, 12.0), (12.0, 13.5), (13.5, 14.0), (14.0, 14.5))
 TERMS = (4, 5, 6, 6, 5, 6, 3, 3)
-CAMERA_BANDS = ((7.5, 13.5), (8.0, 12.0), (8.0, 14.0))
+CAMERA_BANDS = (BAND_UM, (8.0, 12.0), (8.0, 14.0))
 # Temperatures whose Planck radiance weighs the spectra: of the ground, and of what is high up [K].
 _WEIGHT_K = (atmosphere.REFERENCE_K, 225.0)
 # Contrast at which errors are judged [K], and how much the error of a whole band counts beside a sub-band's.
@@ -32,12 +34,12 @@ _SUM_WEIGHT = 0.7
 _OFFSETS = ((12.0, 1.7), (-12.0, 0.5), (0.0, 2.0), (0.0, 0.3))
 # Levels that are added to LOWTRAN's, where an aerosol regime fades into the next.
 EXTRA_LEVELS_M = (2250.0, 2500.0, 2750.0, 10500.0)
-_MOLECULES = 2.6868e24 / (273.15 / 296.0)
+_MOLECULES = 2.6868e24 / (ZERO_CELSIUS_K / 296.0)
 
 
 def gas_amounts(levels):
     """Return the gases of a profile, (6, L) in the order and units of `absorbers.GASES`."""
-    pressure, cold = levels.pressure_hpa / 1013.25, 273.15 / levels.temperature
+    pressure, cold = levels.pressure_hpa / 1013.25, ZERO_CELSIUS_K / levels.temperature
     scaled = {0: (17, 10.0), 1: (35, 1.0), 2: (31, 1.0), 3: (47, 1.0), 4: (45, 1.0), 5: (10, 1.0)}
     exponents = {row: (n, m) for row, n, m in reversed(absorbers.BAND_MODELS)}
     return np.stack(
@@ -116,7 +118,7 @@ def fit(runs, terms=TERMS, contrast=1.0):
     spectra = np.stack([run.transmittance for run in runs])
     scale = amounts.max(axis=0)
     amounts = amounts / scale
-    whole = band_radiance_derivative(atmosphere.REFERENCE_K, 7.5, 13.5)
+    whole = band_radiance_derivative(atmosphere.REFERENCE_K, *BAND_UM)
     kelvin = [CONTRAST_K * band_radiance_derivative(atmosphere.REFERENCE_K, *band) / whole for band in SUB_BANDS]
     groups, starts, means = [], [], []
     for band, count in zip(SUB_BANDS, terms, strict=True):

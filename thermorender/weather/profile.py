@@ -10,6 +10,7 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 from thermorender.physics import absorbers
 from thermorender.physics.atmosphere import Atmosphere, check_within, name_index, read_table
+from thermorender.units import ZERO_CELSIUS_K
 
 COLUMNS = ("altitude_m", "pressure_hpa", "temperature_k", "relative_humidity_percent")
 # Columns of the University of Wyoming's sounding lists that stand for these; their temperatures are °C.
@@ -113,7 +114,7 @@ def read_profile(path):
             ) from None
     values = np.array(rows, dtype=np.float64).reshape(-1, 4).T
     if sounding:
-        values[2] += 273.15
+        values[2] += ZERO_CELSIUS_K
     _check(path, *values)
     return tuple(values)
 
@@ -138,7 +139,8 @@ def _check(path, altitude, pressure, temperature, humidity):
     if temperature.min() < 150.0 or temperature.max() > 340.0:
         worst = temperature.min() if temperature.min() < 150.0 else temperature.max()
         raise ThermorenderError(
-            f"profile {path}: temperature_k={worst:g} is no air temperature in kelvin (150 … 340); add 273.15 to °C"
+            f"profile {path}: temperature_k={worst:g} is no air temperature in kelvin (150 … 340); "
+            f"add {ZERO_CELSIUS_K} to °C"
         )
     if pressure.max() > 1100.0 or pressure.min() <= 0.0:
         worst = pressure.max() if pressure.max() > 1100.0 else pressure.min()

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
+from thermorender.defaults import BAND_UM
 from thermorender.physics.atmosphere import Atmosphere, read_table
 from thermorender.physics.planck import band_radiance_derivative, brightness_temperature
 from thermorender.physics.rays import EARTH_RADIUS_M
 from thermorender.weather import fit
 
-BAND_UM = (7.5, 13.5)
 TERMS = ((1,) * 8, (2,) * 8, (3, 3, 3, 3, 3, 3, 2, 2), fit.TERMS, (5, 7, 8, 8, 7, 8, 4, 4))
 
 

@@ -10,11 +10,11 @@ import numpy as np
 
 from thermorender.scene.procedural.light import incidence, normals, sky_view, sun_position, sun_visibility
 from thermorender.scene.procedural.noise import fractal_noise, smooth_noise, stream
+from thermorender.units import ZERO_CELSIUS_K
 
 STEFAN_BOLTZMANN = 5.670374419e-8  # W m⁻² K⁻⁴, CODATA 2018
 _DAY_S = 86400.0
 _PSYCHROMETER_PA_K = 66.0  # near sea level: Allen et al., FAO paper 56 (1998), table 2.2
-_MELTING_K = 273.15
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def saturation_vapour(temperature):
 
     Magnus form: Allen et al., FAO Irrigation and Drainage Paper 56 (1998), eqs 11 and 13.
     """
-    celsius = temperature - np.float32(273.15)
+    celsius = temperature - np.float32(ZERO_CELSIUS_K)
     pressure = 610.8 * np.exp(np.float32(17.27) * celsius / (celsius + np.float32(237.3)))
     return pressure, pressure * np.float32(4098.0) / (celsius + np.float32(237.3)) ** 2
 
@@ -278,5 +278,5 @@ def surface_temperature(
             deep,
         )
         # Melting snow stays at the melting point and takes the rest of the heat as melt.
-        temperature = np.where(snow, np.minimum(temperature, np.float32(_MELTING_K)), temperature)
+        temperature = np.where(snow, np.minimum(temperature, np.float32(ZERO_CELSIUS_K)), temperature)
     return temperature, {"visible": visible, "cosine": cosine, "view": view}
