@@ -66,7 +66,9 @@ def ground_radiance(air, material, temperature, height, cosine, ground_m=0.0):
     # A flat plane under a round sky: its ends lie higher than its middle.
     end = ground_m + (length**2 - height**2) / (2.0 * MEAN_RADIUS_M)
     passed, added = air.path(ground_m + height, end, length)
-    sky, leaving = air.sky_irradiance_mean(ground_m), np.empty(air.nodes)
+    # What level ground sees of the sky, weighted with the cosine of the zenith angle.
+    toward = (np.arange(2000) + 0.5) / 2000
+    sky, leaving = (2.0 * toward / 2000) @ air.sky_radiance(ground_m, toward), np.empty(air.nodes)
     for node, (low, high) in enumerate(zip(air.lower_um, air.upper_um, strict=True)):
         wavelength, weight = quadrature(low, high)
         own, cool = (spectral_radiance(wavelength, t) * weight for t in (temperature, 285.0))
