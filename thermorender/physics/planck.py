@@ -97,7 +97,8 @@ def brightness_temperature(radiance, lower_um, upper_um):
     Notes
     -----
     Newton's method on ln L as a function of 1/T, which is nearly straight and convex, so it converges from
-    every start; the result is exact to about 1e-12 relative.
+    every start; the result is exact to about 1e-12 relative. `scipy.optimize.newton` takes arrays
+    too, but goes on with all of them until the last has converged, and does not hold steps back.
     """
     lower, upper = _band(lower_um, upper_um)
     radiance = np.asarray(radiance, dtype=np.float64)

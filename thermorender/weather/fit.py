@@ -310,7 +310,11 @@ def _errors(groups, parameters, truth):
 
 
 def _solve(groups, start, truth, mix, rounds, emphasis=None):
-    """Parameters that make mix @ (error of each group) least in squares: Levenberg–Marquardt by normal equations."""
+    """Parameters that make mix @ (error of each group) least in squares: Levenberg–Marquardt by normal equations.
+
+    These are put together from each sub-band's own slopes. `scipy.optimize.least_squares` would want the slopes of
+    all rows of `mix` with all parameters at every step, 140 000 × 369 of them.
+    """
     gram = mix.T @ mix
     squares = np.ones(len(truth)) if emphasis is None else np.square(emphasis)
     damping, solution, best = 1e-3, start, np.inf
