@@ -232,11 +232,11 @@ def test_plan_says_what_air_brings(tmp_path):
 @pytest.mark.parametrize(
     ("air", "words"),
     [
-        ("", "needs either [sky]"),
-        (AIR + "[sky]\ntemperature = 250.0\n", "needs either [sky]"),
+        ("", "needs exactly one of sky, atmosphere (a sky of one temperature and no air, or air with its sky)"),
+        (AIR + "[sky]\ntemperature = 250.0\n", "but sky and atmosphere are given"),
         ('[atmosphere]\nstandard = "polar"\n', "atmosphere='polar' is unknown"),
         ('[atmosphere]\nstandard = "tropical"\naerosol = "smoke"\n', "aerosol='smoke' is unknown"),
-        ("[atmosphere]\n", "exactly one of standard"),
+        ("[atmosphere]\n", "atmosphere needs exactly one of standard, file, profile, but none is given"),
         ('[atmosphere]\nstandard = "tropical"\nvisibility_km = 5\n', "atmosphere.visibility_km"),
         ('[atmosphere]\nstandard = "tropical"\nclouds = 1\n', "did you mean 'cloud"),
         ('[atmosphere]\nstandard = "tropical"\ncloud_fraction = 40\n', "cloud_fraction=40 is out of range"),

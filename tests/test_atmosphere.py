@@ -296,14 +296,6 @@ def test_sky_is_continuous_down_to_the_horizon():
     assert 293.0 < horizon < 294.2
 
 
-def test_mean_sky_is_the_hemispheres_irradiance():
-    air = Atmosphere.standard("subarctic-summer", "rural-5km").in_band(8.0, 12.0)
-    edge = np.linspace(0.0, 1.0, 2001)
-    cosine = 0.5 * (edge[1:] + edge[:-1])
-    dense = (2.0 * cosine * np.diff(edge)) @ air.sky_radiance(10.0, cosine)
-    assert abs(in_mk((air.sky_irradiance_mean(10.0) - dense).sum(), 285.0, (8.0, 12.0))) < 1.0
-
-
 def test_warmer_and_moister_air_takes_more_light():
     dry, standard, moist, warm = (
         Atmosphere.standard("midlatitude-winter", "none", *offset).in_band(8.0, 12.0)

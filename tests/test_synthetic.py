@@ -110,6 +110,14 @@ def test_same_seed_same_bytes_other_seed_other_place(tmp_path):
     assert np.abs(difference).max() > 1.0
 
 
+def test_texts_with_quotes_and_backslashes_are_written_as_they_are(tmp_path):
+    title = 'A "heath" of C:\\new, in\ntwo lines'
+    (thing, *_) = small("heath").objects
+    scene = replace(small("heath"), title=title, objects=({**thing, "name": 'the "marker"'},))
+    spec = tomllib.loads((write(scene, tmp_path / "odd") / "scene.toml").read_text(encoding="utf-8"))
+    assert spec["title"] == title and spec["object"][0]["name"] == 'the "marker"'
+
+
 def test_what_is_written_is_what_was_made(tmp_path):
     scene = small("village")
     folder = write(scene, tmp_path / "village")

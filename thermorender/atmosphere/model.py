@@ -30,7 +30,6 @@ _STEP = 0.08
 # Paths handled at a time, so that intermediate values stay in the processor's cache.
 _CHUNK = 128
 _PLANCK_NODE, _PLANCK_WEIGHT = np.polynomial.legendre.leggauss(6)
-_SKY_NODE, _SKY_WEIGHT = np.polynomial.legendre.leggauss(10)
 
 
 @dataclass(frozen=True, repr=False)
@@ -338,14 +337,6 @@ class Atmosphere:
             cloudy = light + through * self.planck(self.air_temperature(self.cloud_base_m))
             sky[below] = (1.0 - self.cloud_fraction) * sky[below] + self.cloud_fraction * cloudy
         return sky
-
-    def sky_irradiance_mean(self, at_m):
-        """Return E/π of the sky on level ground, (N,) [W m⁻² sr⁻¹]: the mean radiance a diffuse surface sees.
-
-        E/π = ∫ L 2 cosθ d(cosθ) in ten Gauss–Legendre directions of √cosθ, which crowd at the horizon.
-        """
-        root = 0.5 * (_SKY_NODE + 1.0)
-        return (2.0 * _SKY_WEIGHT * root**3) @ self.sky_radiance(at_m, root**2)
 
     def sun_transmittance(self, at_m, cos_zenith):
         """Return the transmittance from a place to space between clouds, (..., N); parameters as `sky_radiance`."""

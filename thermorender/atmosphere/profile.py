@@ -13,6 +13,7 @@ from thermorender.atmosphere.model import Atmosphere, check_within, name_index
 from thermorender.atmosphere.rays import MEAN_RADIUS_M
 from thermorender.atmosphere.tables import read_table
 from thermorender.errors import ThermorenderError
+from thermorender.units import ZERO_CELSIUS_K
 
 COLUMNS = ("altitude_m", "pressure_hpa", "temperature_k", "relative_humidity_percent")
 # Columns of the University of Wyoming's sounding lists that stand for these; their temperatures are °C.
@@ -120,7 +121,7 @@ def read_profile(path):
             ) from None
     values = np.array(rows, dtype=np.float64).reshape(-1, 4).T
     if sounding:
-        values[2] += 273.15
+        values[2] += ZERO_CELSIUS_K
     _check(path, *values)
     return tuple(values)
 
@@ -145,7 +146,8 @@ def _check(path, altitude, pressure, temperature, humidity):
     if temperature.min() < 150.0 or temperature.max() > 340.0:
         worst = temperature.min() if temperature.min() < 150.0 else temperature.max()
         raise ThermorenderError(
-            f"profile {path}: temperature_k={worst:g} is no air temperature in kelvin (150 … 340); add 273.15 to °C"
+            f"profile {path}: temperature_k={worst:g} is no air temperature in kelvin (150 … 340); "
+            f"add {ZERO_CELSIUS_K} to °C"
         )
     _check_pressure(path, altitude, pressure, temperature)
     if humidity.min() < 0.0 or humidity.max() > 110.0:

@@ -3,6 +3,7 @@
 import numpy as np
 
 from thermorender.physics import sun
+from thermorender.units import ZERO_CELSIUS_K
 
 STEFAN_BOLTZMANN = 5.670374419e-8  # W m⁻² K⁻⁴, CODATA 2018
 _DAY_S = 86400.0
@@ -37,7 +38,7 @@ def saturation_vapour(temperature):
 
     Magnus form: Allen et al., FAO Irrigation and Drainage Paper 56 (1998), eqs 11 and 13.
     """
-    celsius = temperature - np.float32(273.15)
+    celsius = temperature - np.float32(ZERO_CELSIUS_K)
     pressure = 610.8 * np.exp(np.float32(17.27) * celsius / (celsius + np.float32(237.3)))
     return pressure, pressure * np.float32(4098.0) / (celsius + np.float32(237.3)) ** 2
 

@@ -9,6 +9,7 @@ temperature, and is cut where the remaining tail is below 1e-20 of it: 64 Gauss�
 import numpy as np
 
 from thermorender.errors import ThermorenderError
+from thermorender.units import ZERO_CELSIUS_K
 
 # CODATA 2018, exact in the 2019 SI.
 _H, _C, _K = 6.62607015e-34, 299792458.0, 1.380649e-23
@@ -101,6 +102,8 @@ def brightness_temperature(radiance, lower_um, upper_um):
     Newton's method on ln L as a function of 1/T, which is nearly straight and convex, so it converges from
     every start; the result is exact to about 1e-12 relative. Radiances whose blackbody lies so far in Wien's or in
     Rayleigh's and Jeans' limit that the integral leaves float64 are inverted by these laws, as exactly.
+    `scipy.optimize.newton` takes arrays too, but goes on with all of them until the last has converged, and does not
+    hold steps back.
     """
     lower, upper = _band(lower_um, upper_um)
     radiance = np.asarray(radiance, dtype=np.float64)
@@ -158,7 +161,7 @@ def _checked(temperature):
     temperature = np.asarray(temperature, dtype=np.float64)
     if np.any(temperature < 0.0):
         raise ThermorenderError(
-            f"temperature={np.nanmin(temperature):g} is below 0 K; values are kelvin, add 273.15 to °C"
+            f"temperature={np.nanmin(temperature):g} is below 0 K; values are kelvin, add {ZERO_CELSIUS_K} to °C"
         )
     return temperature
 

@@ -8,6 +8,7 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 from thermorender.frame import Frame
 from thermorender.physics.planck import band_radiance_derivative
+from thermorender.physics.srgb import bytes_from_linear
 from thermorender.render import budget, truth, visible
 from thermorender.render.air import Vacuum
 from thermorender.render.baked import BakedScene, bake
@@ -139,7 +140,7 @@ class Renderer:
         ]
         nothing = Vacuum(mi, *np.zeros((2, 4)))
         found, _ = Tracer(layers, self._camera_rays(camera), nothing, self.plan).image(_VISIBLE_EDGE)
-        return visible.srgb_from_linear(np.moveaxis(found[:3], 0, -1)), found[3] > 0.999
+        return bytes_from_linear(np.moveaxis(found[:3], 0, -1)), found[3] > 0.999
 
     def rays(self, pose):
         """Return the slopes of all rays that a frame from `pose` casts into the static scene, [(x/z, y/z), …]."""

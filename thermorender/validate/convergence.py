@@ -15,7 +15,7 @@ from math import inf
 
 import numpy as np
 
-from thermorender import products
+from thermorender import defaults, products
 from thermorender.errors import ThermorenderError
 from thermorender.render import reference
 from thermorender.render.plan import QUALITIES
@@ -25,7 +25,6 @@ from thermorender.scene.load import load_scene
 from thermorender.validate import bench, cavity, convergence_report
 from thermorender.validate.metrics import after_optics, cache_off, converged, mk_per_radiance, optics_sigma_px, rms_mk
 
-SCENES = ("heath", "village", "ridge")
 OWN, DEFAULT = "thermorender", "standard"
 # Paths of two reflections, as in the renderer's own race; "direct" sees one.
 STOCK = {
@@ -106,7 +105,8 @@ MODES = {
 }  # fmt: skip
 
 
-def convergence(scenes=SCENES, folder="validation", progress=None, mode="full", overwrite=False, device="auto"):
+def convergence(scenes=defaults.SCENES, folder="validation", progress=None, mode="full", overwrite=False,
+                device="auto"):  # fmt: skip
     """Measure the cases of some scenes; return {case: record}, as is also written.
 
     Parameters

@@ -10,6 +10,7 @@ import numpy as np
 from thermorender.atmosphere import absorbers
 from thermorender.atmosphere.lowtran import program, spectra
 from thermorender.atmosphere.model import REFERENCE_K
+from thermorender.defaults import BAND_UM
 from thermorender.physics.planck import C2, band_radiance_derivative
 
 # Numbers of terms in `spectra.SUB_BANDS`.
@@ -64,7 +65,7 @@ def fit(runs, terms=TERMS, contrast=1.0):
     passed = np.stack([run.transmittance for run in runs])
     scale = amounts.max(axis=0)
     amounts = amounts / scale
-    whole = band_radiance_derivative(REFERENCE_K, 7.5, 13.5)
+    whole = band_radiance_derivative(REFERENCE_K, *BAND_UM)
     bands = spectra.SUB_BANDS
     kelvin = [spectra.CONTRAST_K * band_radiance_derivative(REFERENCE_K, *band) / whole for band in bands]
     groups, starts, means = [], [], []
@@ -226,7 +227,11 @@ def _errors(groups, parameters, truth):
 
 
 def _solve(groups, start, truth, mix, rounds, emphasis=None):
-    """Parameters that make mix @ (error of each group) least in squares: Levenberg–Marquardt by normal equations."""
+    """Parameters that make mix @ (error of each group) least in squares: Levenberg–Marquardt by normal equations.
+
+    These are put together from each sub-band's own slopes. `scipy.optimize.least_squares` would want the slopes of
+    all rows of `mix` with all parameters at every step, 140 000 × 369 of them.
+    """
     gram = mix.T @ mix
     squares = np.ones(len(truth)) if emphasis is None else np.square(emphasis)
     damping, solution, best = 1e-3, start, np.inf

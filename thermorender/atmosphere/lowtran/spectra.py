@@ -8,16 +8,18 @@ import numpy as np
 from thermorender.atmosphere import absorbers
 from thermorender.atmosphere.lowtran import program
 from thermorender.atmosphere.model import REFERENCE_K
+from thermorender.defaults import BAND_UM
+from thermorender.units import ZERO_CELSIUS_K
 
 # Sub-bands [µm]. The edges are the limits of cameras' bands, those of LOWTRAN's band models (10 and 12 µm) and that
 # of ozone's band (9.2 µm).
 SUB_BANDS = ((7.0, 7.5), (7.5, 8.0), (8.0, 9.2), (9.2, 10.0), (10.0, 12.0), (12.0, 13.5), (13.5, 14.0), (14.0, 14.5))
-CAMERA_BANDS = ((7.5, 13.5), (8.0, 12.0), (8.0, 14.0))
+CAMERA_BANDS = (BAND_UM, (8.0, 12.0), (8.0, 14.0))
 # Contrast at which errors are judged [K].
 CONTRAST_K = 20.0
 # Levels that are added to LOWTRAN's, where an aerosol regime fades into the next.
 EXTRA_LEVELS_M = (2250.0, 2500.0, 2750.0, 10500.0)
-_MOLECULES = 2.6868e24 / (273.15 / 296.0)
+_MOLECULES = 2.6868e24 / (ZERO_CELSIUS_K / 296.0)
 
 
 def standard_levels():
@@ -35,7 +37,7 @@ def run_all(paths, workers=1):
 
 def gas_amounts(levels):
     """Return the gases of a profile, (6, L) in the order and units of `absorbers.GASES`."""
-    pressure, cold = levels.pressure_hpa / 1013.25, 273.15 / levels.temperature
+    pressure, cold = levels.pressure_hpa / 1013.25, ZERO_CELSIUS_K / levels.temperature
     scaled = {0: (17, 10.0), 1: (35, 1.0), 2: (31, 1.0), 3: (47, 1.0), 4: (45, 1.0), 5: (10, 1.0)}
     exponents = {row: (n, m) for row, n, m in reversed(absorbers.BAND_MODELS)}
     return np.stack(

@@ -17,9 +17,9 @@ from thermorender.atmosphere.lowtran import fit, spectra
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.atmosphere.rays import EARTH_RADIUS_M
 from thermorender.atmosphere.tables import read_table
+from thermorender.defaults import BAND_UM
 from thermorender.physics.planck import band_radiance_derivative, brightness_temperature
 
-BAND_UM = (7.5, 13.5)
 TERMS = ((1,) * 8, (2,) * 8, (3, 3, 3, 3, 3, 3, 2, 2), fit.TERMS, (5, 7, 8, 8, 7, 8, 4, 4))
 
 

@@ -12,8 +12,7 @@ from thermorender.physics import sun
 from thermorender.physics.heat import STEFAN_BOLTZMANN, march_hours, step
 from thermorender.scene.procedural.light import incidence, normals, sky_view, sun_visibility
 from thermorender.scene.procedural.noise import fractal_noise, smooth_noise, stream
-
-_MELTING_K = 273.15
+from thermorender.units import ZERO_CELSIUS_K
 
 
 @dataclass(frozen=True)
@@ -198,5 +197,5 @@ def surface_temperature(
             deep,
         )
         # Melting snow stays at the melting point and takes the rest of the heat as melt.
-        temperature = np.where(snow, np.minimum(temperature, np.float32(_MELTING_K)), temperature)
+        temperature = np.where(snow, np.minimum(temperature, np.float32(ZERO_CELSIUS_K)), temperature)
     return temperature, {"visible": visible, "cosine": cosine, "view": view}

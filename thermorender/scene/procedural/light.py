@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from thermorender.physics import srgb
 from thermorender.physics.sun import LOWEST_DEG
 from thermorender.scene.procedural.noise import smooth_noise, stream
 
@@ -103,9 +104,9 @@ def incidence(normal, azimuth_deg, elevation_deg):
 
 
 def linear(red, green, blue):
-    """Return linear sRGB, (3,) float32 in 0…1, of an 8-bit sRGB colour (IEC 61966-2-1)."""
-    value = np.array([red, green, blue], np.float32) / 255.0
-    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    """Return linear sRGB, (3,) float32 in 0…1, of an 8-bit sRGB colour."""
+    # In single precision throughout, as all of the painting.
+    return srgb.decoded(np.array([red, green, blue], np.float32) / 255.0)
 
 
 def photograph(albedo, visible, cosine, view, elevation_deg, seed, blur_texels=0.55, noise=1.1):
@@ -145,10 +146,6 @@ def photograph(albedo, visible, cosine, view, elevation_deg, seed, blur_texels=0
         value = np.where(value > 0.7, 0.7 + 0.3 * np.tanh((value - 0.7) / 0.3), value)
         value = np.float32(0.008 * (1.0, 1.1, 1.35)[channel]) + np.float32(0.985) * np.maximum(value, 0.0)
         value = cv2.GaussianBlur(value, (0, 0), blur_texels)
-        encoded = np.where(
-            value <= 0.0031308, 12.92 * value, 1.055 * np.maximum(value, 1e-6) ** (1 / 2.4) - 0.055
-        )
-        picture[..., channel] = np.clip(255.0 * encoded + np.float32(noise) * grain + 0.5, 0, 255).astype(
-            np.uint8
-        )
+        value = 255.0 * srgb.encoded(value) + np.float32(noise) * grain
+        picture[..., channel] = np.clip(value + 0.5, 0, 255).astype(np.uint8)
     return picture
