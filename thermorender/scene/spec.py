@@ -10,7 +10,7 @@ import sys
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, shortened
 from thermorender.scene.surface import scene_kelvin
 
 if sys.version_info >= (3, 11):
@@ -158,8 +158,7 @@ class _Reader:
         self.folder = path.parent.resolve()
 
     def fail(self, where, value, allowed):
-        shown = repr(value) if len(repr(value)) <= 80 else f"{repr(value)[:80]}…"
-        raise ThermorenderError(f"{self.path}: {where}={shown} is not allowed; give {allowed}")
+        raise ThermorenderError(f"{self.path}: {where}={shortened(repr(value))} is not allowed; give {allowed}")
 
     def text(self, value, where):
         if not isinstance(value, str) or not value.strip():
