@@ -211,6 +211,26 @@ def test_a_map_is_read_as_it_was_written(model, tmp_path):
     assert "RGB → 3 materials at 0.5 m" in str(again)
 
 
+def test_more_materials_than_a_class_raster_tells_apart_are_refused(model, tmp_path):
+    """255 stands for unknown texels and 0 for none, so a map may tell 254 materials apart."""
+    for count in (254, 255):
+        width = len(model.layers[-1][0])
+        last = (np.zeros((width, count), np.float32), np.zeros(count, np.float32))
+        many = replace(
+            model, materials=tuple(f"m{number}" for number in range(count)), layers=(*model.layers[:-1], last)
+        )
+        save_map(many, tmp_path / f"{count}.npz")
+    assert len(load_map(tmp_path / "254.npz").materials) == 254
+    with pytest.raises(ThermorenderError, match="255.npz is no .*tells 255 materials apart, not 2…254"):
+        load_map(tmp_path / "255.npz")
+    rgb, number = np.zeros((16, 32, 3), np.uint8), 1 + np.arange(512).reshape(16, 32) % 200
+    pictures = [
+        Labelled(rgb, number.astype(np.uint8), {k: f"{which}{k}" for k in range(1, 201)}, 0.5, which) for which in "ab"
+    ]
+    with pytest.raises(ThermorenderError, match="a, b name 400 materials; an emissivity map tells 2…254 apart"):
+        train(pictures, 0.5, "many")
+
+
 @pytest.mark.parametrize("damage", ["cut", "pickle", "text", "shape", "nan"])
 def test_a_file_that_is_no_map_is_refused(model, tmp_path, damage):
     path = tmp_path / "m.npz"
@@ -500,6 +520,15 @@ def test_a_class_raster_trains_a_map(tmp_path):
     model, confusion = train_on([folder], seed=1)
     assert set(model.materials) == {"grass_green", "sand_quartz"} and model.texel_m == pytest.approx(0.5, rel=1e-2)
     assert np.trace(confusion) / confusion.sum() > 0.9
+
+
+def test_training_takes_no_class_number_for_another(tmp_path):
+    classes = np.full((32, 32), 300, np.uint16)
+    classes[:, 16:] = 2
+    folder = write_terrain(tmp_path / "wide")
+    write_raster(folder / "classes.tif", classes[None], 0.5)
+    with pytest.raises(ThermorenderError, match="classes.tif holds 300, which is no class number; give whole numbers"):
+        labelled_scene(folder)
 
 
 def test_the_shipped_map_is_small_and_labelled():

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.learned.emissivity import EmissivityMap, to_grid
+from thermorender.learned.emissivity import MOST_MATERIALS, EmissivityMap, to_grid
 from thermorender.learned.emissivity_features import NEAR, features
 
 # Side of the blocks of ground that are trained on or held out as a whole [texels]: neighbours look alike, so single
@@ -103,6 +103,11 @@ def train(labelled, texel_m, name, lights=0, seed=0, progress=None):
             truth.append(number_of[labels])
             held_out.append(held)
     described, truth, held_out = (np.concatenate(parts) for parts in (described, truth, held_out))
+    if len(names) > MOST_MATERIALS:
+        raise ThermorenderError(
+            f"{', '.join(sources)} name {len(names)} materials; an emissivity map tells 2…{MOST_MATERIALS} apart, so "
+            "label fewer"
+        )
     count = np.bincount(truth[~held_out], minlength=len(names))
     if len(names) < 2 or (count == 0).any():
         missing = [n for n, k in zip(names, count, strict=True) if k == 0]
