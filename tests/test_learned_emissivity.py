@@ -120,6 +120,39 @@ def test_two_materials_are_trained_as_well():
     assert mapped.share[..., 2].max() == 0.0
 
 
+def test_what_training_did_not_test_is_told(tmp_path, capsys, monkeypatch):
+    """One small patch of asphalt lies in a block that is trained on, so that the accuracy is that of grass alone."""
+    rgb, number = striped(1)
+    labels = np.where(number == 1, 1, 0).astype(np.uint8)
+    labels[50:60, 60:70] = 2
+    names = {1: "grass_green", 2: "asphalt"}
+    # This seed holds the patch's one block not out.
+    few = Labelled(rgb, labels, names, 0.5, "few labels")
+    partly, confusion = train([few], 0.5, "partly", seed=0)
+    assert confusion[0].sum() > 0 and confusion[1].sum() == 0, confusion
+    told = partly.about["not_tested"]
+    assert told.startswith("asphalt, of which no texel was held out; ")
+    assert f"{np.mean(labels == 0):.0%} of the ground, which has no label" in told
+    only = np.where((number == 1) & (np.indices(number.shape).max(axis=0) < 24), 1, labels // 2 * 2).astype(np.uint8)
+    nothing, confusion = train([replace(few, material=only)], 0.5, "nothing", seed=0)
+    assert confusion.sum() == 0 and nothing.about["held_out_accuracy"] is None
+    assert nothing.about["not_tested"].startswith("grass_green, asphalt, of which no texel")
+    whole, _ = train([Labelled(rgb, number, dict(enumerate(STRIPES, 1)), 0.5, "all labelled")], 0.5, "whole")
+    assert "not_tested" not in whole.about
+    save_map(partly, tmp_path / "partly.npz")
+    assert load_map(tmp_path / "partly.npz").about["not_tested"] == told
+
+    from thermorender import cli
+    from thermorender.scene import material_training
+
+    for model, warned in ((partly, True), (whole, False)):
+        size = len(model.materials)
+        monkeypatch.setattr(material_training, "train_on", lambda *a, m=model, n=size: (m, np.eye(n, dtype=int)))
+        cli.train_emissivity(output=tmp_path / "m.npz")
+        printed = capsys.readouterr()
+        assert ("warning: not tested: asphalt, of which no texel" in printed.err) == warned, printed.err
+
+
 def test_unseen_picture_is_mapped_right(model):
     rgb, number = striped(11)
     mapped = map_materials(model, rgb, 0.5)

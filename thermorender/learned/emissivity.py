@@ -45,7 +45,7 @@ class EmissivityMap:
     reach : float
         Distance from the nearest centre beyond which a texel is unlike anything trained on.
     about : dict
-        Where it comes from: scenes, seeds, split, accuracy on texels held out.
+        Where it comes from: scenes, seeds, split, accuracy on texels held out, and what that did not test.
     """
 
     name: str
