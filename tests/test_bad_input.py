@@ -259,6 +259,45 @@ def test_wrong_values(scene, refused, old, new, words):
     refused([scene / "scene.toml" if "classes.tif" not in words[0] else "classes.tif", *words], "render", scene)
 
 
+def many_materials(scene, count):
+    """Give the scene a library of so many materials, its texels one class of each of the first 255."""
+    from thermorender.paths import data_folder
+
+    shipped, own = data_folder("materials"), scene / "materials"
+    (own / "spectra").mkdir(parents=True)
+    header, *rows = (shipped / "index.csv").read_text(encoding="utf-8").splitlines()
+    row = next(row for row in rows if row.startswith("asphalt,"))
+    names = [f"m{number}" for number in range(1, count + 1)]
+    (own / "index.csv").write_text("\n".join([header, *(row.replace("asphalt", name, 1) for name in names)]), "utf-8")
+    for name in names:
+        (own / "spectra" / f"{name}.csv").symlink_to(own / "spectra" / "all.csv")
+    (own / "spectra" / "all.csv").write_bytes((shipped / "spectra" / "asphalt.csv").read_bytes())
+    classes = np.arange(256).reshape(16, 16)
+    raster(scene / "classes.tif", np.where(classes == 0, 1, classes).astype(np.uint8))
+    named = "".join(f'{number} = "{name}"\n' for number, name in enumerate(names[:255], 1))
+    change(scene / "scene.toml", '1 = "grass_green"\n2 = "asphalt"\n', named)
+
+
+def test_as_many_materials_as_a_texel_can_tell_apart_and_no_more(scene, refused):
+    many_materials(scene, 256)
+    loaded = load_scene(scene)
+    names = np.array([material.name for material in loaded.materials])
+    assert len(names) == 255
+    assert names[loaded.surfaces[0].material].ravel()[1:].tolist() == [f"m{number}" for number in range(1, 256)]
+    change(scene / "scene.toml", "[sky]", OBJECT.replace("paint_black", "m256") + "[sky]")
+    refused([scene / "scene.toml", "'m256' would be the scene's material number 256", "up to 255"], "render", scene)
+
+
+def test_temperatures_are_given_by_a_source(scene):
+    from thermorender.errors import ThermorenderError
+
+    loaded = load_scene(scene)
+    for given in (np.full((16, 16), 300.0), 300.0, "fok-1to1"):
+        words = rf"with_temperature was given a {type(given).__name__}.*TemperatureSpec\(source='raster'"
+        with pytest.raises(ThermorenderError, match=words):
+            loaded.with_temperature(given)
+
+
 def test_celsius_given_as_kelvin(scene, refused):
     text = (scene / "scene.toml").read_text()
     head, tail = text.split('source = "raster"\nraster = "temperature.tif"\n')

@@ -120,6 +120,39 @@ def test_two_materials_are_trained_as_well():
     assert mapped.share[..., 2].max() == 0.0
 
 
+def test_what_training_did_not_test_is_told(tmp_path, capsys, monkeypatch):
+    """One small patch of asphalt lies in a block that is trained on, so that the accuracy is that of grass alone."""
+    rgb, number = striped(1)
+    labels = np.where(number == 1, 1, 0).astype(np.uint8)
+    labels[50:60, 60:70] = 2
+    names = {1: "grass_green", 2: "asphalt"}
+    # This seed holds the patch's one block not out.
+    few = Labelled(rgb, labels, names, 0.5, "few labels")
+    partly, confusion = train([few], 0.5, "partly", seed=0)
+    assert confusion[0].sum() > 0 and confusion[1].sum() == 0, confusion
+    told = partly.about["not_tested"]
+    assert told.startswith("asphalt, of which no texel was held out; ")
+    assert f"{np.mean(labels == 0):.0%} of the ground, which has no label" in told
+    only = np.where((number == 1) & (np.indices(number.shape).max(axis=0) < 24), 1, labels // 2 * 2).astype(np.uint8)
+    nothing, confusion = train([replace(few, material=only)], 0.5, "nothing", seed=0)
+    assert confusion.sum() == 0 and nothing.about["held_out_accuracy"] is None
+    assert nothing.about["not_tested"].startswith("grass_green, asphalt, of which no texel")
+    whole, _ = train([Labelled(rgb, number, dict(enumerate(STRIPES, 1)), 0.5, "all labelled")], 0.5, "whole")
+    assert "not_tested" not in whole.about
+    save_map(partly, tmp_path / "partly.npz")
+    assert load_map(tmp_path / "partly.npz").about["not_tested"] == told
+
+    from thermorender import cli
+    from thermorender.scene import material_training
+
+    for model, warned in ((partly, True), (whole, False)):
+        size = len(model.materials)
+        monkeypatch.setattr(material_training, "train_on", lambda *a, m=model, n=size: (m, np.eye(n, dtype=int)))
+        cli.train_emissivity(output=tmp_path / "m.npz")
+        printed = capsys.readouterr()
+        assert ("warning: not tested: asphalt, of which no texel" in printed.err) == warned, printed.err
+
+
 def test_unseen_picture_is_mapped_right(model):
     rgb, number = striped(11)
     mapped = map_materials(model, rgb, 0.5)
@@ -209,6 +242,26 @@ def test_a_map_is_read_as_it_was_written(model, tmp_path):
     assert (map_materials(again, rgb, 0.5).share == map_materials(model, rgb, 0.5).share).all()
     assert (again.materials, again.about, again.texel_m) == (model.materials, model.about, model.texel_m)
     assert "RGB → 3 materials at 0.5 m" in str(again)
+
+
+def test_more_materials_than_a_class_raster_tells_apart_are_refused(model, tmp_path):
+    """255 stands for unknown texels and 0 for none, so a map may tell 254 materials apart."""
+    for count in (254, 255):
+        width = len(model.layers[-1][0])
+        last = (np.zeros((width, count), np.float32), np.zeros(count, np.float32))
+        many = replace(
+            model, materials=tuple(f"m{number}" for number in range(count)), layers=(*model.layers[:-1], last)
+        )
+        save_map(many, tmp_path / f"{count}.npz")
+    assert len(load_map(tmp_path / "254.npz").materials) == 254
+    with pytest.raises(ThermorenderError, match="255.npz is no .*tells 255 materials apart, not 2…254"):
+        load_map(tmp_path / "255.npz")
+    rgb, number = np.zeros((16, 32, 3), np.uint8), 1 + np.arange(512).reshape(16, 32) % 200
+    pictures = [
+        Labelled(rgb, number.astype(np.uint8), {k: f"{which}{k}" for k in range(1, 201)}, 0.5, which) for which in "ab"
+    ]
+    with pytest.raises(ThermorenderError, match="a, b name 400 materials; an emissivity map tells 2…254 apart"):
+        train(pictures, 0.5, "many")
 
 
 @pytest.mark.parametrize("damage", ["cut", "pickle", "text", "shape", "nan"])
@@ -500,6 +553,15 @@ def test_a_class_raster_trains_a_map(tmp_path):
     model, confusion = train_on([folder], seed=1)
     assert set(model.materials) == {"grass_green", "sand_quartz"} and model.texel_m == pytest.approx(0.5, rel=1e-2)
     assert np.trace(confusion) / confusion.sum() > 0.9
+
+
+def test_training_takes_no_class_number_for_another(tmp_path):
+    classes = np.full((32, 32), 300, np.uint16)
+    classes[:, 16:] = 2
+    folder = write_terrain(tmp_path / "wide")
+    write_raster(folder / "classes.tif", classes[None], 0.5)
+    with pytest.raises(ThermorenderError, match="classes.tif holds 300, which is no class number; give whole numbers"):
+        labelled_scene(folder)
 
 
 def test_the_shipped_map_is_small_and_labelled():

@@ -197,6 +197,7 @@ def test_check_of_single_files(tmp_path):
 
 # --- import -----------------------------------------------------------------------------------------------
 
+ROWS = "".join(f"{w},0.9,x\n" for w in WAVELENGTH)
 ABOUT = ("--source", "own", "--citation", "none", "--licence", "CC0")
 
 
@@ -265,6 +266,29 @@ def test_import_of_slum_samples_knows_its_source(run, tmp_path):
     assert road.valid_range_um == (8.0, 14.0) and 0.8 < road.solar_absorptance < 0.95
 
 
+@pytest.mark.parametrize("verb", ["import", "check"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        f'wavelength_um,emissivity,note\n6.9,"0.9,x\n{ROWS}',
+        f'wavelength_um,emissivity,note\n6.9,"0.9,x\n{ROWS}14.1,0.9,"x"\n',
+        f'wavelength_um,emissivity,note\n6.9,"0.9\n{ROWS}14.1,0.9",x\n',
+        f'"wavelength_um,emissivity\n{ROWS}',
+        f'"wavelength_um,emissivity\n{300 * ROWS}',
+    ],
+)
+def test_a_quote_left_open_is_told_in_a_few_words(run, tmp_path, verb, text):
+    """Cells that swallow the rest of a file are not pasted into what is said about it."""
+    path, folder = tmp_path / "own.csv", tmp_path / "m"
+    path.write_text(text)
+    arguments = ("--into", folder, "--name", "tile", "--solar-absorptance", 0.5, *ABOUT) if verb == "import" else ()
+    status, out, complaint = run(verb, path, *arguments)
+    assert status == 2 and not folder.exists()
+    told = out.splitlines() if verb == "check" else complaint.splitlines()
+    assert "own.csv" in told[0] and max(map(len, told)) < 400 + len(str(path)), told
+    assert verb == "check" or len(told) == 1
+
+
 # --- diff and merge ---------------------------------------------------------------------------------------
 
 
@@ -283,6 +307,17 @@ def test_diff_tells_emissivity_and_kelvin(run, tmp_path):
     assert "0 differences" in run("diff", one, one)[1]
     _, out, _ = run("diff", "water", "water_fresnel")
     assert "0.9846" in out and "0.9421" in out
+
+
+def test_diff_with_the_shipped_tables_tells_only_what_a_library_changes(run, tmp_path):
+    """A folder lies over the shipped tables, so that a material it leaves out is as shipped."""
+    own = library(tmp_path / "a", [ROW, ROW | {"name": "asphalt"}])
+    status, out, _ = run("diff", own)
+    assert status == 0 and "2 differences" in out and "only in the second" not in out
+    assert [line.split()[0] for line in out.splitlines()[1:3]] == ["asphalt", "tin"]
+    assert "0 differences" in run("diff", data_folder("materials"))[1]
+    # Two folders that are named are held against each other whole.
+    assert "only in the second" in run("diff", own, data_folder("materials"))[1]
 
 
 def test_apparent_temperature_of_a_black_surface_is_its_own():
@@ -305,6 +340,14 @@ def test_merge_takes_both_and_refuses_conflicts(run, tmp_path):
     assert (out / "spectra" / "lead.csv").read_text() == SPECTRUM
     assert "exists; give a new folder" in run("merge", one, two, "-o", out)[2]
     assert "--prefer='both' is not allowed" in run("merge", one, two, "-o", tmp_path / "d", "--prefer", "both")[2]
+
+
+def test_merge_of_a_library_with_itself_is_that_library(run, tmp_path):
+    one = library(tmp_path / "a", [ROW, ROW | {"name": "zinc"}])
+    status, out, complaint = run("merge", one, one, "-o", tmp_path / "both")
+    assert (status, complaint) == (0, "") and f"2 materials of {one}, 0 of {one}" in out
+    assert "0 differences" in run("diff", one, tmp_path / "both")[1]
+    assert set(content(tmp_path / "both")) == set(content(one))
 
 
 def test_merge_of_the_shipped_library_loses_nothing(run, tmp_path):

@@ -386,6 +386,8 @@ def train_emissivity(
         for k, (name, row) in enumerate(zip(model.materials, confusion, strict=True))
     ]
     table(("material", "texels held out", "right"), rows)
+    if "not_tested" in model.about:
+        typer.echo(f"warning: not tested: {model.about['not_tested']}; label more of it to know", err=True)
     typer.echo(str(output))
 
 

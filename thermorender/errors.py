@@ -7,3 +7,8 @@ class ThermorenderError(ValueError):
     The message is one sentence: which argument or key, what arrived, what is allowed, how to mend it.
     The command line prints it without a traceback and exits with status 2.
     """
+
+
+def shortened(text, length=160):
+    """Return a text of the user's for a message, cut where a sentence would drown in it."""
+    return text if len(text) <= length else f"{text[:length]}…"

@@ -134,12 +134,13 @@ def import_spectra(
 @app.command()
 def diff(
     first: Annotated[str, typer.Argument(help="Materials folder, or the name of a material.")],
-    second: Annotated[str, typer.Argument(help="Materials folder, or name; default: the shipped folder.")] = "",
+    second: Annotated[
+        str, typer.Argument(help="Materials folder, or name; default: the shipped tables, over which the first lies.")
+    ] = "",
     library: Library = None,
     band: Band = BAND,
 ):
     """Tell what differs, in band emissivity and in mK of a 300 K surface under a 250 K sky."""
-    from thermorender.paths import data_folder
     from thermorender.scene import material_compare
     from thermorender.scene.materials import read_library
 
@@ -148,8 +149,9 @@ def diff(
         pair = _materials(library, [first, second])
         found = [material_compare.compare(*pair, f"{first} → {second}", limits)]
     else:
-        folders = Path(first), Path(second) if second else data_folder("materials")
-        found = material_compare.diff(*(read_library(folder) for folder in folders), limits)
+        # By itself a folder lies over the shipped tables, as a scene's does: what it leaves out is as shipped.
+        pair = (read_library(Path(first)), read_library(Path(second))) if second else (_library(first), _library(None))
+        found = material_compare.diff(*pair, limits)
     rows = [
         (d.name, *("—" if value is None else f"{value:.4f}" for value in d.emissivity),
          "—" if d.millikelvin is None else f"{d.millikelvin:+.1f}", d.what)

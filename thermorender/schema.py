@@ -16,7 +16,7 @@ from dataclasses import MISSING, dataclass, field, fields, make_dataclass, repla
 from numbers import Integral, Real
 from pathlib import Path
 
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, shortened
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -25,7 +25,6 @@ else:
 
 _UNITS = {"um": "µm", "mm": "mm", "m": "m", "km": "km", "k": "K", "mk": "mK", "mk_per_k": "mK per K", "c": "°C",
           "hz": "Hz", "px": "px", "s": "s", "ms": "ms", "us": "µs", "deg": "deg", "percent": "%"}  # fmt: skip
-_SHOWN = 80  # characters of a refused value
 
 
 @dataclass(frozen=True)
@@ -66,8 +65,7 @@ class Where:
             shown = repr(value)
         except ValueError:  # a whole number too long for Python to write
             shown = "a number of thousands of digits"
-        shown = shown if len(shown) <= _SHOWN else f"{shown[:_SHOWN]}…"
-        raise self.error(f"{self.key or self.top}={shown} is not allowed; give {allowed}")
+        raise self.error(f"{self.key or self.top}={shortened(shown)} is not allowed; give {allowed}")
 
     def exactly_one(self, given, keys, why=""):
         """Return which of some keys is given after refusing none and several; `why` is added in brackets."""

@@ -16,6 +16,8 @@ from thermorender.errors import ThermorenderError
 from thermorender.learned.emissivity_features import HALO_TEXELS, NAMES, NEAR, features
 
 SHIPPED = {"procedural": Path(__file__).with_name("emissivity_procedural.npz")}
+# A byte holds the number of a texel's material; 0 stands for no picture there and 255 for an unknown material.
+MOST_MATERIALS = 254
 # An orthophoto may be this many times coarser than the map's own grid: beyond, its texture is another.
 COARSEST_RATIO = 2.5
 _TILE_TEXELS = 512  # on the map's own grid
@@ -43,7 +45,7 @@ class EmissivityMap:
     reach : float
         Distance from the nearest centre beyond which a texel is unlike anything trained on.
     about : dict
-        Where it comes from: scenes, seeds, split, accuracy on texels held out.
+        Where it comes from: scenes, seeds, split, accuracy on texels held out, and what that did not test.
     """
 
     name: str
@@ -290,10 +292,12 @@ def _floats(values):
 
 
 def _check(model):
-    """Refuse arrays that do not fit each other."""
+    """Refuse arrays that do not fit each other, and more materials than have a number."""
+    if not 2 <= len(model.materials) <= MOST_MATERIALS:
+        raise ValueError(f"it tells {len(model.materials)} materials apart, not 2…{MOST_MATERIALS}")
     widths = [len(NAMES), *(len(bias) for _, bias in model.layers)]
     shapes = [weight.shape for weight, _ in model.layers]
-    fits = shapes == list(zip(widths[:-1], widths[1:], strict=True)) and widths[-1] == len(model.materials) >= 2
+    fits = shapes == list(zip(widths[:-1], widths[1:], strict=True)) and widths[-1] == len(model.materials)
     fits &= model.mean.shape == model.scale.shape == (len(NAMES),) and model.centres.shape[1:] == (len(NEAR),)
     if not (fits and (model.scale > 0.0).all() and model.texel_m > 0.0 and model.reach > 0.0):
         raise ValueError("its arrays do not fit each other")

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.learned.emissivity import EmissivityMap, to_grid
+from thermorender.learned.emissivity import MOST_MATERIALS, EmissivityMap, to_grid
 from thermorender.learned.emissivity_features import NEAR, features
 
 # Side of the blocks of ground that are trained on or held out as a whole [texels]: neighbours look alike, so single
@@ -89,20 +89,26 @@ def train(labelled, texel_m, name, lights=0, seed=0, progress=None):
         ) from None
     tell = progress or (lambda what, share: None)
     generator = np.random.Generator(np.random.Philox(seed))
-    described, truth, held_out, names, sources = [], [], [], [], []
+    described, truth, held_out, names, sources, labels = [], [], [], [], [], np.zeros(2, dtype=np.int64)
     for number, item in enumerate(labelled):
         tell("describing the orthophotos", number / (number + 5.0))  # how many come is not known before the last
         sources.append(item.source)
-        for found, labels, held in _described(item, texel_m, name, lights, generator):
-            for value in np.unique(labels):
+        labels += np.count_nonzero(item.material), item.material.size
+        for found, values, held in _described(item, texel_m, name, lights, generator):
+            for value in np.unique(values):
                 if item.names[value] not in names:
                     names.append(item.names[value])
             number_of = np.array([names.index(item.names[k]) if k in item.names and item.names[k] in names else 0
                                   for k in range(256)])  # fmt: skip
             described.append(found)
-            truth.append(number_of[labels])
+            truth.append(number_of[values])
             held_out.append(held)
     described, truth, held_out = (np.concatenate(parts) for parts in (described, truth, held_out))
+    if len(names) > MOST_MATERIALS:
+        raise ThermorenderError(
+            f"{', '.join(sources)} name {len(names)} materials; an emissivity map tells 2…{MOST_MATERIALS} apart, so "
+            "label fewer"
+        )
     count = np.bincount(truth[~held_out], minlength=len(names))
     if len(names) < 2 or (count == 0).any():
         missing = [n for n, k in zip(names, count, strict=True) if k == 0]
@@ -158,8 +164,14 @@ def train(labelled, texel_m, name, lights=0, seed=0, progress=None):
         seed=seed,
         texels=int(len(drawn)),
         held_out_texels=int(held_out.sum()),
-        held_out_accuracy=round(float(np.trace(confusion) / max(confusion.sum(), 1)), 4),
+        held_out_accuracy=round(float(np.trace(confusion) / confusion.sum()), 4) if confusion.any() else None,
     )
+    untested = [name for name, row in zip(names, confusion, strict=True) if not row.any()]
+    not_tested = [f"{', '.join(untested)}, of which no texel was held out"] if untested else []
+    if labels[0] < labels[1]:
+        not_tested.append(f"{1.0 - labels[0] / labels[1]:.0%} of the ground, which has no label")
+    if not_tested:
+        model.about["not_tested"] = "; ".join(not_tested)
     return model, confusion
 
 

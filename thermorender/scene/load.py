@@ -16,10 +16,19 @@ from thermorender.scene.georeference import FARTHEST_M, LocalFrame
 from thermorender.scene.ground import Ground
 from thermorender.scene.material_map import learned_materials
 from thermorender.scene.mixture import Mixture
-from thermorender.scene.raster import bounds_in, grid_of, onto, read_band, read_colour
+from thermorender.scene.raster import bounds_in, grid_of, onto, read_classes, read_colour
 from thermorender.scene.refine import refined
 from thermorender.scene.spec import AtmosphereSpec, SceneSpec, TemperatureSpec, read_scene
-from thermorender.scene.surface import FALLBACK, FILLED, SURFACE, UNKNOWN, Surface, fill, nearest_valid
+from thermorender.scene.surface import (
+    FALLBACK,
+    FILLED,
+    MOST_MATERIALS,
+    SURFACE,
+    UNKNOWN,
+    Surface,
+    fill,
+    nearest_valid,
+)
 from thermorender.scene.temperature import Texels, resolve
 from thermorender.scene.tracks import Mover, read_track
 from thermorender.sensor.camera import Camera, load_camera
@@ -129,6 +138,11 @@ class Scene:
 
     def with_temperature(self, spec):
         """Return this scene with its terrain's temperatures from another source (a TemperatureSpec)."""
+        if not isinstance(spec, TemperatureSpec):
+            raise ThermorenderError(
+                f"with_temperature was given a {type(spec).__name__}; give a TemperatureSpec, for kelvins of one's own "
+                "TemperatureSpec(source='raster', raster=path) with the path of a GeoTIFF"
+            )
         report = {}
         surfaces = list(self.surfaces)
         for index, surface in enumerate(surfaces[: self.terrain_count]):
@@ -289,6 +303,11 @@ class _Materials:
                 material.emissivity_at(np.array(self.camera.band_um))
             except ThermorenderError as error:
                 raise ThermorenderError(f"{self.where}: {error}") from None
+            if len(self.used) == MOST_MATERIALS:
+                raise ThermorenderError(
+                    f"{self.where}: {material.name!r} would be the scene's material number {len(self.used) + 1}; a "
+                    f"scene may use up to {MOST_MATERIALS}, mixes of a learned emissivity map included, so give fewer"
+                )
             self.used.append(material)
         return self.used.index(material)
 
@@ -379,14 +398,7 @@ def _material_map(spec, materials, texels):
         return np.full(shape, _single_material(source, materials), np.uint8), np.ones(shape, dtype=bool)
     grid = grid_of(source.raster)
     _require_overlap(grid, texels)
-    numbers = np.nan_to_num(read_band(source.raster), nan=0.0)
-    odd = (numbers < 0.0) | (numbers > 255.0) | (numbers % 1.0 != 0.0)
-    if odd.any():
-        raise ThermorenderError(
-            f"{source.raster} holds {numbers[odd][0]:g}, which is no class number; "
-            "give whole numbers 0…255 (0 marks no data)"
-        )
-    classes = onto(numbers.astype(np.int16), grid, texels, "nearest")
+    classes = onto(read_classes(source.raster), grid, texels, "nearest")
     lookup = np.full(256, 255, dtype=np.uint8)
     for value, name in source.classes.items():
         lookup[value] = materials.index(name, f"emissivity.classes.{value}")

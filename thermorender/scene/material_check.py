@@ -4,14 +4,12 @@ Reading a library stops at the first fault; this goes on, and looks also for wha
 units in nanometres, percent or wavenumbers, holes, missing spreads, tables no row of the index names.
 """
 
-import csv
-import io
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, shortened
 from thermorender.physics.fresnel import LARGEST_SLOPE
 from thermorender.scene.material_files import (
     ANGLE_COLUMN,
@@ -20,6 +18,7 @@ from thermorender.scene.material_files import (
     LONGEST_WAVELENGTH_UM,
     ROUGHNESS_COLUMN,
     SPECTRUM_COLUMNS,
+    csv_rows,
     gaps,
     number_in_cell,
 )
@@ -142,8 +141,9 @@ def _check_spectrum(path, place, directional, folder=None, samples=""):
             None: f"one of {', '.join(WAVELENGTH_UNITS)} and one of {', '.join(QUANTITIES)}",
         }.get(directional, ", ".join(SPECTRUM_COLUMNS))
         return findings + [
-            Finding(True, place, f"row 1 holds {', '.join(header)}; it must hold {wanted}, which tells the units")
-        ]
+            Finding(True, place, f"row 1 holds {shortened(', '.join(header))}; it must hold {wanted}, which tells the "
+                    "units")
+        ]  # fmt: skip
     numbers = [row for row, _ in rows]
     axis, found = _column(place, numbers, first, [cells[first] for _, cells in rows])
     findings += found
@@ -235,9 +235,10 @@ def _table(folder, path, columns, place=None):
         findings.append(Finding(True, place, "is separated by semicolons; save it comma-separated"))
         delimiter = ";"
     try:
-        table = list(csv.reader(io.StringIO(text), delimiter=delimiter))
-    except csv.Error as error:
-        return [], [], findings + [Finding(True, place, f"is not a CSV file ({error}); save it as 'CSV UTF-8'")]
+        table = csv_rows(text, place, delimiter)
+    except ThermorenderError as error:
+        row, _, fault = str(error).partition(": ")
+        return [], [], findings + [Finding(True, row, fault)]
     header = [cell.strip() for cell in table[0]] if table else []
     missing = [column for column in columns if column not in header]
     twice = {column for column in header if column and header.count(column) > 1}
@@ -277,7 +278,8 @@ def _column(place, numbers, column, texts):
     bad = np.flatnonzero(~np.isfinite(values))
     if not bad.size:
         return values, []
-    text = f"{column}={texts[bad[0]]!r} is not a number{_more(bad)}; write it with a point as decimal mark and no unit"
+    first = shortened(repr(texts[bad[0]]))
+    text = f"{column}={first} is not a number{_more(bad)}; write it with a point as decimal mark and no unit"
     return values, [Finding(True, f"{place}, row {numbers[bad[0]]}", text)]
 
 

@@ -138,15 +138,16 @@ def merge(first, second, output, prefer=None):
             f"{first} and {second} hold {', '.join(differing)} differently; look with `thermorender materials diff`, "
             "then say which wins with --prefer first or --prefer second"
         )
-    taken = {name: first for name in libraries[0]} | {
-        name: second for name in libraries[1] if name not in libraries[0] or (name in differing and prefer == "second")
+    # By number, as both may be the same folder.
+    taken = dict.fromkeys(libraries[0], 0) | {
+        name: 1 for name in libraries[1] if name not in libraries[0] or (name in differing and prefer == "second")
     }
     output.parent.mkdir(parents=True, exist_ok=True)
     scratch = Path(tempfile.mkdtemp(prefix=f".{output.name}-", dir=output.parent))
     try:
-        for folder in (first, second):
+        for number, folder in enumerate((first, second)):
             for _, cells in read_table(folder / "index.csv", INDEX_COLUMNS, folder):
-                if taken[cells["name"]] == folder:
+                if taken[cells["name"]] == number:
                     table = (folder / "spectra" / f"{cells['name']}.csv").read_text(encoding="utf-8-sig")
                     row = {key: cells[key] for key in (*INDEX_COLUMNS, ROUGHNESS_COLUMN) if key in cells}
                     store(row, table, scratch)
@@ -155,7 +156,7 @@ def merge(first, second, output, prefer=None):
     except BaseException:
         shutil.rmtree(scratch, ignore_errors=True)
         raise
-    chosen = [[name for name, folder in taken.items() if folder == place] for place in (first, second)]
+    chosen = [[name for name in taken if taken[name] == number] for number in (0, 1)]
     return *chosen, differing
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, shortened
 from thermorender.physics import fresnel
 
 INDEX_COLUMNS = (
@@ -86,27 +86,42 @@ def read_table(path, columns, directory=None):
         raise ThermorenderError(
             f"{path}, row 1 is separated by semicolons; save it comma-separated with a point as decimal mark"
         )
-    try:
-        table = list(csv.reader(io.StringIO(text)))
-    except csv.Error as error:
-        raise ThermorenderError(
-            f"{path} is not a CSV file ({error}); save it as 'CSV UTF-8' in the spreadsheet"
-        ) from None
+    table = csv_rows(text, path)
     header = [cell.strip() for cell in table[0]] if table else []
     missing = [column for column in columns if column not in header]
     if missing:
         raise ThermorenderError(
-            f"{path}, row 1 lacks column {', '.join(missing)} (found: {', '.join(header) or 'nothing'}); the "
-            f"first row must hold {', '.join(columns)}"
+            f"{path}, row 1 lacks column {', '.join(missing)} (found: {shortened(', '.join(header)) or 'nothing'}); "
+            f"the first row must hold {', '.join(columns)}"
         )
     twice = [column for column in dict.fromkeys(header) if column and header.count(column) > 1]
     if twice:
-        raise ThermorenderError(f"{path}, row 1 holds column {twice[0]} twice; rename or delete one of them")
+        raise ThermorenderError(f"{path}, row 1 holds column {shortened(twice[0])} twice; rename or delete one of them")
     rows = []
     for number, cells in enumerate(table[1:], start=2):
         if any(cell.strip() for cell in cells):
             cells = cells + [""] * (len(header) - len(cells))
             rows.append((number, {key: cell.strip() for key, cell in zip(header, cells, strict=False)}))
+    return rows
+
+
+def csv_rows(text, path, delimiter=","):
+    """Return the rows of a CSV text, lists of cells.
+
+    Raises
+    ------
+    ThermorenderError
+        A quotation mark is left open, or stands within a cell: what follows would be swallowed in silence.
+    """
+    rows = []
+    try:
+        for cells in csv.reader(io.StringIO(text), delimiter=delimiter, strict=True):
+            rows.append(cells)
+    except csv.Error as error:
+        raise ThermorenderError(
+            f"{path}, row {len(rows) + 1}: is not CSV ({error}); close its quotation marks, or save the file as "
+            "'CSV UTF-8' in the spreadsheet"
+        ) from None
     return rows
 
 
@@ -123,8 +138,8 @@ def number_in_cell(path, row, column, text, low, high, mend):
         value = float(text)
     except ValueError:
         raise ThermorenderError(
-            f"{path}, row {row}: {column}={text!r} is not a number; write {low:g}…{high:g} with a point as "
-            "decimal mark and no unit"
+            f"{path}, row {row}: {column}={shortened(repr(text))} is not a number; write {low:g}…{high:g} with a "
+            "point as decimal mark and no unit"
         ) from None
     if not low <= value <= high:
         raise ThermorenderError(

@@ -4,15 +4,13 @@ Whatever a file holds becomes hemispherical reflectance over rising wavelength i
 quantity and unit it is in, and nothing is guessed.
 """
 
-import csv
-import io
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from thermorender.errors import ThermorenderError
-from thermorender.scene.material_files import number_in_cell, read_table, read_text
+from thermorender.errors import ThermorenderError, shortened
+from thermorender.scene.material_files import csv_rows, number_in_cell, read_table, read_text
 
 # Library → (words before the file names, citation, licence).
 LIBRARIES = {
@@ -91,7 +89,7 @@ def read_sample(path, column=None):
         if column is not None:
             raise ThermorenderError(f"{path} is one ECOSTRESS spectrum and has no column {column!r}; leave it out")
         return read_ecostress(path)
-    header = [cell.strip() for cell in next(csv.reader(io.StringIO(read_text(path))), [])]
+    header = [cell.strip() for cell in next(iter(csv_rows(read_text(path), path)), [])]
     if column is not None or (len(header) > 2 and header[0].lower() == "wavelength"):
         return read_slum(path, column)
     return read_columns(path)
@@ -208,7 +206,7 @@ def read_columns(path):
     second = next((key for key in QUANTITIES if key in header), None)
     if first is None or second is None:
         raise ThermorenderError(
-            f"{path}, row 1 holds {', '.join(header) or 'nothing'}; the headings must be one of "
+            f"{path}, row 1 holds {shortened(', '.join(header)) or 'nothing'}; the headings must be one of "
             f"{', '.join(WAVELENGTH_UNITS)} and one of {', '.join(QUANTITIES)}, which tells the units"
         )
     values = np.array([[_number(path, row, key, cells[key]) for key in (first, second)] for row, cells in rows])

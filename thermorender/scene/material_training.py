@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from thermorender.errors import ThermorenderError
+from thermorender.learned.emissivity import MOST_MATERIALS
 from thermorender.learned.emissivity_training import Labelled, train
 from thermorender.scene import materials as material_tables
 from thermorender.scene.material_map import UNKNOWN_CLASS, orthophoto_of
-from thermorender.scene.raster import grid_of, onto, read_band
+from thermorender.scene.raster import grid_of, onto, read_classes
 from thermorender.scene.spec import read_scene
 
 # What the shipped map is trained on.
@@ -85,7 +86,7 @@ def labelled_scene(folder, polygons=None):
         source = f"{Path(polygons).name} on {spec.folder.name}"
     elif spec.emissivity.source == "classes":
         raster = spec.emissivity.raster
-        numbers = onto(np.nan_to_num(read_band(raster), nan=0.0).astype(np.int16), grid_of(raster), grid, "nearest")
+        numbers = onto(read_classes(raster), grid_of(raster), grid, "nearest")
         material, names = numbers.astype(np.uint8), dict(spec.emissivity.classes)
         named = np.isin(np.arange(256), list(names))
         material = np.where(named[material] & (material != UNKNOWN_CLASS), material, 0).astype(np.uint8)
@@ -143,8 +144,8 @@ def _burnt(path, grid):
                 f"{path}, feature {number} is no polygon with a property 'material'; give each polygon the name of a "
                 "material"
             ) from None
-    if not shapes or len(names) > 254:
-        raise ThermorenderError(f"{path} names {len(names)} materials; label polygons of 2…254 materials")
+    if not shapes or len(names) > MOST_MATERIALS:
+        raise ThermorenderError(f"{path} names {len(names)} materials; label polygons of 2…{MOST_MATERIALS} materials")
     # rasterize refuses shapes of which none touches the raster only by warning.
     burnt = rasterize(shapes, out_shape=(grid.height, grid.width), transform=grid.transform, dtype="uint8")
     if not burnt.any():

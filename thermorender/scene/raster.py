@@ -168,6 +168,23 @@ def read_band(path):
     return values * scale + offset
 
 
+def read_classes(path):
+    """Return the class numbers of a raster, (h, w) int16, 0 where it has no data.
+
+    Raises
+    ------
+    ThermorenderError
+        A number in it is no class: not whole, or outside 0…255.
+    """
+    numbers = np.nan_to_num(read_band(path), nan=0.0)
+    odd = (numbers < 0.0) | (numbers > 255.0) | (numbers % 1.0 != 0.0)
+    if odd.any():
+        raise ThermorenderError(
+            f"{path} holds {numbers[odd][0]:g}, which is no class number; give whole numbers 0…255 (0 marks no data)"
+        )
+    return numbers.astype(np.int16)
+
+
 def read_colour(path):
     """Return (rgb (h, w, 3) uint8, valid (h, w) bool) of an 8-bit orthophoto with three or four bands."""
     with opened(path) as dataset:

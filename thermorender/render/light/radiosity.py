@@ -303,7 +303,8 @@ def _faces(surfaces):
 def low_discrepancy(count, dimensions):
     """Return (count, dimensions) points in 0…1: the Kronecker sequence of the generalised golden ratio.
 
-    Roberts (2018), "The unreasonable effectiveness of quasirandom sequences".
+    Roberts (2018), "The unreasonable effectiveness of quasirandom sequences". SciPy has no such sequence; its Sobol
+    points are even for powers of two only, while here any number of rays may be asked for.
     """
     ratio = 2.0
     for _ in range(60):
