@@ -18,6 +18,8 @@ app = typer.Typer(
     help="Long-wave infrared frames of terrain flights, radiometrically true, in kelvin.",
     add_completion=False,
     pretty_exceptions_enable=False,
+    # Markup would take units such as [m] for its own and swallow them, here and in all verbs below.
+    rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
