@@ -21,6 +21,10 @@ def verbs(command=None, path=()):
 VERBS = verbs()
 
 
+def with_option(name):
+    return {words for words, verb in VERBS.items() for parameter in verb.params if name in parameter.opts}
+
+
 @pytest.fixture
 def call(monkeypatch, capfd):
     """Run the command line in this process; return (status, output, errors)."""
@@ -37,6 +41,7 @@ def call(monkeypatch, capfd):
 
 def test_the_walk_finds_every_verb():
     assert {("render",), ("fly",), ("train", "emissivity"), ("validate", "air"), ("materials", "merge")} <= set(VERBS)
+    assert with_option("--trajectory") == with_option("--duplicates") >= {("fly",), ("compare",)}
 
 
 @pytest.mark.parametrize("words", VERBS, ids=" ".join)

@@ -65,6 +65,11 @@ Format = Annotated[
 AnchorText = Annotated[
     str | None, typer.Option(help="E,N,U,HEADING: re-base the log there [m, m, m above ground, deg].")
 ]
+Duplicates = Annotated[
+    str,
+    typer.Option(help="Samples of one time: refuse, spread (evenly, within the last digit that the log's clock shows) "
+                 "or first (keep that one)."),
+]  # fmt: skip
 ClockOffset = Annotated[float, typer.Option(help="Added to the log's times [s].")]
 Mount = Annotated[str | None, typer.Option(help="YAW,PITCH,ROLL of the camera on the vehicle [deg].")]
 LeverArm = Annotated[
@@ -229,6 +234,7 @@ def fly(
     trajectory: TrajectoryFiles = None,
     format: Format = None,
     anchor: AnchorText = None,
+    duplicates: Duplicates = "refuse",
     clock_offset_s: ClockOffset = 0.0,
     mount: Mount = None,
     lever_arm_m: LeverArm = "0,0,0",
@@ -259,7 +265,7 @@ def fly(
     wanted = files.check(split(products), settings)
     with progress() as tell:
         loaded = _scene(scene, temperature, range_c, air)
-        path = _trajectory(loaded, trajectory, format, anchor, clock_offset_s, mount, lever_arm_m)
+        path = _trajectory(loaded, trajectory, format, anchor, duplicates, clock_offset_s, mount, lever_arm_m)
         _above_ground(loaded, path, rate_hz, start_s, stop_s, allow_below_ground)
         renderer = _renderer(loaded, quality, rays, tolerance_mk, seed, device, tell)
         summary = run(
@@ -278,6 +284,7 @@ def compare(
     trajectory: TrajectoryFiles = None,
     format: Format = None,
     anchor: AnchorText = None,
+    duplicates: Duplicates = "refuse",
     rate_hz: Annotated[float, typer.Option(help="Poses per second of flight.")] = 1.0,
     range_c: RangeC = None,
     air: Air = None,
@@ -296,7 +303,7 @@ def compare(
     with progress() as tell:
         loaded = load_scene(scene)
         loaded = loaded.with_air(*parse_air(air)) if air is not None else loaded
-        path = _trajectory(loaded, trajectory, format, anchor, 0.0, None, "0,0,0")
+        path = _trajectory(loaded, trajectory, format, anchor, duplicates)
         _above_ground(loaded, path, rate_hz, None, None, allow_below_ground)
         with files.output_folder(output):
             summary = run(
@@ -489,7 +496,7 @@ def _tell_cache(renderer):
         typer.echo(f"note: {renderer.cache_note}", err=True)
 
 
-def _trajectory(scene, files, format, anchor, clock_offset_s, mount, lever_arm_m):
+def _trajectory(scene, files, format, anchor, duplicates, clock_offset_s=0.0, mount=None, lever_arm_m="0,0,0"):
     from thermorender.trajectory import parse_anchor, parse_lever_arm, parse_mount, read_trajectory
 
     own = scene.spec.folder / "flight.csv"
@@ -506,6 +513,7 @@ def _trajectory(scene, files, format, anchor, clock_offset_s, mount, lever_arm_m
         clock_offset_s=clock_offset_s,
         mount=parse_mount(mount) if mount else None,
         lever_arm_m=parse_lever_arm(lever_arm_m),
+        duplicates=duplicates,
     )
 
 
