@@ -7,11 +7,12 @@ from typing import Annotated
 
 import typer
 
+from thermorender import files
 from thermorender.camera_cli import fit_camera
 from thermorender.errors import ThermorenderError
 from thermorender.materials_cli import app as materials
 from thermorender.terminal import air as parse_air
-from thermorender.terminal import progress, split, table
+from thermorender.terminal import output_option, progress, split, table
 from thermorender.validate_cli import app as validate
 
 app = typer.Typer(
@@ -30,7 +31,10 @@ train = typer.Typer(help="Train learned maps.", no_args_is_help=True)
 app.add_typer(train, name="train")
 
 SceneName = Annotated[str, typer.Argument(help="Scene folder, or the name of a shipped one: heath, village, ridge.")]
-Out = Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")]
+Out = Annotated[Path, output_option("-o", "--output", help="Folder for the results.")]
+NewFolder = Annotated[
+    Path, output_option("-o", "--output", help="Folder to make for the scene.", check=files.check_new_folder)
+]
 Seed = Annotated[int, typer.Option(help="Seed of the sensor's noise.")]
 Quality = Annotated[str, typer.Option(help="fast, standard or high: how finely a pixel is sampled.")]
 Tolerance = Annotated[float, typer.Option(help="Error allowed to the spectral nodes [mK].")]
@@ -105,7 +109,7 @@ def doctor(
 def import_terrain(
     elevation: Annotated[Path, typer.Argument(help="GeoTIFF of heights [m].")],
     orthophoto: Annotated[Path, typer.Argument(help="GeoTIFF, RGB in 8 bits.")],
-    output: Out,
+    output: NewFolder,
     max_vertices: Annotated[int, typer.Option(help="Most posts of the mesh.")] = 4_000_000,
     max_texels: Annotated[int, typer.Option(help="Most texels along a side of the texture.")] = 8192,
     height_reference: Annotated[
@@ -133,7 +137,7 @@ def import_terrain(
 @app.command("make-scene")
 def make_scene(
     kind: Annotated[str, typer.Argument(help="heath, village or ridge.")],
-    output: Out,
+    output: NewFolder,
     seed: Annotated[int, typer.Option(help="Another seed is another place.")] = 0,
     size_m: Annotated[float | None, typer.Option(help="Side of the square [m].")] = None,
     texel_m: Annotated[float | None, typer.Option(help="Side of an orthophoto texel [m].")] = None,
@@ -188,14 +192,14 @@ def render(
     device: Device = "auto",
 ):
     """Render one frame."""
-    from thermorender import products as files
+    from thermorender import products as frame_files
     from thermorender.trajectory import parse_numbers
     from thermorender.trajectory.path import pose as make_pose
 
     if engine not in ("renderer", "reference"):
         raise ThermorenderError(f"--engine={engine!r} is unknown; give renderer or reference")
     look, settings = _look(display, palette), _operator(operator)
-    wanted = files.check(split(products), settings)
+    wanted = frame_files.check(split(products), settings)
     numbers = parse_numbers("--pose", pose, ("E", "N", "U", "YAW", "PITCH", "ROLL"))
     with progress() as tell:
         loaded = _scene(scene, temperature, range_c, air)
@@ -215,11 +219,11 @@ def render(
 
                 frame = reference_frame(renderer, place, paths, progress=lambda share: tell("tracing paths", share))
             look = replace(look, tails_percent=frame.camera.agc_tails_percent)
-            written = files.write(folder, frame, wanted, look.image(frame.counts)[1], settings)
+            written = frame_files.write(folder, frame, wanted, look.image(frame.counts)[1], settings)
             if visible:
                 written["visible"] = folder / "frame_000000_visible.png"
-                files.write_image(written["visible"], renderer.visible(frame.pose)[0])
-            files.write_json(folder / "frame_000000.json", files.record(frame))
+                frame_files.write_image(written["visible"], renderer.visible(frame.pose)[0])
+            files.write_json(folder / "frame_000000.json", frame_files.record(frame))
     _tell_cache(renderer)
     seen = frame.apparent_temperature
     typer.echo(f"apparent temperature {seen.min():.2f}–{seen.max():.2f} K, mean {seen.mean():.2f} K")
@@ -258,11 +262,11 @@ def fly(
     device: Device = "auto",
 ):
     """Render the frames of a flight."""
-    from thermorender import products as files
+    from thermorender import products as frame_files
     from thermorender.flight import fly as run
 
     look, settings = _look(display, palette, agc_memory_s), _operator(operator)
-    wanted = files.check(split(products), settings)
+    wanted = frame_files.check(split(products), settings)
     with progress() as tell:
         loaded = _scene(scene, temperature, range_c, air)
         path = _trajectory(loaded, trajectory, format, anchor, duplicates, clock_offset_s, mount, lever_arm_m)
@@ -296,7 +300,6 @@ def compare(
     device: Device = "auto",
 ):
     """Hold learned 2D translations against the radiometric render of the same poses."""
-    from thermorender import products as files
     from thermorender.scene.load import load_scene
     from thermorender.validate.comparison import compare as run
 
@@ -330,12 +333,13 @@ def bench(
     triangles: Annotated[int | None, typer.Option(help="Adds a synthetic terrain of so many triangles.")] = None,
     texels: Annotated[int | None, typer.Option(help="Texels along each side of it; two per cell where absent.")] = None,
     repeats: Annotated[int, typer.Option(help="Turns of each measurement.")] = 15,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="JSON file for the result.")] = None,
+    output: Annotated[
+        Path | None, output_option("-o", "--output", help="JSON file for the result.", check=files.check_output_file)
+    ] = None,
     air: Air = None,
     device: Device = "auto",
 ):
     """Measure frames per second, their ratio to casting the rays alone, and the error of each quality."""
-    from thermorender import products as files
     from thermorender.validate import bench as run
 
     with progress() as tell:
@@ -367,7 +371,9 @@ def train_emissivity(
         list[str] | None,
         typer.Argument(help="Scenes with orthophoto and class raster; default: procedural scenes of every kind."),
     ] = None,
-    output: Annotated[Path, typer.Option("-o", "--output", help="File for the map, .npz.")] = Path("emissivity.npz"),
+    output: Annotated[
+        Path, output_option("-o", "--output", help="File for the map, .npz.", check=files.check_output_file)
+    ] = Path("emissivity.npz"),
     labels: Annotated[
         Path | None, typer.Option(help="GeoJSON polygons with a property 'material', in place of one scene's classes.")
     ] = None,
@@ -383,7 +389,6 @@ def train_emissivity(
 
     with progress() as tell:
         model, confusion = train_on(scenes or (), labels, output.stem, texel_m, lights, seed, tell)
-        output.parent.mkdir(parents=True, exist_ok=True)
         save_map(model, output)
     typer.echo(str(model))
     rows = [
@@ -406,7 +411,6 @@ def map_materials(
     without: Annotated[str, typer.Option(help="Comma-separated materials known not to occur.")] = "",
 ):
     """Write the materials a learned map sees in a scene's orthophoto, to inspect and correct by hand."""
-    from thermorender import products as files
     from thermorender.scene.load import scene_folder
     from thermorender.scene.material_map import write_map
 

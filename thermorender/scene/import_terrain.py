@@ -5,14 +5,12 @@ share, and thinned where they exceed the size limits. What is empty stays marked
 mesh, and the orthophoto's empty borders become its mask.
 """
 
-import os
-import shutil
 from pathlib import Path
 
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.products import missing_folders, remove_empty
+from thermorender.files import atomic_folder, check_new_folder, write_text
 from thermorender.scene.raster import Grid, bounds_in, grid_of, lon_lat, onto, read_colour
 from thermorender.scene.surface import scene_kelvin
 from thermorender.scene.terrain import read_elevation
@@ -65,10 +63,7 @@ def import_terrain(elevation, orthophoto, folder, max_vertices=DEFAULT_VERTICES,
     _finite("geoid_undulation_m", geoid_undulation_m)
     _finite("sky_temperature", sky_temperature)
     scene_kelvin("sky_temperature", sky_temperature)
-    # Resolved, so that "." has a name and a folder above it.
-    folder = Path(folder).resolve()
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise ThermorenderError(f"{folder} exists and is not empty; give a new folder for the scene")
+    check_new_folder(folder)
     if max_vertices < 4 or max_texels < 2:
         raise ThermorenderError(
             f"max_vertices={max_vertices}, max_texels={max_texels} leave nothing; give at least 4 and 2"
@@ -110,32 +105,13 @@ def import_terrain(elevation, orthophoto, folder, max_vertices=DEFAULT_VERTICES,
     if not valid.any():
         raise ThermorenderError(f"{orthophoto} is empty where {elevation} lies; give an orthophoto of the same area")
 
-    part = folder.with_name(f".{folder.name}.part")
-    made = missing_folders(folder.parent)
-    try:
-        part.mkdir(parents=True)
-    except OSError as error:
-        remove_empty(made)
-        left = f"remove {part}, which a stopped import left" if part.exists() else "give a folder that can be written"
-        raise ThermorenderError(f"{folder} cannot be made: {error.strerror}; {left}") from None
-    try:
+    with atomic_folder(folder) as part:
         _write(part / "elevation.tif", height[None].astype(np.float32), target, nodata=np.nan, predictor=3)
         _write(part / "orthophoto.tif", np.moveaxis(rgb, -1, 0), texels, predictor=2, photometric="RGB", mask=valid)
-        (part / "scene.toml").write_text(
-            _scene_toml(folder.name, elevation, orthophoto, height_reference, geoid_undulation_m, model, material,
-                        sky_temperature),
-            encoding="utf-8",
-        )  # fmt: skip
-        if folder.exists():
-            folder.rmdir()
-        os.replace(part, folder)
-    except OSError as error:
-        raise ThermorenderError(
-            f"{folder} cannot be written: {error.strerror or error}; give a folder with room to write"
-        ) from None
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
-        remove_empty(made)
+        title = Path(folder).resolve().name
+        write_text(part / "scene.toml", _scene_toml(
+            title, elevation, orthophoto, height_reference, geoid_undulation_m, model, material, sky_temperature
+        ))  # fmt: skip
     return {
         "crs": crs.to_string(),
         "posts": [target.height, target.width],

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from thermorender.errors import ThermorenderError
+from thermorender.files import atomic, check_output_file
 from thermorender.physics.planck import band_radiance_derivative
 from thermorender.sensor.camera import load_camera, model_path
 from thermorender.sensor.edge_width import edge_widths, sharpest, width_through
@@ -119,11 +120,7 @@ def write_camera(path, base, estimates):
     ThermorenderError
         A name that does not end in .toml, or a file that cannot be written.
     """
-    from thermorender.products import atomic
-
-    path = Path(path)
-    if path.suffix != ".toml":
-        raise ThermorenderError(f"{path} is no name of a camera file; give one that ends in .toml")
+    check_output_file(path, (".toml",))
     text = model_path(base).read_text(encoding="utf-8")
     text = f"# Fitted to footage; keys without such a note are those of {model_path(base).stem}.\n" + text
     for key, estimate in estimates.items():

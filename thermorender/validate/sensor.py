@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from thermorender import products
+from thermorender import files
 from thermorender.errors import ThermorenderError
 from thermorender.frames import apparent_temperature
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
@@ -87,8 +87,8 @@ def sensor(folder, scene="heath", flights=tuple(FLIGHTS), device="auto", progres
         "blur": _blur(renderer, loaded.camera),
         "chain": _chain(renderer, of),
     }
-    with products.output_folder(folder) as folder:
-        products.write_json(folder / "sensor.json", result)
+    with files.output_folder(folder) as folder:
+        files.write_json(folder / "sensor.json", result)
         table(folder / "sensor.md", result)
         figure(folder / "sensor.png", result)
         pictures(folder / "effects.png", _effects(renderer, of, seen))

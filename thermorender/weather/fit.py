@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from thermorender.files import atomic
 from thermorender.physics import absorbers, atmosphere
 from thermorender.physics.planck import C2, band_radiance_derivative
 from thermorender.weather import lowtran
@@ -247,7 +248,7 @@ def make_table(path, terms=TERMS):
         "gas": np.float32(gas),
         "extinction": np.float32(haze),
     }
-    with open(path, "wb") as file:
+    with atomic(path) as part, open(part, "wb") as file:
         np.savez_compressed(file, **table)
     return error
 

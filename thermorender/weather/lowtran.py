@@ -14,7 +14,6 @@ profiles with 16 digits; LOWTRAN's own TAPE7 keeps three. Its habits that matter
 
 import hashlib
 import importlib.util
-import os
 import shutil
 import subprocess
 import sys
@@ -24,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
+from thermorender import files
 from thermorender.errors import ThermorenderError
 
 MODELS = {
@@ -205,8 +205,7 @@ def program():
     compiler = shutil.which("gfortran")
     if compiler is None:
         raise ThermorenderError("gfortran is not found; install it with: apt-get install gfortran")
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=target.parent) as folder:
+    with tempfile.TemporaryDirectory() as folder:
         Path(folder, "lowtran7.f").write_text(text, encoding="latin-1")
         Path(folder, "main.f").write_text(_MAIN, encoding="ascii")
         flags = ["-O1", "-std=legacy", "-w", "-fdefault-real-8", "-fno-automatic"]
@@ -216,14 +215,14 @@ def program():
         if result.returncode or built is None:
             reason = (result.stderr.strip().splitlines() or ["no message"])[-1]
             raise ThermorenderError(f"gfortran cannot compile LOWTRAN7 ({reason}); try gfortran 9 or newer")
-        os.replace(built, target)
+        with files.atomic(target) as part:
+            shutil.copy(built, part)
     return target
 
 
 def cache_folder():
-    """Return the user's folder for the compiled program and for weathers: $THERMORENDER_CACHE or ~/.cache/…"""
-    chosen = os.environ.get("THERMORENDER_CACHE") or os.environ.get("XDG_CACHE_HOME", "~/.cache") + "/thermorender"
-    return Path(chosen).expanduser()
+    """Return the user's folder for the compiled program and for weathers."""
+    return files.cache_folder("lowtran")
 
 
 def cached(key, make):
@@ -233,11 +232,8 @@ def cached(key, make):
         with open(stored, "rb") as file:
             return np.load(file, allow_pickle=False)
     result = make()
-    stored.parent.mkdir(parents=True, exist_ok=True)
-    # Complete before it has its name, so that an interruption leaves nothing half written.
-    with tempfile.NamedTemporaryFile(dir=stored.parent, delete=False) as file:
-        np.save(file, result)
-    os.replace(file.name, stored)
+    with files.atomic(stored) as part:
+        np.save(part, result)
     return result
 
 

@@ -5,6 +5,7 @@
 
 import numpy as np
 
+from thermorender.files import atomic
 from thermorender.physics import absorbers
 from thermorender.physics.planck import spectral_radiance
 from thermorender.weather import lowtran
@@ -129,7 +130,7 @@ def make_reference(path, per_case=6, seed=2024):
         for band, numbers in enumerate(found.values()):
             value[number, band, : len(numbers)] = numbers
     case = np.repeat(np.array(cases), per_case, axis=0)
-    with open(path, "wb") as file:
+    with atomic(path) as part, open(part, "wb") as file:
         np.savez_compressed(
             file, case=np.int8(case[:, :2]), offset=case[:, 2:], path=np.float32(paths), value=np.float32(value)
         )
