@@ -574,6 +574,20 @@ def test_missing_and_binary_logs(scene, refused, tmp_path):
     refused("flight.csv does not exist, and no other log is given; add --trajectory", "fly", scene, *QUICK)
 
 
+def test_two_samples_of_one_time(scene, refused, call, tmp_path):
+    change(scene / "scene.toml", "[camera]", '[truth]\ntemperature = "temperature.tif"\n[camera]')
+    (scene / "flight.csv").write_text(f"{COLUMNS}\n0,0,0,20,-90\n0,1,0,20,-90\n1,2,0,20,-90\n")
+    for verb in ("fly", "compare"):
+        words = ["flight.csv, row 3, column 'time_s': '0' follows the same time in row 2", "--duplicates spread"]
+        refused(words, verb, scene, *QUICK)
+        refused("duplicates='all' is unknown", verb, scene, "--duplicates", "all", *QUICK)
+        model = ["--models", "fok-1to1"] if verb == "compare" else ["--products", "counts"]
+        for choice in ("spread", "first"):
+            output = tmp_path / verb / choice
+            status, _, errors = call(verb, scene, "-o", output, "--duplicates", choice, *model, *QUICK)
+            assert (status, errors) == (0, "")
+
+
 def test_a_path_under_the_terrain(scene, refused, call, tmp_path):
     (scene / "flight.csv").write_text(f"{COLUMNS.replace('above_ground_m', 'up_m')}\n0,0,0,-20,90\n")
     refused(["at 0.000 s the camera is 2", "m below the ground"], "fly", scene, *QUICK)

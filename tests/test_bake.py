@@ -222,7 +222,7 @@ def test_light_that_never_leaves_is_refused(tmp_path):
 @pytest.fixture
 def kept(tmp_path, monkeypatch):
     monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path / "kept"))
-    return tmp_path / "kept"
+    return tmp_path / "kept" / "light"
 
 
 def same(a, b):
@@ -320,7 +320,8 @@ def test_two_processes_store_at_once(terrain, kept, tmp_path):
         for light in (terrain, traced(tmp_path / "s", rough(12), 64)[0])
     ]
     spawn = multiprocessing.get_context("spawn")
-    both = [spawn.Process(target=_store_often, args=(kept, "d" * 40, *pair, 60)) for pair in (plain, plain[::-1])]
+    arguments = [(kept.parent, "d" * 40, *pair, 60) for pair in (plain, plain[::-1])]
+    both = [spawn.Process(target=_store_often, args=each) for each in arguments]
     for process in both:
         process.start()
     for process in both:
@@ -335,7 +336,7 @@ def test_unwritable_folder_says_why(terrain, tmp_path, monkeypatch):
     monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path / "file" / "kept"))
     assert cache.load("e" * 40) is None
     why = cache.store("e" * 40, terrain)
-    assert "file/kept cannot be written (Not a directory); set THERMORENDER_CACHE to a folder that can" in why
+    assert "file/kept/light cannot be written (Not a directory); set THERMORENDER_CACHE to a folder that can" in why
 
 
 def test_interrupted_store_leaves_nothing(terrain, kept, monkeypatch):
@@ -345,20 +346,38 @@ def test_interrupted_store_leaves_nothing(terrain, kept, monkeypatch):
     monkeypatch.setattr(np, "savez", interrupted)
     with pytest.raises(KeyboardInterrupt):
         cache.store("f" * 40, terrain)
-    assert list(kept.iterdir()) == []
+    assert not kept.exists()
 
 
 def test_longest_unused_goes_first(terrain, kept):
-    for age, name in enumerate("abc"):
+    a, b, c, d, e = (letter * 40 for letter in "abcde")
+    for age, name in enumerate((a, b, c)):
         assert cache.store(name, terrain) is None
         os.utime(kept / f"{name}.npz", (1e9 - age, 1e9 - age))
-    (kept / "old.part").write_bytes(b"x")
-    (kept / "new.part").write_bytes(b"x")
-    os.utime(kept / "old.part", (time.time() - 7200,) * 2)
+    old, new = (kept / f".{a}.{token}.part.npz" for token in ("01234567", "89abcdef"))
+    for part in (old, new):
+        part.write_bytes(b"x")
+    os.utime(old, (time.time() - 7200,) * 2)
     # c is the oldest by its time stamp, but was just used; b then is.
-    assert cache.load("c") is not None
-    size = (kept / "a.npz").stat().st_size
-    assert cache.store("d", terrain, limit=3 * size + 100) is None
-    assert sorted(path.name for path in kept.iterdir()) == ["a.npz", "c.npz", "d.npz", "new.part"]
-    why = cache.store("e", terrain, limit=1000)
-    assert "GB are more than the" in why and not (kept / "e.npz").exists()
+    assert cache.load(c) is not None
+    size = (kept / f"{a}.npz").stat().st_size
+    assert cache.store(d, terrain, limit=3 * size + 100) is None
+    assert {path.name for path in kept.iterdir()} == {f"{a}.npz", f"{c}.npz", f"{d}.npz", new.name}
+    why = cache.store(e, terrain, limit=1000)
+    assert "GB are more than the" in why and not (kept / f"{e}.npz").exists()
+
+
+def test_trimming_leaves_what_is_not_the_caches(terrain, kept):
+    # A folder that the user names may hold anything of his, older than all light and larger than the limit.
+    names = ["results.npz", "film.part", f"{'a' * 40}.npz", "light/results.npz", "light/film.part"]
+    names += [f"light/{'e' * 39}.npz", "light/.x.01234567.part.npz"]
+    for name in names:
+        (kept.parent / name).parent.mkdir(parents=True, exist_ok=True)
+        (kept.parent / name).write_bytes(bytes(1 << 20))
+        os.utime(kept.parent / name, (1e9, 1e9))
+    # Less than two of them together: each but the last has to go.
+    limit = int(1.5 * sum(getattr(terrain, which).nbytes for which in ("start", "seen", "hits", "up", "down")))
+    for name in ("b", "c", "d"):
+        assert cache.store(name * 40, terrain, limit=limit) is None
+    assert not (kept / f"{'c' * 40}.npz").exists() and (kept / f"{'d' * 40}.npz").exists()
+    assert [name for name in names if not (kept.parent / name).exists()] == []

@@ -77,7 +77,7 @@ def test_mistakes_are_one_sentence_and_status_2(run, tmp_path):
         (("show", "watr"), "the closest are water"),
         (("list", "--band", "13,8"), "--band='13,8' is not a band"),
         (("list", "--band", "8"), "--band"),
-        (("plot", "water", "-o", tmp_path / "a.jpg"), "is not a PNG"),
+        (("plot", "water", "-o", tmp_path / "a.jpg"), "give one that ends in .png"),
         (("plot", *["water"] * 9, "-o", tmp_path / "a.png"), "9 materials cannot be told apart"),
         (("check", tmp_path / "nowhere"), "nowhere does not exist"),
         (("import", "--into", tmp_path), "needs spectrum files and --name"),
@@ -338,7 +338,7 @@ def test_merge_takes_both_and_refuses_conflicts(run, tmp_path):
     assert run("merge", one, two, "-o", tmp_path / "c", "--prefer", "first")[0] == 0
     assert read_library(tmp_path / "c")["zinc"].title == "Tin roof"
     assert (out / "spectra" / "lead.csv").read_text() == SPECTRUM
-    assert "exists; give a new folder" in run("merge", one, two, "-o", out)[2]
+    assert "exists and is not empty; give a new folder" in run("merge", one, two, "-o", out)[2]
     assert "--prefer='both' is not allowed" in run("merge", one, two, "-o", tmp_path / "d", "--prefer", "both")[2]
 
 

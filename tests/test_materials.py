@@ -1,6 +1,7 @@
 """The shipped material tables against measurements, and the words of every refusal."""
 
 import csv
+import os
 from pathlib import Path
 
 import numpy as np
@@ -491,18 +492,16 @@ def test_nothing_is_written_half_way(tmp_path, monkeypatch):
     with pytest.raises(ThermorenderError, match=r"name='../zinc' is not a material name"):
         store(row | {"name": "../zinc"}, SPECTRUM, folder)
 
-    import thermorender.scene.material_store as module
-
-    replace = module.os.replace
+    replace = os.replace
 
     def full_disk(source, target):
         if Path(target) == folder / "index.csv":
             raise OSError(28, "No space left on device")
         return replace(source, target)
 
-    monkeypatch.setattr(module.os, "replace", full_disk)
+    monkeypatch.setattr(os, "replace", full_disk)
     for name, overwrite in (("zinc", False), ("tin", True)):
-        with pytest.raises(OSError, match="No space left"):
+        with pytest.raises(ThermorenderError, match="index.csv cannot be written: No space left"):
             store(ROW | {"name": name}, SPECTRUM.replace("0.2", "0.25"), folder, overwrite)
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
 

@@ -203,7 +203,7 @@ def test_a_folder_in_use_is_not_overwritten_unasked(tmp_path):
     folder = tmp_path / "mine"
     folder.mkdir()
     (folder / "notes.txt").write_text("keep me")
-    with pytest.raises(ThermorenderError, match="already holds files; give another folder or overwrite=True"):
+    with pytest.raises(ThermorenderError, match="exists and is not empty; give a new folder"):
         write(small("heath"), folder)
     assert (folder / "notes.txt").read_text() == "keep me"
     write(small("heath"), folder, overwrite=True)
@@ -216,7 +216,7 @@ def test_nothing_is_left_behind_when_writing_fails(tmp_path, monkeypatch):
         raise OSError("disk full")
 
     monkeypatch.setattr("thermorender.scene.procedural.files.flight_csv", fail)
-    with pytest.raises(OSError, match="disk full"):
+    with pytest.raises(ThermorenderError, match="scene cannot be written: disk full"):
         write(small("heath"), tmp_path / "scene")
     assert list(tmp_path.iterdir()) == []
 

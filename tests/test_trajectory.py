@@ -413,13 +413,12 @@ LOCAL = "time_s,east_m,north_m,up_m"
         (
             f"{LOCAL}\n0,0,0,0\n2,0,0,0\n\n1.5,0,0,0\n",
             {},
-            r"row 5, column 'time_s': 1\.5 s follows 2 s in row 3: time is running backwards "
-            r"or standing still",
+            r"row 5, column 'time_s': '1\.5' follows '2' in row 3: time is running backwards, and must strictly",
         ),
         (
             f"{LOCAL}\n0,0,0,0\n0,0,0,1\n",
             {},
-            "row 3, .*0 s follows 0 s in row 2: time is running backwards or standing",
+            "row 3, column 'time_s': '0' follows the same time in row 2, but time must strictly increase",
         ),
         (
             f"{LOCAL},qw,qx,qy,qz\n0,0,0,0,1,0,0,0\n1,0,0,0,1,0,0.1,0\n",
@@ -650,6 +649,41 @@ def test_date_times_of_a_dji_log(tmp_path):
         read(tmp_path, header + row + ",0,\n", **options)
 
 
+DJI = "lat_deg,lon_deg,rel_alt_m,flight_yaw_deg,flight_pitch_deg,flight_roll_deg,gimbal_yaw_deg,"
+DJI += "gimbal_pitch_deg,gimbal_roll_deg,local_datetime,subsec,utc_at_exposure\n"
+
+
+def test_two_images_in_one_second(tmp_path):
+    # The camera's clock tells whole seconds, and the column that would tell more is empty.
+    options = {"frame": FRAME, "ground": flat, "format": "dji-gimbal"}
+    stamps = ["10", "11", "11", "11", "13", "13"]
+    rows = [f"47.2,8.5,{40 + k},0,0,0,0,-90,0,2022:06:02 14:22:{second},,\n" for k, second in enumerate(stamps)]
+    with pytest.raises(
+        ThermorenderError,
+        match=r"row 4, column 'local_datetime': '2022:06:02 14:22:11' follows the same time in row 3, but time must "
+        r"strictly increase; give --duplicates spread, .*, or --duplicates first",
+    ):
+        read(tmp_path, DJI + "".join(rows), **options)
+    spread = read(tmp_path, DJI + "".join(rows), duplicates="spread", **options)
+    # Within the second that the clock shows, never up to the next one; 2⁻²² s is what a double tells of 1970.
+    assert np.allclose(spread.time_s, [0.0, 1.0, 4 / 3, 5 / 3, 3.0, 3.5], atol=2.0**-21, rtol=0.0)
+    assert np.allclose(spread.position[:, 2], 40.0 + np.arange(6))
+    first = read(tmp_path, DJI + "".join(rows), duplicates="first", **options)
+    assert np.array_equal(first.time_s, [0.0, 1.0, 3.0]) and np.allclose(first.position[:, 2], [40.0, 41.0, 44.0])
+    with pytest.raises(ThermorenderError, match="duplicates='all' is unknown; give one of refuse, spread, first"):
+        read(tmp_path, DJI + "".join(rows), duplicates="all", **options)
+
+
+def test_spreading_keeps_within_the_last_digit(tmp_path):
+    text = f"{LOCAL}\n0.25,0,0,0\n0.5,0,0,1\n0.5,0,0,2\n0.75,0,0,3\n"
+    spread = read(tmp_path, text, duplicates="spread")
+    assert np.allclose(spread.time_s, [0.25, 0.5, 0.505, 0.75], atol=1e-12)
+    # Time that runs backwards is no duplicate.
+    for choice in ("refuse", "spread", "first"):
+        with pytest.raises(ThermorenderError, match="row 3, column 'time_s': '1' follows '2' in row 2: time is"):
+            read(tmp_path, f"{LOCAL}\n2,0,0,0\n1,0,0,0\n", duplicates=choice)
+
+
 def test_every_bundled_mapping_loads():
     assert bundled_formats() == ["dji-gimbal", "px4", "rocket-firm"]
 
@@ -695,6 +729,24 @@ def test_real_uav_flight_looks_down_from_40_m():
     assert (forward[:, 2] < -0.99999).all()
     # The flight starts in row 133 of the log: its gimbal yaw of 119.7° is the heading of the upper edge.
     assert np.degrees(np.arctan2(right[0, 0], right[0, 1])) % 360.0 == pytest.approx(119.7 + 90.0, abs=0.01)
+
+
+@pytest.mark.parametrize(("duplicates", "images"), [("spread", 64), ("first", 32)])
+def test_real_log_of_two_cameras_on_a_clock_of_seconds(tmp_path, duplicates, images):
+    # As the same aircraft writes it where the time of the exposure is not kept: a pair of images of one second.
+    log = real("uav_thermal_flights", "kalmthout_heath_m3t_20240806.csv")
+    header, *rows = (line.split(",") for line in log.read_text().splitlines())
+    when = header.index("utc_at_exposure")
+    blank = ([*row[:when], "", *row[when + 1 :]] for row in rows)
+    pairs = [pair for row in blank for pair in (row, [row[0].replace("_T", "_W"), *row[1:]])]
+    text = "".join(",".join(cells) + "\n" for cells in (header, *pairs))
+    options = {"format": "dji-gimbal", "anchor": Anchor(0.0, 0.0, 75.0, 90.0)}
+    with pytest.raises(ThermorenderError, match="row 3, column 'local_datetime': '2024:08:06 17:34:49' follows the"):
+        read(tmp_path, text, **options)
+    path = read(tmp_path, text, duplicates=duplicates, **options)
+    # 17:34:49 … 17:35:34; each pair is half a second apart.
+    assert len(path) == images and path.span_s == pytest.approx((0.0, 45.5 if images == 64 else 45.0), abs=1e-6)
+    assert (np.diff(path.time_s) > 0.0).all()
 
 
 def test_real_gimbal_flips_are_no_jumps():

@@ -5,11 +5,18 @@ from typing import Annotated
 
 import typer
 
-from thermorender import defaults
+from thermorender import defaults, files
+from thermorender.terminal import output_option
 
 Frames = Annotated[list[Path], typer.Argument(help="Frames, or folders of them: 16-bit TIFF or radiometric JPEG.")]
 Base = Annotated[str, typer.Option(help="Camera model whose optics stand for the real one's, or its .toml file.")]
-Output = Annotated[Path, typer.Option("-o", "--output", help="Camera file to write, .toml.")]
+Output = Annotated[
+    Path,
+    output_option(
+        "-o", "--output", help="Camera file to write, .toml.",
+        check=lambda path: files.check_output_file(path, (".toml",)),
+    ),
+]  # fmt: skip
 Scale = Annotated[
     str | None, typer.Option(help="STEP,ZERO of TIFFs that tell none: kelvin per count, kelvin of count 0.")
 ]

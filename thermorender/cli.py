@@ -7,18 +7,20 @@ from typing import Annotated
 
 import typer
 
-from thermorender import defaults
+from thermorender import defaults, files
 from thermorender.camera_cli import fit_camera
 from thermorender.errors import ThermorenderError
 from thermorender.materials_cli import app as materials
 from thermorender.terminal import air as parse_air
-from thermorender.terminal import progress, split, table
+from thermorender.terminal import output_option, progress, split, table
 from thermorender.validate_cli import app as validate
 
 app = typer.Typer(
     help="Long-wave infrared frames of terrain flights, radiometrically true, in kelvin.",
     add_completion=False,
     pretty_exceptions_enable=False,
+    # Markup would take units such as [m] for its own and swallow them, here and in all verbs below.
+    rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
@@ -30,7 +32,10 @@ app.add_typer(train, name="train")
 
 SCENES_TOLD = ", ".join(defaults.SCENES)
 SceneName = Annotated[str, typer.Argument(help=f"Scene folder, or the name of a shipped one: {SCENES_TOLD}.")]
-Out = Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")]
+Out = Annotated[Path, output_option("-o", "--output", help="Folder for the results.")]
+NewFolder = Annotated[
+    Path, output_option("-o", "--output", help="Folder to make for the scene.", check=files.check_new_folder)
+]
 Seed = Annotated[int, typer.Option(help="Seed of the sensor's noise.")]
 Quality = Annotated[str, typer.Option(help="fast, standard or high: how finely a pixel is sampled.")]
 Tolerance = Annotated[float, typer.Option(help="Error allowed to the spectral nodes [mK].")]
@@ -65,6 +70,11 @@ Format = Annotated[
 AnchorText = Annotated[
     str | None, typer.Option(help="E,N,U,HEADING: re-base the log there [m, m, m above ground, deg].")
 ]
+Duplicates = Annotated[
+    str,
+    typer.Option(help="Samples of one time: refuse, spread (evenly, within the last digit that the log's clock shows) "
+                 "or first (keep that one)."),
+]  # fmt: skip
 ClockOffset = Annotated[float, typer.Option(help="Added to the log's times [s].")]
 Mount = Annotated[str | None, typer.Option(help="YAW,PITCH,ROLL of the camera on the vehicle [deg].")]
 LeverArm = Annotated[
@@ -100,7 +110,7 @@ def doctor(
 def import_terrain(
     elevation: Annotated[Path, typer.Argument(help="GeoTIFF of heights [m].")],
     orthophoto: Annotated[Path, typer.Argument(help="GeoTIFF, RGB in 8 bits.")],
-    output: Out,
+    output: NewFolder,
     max_vertices: Annotated[int, typer.Option(help="Most posts of the mesh.")] = 4_000_000,
     max_texels: Annotated[int, typer.Option(help="Most texels along a side of the texture.")] = 8192,
     height_reference: Annotated[
@@ -128,7 +138,7 @@ def import_terrain(
 @app.command("make-scene")
 def make_scene(
     kind: Annotated[str, typer.Argument(help=f"One of {SCENES_TOLD}.")],
-    output: Out,
+    output: NewFolder,
     seed: Annotated[int, typer.Option(help="Another seed is another place.")] = 0,
     size_m: Annotated[float | None, typer.Option(help="Side of the square [m].")] = None,
     texel_m: Annotated[float | None, typer.Option(help="Side of an orthophoto texel [m].")] = None,
@@ -185,14 +195,14 @@ def render(
     device: Device = "auto",
 ):
     """Render one frame."""
-    from thermorender import products as files
+    from thermorender import products as frame_files
     from thermorender.trajectory import parse_numbers
     from thermorender.trajectory.path import pose as make_pose
 
     if engine not in ("renderer", "reference"):
         raise ThermorenderError(f"--engine={engine!r} is unknown; give renderer or reference")
     look, settings = _look(display, palette), _operator(operator)
-    wanted = files.check(split(products), settings)
+    wanted = frame_files.check(split(products), settings)
     numbers = parse_numbers("--pose", pose, ("E", "N", "U", "YAW", "PITCH", "ROLL"))
     with progress() as tell:
         loaded = _scene(scene, temperature, range_c, air)
@@ -212,11 +222,11 @@ def render(
 
                 frame = reference_frame(renderer, place, paths, progress=lambda share: tell("tracing paths", share))
             look = replace(look, tails_percent=frame.camera.agc_tails_percent)
-            written = files.write(folder, frame, wanted, look.image(frame.counts)[1], settings)
+            written = frame_files.write(folder, frame, wanted, look.image(frame.counts)[1], settings)
             if visible:
                 written["visible"] = folder / "frame_000000_visible.png"
-                files.write_image(written["visible"], renderer.visible(frame.pose)[0])
-            files.write_json(folder / "frame_000000.json", files.record(frame))
+                frame_files.write_image(written["visible"], renderer.visible(frame.pose)[0])
+            files.write_json(folder / "frame_000000.json", frame_files.record(frame))
     _tell_cache(renderer)
     seen = frame.apparent_temperature
     typer.echo(f"apparent temperature {seen.min():.2f}–{seen.max():.2f} K, mean {seen.mean():.2f} K")
@@ -231,6 +241,7 @@ def fly(
     trajectory: TrajectoryFiles = None,
     format: Format = None,
     anchor: AnchorText = None,
+    duplicates: Duplicates = "refuse",
     clock_offset_s: ClockOffset = 0.0,
     mount: Mount = None,
     lever_arm_m: LeverArm = "0,0,0",
@@ -254,14 +265,14 @@ def fly(
     device: Device = "auto",
 ):
     """Render the frames of a flight."""
-    from thermorender import products as files
+    from thermorender import products as frame_files
     from thermorender.flight import fly as run
 
     look, settings = _look(display, palette, agc_memory_s), _operator(operator)
-    wanted = files.check(split(products), settings)
+    wanted = frame_files.check(split(products), settings)
     with progress() as tell:
         loaded = _scene(scene, temperature, range_c, air)
-        path = _trajectory(loaded, trajectory, format, anchor, clock_offset_s, mount, lever_arm_m)
+        path = _trajectory(loaded, trajectory, format, anchor, duplicates, clock_offset_s, mount, lever_arm_m)
         _above_ground(loaded, path, rate_hz, start_s, stop_s, allow_below_ground)
         renderer = _renderer(loaded, quality, rays, tolerance_mk, seed, device, tell)
         summary = run(
@@ -280,6 +291,7 @@ def compare(
     trajectory: TrajectoryFiles = None,
     format: Format = None,
     anchor: AnchorText = None,
+    duplicates: Duplicates = "refuse",
     rate_hz: Annotated[float, typer.Option(help="Poses per second of flight.")] = 1.0,
     range_c: RangeC = None,
     air: Air = None,
@@ -291,14 +303,13 @@ def compare(
     device: Device = "auto",
 ):
     """Hold learned 2D translations against the radiometric render of the same poses."""
-    from thermorender import products as files
     from thermorender.scene.load import load_scene
     from thermorender.validate.comparison import compare as run
 
     with progress() as tell:
         loaded = load_scene(scene)
         loaded = loaded.with_air(*parse_air(air)) if air is not None else loaded
-        path = _trajectory(loaded, trajectory, format, anchor, 0.0, None, "0,0,0")
+        path = _trajectory(loaded, trajectory, format, anchor, duplicates)
         _above_ground(loaded, path, rate_hz, None, None, allow_below_ground)
         with files.output_folder(output):
             summary = run(
@@ -325,12 +336,13 @@ def bench(
     triangles: Annotated[int | None, typer.Option(help="Adds a synthetic terrain of so many triangles.")] = None,
     texels: Annotated[int | None, typer.Option(help="Texels along each side of it; two per cell where absent.")] = None,
     repeats: Annotated[int, typer.Option(help="Turns of each measurement.")] = 15,
-    output: Annotated[Path | None, typer.Option("-o", "--output", help="JSON file for the result.")] = None,
+    output: Annotated[
+        Path | None, output_option("-o", "--output", help="JSON file for the result.", check=files.check_output_file)
+    ] = None,
     air: Air = None,
     device: Device = "auto",
 ):
     """Measure frames per second, their ratio to casting the rays alone, and the error of each quality."""
-    from thermorender import products as files
     from thermorender.validate import bench as run
 
     with progress() as tell:
@@ -362,7 +374,9 @@ def train_emissivity(
         list[str] | None,
         typer.Argument(help="Scenes with orthophoto and class raster; default: procedural scenes of every kind."),
     ] = None,
-    output: Annotated[Path, typer.Option("-o", "--output", help="File for the map, .npz.")] = Path("emissivity.npz"),
+    output: Annotated[
+        Path, output_option("-o", "--output", help="File for the map, .npz.", check=files.check_output_file)
+    ] = Path("emissivity.npz"),
     labels: Annotated[
         Path | None, typer.Option(help="GeoJSON polygons with a property 'material', in place of one scene's classes.")
     ] = None,
@@ -378,7 +392,6 @@ def train_emissivity(
 
     with progress() as tell:
         model, confusion = train_on(scenes or (), labels, output.stem, texel_m, lights, seed, tell)
-        output.parent.mkdir(parents=True, exist_ok=True)
         save_map(model, output)
     typer.echo(str(model))
     rows = [
@@ -403,7 +416,6 @@ def map_materials(
     without: Annotated[str, typer.Option(help="Comma-separated materials known not to occur.")] = "",
 ):
     """Write the materials a learned map sees in a scene's orthophoto, to inspect and correct by hand."""
-    from thermorender import products as files
     from thermorender.scene.load import scene_folder
     from thermorender.scene.material_map import write_map
 
@@ -494,7 +506,7 @@ def _tell_cache(renderer):
         typer.echo(f"note: {renderer.baked.cache_note}", err=True)
 
 
-def _trajectory(scene, files, format, anchor, clock_offset_s, mount, lever_arm_m):
+def _trajectory(scene, files, format, anchor, duplicates, clock_offset_s=0.0, mount=None, lever_arm_m="0,0,0"):
     from thermorender.trajectory import parse_anchor, parse_lever_arm, parse_mount, read_trajectory
 
     own = scene.spec.folder / "flight.csv"
@@ -511,6 +523,7 @@ def _trajectory(scene, files, format, anchor, clock_offset_s, mount, lever_arm_m
         clock_offset_s=clock_offset_s,
         mount=parse_mount(mount) if mount else None,
         lever_arm_m=parse_lever_arm(lever_arm_m),
+        duplicates=duplicates,
     )
 
 

@@ -7,12 +7,12 @@ it is lost, a resume takes the frames before once more to have it again.
 """
 
 import json
-import os
 import zipfile
 from dataclasses import asdict, replace
 
 import numpy as np
 
+from thermorender import files
 from thermorender import products as product_files
 from thermorender.errors import ThermorenderError
 from thermorender.sensor.chain import sensor_of
@@ -79,7 +79,7 @@ def fly(renderer, trajectory, folder, rate_hz=None, products=product_files.DEFAU
         "versions": versions(),
     }
     exposure = _exposure(renderer, trajectory, 1.0 / rate)
-    with product_files.output_folder(folder) as folder:
+    with files.output_folder(folder) as folder:
         done = _done(folder, settings, products, resume)
         agc = None
 
@@ -93,10 +93,10 @@ def fly(renderer, trajectory, folder, rate_hz=None, products=product_files.DEFAU
             frame, agc, image = take(index, agc)
             # Only now, so that a mistake that shows with the first frame leaves nothing behind.
             if not (folder / "flight.json").exists():
-                product_files.write_json(folder / "flight.json", settings)
+                files.write_json(folder / "flight.json", settings)
             product_files.write(folder, frame, products, image, operator)
             _remember(folder, exposure, agc, index)
-            _append(folder / "frames.jsonl", product_files.record(frame))
+            files.append_json(folder / "frames.jsonl", product_files.record(frame))
             if progress:
                 progress(index + 1, len(times))
         for path in _memories(folder):
@@ -152,12 +152,12 @@ def _done(folder, settings, products, resume):
             index = json.loads(line)["index"]
         except (ValueError, KeyError, TypeError):
             break
-        files = product_files.paths(folder, number, products).values()
-        if index != number or not all(path.exists() for path in files):
+        images = product_files.paths(folder, number, products).values()
+        if index != number or not all(path.exists() for path in images):
             break
         kept.append(line)
-    with product_files.atomic(lines) as part:
-        part.write_text("".join(line + "\n" for line in kept), encoding="utf-8")
+    files.write_text(lines, "".join(line + "\n" for line in kept))
+    files.remove_parts(folder)
     return len(kept)
 
 
@@ -199,7 +199,7 @@ def _memories(folder):
 def _remember(folder, exposure, agc, index):
     """Keep the state of sensor and display beside the frame's line: two files in turn, so that one is always whole."""
     state = exposure.state() | ({} if agc is None else {"agc": agc})
-    with product_files.atomic(_memories(folder)[index % 2]) as part:
+    with files.atomic(_memories(folder)[index % 2]) as part:
         np.savez(part, index=index, **state)
 
 
@@ -222,18 +222,6 @@ def _recall(folder, exposure, done, take):
     for index in range(done):
         _, agc, _ = take(index, agc)
     return agc
-
-
-def _append(path, value):
-    try:
-        with open(path, "a", encoding="utf-8") as file:
-            file.write(json.dumps(value) + "\n")
-            file.flush()
-            os.fsync(file.fileno())
-    except OSError as error:
-        raise ThermorenderError(
-            f"{path} cannot be written: {error.strerror}; make room and continue with --resume"
-        ) from None
 
 
 def _digest(*arrays):

@@ -7,7 +7,8 @@ import typer
 
 from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
-from thermorender.terminal import table
+from thermorender.files import check_new_folder, check_output_file
+from thermorender.terminal import output_option, table
 
 app = typer.Typer(help="Look at, check, import and join tables of surface materials.", no_args_is_help=True)
 
@@ -68,7 +69,12 @@ def show(
 @app.command()
 def plot(
     names: Annotated[list[str], typer.Argument(help="Materials, up to 8.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="PNG to write.")] = Path("materials.png"),
+    output: Annotated[
+        Path,
+        output_option(
+            "-o", "--output", help="PNG to write.", check=lambda path: check_output_file(path, (".png",))
+        ),
+    ] = Path("materials.png"),
     library: Library = None,
     band: Band = BAND,
     temperature: Kelvin = 300.0,
@@ -94,7 +100,7 @@ def check(path: Annotated[Path, typer.Argument(help="Materials folder, or one sp
 
 @app.command("import")
 def import_spectra(
-    into: Annotated[Path, typer.Option("--into", help="Materials folder to write to; made if absent.")],
+    into: Annotated[Path, output_option("--into", help="Materials folder to write to; made if absent.")],
     files: Annotated[
         list[Path] | None, typer.Argument(help="Spectra of one material, or folders with --selection.")
     ] = None,
@@ -167,7 +173,9 @@ def diff(
 def merge(
     first: Annotated[Path, typer.Argument(help="Materials folder.")],
     second: Annotated[Path, typer.Argument(help="Materials folder.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="New folder for both.")],
+    output: Annotated[
+        Path, output_option("-o", "--output", help="New folder for both.", check=check_new_folder)
+    ],
     prefer: Annotated[str | None, typer.Option(help="first or second: which wins a conflict.")] = None,
 ):
     """Join two libraries; materials they hold differently are refused unless --prefer says which wins."""

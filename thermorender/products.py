@@ -1,86 +1,19 @@
-"""Files of a frame: EXR, counts, display image, video; each written whole or not at all."""
+"""Files of a frame: EXR, counts, display image, video, and its record."""
 
 import json
-import os
-from contextlib import contextmanager, suppress
+from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
 from thermorender.errors import ThermorenderError
+from thermorender.files import atomic
 from thermorender.sensor.radiometric_files import write_tlinear
 from thermorender.sensor.radiometry import Operator, camera_constants, operator_temperature
 from thermorender.sensor.readout import radiance_from_counts
 
 DEFAULT = ("exr", "truth", "counts", "display", "video")
-
-
-@contextmanager
-def atomic(path):
-    """Give a temporary path beside `path`; it takes the final name only if the block ends without error.
-
-    Raises
-    ------
-    ThermorenderError
-        The file cannot be written (missing permission, full disk); nothing is left behind.
-    """
-    path = Path(path)
-    part = path.with_name(f".{path.stem}.part{path.suffix}")
-    try:
-        yield part
-        os.replace(part, path)
-    except (OSError, RuntimeError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise ThermorenderError(
-            f"{path} cannot be written: {reason}; check the folder, its permissions and the disk"
-        ) from error
-    finally:
-        with suppress(OSError):
-            part.unlink()
-
-
-@contextmanager
-def output_folder(path):
-    """Give a folder for output, made where it is missing; if the block fails with nothing written, it goes again."""
-    made = missing_folders(path)
-    try:
-        yield make_folder(path)
-    finally:
-        remove_empty(made)
-
-
-def missing_folders(path):
-    """Return which of a folder and those above it do not exist, the deepest first."""
-    path = Path(path)
-    return [folder for folder in (path, *path.parents) if not os.path.lexists(folder)]
-
-
-def remove_empty(folders):
-    """Remove those folders that are empty, in the order given."""
-    for folder in folders:
-        with suppress(OSError):
-            folder.rmdir()
-
-
-def make_folder(path):
-    """Create a folder for output, or raise a sentence saying why it cannot be written to."""
-    path = Path(path)
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ThermorenderError(
-            f"output folder {path} cannot be made: {error.strerror}; give a folder that can be written"
-        ) from None
-    if not os.access(path, os.W_OK):
-        raise ThermorenderError(f"output folder {path} cannot be written to: permission denied; give another folder")
-    return path
-
-
-def write_json(path, value):
-    """Write a value as indented JSON."""
-    with atomic(path) as part:
-        part.write_text(json.dumps(value, indent=2) + "\n", encoding="utf-8")
 
 
 def write_image(path, image):
@@ -264,10 +197,11 @@ def write_video(path, images, rate_hz):
                 *("-flags:v", "+bitexact", "-fflags", "+bitexact"),
             ],
         )
-        writer.send(None)
-        for image in images:
-            writer.send(_display(image, first.shape))
-        writer.close()
+        # Closed in any case: the encoder is a process of its own, which would write on.
+        with closing(writer):
+            writer.send(None)
+            for image in images:
+                writer.send(_display(image, first.shape))
 
 
 def _display(path, shape=None):

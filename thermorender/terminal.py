@@ -1,8 +1,22 @@
-"""What commands share at the terminal: a progress bar, a table, comma-separated options."""
+"""What commands share at the terminal: options for outputs, a progress bar, a table, comma-separated options."""
 
 from contextlib import contextmanager
+from pathlib import Path
 
 import typer
+
+from thermorender import files
+
+
+def output_option(*names, help, check=files.check_output_folder):
+    """Return a typer option for a path to write; `check` refuses one that cannot be written, before any work."""
+
+    def checked(path: Path):
+        if path is not None:
+            check(path)
+        return path
+
+    return typer.Option(*names, help=help, callback=checked)
 
 
 @contextmanager

@@ -5,15 +5,15 @@ from typing import Annotated
 
 import typer
 
-from thermorender import defaults
+from thermorender import defaults, files
 from thermorender.camera_cli import Base, Frames, Scale, parse_scale
 from thermorender.errors import ThermorenderError
 from thermorender.terminal import air as parse_air
-from thermorender.terminal import progress, split, table
+from thermorender.terminal import output_option, progress, split, table
 
 app = typer.Typer(help="Hold the renderer against references.", no_args_is_help=True)
 
-Out = Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")]
+Out = Annotated[Path, output_option("-o", "--output", help="Folder for the results.")]
 Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
 
 
@@ -40,7 +40,6 @@ def validate_emissivity(
     seeds: Annotated[str, typer.Option(help="Comma-separated seeds of procedural scenes not trained on.")] = "201,202",
 ):
     """Errors of a learned emissivity map on procedural scenes, beside simpler ways."""
-    from thermorender import products as files
     from thermorender.validate import emissivity as run
 
     if not all(part.isdigit() for part in split(seeds)) or not split(seeds):
@@ -61,7 +60,6 @@ def validate_air(
     device: Device = "auto",
 ):
     """What air costs a frame, and what its spectral channels leave wrong."""
-    from thermorender import products as files
     from thermorender.scene.load import load_scene
     from thermorender.validate import air as run
 
@@ -95,7 +93,6 @@ def validate_footage(
     device: Device = "auto",
 ):
     """Power spectra and noise of simulated frames beside those of real ones."""
-    from thermorender import products as files
     from thermorender.validate import sensor_statistics as run
 
     with progress() as tell, files.output_folder(output) as folder:

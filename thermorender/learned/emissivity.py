@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from thermorender import files
 from thermorender.errors import ThermorenderError
 from thermorender.learned.emissivity_features import HALO_TEXELS, NAMES, NEAR, features
 
@@ -239,7 +240,7 @@ def save_map(model, path):
     arrays = {"head": np.array(json.dumps(head)), "mean": model.mean, "scale": model.scale, "centres": model.centres}
     for number, (weight, bias) in enumerate(model.layers):
         arrays[f"weight{number}"], arrays[f"bias{number}"] = weight, bias
-    with open(path, "wb") as file:
+    with files.atomic(path) as part, open(part, "wb") as file:
         np.savez_compressed(file, **arrays)
 
 

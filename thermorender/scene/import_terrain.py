@@ -5,15 +5,13 @@ share, and thinned where they exceed the size limits. What is empty stays marked
 mesh, and the orthophoto's empty borders become its mask.
 """
 
-import os
-import shutil
 from pathlib import Path
 
 import numpy as np
 
 from thermorender import defaults
 from thermorender.errors import ThermorenderError
-from thermorender.products import missing_folders, remove_empty
+from thermorender.files import atomic_folder, check_new_folder, write_text
 from thermorender.scene.raster import Grid, bounds_in, grid_of, lon_lat, onto, read_colour
 from thermorender.scene.surface import scene_kelvin
 from thermorender.scene.terrain import read_elevation
@@ -67,10 +65,7 @@ def import_terrain(elevation, orthophoto, folder, max_vertices=DEFAULT_VERTICES,
     _finite("geoid_undulation_m", geoid_undulation_m)
     _finite("sky_temperature", sky_temperature)
     scene_kelvin("sky_temperature", sky_temperature)
-    # Resolved, so that "." has a name and a folder above it.
-    folder = Path(folder).resolve()
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise ThermorenderError(f"{folder} exists and is not empty; give a new folder for the scene")
+    check_new_folder(folder)
     if max_vertices < 4 or max_texels < 2:
         raise ThermorenderError(
             f"max_vertices={max_vertices}, max_texels={max_texels} leave nothing; give at least 4 and 2"
@@ -114,7 +109,7 @@ def import_terrain(elevation, orthophoto, folder, max_vertices=DEFAULT_VERTICES,
 
     text = toml_text(
         {
-            "title": folder.name,
+            "title": Path(folder).resolve().name,
             "terrain": {"elevation": "elevation.tif", "orthophoto": "orthophoto.tif",
                         "height_reference": height_reference, "geoid_undulation_m": geoid_undulation_m},
             "temperature": {"source": "learned", "model": model},
@@ -124,28 +119,10 @@ def import_terrain(elevation, orthophoto, folder, max_vertices=DEFAULT_VERTICES,
         },
         f"Made from {Path(elevation).name} and {Path(orthophoto).name}.",
     )  # fmt: skip
-    part = folder.with_name(f".{folder.name}.part")
-    made = missing_folders(folder.parent)
-    try:
-        part.mkdir(parents=True)
-    except OSError as error:
-        remove_empty(made)
-        left = f"remove {part}, which a stopped import left" if part.exists() else "give a folder that can be written"
-        raise ThermorenderError(f"{folder} cannot be made: {error.strerror}; {left}") from None
-    try:
+    with atomic_folder(folder) as part:
         _write(part / "elevation.tif", height[None].astype(np.float32), target, nodata=np.nan, predictor=3)
         _write(part / "orthophoto.tif", np.moveaxis(rgb, -1, 0), texels, predictor=2, photometric="RGB", mask=valid)
-        (part / "scene.toml").write_text(text, encoding="utf-8", newline="\n")
-        if folder.exists():
-            folder.rmdir()
-        os.replace(part, folder)
-    except OSError as error:
-        raise ThermorenderError(
-            f"{folder} cannot be written: {error.strerror or error}; give a folder with room to write"
-        ) from None
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
-        remove_empty(made)
+        write_text(part / "scene.toml", text)
     return {
         "crs": crs.to_string(),
         "posts": [target.height, target.width],

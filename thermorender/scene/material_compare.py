@@ -1,13 +1,11 @@
 """Two materials, or two libraries, held against each other in a camera's band; and two libraries made one."""
 
-import os
-import shutil
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
 from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
+from thermorender.files import atomic_folder, check_new_folder, read_text
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.scene.material_files import INDEX_COLUMNS, ROUGHNESS_COLUMN, read_table
 from thermorender.scene.material_store import store
@@ -118,17 +116,16 @@ def merge(first, second, output, prefer=None):
     first, second : path
         Folders with `index.csv` and `spectra/`.
     output : path
-        Folder to make; it must not exist.
+        Folder to make; it must not exist, or be empty.
     prefer : {None, "first", "second"}
 
     Raises
     ------
     ThermorenderError
-        There are conflicts and no winner, the output exists, or a library cannot be read. Nothing is written then.
+        There are conflicts and no winner, the output is in use, or a library cannot be read. Nothing is written then.
     """
     first, second, output = Path(first), Path(second), Path(output)
-    if output.exists():
-        raise ThermorenderError(f"{output} exists; give a new folder with -o")
+    check_new_folder(output)
     if prefer not in (None, "first", "second"):
         raise ThermorenderError(f"--prefer={prefer!r} is not allowed; give first or second")
     libraries = [read_library(folder) for folder in (first, second)]
@@ -142,20 +139,13 @@ def merge(first, second, output, prefer=None):
     taken = dict.fromkeys(libraries[0], 0) | {
         name: 1 for name in libraries[1] if name not in libraries[0] or (name in differing and prefer == "second")
     }
-    output.parent.mkdir(parents=True, exist_ok=True)
-    scratch = Path(tempfile.mkdtemp(prefix=f".{output.name}-", dir=output.parent))
-    try:
+    with atomic_folder(output) as scratch:
         for number, folder in enumerate((first, second)):
             for _, cells in read_table(folder / "index.csv", INDEX_COLUMNS, folder):
                 if taken[cells["name"]] == number:
-                    table = (folder / "spectra" / f"{cells['name']}.csv").read_text(encoding="utf-8-sig")
+                    table = read_text(folder / "spectra" / f"{cells['name']}.csv")
                     row = {key: cells[key] for key in (*INDEX_COLUMNS, ROUGHNESS_COLUMN) if key in cells}
                     store(row, table, scratch)
-        scratch.chmod(0o755)
-        os.rename(scratch, output)
-    except BaseException:
-        shutil.rmtree(scratch, ignore_errors=True)
-        raise
     chosen = [[name for name in taken if taken[name] == number] for number in (0, 1)]
     return *chosen, differing
 

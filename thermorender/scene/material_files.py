@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from thermorender import files
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.physics import fresnel
 
@@ -50,15 +51,7 @@ def read_text(path, directory=None):
         raise ThermorenderError(
             f"{path} does not exist; a materials folder holds index.csv and spectra/<name>.csv"
         )
-    try:
-        # utf-8-sig: spreadsheets put a byte order mark first.
-        return path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise ThermorenderError(
-            f"{path} is not UTF-8 text ({error.reason}); save it as 'CSV UTF-8' in the spreadsheet"
-        ) from error
-    except OSError as error:
-        raise ThermorenderError(f"{path} cannot be read ({error.strerror}); mend its permissions") from error
+    return files.read_text(path, "'CSV UTF-8' in the spreadsheet")
 
 
 def read_table(path, columns, directory=None):

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from thermorender import files
 from thermorender.errors import ThermorenderError
 from thermorender.learned.emissivity import load_map, map_materials
 from thermorender.learned.emissivity_features import lab
@@ -137,7 +138,10 @@ def write_map(folder, output, model="procedural", fallback="soil_loam", confiden
         for name, end in (("classes", ".tif"), ("probabilities", ".tif"), ("confidence", ".tif"),
                           ("materials", ".png"), ("emissivity", ".toml"))
     }  # fmt: skip
-    with rasterio.open(paths["probabilities"], "w", count=len(model.materials), **profile) as file:
+    with (
+        files.atomic(paths["probabilities"]) as part,
+        rasterio.open(part, "w", count=len(model.materials), **profile) as file,
+    ):
         file.descriptions = model.materials
         file.scales = (1.0 / 255.0,) * len(model.materials)
 
@@ -150,10 +154,10 @@ def write_map(folder, output, model="procedural", fallback="soil_loam", confiden
     classes = np.where(unknown, UNKNOWN_CLASS, mapped.index[..., 0] + 1)
     classes = np.where(valid, classes, 0).astype(np.uint8)
     colours = _legend_colours({n: library[name] for n, name in enumerate(model.materials, 1) if name in library})
-    with rasterio.open(paths["classes"], "w", count=1, **profile) as file:
+    with files.atomic(paths["classes"]) as part, rasterio.open(part, "w", count=1, **profile) as file:
         file.write(classes, 1)
         file.write_colormap(1, {0: (0, 0, 0, 0), UNKNOWN_CLASS: _UNKNOWN_COLOUR, **colours})
-    with rasterio.open(paths["confidence"], "w", count=1, **profile) as file:
+    with files.atomic(paths["confidence"]) as part, rasterio.open(part, "w", count=1, **profile) as file:
         file.write(np.where(valid, np.rint(255.0 * mapped.confidence), 0).astype(np.uint8), 1)
         file.scales = (1.0 / 255.0,)
     present = [int(value) for value in np.unique(classes[classes > 0])]
@@ -161,7 +165,7 @@ def write_map(folder, output, model="procedural", fallback="soil_loam", confiden
     lines = ["[emissivity]", 'source = "classes"', 'raster = "classes.tif"', "", "[emissivity.classes]"]
     for value in sorted({*present, *range(1, len(model.materials) + 1), UNKNOWN_CLASS}):
         lines.append(f'{value} = "{names[value]}"' + ("  # unknown" if value == UNKNOWN_CLASS else ""))
-    paths["emissivity"].write_text("\n".join(lines) + "\n", encoding="utf-8")
+    files.write_text(paths["emissivity"], "\n".join(lines) + "\n")
     share = np.bincount(classes.ravel(), minlength=256) / max(valid.sum(), 1)
     shown = {value: ("unknown" if value == UNKNOWN_CLASS else names[value], share[value]) for value in present}
     _picture(paths["materials"], np.where(valid[..., None], rgb, 255), classes, shown, colours)
@@ -208,4 +212,5 @@ def _picture(path, rgb, classes, shown, colours):
     order = sorted(shown, key=lambda value: -shown[value][1])
     patches = [Patch(color=table[value] / 255.0, label="{} {:.1%}".format(*shown[value])) for value in order]
     figure.legend(handles=patches, loc="outside right center", frameon=False)
-    figure.savefig(path, dpi=110)
+    with files.atomic(path) as part:
+        figure.savefig(part, dpi=110)

@@ -6,6 +6,7 @@ import numpy as np
 
 from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
+from thermorender.files import atomic, check_output_file
 
 # What cameras of the long-wave infrared see: drawn even where a table reaches further.
 DRAWN_UM = (7.0, 14.0)
@@ -41,8 +42,7 @@ def plot(materials, path, band_um=BAND_UM, temperature=300.0):
         raise ThermorenderError(
             f"{len(materials)} materials cannot be told apart in one plot; give 1 to {MOST_MATERIALS}"
         )
-    if path.suffix.lower() != ".png":
-        raise ThermorenderError(f"{path} is not a PNG; give a name that ends in .png")
+    check_output_file(path, (".png",))
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -86,7 +86,8 @@ def plot(materials, path, band_um=BAND_UM, temperature=300.0):
                     title="by direction")  # fmt: skip
         axes[1].set_xticks(range(0, 91, 15))
         axes[1].grid(alpha=0.3)
-    figure.savefig(path, dpi=120)
+    with atomic(path) as part:
+        figure.savefig(part, dpi=120)
     return path
 
 

@@ -2,13 +2,13 @@
 
 import csv
 import io
-import os
 import tempfile
 from pathlib import Path
 
 import numpy as np
 
 from thermorender.errors import ThermorenderError
+from thermorender.files import atomic, write_text
 from thermorender.scene.material_files import (
     INDEX_COLUMNS,
     INDEX_OF_REFRACTION_COLUMNS,
@@ -118,27 +118,17 @@ def _refuse_existing(directory, name, replace):
 def _write_both(directory, index, name, spectrum):
     """Replace the table and the index of a folder; a failure of the second undoes the first."""
     table = directory / "spectra" / f"{name}.csv"
-    table.parent.mkdir(parents=True, exist_ok=True)
     before = table.read_bytes() if table.exists() else None
-    _replace(table, spectrum.encode())
+    write_text(table, spectrum)
     try:
-        _replace(directory / "index.csv", index.encode())
+        write_text(directory / "index.csv", index)
     except BaseException:
         if before is None:
             table.unlink()
         else:
-            _replace(table, before)
+            with atomic(table) as part:
+                part.write_bytes(before)
         raise
-
-
-def _replace(path, content):
-    """Write a file beside its place and move it there, so that no reader meets half of it."""
-    aside = path.with_name(path.name + ".part")
-    try:
-        aside.write_bytes(content)
-        os.replace(aside, path)
-    finally:
-        aside.unlink(missing_ok=True)
 
 
 def _index_text(rows):

@@ -13,6 +13,7 @@ import numpy as np
 
 from thermorender import defaults
 from thermorender.errors import ThermorenderError
+from thermorender.files import atomic, check_output_file
 from thermorender.physics.planck import band_radiance_derivative
 from thermorender.schema import toml_line, toml_value
 from thermorender.sensor.camera import load_camera, model_path
@@ -125,11 +126,7 @@ def write_camera(path, base, estimates):
     ThermorenderError
         A name that does not end in .toml, or a file that cannot be written.
     """
-    from thermorender.products import atomic
-
-    path = Path(path)
-    if path.suffix != ".toml":
-        raise ThermorenderError(f"{path} is no name of a camera file; give one that ends in .toml")
+    check_output_file(path, (".toml",))
     text = model_path(base).read_text(encoding="utf-8")
     text = f"# Fitted to footage; keys without such a note are those of {model_path(base).stem}.\n" + text
     for key, estimate in estimates.items():

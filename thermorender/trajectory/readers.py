@@ -55,6 +55,7 @@ def read_trajectory(
     clock_offset_s=0.0,
     mount=None,
     lever_arm_m=(0.0, 0.0, 0.0),
+    duplicates="refuse",
 ):
     """Return the camera's `Trajectory` in the scene's frame from one or several CSV files of a flight.
 
@@ -84,6 +85,9 @@ def read_trajectory(
         the upper edge.
     lever_arm_m : (3,)
         The camera's place in the vehicle's body: forward, right, down [m].
+    duplicates : {"refuse", "spread", "first"}
+        What becomes of different rows of one time, such as two images within a second of a clock that shows seconds:
+        see `tables.read_log`.
 
     Raises
     ------
@@ -94,7 +98,7 @@ def read_trajectory(
     paths = [paths] if isinstance(paths, (str, Path)) else list(paths)
     if not paths:
         raise ThermorenderError("paths is empty; give at least one CSV file")
-    logs = _with_constants([read_log(path, mapping) for path in paths], mapping)
+    logs = _with_constants([read_log(path, mapping, duplicates) for path in paths], mapping)
     if mapping.stamps:
         # Simulations count from the start of the flight, not from 1970; all files share that zero.
         zero = min(log.time_s[0] for log in logs)

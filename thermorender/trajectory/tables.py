@@ -17,6 +17,10 @@ from thermorender.trajectory.mapping import QUANTITIES, Quantity, fitting_format
 _OTHER_UNITS = ("rad", "mm", "cm", "km", "ft", "feet", "ms", "us", "ns", "m", "deg", "s")
 
 
+# What may become of different rows of one time.
+DUPLICATES = ("refuse", "spread", "first")
+
+
 @dataclass(frozen=True, eq=False)
 class Log:
     """One file's `values` by our names; for messages its own `columns` and each sample's spreadsheet row."""
@@ -42,38 +46,57 @@ class Log:
             )
 
 
-def read_log(path, mapping):
+def read_log(path, mapping, duplicates="refuse"):
     """Return the `Log` of a CSV file: every mapped quantity it holds, finite, on strictly increasing time.
 
     Rows equal to the row before them in every cell are dropped: loggers write a record twice.
+
+    Parameters
+    ----------
+    path : path
+    mapping : Mapping
+    duplicates : {"refuse", "spread", "first"}
+        What becomes of different rows of one time: they are refused, set apart evenly within the last digit that the
+        log's clock shows, or all but the first of them dropped.
 
     Raises
     ------
     ThermorenderError
         The file is missing, empty or without rows; a cell is missing, not a number, NaN or infinite; time
-        runs backwards or stands still.
+        runs backwards, or stands still and `duplicates` refuses that.
     """
+    if duplicates not in DUPLICATES:
+        raise ThermorenderError(f"duplicates={duplicates!r} is unknown; give one of {', '.join(DUPLICATES)}")
     header, rows, numbers = _read_cells(path)
     quantities = mapping.quantities or {name: Quantity(name) for name in QUANTITIES}
     if not mapping.quantities:
         _refuse_near_misses(path, header)
-    time_name = mapping.time.column or mapping.stamps[0]["column"]
-    time_s = (
-        _stamps(path, header, rows, numbers, mapping)
-        if mapping.stamps
-        else _numeric(path, header, rows, numbers, mapping.time)
-    )
+    if mapping.stamps:
+        time_name, written, time_s = _stamps(path, header, rows, numbers, mapping)
+    else:
+        time_name, time_s = mapping.time.column, _numeric(path, header, rows, numbers, mapping.time)
+        written = _cells(path, header, rows, time_name)
     order = np.argsort(time_s, kind="stable") if mapping.sort_by_time else np.arange(len(rows))
     keep = [k for j, k in enumerate(order) if j == 0 or rows[k] != rows[order[j - 1]]]
+    if duplicates == "first":
+        keep = [k for j, k in enumerate(keep) if j == 0 or time_s[k] != time_s[keep[j - 1]]]
     rows, numbers, time_s = [rows[k] for k in keep], np.array([numbers[k] for k in keep]), time_s[keep]
     step = np.diff(time_s)
-    if (step <= 0.0).any():
-        k = int(np.argmax(step <= 0.0))
+    wrong = step < 0.0 if duplicates == "spread" else step <= 0.0
+    if wrong.any():
+        k = int(np.argmax(wrong))
+        where = f"{path}, row {numbers[k + 1]}, column {time_name!r}: {written[keep[k + 1]].strip()!r} follows"
+        if step[k] < 0.0:
+            raise ThermorenderError(
+                f"{where} {written[keep[k]].strip()!r} in row {numbers[k]}: time is running backwards, and must "
+                "strictly increase"
+            )
         raise ThermorenderError(
-            f"{path}, row {numbers[k + 1]}, column {time_name!r}: {time_s[k + 1]:.9g} s follows "
-            f"{time_s[k]:.9g} s in row {numbers[k]}: time is running backwards or standing still, and must "
-            "strictly increase"
+            f"{where} the same time in row {numbers[k]}, but time must strictly increase; give --duplicates spread, "
+            "which sets them apart within the clock's last digit, or --duplicates first, which drops the others"
         )
+    if duplicates == "spread":
+        time_s = _spread(time_s)
     values, columns = {}, {}
     for name, quantity in quantities.items():
         if quantity.column is not None and quantity.column in header:
@@ -149,8 +172,17 @@ def _is_finite_number(cell):
         return False
 
 
+def _spread(time_s):
+    """Times (N,) [s] that do not decrease, equal ones set apart evenly within the last digit that all of them need."""
+    scaled = (np.round(time_s * 10**digits) / 10**digits for digits in range(6))
+    digits = next((k for k, rounded in enumerate(scaled) if np.allclose(rounded, time_s, rtol=0.0, atol=1e-6)), 6)
+    _, first, count = np.unique(time_s, return_index=True, return_counts=True)
+    rank = np.arange(time_s.size) - np.repeat(first, count)
+    return time_s + 10.0**-digits * rank / np.repeat(count, count)
+
+
 def _stamps(path, header, rows, numbers, mapping):
-    """Seconds since 1970 of the first stamp column that is filled in every row."""
+    """The first stamp column that is filled in every row, its times as written, and in seconds since 1970."""
     names = [stamp["column"] for stamp in mapping.stamps]
     for stamp in mapping.stamps:
         if stamp["column"] not in header:
@@ -159,17 +191,12 @@ def _stamps(path, header, rows, numbers, mapping):
         if not all(cell.strip() for cell in cells):
             continue
         fractions = _cells(path, header, rows, stamp["fraction"]) if "fraction" in stamp else [""] * len(rows)
-        return np.array(
-            [
-                _seconds(
-                    f"{path}, row {number}, column {stamp['column']!r}",
-                    cell.strip(),
-                    stamp["pattern"],
-                    part.strip(),
-                )
-                for number, cell, part in zip(numbers, cells, fractions, strict=True)
-            ]
-        )
+        seconds = [
+            _seconds(f"{path}, row {number}, column {stamp['column']!r}", cell.strip(), stamp["pattern"], part.strip())
+            for number, cell, part in zip(numbers, cells, fractions, strict=True)
+        ]
+        written = [f"{cell.strip()}.{part.strip()}".rstrip(".") for cell, part in zip(cells, fractions, strict=True)]
+        return stamp["column"], written, np.array(seconds)
     raise ThermorenderError(
         f"{path}: no time: of the columns {', '.join(names)} none is there and filled in every row"
         + fitting_formats(header)

@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 
-from thermorender import products
+from thermorender import files
 from thermorender.render.renderer import Renderer
 from thermorender.validate.bench import machine, views
 from thermorender.validate.metrics import rms_mk
@@ -115,6 +115,6 @@ def figure(result, path):
              title=f"{result['scene']}, {', '.join(result['air'])}: channels at each point")  # fmt: skip
     axis.grid(True, which="both", lw=0.3, color="0.85")
     axis.legend(fontsize=8)
-    with products.atomic(path) as part:
+    with files.atomic(path) as part:
         drawing.savefig(part, dpi=90)
     pyplot.close(drawing)

@@ -11,8 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from thermorender import defaults
-from thermorender import products as product_files
+from thermorender import defaults, files
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
 from thermorender.learned.correlation import load_model
@@ -108,7 +107,7 @@ def compare(scene, trajectory, folder, models, rate_hz=1.0, range_c=None, progre
     truth = scene.with_temperature(scene.truth_temperature_spec)
     times = trajectory.frame_times(rate_hz)
     poses = trajectory.sampled(times).poses()
-    folder = product_files.make_folder(folder)
+    folder = files.make_folder(folder)
     reference = Renderer(truth, progress=progress, **settings)
     arms, reports = [], {}
     for model in maps:
@@ -148,7 +147,7 @@ def compare(scene, trajectory, folder, models, rate_hz=1.0, range_c=None, progre
         "errors": {**{arm.name: arm.errors.summary() for arm in arms}, "constant": constant.summary()},
         "versions": versions(),
     }
-    product_files.write_json(folder / "comparison.json", summary)
+    files.write_json(folder / "comparison.json", summary)
     return summary
 
 
@@ -183,6 +182,6 @@ def _picture(path, visible, reference, name, pictures, time_s):
             axes[row, 2].set_title(f"error: mean {finite.mean():+.2f}, std {finite.std():.2f} °C")
     for axis in axes.ravel():
         axis.set_axis_off()
-    with product_files.atomic(path) as part:
+    with files.atomic(path) as part:
         figure.savefig(part, dpi=80)
     pyplot.close(figure)

@@ -15,7 +15,7 @@ from math import inf
 
 import numpy as np
 
-from thermorender import defaults, products
+from thermorender import defaults, files
 from thermorender.errors import ThermorenderError
 from thermorender.render import reference
 from thermorender.render.plan import QUALITIES
@@ -129,8 +129,8 @@ def convergence(scenes=defaults.SCENES, folder="validation", progress=None, mode
     if isinstance(mode, str) and mode not in MODES:
         raise ThermorenderError(f"mode={mode!r} is unknown; give one of {', '.join(MODES)}")
     mode = MODES[mode] if isinstance(mode, str) else mode
-    folder = products.make_folder(folder)
-    figures = products.make_folder(folder / "figures")
+    folder = files.make_folder(folder)
+    figures = files.make_folder(folder / "figures")
     path = folder / "convergence.json"
     # Through JSON once, so that it equals what is read back.
     settings = json.loads(json.dumps({**asdict(mode), "device": device}))
@@ -144,7 +144,7 @@ def convergence(scenes=defaults.SCENES, folder="validation", progress=None, mode
         if name not in kept:
             kept[name] = measure()
             record = {"settings": settings, "machine": bench.machine(), "versions": bench.versions(), "cases": kept}
-            products.write_json(path, record)
+            files.write_json(path, record)
         if site and (number + 1 == len(jobs) or jobs[number + 1][0] is not site):
             convergence_report.figure(figures / f"convergence_{site.scene.name}.png", kept, site.scene)
             site.forget()

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from thermorender import products
+from thermorender import files
 
 _COLUMNS = ("engine", "setting", "frame [s]", "error [mK]", "range [mK]", "after lens [mK]", "sampling [mK]",
             "budget [mK]", "bake [s]")  # fmt: skip
@@ -58,8 +58,7 @@ def table(path, cases, settings):
         for record in cases.values()
         if record["scene"] == "cavity"
     ]
-    with products.atomic(path) as part:
-        part.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    files.write_text(path, "\n".join(lines) + "\n")
 
 
 def _text(value):
@@ -94,7 +93,7 @@ def figure(path, cases, scene):
                       transform=axis.get_yaxis_transform())  # fmt: skip
             if axis.get_legend_handles_labels()[0]:
                 axis.legend(fontsize=8)
-    with products.atomic(path) as part:
+    with files.atomic(path) as part:
         drawing.savefig(part, dpi=80)
     pyplot.close(drawing)
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
+from thermorender.files import atomic
 from thermorender.learned.emissivity import load_map, map_materials
 from thermorender.learned.emissivity_features import lab
 from thermorender.physics.band import RadianceTable, quadrature
@@ -193,7 +194,7 @@ def write_confusion(result, path):
     """Write the confusion table as CSV: rows the true material, columns the mapped one, in texels."""
     import csv
 
-    with open(path, "w", newline="", encoding="utf-8") as file:
+    with atomic(path) as part, open(part, "w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
         table.writerow(["true material", *result["materials"], "unknown", "share right"])
         for name, row in zip(result["materials"], result["confusion"], strict=True):

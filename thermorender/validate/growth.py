@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from thermorender import products
+from thermorender import files
 from thermorender.validate import bench
 from thermorender.validate.metrics import cache_off
 from thermorender.versions import versions
@@ -41,7 +41,7 @@ def hold(folder, axes=AXES, base=BASE, progress=None, device="auto"):
         Called with (what, share done).
     device : {"auto", "cpu", "cuda"}
     """
-    folder = products.make_folder(folder)
+    folder = files.make_folder(folder)
     path = folder / "growth.json"
     kept = json.loads(path.read_text(encoding="utf-8"))["cases"] if path.is_file() else {}
     names = tuple(AXES)
@@ -58,7 +58,7 @@ def hold(folder, axes=AXES, base=BASE, progress=None, device="auto"):
         with ProcessPoolExecutor(1, context) as pool:
             kept[name] = {"varied": axis, **case, **pool.submit(_measure, *case.values(), device).result()}
         record = {"machine": bench.machine(), "versions": versions(), "rays": RAYS, "cases": kept}
-        products.write_json(path, record)
+        files.write_json(path, record)
         figure(kept, folder / "growth.png")
     if progress:
         progress("measured", 1.0)
@@ -125,6 +125,6 @@ def figure(cases, path):
             place.set(xscale="log", yscale="log", xlabel=axis + (" along a side" if axis == "texels" else ""),
                       ylabel=label)  # fmt: skip
             place.grid(True, which="both", lw=0.3, color="0.85")
-    with products.atomic(path) as part:
+    with files.atomic(path) as part:
         drawing.savefig(part, dpi=80)
     pyplot.close(drawing)

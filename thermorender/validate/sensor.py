@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from thermorender import defaults, products
+from thermorender import defaults, files
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
@@ -86,8 +86,8 @@ def sensor(folder, scene=defaults.SCENE, flights=tuple(FLIGHTS), device="auto", 
         "blur": _blur(renderer, loaded.camera),
         "chain": _chain(renderer, of),
     }
-    with products.output_folder(folder) as folder:
-        products.write_json(folder / "sensor.json", result)
+    with files.output_folder(folder) as folder:
+        files.write_json(folder / "sensor.json", result)
         table(folder / "sensor.md", result)
         figure(folder / "sensor.png", result)
         pictures(folder / "effects.png", _effects(renderer, of, seen))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from thermorender import products
+from thermorender import files
 
 _LAG = ("allowed to instants [mK]", "motion between renders [px]", "instants", "renders", "time [ms]",
         "smooth pixels [mK]", "all pixels [mK]", "estimate [mK]")  # fmt: skip
@@ -52,8 +52,7 @@ def table(path, result):
         if (record["fine"], record["coarse"]) == (7, 5):
             cells = [f"**{cell}**" for cell in cells]
         lines.append(f"| {' | '.join(cells)} |")
-    with products.atomic(path) as part:
-        part.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    files.write_text(path, "\n".join(lines) + "\n")
 
 
 def figure(path, result):
@@ -99,7 +98,7 @@ def figure(path, result):
         axis.xaxis.set_minor_formatter(NullFormatter())
         axis.grid(True, which="both", lw=0.3, color="0.85")
         axis.legend(fontsize=6)
-    with products.atomic(path) as part:
+    with files.atomic(path) as part:
         drawing.savefig(part, dpi=72)
     pyplot.close(drawing)
 
@@ -115,7 +114,7 @@ def pictures(path, images):
         drawing.colorbar(drawn, ax=axis, shrink=0.75)
     for axis in axes.ravel()[len(images) :]:
         axis.axis("off")
-    with products.atomic(path) as part:
+    with files.atomic(path) as part:
         drawing.savefig(part, dpi=45)
     pyplot.close(drawing)
 

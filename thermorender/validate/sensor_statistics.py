@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from thermorender import defaults, products
+from thermorender import defaults, files
 from thermorender.physics.band import RadianceTable
 from thermorender.physics.planck import band_radiance
 from thermorender.sensor.calibration import fit_camera, frame_files, noise_scale, read_frame, write_camera
@@ -51,12 +51,12 @@ def compare(paths, output, base=defaults.CAMERA, scale=None, scene=defaults.SCEN
         Of the Renderer.
     """
     tell = tell or (lambda what, share: None)
-    camera, files = load_camera(base, "base camera"), frame_files(paths)
+    camera, frames = load_camera(base, "base camera"), frame_files(paths)
     found = fit_camera(paths, base, scale, lambda share: tell("reading the footage", share))
     fitted_path = Path(output) / f"{name}.toml"
     write_camera(fitted_path, base, found)
     sides = {
-        "real": (read_frame(path, scale)[0] for path in files),
+        "real": (read_frame(path, scale)[0] for path in frames),
         "simulated, as the file has it": None,
         "simulated, fitted": None,
     }
@@ -66,7 +66,7 @@ def compare(paths, output, base=defaults.CAMERA, scale=None, scene=defaults.SCEN
     told = {side: _statistics(images, camera) for side, images in sides.items()}
     estimates = {key: asdict(estimate) for key, estimate in found.items()}
     result = {"camera": camera.name, "scene": scene, "estimates": estimates, "sides": told}
-    products.write_json(Path(output) / f"{name}.json", result)
+    files.write_json(Path(output) / f"{name}.json", result)
     _figure(Path(output) / f"{name}.png", told, name)
     return result
 
@@ -206,5 +206,5 @@ def _figure(path, sides, title):
     for axes in (spectrum, lines, parts, field):
         axes.legend(fontsize=8)
         axes.grid(alpha=0.3)
-    with products.atomic(path) as part:
+    with files.atomic(path) as part:
         figure.savefig(part, dpi=90, metadata={"Software": None})

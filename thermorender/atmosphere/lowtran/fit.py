@@ -11,6 +11,7 @@ from thermorender.atmosphere import absorbers
 from thermorender.atmosphere.lowtran import program, spectra
 from thermorender.atmosphere.model import REFERENCE_K
 from thermorender.defaults import BAND_UM
+from thermorender.files import atomic
 from thermorender.physics.planck import C2, band_radiance_derivative
 
 # Numbers of terms in `spectra.SUB_BANDS`.
@@ -166,7 +167,7 @@ def make_table(path, terms=TERMS):
         "gas": np.float32(gas),
         "extinction": np.float32(haze),
     }
-    with open(path, "wb") as file:
+    with atomic(path) as part, open(part, "wb") as file:
         np.savez_compressed(file, **table)
     return error
 

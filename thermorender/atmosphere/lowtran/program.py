@@ -15,7 +15,6 @@ profiles with 16 digits; LOWTRAN's own TAPE7 keeps three. Its habits that matter
 import atexit
 import hashlib
 import importlib.util
-import os
 import shutil
 import subprocess
 import tempfile
@@ -27,6 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
+from thermorender import files
 from thermorender.errors import ThermorenderError
 
 MODELS = {
@@ -230,9 +230,8 @@ def _compiled(text):
 
 
 def cache_folder():
-    """Return the user's folder for weathers: $THERMORENDER_CACHE or ~/.cache/thermorender."""
-    chosen = os.environ.get("THERMORENDER_CACHE") or os.environ.get("XDG_CACHE_HOME", "~/.cache") + "/thermorender"
-    return Path(chosen).expanduser()
+    """Return the user's folder for weathers."""
+    return files.cache_folder("lowtran")
 
 
 def cached(key, make):
@@ -242,11 +241,8 @@ def cached(key, make):
     with suppress(OSError, ValueError, EOFError), open(stored, "rb") as file:
         return np.load(file, allow_pickle=False)
     result = make()
-    stored.parent.mkdir(parents=True, exist_ok=True)
-    # Complete before it has its name, so that an interruption leaves nothing half written.
-    with tempfile.NamedTemporaryFile(dir=stored.parent, delete=False) as file:
-        np.save(file, result)
-    os.replace(file.name, stored)
+    with files.atomic(stored) as part:
+        np.save(part, result)
     return result
 
 

@@ -16,6 +16,7 @@ from thermorender.atmosphere.lowtran.spectra import (
     run_all,
     standard_levels,
 )
+from thermorender.files import atomic
 from thermorender.physics.planck import spectral_radiance
 
 # LOWTRAN evaluates the water continuum at the mean temperature of a layer, which in its standard layers of 1 km is
@@ -130,7 +131,7 @@ def make_reference(path, per_case=6, seed=2024):
         for band, numbers in enumerate(found.values()):
             value[number, band, : len(numbers)] = numbers
     case = np.repeat(np.array(cases), per_case, axis=0)
-    with open(path, "wb") as file:
+    with atomic(path) as part, open(part, "wb") as file:
         np.savez_compressed(
             file, case=np.int8(case[:, :2]), offset=case[:, 2:], path=np.float32(paths), value=np.float32(value)
         )

@@ -6,10 +6,8 @@ fewer of LOWTRAN7's paths than the shipped table has seen, and holds each agains
 """
 
 import io
-import json
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 
@@ -18,6 +16,7 @@ from thermorender.atmosphere.model import Atmosphere
 from thermorender.atmosphere.rays import EARTH_RADIUS_M
 from thermorender.atmosphere.tables import read_table
 from thermorender.defaults import BAND_UM
+from thermorender.files import atomic, make_folder, write_json
 from thermorender.physics.planck import band_radiance_derivative, brightness_temperature
 
 TERMS = ((1,) * 8, (2,) * 8, (3, 3, 3, 3, 3, 3, 2, 2), fit.TERMS, (5, 7, 8, 8, 7, 8, 4, 4))
@@ -51,10 +50,9 @@ def study(reference, folder, terms=TERMS, per_model=60, per_offset=12):
         table = read_table() | fit.node_table(weight, tilt, absorption, numbers)
         table["aerosol_factor"] = np.float32(fit.aerosol_factors(runs, weight, absorption, numbers))
         cases.append({**held(table, reference), "terms": list(numbers)})
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
+    folder = make_folder(folder)
     record = {"band_um": BAND_UM, "fitted_to": len(paths), "cases": cases}
-    (folder / "terms.json").write_text(json.dumps(record, indent=2))
+    write_json(folder / "terms.json", record)
     _figure(cases, folder / "terms.png")
     return cases
 
@@ -115,7 +113,8 @@ def _figure(cases, path):
              title="Absorption terms of the air, 7.5–13.5 µm, held-out LOWTRAN7 lines of sight")  # fmt: skip
     axis.grid(True, which="both", lw=0.3, color="0.85")
     axis.legend(fontsize=8)
-    drawing.savefig(path, dpi=90)
+    with atomic(path) as part:
+        drawing.savefig(part, dpi=90)
     pyplot.close(drawing)
 
 

@@ -1,44 +1,32 @@
 """Traced light kept on disk, so that a scene is traced once and not once per process.
 
 A file's name is a hash of all that its content depends on; a scene that changes has another name. A file is written
-under a temporary name and renamed when complete, so neither an interruption nor another process leaves half a
-file; a checksum tells what is damaged, and what is damaged is traced again. Only the speed depends on the cache:
-without a usable folder everything works, and the reason is handed to the caller to be shown.
+whole or not at all, and a checksum tells what is damaged; what is damaged is traced again. Only files of such names in
+the cache's own folder for light are ever removed. Only the speed depends on the cache: without a usable folder
+everything works, and the reason is handed to the caller to be shown.
 """
 
 import hashlib
 import os
-import sys
-import tempfile
-import time
+import re
+from contextlib import suppress
 from dataclasses import fields
-from pathlib import Path
 
 import numpy as np
 
+from thermorender import files
+from thermorender.errors import ThermorenderError
 from thermorender.render.light import radiosity
 
 # Bytes that all files together may take; the longest unused go first.
 LIMIT = 4 << 30
 # A scene of fewer rays is traced in about the time that reading a file takes.
 WORTH_RAYS = 1 << 22
+# What a file is called, without its suffix: the hash of `key`.
+_NAME = r"[0-9a-f]{40}"
 # A temporary file this old [s] is left over from a process that was killed.
 _STALE_S = 3600.0
 _ARRAYS = tuple(field.name for field in fields(radiosity.Transport) if field.name != "rays")
-
-
-def folder():
-    """Return the cache's folder: $THERMORENDER_CACHE, else the user's cache folder of this platform."""
-    chosen = os.environ.get("THERMORENDER_CACHE")
-    if chosen:
-        return Path(chosen).expanduser()
-    if sys.platform == "win32":
-        base = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
-    elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Caches"
-    else:
-        base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "thermorender"
 
 
 def traced(geometry, rays, progress=None, seed=0):
@@ -72,7 +60,7 @@ def key(geometry, rays, seed=0):
 def load(name):
     """Return the Transport stored under `name`, or None where there is none that is whole."""
     try:
-        path = folder() / f"{name}.npz"
+        path = files.cache_folder("light") / f"{name}.npz"
         # Opened here, because NumPy leaves a file open that it cannot read.
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:
             found = {which: stored[which] for which in ("rays", *_ARRAYS, "checksum")}
@@ -105,60 +93,39 @@ def store(name, transport, limit=None):
     size = sum(values.nbytes for values in arrays.values())
     if size > limit:
         return f"traced light is not kept: its {size / 1e9:.2g} GB are more than the {limit / 1e9:.2g} GB of the cache"
-    place, temporary = "the cache folder", None
+    place = "the cache folder"
     try:
-        place = folder()
-        place.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(prefix=name, suffix=".part", dir=place)
-        with os.fdopen(handle, "wb") as file:
-            np.savez(file, rays=transport.rays, checksum=_checksum(name, transport), **arrays)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, place / f"{name}.npz")
-        temporary = None
+        place = files.cache_folder("light")
+        with files.atomic(place / f"{name}.npz") as part:
+            np.savez(part, rays=transport.rays, checksum=_checksum(name, transport), **arrays)
         _trim(place, limit, keep=f"{name}.npz")
-    except (OSError, RuntimeError) as error:
+    except (OSError, RuntimeError, ThermorenderError) as error:
         # RuntimeError: there is no home folder.
-        why = getattr(error, "strerror", None) or error
+        why = error.__cause__ or error
         return (
-            f"traced light is not kept: {place} cannot be written ({why}); "
+            f"traced light is not kept: {place} cannot be written ({getattr(why, 'strerror', None) or why}); "
             "set THERMORENDER_CACHE to a folder that can"
         )
-    finally:
-        # Not only after an error: an interruption passes here too.
-        if temporary is not None:
-            _remove(Path(temporary))
     return None
 
 
 def _trim(place, limit, keep):
     """Remove the longest unused files until all take at most `limit` bytes, and what killed processes left."""
-    files = []
+    kept = []
     for path in place.iterdir():
-        try:
-            status = path.stat()
-        except OSError:
-            continue
-        if path.suffix == ".part" and time.time() - status.st_mtime > _STALE_S:
-            _remove(path)
-        elif path.suffix == ".npz" and path.name != keep:
-            files.append((status.st_mtime, status.st_size, path))
-        elif path.name == keep:
-            limit -= status.st_size
-    total = sum(size for _, size, _ in files)
-    for _, size, path in sorted(files):
-        if total <= limit:
+        if re.fullmatch(rf"{_NAME}\.npz", path.name):
+            with suppress(OSError):
+                status = path.stat()
+                kept.append((path.name == keep, status.st_mtime, status.st_size, path))
+    total = sum(size for _, _, size, _ in kept)
+    for newest, _, size, path in sorted(kept):
+        if newest or total <= limit:
             break
-        _remove(path)
+        # Where another process was faster, or holds it open, the next one removes it.
+        with suppress(OSError):
+            path.unlink()
         total -= size
-
-
-def _remove(path):
-    try:
-        path.unlink()
-    except OSError:
-        # Another process was faster, or holds it open; the next one removes it.
-        pass
+    files.remove_parts(place, _NAME, _STALE_S)
 
 
 def _checksum(name, transport):

@@ -1,14 +1,12 @@
-"""A synthetic scene as files: GeoTIFFs, scene.toml and flight.csv, written beside their place and renamed."""
+"""A synthetic scene as files: GeoTIFFs, scene.toml and flight.csv, all of them or none."""
 
-import os
-import shutil
-import tempfile
 from pathlib import Path
 
 import numpy as np
 
 from thermorender import defaults
 from thermorender.errors import ThermorenderError
+from thermorender.files import atomic_folder, write_text
 from thermorender.schema import toml_text
 
 TEMPERATURE_STEP_K = 0.02  # of the stored raster: 6 mK root mean square, below any microbolometer's noise
@@ -17,35 +15,16 @@ _TEMPERATURE_BASE_K = 200.0
 
 def write_scene(scene, directory, overwrite=False, temperature_every=2):
     """Return the folder written, a Path; see `synthetic.write`."""
-    target = Path(directory)
-    if target.exists() and not target.is_dir():
-        raise ThermorenderError(f"directory={str(target)!r} is a file; give the path of a folder to make")
-    if target.is_dir() and any(target.iterdir()) and not overwrite:
-        raise ThermorenderError(
-            f"directory={str(target)!r} already holds files; give another folder or overwrite=True"
-        )
     if temperature_every < 1 or len(scene.temperature) % temperature_every:
         raise ThermorenderError(
             f"temperature_every={temperature_every} does not divide the {len(scene.temperature)} texels "
             "of the scene's side; choose a divisor such as 1"
         )
-    target.parent.mkdir(parents=True, exist_ok=True)
-    draft = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
-    try:
+    with atomic_folder(directory, overwrite) as draft:
         _rasters(scene, draft, temperature_every)
-        (draft / "scene.toml").write_text(scene_toml(scene), encoding="utf-8", newline="\n")
-        (draft / "flight.csv").write_text(flight_csv(scene.flight), encoding="utf-8", newline="\n")
-        draft.chmod(0o755)
-        if target.exists():
-            old = Path(tempfile.mkdtemp(prefix=f".{target.name}-old-", dir=target.parent))
-            os.replace(target, old / "scene")
-            os.replace(draft, target)
-            shutil.rmtree(old)
-        else:
-            os.replace(draft, target)
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
-    return target
+        write_text(draft / "scene.toml", scene_toml(scene))
+        write_text(draft / "flight.csv", flight_csv(scene.flight))
+    return Path(directory)
 
 
 def _rasters(scene, folder, every):

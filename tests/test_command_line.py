@@ -1,0 +1,116 @@
+"""All verbs alike: what their help says, and outputs that are refused before the work."""
+
+import re
+import sys
+from pathlib import Path
+
+import pytest
+import typer
+
+from thermorender import cli
+
+
+def verbs(command=None, path=()):
+    """{words of the command line: click command} of every verb."""
+    command = typer.main.get_command(cli.app) if command is None else command
+    if not hasattr(command, "commands"):
+        return {path: command}
+    below = (verbs(each, (*path, name)) for name, each in command.commands.items())
+    return {words: verb for found in below for words, verb in found.items()}
+
+
+def outputs(verb):
+    """Its parameters that name a file or folder to be written."""
+    return [parameter for parameter in verb.params if {"-o", "--into"} & set(parameter.opts)]
+
+
+VERBS = verbs()
+WRITING = [words for words, verb in VERBS.items() if outputs(verb)]
+
+
+def with_option(name):
+    return {words for words, verb in VERBS.items() for parameter in verb.params if name in parameter.opts}
+
+
+@pytest.fixture
+def call(monkeypatch, capfd):
+    """Run the command line in this process; return (status, output, errors)."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["thermorender", *map(str, arguments)])
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as exit:
+            cli.main()
+        return exit.value.code, *capfd.readouterr()
+
+    return run
+
+
+def test_the_walk_finds_every_verb():
+    assert {("render",), ("fly",), ("train", "emissivity"), ("validate", "air"), ("materials", "merge")} <= set(VERBS)
+    assert len(WRITING) >= 18
+    assert with_option("--trajectory") == with_option("--duplicates") >= {("fly",), ("compare",)}
+
+
+@pytest.mark.parametrize("words", VERBS, ids=" ".join)
+def test_help_says_the_units(words, call):
+    status, output, errors = call(*words, "--help")
+    assert (status, errors) == (0, "")
+    # Whatever the width of the terminal and the frame around it, the help is there word by word, its units too.
+    shown = "".join(re.sub(r"[│╭╮╰╯─]", " ", output).split())
+    verb = VERBS[words]
+    for text in (verb.help, *(parameter.help for parameter in verb.params if getattr(parameter, "help", None))):
+        assert "".join(text.split()) in shown
+
+
+def test_some_help_has_units():
+    texts = [parameter.help or "" for verb in VERBS.values() for parameter in verb.params if hasattr(parameter, "help")]
+    units = {unit for text in texts for unit in re.findall(r"\[[^\]]+\]", text)}
+    assert {"[m]", "[s]", "[deg]", "[mK]", "[K]", "[µm]"} <= units
+
+
+@pytest.mark.parametrize("words", WRITING, ids=" ".join)
+@pytest.mark.parametrize("place", ["below a file", "where nothing can be made"])
+def test_outputs_are_refused_before_the_work(words, place, call, tmp_path):
+    (tmp_path / "file").write_text("precious")
+    if place == "below a file":
+        folder = tmp_path / "file"
+    elif Path("/proc/self").exists():
+        folder = Path("/proc")
+    else:
+        pytest.skip("no folder that refuses even root: /proc is not here")
+    verb = VERBS[words]
+    (option,) = outputs(verb)
+    # A verb that looked at its inputs first would say that they do not exist.
+    inputs = ["none" for parameter in verb.params if parameter.param_type_name == "argument"]
+    suffix = ".toml" if words == ("fit-camera",) else ".png" if words == ("materials", "plot") else ""
+    output = folder / f"thermorender{suffix}"
+    status, printed, errors = call(*words, *inputs, option.opts[0], output)
+    assert status == 2 and printed == "", errors
+    assert errors.startswith("error: ") and str(output) in errors and len(errors.splitlines()) == 1, errors
+    assert (tmp_path / "file").read_text() == "precious"
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize(
+    ("words", "output", "told"),
+    [
+        (("fit-camera",), "a.txt", "give one that ends in .toml"),
+        (("materials", "plot"), "a.jpg", "give one that ends in .png"),
+        (("materials", "plot"), "full", "give one that ends in .png"),
+        (("bench",), "full", "is a folder or no ordinary file"),
+        (("train", "emissivity"), "full", "is a folder or no ordinary file"),
+        (("make-scene",), "full", "exists and is not empty; give a new folder"),
+        (("import-terrain",), "full", "exists and is not empty; give a new folder"),
+        (("materials", "merge"), "full", "exists and is not empty; give a new folder"),
+        (("render",), "full/file", "output folder"),
+    ],
+)
+def test_outputs_of_another_kind_are_refused_before_the_work(words, output, told, call, tmp_path):
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "file").write_text("precious")
+    inputs = ["none" for parameter in VERBS[words].params if parameter.param_type_name == "argument"]
+    status, printed, errors = call(*words, *inputs, "-o", tmp_path / output)
+    assert status == 2 and printed == "" and str(tmp_path / output) in errors and told in errors, errors
+    assert (tmp_path / "full" / "file").read_text() == "precious"
+    assert [path.name for path in tmp_path.rglob("*")] == ["full", "file"]

@@ -1,0 +1,250 @@
+"""Files and folders come whole or not at all: after failures, interruptions and beside other processes."""
+
+import errno
+import json
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from thermorender import files
+from thermorender.errors import ThermorenderError
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_a_file_is_whole_or_as_it_was(tmp_path):
+    target = tmp_path / "a.txt"
+    target.write_text("before")
+    with pytest.raises(ThermorenderError, match="a.txt cannot be written: no room; check the folder"):
+        with files.atomic(target) as part:
+            part.write_text("half")
+            raise OSError("no room")
+    with pytest.raises(KeyboardInterrupt):
+        with files.atomic(target) as part:
+            part.write_text("half")
+            raise KeyboardInterrupt
+    assert target.read_text() == "before" and names(tmp_path) == ["a.txt"]
+    # A whole new file takes the name; the old one is never written into.
+    (tmp_path / "old").hardlink_to(target)
+    with files.atomic(target) as part:
+        part.write_text("after")
+        assert part.suffix == target.suffix and part.parent == target.parent
+    assert target.read_text() == "after" and (tmp_path / "old").read_text() == "before"
+
+
+def test_missing_folders_come_with_the_file_only(tmp_path):
+    with pytest.raises(KeyboardInterrupt), files.atomic(tmp_path / "a" / "b" / "c.txt"):
+        raise KeyboardInterrupt
+    assert names(tmp_path) == []
+    files.write_text(tmp_path / "a" / "b" / "c.txt", "°\n")
+    assert (tmp_path / "a" / "b" / "c.txt").read_bytes() == "°\n".encode()
+
+
+def test_a_file_has_the_permissions_of_any_other(tmp_path):
+    (tmp_path / "other").touch()
+    files.write_text(tmp_path / "file", "")
+    with files.atomic_folder(tmp_path / "folder"):
+        pass
+    (tmp_path / "plain").mkdir()
+    assert (tmp_path / "file").stat().st_mode == (tmp_path / "other").stat().st_mode
+    assert (tmp_path / "folder").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+@pytest.mark.parametrize("there", ["nothing", "an empty folder", "files"])
+def test_a_folder_is_whole_or_as_it_was(there, tmp_path):
+    target = tmp_path / "a"
+    if there != "nothing":
+        target.mkdir()
+    if there == "files":
+        (target / "old").write_text("precious")
+        with pytest.raises(ThermorenderError, match="a exists and is not empty; give a new folder"):
+            with files.atomic_folder(target):
+                pytest.fail("the block ran")
+    before = names(tmp_path), names(target) if target.exists() else None
+    for error in (OSError("no room"), KeyboardInterrupt()):
+        with pytest.raises((ThermorenderError, KeyboardInterrupt)):
+            with files.atomic_folder(target, overwrite=True) as part:
+                (part / "half").write_text("x")
+                raise error
+        assert (names(tmp_path), names(target) if target.exists() else None) == before
+    with files.atomic_folder(target, overwrite=True) as part:
+        (part / "new").write_text("x")
+    assert names(tmp_path) == ["a"] and names(target) == ["new"]
+
+
+@pytest.mark.parametrize("error", [OSError("no room"), KeyboardInterrupt()])
+def test_the_old_folder_comes_back(error, tmp_path, monkeypatch):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "old").write_text("precious")
+    replace, calls = os.replace, []
+
+    def fail_second(*paths):
+        calls.append(paths)
+        if len(calls) == 2:
+            raise error
+        replace(*paths)
+
+    monkeypatch.setattr(os, "replace", fail_second)
+    with pytest.raises((ThermorenderError, KeyboardInterrupt)):
+        with files.atomic_folder(tmp_path / "a", overwrite=True) as part:
+            (part / "new").write_text("x")
+    assert len(calls) == 3 and names(tmp_path) == ["a"] and (tmp_path / "a" / "old").read_text() == "precious"
+
+
+WRITER = """
+import sys, time
+from pathlib import Path
+from thermorender import files
+target = Path(sys.argv[1])
+with getattr(files, sys.argv[2])(target) as part:
+    file = part / "half" if part.is_dir() else part
+    file.write_text("half")
+    print("writing", flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
+@pytest.mark.parametrize("kind", ["atomic", "atomic_folder"])
+def test_an_interrupted_process_leaves_nothing(kind, tmp_path):
+    target = tmp_path / "new" / "a.txt"
+    command = [sys.executable, "-c", WRITER, target, kind]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert process.stdout.readline() == b"writing\n" and len(names(target.parent)) == 1
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert b"KeyboardInterrupt" in errors and names(tmp_path) == []
+
+
+def _write_often(path, letter, start, count):
+    start.wait()
+    for _ in range(count):
+        with files.atomic(path) as part, open(part, "x", encoding="ascii") as file:
+            for _ in range(20):
+                file.write(letter * 1000)
+                file.flush()
+
+
+def test_processes_that_write_one_file_do_not_meet(tmp_path):
+    # "x" refuses a temporary file that another one made; mixed letters would be two writers in one file.
+    spawn = multiprocessing.get_context("spawn")
+    start, path = spawn.Barrier(3), tmp_path / "a.txt"
+    both = [spawn.Process(target=_write_often, args=(path, letter, start, 200)) for letter in "ab"]
+    for process in both:
+        process.start()
+    start.wait()
+    seen = set()
+    while any(process.is_alive() for process in both):
+        if path.exists():
+            text = path.read_text()
+            assert len(text) == 20000 and len(set(text)) == 1
+            seen |= set(text)
+    for process in both:
+        process.join()
+    assert [process.exitcode for process in both] == [0, 0] and seen <= {"a", "b"} and names(tmp_path) == ["a.txt"]
+
+
+def test_what_killed_processes_left_is_removed(tmp_path):
+    parts = []
+    for name in ("frame_000001.exr", "frames.jsonl", "notes"):
+        with files.atomic(tmp_path / name) as part:
+            parts.append(part)
+            part.touch()
+        part.touch()
+    os.utime(parts[0], (time.time() - 100.0,) * 2)
+    mine = tmp_path / ".mine.part"
+    mine.touch()
+    files.remove_parts(tmp_path, r"frame.*", older_s=50.0)
+    assert [part.exists() for part in parts] == [False, True, True]
+    files.remove_parts(tmp_path, r"frame.*")
+    assert [part.exists() for part in parts] == [False, False, True]
+    files.remove_parts(tmp_path)
+    assert names(tmp_path) == [".mine.part", "frame_000001.exr", "frames.jsonl", "notes"]
+
+
+def test_checks_leave_nothing_behind(tmp_path):
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old" / "file").write_text("precious")
+    for check in (files.check_output_file, files.check_output_folder, files.check_new_folder):
+        assert check(tmp_path / "new" / "below") is None
+    assert files.check_output_folder(tmp_path / "old") is None
+    assert files.check_output_file(tmp_path / "old" / "file") is None
+    assert names(tmp_path) == ["old"] and names(tmp_path / "old") == ["file"]
+    assert (tmp_path / "old" / "file").read_text() == "precious"
+
+
+@pytest.mark.parametrize(
+    ("check", "path", "words"),
+    [
+        (files.check_output_file, "file/below", "below cannot be written: Not a directory"),
+        (files.check_output_file, "folder", "folder is a folder or no ordinary file; give the name of a file"),
+        (files.check_output_file, "x" * 300, "cannot be written: File name too long"),
+        (files.check_output_file, os.devnull, "is a folder or no ordinary file"),
+        (files.check_output_file, "/proc/thermorender/a", "a cannot be written: No such file"),
+        (files.check_output_folder, "file", "output folder .*file cannot be made: File exists"),
+        (files.check_output_folder, "file/below", "output folder .*below cannot be made: Not a directory"),
+        (files.check_output_folder, "/proc/self", "output folder /proc/self cannot be written to: No such file"),
+        (files.check_output_folder, "x" * 300, "output folder .* cannot be made: File name too long"),
+        (files.check_new_folder, "file", "file is a file; give the path of a folder to make"),
+        (files.check_new_folder, "folder", "folder exists and is not empty; give a new folder"),
+        (files.check_new_folder, "file/below", "below cannot be written: Not a directory"),
+        (files.check_new_folder, "x" * 300, "cannot be written: File name too long"),
+        (files.check_new_folder, "/proc", "/proc is where a file system is mounted; give a folder below it"),
+    ],
+)
+def test_what_cannot_be_written_is_told_before(check, path, words, tmp_path):
+    if not os.path.exists("/proc/self") and path.startswith("/proc"):
+        pytest.skip("no folder that refuses even root: /proc is not here")
+    (tmp_path / "folder").mkdir()
+    for file in (tmp_path / "file", tmp_path / "folder" / "file"):
+        file.write_text("precious")
+    with pytest.raises(ThermorenderError, match=words):
+        check(tmp_path / path)
+    assert names(tmp_path) == ["file", "folder"] and names(tmp_path / "folder") == ["file"]
+
+
+def test_a_folder_without_permission(tmp_path, monkeypatch):
+    def refuse(path, *_, **__):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), path)
+
+    # Told by the attempt, since permissions do not bind root.
+    monkeypatch.setattr(Path, "touch", refuse)
+    with pytest.raises(ThermorenderError, match="cannot be written to: Permission denied; give another folder"):
+        files.check_output_folder(tmp_path)
+    with pytest.raises(ThermorenderError, match="a cannot be written: Permission denied"):
+        files.check_output_file(tmp_path / "a")
+
+
+def test_text(tmp_path):
+    (tmp_path / "a.txt").write_bytes(b"\xef\xbb\xbfa\xc2\xb5")
+    assert files.read_text(tmp_path / "a.txt") == "aµ"
+    (tmp_path / "a.txt").write_bytes(b"a\xb5")
+    with pytest.raises(ThermorenderError, match=r"a.txt is not UTF-8 text \(invalid start byte\); save it as UTF-8"):
+        files.read_text(tmp_path / "a.txt")
+    with pytest.raises(ThermorenderError, match=r"none cannot be read \(No such file or directory\); give a text"):
+        files.read_text(tmp_path / "none")
+    files.write_json(tmp_path / "a.json", {"value": 1})
+    assert json.loads((tmp_path / "a.json").read_text()) == {"value": 1}
+    for index in range(2):
+        files.append_json(tmp_path / "a.jsonl", {"index": index})
+    assert (tmp_path / "a.jsonl").read_text() == '{"index": 0}\n{"index": 1}\n'
+
+
+def test_each_kind_of_kept_files_has_its_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path))
+    folders = [files.cache_folder(kind) for kind in files.CACHED]
+    assert len(set(folders)) == len(folders) and all(folder.parent == tmp_path for folder in folders)
+    with pytest.raises(ValueError, match="kind='x' is not kept; give one of light, lowtran"):
+        files.cache_folder("x")
+    monkeypatch.delenv("THERMORENDER_CACHE")
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
+    assert files.cache_folder("light") == tmp_path / "xdg" / "thermorender" / "light"

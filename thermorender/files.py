@@ -1,0 +1,278 @@
+"""Files and folders that are written: whole or not at all, and refused before the work where they cannot be.
+
+What is written has a temporary name of its own beside its place, and takes its name when it is complete. Neither a
+failure nor an interruption leaves half of it, and processes that write the same file do not meet: the last one's is
+there. Also here: text and JSON, and the cache, with a folder of its own for each kind of file.
+"""
+
+import json
+import os
+import re
+import secrets
+import shutil
+import sys
+import time
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from thermorender.errors import ThermorenderError
+
+# What is kept in the cache, each kind in a folder of its own: traced light, and LOWTRAN7 with what it computed.
+CACHED = ("light", "lowtran")
+
+
+# --- whole or not at all ----------------------------------------------------------------------------------------
+
+
+@contextmanager
+def atomic(path):
+    """Give a temporary path beside a file; it takes the file's name only if the block ends without error.
+
+    It ends as `path` does, as many writers tell the format by that. Missing folders are made.
+
+    Raises
+    ------
+    ThermorenderError
+        The file cannot be written (missing permission, full disk); nothing is left behind.
+    """
+    path = Path(path)
+    _refuse_other_than_file(path)
+    with _beside(path) as part:
+        yield part
+        os.replace(part, path)
+
+
+@contextmanager
+def atomic_folder(path, overwrite=False):
+    """Give a temporary folder; it takes the name `path` only if the block ends without error.
+
+    Parameters
+    ----------
+    path : path
+        Must not exist, or be empty.
+    overwrite : bool
+        Whether a folder that holds something may be there, which is then removed.
+
+    Raises
+    ------
+    ThermorenderError
+        The folder is in use or cannot be made; nothing is left behind, and an old folder stays as it was.
+    """
+    _refuse_used_folder(path, overwrite)
+    # Resolved, so that "." has a name and a folder above it.
+    path = Path(path).resolve()
+    with _beside(path) as part:
+        part.mkdir()
+        yield part
+        old = part.with_name(f"{part.name}.old")
+        try:
+            if path.exists():
+                os.replace(path, old)
+            os.replace(part, path)
+        finally:
+            if old.exists() and not path.exists():
+                os.replace(old, path)
+            shutil.rmtree(old, ignore_errors=True)
+
+
+@contextmanager
+def _beside(path):
+    """Give a temporary path beside a place, in a folder made where missing; afterwards there is nothing under it."""
+    made = _missing(path.parent)
+    part = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.part{path.suffix}")
+    try:
+        if made:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        yield part
+    except (OSError, RuntimeError) as error:
+        # RuntimeError: that of the writers of images and videos.
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ThermorenderError(
+            f"{path} cannot be written: {reason}; check the folder, its permissions and the disk"
+        ) from error
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+        _remove(part)
+        _remove_empty(made)
+
+
+def remove_parts(folder, name=r".+", older_s=0.0):
+    """Remove the temporary files that killed processes left of files in a folder.
+
+    Parameters
+    ----------
+    folder : Path
+    name : str
+        Regular expression of the files' names without suffix.
+    older_s : float
+        Only what was last written so long ago [s], where other processes may be writing now.
+    """
+    pattern = re.compile(rf"\.({name})\.[0-9a-f]{{8}}\.part(\.[^.]*)?")
+    for path in folder.iterdir():
+        with suppress(OSError):
+            if pattern.fullmatch(path.name) and time.time() - path.stat().st_mtime >= older_s:
+                path.unlink()
+
+
+# --- folders for output, and checks before the work -------------------------------------------------------------
+
+
+@contextmanager
+def output_folder(path):
+    """Give a folder for output, made where it is missing; if the block fails with nothing written, it goes again."""
+    made = _missing(path)
+    try:
+        yield make_folder(path)
+    finally:
+        _remove_empty(made)
+
+
+def make_folder(path):
+    """Create a folder for output, or raise a sentence saying why it cannot be written to."""
+    path = Path(path)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ThermorenderError(
+            f"output folder {path} cannot be made: {error.strerror}; give a folder that can be written"
+        ) from None
+    # Tried, since permissions do not tell all: of a file system that is read-only, or of one that takes no files.
+    trial = path / f".{secrets.token_hex(4)}.part"
+    try:
+        trial.touch()
+    except OSError as error:
+        raise ThermorenderError(
+            f"output folder {path} cannot be written to: {error.strerror}; give another folder"
+        ) from None
+    finally:
+        _remove(trial)
+    return path
+
+
+def check_output_file(path, suffixes=()):
+    """Refuse, before the work for it, a file that cannot be written; leave nothing behind.
+
+    Parameters
+    ----------
+    path : path
+    suffixes : sequence of str
+        What its name may end in, such as ".toml"; anything where empty.
+    """
+    path = Path(path)
+    if suffixes and path.suffix.lower() not in suffixes:
+        raise ThermorenderError(f"{path} is no name for this file; give one that ends in {' or '.join(suffixes)}")
+    _refuse_other_than_file(path)
+    with _beside(path) as part:
+        part.touch()
+
+
+def check_output_folder(path):
+    """Refuse, before the work for it, a folder that cannot be made or written to; leave nothing behind."""
+    with output_folder(path):
+        pass
+
+
+def check_new_folder(path):
+    """Refuse, before the work for it, a folder that is in use or cannot be made; leave nothing behind."""
+    _refuse_used_folder(path)
+    with _beside(Path(path).resolve()) as part:
+        part.mkdir()
+
+
+def _refuse_other_than_file(path):
+    if os.path.lexists(path) and not path.is_file():
+        raise ThermorenderError(f"{path} is a folder or no ordinary file; give the name of a file")
+
+
+def _refuse_used_folder(path, overwrite=False):
+    path = Path(path)
+    if os.path.lexists(path) and not os.path.isdir(path):
+        raise ThermorenderError(f"{path} is a file; give the path of a folder to make")
+    if os.path.ismount(path):
+        raise ThermorenderError(f"{path} is where a file system is mounted; give a folder below it")
+    if os.path.isdir(path) and not overwrite and any(path.iterdir()):
+        raise ThermorenderError(f"{path} exists and is not empty; give a new folder")
+
+
+def _missing(path):
+    """Which of a folder and those above it do not exist, the deepest first."""
+    path = Path(path)
+    return [folder for folder in (path, *path.parents) if not os.path.lexists(folder)]
+
+
+def _remove_empty(folders):
+    """Remove those folders that are empty, in the order given."""
+    for folder in folders:
+        with suppress(OSError):
+            folder.rmdir()
+
+
+def _remove(path):
+    with suppress(OSError):
+        path.unlink()
+
+
+# --- text -------------------------------------------------------------------------------------------------------
+
+
+def read_text(path, kind="UTF-8"):
+    """Return the text of a UTF-8 file, without the byte order mark that spreadsheets put first.
+
+    Parameters
+    ----------
+    path : path
+    kind : str
+        What programs call such a file, for the message.
+    """
+    try:
+        return Path(path).read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ThermorenderError(f"{path} is not UTF-8 text ({error.reason}); save it as {kind}") from error
+    except OSError as error:
+        raise ThermorenderError(f"{path} cannot be read ({error.strerror}); give a text file") from error
+
+
+def write_text(path, text):
+    """Write a text in UTF-8, with the line ends that it has."""
+    with atomic(path) as part:
+        part.write_bytes(text.encode())
+
+
+def write_json(path, value):
+    """Write a value as indented JSON."""
+    write_text(path, json.dumps(value, indent=2) + "\n")
+
+
+def append_json(path, value):
+    """Append a value to a file of JSON lines; it is on the disk when this returns."""
+    try:
+        with open(path, "a", encoding="utf-8") as file:
+            file.write(json.dumps(value) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        raise ThermorenderError(
+            f"{path} cannot be written: {error.strerror}; make room and continue with --resume"
+        ) from None
+
+
+# --- the cache --------------------------------------------------------------------------------------------------
+
+
+def cache_folder(kind):
+    """Return the folder of one kind of kept files, of `CACHED`: <cache>/kind.
+
+    The cache is $THERMORENDER_CACHE, else the user's cache folder of this platform.
+    """
+    if kind not in CACHED:
+        raise ValueError(f"kind={kind!r} is not kept; give one of {', '.join(CACHED)}")
+    chosen = os.environ.get("THERMORENDER_CACHE")
+    if chosen:
+        base = Path(chosen).expanduser()
+    elif sys.platform == "win32":
+        base = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local") / "thermorender"
+    elif sys.platform == "darwin":
+        base = Path.home() / "Library" / "Caches" / "thermorender"
+    else:
+        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "thermorender"
+    return base / kind
