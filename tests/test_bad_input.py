@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from thermorender import cli
-from thermorender.products import read_exr
+from thermorender.cli import app as cli
+from thermorender.output.products import read_exr
 from thermorender.scene.load import load_scene
 from thermorender.scene.surface import BEYOND, SURFACE
 

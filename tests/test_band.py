@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
+from thermorender.materials.library import grey, load_library
 from thermorender.physics.band import RadianceTable, emitted_radiance, quadrature
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, spectral_radiance
 from thermorender.physics.surface import kinetic_temperature, reflected_radiance
-from thermorender.scene.materials import grey, load_library
 
 BAND = (7.5, 13.5)
 MILLIKELVIN = band_radiance_derivative(300.0, *BAND) * 1e-3

@@ -57,7 +57,7 @@ def test_the_drawing_is_that_of_the_code():
 @pytest.mark.parametrize(
     ("source", "found"),
     [
-        ("from thermorender import flight", {"thermorender", "thermorender.flight"}),
+        ("from thermorender import flight", {"thermorender", "thermorender.output.flight"}),
         ("def f():\n    from thermorender.render.plan import make_plan as m", {"thermorender.render.plan"}),
         ("import thermorender.sensor.camera as c, os", {"thermorender.sensor.camera", "os"}),
     ],
@@ -71,7 +71,7 @@ def test_every_form_of_import_is_seen(source, found, tmp_path):
     ("code", "absent"),
     [
         (
-            "import thermorender, thermorender.cli",
+            "import thermorender, thermorender.cli.app",
             ("mitsuba", "drjit", "torch", "rasterio", "scipy", "cv2", "matplotlib", "trimesh"),
         ),
         ("import thermorender as tr; tr.load_scene('heath')", ("mitsuba", "drjit", "torch", "matplotlib")),

@@ -7,17 +7,17 @@ import pytest
 from conftest import shared_data
 from typer.testing import CliRunner
 
-from thermorender import cli
+from thermorender.cli import app as cli
 from thermorender.errors import ThermorenderError
+from thermorender.footage import calibration
+from thermorender.footage.edge_width import edge_widths, sharpest, width_through
+from thermorender.footage.noise_statistics import Spectra, block_powers, noise_of
+from thermorender.footage.radiometric_files import write_tlinear
 from thermorender.physics.band import RadianceTable
 from thermorender.physics.planck import band_radiance
-from thermorender.sensor import calibration
 from thermorender.sensor.camera import load_camera
 from thermorender.sensor.chain import Sensor
-from thermorender.sensor.edge_width import edge_widths, sharpest, width_through
-from thermorender.sensor.frame_statistics import Spectra, block_powers, noise_of
 from thermorender.sensor.psf import otf
-from thermorender.sensor.radiometric_files import write_tlinear
 from thermorender.sensor.readout import radiance_from_counts
 
 GRID = RadianceTable.grid(250.0, 345.0)

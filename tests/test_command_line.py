@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from thermorender import cli
+from thermorender.cli import app as cli
 
 
 def verbs(command=None, path=()):

@@ -8,8 +8,8 @@ import pytest
 from thermorender.errors import ThermorenderError
 from thermorender.learned.apply import kinetic_from_map
 from thermorender.learned.correlation import MODELS, load_model
+from thermorender.materials.library import grey, load_library
 from thermorender.physics.planck import band_radiance, brightness_temperature
-from thermorender.scene.materials import grey, load_library
 
 
 def picture(height=40, width=30):

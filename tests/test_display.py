@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from conftest import shared_data
 
-from thermorender import products
 from thermorender.errors import ThermorenderError
+from thermorender.footage.flir_jpeg import _container, _records
+from thermorender.output import products
 from thermorender.sensor.display import MODES, Look
-from thermorender.sensor.flir_jpeg import _container, _records
 from thermorender.sensor.palettes import PALETTES, palette
 
 RNG = np.random.default_rng(3)

@@ -7,12 +7,12 @@ import pytest
 
 import thermorender as tr
 from scenes import write_terrain
-from thermorender import products
 from thermorender.errors import ThermorenderError
-from thermorender.flight import fly
+from thermorender.footage.radiometric_files import read_temperature
+from thermorender.output import products
+from thermorender.output.flight import fly
 from thermorender.scene.spec import TemperatureSpec
 from thermorender.sensor.display import Look
-from thermorender.sensor.radiometric_files import read_temperature
 from thermorender.sensor.radiometry import Operator
 
 MARKER = """

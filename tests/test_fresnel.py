@@ -7,8 +7,8 @@ import pytest
 from conftest import shared_data
 
 from thermorender.errors import ThermorenderError
+from thermorender.materials.library import load_library
 from thermorender.physics import fresnel
-from thermorender.scene.materials import load_library
 
 DEGREES = np.array([0.0, 10.0, 30.0, 45.0, 60.0, 70.0, 75.0, 80.0])
 

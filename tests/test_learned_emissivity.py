@@ -10,18 +10,18 @@ import rasterio
 
 import thermorender as tr
 from scenes import write_mesh, write_raster, write_terrain
+from thermorender.campaign.material_training import labelled_scene, train_on
 from thermorender.errors import ThermorenderError
 from thermorender.learned import emissivity as learned
 from thermorender.learned.emissivity import EmissivityMap, load_map, map_materials, save_map
 from thermorender.learned.emissivity_features import NAMES, NEAR, features, lab
 from thermorender.learned.emissivity_training import Labelled, train
+from thermorender.materials.library import grey, load_library
+from thermorender.materials.mixture import Mixture, mix, palette
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.scene.material_map import UNKNOWN_CLASS, write_map
-from thermorender.scene.material_training import labelled_scene, train_on
-from thermorender.scene.materials import grey, load_library
-from thermorender.scene.mixture import Mixture, mix, palette
 from thermorender.scene.surface import FILLED, UNKNOWN
-from thermorender.scene.synthetic import make
+from thermorender.synthetic.worlds import make
 from thermorender.validate import emissivity as validation
 
 # Three materials in stripes: mean colour and noise of each.
@@ -142,8 +142,8 @@ def test_what_training_did_not_test_is_told(tmp_path, capsys, monkeypatch):
     save_map(partly, tmp_path / "partly.npz")
     assert load_map(tmp_path / "partly.npz").about["not_tested"] == told
 
-    from thermorender import cli
-    from thermorender.scene import material_training
+    from thermorender.campaign import material_training
+    from thermorender.cli import app as cli
 
     for model, warned in ((partly, True), (whole, False)):
         size = len(model.materials)
@@ -612,7 +612,7 @@ def test_errors_of_temperature_are_those_of_grey_surfaces():
 def test_the_verbs_train_and_map(scene, tmp_path):
     from typer.testing import CliRunner
 
-    from thermorender.cli import app
+    from thermorender.cli.app import app
 
     def run(*arguments):
         return CliRunner().invoke(app, [*map(str, arguments)], catch_exceptions=True)

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from conftest import shared_data
 
-from thermorender import cli
+from thermorender.cli import app as cli
+from thermorender.materials.check import check
+from thermorender.materials.compare import apparent_temperature
+from thermorender.materials.files import INDEX_COLUMNS
+from thermorender.materials.library import grey, load_library, read_library
 from thermorender.paths import data_folder
 from thermorender.physics.planck import band_radiance, brightness_temperature
-from thermorender.scene.material_check import check
-from thermorender.scene.material_compare import apparent_temperature
-from thermorender.scene.material_files import INDEX_COLUMNS
-from thermorender.scene.materials import grey, load_library, read_library
 
 ROW = {
     "name": "tin", "title": "Tin roof", "colour_r": "200", "colour_g": "200", "colour_b": "205",

@@ -9,12 +9,12 @@ import pytest
 from conftest import shared_data
 
 from thermorender.errors import ThermorenderError
+from thermorender.materials.files import INDEX_COLUMNS
+from thermorender.materials.from_samples import from_samples, read_selection
+from thermorender.materials.library import find, grey, load_library, read_library
+from thermorender.materials.samples import read_ecostress, read_sample
+from thermorender.materials.store import store, write_material, write_materials
 from thermorender.paths import data_folder
-from thermorender.scene.material_files import INDEX_COLUMNS
-from thermorender.scene.material_import import from_samples, read_selection
-from thermorender.scene.material_samples import read_ecostress, read_sample
-from thermorender.scene.material_store import store, write_material, write_materials
-from thermorender.scene.materials import find, grey, load_library, read_library
 
 # Names the first scenes were written with; they stay.
 FIRST_NAMES = (

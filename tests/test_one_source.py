@@ -10,8 +10,8 @@ import pytest
 from thermorender import defaults
 from thermorender.learned.correlation import MODELS
 from thermorender.paths import data_folder
-from thermorender.scene.synthetic import KINDS
 from thermorender.sensor.camera import load_camera
+from thermorender.synthetic.worlds import KINDS
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -9,10 +9,10 @@ import pytest
 from conftest import shared_data
 
 from thermorender.errors import ThermorenderError
+from thermorender.footage.flir_jpeg import read_flir_jpeg
+from thermorender.footage.radiometric_files import read_temperature, write_tlinear
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.sensor.camera import load_camera
-from thermorender.sensor.flir_jpeg import read_flir_jpeg
-from thermorender.sensor.radiometric_files import read_temperature, write_tlinear
 from thermorender.sensor.radiometry import (
     AirModel,
     Operator,

@@ -8,12 +8,12 @@ import thermorender as tr
 from scenes import write_mesh, write_terrain
 from thermorender.atmosphere.rays import MEAN_RADIUS_M
 from thermorender.errors import ThermorenderError
+from thermorender.materials.files import INDEX_COLUMNS
 from thermorender.physics.band import quadrature
 from thermorender.physics.planck import band_radiance_derivative, brightness_temperature, spectral_radiance
 from thermorender.render import reference
 from thermorender.render.geometry import Geometry
 from thermorender.render.plan import make_plan
-from thermorender.scene.material_files import INDEX_COLUMNS
 
 BAND = (7.5, 13.5)
 AIR = '[atmosphere]\nstandard = "midlatitude-summer"\naerosol = "rural-23km"\n'

@@ -12,11 +12,11 @@ import rasterio
 from thermorender.errors import ThermorenderError
 from thermorender.physics import sun
 from thermorender.physics.heat import STEFAN_BOLTZMANN, march_hours, saturation_vapour, step
-from thermorender.scene.procedural import heath
-from thermorender.scene.procedural.heat import THERMAL, Weather, surface_temperature
-from thermorender.scene.procedural.light import incidence, normals, sky_view, sun_visibility
-from thermorender.scene.procedural.noise import fractal_noise, stream
-from thermorender.scene.synthetic import KINDS, make, write
+from thermorender.synthetic import heath
+from thermorender.synthetic.heat import THERMAL, Weather, surface_temperature
+from thermorender.synthetic.light import incidence, normals, sky_view, sun_visibility
+from thermorender.synthetic.noise import fractal_noise, stream
+from thermorender.synthetic.worlds import KINDS, make, write
 
 try:
     import tomllib
@@ -215,7 +215,7 @@ def test_nothing_is_left_behind_when_writing_fails(tmp_path, monkeypatch):
     def fail(flight):
         raise OSError("disk full")
 
-    monkeypatch.setattr("thermorender.scene.procedural.files.flight_csv", fail)
+    monkeypatch.setattr("thermorender.synthetic.files.flight_csv", fail)
     with pytest.raises(ThermorenderError, match="scene cannot be written: disk full"):
         write(small("heath"), tmp_path / "scene")
     assert list(tmp_path.iterdir()) == []

@@ -9,8 +9,8 @@ import trimesh
 from rasterio.crs import CRS
 
 from thermorender.errors import ThermorenderError
+from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene import terrain
-from thermorender.scene.georeference import LocalFrame
 from thermorender.scene.ground import Ground
 from thermorender.scene.mesh import load, primitive
 from thermorender.scene.raster import Grid

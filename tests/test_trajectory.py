@@ -6,7 +6,7 @@ from conftest import shared_data
 from scipy.spatial.transform import Rotation
 
 from thermorender.errors import ThermorenderError
-from thermorender.scene.georeference import LocalFrame
+from thermorender.physics.geodesy import LocalFrame
 from thermorender.trajectory.mapping import bundled_formats
 from thermorender.trajectory.path import (
     Anchor,

@@ -13,7 +13,7 @@ from thermorender.render.light import cache
 from thermorender.render.reference import squared_error
 from thermorender.sensor.camera import load_camera
 from thermorender.validate import bench, cavity, convergence, growth, metrics
-from thermorender.validate.convergence_report import pareto
+from thermorender.validate.figures.convergence import pareto
 
 CAMERA = load_camera("zenmuse-xt2")
 

@@ -16,7 +16,7 @@ _PUBLIC = {
     "Scene": "thermorender.scene.load",
     "ThermorenderError": "thermorender.errors",
     "Trajectory": "thermorender.trajectory",
-    "fly": "thermorender.flight",
+    "fly": "thermorender.output.flight",
     "load_scene": "thermorender.scene.load",
     "pose": "thermorender.trajectory.path",
     "read_trajectory": "thermorender.trajectory",

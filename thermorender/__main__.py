@@ -1,5 +1,5 @@
 """`python -m thermorender` is the command line."""
 
-from thermorender.cli import main
+from thermorender.cli.app import main
 
 main()

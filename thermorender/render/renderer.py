@@ -8,17 +8,26 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 from thermorender.frame import Frame
 from thermorender.physics.planck import band_radiance_derivative
-from thermorender.physics.srgb import bytes_from_linear
-from thermorender.render import budget, truth, visible
+from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
+from thermorender.render import budget, truth
 from thermorender.render.air import Vacuum
 from thermorender.render.baked import BakedScene, bake
 from thermorender.render.dynamic import placements
-from thermorender.render.geometry import Geometry, Layer, opaque_view, refuse_other_surfaces, view_ray
+from thermorender.render.geometry import (
+    Channels,
+    Geometry,
+    Layer,
+    OutgoingRadiance,
+    opaque_view,
+    refuse_other_surfaces,
+    view_ray,
+)
 from thermorender.render.plan import REFERENCE_K, make_plan
 from thermorender.render.sampling import CameraRays
 from thermorender.render.tracer import Tracer
 from thermorender.render.variant import activate
 from thermorender.scene.load import Scene
+from thermorender.scene.surface import FILLED
 
 # Error from which on edge pixels of a visible view get more rays: a share of white, summed over the colours.
 _VISIBLE_EDGE = 0.03
@@ -132,7 +141,7 @@ class Renderer:
         pose, mi = checked_pose(pose), self._geometry.mi
         if self._coloured is None:
             shapes = [self._geometry, *(Geometry(mi, mover.surfaces) for mover in self.scene.movers)]
-            self._coloured = [(shape, visible.outgoing(shape)) for shape in shapes]
+            self._coloured = [(shape, _colours(shape)) for shape in shapes]
         poses = [np.eye(4), *(placement.pose for placement in placements(self.scene, time_s, objects))]
         layers = [
             Layer(shape, opaque_view(mi, np.linalg.inv(own) @ pose), outgoing)
@@ -237,6 +246,14 @@ def checked_pose(pose):
             "pose has a rotation that is not orthonormal and right-handed; normalise its quaternion"
         )
     return pose
+
+
+def _colours(geometry):
+    """The linear colour of a Geometry's texels, and 1 where it is known, else 0, as OutgoingRadiance."""
+    linear = linear_from_bytes(np.concatenate([surface.colour.reshape(-1, 3) for surface in geometry.surfaces]))
+    flags = np.concatenate([surface.flags.ravel() for surface in geometry.surfaces])
+    known = ((flags & FILLED) == 0).astype(np.float32)
+    return OutgoingRadiance(Channels(geometry.mi, np.column_stack([linear, known])))
 
 
 def _checked_seed(seed):

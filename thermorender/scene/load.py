@@ -9,13 +9,13 @@ import numpy as np
 
 from thermorender.atmosphere.declared import declared_air
 from thermorender.errors import ThermorenderError
+from thermorender.materials import library as material_tables
+from thermorender.materials.mixture import Mixture
 from thermorender.paths import data_folder
-from thermorender.scene import materials as material_tables
+from thermorender.physics.geodesy import FARTHEST_M, LocalFrame
 from thermorender.scene import mesh, terrain
-from thermorender.scene.georeference import FARTHEST_M, LocalFrame
 from thermorender.scene.ground import Ground
 from thermorender.scene.material_map import learned_materials
-from thermorender.scene.mixture import Mixture
 from thermorender.scene.raster import bounds_in, grid_of, onto, read_classes, read_colour
 from thermorender.scene.refine import refined
 from thermorender.scene.spec import AtmosphereSpec, SceneSpec, TemperatureSpec, read_scene

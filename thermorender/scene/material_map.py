@@ -8,10 +8,10 @@ from thermorender import files
 from thermorender.errors import ThermorenderError
 from thermorender.learned.emissivity import load_map, map_materials
 from thermorender.learned.emissivity_features import lab
-from thermorender.scene import materials as material_tables
+from thermorender.materials import library as material_tables
+from thermorender.materials.mixture import palette
+from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene import terrain
-from thermorender.scene.georeference import LocalFrame
-from thermorender.scene.mixture import palette
 from thermorender.scene.raster import grid_of, read_colour
 from thermorender.scene.spec import read_scene
 from thermorender.scene.surface import fill, nearest_valid

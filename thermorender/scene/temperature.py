@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.scene.mixture import Mixture
+from thermorender.materials.mixture import Mixture
 from thermorender.scene.raster import grid_of, onto, read_band
 from thermorender.scene.surface import FALLBACK, fill, nearest_valid, scene_kelvin
 from thermorender.units import ZERO_CELSIUS_K

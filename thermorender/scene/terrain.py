@@ -3,7 +3,7 @@
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.scene.georeference import LocalFrame
+from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene.raster import grid_of, lon_lat, read_band
 
 

@@ -8,7 +8,7 @@ are kept.
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.scene.georeference import FARTHEST_M, LocalFrame, ecef_from_geodetic
+from thermorender.physics.geodesy import FARTHEST_M, LocalFrame, ecef_from_geodetic
 from thermorender.trajectory.mapping import POSITION_GEODETIC
 
 _MOVE = "move the flight into the scene with --anchor E,N,U,heading"

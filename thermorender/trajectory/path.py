@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from thermorender.errors import ThermorenderError
-from thermorender.scene.georeference import FARTHEST_M
+from thermorender.physics.geodesy import FARTHEST_M
 from thermorender.trajectory.rotations import (
     BODY_FROM_CAMERA,
     ENU_FROM_NED,

@@ -15,8 +15,8 @@ import numpy as np
 
 from thermorender import defaults
 from thermorender.errors import ThermorenderError
+from thermorender.materials import library as material_tables
 from thermorender.render.renderer import Renderer
-from thermorender.scene import materials as material_tables
 from thermorender.scene.load import Scene, load_scene
 from thermorender.scene.spec import EmissivitySpec, SceneSpec, TemperatureSpec, TerrainSpec
 from thermorender.scene.surface import SURFACE, Surface

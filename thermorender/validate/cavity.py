@@ -4,9 +4,9 @@ from functools import partial
 
 import numpy as np
 
+from thermorender.materials.library import grey
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.render.renderer import Renderer
-from thermorender.scene.materials import grey
 from thermorender.scene.surface import SURFACE, Surface
 from thermorender.trajectory.path import pose
 from thermorender.validate.bench import in_memory

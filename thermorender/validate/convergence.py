@@ -22,7 +22,8 @@ from thermorender.render.plan import QUALITIES
 from thermorender.render.renderer import Renderer
 from thermorender.render.variant import activate
 from thermorender.scene.load import load_scene
-from thermorender.validate import bench, cavity, convergence_report
+from thermorender.validate import bench, cavity
+from thermorender.validate.figures import convergence as convergence_report
 from thermorender.validate.metrics import after_optics, cache_off, converged, mk_per_radiance, optics_sigma_px, rms_mk
 
 OWN, DEFAULT = "thermorender", "standard"

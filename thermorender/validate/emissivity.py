@@ -15,11 +15,11 @@ from thermorender.errors import ThermorenderError
 from thermorender.files import atomic
 from thermorender.learned.emissivity import load_map, map_materials
 from thermorender.learned.emissivity_features import lab
+from thermorender.materials.library import find, load_library
 from thermorender.physics.band import RadianceTable, quadrature
 from thermorender.physics.planck import spectral_radiance
-from thermorender.scene.materials import find, load_library
 from thermorender.scene.spec import DEFAULT_CONFIDENCE
-from thermorender.scene.synthetic import KINDS, make
+from thermorender.synthetic.worlds import KINDS, make
 
 ARMS = ("learned, mix of three", "learned, most probable", "nearest colour", "commonest material", "fallback")
 

@@ -23,7 +23,7 @@ from thermorender.sensor.detector import advanced, read_rows, row_delays, steady
 from thermorender.sensor.readout import radiance_from_counts
 from thermorender.trajectory.path import pose
 from thermorender.validate.bench import machine, views
-from thermorender.validate.sensor_report import figure, pictures, table
+from thermorender.validate.figures.sensor import figure, pictures, table
 from thermorender.versions import versions
 
 # Speed [m/s], roll about the optical axis [deg/s], height [m], pitch [deg].

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from thermorender import defaults, files
+from thermorender.footage.calibration import fit_camera, frame_files, noise_scale, read_frame, write_camera
+from thermorender.footage.noise_statistics import Spectra, block_means, block_powers, noise_of
 from thermorender.physics.band import RadianceTable
 from thermorender.physics.planck import band_radiance
-from thermorender.sensor.calibration import fit_camera, frame_files, noise_scale, read_frame, write_camera
 from thermorender.sensor.camera import load_camera
 from thermorender.sensor.chain import Sensor
-from thermorender.sensor.frame_statistics import Spectra, block_means, block_powers, noise_of
 from thermorender.sensor.optics import relative_illumination
 from thermorender.sensor.readout import radiance_from_counts
 

@@ -1,0 +1,1 @@
+"""Data sets for learned maps, gathered from scenes."""

@@ -1,0 +1,156 @@
+"""Scenes to train an emissivity map on: those with a class raster or labelled polygons, or procedural ones."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.learned.emissivity import MOST_MATERIALS
+from thermorender.learned.emissivity_training import Labelled, train
+from thermorender.materials import library as material_tables
+from thermorender.scene.material_map import UNKNOWN_CLASS, orthophoto_of
+from thermorender.scene.raster import grid_of, onto, read_classes
+from thermorender.scene.spec import read_scene
+
+# What the shipped map is trained on.
+PROCEDURAL_SEEDS = (101, 102, 103, 104, 105)
+DEFAULT_TEXEL_M = 0.5
+
+
+def train_on(folders=(), polygons=None, name="map", texel_m=None, lights=None, seed=0, progress=None):
+    """Return (EmissivityMap, confusion) trained on scenes, or on the procedural ones where none are given.
+
+    Parameters
+    ----------
+    folders : sequence of path
+        Scene folders; see `labelled_scene`.
+    polygons : path, optional
+        GeoJSON in place of the class raster of the one scene given.
+    name : str
+        Of the map.
+    texel_m : float, optional
+        Ground sampling distance to train at [m]; by default 0.5, or the coarsest orthophoto's own.
+    lights : int, optional
+        See `emissivity_training.train`; by default 0 for scenes, 2 for procedural ones.
+    seed, progress
+        As there.
+
+    Raises
+    ------
+    ThermorenderError
+        Polygons without exactly one scene, a number out of range, or what `labelled_scene` and `train` refuse.
+    """
+    from thermorender.scene.load import scene_folder
+
+    if polygons and len(folders) != 1:
+        raise ThermorenderError(
+            f"--labels={str(polygons)!r} belongs to one scene, but {len(folders)} are given; give one"
+        )
+    if texel_m is not None and not 0.01 <= texel_m <= 1000.0:
+        raise ThermorenderError(f"--texel-m={texel_m:g} is not allowed; give 0.01…1000 m")
+    if folders:
+        labelled = [labelled_scene(scene_folder(folder), polygons) for folder in folders]
+        texel_m = texel_m or max(DEFAULT_TEXEL_M, *(item.texel_m for item in labelled))
+        lights = 0 if lights is None else lights
+    else:
+        labelled = procedural(PROCEDURAL_SEEDS)
+        texel_m, lights = texel_m or DEFAULT_TEXEL_M, 2 if lights is None else lights
+    if not 0 <= lights <= 20:
+        raise ThermorenderError(f"--lights={lights} is not allowed; give 0…20")
+    return train(labelled, texel_m, name, lights, seed, progress)
+
+
+def labelled_scene(folder, polygons=None):
+    """Return the Labelled of a scene: its orthophoto and what its class raster, or a GeoJSON, says is there.
+
+    Parameters
+    ----------
+    folder : path
+        Scene folder; its [emissivity] gives the class raster, where polygons do not.
+    polygons : path, optional
+        GeoJSON of polygons with a property "material", a name of the material library; longitude and latitude, or
+        the CRS its "crs" member names. A later polygon covers an earlier one.
+
+    Raises
+    ------
+    ThermorenderError
+        The scene has neither class raster nor polygons, or the polygons cannot be used.
+    """
+    spec = read_scene(folder)
+    rgb, valid, grid, texel_m = orthophoto_of(spec)
+    where = spec.folder / "scene.toml"
+    library = material_tables.load_library(spec.folder / "materials" if (spec.folder / "materials").is_dir() else None)
+    if polygons:
+        material, names = _burnt(Path(polygons), grid)
+        source = f"{Path(polygons).name} on {spec.folder.name}"
+    elif spec.emissivity.source == "classes":
+        raster = spec.emissivity.raster
+        numbers = onto(read_classes(raster), grid_of(raster), grid, "nearest")
+        material, names = numbers.astype(np.uint8), dict(spec.emissivity.classes)
+        named = np.isin(np.arange(256), list(names))
+        material = np.where(named[material] & (material != UNKNOWN_CLASS), material, 0).astype(np.uint8)
+        source = f"{raster.name} of {spec.folder.name}"
+    else:
+        raise ThermorenderError(
+            f"{where} has no class raster to train on (emissivity.source={spec.emissivity.source!r}); give polygons "
+            "with --labels, or a raster with emissivity.source='classes'"
+        )
+    for name in names.values():
+        material_tables.find(library, name, str(polygons or where))
+    return Labelled(rgb, np.where(valid, material, 0).astype(np.uint8), names, texel_m, source)
+
+
+def procedural(seeds):
+    """Yield the Labelled of a procedural scene of every kind and seed."""
+    from thermorender.synthetic.worlds import KINDS, make
+
+    for seed in seeds:
+        for kind in KINDS:
+            scene = make(kind, seed)
+            yield Labelled(
+                scene.orthophoto, scene.classes, scene.class_names, scene.texel_m, f"procedural {kind} seed {seed}"
+            )
+
+
+def _burnt(path, grid):
+    """(material number (h, w) uint8, names) of the polygons of a GeoJSON file on a grid."""
+    from rasterio.crs import CRS
+    from rasterio.errors import CRSError
+    from rasterio.features import rasterize
+    from rasterio.warp import transform_geom
+
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        features = content["features"]
+        crs = CRS.from_user_input(content["crs"]["properties"]["name"] if "crs" in content else "OGC:CRS84")
+    except OSError as error:
+        raise ThermorenderError(f"{path} cannot be read: {error.strerror}; give a GeoJSON file") from None
+    except (ValueError, KeyError, TypeError, CRSError) as error:
+        raise ThermorenderError(
+            f"{path} is no GeoJSON FeatureCollection ({type(error).__name__}: {error}); export one from a map program"
+        ) from None
+    names, shapes = [], []
+    for number, feature in enumerate(features, 1):
+        try:
+            geometry, name = feature["geometry"], feature["properties"]["material"]
+            if geometry["type"] not in ("Polygon", "MultiPolygon") or not isinstance(name, str):
+                raise ValueError
+            if name not in names:
+                names.append(name)
+            shapes.append((transform_geom(crs, grid.crs, geometry), names.index(name) + 1))
+        except Exception:  # whatever is malformed inside, GDAL has errors of its own for it
+            raise ThermorenderError(
+                f"{path}, feature {number} is no polygon with a property 'material'; give each polygon the name of a "
+                "material"
+            ) from None
+    if not shapes or len(names) > MOST_MATERIALS:
+        raise ThermorenderError(f"{path} names {len(names)} materials; label polygons of 2…{MOST_MATERIALS} materials")
+    # rasterize refuses shapes of which none touches the raster only by warning.
+    burnt = rasterize(shapes, out_shape=(grid.height, grid.width), transform=grid.transform, dtype="uint8")
+    if not burnt.any():
+        raise ThermorenderError(
+            f"{path} covers no texel of {grid.name}; its coordinates are longitude, latitude unless a 'crs' member "
+            "says otherwise: export it anew"
+        )
+    return burnt, dict(enumerate(names, 1))

@@ -1,0 +1,541 @@
+"""The command line: one verb per job; it parses, calls and prints."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from thermorender import defaults, files
+from thermorender.cli.camera import fit_camera
+from thermorender.cli.materials import app as materials
+from thermorender.cli.terminal import air as parse_air
+from thermorender.cli.terminal import output_option, progress, split, table
+from thermorender.cli.validate import app as validate
+from thermorender.errors import ThermorenderError
+
+app = typer.Typer(
+    help="Long-wave infrared frames of terrain flights, radiometrically true, in kelvin.",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    # Markup would take units such as [m] for its own and swallow them, here and in all verbs below.
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+app.add_typer(validate, name="validate")
+app.add_typer(materials, name="materials")
+app.command("fit-camera")(fit_camera)
+train = typer.Typer(help="Train learned maps.", no_args_is_help=True)
+app.add_typer(train, name="train")
+
+SCENES_TOLD = ", ".join(defaults.SCENES)
+SceneName = Annotated[str, typer.Argument(help=f"Scene folder, or the name of a shipped one: {SCENES_TOLD}.")]
+Out = Annotated[Path, output_option("-o", "--output", help="Folder for the results.")]
+NewFolder = Annotated[
+    Path, output_option("-o", "--output", help="Folder to make for the scene.", check=files.check_new_folder)
+]
+Seed = Annotated[int, typer.Option(help="Seed of the sensor's noise.")]
+Quality = Annotated[str, typer.Option(help="fast, standard or high: how finely a pixel is sampled.")]
+Tolerance = Annotated[float, typer.Option(help="Error allowed to the spectral nodes [mK].")]
+Rays = Annotated[int, typer.Option(help="Rays per face for the light between surfaces.")]
+Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
+Products = Annotated[
+    str, typer.Option(help="Comma-separated: exr, truth, counts, counts-tiff, radiometric, display, video.")
+]
+Display = Annotated[str, typer.Option(help="linear, plateau or local: how counts become 8 bits.")]
+Palette = Annotated[str, typer.Option(help="white-hot, black-hot or ironbow.")]
+OperatorText = Annotated[
+    str | None,
+    typer.Option("--operator", help="Settings of the operator's software, e.g. emissivity=0.95,reflected_c=-20,"
+                 "air_c=15,humidity=0.5,distance_m=100: what it then reads goes into EXR and radiometric."),
+]  # fmt: skip
+Air = Annotated[
+    str | None,
+    typer.Option(help="Standard atmosphere in place of the scene's own sky: midlatitude-summer, or with an aerosol "
+                 "tropical,rural-23km."),
+]  # fmt: skip
+Temperature = Annotated[
+    str | None, typer.Option(help="Learned map that gives the temperatures in place of the scene's own source.")
+]
+RangeC = Annotated[str | None, typer.Option(help="COLD,WARM: °C of intensity 0 and 1 of a learned map.")]
+TrajectoryFiles = Annotated[
+    list[Path] | None,
+    typer.Option("--trajectory", help="Log in CSV; repeat for logs in several files. Default: the scene's flight.csv."),
+]
+Format = Annotated[
+    str | None, typer.Option("--format", help="Columns of the log: dji-gimbal, rocket-firm, px4, or a TOML file.")
+]
+AnchorText = Annotated[
+    str | None, typer.Option(help="E,N,U,HEADING: re-base the log there [m, m, m above ground, deg].")
+]
+Duplicates = Annotated[
+    str,
+    typer.Option(help="Samples of one time: refuse, spread (evenly, within the last digit that the log's clock shows) "
+                 "or first (keep that one)."),
+]  # fmt: skip
+ClockOffset = Annotated[float, typer.Option(help="Added to the log's times [s].")]
+Mount = Annotated[str | None, typer.Option(help="YAW,PITCH,ROLL of the camera on the vehicle [deg].")]
+LeverArm = Annotated[
+    str, typer.Option(help="FORWARD,RIGHT,DOWN: the camera's place on the vehicle [m].")
+]
+Start = Annotated[float | None, typer.Option(help="First time to fly [s].")]
+Stop = Annotated[float | None, typer.Option(help="Last time to fly [s].")]
+Below = Annotated[bool, typer.Option("--allow-below-ground", help="Fly even where the path is under the terrain.")]
+
+
+@app.callback()
+def _options(debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False):
+    """Take options that stand before the verb; `main` reads --debug by itself."""
+
+
+@app.command()
+def doctor(
+    install: Annotated[bool, typer.Option("--install", help="Install a missing LLVM runtime with apt.")] = False,
+):
+    """Tell what works on this machine and how to mend what does not."""
+    from thermorender.cli.doctor import examine
+    from thermorender.render.variant import install_llvm
+
+    if install:
+        typer.echo(install_llvm())
+    rows, healthy = examine()
+    table(("", "", "to mend"), rows)
+    if not healthy:
+        raise ThermorenderError("no back end renders on this machine; mend the rows above")
+
+
+@app.command("import-terrain")
+def import_terrain(
+    elevation: Annotated[Path, typer.Argument(help="GeoTIFF of heights [m].")],
+    orthophoto: Annotated[Path, typer.Argument(help="GeoTIFF, RGB in 8 bits.")],
+    output: NewFolder,
+    max_vertices: Annotated[int, typer.Option(help="Most posts of the mesh.")] = 4_000_000,
+    max_texels: Annotated[int, typer.Option(help="Most texels along a side of the texture.")] = 8192,
+    height_reference: Annotated[
+        str | None, typer.Option(help="ellipsoid or geoid; default: what the CRS says.")
+    ] = None,
+    geoid_undulation_m: Annotated[float | None, typer.Option(help="Geoid above ellipsoid there [m].")] = None,
+    model: Annotated[str, typer.Option(help="Learned map for the temperatures.")] = defaults.TEMPERATURE_MAP,
+    material: Annotated[str, typer.Option(help="Material of the ground.")] = "soil_loam",
+    sky_temperature: Annotated[float, typer.Option(help="[K]")] = 255.0,
+):
+    """Make a scene from an elevation model and an orthophoto."""
+    from thermorender.scene.import_terrain import import_terrain as run
+
+    if height_reference not in (None, "ellipsoid", "geoid"):
+        raise ThermorenderError(f"--height-reference={height_reference!r} is not allowed; give ellipsoid or geoid")
+    summary = run(elevation, orthophoto, output, max_vertices, max_texels, height_reference, geoid_undulation_m, model,
+                  material, sky_temperature)  # fmt: skip
+    typer.echo(f"{output}: {summary['posts'][1]}×{summary['posts'][0]} posts of {summary['post_m']:.3g} m, "
+               f"{summary['texels'][1]}×{summary['texels'][0]} texels of {summary['texel_m']:.3g} m; "
+               f"{summary['share_without_height']:.1%} without height, "
+               f"{summary['share_without_colour']:.1%} without colour; "
+               f"heights above the {summary['height_reference']}")  # fmt: skip
+
+
+@app.command("make-scene")
+def make_scene(
+    kind: Annotated[str, typer.Argument(help=f"One of {SCENES_TOLD}.")],
+    output: NewFolder,
+    seed: Annotated[int, typer.Option(help="Another seed is another place.")] = 0,
+    size_m: Annotated[float | None, typer.Option(help="Side of the square [m].")] = None,
+    texel_m: Annotated[float | None, typer.Option(help="Side of an orthophoto texel [m].")] = None,
+    post_m: Annotated[float | None, typer.Option(help="Distance of elevation posts [m].")] = None,
+):
+    """Make a procedural scene with known temperatures from a seed."""
+    from thermorender.synthetic import worlds as synthetic
+
+    with progress() as tell:
+        tell("making the landscape", 0.0)
+        folder = synthetic.write(synthetic.make(kind, seed, size_m, texel_m, post_m), output)
+    typer.echo(str(folder))
+
+
+@app.command()
+def plan(scene: SceneName, quality: Quality = "standard", rays: Rays = 128, tolerance_mk: Tolerance = 5.0,
+         air: Air = None):  # fmt: skip
+    """Print what rendering a scene needs, what is left out, and the bound that allows it."""
+    from thermorender.render.plan import make_plan
+    from thermorender.sensor.exposure import plan_row
+
+    loaded = _scene(scene, None, None, air)
+    typer.echo(str(loaded))
+    rows = make_plan(loaded, quality, rays=rays, tolerance_mk=tolerance_mk).rows()
+    table(("item", "in", "why"), [*rows, plan_row(loaded.camera)])
+
+
+@app.command()
+def render(
+    scene: SceneName,
+    output: Out,
+    pose: Annotated[
+        str, typer.Option(help="E,N,U,YAW,PITCH,ROLL: metres in the local frame, degrees; pitch −90 looks down.")
+    ] = "0,0,120,0,-90,0",
+    local_up: Annotated[
+        bool, typer.Option("--local-up", help="U is the local up coordinate, not metres above the ground.")
+    ] = False,
+    visible: Annotated[bool, typer.Option("--visible", help="Write the visible view as well.")] = False,
+    products: Products = "exr,truth,counts,display",
+    display: Display = "linear",
+    palette: Palette = "white-hot",
+    operator: OperatorText = None,
+    temperature: Temperature = None,
+    range_c: RangeC = None,
+    air: Air = None,
+    seed: Seed = 0,
+    engine: Annotated[
+        str, typer.Option(help="renderer, or reference: slow path tracing by stock Mitsuba.")
+    ] = "renderer",
+    paths: Annotated[int, typer.Option(help="Paths per pixel of the reference engine.")] = 64,
+    quality: Quality = "standard",
+    rays: Rays = 128,
+    tolerance_mk: Tolerance = 5.0,
+    device: Device = "auto",
+):
+    """Render one frame."""
+    from thermorender.output import products as frame_files
+    from thermorender.trajectory import parse_numbers
+    from thermorender.trajectory.path import pose as make_pose
+
+    if engine not in ("renderer", "reference"):
+        raise ThermorenderError(f"--engine={engine!r} is unknown; give renderer or reference")
+    look, settings = _look(display, palette), _operator(operator)
+    wanted = frame_files.check(split(products), settings)
+    numbers = parse_numbers("--pose", pose, ("E", "N", "U", "YAW", "PITCH", "ROLL"))
+    with progress() as tell:
+        loaded = _scene(scene, temperature, range_c, air)
+        east, north, up, *angles = numbers
+        if not local_up:
+            ground = float(loaded.ground(east, north))
+            if ground != ground:
+                raise ThermorenderError(f"--pose={pose!r} lies off the terrain; move it, or give --local-up")
+            up += ground
+        renderer = _renderer(loaded, quality, rays, tolerance_mk, seed, device, tell)
+        with files.output_folder(output) as folder:
+            place = make_pose(east, north, up, *angles)
+            if engine == "renderer":
+                frame = renderer.frame(place)
+            else:
+                from thermorender.render.reference import frame as reference_frame
+
+                frame = reference_frame(renderer, place, paths, progress=lambda share: tell("tracing paths", share))
+            look = replace(look, tails_percent=frame.camera.agc_tails_percent)
+            written = frame_files.write(folder, frame, wanted, look.image(frame.counts)[1], settings)
+            if visible:
+                written["visible"] = folder / "frame_000000_visible.png"
+                frame_files.write_image(written["visible"], renderer.visible(frame.pose)[0])
+            files.write_json(folder / "frame_000000.json", frame_files.record(frame))
+    _tell_cache(renderer)
+    seen = frame.apparent_temperature
+    typer.echo(f"apparent temperature {seen.min():.2f}–{seen.max():.2f} K, mean {seen.mean():.2f} K")
+    for path in written.values():
+        typer.echo(str(path))
+
+
+@app.command()
+def fly(
+    scene: SceneName,
+    output: Out,
+    trajectory: TrajectoryFiles = None,
+    format: Format = None,
+    anchor: AnchorText = None,
+    duplicates: Duplicates = "refuse",
+    clock_offset_s: ClockOffset = 0.0,
+    mount: Mount = None,
+    lever_arm_m: LeverArm = "0,0,0",
+    start_s: Start = None,
+    stop_s: Stop = None,
+    rate_hz: Annotated[float | None, typer.Option(help="Frames per second; default: the camera's.")] = None,
+    products: Products = "exr,truth,counts,display,video",
+    display: Display = "linear",
+    palette: Palette = "white-hot",
+    agc_memory_s: Annotated[float, typer.Option(help="Time constant of the gain control; 0: none [s].")] = 0.0,
+    operator: OperatorText = None,
+    temperature: Temperature = None,
+    range_c: RangeC = None,
+    air: Air = None,
+    allow_below_ground: Below = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue a stopped flight.")] = False,
+    seed: Seed = 0,
+    quality: Quality = "standard",
+    rays: Rays = 128,
+    tolerance_mk: Tolerance = 5.0,
+    device: Device = "auto",
+):
+    """Render the frames of a flight."""
+    from thermorender.output import products as frame_files
+    from thermorender.output.flight import fly as run
+
+    look, settings = _look(display, palette, agc_memory_s), _operator(operator)
+    wanted = frame_files.check(split(products), settings)
+    with progress() as tell:
+        loaded = _scene(scene, temperature, range_c, air)
+        path = _trajectory(loaded, trajectory, format, anchor, duplicates, clock_offset_s, mount, lever_arm_m)
+        _above_ground(loaded, path, rate_hz, start_s, stop_s, allow_below_ground)
+        renderer = _renderer(loaded, quality, rays, tolerance_mk, seed, device, tell)
+        summary = run(
+            renderer, path, output, rate_hz, wanted, start_s, stop_s, resume,
+            lambda done, total: tell(f"frame {done} of {total}", done / total), look, settings,
+        )  # fmt: skip
+    _tell_cache(renderer)
+    typer.echo(f"{summary['frames']} frames, {summary['rendered']} rendered now, in {summary['folder']}")
+
+
+@app.command()
+def compare(
+    scene: SceneName,
+    output: Out,
+    models: Annotated[str, typer.Option(help="Comma-separated learned maps.")] = ",".join(defaults.TEMPERATURE_MAPS),
+    trajectory: TrajectoryFiles = None,
+    format: Format = None,
+    anchor: AnchorText = None,
+    duplicates: Duplicates = "refuse",
+    rate_hz: Annotated[float, typer.Option(help="Poses per second of flight.")] = 1.0,
+    range_c: RangeC = None,
+    air: Air = None,
+    allow_below_ground: Below = False,
+    seed: Seed = 0,
+    quality: Quality = "standard",
+    rays: Rays = 128,
+    tolerance_mk: Tolerance = 5.0,
+    device: Device = "auto",
+):
+    """Hold learned 2D translations against the radiometric render of the same poses."""
+    from thermorender.scene.load import load_scene
+    from thermorender.validate.comparison import compare as run
+
+    with progress() as tell:
+        loaded = load_scene(scene)
+        loaded = loaded.with_air(*parse_air(air)) if air is not None else loaded
+        path = _trajectory(loaded, trajectory, format, anchor, duplicates)
+        _above_ground(loaded, path, rate_hz, None, None, allow_below_ground)
+        with files.output_folder(output):
+            summary = run(
+                loaded, path, output, split(models), rate_hz, _range(range_c), tell,
+                quality=quality, rays=rays, tolerance_mk=tolerance_mk, seed=seed, device=device,
+            )  # fmt: skip
+    rows = [
+        (name, *(f"{error[key]:+.3f}" if error[key] is not None else "none" for key in
+                 ("mean_c", "mean_absolute_c", "std_c")), str(error["pixels"]))
+        for name, error in summary["errors"].items()
+    ]  # fmt: skip
+    table(("arm", "mean error [°C]", "mean absolute error [°C]", "standard deviation [°C]", "pixels"), rows)
+    for name, report in summary["maps"].items():
+        typer.echo(
+            f"{name}: {report['share_outside_0_1']:.1%} of the texels' intensities lie outside 0…1, "
+            f"{report['share_fallback']:.1%} of the texels fall back to their material's temperature"
+        )
+    typer.echo(f"pictures and comparison.json in {output}")
+
+
+@app.command()
+def bench(
+    scenes: Annotated[list[str] | None, typer.Argument(help=f"Scenes; default: {defaults.SCENE}.")] = None,
+    triangles: Annotated[int | None, typer.Option(help="Adds a synthetic terrain of so many triangles.")] = None,
+    texels: Annotated[int | None, typer.Option(help="Texels along each side of it; two per cell where absent.")] = None,
+    repeats: Annotated[int, typer.Option(help="Turns of each measurement.")] = 15,
+    output: Annotated[
+        Path | None, output_option("-o", "--output", help="JSON file for the result.", check=files.check_output_file)
+    ] = None,
+    air: Air = None,
+    device: Device = "auto",
+):
+    """Measure frames per second, their ratio to casting the rays alone, and the error of each quality."""
+    from thermorender.validate import bench as run
+
+    with progress() as tell:
+        scenes = scenes or (() if triangles else (defaults.SCENE,))
+        result = run.bench(scenes, triangles, texels, repeats, tell, device=device, air=parse_air(air))
+    table(run.HEADER, run.rows(result))
+    for line in run.costs(result):
+        typer.echo(line)
+    if output:
+        files.write_json(output, result)
+
+
+@app.command()
+def demo(
+    output: Out = Path("out/demo"),
+    device: Device = "auto",
+):
+    """Run the main job on the shipped heath: a flight towards the heated marker, and the comparison."""
+    if (output / "flight" / "flight.json").exists():
+        raise ThermorenderError(f"{output} already holds a demo; give another folder with -o, or remove it")
+    fly(defaults.SCENE, output / "flight", rate_hz=4.0, device=device)
+    compare(defaults.SCENE, output / "comparison", rate_hz=0.2, device=device)
+    typer.echo(f"look at {output / 'flight' / 'flight.mp4'} and at the pictures in {output / 'comparison'}")
+
+
+@train.command("emissivity")
+def train_emissivity(
+    scenes: Annotated[
+        list[str] | None,
+        typer.Argument(help="Scenes with orthophoto and class raster; default: procedural scenes of every kind."),
+    ] = None,
+    output: Annotated[
+        Path, output_option("-o", "--output", help="File for the map, .npz.", check=files.check_output_file)
+    ] = Path("emissivity.npz"),
+    labels: Annotated[
+        Path | None, typer.Option(help="GeoJSON polygons with a property 'material', in place of one scene's classes.")
+    ] = None,
+    texel_m: Annotated[float | None, typer.Option(help="Ground sampling distance to train at [m].")] = None,
+    lights: Annotated[
+        int | None, typer.Option(help="Times each orthophoto is also seen in other light; default 0, procedural 2.")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of the training.")] = 0,
+):
+    """Train a map from colour and texture to materials."""
+    from thermorender.campaign.material_training import train_on
+    from thermorender.learned.emissivity import save_map
+
+    with progress() as tell:
+        model, confusion = train_on(scenes or (), labels, output.stem, texel_m, lights, seed, tell)
+        save_map(model, output)
+    typer.echo(str(model))
+    rows = [
+        (name, str(row.sum()), f"{row[k] / row.sum():.1%}" if row.sum() else "not tested")
+        for k, (name, row) in enumerate(zip(model.materials, confusion, strict=True))
+    ]
+    table(("material", "texels held out", "right"), rows)
+    if "not_tested" in model.about:
+        typer.echo(f"warning: not tested: {model.about['not_tested']}; label more of it to know", err=True)
+    typer.echo(str(output))
+
+
+@app.command("map-materials")
+def map_materials(
+    scene: SceneName,
+    output: Out,
+    model: Annotated[str, typer.Option(help="Emissivity map: a file, or procedural.")] = "procedural",
+    fallback: Annotated[str, typer.Option(help="Material that stands in for unknown texels.")] = "soil_loam",
+    confidence: Annotated[
+        float | None, typer.Option(help="A texel whose best material is less probable is unknown.")
+    ] = None,
+    without: Annotated[str, typer.Option(help="Comma-separated materials known not to occur.")] = "",
+):
+    """Write the materials a learned map sees in a scene's orthophoto, to inspect and correct by hand."""
+    from thermorender.scene.load import scene_folder
+    from thermorender.scene.material_map import write_map
+
+    with progress() as tell, files.output_folder(output) as folder:
+        written, shares = write_map(
+            scene_folder(scene), folder, model, fallback, confidence, split(without),
+            lambda share: tell("mapping the materials", share),
+        )  # fmt: skip
+    table(("material", "share"), [(name, f"{share:.1%}") for name, share in shares.items()])
+    for path in written.values():
+        typer.echo(str(path))
+
+
+# What typer raises for a wrong command line: its own copy of click's exception, or click's, by version.
+UsageError = typer.BadParameter.__base__
+
+
+def main():
+    """Run the command line: a user's mistake is one sentence and status 2."""
+    arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
+    try:
+        status = app(args=arguments or ["--help"], standalone_mode=False)
+    except UsageError as error:
+        command = error.ctx.command_path if error.ctx else "thermorender"
+        _fail(f"{error.format_message().rstrip('.')}; `{command} --help` tells what is allowed")
+    except (ThermorenderError, OSError, MemoryError) as error:
+        if "--debug" in sys.argv[1:]:
+            raise
+        _fail(str(error) or "the memory of this machine is not enough")
+    except (KeyboardInterrupt, typer.Abort):
+        status = 130
+    if status == 130:
+        typer.echo("stopped; a flight continues with --resume", err=True)
+    raise SystemExit(status or 0)
+
+
+def _fail(message):
+    typer.echo(f"error: {' '.join(message.split())}", err=True)
+    raise SystemExit(2) from None
+
+
+def _scene(name, temperature, range_c, air=None):
+    from thermorender.scene.load import load_scene
+    from thermorender.scene.spec import TemperatureSpec
+
+    loaded = load_scene(name)
+    if temperature:
+        loaded = loaded.with_temperature(TemperatureSpec(source="learned", model=temperature, range_c=_range(range_c)))
+    elif range_c:
+        needed = f"add --temperature {defaults.TEMPERATURE_MAP}"
+        raise ThermorenderError(f"--range-c={range_c!r} needs a learned map; {needed}")
+    if air is not None:
+        loaded = loaded.with_air(*parse_air(air))
+    for model, report in loaded.report.items():
+        typer.echo(
+            f"{model}: {report['share_outside_0_1']:.1%} of the intensities lie outside 0…1, "
+            f"{report['share_fallback']:.1%} of the texels fall back to their material's temperature"
+        )
+    told = loaded.emissivity_report
+    if told:
+        typer.echo(
+            f"{told['model']}: {told['share_unknown']:.1%} of the texels are of unknown material and taken for "
+            f"{told['fallback']}"
+        )
+    return loaded
+
+
+def _look(mode, palette, memory_s=0.0):
+    from thermorender.sensor.display import Look
+
+    return Look(mode, palette, memory_s)
+
+
+def _operator(text):
+    from thermorender.sensor.radiometry import Operator
+
+    return Operator.parse(text) if text else None
+
+
+def _renderer(scene, quality, rays, tolerance_mk, seed, device, tell):
+    from thermorender.render.renderer import Renderer
+
+    return Renderer(scene, quality, rays=rays, tolerance_mk=tolerance_mk, seed=seed, device=device, progress=tell)
+
+
+def _tell_cache(renderer):
+    if renderer.baked.cache_note:
+        typer.echo(f"note: {renderer.baked.cache_note}", err=True)
+
+
+def _trajectory(scene, files, format, anchor, duplicates, clock_offset_s=0.0, mount=None, lever_arm_m="0,0,0"):
+    from thermorender.trajectory import parse_anchor, parse_lever_arm, parse_mount, read_trajectory
+
+    own = scene.spec.folder / "flight.csv"
+    if not files and not own.exists():
+        raise ThermorenderError(f"{own} does not exist, and no other log is given; add --trajectory LOG.csv")
+    files = files or [own]
+    return read_trajectory(
+        files,
+        frame=scene.frame,
+        ground=scene.ground,
+        geoid_undulation_m=scene.geoid_undulation_m,
+        format=format,
+        anchor=parse_anchor(anchor) if anchor else None,
+        clock_offset_s=clock_offset_s,
+        mount=parse_mount(mount) if mount else None,
+        lever_arm_m=parse_lever_arm(lever_arm_m),
+        duplicates=duplicates,
+    )
+
+
+def _above_ground(scene, path, rate_hz, start_s, stop_s, allowed):
+    from thermorender.trajectory import check_above_ground
+
+    rate_hz = scene.camera.frame_rate_hz if rate_hz is None else rate_hz
+    if not allowed:
+        check_above_ground(path.sampled(path.frame_times(rate_hz, start_s, stop_s)), scene.ground)
+
+
+def _range(text):
+    from thermorender.trajectory import parse_numbers
+
+    return parse_numbers("--range-c", text, ("COLD", "WARM")) if text else None

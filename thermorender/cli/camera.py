@@ -1,0 +1,40 @@
+"""The command line of camera files: `thermorender fit-camera`; it parses, calls and prints."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from thermorender import defaults, files
+from thermorender.cli.terminal import output_option
+
+Frames = Annotated[list[Path], typer.Argument(help="Frames, or folders of them: 16-bit TIFF or radiometric JPEG.")]
+Base = Annotated[str, typer.Option(help="Camera model whose optics stand for the real one's, or its .toml file.")]
+Output = Annotated[
+    Path,
+    output_option(
+        "-o", "--output", help="Camera file to write, .toml.",
+        check=lambda path: files.check_output_file(path, (".toml",)),
+    ),
+]  # fmt: skip
+Scale = Annotated[
+    str | None, typer.Option(help="STEP,ZERO of TIFFs that tell none: kelvin per count, kelvin of count 0.")
+]
+
+
+def fit_camera(frames: Frames, output: Output, base: Base = defaults.CAMERA, scale: Scale = None):
+    """Estimate noise, fixed pattern, blur and gain control from real frames, and write a camera file."""
+    from thermorender.footage import calibration
+
+    estimates = calibration.fit_camera(frames, base, parse_scale(scale))
+    calibration.write_camera(output, base, estimates)
+    for key, estimate in estimates.items():
+        typer.echo(f"{key} = {estimate.text} ± {estimate.uncertainty:.2g}: {estimate.how}")
+    typer.echo(str(output))
+
+
+def parse_scale(text):
+    """Return (kelvin per count, kelvin of count 0) of an option, None where it is not given."""
+    from thermorender.trajectory import parse_numbers
+
+    return tuple(parse_numbers("--scale", text, ("STEP", "ZERO"))) if text else None

@@ -1,0 +1,115 @@
+"""Commands that hold the renderer against references: `thermorender validate …`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from thermorender import defaults, files
+from thermorender.cli.camera import Base, Frames, Scale, parse_scale
+from thermorender.cli.terminal import air as parse_air
+from thermorender.cli.terminal import output_option, progress, split, table
+from thermorender.errors import ThermorenderError
+
+app = typer.Typer(help="Hold the renderer against references.", no_args_is_help=True)
+
+Out = Annotated[Path, output_option("-o", "--output", help="Folder for the results.")]
+Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
+
+
+@app.command()
+def convergence(
+    scenes: Annotated[list[str] | None, typer.Argument(help=f"Scenes; default: {' '.join(defaults.SCENES)}.")] = None,
+    output: Out = Path("validation"),
+    quick: Annotated[bool, typer.Option("--quick", help="Minutes instead of an hour.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Measure anew what is there.")] = False,
+    device: Device = "auto",
+):
+    """Error against run time, beside stock Mitsuba, against the path-traced reference."""
+    from thermorender.validate.convergence import convergence as run
+
+    with progress() as tell:
+        run(scenes or defaults.SCENES, output, tell, "quick" if quick else "full", overwrite, device)
+    typer.echo(f"table, numbers and figures in {output}")
+
+
+@app.command("emissivity")
+def validate_emissivity(
+    output: Out = Path("out/validation"),
+    model: Annotated[str, typer.Option(help="Emissivity map: a file, or procedural.")] = "procedural",
+    seeds: Annotated[str, typer.Option(help="Comma-separated seeds of procedural scenes not trained on.")] = "201,202",
+):
+    """Errors of a learned emissivity map on procedural scenes, beside simpler ways."""
+    from thermorender.validate import emissivity as run
+
+    if not all(part.isdigit() for part in split(seeds)) or not split(seeds):
+        raise ThermorenderError(f"--seeds={seeds!r} is not allowed; give whole numbers such as 201,202")
+    with progress() as tell, files.output_folder(output) as folder:
+        result = run.hold(model, [int(part) for part in split(seeds)], tell=tell)
+        files.write_json(folder / "emissivity.json", result)
+        run.write_confusion(result, folder / "emissivity_confusion.csv")
+    table(run.HEADER, run.rows(result))
+    typer.echo(f"numbers and confusion table in {output}")
+
+
+@app.command("air")
+def validate_air(
+    scene: Annotated[str, typer.Argument(help="Scene folder, or the name of a shipped one.")] = defaults.SCENE,
+    output: Out = Path("out/validation"),
+    air: Annotated[str, typer.Option(help="Standard atmosphere and aerosol.")] = "midlatitude-summer,rural-23km",
+    device: Device = "auto",
+):
+    """What air costs a frame, and what its spectral channels leave wrong."""
+    from thermorender.scene.load import load_scene
+    from thermorender.validate import air as run
+
+    with progress() as tell, files.output_folder(output) as folder:
+        result = run.hold(load_scene(scene), parse_air(air), device=device, progress=tell)
+        files.write_json(folder / "air.json", result)
+        run.figure(result, folder / "air.png")
+    table(run.HEADER, run.rows(result))
+    typer.echo(f"numbers and figure in {output}")
+
+
+@app.command("growth")
+def validate_growth(output: Out = Path("out/validation"), device: Device = "auto"):
+    """How time and memory grow with triangles, texels and spectral nodes; continues where it was stopped."""
+    from thermorender.validate import growth as run
+
+    with progress() as tell:
+        cases = run.hold(output, progress=tell, device=device)
+    table(run.HEADER, run.rows(cases))
+    typer.echo(f"numbers and figure in {output}")
+
+
+@app.command("footage")
+def validate_footage(
+    frames: Frames,
+    output: Out = Path("out/validation"),
+    base: Base = defaults.CAMERA,
+    scale: Scale = None,
+    scene: Annotated[str, typer.Option(help="Scene the simulated frames show.")] = defaults.SCENE,
+    name: Annotated[str, typer.Option(help="Of the files to write.")] = "footage",
+    device: Device = "auto",
+):
+    """Power spectra and noise of simulated frames beside those of real ones."""
+    from thermorender.validate import sensor_statistics as run
+
+    with progress() as tell, files.output_folder(output) as folder:
+        result = run.compare(frames, folder, base, parse_scale(scale), scene, name, tell=tell, device=device)
+    table(run.HEADER, run.rows(result))
+    typer.echo(f"numbers, figure and fitted camera in {output}")
+
+
+@app.command("sensor")
+def validate_sensor(
+    scene: Annotated[str, typer.Argument(help="Scene folder, or the name of a shipped one.")] = defaults.SCENE,
+    output: Out = Path("out/validation"),
+    device: Device = "auto",
+):
+    """Errors of lag and blur against run time, and what the whole chain costs."""
+    from thermorender.validate.sensor import sensor as run
+
+    with progress() as tell:
+        run(output, scene, device=device, progress=tell)
+    typer.echo(f"table, numbers and figures in {output}")

@@ -1,0 +1,1 @@
+"""What real cameras' files tell: readers, statistics and calibration."""

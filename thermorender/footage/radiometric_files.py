@@ -1,0 +1,104 @@
+"""Files of temperature: 16-bit TIFFs of so many kelvin per count, written and read, and FLIR's radiometric JPEGs.
+
+Cameras write counts in a TIFF and tell nowhere what a count is: 0.04 K for a FLIR core in TLinear mode, a thousandth
+of a degree Celsius elsewhere. So a file's own scale is believed where it declares one with its unit, and has to be
+given where it does not.
+"""
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.units import ZERO_CELSIUS_K
+
+# FLIR Tau 2 product specification, TLinear: kelvin per count in high resolution, as a Zenmuse XT2 writes its TIFFs.
+TLINEAR_STEP_K = 0.04
+
+_UNITS = {"K": 0.0, "kelvin": 0.0, "°C": ZERO_CELSIUS_K, "degC": ZERO_CELSIUS_K, "C": ZERO_CELSIUS_K}
+FLIR_JPEG = (".jpg", ".jpeg")
+SUFFIXES = (".tif", ".tiff", *FLIR_JPEG)
+
+
+def write_tlinear(path, temperature, step_k=TLINEAR_STEP_K):
+    """Write temperatures as a 16-bit TIFF of `step_k` kelvin per count, the scale and unit declared in it.
+
+    Parameters
+    ----------
+    path : path
+    temperature : (H, W) array
+        [K]. NaN is written as 0, what lies outside as the nearest count.
+    step_k : float
+
+    Notes
+    -----
+    The TIFF carries GDAL's scale, offset and unit, so GDAL, rasterio and QGIS show kelvin; others see the counts.
+    """
+    import rasterio
+
+    counts = np.rint(np.nan_to_num(np.asarray(temperature, np.float64), nan=0.0) / step_k)
+    counts = np.clip(counts, 0, 65535).astype(np.uint16)
+    height, width = counts.shape
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+        with rasterio.open(
+            path, "w", driver="GTiff", width=width, height=height, count=1, dtype="uint16", compress="deflate"
+        ) as file:
+            file.write(counts, 1)
+            file.scales, file.offsets, file.units = (step_k,), (0.0,), ("K",)
+
+
+def read_temperature(path, scale=None, operator=None):
+    """Return the temperatures of a radiometric file, (H, W) float64 [K]; NaN where it has none.
+
+    Parameters
+    ----------
+    path : path
+        TIFF of one band, or a radiometric JPEG of FLIR.
+    scale : (2,) floats, optional
+        (kelvin per count, kelvin of count 0) of a TIFF that does not declare them.
+    operator : Operator, optional
+        In place of the settings stored in a JPEG.
+
+    Raises
+    ------
+    ThermorenderError
+        A file that cannot be read, has several bands, or does not tell what a count is.
+    """
+    path = Path(path)
+    if path.suffix.lower() in FLIR_JPEG:
+        from thermorender.footage.flir_jpeg import read_flir_jpeg
+
+        if scale is not None:
+            raise ThermorenderError(f"{path} carries its own calibration; leave the scale away")
+        return read_flir_jpeg(path).temperature(operator)
+    if path.suffix.lower() not in SUFFIXES:
+        raise ThermorenderError(f"{path} is of unknown kind; give one of {', '.join(SUFFIXES)}")
+    counts, declared = _read_tiff(path)
+    if scale is None and declared is None:
+        raise ThermorenderError(
+            f"{path} does not tell what a count is; give kelvin per count and kelvin of count 0, e.g. 0.04,0 for a "
+            "FLIR core in TLinear mode"
+        )
+    step, zero = scale or declared
+    return counts * float(step) + float(zero)
+
+
+def _read_tiff(path):
+    """((H, W) float64 values, (step, zero) in kelvin as declared or None) of a TIFF; NaN where it has no data."""
+    import rasterio
+
+    if not path.is_file():
+        raise ThermorenderError(f"{path} does not exist; give a radiometric TIFF")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
+            with rasterio.open(path) as file:
+                if file.count != 1:
+                    raise ThermorenderError(f"{path} has {file.count} bands; give a TIFF of one band, the counts")
+                values = file.read(1, masked=True).astype(np.float64).filled(np.nan)
+                unit, step, zero = file.units[0], file.scales[0], file.offsets[0]
+    except rasterio.errors.RasterioError as error:
+        raise ThermorenderError(f"{path} cannot be read as TIFF: {error}; give a whole file") from None
+    return values, (step, zero + _UNITS[unit]) if unit in _UNITS else None

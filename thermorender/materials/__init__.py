@@ -1,0 +1,1 @@
+"""Materials: what a surface emits and reflects by wavelength and angle, from tables people edit."""

@@ -1,0 +1,241 @@
+"""One measured sample from a file: ECOSTRESS text, a column of a SLUM table, or a CSV of two columns.
+
+Whatever a file holds becomes hemispherical reflectance over rising wavelength in µm; the file's own words say which
+quantity and unit it is in, and nothing is guessed.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError, shortened
+from thermorender.materials.files import csv_rows, number_in_cell, read_table, read_text
+
+# Library → (words before the file names, citation, licence).
+LIBRARIES = {
+    "ECOSTRESS": (
+        "ECOSTRESS spectral library (JPL)",
+        "Baldridge et al. 2009, doi:10.1016/j.rse.2008.11.007; Meerdink et al. 2019, doi:10.1016/j.rse.2019.05.015",
+        "free, cite",
+    ),
+    "SLUM": (
+        "Spectral Library of impervious Urban Materials (LUMA SLUM)",
+        "Kotthaus et al. 2014, doi:10.1016/j.isprsjprs.2014.05.005; data doi:10.5281/zenodo.4263842",
+        "CC0, cite",
+    ),
+}
+
+# Column heading of a two-column table → function to µm, or to reflectance [1].
+WAVELENGTH_UNITS = {
+    "wavelength_um": lambda value: value,
+    "wavelength_nm": lambda value: value / 1e3,
+    "wavenumber_cm-1": lambda value: 1e4 / value,
+}
+QUANTITIES = {
+    "emissivity": lambda value: 1.0 - value,
+    "emissivity_percent": lambda value: 1.0 - value / 100.0,
+    "reflectance": lambda value: value,
+    "reflectance_percent": lambda value: value / 100.0,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One measured sample.
+
+    Attributes
+    ----------
+    name, source : str
+        What it is, and the file (and column) it comes from.
+    library : str
+        Key of LIBRARIES, or "" for the user's own.
+    wavelength_um, reflectance : (N,) float64 arrays
+        Rising wavelength [µm] and hemispherical reflectance [1] in the thermal range.
+    sunlight_um, sunlight_reflectance : (M,) float64 arrays
+        The same over what was measured of the solar range; may be empty.
+    """
+
+    name: str
+    source: str
+    library: str
+    wavelength_um: np.ndarray
+    reflectance: np.ndarray
+    sunlight_um: np.ndarray
+    sunlight_reflectance: np.ndarray
+
+
+def read_sample(path, column=None):
+    """Return the Sample of a file of any of the three kinds, told apart by the file's own words.
+
+    Parameters
+    ----------
+    path : path
+        ECOSTRESS text; a SLUM table (`LUMA_SLUM_IR.csv`, whose short-wave table is looked for beside it); or a CSV
+        of two columns with the headings wavelength_um, wavelength_nm or wavenumber_cm-1, and emissivity,
+        emissivity_percent, reflectance or reflectance_percent.
+    column : str, optional
+        Which sample of a table with several.
+
+    Raises
+    ------
+    ThermorenderError
+        The file is absent, of no such kind, or holds something that cannot be a spectrum.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise ThermorenderError(f"{path} does not exist; give a spectrum file")
+    if is_ecostress(path):
+        if column is not None:
+            raise ThermorenderError(f"{path} is one ECOSTRESS spectrum and has no column {column!r}; leave it out")
+        return read_ecostress(path)
+    header = [cell.strip() for cell in next(iter(csv_rows(read_text(path), path)), [])]
+    if column is not None or (len(header) > 2 and header[0].lower() == "wavelength"):
+        return read_slum(path, column)
+    return read_columns(path)
+
+
+def is_ecostress(path):
+    """Return whether a file begins like an ECOSTRESS spectrum, with lines of `key: value`."""
+    with open(path, "rb") as file:
+        return b"x units" in file.read(4000).lower()
+
+
+def read_ecostress(path):
+    """Return the Sample of one ECOSTRESS spectrum file.
+
+    Wavelengths may fall or rise; repeated ones are averaged; percent becomes a share of one.
+
+    Raises
+    ------
+    ThermorenderError
+        The file is absent, is not in µm and percent, is not hemispherical reflectance, or holds no spectrum.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise ThermorenderError(
+            f"{path} does not exist; order the spectrum at https://speclib.jpl.nasa.gov and put it there"
+        )
+    header, pairs = ecostress_lines(path)
+    units = header.get("x units", "nothing"), header.get("y units", "nothing")
+    if "micromet" not in units[0].lower() or "percent" not in units[1].lower():
+        raise ThermorenderError(
+            f"{path} states x units {units[0]!r} and y units {units[1]!r}; only wavelength in micrometres "
+            "and reflectance in percent are read, so convert it first"
+        )
+    if "hemispherical" not in header.get("measurement", "").lower():
+        raise ThermorenderError(
+            f"{path} was measured as {header.get('measurement', 'not stated')!r}; emissivity is one minus reflectance "
+            "for hemispherical reflectance only, so leave the sample out"
+        )
+    if len(pairs) < 2:
+        raise ThermorenderError(
+            f"{path} holds {len(pairs)} wavelength and reflectance pairs; order the whole file again"
+        )
+    wavelength, percent = np.array(pairs).T
+    unique, where, count = np.unique(wavelength, return_inverse=True, return_counts=True)
+    reflectance = np.bincount(where, weights=percent) / count / 100.0
+    return Sample(
+        name=header.get("name", path.stem),
+        source=path.name,
+        library="ECOSTRESS",
+        wavelength_um=unique,
+        reflectance=reflectance,
+        sunlight_um=unique,
+        sunlight_reflectance=reflectance,
+    )
+
+
+def ecostress_lines(path):
+    """Return the header of an ECOSTRESS file as a dict of lower-case keys, and its (µm, %) pairs as they stand."""
+    header, pairs = {}, []
+    # Some headers hold degree signs in latin-1, which decodes any byte.
+    for line in Path(path).read_text(encoding="latin-1").splitlines():
+        key, colon, value = line.partition(":")
+        if colon and not pairs:
+            header[key.strip().lower()] = value.strip()
+            continue
+        try:
+            wavelength, percent = (float(cell) for cell in line.split())
+        except ValueError:
+            continue
+        pairs.append((wavelength, percent))
+    return header, pairs
+
+
+def read_slum(path, column):
+    """Return the Sample of one column of a SLUM table of emissivity against µm, with its short-wave reflectance.
+
+    The reflectance [%] against nm of the same sample is taken from the file named `_SW` for `_IR` beside it, if it
+    is there.
+
+    Raises
+    ------
+    ThermorenderError
+        No column was named, or the table has no such column.
+    """
+    path = Path(path)
+    wavelength, emissivity = _slum_column(path, column)
+    beside = path.with_name(path.name.replace("_IR", "_SW"))
+    sunlight, percent = np.empty(0), np.empty(0)
+    if beside != path and beside.is_file():
+        sunlight, percent = _slum_column(beside, column)
+    return Sample(
+        name=f"SLUM {column}",
+        source=f"{path.name}#{column}",
+        library="SLUM",
+        wavelength_um=wavelength,
+        reflectance=1.0 - emissivity,
+        sunlight_um=sunlight / 1e3,
+        sunlight_reflectance=percent / 100.0,
+    )
+
+
+def read_columns(path):
+    """Return the Sample of a CSV of two columns whose headings tell quantity and unit.
+
+    Raises
+    ------
+    ThermorenderError
+        A heading is unknown, a cell is no number, or wavelengths repeat.
+    """
+    path = Path(path)
+    rows = read_table(path, ())
+    header = list(rows[0][1]) if rows else []
+    first = next((key for key in WAVELENGTH_UNITS if key in header), None)
+    second = next((key for key in QUANTITIES if key in header), None)
+    if first is None or second is None:
+        raise ThermorenderError(
+            f"{path}, row 1 holds {shortened(', '.join(header)) or 'nothing'}; the headings must be one of "
+            f"{', '.join(WAVELENGTH_UNITS)} and one of {', '.join(QUANTITIES)}, which tells the units"
+        )
+    values = np.array([[_number(path, row, key, cells[key]) for key in (first, second)] for row, cells in rows])
+    wavelength = WAVELENGTH_UNITS[first](values[:, 0])
+    order = np.argsort(wavelength)
+    wavelength, reflectance = wavelength[order], QUANTITIES[second](values[order, 1])
+    if len(wavelength) < 2 or np.any(np.diff(wavelength) <= 0.0) or wavelength[0] <= 0.0:
+        raise ThermorenderError(
+            f"{path} needs two rows at least, each of its own positive {first}; `thermorender materials check` finds "
+            "the fault"
+        )
+    return Sample(path.stem, path.name, "", wavelength, reflectance, wavelength, reflectance)
+
+
+def _number(path, row, column, text):
+    """Return a cell as a float; NaN and infinity are no numbers of a spectrum."""
+    return number_in_cell(path, row, column, text, -1e9, 1e9, "correct the cell")
+
+
+def _slum_column(path, column):
+    rows = read_table(path, ("wavelength",))
+    names = [key for key in rows[0][1] if key != "wavelength"] if rows else []
+    if column not in names:
+        raise ThermorenderError(
+            f"{path} holds the samples {', '.join(names[:3])} … {', '.join(names[-1:])}, not {column!r}; name one with "
+            "--column"
+        )
+    values = [[_number(path, row, key, cells[key]) for key in ("wavelength", column)] for row, cells in rows]
+    wavelength, value = np.array(sorted(values)).T
+    if np.any(np.diff(wavelength) <= 0.0):
+        raise ThermorenderError(f"{path} repeats a wavelength; keep one row for each")
+    return wavelength, value

@@ -1,0 +1,141 @@
+"""Writing into a materials folder: index row and table, both or neither, and never over what is there unasked."""
+
+import csv
+import io
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.files import atomic, write_text
+from thermorender.materials.files import (
+    INDEX_COLUMNS,
+    INDEX_OF_REFRACTION_COLUMNS,
+    ROUGHNESS_COLUMN,
+    SPECTRUM_COLUMNS,
+    read_table,
+)
+from thermorender.materials.library import NAME, read_library
+
+
+def write_material(material, directory, replace=False):
+    """Write a Lambertian material's spectrum and its row of `index.csv` into a folder, both or neither.
+
+    Parameters
+    ----------
+    material : Material
+    directory : path
+        Made if absent; other rows of its index stay as they are.
+    replace : bool
+        Whether a material of the same name may be replaced.
+
+    Raises
+    ------
+    ThermorenderError
+        The folder holds one of that name already, or what was to be written cannot be read back.
+    """
+    lines = [",".join(SPECTRUM_COLUMNS)]
+    for row in zip(material.wavelength_um, material.emissivity, material.emissivity_std, strict=True):
+        wavelength, emissivity, std = row
+        lines.append(f"{wavelength:.9g},{emissivity:.6f},{'' if np.isnan(std) else f'{std:.5f}'}")
+    store(index_row(material), "\n".join(lines) + "\n", directory, replace)
+
+
+def write_materials(materials, directory, replace=False):
+    """Write several Lambertian materials; names the folder holds already are refused before the first is written."""
+    for material in materials:
+        _refuse_existing(Path(directory), material.name, replace)
+    for material in materials:
+        write_material(material, directory, replace)
+
+
+def write_refractive_index(path, material, directory, replace=False):
+    """Write a table of n and k as a Fresnel material into a folder, both index row and table or neither.
+
+    Parameters
+    ----------
+    path : path
+        CSV with the columns wavelength_um, n, k.
+    material : dict
+        Cells of its index row: name, title, source, rms_slope…
+    directory, replace
+        As in `write_material`.
+    """
+    rows = read_table(path, INDEX_OF_REFRACTION_COLUMNS)
+    lines = [",".join(INDEX_OF_REFRACTION_COLUMNS)]
+    lines += [",".join(cells[key] for key in INDEX_OF_REFRACTION_COLUMNS) for _, cells in rows]
+    store(material | {"directional": "fresnel"}, "\n".join(lines) + "\n", directory, replace)
+
+
+def index_row(material):
+    """Return the cells of a material's row of the index."""
+    return {
+        "name": material.name,
+        "title": material.title,
+        "colour_r": material.colour[0],
+        "colour_g": material.colour[1],
+        "colour_b": material.colour[2],
+        "solar_absorptance": f"{material.solar_absorptance:.3g}",
+        "directional": material.directional,
+        "temperature_k": f"{material.temperature:g}",
+        "samples": material.samples,
+        "source": material.source,
+        "citation": material.citation,
+        "licence": material.licence,
+        "note": material.note,
+    } | ({ROUGHNESS_COLUMN: f"{material.rms_slope:g}"} if material.directional == "fresnel" else {})
+
+
+def store(row, spectrum, directory, replace=False):
+    """Put a material's index row (dict) and the text of its spectrum table into a folder, both or neither.
+
+    It is read back from a scratch folder first, so nothing is written that the library would refuse.
+    """
+    directory, name = Path(directory), str(row["name"])
+    if not NAME.fullmatch(name):
+        raise ThermorenderError(f"name={name!r} is not a material name; use letters, digits, _ and -")
+    index = directory / "index.csv"
+    _refuse_existing(directory, name, replace)
+    rows = {cells["name"]: cells for _, cells in read_table(index, INDEX_COLUMNS)} if index.is_file() else {}
+    with tempfile.TemporaryDirectory() as scratch:
+        try:
+            _write_both(Path(scratch), _index_text([row]), name, spectrum)
+            read_library(Path(scratch))
+        except ThermorenderError as error:
+            raise ThermorenderError(str(error).replace(scratch, str(directory))) from None
+    rows[name] = rows.get(name, {}) | row
+    _write_both(directory, _index_text(rows.values()), name, spectrum)
+
+
+def _refuse_existing(directory, name, replace):
+    index, table = directory / "index.csv", directory / "spectra" / f"{name}.csv"
+    names = {cells["name"] for _, cells in read_table(index, INDEX_COLUMNS)} if index.is_file() else set()
+    if (name in names or table.exists()) and not replace:
+        raise ThermorenderError(f"{directory} already holds material {name!r}; choose another name, or add --replace")
+
+
+def _write_both(directory, index, name, spectrum):
+    """Replace the table and the index of a folder; a failure of the second undoes the first."""
+    table = directory / "spectra" / f"{name}.csv"
+    before = table.read_bytes() if table.exists() else None
+    write_text(table, spectrum)
+    try:
+        write_text(directory / "index.csv", index)
+    except BaseException:
+        if before is None:
+            table.unlink()
+        else:
+            with atomic(table) as part:
+                part.write_bytes(before)
+        raise
+
+
+def _index_text(rows):
+    rows = list(rows)
+    columns = list(dict.fromkeys([*INDEX_COLUMNS, *(key for cells in rows for key in cells)]))
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()

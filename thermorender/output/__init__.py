@@ -1,0 +1,1 @@
+"""What is written: frames as files, videos, and flights."""

@@ -1,0 +1,233 @@
+"""A flight: timed poses to frames on disk, in an order that can be stopped anywhere and resumed.
+
+A frame counts as done when its line stands in `frames.jsonl`; the line is appended after its files have their
+final names. `flight.json` holds everything the bytes depend on, so a resume that would not give the same bytes
+is refused. What the sensor's pixels remember is kept in two files, written in turn, until the flight is done; where
+it is lost, a resume takes the frames before once more to have it again.
+"""
+
+import json
+import zipfile
+from dataclasses import asdict, replace
+
+import numpy as np
+
+from thermorender import files
+from thermorender.errors import ThermorenderError
+from thermorender.output import products as product_files
+from thermorender.sensor.chain import sensor_of
+from thermorender.sensor.display import Look
+from thermorender.sensor.exposure import RENDER_PX, Exposure
+from thermorender.versions import versions
+
+
+def fly(renderer, trajectory, folder, rate_hz=None, products=product_files.DEFAULT, start_s=None, stop_s=None,
+        resume=False, progress=None, look=None, operator=None):  # fmt: skip
+    """Render a flight into a folder and return its summary.
+
+    Parameters
+    ----------
+    renderer : Renderer
+    trajectory : Trajectory
+    folder : path
+        Output folder; empty or absent unless `resume`.
+    rate_hz : float, optional
+        Frames per second; the camera's own where None.
+    products : sequence of str
+        Some of exr, truth, counts, counts-tiff, radiometric, display, video.
+    start_s, stop_s : float, optional
+        Part of the trajectory's time to fly [s].
+    resume : bool
+        Continue a stopped flight of the same settings.
+    progress : callable, optional
+        Called with (frames done, frames in all).
+    look : Look, optional
+        How the display shows the counts; linear and white-hot where None. Its tails are the camera's.
+    operator : Operator, optional
+        Settings of the operator's software.
+
+    Returns
+    -------
+    dict
+        frames (in all), rendered (now), folder, first and last time.
+
+    Raises
+    ------
+    ThermorenderError
+        Unknown products, a folder that is in use or cannot be written, or a resume with other settings.
+    """
+    products = product_files.check(products, operator)
+    look = replace(look or Look(), tails_percent=renderer.scene.camera.agc_tails_percent)
+    rate = renderer.scene.camera.frame_rate_hz if rate_hz is None else float(rate_hz)
+    times = trajectory.frame_times(rate, start_s, stop_s)
+    poses = trajectory.sampled(times).poses()
+    settings = {
+        "scene": renderer.scene.name,
+        "scene_digest": renderer.scene.digest(),
+        "camera": renderer.scene.camera.name,
+        "seed": renderer.seed,
+        "plan": renderer.plan.as_dict(),
+        "rate_hz": rate,
+        "frames": len(times),
+        "first_time_s": float(times[0]),
+        "last_time_s": float(times[-1]),
+        # Between frames too: the sensor remembers what it saw on the way.
+        "path_digest": _digest(poses, trajectory.time_s, trajectory.position, trajectory.quaternion),
+        "products": list(products),
+        "display": asdict(look) | {"tails_percent": list(look.tails_percent)},
+        "operator": operator and asdict(operator),
+        "versions": versions(),
+    }
+    exposure = _exposure(renderer, trajectory, 1.0 / rate)
+    with files.output_folder(folder) as folder:
+        done = _done(folder, settings, products, resume)
+        agc = None
+
+        def take(index, agc):
+            frame = _taken(renderer, exposure, poses, times, index)
+            return frame, *(look.image(frame.counts, agc, 1.0 / rate) if "display" in products else (None, None))
+
+        if 0 < done < len(times):
+            agc = _recall(folder, exposure, done, take)
+        for index in range(done, len(times)):
+            frame, agc, image = take(index, agc)
+            # Only now, so that a mistake that shows with the first frame leaves nothing behind.
+            if not (folder / "flight.json").exists():
+                files.write_json(folder / "flight.json", settings)
+            product_files.write(folder, frame, products, image, operator)
+            _remember(folder, exposure, agc, index)
+            files.append_json(folder / "frames.jsonl", product_files.record(frame))
+            if progress:
+                progress(index + 1, len(times))
+        for path in _memories(folder):
+            path.unlink(missing_ok=True)
+        if "video" in products:
+            images = [product_files.paths(folder, index, ("display",))["display"] for index in range(len(times))]
+            product_files.write_video(folder / "flight.mp4", images, rate)
+    return {
+        "frames": len(times),
+        "rendered": len(times) - done,
+        "folder": str(folder),
+        "first_time_s": float(times[0]),
+        "last_time_s": float(times[-1]),
+    }
+
+
+def _done(folder, settings, products, resume):
+    """Return how many frames are already done, after checking the folder and comparing its `flight.json`."""
+    described, lines = folder / "flight.json", folder / "frames.jsonl"
+    if not resume:
+        if described.exists() or lines.exists():
+            raise ThermorenderError(
+                f"{folder} already holds a flight; give another folder, or --resume to continue that one"
+            )
+        other = next(folder.glob("frame_*"), None)
+        if other:
+            raise ThermorenderError(
+                f"{folder} already holds {other.name}, which a flight would overwrite; give another folder"
+            )
+        return 0
+    if not described.exists():
+        if lines.exists():
+            raise ThermorenderError(
+                f"{described} is missing beside frames.jsonl; start the flight again in another folder"
+            )
+        return 0
+    try:
+        before = json.loads(described.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        before = None
+    if not isinstance(before, dict):
+        raise ThermorenderError(f"{described} is damaged; start the flight again in another folder")
+    for key, value in settings.items():
+        if before.get(key) != value:
+            raise ThermorenderError(
+                f"{described} was flown with {key}={before.get(key)!r}, now {key}={value!r}; resume with the same "
+                "settings or give another folder"
+            )
+    kept = []
+    text = lines.read_text(encoding="utf-8", errors="replace") if lines.exists() else ""
+    for number, line in enumerate(text.splitlines()):
+        try:
+            index = json.loads(line)["index"]
+        except (ValueError, KeyError, TypeError):
+            break
+        images = product_files.paths(folder, number, products).values()
+        if index != number or not all(path.exists() for path in images):
+            break
+        kept.append(line)
+    files.write_text(lines, "".join(line + "\n" for line in kept))
+    files.remove_parts(folder)
+    return len(kept)
+
+
+def _exposure(renderer, trajectory, interval_s):
+    """The Exposure of a flight: the sensor with what it keeps from frame to frame."""
+    scene = renderer.scene
+    first, last = trajectory.span_s
+    terrain = np.concatenate([surface.vertices[:, 2] for surface in scene.surfaces[: scene.terrain_count]])
+
+    def pose_at(time_s):
+        return trajectory.pose(min(max(time_s, first), last))
+
+    def ground_at(pose):
+        height = float(scene.ground(*pose[:2, 3]))
+        return height if np.isfinite(height) else float(terrain.min())
+
+    return Exposure(
+        sensor_of(scene.camera, renderer.seed),
+        lambda time_s: renderer.radiance(pose_at(time_s), time_s),
+        pose_at,
+        ground_at,
+        interval_s,
+        # Objects that move by themselves do not move as the ground does.
+        render_px=0.0 if scene.movers else RENDER_PX,
+    )
+
+
+def _taken(renderer, exposure, poses, times, index):
+    """One frame of the flight with what its sensor reads."""
+    frame = renderer.frame(poses[index], time_s=times[index], index=index)
+    return frame.with_reading(*exposure.read(index, float(times[index]), frame.radiance))
+
+
+def _memories(folder):
+    """The files that hold the sensor's state after frames of even and of odd number."""
+    return folder / "sensor_even.npz", folder / "sensor_odd.npz"
+
+
+def _remember(folder, exposure, agc, index):
+    """Keep the state of sensor and display beside the frame's line: two files in turn, so that one is always whole."""
+    state = exposure.state() | ({} if agc is None else {"agc": agc})
+    with files.atomic(_memories(folder)[index % 2]) as part:
+        np.savez(part, index=index, **state)
+
+
+def _recall(folder, exposure, done, take):
+    """Bring the sensor to where it was after `done` frames, from its file or by taking them again; the display's state.
+
+    `take` is called with a frame's index and the display's state, and returns the frame and the state after it.
+    """
+    last = done - 1
+    try:
+        with open(_memories(folder)[last % 2], "rb") as file, np.load(file) as kept:
+            arrays = dict(kept)
+        if arrays.pop("index") == last:
+            agc = arrays.pop("agc", None)
+            exposure.restore(arrays)
+            return agc
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        pass
+    agc = None
+    for index in range(done):
+        _, agc, _ = take(index, agc)
+    return agc
+
+
+def _digest(*arrays):
+    import hashlib
+
+    state = hashlib.blake2b(digest_size=16)
+    for array in arrays:
+        state.update(np.ascontiguousarray(array).tobytes())
+    return state.hexdigest()

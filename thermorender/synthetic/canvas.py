@@ -1,0 +1,351 @@
+"""The canvas of a synthetic scene: height, class, colour and moisture per texel, and its brushes."""
+
+import numpy as np
+
+from thermorender.synthetic.light import linear
+from thermorender.synthetic.noise import fractal_noise, smooth_noise, smoothstep, stream
+
+
+class Canvas:
+    """A square scene under construction; a layout paints it from the ground up.
+
+    Attributes
+    ----------
+    east, north : (1, N) and (N, 1) float32
+        Texel centres relative to the scene's centre [m]; row 0 in the north.
+    ground, top, relief : (N, N) float32
+        Bare ground, what stands on it, and small relief that is lit but not part of the model [m].
+    albedo : (N, N, 3) float32
+        Linear colour as it looks lying level in full sun.
+    material : (N, N) uint8
+        Class value; `names` tells the material.
+    wetness, interior : (N, N) float32
+        Added moisture (0…1) and known temperature beneath the surface [K] (NaN: unknown).
+    """
+
+    def __init__(self, seed, size_m, texel_m):
+        self.seed, self.size, self.texel = seed, size_m, texel_m
+        self.n = round(size_m / texel_m)
+        self.shape = (self.n, self.n)
+        line = ((np.arange(self.n) + 0.5) * texel_m - 0.5 * size_m).astype(np.float32)
+        self.east, self.north = line[None, :], -line[:, None]
+        self.ground = np.zeros(self.shape, np.float32)
+        self.top = np.zeros(self.shape, np.float32)
+        self.relief = np.zeros(self.shape, np.float32)
+        self.albedo = np.zeros((*self.shape, 3), np.float32)
+        self.material = np.zeros(self.shape, np.uint8)
+        self.wetness = np.zeros(self.shape, np.float32)
+        self.interior = np.full(self.shape, np.nan, np.float32)
+        self.names = {}
+
+    @property
+    def surface(self):
+        """Heights of the surface model, (N, N) float32 [m]."""
+        return self.ground + self.top
+
+    def value(self, name):
+        """Return the class value of a material, a new one for a new name."""
+        for value, known in self.names.items():
+            if known == name:
+                return value
+        self.names[len(self.names) + 1] = name
+        return len(self.names)
+
+    def stream(self, name):
+        """Return the scene's generator of that name."""
+        return stream(self.seed, name)
+
+    def fractal(self, name, wavelength_m, octaves=5, gain=0.5):
+        """Return the scene's fractal noise of that name, (N, N) float32."""
+        return fractal_noise(self.stream(name), self.shape, self.texel, wavelength_m, octaves, gain)
+
+    def grain(self, name, wavelength_m):
+        """Return the scene's single-octave noise of that name, (N, N) float32."""
+        return smooth_noise(self.stream(name), self.shape, self.texel, wavelength_m)
+
+    def texels(self, east, north):
+        """Return (row, column) of a position [m] as floats, texel centres at integers."""
+        return (0.5 * self.size - north) / self.texel - 0.5, (east + 0.5 * self.size) / self.texel - 0.5
+
+    def inside(self, east, north, margin_m=0.0):
+        """Return whether a position lies within the scene by a margin [m]."""
+        half = 0.5 * self.size - margin_m
+        return abs(east) <= half and abs(north) <= half
+
+    def height_at(self, east, north):
+        """Return the bare ground's height at a position [m]."""
+        row, column = self.texels(east, north)
+        return float(self.ground[int(np.clip(row, 0, self.n - 1)), int(np.clip(column, 0, self.n - 1))])
+
+    def paint(self, cover, colour, material=None):
+        """Blend a colour over the canvas by `cover`, (N, N) in 0…1; over one half it takes the class.
+
+        Parameters
+        ----------
+        cover : (N, N) float32
+        colour : (3,) or (N, N, 3) float32
+            Linear.
+        material : str, optional
+            Class of the covered texels; None leaves it.
+        """
+        for channel in range(3):
+            target = self.albedo[..., channel]
+            target += cover * (np.asarray(colour)[..., channel] - target)
+        if material is not None:
+            self.material[cover > 0.5] = self.value(material)
+
+    def tint(self, factor):
+        """Multiply the colour by an (N, N) or (N, N, 3) factor."""
+        self.albedo *= factor[..., None] if factor.ndim == 2 else factor
+
+    def window(self, low_east, high_east, low_north, high_north):
+        """Return the (row slice, column slice) of a box [m], empty outside the scene."""
+        top, left = self.texels(low_east, high_north)
+        bottom, right = self.texels(high_east, low_north)
+        clip = lambda v: int(np.clip(v, 0, self.n))  # noqa: E731
+        return slice(clip(np.floor(top)), clip(np.ceil(bottom) + 1)), slice(
+            clip(np.floor(left)), clip(np.ceil(right) + 1)
+        )
+
+    def ribbon(self, points, reach_m):
+        """Return (offset, along) of a polyline, two (N, N) float32 [m].
+
+        Parameters
+        ----------
+        points : (K, 2) array
+            East, north [m].
+        reach_m : float
+            How far from the line is looked at.
+
+        Returns
+        -------
+        offset : (N, N)
+            Signed distance, positive to the right of the direction of travel; inf beyond reach.
+        along : (N, N)
+            Length along the line.
+        """
+        offset = np.full(self.shape, np.inf, np.float32)
+        along = np.zeros(self.shape, np.float32)
+        travelled = 0.0
+        for (e0, n0), (e1, n1) in zip(points[:-1], points[1:], strict=True):
+            length = float(np.hypot(e1 - e0, n1 - n0))
+            de, dn = (e1 - e0) / length, (n1 - n0) / length
+            rows, columns = self.window(
+                min(e0, e1) - reach_m, max(e0, e1) + reach_m, min(n0, n1) - reach_m, max(n0, n1) + reach_m
+            )
+            x, y = self.east[:, columns] - np.float32(e0), self.north[rows] - np.float32(n0)
+            t = np.clip(x * np.float32(de) + y * np.float32(dn), 0.0, np.float32(length))
+            side = x * np.float32(dn) - y * np.float32(de)
+            distance = np.hypot(x - t * np.float32(de), y - t * np.float32(dn))
+            nearer = distance < np.abs(offset[rows, columns])
+            offset[rows, columns][nearer] = np.copysign(distance, side)[nearer]
+            along[rows, columns][nearer] = (travelled + t)[nearer]
+            travelled += length
+        offset[np.abs(offset) > reach_m] = np.inf
+        return offset, along
+
+    def stamp(self, crown, tone, east, north, height_m, colour, material, beneath=0.35):
+        """Stand one tree or shrub on the canvas: it shows where it is higher than what stands there.
+
+        Parameters
+        ----------
+        crown, tone : (h, w) float32
+            Height in parts of `height_m`, 0 outside the crown, and factor on the colour.
+        east, north, height_m : float
+            Centre and height [m].
+        colour : (3,)
+            Linear.
+        material : int
+            Class value.
+        beneath : float
+            Crown parts lower than this share of the height are not drawn.
+        """
+        row, column = self.texels(east, north)
+        r0, c0 = round(row) - crown.shape[0] // 2, round(column) - crown.shape[1] // 2
+        r1, c1 = min(r0 + crown.shape[0], self.n), min(c0 + crown.shape[1], self.n)
+        a, b = max(r0, 0), max(c0, 0)
+        if a >= r1 or b >= c1:
+            return
+        piece, shade = crown[a - r0 : r1 - r0, b - c0 : c1 - c0], tone[a - r0 : r1 - r0, b - c0 : c1 - c0]
+        top = self.top[a:r1, b:c1]
+        higher = (piece > beneath) & (piece * height_m > top)
+        top[higher] = (piece * np.float32(height_m))[higher]
+        self.albedo[a:r1, b:c1][higher] = (shade[..., None] * np.asarray(colour, np.float32))[higher]
+        self.material[a:r1, b:c1][higher] = material
+        self.interior[a:r1, b:c1][higher] = np.nan
+
+
+def spline(points, spacing_m=2.0):
+    """Return a Catmull–Rom curve through the points, (K, 2) [m], sampled about every `spacing_m`."""
+    p = np.asarray(points, np.float64)
+    p = np.vstack([2 * p[0] - p[1], p, 2 * p[-1] - p[-2]])
+    pieces = []
+    for a, b, c, d in zip(p[:-3], p[1:-2], p[2:-1], p[3:], strict=True):
+        count = max(2, int(np.hypot(*(c - b)) / spacing_m))
+        t = np.linspace(0.0, 1.0, count, endpoint=False)[:, None]
+        pieces.append(
+            0.5 * (2 * b + (c - a) * t + (2 * a - 5 * b + 4 * c - d) * t**2 + (3 * b - a - 3 * c + d) * t**3)
+        )
+    return np.vstack([*pieces, p[-2:-1]])
+
+
+def ruts(c, points, gauge, width, strength, name):
+    """Return the marks of a pair of wheels along a line, (N, N) float32 in 0…1.
+
+    Parameters
+    ----------
+    c : Canvas
+    points : (K, 2) array
+        Way of the vehicle, east and north [m].
+    gauge, width : float
+        Distance of the wheels and half width of a mark [m].
+    strength : float
+        Of the marks where they are plain, 0…1.
+    name : str
+        Of the noise that interrupts them.
+    """
+    offset, along = c.ribbon(points, 3.0)
+    near = np.isfinite(offset)
+    d = np.where(near, np.abs(np.abs(offset) - 0.5 * gauge), 9.0)
+    length = np.hypot(*np.diff(points, axis=0).T).sum()
+    fade = smoothstep(0.0, 6.0, along) * smoothstep(length, length - 6.0, along)
+    return (
+        strength * fade * smoothstep(width, 0.3 * width, d) * np.clip(0.8 + 0.35 * c.grain(name, 3.0), 0, 1)
+    )
+
+
+def crowns(generator, texel_m, radius_m, form, count=24):
+    """Return a list of (crown, tone) pairs for `Canvas.stamp`, each (h, w) float32.
+
+    Parameters
+    ----------
+    generator : numpy.random.Generator
+    texel_m, radius_m : float
+        Side of a texel and mean crown radius [m].
+    form : str
+        "pine" (clumps of needles on a flat dome), "spruce" (a cone with whorled branches) or "broad" (many
+        leafy lobes).
+    count : int
+        How many different crowns.
+    """
+    made = []
+    for _ in range(count):
+        radius = radius_m * np.exp(generator.normal(0.0, 0.16)) / texel_m
+        side = 2 * int(np.ceil(1.35 * radius)) + 1
+        y, x = (np.mgrid[:side, :side] - side // 2).astype(np.float32)
+        x, y = x * np.float32(generator.uniform(0.88, 1.12)), y * np.float32(generator.uniform(0.88, 1.12))
+        angle = np.arctan2(y, x)
+        outline = np.ones_like(x)
+        for wave in range(2, 8):
+            outline += np.float32(generator.normal(0.0, 0.22 / wave)) * np.cos(
+                wave * angle + np.float32(generator.uniform(0, 6.3))
+            )
+        rho = np.hypot(x, y) / (np.float32(radius) * np.clip(outline, 0.55, 1.45))
+        if form == "spruce":
+            branches = generator.integers(7, 12)
+            ray = np.abs(np.cos(0.5 * branches * angle + np.float32(generator.uniform(0, 6.3)) + 1.5 * rho))
+            body = 1.0 - rho * (1.18 - 0.33 * ray)
+            crown = np.clip(body, 0.0, 1.0) ** np.float32(0.85)
+            crown += np.float32(0.05) * generator.standard_normal(x.shape, dtype=np.float32) * (crown > 0)
+            tone = 0.72 + 0.45 * ray * rho
+        else:
+            lobes = 9 if form == "pine" else 26
+            size = (0.42 if form == "pine" else 0.30) * radius
+            crown = np.zeros_like(x)
+            tone = np.full_like(x, 0.7)
+            for _ in range(lobes):
+                r, a = np.sqrt(generator.uniform(0, 0.8)) * radius, generator.uniform(0, 2 * np.pi)
+                lobe = np.hypot(x - np.float32(r * np.cos(a)), y - np.float32(r * np.sin(a))) / np.float32(
+                    size * generator.uniform(0.7, 1.25)
+                )
+                dome = np.sqrt(np.maximum(1.0 - lobe**2, 0.0))
+                level = 1.0 - 0.42 * (r / radius) ** 2
+                lifted = np.where(lobe < 1.0, level * (0.72 + 0.28 * dome), 0.0)
+                higher = lifted > crown
+                tone[higher] = np.float32(generator.uniform(0.78, 1.22))
+                crown = np.maximum(crown, lifted)
+            crown *= smoothstep(1.12, 0.92, rho)
+            crown += np.float32(0.035) * generator.standard_normal(x.shape, dtype=np.float32) * (crown > 0)
+        tone = tone * np.exp(0.10 * generator.standard_normal(x.shape, dtype=np.float32))
+        made.append((crown.astype(np.float32), tone.astype(np.float32)))
+    return made
+
+
+def scatter(generator, canvas, spacing_m, density, jitter=0.42):
+    """Return jittered grid positions kept with the local density, (K, 2) [m] east, north.
+
+    Parameters
+    ----------
+    generator : numpy.random.Generator
+    canvas : Canvas
+    spacing_m : float
+        Mean distance of neighbours [m].
+    density : (N, N) float32
+        Probability that a position is kept, 0…1.
+    jitter : float
+        Largest move in parts of the spacing.
+    """
+    count = int(np.ceil(canvas.size * 1.05 / spacing_m)) + 2
+    j, i = np.mgrid[:count, :count].astype(np.float64)
+    i = i + 0.5 * (j % 2)
+    spot = np.stack([i, j], -1) + generator.uniform(-jitter, jitter, (count, count, 2))
+    spot = spot.reshape(-1, 2) * spacing_m - 0.5 * count * spacing_m
+    keep = generator.uniform(size=len(spot))
+    half = 0.5 * canvas.size
+    within = (np.abs(spot) < half).all(axis=1)
+    spot, keep = spot[within], keep[within]
+    row, column = canvas.texels(spot[:, 0], spot[:, 1])
+    row, column = (np.clip(np.round(v).astype(int), 0, canvas.n - 1) for v in (row, column))
+    return spot[keep < density[row, column]]
+
+
+def planted_rows(g, c, between, along, bearing, density):
+    """Return positions in planted rows, (K, 2) [m] east, north.
+
+    Parameters
+    ----------
+    g : numpy.random.Generator
+    c : Canvas
+    between, along : float
+        Distance of rows and of trees in a row [m].
+    bearing : float
+        Turn of the rows [rad].
+    density : (N, N) float32
+        Probability that a tree stands, 0…1.
+    """
+    count_a, count_b = int(1.5 * c.size / between), int(1.5 * c.size / along)
+    a, b = np.meshgrid(np.arange(count_a) - count_a / 2, np.arange(count_b) - count_b / 2)
+    p = np.stack([a.ravel() * between, b.ravel() * along], -1) + g.normal(0.0, 0.2, (a.size, 2))
+    turn = np.array([[np.cos(bearing), -np.sin(bearing)], [np.sin(bearing), np.cos(bearing)]])
+    p = p @ turn.T
+    draw = g.uniform(size=len(p))
+    within = (np.abs(p) < 0.5 * c.size).all(axis=1)
+    p, draw = p[within], draw[within]
+    row, column = (np.clip(np.round(v).astype(int), 0, c.n - 1) for v in c.texels(p[:, 0], p[:, 1]))
+    return p[draw < density[row, column]]
+
+
+def plant(generator, canvas, spots, library, height_m, colours, material, spread=0.14, beneath=0.35):
+    """Stand a tree or shrub at each of the (K, 2) spots, crowns drawn from the library.
+
+    Parameters
+    ----------
+    height_m : float
+        Median height [m]; individuals vary by `spread` (log-normal).
+    colours : sequence of (3,)
+        sRGB 0…255 tints to mix.
+    material : str
+    """
+    value = canvas.value(material)
+    palette = np.array([linear(*c) for c in colours])
+    for east, north in spots:
+        crown, tone = library[generator.integers(len(library))]
+        turn = generator.integers(8)
+        crown, tone = np.rot90(crown, turn % 4), np.rot90(tone, turn % 4)
+        if turn > 3:
+            crown, tone = crown.T, tone.T
+        mix = generator.dirichlet(np.full(len(palette), 0.9))
+        colour = mix @ palette * np.exp(generator.normal(0.0, 0.10))
+        canvas.stamp(
+            crown, tone, east, north, height_m * np.exp(generator.normal(0.0, spread)), colour, value, beneath
+        )
