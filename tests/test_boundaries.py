@@ -57,7 +57,7 @@ def test_the_drawing_is_that_of_the_code():
 @pytest.mark.parametrize(
     ("source", "found"),
     [
-        ("from thermorender import flight", {"thermorender", "thermorender.output.flight"}),
+        ("from thermorender import files", {"thermorender", "thermorender.files"}),
         ("def f():\n    from thermorender.render.plan import make_plan as m", {"thermorender.render.plan"}),
         ("import thermorender.sensor.camera as c, os", {"thermorender.sensor.camera", "os"}),
     ],

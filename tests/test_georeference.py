@@ -5,7 +5,8 @@ import pytest
 from rasterio.crs import CRS
 from rasterio.warp import transform
 
-from thermorender.physics.geodesy import LocalFrame, ecef_from_geodetic, geodetic_from_ecef, pose_from_map
+from thermorender.physics.geodesy import LocalFrame, ecef_from_geodetic, geodetic_from_ecef
+from thermorender.scene.georeference import pose_from_map
 
 
 def test_ecef_against_proj():

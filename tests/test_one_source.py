@@ -54,7 +54,7 @@ def writers(value):
         (defaults.BAND_UM, {"defaults.py"}),
         (defaults.CAMERA, {"defaults.py"}),
         # Where they are made, and where they are named.
-        *((name, {"defaults.py", "scene/synthetic.py"}) for name in defaults.SCENES),
+        *((name, {"defaults.py", "synthetic/worlds.py"}) for name in defaults.SCENES),
         *((name, {"defaults.py", "learned/correlation.py"}) for name in defaults.TEMPERATURE_MAPS),
         (0.04045, {"physics/srgb.py"}),
         (0.0031308, {"physics/srgb.py"}),

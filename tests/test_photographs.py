@@ -11,7 +11,7 @@ from conftest import shared_data
 from scipy.spatial.transform import Rotation
 
 import thermorender as tr
-from thermorender.physics.geodesy import pose_from_map
+from thermorender.scene.georeference import pose_from_map
 from thermorender.scene.import_terrain import import_terrain
 from thermorender.sensor.camera import load_camera
 

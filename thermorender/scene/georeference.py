@@ -1,0 +1,33 @@
+"""From a map's coordinates to a scene's local frame, where photogrammetric software states them in the map's."""
+
+import numpy as np
+
+
+def pose_from_map(frame, crs, pose):
+    """Return a pose given in a map's easting, northing and height as world_from_camera in a local frame, (4, 4).
+
+    Photogrammetric software states exterior orientation in map coordinates, whose north is the grid's: the
+    rotation is turned by the grid's convergence and the Earth's tilt there.
+
+    Parameters
+    ----------
+    frame : LocalFrame
+        The scene's.
+    crs : rasterio.crs.CRS
+        Projected CRS of the map, in metres.
+    pose : (4, 4) array
+        map_from_camera: position (easting, northing, ellipsoid height) and axes (east, north, up) of the grid.
+    """
+    from rasterio.crs import CRS
+    from rasterio.warp import transform
+
+    pose = np.asarray(pose, dtype=np.float64)
+    # The map's own axes at the camera, by steps of a metre.
+    spots = pose[:3, 3] + np.vstack([np.zeros(3), np.eye(3)])
+    longitude, latitude = transform(crs, CRS.from_epsg(4326), spots[:, 0], spots[:, 1])
+    local = frame.enu_from_geodetic(np.array(latitude), np.array(longitude), spots[:, 2])
+    u, _, v = np.linalg.svd((local[1:] - local[0]).T)
+    result = np.eye(4)
+    result[:3, :3] = u @ v @ pose[:3, :3]
+    result[:3, 3] = local[0]
+    return result
