@@ -36,7 +36,7 @@ class Frame:
         What was rendered how.
     """
 
-    radiance: np.ndarray
+    radiance: np.ndarray = field(repr=False)
     pose: np.ndarray
     time_s: float
     index: int
