@@ -24,6 +24,8 @@ class Plan:
     Attributes
     ----------
     band_um : (2,) floats
+    tolerance_mk : float
+        Error allowed to the spectral nodes and to the solution of the light between surfaces [mK].
     spectrum : Spectrum
         Nodes at which light between surfaces is solved, and channels of a texel.
     reflection_mk : float
@@ -57,6 +59,7 @@ class Plan:
     """
 
     band_um: tuple
+    tolerance_mk: float
     spectrum: Spectrum
     reflection_mk: float
     bake: bool
@@ -135,6 +138,7 @@ class Plan:
         """Return the plan as plain numbers, for the record beside each frame."""
         return {
             "band_um": list(self.band_um),
+            "tolerance_mk": self.tolerance_mk,
             "nodes": self.nodes,
             "nodes_mk": round(self.spectrum.nodes_mk, 4),
             "reflection_mk": round(self.reflection_mk, 4),
@@ -210,6 +214,7 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
     specular = make_tables(scene, spectrum, envelope)
     return Plan(
         band_um=band,
+        tolerance_mk=float(tolerance_mk),
         spectrum=spectrum,
         reflection_mk=reflection_mk,
         bake=bake,
