@@ -280,6 +280,9 @@ def test_standard_air_in_place_of_a_scenes_sky(tmp_path):
     pose = tr.pose(0, 0, 50, **DOWN)
     assert np.array_equal(*(tr.Renderer(each).radiance(pose) for each in (aired, told)))
     assert len({scene.digest(), aired.digest(), scene.with_air("tropical").digest()}) == 3
+    arrays = [name for name, value in vars(aired.air).items() if isinstance(value, np.ndarray) and name[0] != "_"]
+    others = [replace(aired, air=replace(aired.air, **{name: getattr(aired.air, name) * 1.0001})) for name in arrays]
+    assert len(arrays) == 8 and len({aired.digest(), *(other.digest() for other in others)}) == 9
     with pytest.raises(ThermorenderError, match="atmosphere='moon' is unknown"):
         scene.with_air("moon")
 

@@ -159,6 +159,18 @@ def test_the_scene_renders_as_it_is(scene, call, tmp_path):
     assert "apparent temperature" in output and (tmp_path / "o" / "frame_000000.exr").exists()
 
 
+def test_a_render_says_what_made_it(scene, call, tmp_path):
+    options = ["--pose", "0,0,20,0,-90,0", "--tolerance-mk", 4, *QUICK]
+    for engine in ("renderer", "reference"):
+        output = tmp_path / engine
+        assert call("render", scene, "-o", output, "--engine", engine, "--paths", 1, *options)[0] == 0
+        beside = json.loads((output / "frame_000000.json").read_text())
+        for record in (beside, read_exr(output / "frame_000000.exr")[1]):
+            assert {"thermorender", "mitsuba", "drjit", "numpy", "python"} <= set(record["versions"])
+            assert record["device"]["variant"] in ("llvm_ad_mono", "cuda_ad_mono") and len(record["device"]) > 1
+            assert engine == "reference" or record["plan"]["tolerance_mk"] == 4.0
+
+
 # --- the scene file ---------------------------------------------------------------------------------------------
 
 
@@ -586,6 +598,15 @@ def test_two_samples_of_one_time(scene, refused, call, tmp_path):
             output = tmp_path / verb / choice
             status, _, errors = call(verb, scene, "-o", output, "--duplicates", choice, *model, *QUICK)
             assert (status, errors) == (0, "")
+
+
+def test_frames_without_terrain_are_told(scene, call, tmp_path):
+    flight = ["fly", scene, "--products", "counts", *QUICK]
+    status, printed, errors = call(*flight, "-o", tmp_path / "a")
+    assert (status, errors) == (0, "") and "show no terrain" not in printed
+    (scene / "flight.csv").write_text(f"{COLUMNS}\n0,0,0,20,-90\n1,1,0,20,60\n2,2,0,20,60\n")
+    status, printed, errors = call(*flight, "-o", tmp_path / "b")
+    assert (status, errors) == (0, "") and "2 of 3 frames show no terrain" in printed
 
 
 def test_a_path_under_the_terrain(scene, refused, call, tmp_path):

@@ -2,11 +2,13 @@
 
 import json
 
+import mitsuba
 import numpy as np
 import pytest
+import trimesh
 
 import thermorender as tr
-from scenes import write_terrain
+from scenes import write_mesh, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.footage.radiometric_files import read_temperature
 from thermorender.output import products
@@ -59,6 +61,8 @@ def test_products_and_records(setting, tmp_path):
 
     frame = renderer.frame(path.pose(0.5), time_s=0.5, index=2)
     channels, record = products.read_exr(tmp_path / "f/frame_000002.exr")
+    flown = json.loads((tmp_path / "f/flight.json").read_text())
+    assert record["versions"] == flown["versions"] and record["device"] == flown["device"]
     np.testing.assert_array_equal(channels["radiance"], frame.radiance)
     np.testing.assert_array_equal(channels["apparent_temperature"], frame.apparent_temperature)
     np.testing.assert_array_equal(channels["truth.position.z"], frame.truth["position"][..., 2])
@@ -150,7 +154,7 @@ def test_resume_continues_the_gain_control(setting, tmp_path, lost):
     # Without memory the last frame looks different, so the memory did reach it.
     fly(renderer, path, tmp_path / "none", **flight | {"look": Look("plateau", "ironbow")})
     assert contents(tmp_path / "none")["frame_000004.png"] != contents(tmp_path / "whole")["frame_000004.png"]
-    with pytest.raises(ThermorenderError, match="was flown with display="):
+    with pytest.raises(ThermorenderError, match="was flown with display.mode="):
         fly(renderer, path, tmp_path / "whole", resume=True, **flight | {"look": Look()})
 
 
@@ -211,6 +215,31 @@ def test_resume_refuses_other_settings(setting, tmp_path):
         fly(other, path, tmp_path / "f", rate_hz=2.0, products=("counts",), resume=True)
 
 
+def test_resume_compares_all_that_the_bytes_depend_on(setting, tmp_path):
+    renderer, path = setting
+    flight = {"rate_hz": 2.0, "products": ("counts",), "folder": tmp_path / "f"}
+    fly(renderer, path, **flight)
+    for setting, was, now in (
+        # So near each other that the same spectral nodes do.
+        ({"tolerance_mk": 4.9}, "plan.tolerance_mk=5.0", "plan.tolerance_mk=4.9"),
+        ({"rays": 6}, "plan.bake_rays=4", "plan.bake_rays=6"),
+        ({"taps": 8}, "plan.taps=4", "plan.taps=8"),
+        ({"edge_mk": 151.0}, "plan.edge_mk=150.0", "plan.edge_mk=151.0"),
+    ):
+        other = tr.Renderer(renderer.scene, **{"rays": 4, "samples": 1, "seed": 11, **setting})
+        with pytest.raises(ThermorenderError, match=f"was flown with {was}, now {now}; resume with the same settings"):
+            fly(other, path, resume=True, **flight)
+    described = tmp_path / "f/flight.json"
+    written = json.loads(described.read_text())
+    assert written["device"]["variant"] == mitsuba.variant() and len(written["device"]) > 1
+    assert {"thermorender", "mitsuba", "drjit", "numpy"} <= set(written["versions"])
+    for key in ("device", "versions"):
+        for inner in written[key]:
+            described.write_text(json.dumps(written | {key: written[key] | {inner: "another"}}))
+            with pytest.raises(ThermorenderError, match=f"was flown with {key}.{inner}='another', now {key}.{inner}="):
+                fly(renderer, path, resume=True, **flight)
+
+
 @pytest.mark.parametrize("damage", ["not JSON", "frame 2 told as 1", "a line missing"])
 def test_resume_from_a_damaged_record(setting, tmp_path, damage):
     renderer, path = setting
@@ -221,6 +250,39 @@ def test_resume_from_a_damaged_record(setting, tmp_path, damage):
     (tmp_path / "f/frames.jsonl").write_text("".join(line + "\n" for line in lines))
     assert fly(renderer, path, tmp_path / "f", rate_hz=4.0, products=("counts",), resume=True)["rendered"] == 3
     assert contents(tmp_path / "f") == whole
+
+
+def test_frames_without_terrain_are_counted(setting, tmp_path):
+    renderer, path = setting
+    # From straight down over the horizon to straight up.
+    turning = tr.Trajectory(path.time_s, path.position, np.array([[0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]]))
+    poses = turning.sampled(turning.frame_times(8.0)).poses()
+    seen = [bool(np.isfinite(renderer.frame(pose).truth["depth"]).any()) for pose in poses]
+    assert 0 < sum(seen) < len(seen) == 9
+    flight = {"rate_hz": 8.0, "products": ("counts",)}
+    summary = fly(renderer, turning, tmp_path / "whole", **flight)
+    assert summary["frames_without_terrain"] == seen.count(False)
+    assert json.loads((tmp_path / "whole/flight.json").read_text())["frames_without_terrain"] == seen.count(False)
+    lines = (tmp_path / "whole/frames.jsonl").read_text().splitlines()
+    assert [json.loads(line)["shows_terrain"] for line in lines] == seen
+
+    def stop(done, total):
+        if done == 7:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fly(renderer, turning, tmp_path / "part", progress=stop, **flight)
+    summary = fly(renderer, turning, tmp_path / "part", resume=True, **flight)
+    assert summary["rendered"] == 2 and summary["frames_without_terrain"] == seen.count(False)
+    assert contents(tmp_path / "part") == contents(tmp_path / "whole")
+
+
+def test_terrain_larger_than_the_picture_is_shown(tmp_path):
+    # No corner of its two triangles lies in the picture.
+    square = trimesh.Trimesh([[-50, -50, 0], [50, -50, 0], [50, 50, 0], [-50, 50, 0]], [[0, 1, 2], [0, 2, 3]])
+    renderer = tr.Renderer(tr.load_scene(write_mesh(tmp_path / "square", square)), rays=4, samples=1)
+    path = tr.Trajectory(np.array([0.0, 1.0]), np.array([[0.0, 0, 12], [1.0, 0, 12]]), np.array([[0, 1.0, 0, 0]] * 2))
+    assert fly(renderer, path, tmp_path / "f", rate_hz=1.0, products=("counts",))["frames_without_terrain"] == 0
 
 
 def test_products_are_optional(setting, tmp_path):

@@ -1,15 +1,23 @@
 """Versions of this package and of those its results depend on."""
 
 import platform
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
+
+_LIBRARIES = (
+    "thermorender", "mitsuba", "drjit", "numpy", "scipy", "opencv-python-headless", "OpenEXR", "imageio-ffmpeg",
+)  # fmt: skip
 
 
 def versions():
-    """Return {name: version} of Python, thermorender and the libraries that decide a frame's bytes."""
-    found = {"python": platform.python_version()}
-    for name in ("thermorender", "mitsuba", "drjit", "numpy", "scipy", "opencv-python-headless", "OpenEXR"):
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+    """Return {name: version} of Python, thermorender and the libraries that decide the bytes of a frame's files."""
+    return {"python": platform.python_version(), **{name: _version(name) for name in _LIBRARIES}}
+
+
+@cache
+def _version(name):
+    # Looked up once: it reads the folders of all packages, and every frame's EXR tells it.
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "not installed"

@@ -226,7 +226,7 @@ def render(
             if visible:
                 written["visible"] = folder / "frame_000000_visible.png"
                 frame_files.write_image(written["visible"], renderer.visible(frame.pose)[0])
-            files.write_json(folder / "frame_000000.json", frame_files.record(frame))
+            files.write_json(folder / "frame_000000.json", frame_files.record(frame) | frame_files.made_by())
     _tell_cache(renderer)
     seen = frame.apparent_temperature
     typer.echo(f"apparent temperature {seen.min():.2f}–{seen.max():.2f} K, mean {seen.mean():.2f} K")
@@ -281,6 +281,12 @@ def fly(
         )  # fmt: skip
     _tell_cache(renderer)
     typer.echo(f"{summary['frames']} frames, {summary['rendered']} rendered now, in {summary['folder']}")
+    without = summary["frames_without_terrain"]
+    if without:
+        typer.echo(
+            f"{without} of {summary['frames']} frames show no terrain; look at the flight's place and angles, or move "
+            "it with --anchor"
+        )
 
 
 @app.command()

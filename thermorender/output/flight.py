@@ -2,8 +2,9 @@
 
 A frame counts as done when its line stands in `frames.jsonl`; the line is appended after its files have their
 final names. `flight.json` holds everything the bytes depend on, so a resume that would not give the same bytes
-is refused. What the sensor's pixels remember is kept in two files, written in turn, until the flight is done; where
-it is lost, a resume takes the frames before once more to have it again.
+is refused, and at the end how many frames show no terrain. What the sensor's pixels remember is kept in two files,
+written in turn, until the flight is done; where it is lost, a resume takes the frames before once more to have it
+again.
 """
 
 import json
@@ -18,7 +19,9 @@ from thermorender.output import products as product_files
 from thermorender.sensor.chain import sensor_of
 from thermorender.sensor.display import Look
 from thermorender.sensor.exposure import RENDER_PX, Exposure
-from thermorender.versions import versions
+
+# So many corners of each surface are looked for in a picture before its truth is computed, which takes as long as it.
+_CORNERS = 4096
 
 
 def fly(renderer, trajectory, folder, rate_hz=None, products=product_files.DEFAULT, start_s=None, stop_s=None,
@@ -49,7 +52,7 @@ def fly(renderer, trajectory, folder, rate_hz=None, products=product_files.DEFAU
     Returns
     -------
     dict
-        frames (in all), rendered (now), folder, first and last time.
+        frames (in all), rendered (now), frames_without_terrain, folder, first and last time.
 
     Raises
     ------
@@ -76,12 +79,12 @@ def fly(renderer, trajectory, folder, rate_hz=None, products=product_files.DEFAU
         "products": list(products),
         "display": asdict(look) | {"tails_percent": list(look.tails_percent)},
         "operator": operator and asdict(operator),
-        "versions": versions(),
+        **product_files.made_by(),
     }
     exposure = _exposure(renderer, trajectory, 1.0 / rate)
     with files.output_folder(folder) as folder:
-        done = _done(folder, settings, products, resume)
-        agc = None
+        terrain = _done(folder, settings, products, resume)
+        done, agc = len(terrain), None
 
         def take(index, agc):
             frame = _taken(renderer, exposure, poses, times, index)
@@ -96,7 +99,8 @@ def fly(renderer, trajectory, folder, rate_hz=None, products=product_files.DEFAU
                 files.write_json(folder / "flight.json", settings)
             product_files.write(folder, frame, products, image, operator)
             _remember(folder, exposure, agc, index)
-            files.append_json(folder / "frames.jsonl", product_files.record(frame))
+            terrain.append(_shows_terrain(renderer.scene, frame))
+            files.append_json(folder / "frames.jsonl", product_files.record(frame) | {"shows_terrain": terrain[-1]})
             if progress:
                 progress(index + 1, len(times))
         for path in _memories(folder):
@@ -104,9 +108,12 @@ def fly(renderer, trajectory, folder, rate_hz=None, products=product_files.DEFAU
         if "video" in products:
             images = [product_files.paths(folder, index, ("display",))["display"] for index in range(len(times))]
             product_files.write_video(folder / "flight.mp4", images, rate)
+        without = terrain.count(False)
+        files.write_json(folder / "flight.json", settings | {"frames_without_terrain": without})
     return {
         "frames": len(times),
         "rendered": len(times) - done,
+        "frames_without_terrain": without,
         "folder": str(folder),
         "first_time_s": float(times[0]),
         "last_time_s": float(times[-1]),
@@ -114,7 +121,7 @@ def fly(renderer, trajectory, folder, rate_hz=None, products=product_files.DEFAU
 
 
 def _done(folder, settings, products, resume):
-    """Return how many frames are already done, after checking the folder and comparing its `flight.json`."""
+    """Return whether each frame already done shows terrain, after checking the folder and comparing `flight.json`."""
     described, lines = folder / "flight.json", folder / "frames.jsonl"
     if not resume:
         if described.exists() or lines.exists():
@@ -126,13 +133,13 @@ def _done(folder, settings, products, resume):
             raise ThermorenderError(
                 f"{folder} already holds {other.name}, which a flight would overwrite; give another folder"
             )
-        return 0
+        return []
     if not described.exists():
         if lines.exists():
             raise ThermorenderError(
                 f"{described} is missing beside frames.jsonl; start the flight again in another folder"
             )
-        return 0
+        return []
     try:
         before = json.loads(described.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -140,25 +147,45 @@ def _done(folder, settings, products, resume):
     if not isinstance(before, dict):
         raise ThermorenderError(f"{described} is damaged; start the flight again in another folder")
     for key, value in settings.items():
-        if before.get(key) != value:
+        was = before.get(key)
+        if was != value:
+            if isinstance(was, dict) and isinstance(value, dict):
+                inner = next(name for name in was | value if was.get(name, ...) != value.get(name, ...))
+                key, was, value = f"{key}.{inner}", was.get(inner), value.get(inner)
             raise ThermorenderError(
-                f"{described} was flown with {key}={before.get(key)!r}, now {key}={value!r}; resume with the same "
-                "settings or give another folder"
+                f"{described} was flown with {key}={was!r}, now {key}={value!r}; resume with the same settings or give "
+                "another folder"
             )
-    kept = []
+    kept, terrain = [], []
     text = lines.read_text(encoding="utf-8", errors="replace") if lines.exists() else ""
     for number, line in enumerate(text.splitlines()):
         try:
-            index = json.loads(line)["index"]
+            told = json.loads(line)
+            index, shows = told["index"], told["shows_terrain"]
         except (ValueError, KeyError, TypeError):
             break
         images = product_files.paths(folder, number, products).values()
         if index != number or not all(path.exists() for path in images):
             break
         kept.append(line)
+        terrain.append(shows)
     files.write_text(lines, "".join(line + "\n" for line in kept))
     files.remove_parts(folder)
-    return len(kept)
+    return terrain
+
+
+def _shows_terrain(scene, frame):
+    """Whether a pixel of a frame shows the scene: told by corners of its faces near the axis, else by the truth."""
+    camera = frame.camera
+    edges = np.array([[0.5, 0.0], [0.5, 1.0], [0.0, 0.5], [1.0, 0.5]]) * (camera.width, camera.height)
+    # Within this slope of the axis all directions are in the picture.
+    slope = np.linalg.norm(camera.directions(edges), axis=-1).min()
+    for surface in scene.surfaces[: scene.terrain_count]:
+        corner = surface.vertices[surface.faces[:: 1 + len(surface.faces) // _CORNERS, 0]]
+        x, y, z = ((corner - frame.pose[:3, 3]) @ frame.pose[:3, :3]).T
+        if ((z > 0.0) & (np.hypot(x, y) < slope * z)).any():
+            return True
+    return bool(np.isfinite(frame.truth["depth"]).any())
 
 
 def _exposure(renderer, trajectory, interval_s):

@@ -10,8 +10,10 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic
 from thermorender.footage.radiometric_files import write_tlinear
+from thermorender.render.variant import active_device
 from thermorender.sensor.radiometry import Operator, camera_constants, operator_temperature
 from thermorender.sensor.readout import radiance_from_counts
+from thermorender.versions import versions
 
 DEFAULT = ("exr", "truth", "counts", "display", "video")
 
@@ -30,7 +32,7 @@ def write_exr(path, frame, truth, operator=None):
     """Write a frame's radiance and apparent temperature, and its truth where asked, as one multi-channel EXR.
 
     With an `operator`, what his software reads from the counts stands beside them. The header's `thermorender`
-    attribute holds time, pose, seed, plan and units as JSON.
+    attribute holds time, pose, seed, plan, versions, device and units as JSON.
     """
     import OpenEXR
 
@@ -58,7 +60,7 @@ def write_exr(path, frame, truth, operator=None):
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
         "thermorender": json.dumps(
-            {**record(frame), "operator": operator and asdict(operator), "units": units}
+            {**record(frame), **made_by(), "operator": operator and asdict(operator), "units": units}
         ),
     }
     with atomic(path) as part:
@@ -93,6 +95,11 @@ def record(frame):
         "budget_mk": frame.budget_mk and {cause: round(value, 2) for cause, value in frame.budget_mk.items()},
         "targets": frame.targets,
     }
+
+
+def made_by():
+    """Return what makes the frames of this process, as plain values: {"versions": …, "device": …}."""
+    return {"versions": versions(), "device": active_device()}
 
 
 def operator_reading(frame, operator):

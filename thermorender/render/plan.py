@@ -23,6 +23,8 @@ class Plan:
     Attributes
     ----------
     band_um : (2,) floats
+    tolerance_mk : float
+        Error allowed to the spectral nodes and to the solution of the light between surfaces [mK].
     spectrum : Spectrum
         Nodes at which light between surfaces is solved, and channels of a texel.
     reflection_mk : float
@@ -31,8 +33,6 @@ class Plan:
         Whether reflection is solved at all.
     rays : int
         Rays per face of the bake.
-    tolerance_mk : float
-        Error allowed to nodes, channels and the solution of the bake [mK].
     samples, taps : int
         Rays per pixel, and taps per ray at which the texture is read.
     edge_mk : float
@@ -56,11 +56,11 @@ class Plan:
     """
 
     band_um: tuple
+    tolerance_mk: float
     spectrum: Spectrum
     reflection_mk: float
     bake: bool
     rays: int
-    tolerance_mk: float
     samples: int
     taps: int
     edge_mk: float
@@ -126,6 +126,7 @@ class Plan:
         """Return the plan as plain numbers, for the record beside each frame."""
         return {
             "band_um": list(self.band_um),
+            "tolerance_mk": self.tolerance_mk,
             "nodes": self.nodes,
             "nodes_mk": round(self.spectrum.nodes_mk, 4),
             "reflection_mk": round(self.reflection_mk, 4),
@@ -201,11 +202,11 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
     specular = make_tables(scene, spectrum, envelope)
     return Plan(
         band_um=band,
+        tolerance_mk=float(tolerance_mk),
         spectrum=spectrum,
         reflection_mk=reflection_mk,
         bake=bake,
         rays=rays,
-        tolerance_mk=float(tolerance_mk),
         samples=samples,
         taps=taps,
         edge_mk=float(edge_mk),

@@ -112,6 +112,21 @@ def activate(device="auto"):
     return mi
 
 
+def active_device():
+    """Return what computes the frames of this process: {"variant": name, "llvm" or "cuda": its version}.
+
+    Compilers of other versions may round otherwise. {} before a variant is active.
+    """
+    mi = sys.modules.get("mitsuba")
+    if mi is None or mi.variant() is None:
+        return {}
+    import drjit as dr
+
+    library = "cuda" if mi.variant().startswith("cuda") else "llvm"
+    version = getattr(dr.detail, f"{library}_version")()
+    return {"variant": mi.variant(), library: ".".join(map(str, version))}
+
+
 def works(variant):
     """Return (True, seconds) or (False, reason) from rendering one ray in a process of its own.
 

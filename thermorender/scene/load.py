@@ -189,8 +189,9 @@ class Scene:
         state.update(repr((self.camera, spec.sky_temperature, spec.surroundings_temperature)).encode())
         if self.air:
             state.update(repr((self.air.cloud_fraction, self.air.cloud_base_m, self.altitude_m, spec.sun)).encode())
-            for name in ("weight", "altitude_m", "temperature", "density", "absorption"):
-                state.update(getattr(self.air, name).tobytes())
+            for item in fields(self.air):
+                if isinstance(value := getattr(self.air, item.name), np.ndarray):
+                    state.update(value.tobytes())
         return state.hexdigest()
 
     def __str__(self):
