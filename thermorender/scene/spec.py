@@ -2,15 +2,18 @@
 
 Each table is described once, as key → (reader, default). A reader turns the TOML value into ours or raises a
 sentence; a key that is not described is an error naming the key and its table. Files are named relative to the
-scene's folder and must lie inside it.
+scene's folder and must lie inside it, and so must what they name in turn.
 """
 
 import difflib
+import os
 import sys
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 from thermorender.errors import ThermorenderError, shortened
+from thermorender.paths import inside
+from thermorender.scene.raster import FORMATS, files_of
 from thermorender.scene.surface import scene_kelvin
 
 if sys.version_info >= (3, 11):
@@ -138,6 +141,13 @@ def read_scene(folder):
     path = Path(folder)
     if path.name != "scene.toml":
         path = path / "scene.toml"
+    reader = _Reader(path)
+    for name in (path.name, "flight.csv", "materials"):
+        if not inside(reader.folder / name, reader.folder):
+            raise ThermorenderError(
+                f"{reader.folder / name} is a link to {os.path.realpath(reader.folder / name)}; what a scene uses lies "
+                "inside the scene's folder, so put it there"
+            )
     try:
         with open(path, "rb") as file:
             raw = tomllib.load(file)
@@ -147,7 +157,7 @@ def read_scene(folder):
         raise ThermorenderError(f"{path} is not valid TOML: {error}") from None
     except OSError as error:
         raise ThermorenderError(f"{path} cannot be read: {error.strerror}") from None
-    return _Reader(path).scene(raw)
+    return reader.scene(raw)
 
 
 class _Reader:
@@ -184,16 +194,25 @@ class _Reader:
 
     def file(self, value, where):
         try:
-            path = (self.folder / self.text(value, where)).resolve()
-            inside, there = path.is_relative_to(self.folder), path.is_file()
+            path = Path(os.path.realpath(self.folder / self.text(value, where)))
+            there = path.is_file()
         except (OSError, ValueError) as error:  # too long, or with a NUL in it
             if isinstance(error, ThermorenderError):
                 raise
             self.fail(where, value, "the name of a file")
-        if not inside:
+        if not inside(path, self.folder):
             self.fail(where, value, "a path inside the scene's folder")
         if not there:
             raise ThermorenderError(f"{self.path}: {where}={value!r} does not exist; give a file in {self.folder}")
+        return path
+
+    def raster(self, value, where):
+        path = self.file(value, where)
+        if path.suffix.lower() not in FORMATS:
+            self.fail(where, value, f"a raster that holds all its pixels itself: {', '.join(FORMATS)}")
+        for part in files_of(path):
+            if not inside(part, self.folder):
+                self.fail(where, value, f"a raster whose files all lie inside the scene's folder, as {part} does not")
         return path
 
     def camera_model(self, value, where):
@@ -305,7 +324,7 @@ class _Reader:
             sky = self.table(top["sky"], "sky", {"temperature": (self.cold, REQUIRED)})
         surroundings = self.table(top["surroundings"], "surroundings", {"temperature": (self.cold, None)})
         camera = self.table(top["camera"], "camera", {"model": (self.camera_model, "zenmuse-xt2")})
-        truth = self.table(top["truth"], "truth", {"temperature": (self.file, None)})
+        truth = self.table(top["truth"], "truth", {"temperature": (self.raster, None)})
         objects = tuple(self.object(item, index) for index, item in enumerate(top["object"], 1))
         names = [item.name for item in objects]
         for name in names:
@@ -329,9 +348,9 @@ class _Reader:
 
     def terrain(self, raw):
         keys = {
-            "elevation": (self.file, None),
+            "elevation": (self.raster, None),
             "mesh": (self.file, None),
-            "orthophoto": (self.file, None),
+            "orthophoto": (self.raster, None),
             "height_reference": (self.choice("ellipsoid", "geoid"), "ellipsoid"),
             "geoid_undulation_m": (self.number, None),
         }
@@ -346,7 +365,7 @@ class _Reader:
         keys = {
             "source": (self.choice("constant", "raster", "material", "learned"), REQUIRED),
             "value": (self.temperature, None),
-            "raster": (self.file, None),
+            "raster": (self.raster, None),
             "model": (self.learned_map, None),
             "range_c": (self.vector(2), None),
             "materials": (self.mapping(self.temperature), {}),
@@ -365,7 +384,7 @@ class _Reader:
             "source": (self.choice("constant", "material", "classes", "learned"), REQUIRED),
             "value": (self.share, None),
             "material": (self.text, None),
-            "raster": (self.file, None),
+            "raster": (self.raster, None),
             "classes": (self.mapping(self.text), {}),
             "model": (self.emissivity_map, None),
             "fallback": (self.text, None),
