@@ -2,8 +2,10 @@
 
 import json
 import os
+import struct
 import subprocess
 import sys
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +14,7 @@ import pytest
 from thermorender.cli import app as cli
 from thermorender.output.products import read_exr
 from thermorender.scene.load import load_scene
-from thermorender.scene.surface import BEYOND, SURFACE
+from thermorender.scene.surface import BEYOND, MOST_TEXELS, SURFACE
 
 SCENE = """title = "tiny"
 [terrain]
@@ -363,6 +365,106 @@ def test_wrong_rasters(scene, refused, name, bands, how, words):
     refused([f"{name}.tif", *words], "render", scene)
 
 
+@pytest.mark.parametrize("name", ["elevation", "orthophoto", "temperature", "classes"])
+def test_a_raster_has_a_limit(scene, refused, name):
+    """A GeoTIFF of 100 000² pixels, without any in the file, is refused before any memory is taken for it."""
+    import rasterio
+
+    bands, kind = {"orthophoto": (3, "uint8"), "classes": (1, "uint8")}.get(name, (1, "float32"))
+    with rasterio.open(
+        scene / f"{name}.tif", "w", driver="GTiff", count=bands, height=100_000, width=100_000, dtype=kind,
+        crs="EPSG:32632", transform=rasterio.Affine(2e-4, 0, 500000, 0, -2e-4, 5600000), sparse_ok=True, tiled=True,
+        blockxsize=4096, blockysize=4096, interleave="pixel",
+    ):  # fmt: skip
+        pass
+    words = [f"{name}.tif has 100000×100000 pixels", "up to 536870912"]
+    refused(words, "render", scene)
+    if name in ("elevation", "orthophoto"):
+        refused(words, "import-terrain", scene / "elevation.tif", scene / "orthophoto.tif")
+
+
+VRT = """<VRTDataset rasterXSize="8" rasterYSize="8"><SRS>EPSG:32632</SRS>
+<GeoTransform>500000,2,0,5600000,0,-2</GeoTransform>
+<VRTRasterBand dataType="Float32" band="1"><SimpleSource>
+<SourceFilename relativeToVRT="1">../out.tif</SourceFilename><SourceBand>1</SourceBand>
+</SimpleSource></VRTRasterBand></VRTDataset>"""
+WMS = """<GDAL_WMS><Service name="TMS"><ServerUrl>http://localhost:1/${z}/${x}/${y}.png</ServerUrl></Service>
+<DataWindow><UpperLeftX>500000</UpperLeftX><UpperLeftY>5600000</UpperLeftY><LowerRightX>500016</LowerRightX>
+<LowerRightY>5599984</LowerRightY><SizeX>8</SizeX><SizeY>8</SizeY></DataWindow><Projection>EPSG:32632</Projection>
+<BandsCount>1</BandsCount></GDAL_WMS>"""
+
+
+@pytest.mark.parametrize("key, old", [("terrain.elevation", "elevation"), ("temperature.raster", "temperature")])
+def test_a_raster_leads_nowhere_else(scene, refused, key, old):
+    (scene / f"{old}.tif").rename(scene.parent / "out.tif")
+    for text in (VRT, WMS):
+        (scene / f"{old}.tif").write_text(text)
+        refused([f"{old}.tif cannot be read as a raster", "give a whole file such as a GeoTIFF"], "render", scene)
+    (scene / "own.vrt").write_text(VRT)
+    change(scene / "scene.toml", f"{old}.tif", "own.vrt")
+    refused([f"{key}='own.vrt'", "a raster that holds all its pixels itself", ".tif"], "render", scene)
+    # A file beside it that only GDAL asks for.
+    change(scene / "scene.toml", "own.vrt", f"{old}.tif")
+    (scene.parent / "out.tif").rename(scene / f"{old}.tif")
+    (scene.parent / "out.xml").write_text("<PAMDataset></PAMDataset>")
+    (scene / f"{old}.tif.aux.xml").symlink_to(scene.parent / "out.xml")
+    refused([f"{key}='{old}.tif'", f"{old}.tif.aux.xml", "inside the scene's folder"], "render", scene)
+
+
+def test_what_lies_beside_a_raster_leads_nowhere_else(scene, refused, call, tmp_path):
+    """GDAL's sidecar file may name overviews anywhere, in a network too."""
+    import http.server
+    import threading
+
+    asked = []
+
+    class Handler(http.server.BaseHTTPRequestHandler):
+        def do_HEAD(self):
+            asked.append(self.path)
+            self.send_error(404)
+
+        do_GET = do_HEAD
+
+        def log_message(self, *arguments):
+            pass
+
+    def overview(path):
+        text = f'<PAMDataset><Metadata domain="OVERVIEWS"><MDI key="OVERVIEW_FILE">{path}</MDI></Metadata></PAMDataset>'
+        (scene / "orthophoto.tif.aux.xml").write_text(text)
+
+    raster(scene.parent / "out.tif", np.ones((3, 8, 8), np.uint8))
+    overview(scene.parent / "out.tif")
+    refused(["terrain.orthophoto='orthophoto.tif'", scene.parent / "out.tif"], "render", scene)
+    with http.server.HTTPServer(("127.0.0.1", 0), Handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        overview(f"/vsicurl/http://127.0.0.1:{server.server_port}/x.tif")
+        status, _, errors = call("render", scene, "-o", tmp_path / "o", *QUICK)
+        server.shutdown()
+    assert (status, errors, asked) == (0, "", [])
+
+
+def test_a_raster_on_the_command_line_may_be_a_mosaic(scene, call, tmp_path):
+    (scene / "elevation.tif").rename(tmp_path / "out.tif")
+    (scene / "own.vrt").write_text(VRT)
+    status, _, errors = call("import-terrain", scene / "own.vrt", scene / "orthophoto.tif", "-o", tmp_path / "new")
+    assert (status, errors) == (0, "")
+
+
+@pytest.mark.parametrize("name", ["scene.toml", "flight.csv", "materials", "elevation.tif", "small.toml"])
+def test_links_out_of_a_scene_are_not_followed(scene, refused, name):
+    if name == "materials":
+        (scene / name).mkdir()
+    (scene / name).rename(scene.parent / f"out {name}")
+    (scene / name).symlink_to(scene.parent / f"out {name}")
+    refused([name, "inside the scene's folder"], "fly", scene, *QUICK)
+
+
+def test_a_scene_s_folder_may_be_a_link(scene, call, tmp_path):
+    (tmp_path / "link").symlink_to(scene)
+    status, _, errors = call("plan", tmp_path / "link", *QUICK)
+    assert (status, errors) == (0, "")
+
+
 def test_a_raster_without_a_place(scene, refused):
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning
@@ -441,7 +543,7 @@ def mesh_scene(scene, name, data):
     (scene / name).write_bytes(data if isinstance(data, bytes) else data.encode())
 
 
-@pytest.mark.parametrize("suffix", ["obj", "glb", "ply"])
+@pytest.mark.parametrize("suffix", ["obj", "glb", "gltf", "ply"])
 def test_garbage_and_empty_meshes(scene, refused, suffix):
     mesh_scene(scene, f"model.{suffix}", b"garbage \x00\xff\n no mesh")
     refused([f"model.{suffix} cannot be read as a mesh", "give an OBJ, GLB or PLY file"], "render", scene)
@@ -455,9 +557,9 @@ def test_garbage_and_empty_meshes(scene, refused, suffix):
         (QUAD, "holds no triangles"),
         ("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "holds no triangles of any area"),
         (QUAD + "f 1 2 30\n", "cannot be read as a mesh"),
-        ("mtllib no.mtl\n" + QUAD + FACES, "material library 'no.mtl' does not exist"),
-        ("mtllib missing.mtl\n" + QUAD + FACES_UV, "texture 'no such.png' does not exist"),
-        ("mtllib broken.mtl\n" + QUAD + FACES_UV, "broken.png cannot be read as an image"),
+        ("mtllib no.mtl\n" + QUAD + FACES, "names 'no.mtl', which does not exist"),
+        ("mtllib missing.mtl\n" + QUAD + FACES_UV, "names 'no such.png', which does not exist"),
+        ("mtllib broken.mtl\n" + QUAD + FACES_UV, "the texture 'broken.png' cannot be read"),
         ("mtllib good.mtl\n" + QUAD + "usemtl a\n" + FACES, "has a texture but no map coordinates"),
     ],
 )
@@ -471,6 +573,15 @@ def test_wrong_obj(scene, refused, text, words):
     Image.new("RGB", (4, 4)).save(scene / "good one.png")
     mesh_scene(scene, "model.obj", text)
     refused(words, "render", scene)
+
+
+def test_an_archive_is_no_mesh(scene, refused):
+    import zipfile
+
+    with zipfile.ZipFile(scene / "model.zip", "w") as archive:
+        archive.writestr("model.obj", QUAD + FACES)
+    mesh_scene(scene, "model.zip", (scene / "model.zip").read_bytes())
+    refused("model.zip is of no form that is read; give one of .obj, .glb", "render", scene)
 
 
 def test_a_good_obj_passes(scene, call, tmp_path):
@@ -513,6 +624,145 @@ def test_a_broken_object_mesh_and_a_mesh_with_map_rasters(scene, refused):
     mesh_scene(scene, "model.obj", QUAD + FACES)
     change(scene / "scene.toml", 'source = "constant"\nvalue = 300.0', 'source = "raster"\nraster = "temperature.tif"')
     refused("a temperature raster needs terrain with an elevation raster", "render", scene)
+
+
+def painted(image, **named):
+    """A square of 16 m around the origin, z up, as a glTF dictionary: buffer and image are where they are named."""
+    corner = np.array([[-8, 0, 8], [8, 0, 8], [8, 0, -8]], np.float32)
+    data = corner.tobytes() + np.zeros((3, 2), np.float32).tobytes() + np.arange(3, dtype=np.uint32).tobytes()
+    views = [{"buffer": 0, "byteOffset": at, "byteLength": size} for at, size in ((0, 36), (36, 24), (60, 12))]
+    accessors = [
+        {"bufferView": number, "componentType": kind, "count": 3, "type": shape}
+        for number, (kind, shape) in enumerate(((5126, "VEC3"), (5126, "VEC2"), (5125, "SCALAR")))
+    ]
+    accessors[0] |= {"min": corner.min(axis=0).tolist(), "max": corner.max(axis=0).tolist()}
+    primitive = {"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "indices": 2, "material": 0}
+    return data, {
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [primitive]}], "accessors": accessors, "bufferViews": views,
+        "buffers": [{"byteLength": len(data), **named}], "textures": [{"source": 0}], "images": [{"uri": image}],
+        "materials": [{"name": "paint", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
+    }  # fmt: skip
+
+
+def glb(data, tree):
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(data), b"BIN\0") + data
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+PLY = """ply
+format ascii 1.0
+comment TextureFile {}
+element vertex 3
+property float x
+property float y
+property float z
+property float s
+property float t
+element face 1
+property list uchar int vertex_indices
+end_header
+-8 -8 0 0 0
+8 -8 0 1 0
+8 8 0 1 1
+3 0 1 2
+"""
+
+
+def textured_mesh(scene, kind, image):
+    """Make the scene a mesh of a kind that names an image as its texture."""
+    if kind == "obj":
+        (scene / "own.mtl").write_text(f"newmtl a\nmap_Kd {image}\n")
+        mesh_scene(scene, "model.obj", "mtllib own.mtl\n" + QUAD + FACES_UV)
+    elif kind == "ply":
+        mesh_scene(scene, "model.ply", PLY.format(image))
+    elif kind == "glb":
+        mesh_scene(scene, "model.glb", glb(*painted(image)))
+    else:
+        data, tree = painted(image, uri="model.bin")
+        (scene / "model.bin").write_bytes(data)
+        mesh_scene(scene, "model.gltf", json.dumps(tree))
+
+
+TEXTURED = ("obj", "ply", "glb", "gltf")
+
+
+@pytest.mark.parametrize("kind", TEXTURED)
+def test_a_texture_is_found_within_the_scene_only(scene, refused, kind):
+    from PIL import Image
+
+    red = Image.new("RGB", (4, 4), (200, 0, 0))
+    (scene / "textures").mkdir()
+    red.save(scene / "textures" / "good one.png")
+    textured_mesh(scene, kind, "textures/good one.png")
+    colour = load_scene(scene).surfaces[0].colour
+    assert colour.shape == (4, 4, 3) and (colour == (200, 0, 0)).all()
+    # From a folder of its own, the way round is still within the scene.
+    (scene / "models").mkdir()
+    for name in ("own.mtl", "model.bin", f"model.{kind}"):
+        if (scene / name).exists():
+            (scene / name).rename(scene / "models" / name)
+    change(scene / "scene.toml", f"model.{kind}", f"models/model.{kind}")
+    for name in ("own.mtl", f"model.{kind}"):
+        if (scene / "models" / name).exists():
+            data = (scene / "models" / name).read_bytes()
+            (scene / "models" / name).write_bytes(data.replace(b"textures/good one.png", b"../textures/other.png"))
+    red.save(scene / "textures" / "other.png")
+    assert load_scene(scene).surfaces[0].colour.shape == (4, 4, 3)
+    # Beyond it nothing is read, whether it is there or not; nor through a link.
+    red.save(scene.parent / "x.png")
+    (scene / "link.png").symlink_to(scene.parent / "x.png")
+    for image in ("../x.png", "../../x.png", str(scene.parent / "x.png"), "link.png", "http://localhost/x.png"):
+        textured_mesh(scene, kind, image)
+        outside = "does not exist" if image.startswith("http") else "leads out of the scene's folder"
+        refused([f"model.{kind} names {image!r}, which {outside}"], "render", scene)
+    textured_mesh(scene, kind, "none.png")
+    refused([f"model.{kind} names 'none.png', which does not exist"], "render", scene)
+    (scene / "none.png").write_text("garbage")
+    refused([f"model.{kind}: the texture", "cannot be read", "give a whole PNG or JPEG"], "render", scene)
+
+
+def test_a_mesh_s_other_files_are_found_within_the_scene_only(scene, refused):
+    data, tree = painted("x.png", uri="../out.bin")
+    (scene.parent / "out.bin").write_bytes(data)
+    mesh_scene(scene, "model.gltf", json.dumps(tree))
+    refused("model.gltf names '../out.bin', which leads out of the scene's folder", "render", scene)
+    (scene.parent / "out.mtl").write_text("newmtl a\nKd 1 0 0\n")
+    mesh_scene(scene, "model.obj", "mtllib ../out.mtl\n" + QUAD + FACES_UV)
+    refused("model.obj names '../out.mtl', which leads out of the scene's folder", "render", scene)
+    car = OBJECT.replace('shape = "disc"', 'file = "model.obj"')
+    (scene / "scene.toml").write_text(SCENE.replace("[sky]", car + "[sky]"))
+    refused("model.obj names '../out.mtl', which leads out of the scene's folder", "render", scene)
+
+
+def huge_png(path, side=100_000):
+    """A PNG of a few bytes whose head claims so many pixels along each side."""
+    def chunk(kind, data):
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    head = chunk(b"IHDR", struct.pack(">IIBBBBB", side, side, 8, 2, 0, 0, 0))
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + head + chunk(b"IDAT", zlib.compress(bytes(1000))) + chunk(b"IEND", b""))
+
+
+@pytest.mark.parametrize("kind", TEXTURED)
+def test_a_texture_has_a_limit(scene, refused, kind):
+    huge_png(scene / "huge.png")
+    textured_mesh(scene, kind, "huge.png")
+    refused([f"model.{kind}: the texture", "up to 536870912 pixels"], "render", scene)
+
+
+def test_the_limit_of_a_texture_is_not_pillow_s(scene, monkeypatch):
+    """Pillow warns of half, and refuses more than, 179 million pixels: fewer than a large texture has."""
+    from PIL import Image
+
+    Image.new("RGB", (5, 4)).save(scene / "good.png")
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 6)
+    for kind in TEXTURED:
+        textured_mesh(scene, kind, "good.png")
+        assert load_scene(scene).surfaces[0].colour.shape == (4, 5, 3)
+    assert Image.MAX_IMAGE_PIXELS == 6 and MOST_TEXELS >= 16384**2
 
 
 # --- the camera -------------------------------------------------------------------------------------------------

@@ -1,5 +1,6 @@
-"""Where the data that ship with the package lie: in the wheel, or beside the package in a checkout."""
+"""Where the data that ship with the package lie, in the wheel or beside it in a checkout; what lies in a folder."""
 
+import os
 from pathlib import Path
 
 from thermorender.errors import ThermorenderError
@@ -25,3 +26,8 @@ def data_folder(kind):
         f"the shipped {kind!r} were looked for in {candidates[0]} and {candidates[1]} and are in neither; "
         "reinstall thermorender, or work in a complete checkout"
     )
+
+
+def inside(path, folder):
+    """Return whether a path, all its symbolic links followed, lies in a folder."""
+    return Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder))

@@ -9,6 +9,7 @@ Units are the ends of keys' names (`row_time_us`), and messages take them from t
 
 import difflib
 import json
+import os
 import re
 import sys
 from copy import copy
@@ -17,6 +18,7 @@ from numbers import Integral, Real
 from pathlib import Path
 
 from thermorender.errors import ThermorenderError, shortened
+from thermorender.paths import inside
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -230,13 +232,13 @@ def texts(value, where):
 def file_inside(value, where):
     """Read the name of a file that lies in the settings' folder; return its Path."""
     try:
-        path = (where.folder / text(value, where)).resolve()
-        inside, there = path.is_relative_to(where.folder), path.is_file()
+        path = Path(os.path.realpath(where.folder / text(value, where)))
+        there = path.is_file()
     except ThermorenderError:
         raise
     except (OSError, ValueError):  # too long, or with a NUL in it
         where.refuse(value, "the name of a file")
-    if not inside:
+    if not inside(path, where.folder):
         where.refuse(value, f"a path inside {where.top or 'the file'}'s folder")
     if not there:
         raise where.error(f"{where.key}={value!r} does not exist; give a file in {where.folder}")

@@ -20,6 +20,7 @@ from thermorender.atmosphere.absorbers import exponential, offset_water, scaled_
 from thermorender.atmosphere.emission import ALTITUDE_M, TOP_M, Profile, amounts, emission
 from thermorender.atmosphere.tables import NAMES, read_saved, read_table
 from thermorender.errors import ThermorenderError
+from thermorender.files import atomic
 from thermorender.physics.planck import C2, spectral_radiance
 
 # Temperature at which nodes' weights are shares of their sub-band.
@@ -189,7 +190,7 @@ class Atmosphere:
 
     def save(self, path):
         """Write the atmosphere to an .npz file of plain arrays."""
-        with open(path, "wb") as file:
+        with atomic(path) as part, open(part, "wb") as file:
             np.savez_compressed(
                 file, **{name: getattr(self, name) for name in NAMES}, cloud=[self.cloud_fraction, self.cloud_base_m]
             )

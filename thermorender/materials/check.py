@@ -24,6 +24,7 @@ from thermorender.materials.files import (
 from thermorender.materials.from_samples import WANTED_RANGE_UM
 from thermorender.materials.library import DIRECTIONAL_MODELS, NAME
 from thermorender.materials.samples import QUANTITIES, WAVELENGTH_UNITS, ecostress_lines, is_ecostress
+from thermorender.paths import inside
 from thermorender.physics.fresnel import LARGEST_SLOPE
 from thermorender.units import LOWEST_KELVIN, ZERO_CELSIUS_K
 
@@ -217,7 +218,7 @@ def _check_ecostress(path):
 def _table(folder, path, columns, place=None):
     """Return header, rows and findings of a CSV file, reading on where a fault allows it."""
     place, findings = place or path.name, []
-    if folder is not None and not path.resolve().is_relative_to(folder.resolve()):
+    if folder is not None and not inside(path, folder):
         return [], [], [Finding(True, place, f"leads out of {folder}; put the file itself into the folder")]
     if not path.is_file():
         text = "does not exist; a materials folder holds index.csv and spectra/<name>.csv"

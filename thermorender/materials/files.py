@@ -12,6 +12,7 @@ import numpy as np
 
 from thermorender import files
 from thermorender.errors import ThermorenderError, shortened
+from thermorender.paths import inside
 from thermorender.physics import fresnel
 
 INDEX_COLUMNS = (
@@ -45,7 +46,7 @@ def read_text(path, directory=None):
         The file is absent, leads out of the folder, or is not UTF-8.
     """
     path = Path(path)
-    if directory is not None and not path.resolve().is_relative_to(Path(directory).resolve()):
+    if directory is not None and not inside(path, directory):
         raise ThermorenderError(f"{path} leads out of {directory}; put the file itself into the folder")
     if not path.is_file():
         raise ThermorenderError(

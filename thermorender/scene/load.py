@@ -276,7 +276,7 @@ def load_scene(name):
         spec, frame, tuple(surfaces), len(surfaces), (), camera, grid,
         air=declared_air(spec.atmosphere, camera.band_um, where), emissivity_report=emissivity_report,
     )  # fmt: skip
-    things = [_object(item, materials) for item in spec.objects]
+    things = [_object(item, materials, spec.folder) for item in spec.objects]
     still = [surface for thing in things if not thing.item.track for surface in _placed(thing, thing.at(0.0), scene)]
     movers = [thing for thing in things if thing.item.track]
     passing = [surface for thing in movers for values in thing.stations() for surface in _placed(thing, values, scene)]
@@ -441,7 +441,7 @@ def _mesh_terrain(spec, materials):
             "'constant' or 'material'"
         )
     index = _single_material(spec.emissivity, materials)
-    surfaces = [_part_surface(part, index, np.nan) for part in mesh.load(spec.terrain.mesh)]
+    surfaces = [_part_surface(part, index, np.nan) for part in mesh.load(spec.terrain.mesh, spec.folder)]
     return (LocalFrame(*spec.frame) if spec.frame else None), None, surfaces
 
 
@@ -462,10 +462,10 @@ def _part_surface(part, material, temperature):
     )
 
 
-def _object(item, materials):
+def _object(item, materials, folder):
     """The Mover of one object: its surfaces in its own frame, and its track if it has one."""
     if item.file:
-        parts = mesh.load(item.file)
+        parts = mesh.load(item.file, folder)
     else:
         vertices, faces = mesh.primitive(item.shape, item.size)
         colour = np.array(item.colour, dtype=np.uint8).reshape(1, 1, 3)

@@ -1,12 +1,22 @@
 """Meshes from files (OBJ, GLB, PLY, …) and primitives, as parts with map coordinates and a colour image."""
 
+import io
 import json
+import warnings
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 
 from thermorender.errors import ThermorenderError
+from thermorender.paths import inside
+from thermorender.scene.surface import MOST_TEXELS
+
+# Archives, which trimesh would read too, bring files of their own.
+FORMATS = (".obj", ".glb", ".gltf", ".ply", ".stl", ".off")
+_IMAGE = f"give a whole PNG or JPEG image of up to {MOST_TEXELS} pixels"
 
 
 @dataclass(frozen=True)
@@ -31,36 +41,103 @@ class Part:
     colour: np.ndarray
 
 
-def load(path):
+def load(path, folder=None):
     """Return the Parts of a mesh file, in the file's own coordinates (z up for OBJ and PLY; GLB's y-up is turned).
+
+    Parameters
+    ----------
+    path : path
+    folder : path, optional
+        What the file names must lie in it: material libraries, textures, buffers. Default: the file's own.
 
     Raises
     ------
     ThermorenderError
         A file trimesh cannot read, one without triangles of any area, an image texture without map coordinates,
-        or a texture that is named but missing or broken.
+        or a file that is named but missing, broken, too large or elsewhere.
     """
-    import trimesh
-
     path = Path(path)
+    if path.suffix.lower() not in FORMATS:
+        raise ThermorenderError(f"{path} is of no form that is read; give one of {', '.join(FORMATS)}")
     if not path.stat().st_size:
         raise ThermorenderError(f"{path} is empty; give an OBJ, GLB or PLY file")
+    named = _Named(path, path.parent if folder is None else folder)
     try:
-        loaded = trimesh.load_scene(path)
+        with _largest_image(MOST_TEXELS):
+            return _parts(path, named)
     except Exception as error:  # trimesh raises many kinds for broken files
+        if named.refusal or isinstance(error, ThermorenderError):
+            raise (named.refusal or error) from None
         reason = f"{type(error).__name__}: {error}"
         if isinstance(error, ImportError) and error.name == "charset_normalizer":
             # What trimesh asks for to guess the encoding of a text that is not UTF-8.
             reason = "it is not text in UTF-8"
         raise ThermorenderError(f"{path} cannot be read as a mesh ({reason}); give an OBJ, GLB or PLY file") from None
-    # trimesh leaves out images it cannot find or read, in silence.
-    if path.suffix.lower() == ".obj":
-        _check_obj_textures(path)
-    if path.suffix.lower() in (".glb", ".gltf"):
-        _check_gltf_textures(path, loaded)
+
+
+class _Named:
+    """The files a mesh names, as trimesh asks for them: relative to the mesh, and within a folder only.
+
+    trimesh goes on without a file it cannot have, so that the first refusal is kept for who called it.
+    """
+
+    def __init__(self, path, folder):
+        self.path, self.folder = path, folder
+        self.file_name = path.name  # trimesh names the parts of an OBJ after it
+        self.refusal, self.found = None, []
+
+    def get(self, name):
+        """Return the bytes of a file."""
+        place = self.path.parent / name.strip()
+        try:
+            # glTF writes a space as %20.
+            place = place if place.is_file() else self.path.parent / unquote(name.strip())
+            if not inside(place, self.folder):
+                raise OSError("leads out of the scene's folder; put the file into it")
+            if not place.is_file():
+                raise OSError("does not exist; put it beside the mesh")
+            self.found.append((name, place.read_bytes()))
+        except (OSError, ValueError) as error:
+            self.refusal = self.refusal or ThermorenderError(f"{self.path} names {name!r}, which {error}")
+            raise
+        return self.found[-1][1]
+
+    __getitem__ = get
+
+
+@contextmanager
+def _largest_image(pixels):
+    """Have Pillow refuse larger images from their heads, and warn of no others."""
+    from PIL import Image
+
+    before = Image.MAX_IMAGE_PIXELS
+    Image.MAX_IMAGE_PIXELS = pixels // 2  # from which on it warns; from twice as many on it refuses
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            yield
+    finally:
+        Image.MAX_IMAGE_PIXELS = before
+
+
+def _parts(path, named):
+    import trimesh
+
+    is_gltf = path.suffix.lower() in (".glb", ".gltf")
+    header = _gltf_header(path) if is_gltf else None
+    loaded = trimesh.load_scene(path, resolver=named)
+    if named.refusal:
+        raise named.refusal
+    # trimesh leaves out images it cannot read, in silence.
+    if is_gltf:
+        _check_gltf_textures(path, header, loaded)
+    else:
+        # The first file an OBJ names is its material library.
+        for name, data in named.found[path.suffix.lower() == ".obj" :]:
+            _check_image(data, f"{path}: the texture {name!r}")
     # glTF is y-up by its specification; the other formats carry no rule and are taken as z-up.
     turn = np.eye(4)
-    if path.suffix.lower() in (".glb", ".gltf"):
+    if is_gltf:
         turn[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
     parts = []
     for node in loaded.graph.nodes_geometry:
@@ -130,54 +207,37 @@ def _texture(geometry, faces, path):
 def _pixels(image, name):
     try:
         return np.array(image.convert("RGB"), dtype=np.uint8)
-    except (OSError, SyntaxError) as error:  # Pillow's kinds for a broken file
-        raise ThermorenderError(
-            f"{name}: the texture cannot be read ({error}); give a whole PNG or JPEG image"
-        ) from None
+    except Exception as error:  # Pillow raises many kinds for a broken file
+        raise ThermorenderError(f"{name}: the texture cannot be read ({error}); {_IMAGE}") from None
 
 
-def _check_gltf_textures(path, loaded):
-    """Refuse a glTF whose material names a colour image that trimesh could not read."""
+def _check_image(data, name):
+    """Refuse what has not even the head of an image."""
+    from PIL import Image
+
+    try:
+        Image.open(io.BytesIO(data))
+    except Exception as error:  # of Pillow, as above
+        raise ThermorenderError(f"{name} cannot be read ({error}); {_IMAGE}") from None
+
+
+def _gltf_header(path):
     data = path.read_bytes()
     if path.suffix.lower() == ".glb":
         # Header of 12 bytes, then the chunk of JSON behind its length and kind.
         data = data[20 : 20 + int.from_bytes(data[12:16], "little")]
+    return json.loads(data)
+
+
+def _check_gltf_textures(path, header, loaded):
+    """Refuse a glTF whose material names a colour image that trimesh could not read."""
     named, plain = set(), set()
-    for material in json.loads(data).get("materials", ()):
+    for material in header.get("materials", ()):
         textured = "baseColorTexture" in material.get("pbrMetallicRoughness", {})
         (named if textured else plain).add(material.get("name"))
     for geometry in loaded.geometry.values():
         material = getattr(geometry.visual, "material", None)
         if getattr(material, "name", None) in named - plain and getattr(material, "baseColorTexture", None) is None:
             raise ThermorenderError(
-                f"{path}: the texture of material {material.name!r} cannot be read; give a whole PNG or JPEG image"
+                f"{path}: the texture of material {material.name!r} cannot be read; {_IMAGE}"
             )
-
-
-def _check_obj_textures(path):
-    """Refuse an OBJ whose material library or image is named but missing or broken."""
-    from PIL import Image
-
-    for line in path.read_text(errors="replace").splitlines():
-        if line.startswith("mtllib "):
-            library = path.parent / line[7:].strip()
-            if not library.is_file():
-                raise ThermorenderError(
-                    f"{path}: material library {library.name!r} does not exist; put it beside the OBJ"
-                )
-            for entry in library.read_text(errors="replace").splitlines():
-                key, _, name = entry.strip().partition(" ")
-                if key.lower() != "map_kd":
-                    continue
-                image = library.parent / name.strip()
-                if not image.is_file():
-                    raise ThermorenderError(
-                        f"{library}: texture {name.strip()!r} does not exist; put it beside the OBJ"
-                    )
-                try:
-                    with Image.open(image) as opened:
-                        opened.load()
-                except (OSError, SyntaxError) as error:
-                    raise ThermorenderError(
-                        f"{image} cannot be read as an image ({error}); give a PNG or JPEG"
-                    ) from None

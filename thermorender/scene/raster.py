@@ -7,6 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from thermorender.errors import ThermorenderError
+from thermorender.scene.surface import MOST_TEXELS
+
+# What a file of this name is read as, and as nothing else. None of these leads to pixels elsewhere, on disk or in a
+# network, as VRT, WMS and others do, of which GDAL would ask the content and not the name.
+FORMATS = {
+    ".tif": "GTiff", ".tiff": "GTiff", ".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".jp2": "JP2OpenJPEG",
+    ".asc": "AAIGrid",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -47,7 +55,7 @@ class Grid:
 
 @contextmanager
 def opened(path):
-    """Open a raster for reading; what rasterio cannot read becomes a sentence naming the file."""
+    """Open a raster for reading; what rasterio cannot read, or is too large, becomes a sentence naming the file."""
     import warnings
 
     import rasterio
@@ -55,19 +63,34 @@ def opened(path):
 
     if not Path(path).exists():
         raise ThermorenderError(f"{path} does not exist; give a raster file such as a GeoTIFF")
+    driver = FORMATS.get(Path(path).suffix.lower())
+    # What lies beside a raster may name overviews in a network; GDAL then fetches nothing.
+    options = {} if driver is None else {"CPL_VSIL_CURL_ALLOWED_FILENAME": "-"}
     try:
-        with warnings.catch_warnings():
-            # `grid_of` refuses such a file in words of our own.
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            dataset = rasterio.open(path)
-        with dataset:
-            yield dataset
+        with rasterio.Env(**options):
+            with warnings.catch_warnings():
+                # `grid_of` refuses such a file in words of our own.
+                warnings.simplefilter("ignore", NotGeoreferencedWarning)
+                dataset = rasterio.open(path, driver=driver)
+            with dataset:
+                if dataset.width * dataset.height > MOST_TEXELS:
+                    raise ThermorenderError(
+                        f"{path} has {dataset.width}×{dataset.height} pixels; a raster may have up to {MOST_TEXELS}, "
+                        "so cut or thin it, for example with `rio warp`"
+                    )
+                yield dataset
     except RasterioError as error:
         # A failed read says only that it failed; its cause, GDAL's own error, says where.
         reason = error.__cause__ or error
         raise ThermorenderError(
             f"{path} cannot be read as a raster: {reason}; give a whole file such as a GeoTIFF"
         ) from None
+
+
+def files_of(path):
+    """Return the files a raster is read from: itself and what GDAL finds beside it."""
+    with opened(path) as dataset:
+        return dataset.files
 
 
 def grid_of(path):

@@ -1,15 +1,18 @@
 """What a scene file says: `scene.toml` read into frozen dataclasses, every key checked.
 
 A key is a row of its table's dataclass; see `thermorender.schema`. Files are named relative to the scene's folder and
-must lie inside it.
+must lie inside it, and so must what they name in turn.
 """
 
+import os
 from dataclasses import astuple, dataclass, replace
 from functools import partial
 from pathlib import Path
 
 from thermorender import defaults
 from thermorender.errors import ThermorenderError
+from thermorender.paths import inside
+from thermorender.scene.raster import FORMATS, files_of
 from thermorender.scene.surface import scene_kelvin
 from thermorender.schema import (
     Where,
@@ -42,6 +45,17 @@ def kelvin(value, where, allow_zero=False):
 
 cold = partial(kelvin, allow_zero=True)
 share = number(0.0, 1.0, above=True)
+
+
+def raster_inside(value, where):
+    """Read the name of a raster that lies in the scene's folder with all it is read from; return its Path."""
+    path = file_inside(value, where)
+    if path.suffix.lower() not in FORMATS:
+        where.refuse(value, f"a raster that holds all its pixels itself: {', '.join(FORMATS)}")
+    for part in files_of(path):
+        if not inside(part, where.folder):
+            where.refuse(value, f"a raster whose files all lie inside the scene's folder, as {part} does not")
+    return path
 
 
 def camera_model(value, where):
@@ -85,9 +99,9 @@ def _needed(where, values, needs):
 class TerrainSpec:
     """Ground of the scene: an elevation raster with an orthophoto, or one textured mesh."""
 
-    elevation: Path | None = key(file_inside, None)
+    elevation: Path | None = key(raster_inside, None)
     mesh: Path | None = key(file_inside, None)
-    orthophoto: Path | None = key(file_inside, None)
+    orthophoto: Path | None = key(raster_inside, None)
     height_reference: str = key(choice("ellipsoid", "geoid"), "ellipsoid")
     geoid_undulation_m: float | None = key(number(), None)
 
@@ -104,7 +118,7 @@ class TemperatureSpec:
 
     source: str = key(choice("constant", "raster", "material", "learned"))
     value: float | None = key(kelvin, None)
-    raster: Path | None = key(file_inside, None)
+    raster: Path | None = key(raster_inside, None)
     model: str | None = key(temperature_map, None)
     range_c: tuple[float, float] | None = key(number(count=2, ordered=True), None)
     materials: dict = key(mapping(kelvin), {})
@@ -122,7 +136,7 @@ class EmissivitySpec:
     source: str = key(choice("constant", "material", "classes", "learned"))
     value: float | None = key(share, None)
     material: str | None = key(text, None)
-    raster: Path | None = key(file_inside, None)
+    raster: Path | None = key(raster_inside, None)
     classes: dict = key(mapping(text, class_number), {})
     model: str | None = key(emissivity_map, None)
     fallback: str | None = key(text, None)
@@ -213,7 +227,7 @@ class SceneSpec:
     sun: SunSpec | None = key(table(SunSpec), None)
     surroundings_temperature: float | None = key(entry("temperature", cold, None), None, name="surroundings")
     camera: str = key(entry("model", camera_model, defaults.CAMERA), defaults.CAMERA)
-    truth_temperature: Path | None = key(entry("temperature", file_inside, None), None, name="truth")
+    truth_temperature: Path | None = key(entry("temperature", raster_inside, None), None, name="truth")
     frame: tuple[float, float, float] | None = key(lambda value, where: astuple(read(_Frame, value, where)), None)
     objects: tuple[ObjectSpec, ...] = key(tables(ObjectSpec), (), name="object")
 
@@ -248,5 +262,11 @@ def read_scene(folder):
     if not path.exists():
         raise ThermorenderError(f"{path} does not exist; a scene is a folder with a scene.toml")
     folder = path.parent.resolve()
+    for name in (path.name, "flight.csv", "materials"):
+        if not inside(folder / name, folder):
+            raise ThermorenderError(
+                f"{folder / name} is a link to {os.path.realpath(folder / name)}; what a scene uses lies inside the "
+                "scene's folder, so put it there"
+            )
     spec = read(SceneSpec, read_toml(path), Where(path, folder, top="the scene"), folder=folder)
     return replace(spec, title=spec.title or folder.name)

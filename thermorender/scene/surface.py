@@ -15,6 +15,8 @@ SATURATED = 8  # the sensor's range is exceeded
 BEYOND = 16  # no surface is hit but the ray points below the horizon: the surroundings beyond the terrain
 UNKNOWN = 32  # a learned emissivity map does not know this material: the scene's fallback stands in
 
+# Pixels of a raster or a texture, 23 170²: what reading needs of them at once, up to 30 bytes each, fits into 16 GB.
+MOST_TEXELS = 2**29
 # Materials of a scene: a texel holds its material's number in a byte, of which 255 says "none" where nothing is seen.
 MOST_MATERIALS = 255
 
