@@ -8,7 +8,7 @@ import pytest
 
 import thermorender as tr
 from thermorender.errors import ThermorenderError
-from thermorender.physics.planck import band_radiance
+from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.render import cache
 from thermorender.render.reference import squared_error
 from thermorender.sensor.camera import load_camera
@@ -120,6 +120,57 @@ def test_bench_refuses_nothing_to_measure():
 def test_closed_cavity_is_black():
     found = cavity.measure("closed", 0.0, 0.5, 4, "auto")
     assert found["error_mk"] < 1.0
+
+
+def seen_through(loop, place, normal):
+    """Share of the diffuse view from places (n, 3) on faces of normals (n, 3) that closed polygons (k, 2, 3) span.
+
+    Lambert's contour integral, exact for any polygon above the horizon: inside a convex body all is.
+    """
+    one, other = (loop[None, :, k] - place[:, None] for k in (0, 1))
+    across = np.cross(one, other)
+    length = np.linalg.norm(across, axis=-1)
+    angle = np.arctan2(length, (one * other).sum(axis=-1))
+    return np.abs((angle / length * np.einsum("nkc,nc->nk", across, normal)).sum(axis=1)) / (2.0 * np.pi)
+
+
+@pytest.mark.parametrize("emissivity", [0.5, 0.1])
+def test_open_cavity_against_the_closed_form_of_its_polyhedron(emissivity):
+    import trimesh
+
+    rays = 4096
+    found = cavity.measure("open", 0.1, emissivity, rays, "auto")
+    ball = trimesh.creation.icosphere(subdivisions=4)
+    kept = ball.triangles_center[:, 2] < 0.8
+    # Edges of the hole: those of one face that is kept and one that is not, in a circle round the hole.
+    edges = ball.vertices[ball.face_adjacency_edges[kept[ball.face_adjacency].sum(axis=1) == 1]]
+    clockwise = np.cross(edges[:, 0], edges[:, 1])[:, 2] < 0.0
+    edges[clockwise] = edges[clockwise, ::-1]
+    centre, inward, area = ball.triangles_center[kept], -ball.face_normals[kept], ball.area_faces[kept]
+    opening = seen_through(edges, centre, inward)
+    # Every wall shines by nearly the same light m into itself: a share of sky that is the mean over their areas.
+    black, sky = (float(band_radiance(t, *CAMERA.band_um)) for t in (300.0, 250.0))
+
+    def wall(share):
+        received = ((1 - share) * emissivity * black + share * sky) / (1 - (1 - emissivity) * (1 - share))
+        return emissivity * black + (1 - emissivity) * received
+
+    scale = 1e3 / float(band_radiance_derivative(300.0, *CAMERA.band_um))
+    share = np.average(opening, weights=area)
+    missing = 1.0 - area.sum() / ball.area
+    assert np.ptp(opening) < 0.003 and share == pytest.approx(missing, abs=1e-3)
+    # `measure` tells the error against a sphere of whose area as much is missing: the polyhedron's own is a few mK.
+    own = scale * (wall(share) - wall(missing))
+    assert 1.0 < abs(own) < 6.0
+    # A face's error were its rays independent; stratified ones err by less, and by as much from face to face, so the
+    # mean over the faces in the picture (45° by 37°) errs by their root's part. The mean light m adds its own error,
+    # of all faces, as often as light goes round.
+    alone = scale * (1 - emissivity) * (wall(share) - sky) * np.sqrt(share * (1 - share) / rays)
+    assert found["error_mk"] < 0.5 * alone
+    seen = (np.abs(centre[:, :2]) < -centre[:, 2:] * np.tan(np.radians([45.4 / 2, 37.0 / 2]))).all(axis=1).sum()
+    round_about = (1 - emissivity) * (1 - share) / (1 - (1 - emissivity) * (1 - share))
+    error = found["error_mk"] * np.hypot(1.0 / np.sqrt(seen), round_about / np.sqrt(len(centre)))
+    assert seen > 150 and abs(found["mean_mk"] - own) < 3.0 * error < 9.0
 
 
 def test_convergence_measures_what_is_missing_only(tmp_path, monkeypatch):
