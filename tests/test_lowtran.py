@@ -35,6 +35,7 @@ def grey_gas(cards, folder=None):
     if flag[0] == 7:
         own = int(lines[2][:5])
         rows = [[float(line[10 * k : 10 * k + 10]) for k in range(6)] + [line[60:63]] for line in lines[3 : 3 + own]]
+        assert all(row[4] == row[5] == 0.0 for row in rows)
         assert all(row[6] == "AAD" and row[0] >= 0.0 and 0.0 < row[1] < 1100.0 and row[2] > 150.0 for row in rows)
         own += 1
     first, last, zenith, length = (float(lines[2 + own][10 * k : 10 * k + 10]) for k in range(4))
