@@ -12,8 +12,9 @@ def rooms(report):
     """{room: (lines covered, lines)} of a report of `coverage json`; modules outside any folder are "thermorender"."""
     covered, lines = Counter(), Counter()
     for file, found in report["files"].items():
-        inside = PurePath(file).parts
-        inside = inside[inside.index("thermorender") + 1 :]
+        parts = PurePath(file).parts
+        # The last folder of the name, as a checkout may be called so too.
+        inside = parts[len(parts) - parts[::-1].index("thermorender") :]
         room = inside[0] if len(inside) > 1 else "thermorender"
         covered[room] += found["summary"]["covered_lines"]
         lines[room] += found["summary"]["num_statements"]

@@ -1,7 +1,8 @@
-"""Frames through air, against sums over the air's own nodes and wavelengths at single pixels."""
+"""Frames through air, against sums over steps, nodes and wavelengths at single pixels (`air_by_steps`)."""
 
 from dataclasses import replace
 
+import air_by_steps
 import numpy as np
 import pytest
 import trimesh
@@ -9,18 +10,19 @@ from conftest import shared_data
 
 import thermorender as tr
 from scenes import write_mesh
+from thermorender.atmosphere.model import Atmosphere
+from thermorender.atmosphere.rays import MEAN_RADIUS_M
 from thermorender.errors import ThermorenderError
 from thermorender.physics import sun
-from thermorender.physics.atmosphere import Atmosphere
 from thermorender.physics.band import quadrature
 from thermorender.physics.planck import (
     band_radiance_derivative,
     brightness_temperature,
     spectral_radiance,
 )
-from thermorender.physics.rays import MEAN_RADIUS_M
-from thermorender.render import bake, outside, reference
+from thermorender.render import reference
 from thermorender.render.geometry import Geometry
+from thermorender.render.light import environment, radiosity
 from thermorender.render.plan import make_plan
 from thermorender.render.variant import activate
 
@@ -65,13 +67,15 @@ def ground_radiance(air, material, temperature, height, cosine, ground_m=0.0):
     length = height / cosine
     # A flat plane under a round sky: its ends lie higher than its middle.
     end = ground_m + (length**2 - height**2) / (2.0 * MEAN_RADIUS_M)
-    passed, added = air.path(ground_m + height, end, length)
-    sky, leaving = air.sky_irradiance_mean(ground_m), np.empty(air.nodes)
+    paths = [air_by_steps.between(air, ground_m + height, *path) for path in zip(end, length, strict=True)]
+    passed, added = (np.array(part) for part in zip(*paths, strict=True))
+    sky, leaving = air_by_steps.sky_mean(air, ground_m), np.empty(air.nodes)
+    warm = air_by_steps.planck(air, temperature)[0]
     for node, (low, high) in enumerate(zip(air.lower_um, air.upper_um, strict=True)):
         wavelength, weight = quadrature(low, high)
         own, cool = (spectral_radiance(wavelength, t) * weight for t in (temperature, 285.0))
         emissivity = material.emissivity_at(wavelength)
-        leaving[node] = emissivity @ own / own.sum() * air.planck(temperature)[node]
+        leaving[node] = emissivity @ own / own.sum() * warm[node]
         leaving[node] += (1.0 - emissivity) @ cool / cool.sum() * sky[node]
     return passed @ leaving + added.sum(axis=1)
 
@@ -103,8 +107,10 @@ def test_ground_behind_air_is_the_sum_over_nodes(tmp_path, height, pitch, materi
     seen = frame.radiance[pixel[hit, 1], pixel[hit, 0]]
     error = (seen - exact) / band_radiance_derivative(brightness_temperature(exact, *BAND), *BAND) * 1e3
     spectrum = renderer.plan.spectrum
-    # Nodes and channels as planned; 2 mK for the grid of lengths, and the sky in 8 bins of 4096 rays.
-    assert hit.sum() >= 8 and np.abs(error).max() < spectrum.nodes_mk + spectrum.channels_mk + 2.0, error
+    # Nodes and channels as planned; 2 mK for the grid of lengths, and the sky in 8 bins of 4096 rays; the model's own
+    # steps on a path from 12 km, 6 mK.
+    steps = 6.0 if height > 1e4 else 0.0
+    assert hit.sum() >= 8 and np.abs(error).max() < spectrum.nodes_mk + spectrum.channels_mk + 2.0 + steps, error
 
 
 def test_sky_and_the_ground_beyond(tmp_path):
@@ -115,10 +121,10 @@ def test_sky_and_the_ground_beyond(tmp_path):
     z = directions(scene.camera, pose, pixel)[:, 2]
     up, air = z > 0.0, scene.air
     exact = np.empty(len(pixel))
-    exact[up] = air.sky_radiance(120.0, z[up]).sum(axis=1)
+    exact[up] = [air_by_steps.outward(air, 120.0, cosine)[1].sum() for cosine in z[up]]
     length = 120.0 / -z[~up] * (1.0 + 120.0 / z[~up] ** 2 / (2.0 * MEAN_RADIUS_M))
-    passed, added = air.path(120.0, 0.0, length)
-    exact[~up] = passed @ air.planck(310.0) + added.sum(axis=1)
+    below = [air_by_steps.between(air, 120.0, 0.0, way) for way in length]
+    exact[~up] = [passed @ air_by_steps.planck(air, 310.0)[0] + added.sum() for passed, added in below]
     kelvin = frame.apparent_temperature[pixel[:, 1], pixel[:, 0]] - brightness_temperature(exact, *BAND)
     # The table's 10 mK, and what refraction bends, which the straight chord here leaves out.
     assert np.abs(kelvin).max() < 0.02, kelvin
@@ -128,21 +134,22 @@ def test_sky_and_the_ground_beyond(tmp_path):
 def test_sky_bins_on_a_wall_and_on_a_slope(tmp_path):
     # A single face of any tilt: the hemisphere's upper part sees the sky, the lower one the ground beyond.
     air = Atmosphere.standard("us-1976", "rural-23km").in_band(*BAND)
-    node, weight = np.polynomial.legendre.leggauss(200)
+    node, weight = np.polynomial.legendre.leggauss(60)
     cosine = 0.5 * (node + 1.0)
+    sky = np.array([air_by_steps.outward(air, 0.0, c)[1].sum() for c in cosine])
     for tilt in (0.0, 40.0, 90.0):
         turned = trimesh.Trimesh([[-1, -1, 0], [1, -1, 0], [0, 1, 0]], [[0, 1, 2]])
         turned.apply_transform(trimesh.transformations.rotation_matrix(np.radians(tilt), [1, 0, 0]))
         scene = tr.load_scene(write_mesh(tmp_path / f"{tilt}", turned))
-        transport = bake.trace(Geometry(activate(), scene.surfaces), 1 << 15)
-        light = outside.Outside(outside.sky_bins(air, 0.0)[None], np.ones((1, 1)), np.zeros(air.nodes))
-        found = light.light(transport.sky, transport.beyond).sum()
+        transport = radiosity.trace(Geometry(activate(), scene.surfaces), 1 << 15)
+        light = environment.Environment(environment.sky_bins(air, 0.0)[None], np.ones((1, 1)), np.zeros(air.nodes))
+        found = light.light(transport.sky, transport.background).sum()
         # ∫ L cos θ dω / π by zenith angle and azimuth, the cosine to the face's normal clipped at 0.
         azimuth = np.linspace(0.0, 2.0 * np.pi, 4000, endpoint=False)
         sine = np.sqrt(1.0 - cosine**2)[:, None]
         facing = cosine[:, None] * np.cos(np.radians(tilt)) + sine * np.sin(np.radians(tilt)) * np.cos(azimuth)
         share = np.maximum(facing, 0.0).mean(axis=1) * 2.0
-        exact = (0.5 * weight * share) @ air.sky_radiance(0.0, cosine).sum(axis=1)
+        exact = (0.5 * weight * share) @ sky
         # Bins and rays: 30 mK of apparent temperature, reflected with 0.05 1.5 mK of a frame.
         assert abs(found - exact) < 0.03 * band_radiance_derivative(280.0, *BAND), (tilt, found, exact)
 
@@ -166,7 +173,8 @@ def test_sun_lights_what_faces_it(tmp_path):
     open_ground = ground & (position[..., 0] > 3.2) & (np.abs(position[..., 1]) < 4.0)
     wavelength, weight = quadrature(*BAND)
     above = sun.irradiance(wavelength) @ weight
-    passed = scene.air.sun_transmittance(0.0, 0.5) @ scene.air.planck(5036.0) / scene.air.planck(5036.0).sum()
+    share = air_by_steps.planck(scene.air, 5036.0)[0]
+    passed = air_by_steps.outward(scene.air, 0.0, 0.5)[0] @ share / share.sum()
     expected = 0.4 * 0.5 * above * passed / np.pi
     # What reaches the shade is sunlight off the lit ground, by way of the roof's shiny underside.
     assert shade.any() and np.abs(more[shade]).max() < 0.08 * expected
@@ -206,9 +214,6 @@ def test_grey_sand_is_wrong_and_its_nodes_cure_it(tmp_path):
 def test_plan_says_what_air_brings(tmp_path):
     scene = tr.load_scene(write(tmp_path / "s", plane(10.0), emissivity=0.95))
     rows = {row[0]: row for row in make_plan(scene).rows()}
-    assert rows["sub-frames"][1] == "by motion" and "10 ms" in rows["sub-frames"][2]
-    ideal = replace(scene, camera=replace(scene.camera, time_constant_ms=0.0))
-    assert {row[0]: row for row in make_plan(ideal).rows()}["sub-frames"][1] == "out"
     assert "channels" in rows["air"][1] and "kilometre" in rows["air"][2] and rows["sun"][1] == "out"
     sunny = '[sun]\nelevation_deg = 40\nazimuth_deg = 180\n'
     lit = tr.load_scene(write(tmp_path / "lit", plane(10.0), emissivity=0.95, extra=sunny))
@@ -227,11 +232,11 @@ def test_plan_says_what_air_brings(tmp_path):
 @pytest.mark.parametrize(
     ("air", "words"),
     [
-        ("", "needs either [sky]"),
-        (AIR + "[sky]\ntemperature = 250.0\n", "needs either [sky]"),
+        ("", "needs exactly one of sky, atmosphere (a sky of one temperature and no air, or air with its sky)"),
+        (AIR + "[sky]\ntemperature = 250.0\n", "but sky and atmosphere are given"),
         ('[atmosphere]\nstandard = "polar"\n', "atmosphere='polar' is unknown"),
         ('[atmosphere]\nstandard = "tropical"\naerosol = "smoke"\n', "aerosol='smoke' is unknown"),
-        ("[atmosphere]\n", "exactly one of standard"),
+        ("[atmosphere]\n", "atmosphere needs exactly one of standard, file, profile, but none is given"),
         ('[atmosphere]\nstandard = "tropical"\nvisibility_km = 5\n', "atmosphere.visibility_km"),
         ('[atmosphere]\nstandard = "tropical"\nclouds = 1\n', "did you mean 'cloud"),
         ('[atmosphere]\nstandard = "tropical"\ncloud_fraction = 40\n', "cloud_fraction=40 is out of range"),

@@ -245,7 +245,11 @@ def test_unknown_keys(scene, refused, old, new, words):
         ("[sky]", OBJECT.replace("[0.0", "[500.0") + "[sky]", ["object 'marker' stands at 500 m east", "no terrain"]),
         ("[sky]", OBJECT.replace('"marker"', '"a:b"') + "[sky]", ["object 'a:b'.name='a:b'", "without ':'"]),
         ("[sky]", OBJECT + OBJECT + "[sky]", ["object.name='marker'", "a name of its own"]),
-        ("[camera]", "[frame]\nlatitude_deg=500\nlongitude_deg=9\nheight_m=0\n[camera]", ["frame=[500.0, 9.0, 0.0]"]),
+        (
+            "[camera]",
+            "[frame]\nlatitude_deg=500\nlongitude_deg=9\nheight_m=0\n[camera]",
+            ["frame.latitude_deg=500 is not allowed", "-90…90 deg"],
+        ),
         ("[camera]", "[frame]\nlatitude_deg=-50\nlongitude_deg=9\nheight_m=0\n[camera]", ["frame lies", "km from"]),
         ("[sky]", "[sky", ["is not valid TOML"]),
     ],
@@ -349,6 +353,15 @@ def test_islands_without_height_are_holes(scene, call, tmp_path):
     status, _, errors = call("render", scene, "-o", tmp_path / "p", "--pose", "0,0,20,0,-90,0", *QUICK)
     check_sentence(status, errors, ["--pose='0,0,20,0,-90,0' lies off the terrain", "--local-up"])
     assert not (tmp_path / "p").exists()
+
+
+def test_names_of_files_and_folders_do_not_break_the_scene_file_that_names_them(scene, call, tmp_path):
+    odd = scene / 'a"\nsky = "\x7f.tif'
+    (scene / "orthophoto.tif").rename(odd)
+    folder = tmp_path / 'my "own"\x7f\\scene'
+    status, _, errors = call("import-terrain", scene / "elevation.tif", odd, "-o", folder)
+    assert (status, errors) == (0, "")
+    assert load_scene(folder).spec.title == folder.name
 
 
 def test_import_leaves_nothing(scene, refused, call, tmp_path):
@@ -459,17 +472,17 @@ def test_a_broken_object_mesh_and_a_mesh_with_map_rasters(scene, refused):
     [
         ("f_number =", "f_numbr =", ["unknown key 'f_numbr'", "did you mean 'f_number'"]),
         ("netd_mk = 50.0\n", "", ["key 'netd_mk' is missing"]),
-        ("netd_mk = 50.0", "netd_mk = -50.0", ["netd_mk=-50.0 is not allowed", "a number above 0"]),
-        ("width = 16", "width = 16.5", ["width=16.5 is not allowed", "a whole number"]),
-        ("width = 16", "width = 160000000", ["width=160000000 is not allowed", "up to 16384 pixels"]),
+        ("netd_mk = 50.0", "netd_mk = -50.0", ["netd_mk=-50.0 is not allowed", "a number above 0 and up to 100000 mK"]),
+        ("width = 16", "width = 16.5", ["width=16.5 is not allowed", "a whole number 1…16384 pixels"]),
+        ("width = 16", "width = 160000000", ["width=160000000 is not allowed", "a whole number 1…16384 pixels"]),
         ("width = 16", 'width = "16"', ["width='16' is not allowed"]),
-        ("width = 16", "width = 1" + 400 * "0", ["width=1", "finite number"]),
-        ("bits = 14", "bits = 99", ["bits=99 is not allowed", "2…16"]),
-        ("[7.5, 13.5]", "[0.0, 13.5]", ["band_um=[0.0, 13.5]", "above 0 µm"]),
+        ("width = 16", "width = 1" + 400 * "0", ["width=1", "a whole number 1…16384"]),
+        ("bits = 14", "bits = 99", ["bits=99 is not allowed", "a whole number 2…16"]),
+        ("[7.5, 13.5]", "[0.0, 13.5]", ["band_um=[0.0, 13.5]", "above 0 and up to 1000 µm"]),
         ("[7.5, 13.5]", "[13.5, 7.5]", ["band_um=[13.5, 7.5]", "lower value first"]),
-        ("[7.5, 13.5]", "[7.5]", ["band_um=[7.5] is not allowed", "2 finite number(s)"]),
-        ("[-25.0, 135.0]", "[-300.0, 135.0]", ["range_c=[-300.0, 135.0]", "above absolute zero"]),
-        ("= 0.9", "= 90.0", ["lens_transmittance=90", "a share up to 1"]),
+        ("[7.5, 13.5]", "[7.5]", ["band_um=[7.5] is not allowed", "a list of 2 numbers"]),
+        ("[-25.0, 135.0]", "[-300.0, 135.0]", ["range_c=[-300.0, 135.0]", "above -273.15 and up to 5000 °C"]),
+        ("= 0.9", "= 90.0", ["lens_transmittance=90", "a number above 0 and up to 1"]),
         ("bits", "distortion = [-50.0, 0, 0, 0, 0]\nbits", ["folds the image before its edge"]),
         ("bits", "distortion = [1e9, -1e200, 5, 0, 0]\nbits", ["folds the image before its edge"]),
         ("bits = 14", "bits = ", ["is not valid TOML"]),
@@ -539,7 +552,7 @@ def test_a_path_under_the_terrain(scene, refused, call, tmp_path):
         ("--products truth", ["'truth' is channels of the EXR", "add 'exr'"]),
         ("--products video", ["add 'display'"]),
         ("--products counts --operator emissivity=0.9", ["goes into 'exr' and 'radiometric'"]),
-        ("--operator emisivity=0.9", ["'emisivity' is unknown", "did you mean 'emissivity'"]),
+        ("--operator emisivity=0.9", ["unknown key 'emisivity'", "did you mean 'emissivity'"]),
         ("--display clahe", ["display mode 'clahe' is unknown", "linear, plateau, local"]),
         ("--palette hot", ["palette 'hot' is unknown", "ironbow"]),
         ("--agc-memory-s -1", ["memory_s=-1 is not allowed"]),
@@ -588,10 +601,10 @@ def test_wrong_options_of_a_render(scene, refused, options, words):
 
 
 @pytest.mark.parametrize("text, words", [
-    ("[[", "is not a TOML file"),
-    ("[time]\nstamps = 5\n", "time.stamps=5 is not understood"),
-    ("[[time.stamps]]\ncolumn = 5\npattern = 7\n", "time.stamps.column=5 is not a text"),
-    ("[tme]\n", "unknown key tme"),
+    ("[[", "is not valid TOML: "),
+    ("[time]\nstamps = 5\n", "time.stamps=5 is not allowed; give tables headed [[time.stamps]]"),
+    ("[[time.stamps]]\ncolumn = 5\npattern = 7\n", "time.stamps 1.column=5 is not allowed; give a text"),
+    ("[tme]\n", "unknown key 'tme'; did you mean 'time'"),
 ])  # fmt: skip
 def test_wrong_mapping_files(scene, refused, tmp_path, text, words):
     (tmp_path / "own.toml").write_text(text)
@@ -640,7 +653,7 @@ def test_output_that_cannot_be_written(scene, call, tmp_path, verb):
 
 def test_a_failure_after_the_folder_is_made_removes_it(scene, refused, monkeypatch):
     from thermorender.errors import ThermorenderError
-    from thermorender.render.frame import Renderer
+    from thermorender.render.renderer import Renderer
 
     def fail(self, *arguments, **named):
         raise ThermorenderError("the bake failed")

@@ -13,9 +13,9 @@ import thermorender as tr
 from scenes import write_mesh
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, brightness_temperature
-from thermorender.render import bake, cache
 from thermorender.render.geometry import Geometry
-from thermorender.render.outside import even
+from thermorender.render.light import cache, radiosity
+from thermorender.render.light.environment import even
 from thermorender.render.variant import activate
 
 BAND = (7.5, 13.5)
@@ -39,15 +39,15 @@ def traced(folder, mesh, rays, seed=0):
     surfaces = tr.load_scene(write_mesh(folder, mesh)).surfaces
     corners = surfaces[0].vertices[surfaces[0].faces]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-    return bake.trace(Geometry(activate(), surfaces), rays, seed=seed), corners, area
+    return radiosity.trace(Geometry(activate(), surfaces), rays, seed=seed), corners, area
 
 
 def solved(transport, emissivity, tolerance=1e-6, wall=WALL):
     """(radiance leaving, incident, bounds) of walls of one temperature under a black outside, a node per emissivity."""
-    emitted = np.broadcast_to(wall * np.asarray(emissivity), (len(transport.beyond), len(emissivity)))
+    emitted = np.broadcast_to(wall * np.asarray(emissivity), (len(transport.background), len(emissivity)))
     reflectance = np.broadcast_to(1.0 - np.asarray(emissivity), emitted.shape)
     outside = even(np.zeros(len(emissivity)), np.zeros(len(emissivity)), len(emitted))
-    incident, bounds = bake.solve(transport, emitted, reflectance, outside, tolerance)
+    incident, bounds = radiosity.solve(transport, emitted, reflectance, outside, tolerance)
     return emitted + reflectance * incident, incident, bounds
 
 
@@ -118,7 +118,7 @@ def test_work_hardly_depends_on_emissivity(cavity):
     products = []
     for emissivity in (EMISSIVITIES, *EMISSIVITIES[:, None]):
         counted = Counting(transport.operator)
-        view = SimpleNamespace(operator=counted, sky=transport.sky, beyond=transport.beyond)
+        view = SimpleNamespace(operator=counted, sky=transport.sky, background=transport.background)
         assert solved(view, emissivity, tolerance)[2].max() <= tolerance
         products.append(counted.products)
     # Bounces need ln(1e-5) / ln(0.999 · 0.9) = 108 for the last. All together cost no more than the worst alone.
@@ -143,7 +143,7 @@ def test_long_v_groove(tmp_path):
     transport, corners, area = traced(tmp_path / "s", groove(24, along), 16384)
     middle = np.abs(corners[..., 1]).max(axis=1) < 0.5 + 1e-5
     leaving, _, _ = solved(transport, EMISSIVITIES[:3], tolerance=1e-7, wall=1.0)
-    escaping = area * (transport.sky.sum(axis=1) + transport.beyond)
+    escaping = area * (transport.sky.sum(axis=1) + transport.background)
     found = (escaping[:, None] * leaving)[middle].sum(axis=0)
     assert area[middle].sum() == pytest.approx(2.0, abs=1e-5)
     # Standard error of what escapes, from the rays' halves; the rays start lifted off the wall by 64 · 2⁻²⁴ · 21 m,
@@ -163,12 +163,12 @@ def test_noise_is_what_more_rays_show(tmp_path):
     emitted = np.column_stack([emitted, 0.5 * (20.0 - emitted)])
     reflectance = np.full(emitted.shape, 0.9)
     light = (emitted, reflectance, even(np.array([5.0, 97.5]), np.array([90.0, 55.0]), len(emitted)))
-    truth, _ = bake.solve(traced(tmp_path / "t", mesh, 64 * 64, seed=9)[0], *light, 1e-5)
+    truth, _ = radiosity.solve(traced(tmp_path / "t", mesh, 64 * 64, seed=9)[0], *light, 1e-5)
     ratios = []
     for seed in (0, 1):
         transport = traced(tmp_path / f"s{seed}", mesh, 64, seed)[0]
-        incident, _ = bake.solve(transport, *light, 1e-5)
-        each = bake.noise(transport, *light, incident)
+        incident, _ = radiosity.solve(transport, *light, 1e-5)
+        each = radiosity.noise(transport, *light, incident)
         assert each.shape == (len(mesh.faces),)
         error = (reflectance * (incident - truth)).sum(axis=1)
         ratios.append(np.sqrt(np.mean(each**2) / np.mean(error**2)))
@@ -177,7 +177,7 @@ def test_noise_is_what_more_rays_show(tmp_path):
 
 
 def test_halves_are_independent_and_add_up(terrain, tmp_path):
-    shares = np.asarray(terrain.operator.sum(axis=1)).ravel() + terrain.sky.sum(axis=1) + terrain.beyond
+    shares = np.asarray(terrain.operator.sum(axis=1)).ravel() + terrain.sky.sum(axis=1) + terrain.background
     np.testing.assert_allclose(shares, 1.0, atol=1e-12)
     outside = terrain.up.sum(axis=2) + terrain.down
     halves = np.asarray(terrain.halves.sum(axis=1)).reshape(-1, 2) + outside / (2 * terrain.rays)
@@ -200,8 +200,8 @@ def test_odd_and_single_rays(tmp_path):
 def test_blocks_of_nodes_change_nothing(terrain, monkeypatch):
     emissivity = np.linspace(0.2, 0.9, 7)
     together, _, _ = solved(terrain, emissivity)
-    monkeypatch.setattr(bake, "_KRYLOV_BYTES", 8 * 1152 * 20 * 3)
-    assert [part.stop - part.start for part in bake._blocks((1152, 7))] == [3, 3, 1]
+    monkeypatch.setattr(radiosity, "_KRYLOV_BYTES", 8 * 1152 * 20 * 3)
+    assert [part.stop - part.start for part in radiosity._blocks((1152, 7))] == [3, 3, 1]
     apart, _, _ = solved(terrain, emissivity)
     np.testing.assert_allclose(apart, together, atol=2e-6)
 
@@ -250,7 +250,7 @@ def test_cache_spares_the_tracing(kept, tmp_path, monkeypatch):
     first, why = cache.traced(geometry, 64)
     assert why is None and same(first, small)
     with monkeypatch.context() as patch:
-        patch.setattr(bake, "trace", lambda *_: pytest.fail("light was traced again"))
+        patch.setattr(radiosity, "trace", lambda *_: pytest.fail("light was traced again"))
         assert same(cache.traced(geometry, 64)[0], first)
     (file,) = kept.iterdir()
     file.write_bytes(file.read_bytes()[:-500])
@@ -271,7 +271,7 @@ def test_key_names_all_that_light_depends_on(tmp_path, monkeypatch):
     assert cache.key(a, 64) == cache.key(geometry(plain, "b"), 64)
     names = [cache.key(a, 64), cache.key(a, 66), cache.key(a, 64, seed=1)]
     names += [cache.key(geometry(moved, "c"), 64), cache.key(geometry(turned, "d"), 64)]
-    monkeypatch.setattr(bake, "VERSION", bake.VERSION + 1)
+    monkeypatch.setattr(radiosity, "VERSION", radiosity.VERSION + 1)
     names.append(cache.key(a, 64))
     assert len(set(names)) == len(names)
 
@@ -316,7 +316,7 @@ def _store_often(folder, name, own, other, count):
 def test_two_processes_store_at_once(terrain, kept, tmp_path):
     # Different light under one name, so that a mixture would be no light at all.
     plain = [
-        bake.Transport(*(getattr(light, name) for name in ("rays", "start", "seen", "hits", "up", "down")))
+        radiosity.Transport(*(getattr(light, name) for name in ("rays", "start", "seen", "hits", "up", "down")))
         for light in (terrain, traced(tmp_path / "s", rough(12), 64)[0])
     ]
     spawn = multiprocessing.get_context("spawn")

@@ -1,55 +1,70 @@
-"""Who imports what: the rooms' borders, and how little a light use loads."""
+"""Who imports what: the rooms and their order, the libraries' owners, and how little a light use loads."""
 
-import ast
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-PACKAGE = Path(__file__).resolve().parents[1] / "thermorender"
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "docs"))
+import architecture
+
 OWNER = {"mitsuba": "render", "drjit": "render", "torch": "learned"}
-PURE = {"numpy", "thermorender"}
+ORDER = list(architecture.ROOMS)
+MOST_FILES = 16  # fifteen and an __init__
 
 
-def imports(path):
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            yield node.module or ""
-
-
-def room(path):
-    parts = path.relative_to(PACKAGE).parts
-    return parts[0] if len(parts) > 1 else path.stem
+def test_every_module_has_a_known_room():
+    for module in architecture.modules():
+        room = architecture.room_of(module)
+        assert room is None or room in ORDER, f"{module} is in no room of docs/architecture.py"
 
 
 def test_libraries_stay_in_their_room():
-    for path in PACKAGE.rglob("*.py"):
-        for name in imports(path):
+    for module, path in architecture.modules().items():
+        for name in architecture.imports(path):
             owner = OWNER.get(name.split(".")[0])
-            assert owner in (None, room(path)), f"{path} imports {name}, which belongs to {owner}/"
+            assert owner in (None, architecture.room_of(module)), f"{path} imports {name}, which belongs to {owner}/"
 
 
 def test_physics_is_pure():
-    allowed = PURE | {"dataclasses"}
-    for path in (PACKAGE / "physics").glob("*.py"):
-        for name in imports(path):
-            assert name.split(".")[0] in allowed, f"{path} imports {name}"
-            assert not name.startswith("thermorender.") or name.split(".")[1] in ("physics", "errors", "units"), path
+    allowed = {"numpy", "thermorender", "dataclasses"}
+    for module, path in architecture.modules().items():
+        if architecture.room_of(module) == "physics":
+            assert {name.split(".")[0] for name in architecture.imports(path)} <= allowed, path
 
 
-def test_data_flow_has_one_direction():
-    order = ["physics", "weather", "sensor", "learned", "scene", "render", "validate"]
-    for path in PACKAGE.rglob("*.py"):
-        here = room(path)
-        if here not in order:
-            continue
-        for name in imports(path):
-            parts = name.split(".")
-            if parts[0] == "thermorender" and len(parts) > 1 and parts[1] in order:
-                assert order.index(parts[1]) <= order.index(here), f"{path} reaches forward into {name}"
+def test_rooms_import_only_from_those_below():
+    for here, there in architecture.room_imports():
+        assert ORDER.index(there) < ORDER.index(here), f"{here} imports {there}, which lies above it"
+
+
+def test_no_modules_import_each_other_in_a_circle():
+    assert architecture.circles() == []
+
+
+def test_no_folder_is_crowded():
+    for folder in {path.parent for path in architecture.modules().values()} - {architecture.PACKAGE}:
+        assert len(list(folder.glob("*.py"))) <= MOST_FILES, f"{folder} holds more than {MOST_FILES - 1} modules"
+
+
+def test_the_drawing_is_that_of_the_code():
+    assert architecture.DRAWING.read_text(encoding="utf-8") == architecture.drawing(), (
+        "docs/architecture.svg is out of date; run python docs/architecture.py"
+    )
+
+
+@pytest.mark.parametrize(
+    ("source", "found"),
+    [
+        ("from thermorender import flight", {"thermorender", "thermorender.flight"}),
+        ("def f():\n    from thermorender.render.plan import make_plan as m", {"thermorender.render.plan"}),
+        ("import thermorender.sensor.camera as c, os", {"thermorender.sensor.camera", "os"}),
+    ],
+)
+def test_every_form_of_import_is_seen(source, found, tmp_path):
+    (tmp_path / "m.py").write_text(source, encoding="utf-8")
+    assert found <= architecture.imports(tmp_path / "m.py")
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,8 @@ import trimesh
 import thermorender as tr
 from scenes import write_mesh, write_terrain
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
-from thermorender.render import fold
 from thermorender.render.geometry import Geometry
+from thermorender.render.light import texels
 from thermorender.render.variant import activate
 
 
@@ -73,7 +73,7 @@ def test_the_mean_of_each_face_is_kept(tmp_path):
     material = random.integers(0, 3, surface.material.size).astype(np.uint8)
     emitted = random.uniform(30, 50, material.size).astype(np.float32)
     light = random.uniform(1, 5, (geometry.face_count, 3)).astype(np.float32)
-    texel, face, left = fold.fold(geometry, geometry.face_of_texel(), emitted, material, light)
+    texel, face, left = texels.bake_channel(geometry, geometry.face_of_texel(), emitted, material, light)
     rows, columns = surface.material.shape
     weight = random.dirichlet([1, 1, 1], size=(4000, geometry.face_count))
     place = np.einsum("pfk,fkc->pfc", weight, surface.uv * [columns, rows]) - 0.5
@@ -98,7 +98,7 @@ def test_an_object_of_one_texel_shows_the_light_of_each_face(tmp_path):
     scene = tr.load_scene(write_mesh(tmp_path / "s", trimesh.creation.icosphere(subdivisions=2), 300.0, 0.8))
     geometry = geometry_of(scene)
     light = np.random.default_rng(0).uniform(1, 5, (geometry.face_count, 1)).astype(np.float32)
-    texel, face, left = fold.fold(geometry, geometry.face_of_texel(), np.float32([7.0]), np.uint8([0]), light)
+    texel, face, left = texels.bake_channel(geometry, geometry.face_of_texel(), np.float32([7.0]), np.uint8([0]), light)
     np.testing.assert_allclose(texel[0] + face, 7.0 + light[:, 0], rtol=1e-6)
     np.testing.assert_allclose(left, 0.0, atol=1e-10)
 
@@ -120,5 +120,5 @@ def test_light_that_varies_over_faces(tmp_path):
     random = np.random.default_rng(0)
     sigma = 0.4
     light = 3.0 * middle[:, 0] + sigma * random.normal(size=len(middle))
-    found = fold.variation(geometry, light, np.full(len(middle), sigma))
+    found = texels.variation(geometry, light, np.full(len(middle), sigma))
     assert found == pytest.approx(3.0 * step / np.sqrt(24.0), rel=0.15)

@@ -7,7 +7,7 @@ import thermorender as tr
 from scenes import write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, brightness_temperature
-from thermorender.render import bake
+from thermorender.render.light import radiosity
 from thermorender.scene.tracks import read_track
 
 BAND = (7.5, 13.5)
@@ -64,8 +64,8 @@ def test_an_object_with_a_track_shines_as_one_that_stands_still(tmp_path, shape,
 def test_it_moves_without_another_trace(tmp_path, monkeypatch):
     scene = scene_with(tmp_path / "s", "time_s,east_m,yaw_deg,temperature_k\n0,-6,350,300\n10,6,10,320\n")
     renderer = tr.Renderer(scene, rays=16)
-    renderer.prepare()
-    monkeypatch.setattr(bake, "trace", lambda *_: pytest.fail("light was traced again"))
+    _ = renderer.baked
+    monkeypatch.setattr(radiosity, "trace", lambda *_: pytest.fail("light was traced again"))
     pose = tr.pose(0, 2, 30, pitch_deg=-90)
     seen = []
     for time_s, east, kelvin in ((-1.0, -6.0, 300.0), (5.0, 0.0, 310.0), (10.0, 6.0, 320.0)):

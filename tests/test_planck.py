@@ -103,6 +103,32 @@ def test_inverse_at_the_extremes(temperature):
     )
 
 
+@pytest.mark.parametrize("band", [BAND, (3.0, 5.0), (8.0, 8.001), (14.0, 1000.0)])
+@pytest.mark.parametrize(
+    "radiance", [5e-324, 1e-320, 2.3e-308, 1e-300, 0.9e-290, 1.1e-290, 1e-200, 1e-9, 1e6, 1e9, 1e14, 1e60, 1e100, 1e300]
+)
+def test_inverse_of_any_radiance_that_a_float_can_hold(radiance, band):
+    temperature = planck.brightness_temperature(radiance, *band)
+    with mpmath.workdps(40):
+        kelvin, lower, upper = (mpmath.mpf(value) for value in (temperature, *band))
+        c2 = mpmath.mpf("6.62607015e-34") * 299792458 / mpmath.mpf("1.380649e-23") * 10**6
+        coldest = c2 / (upper * kelvin)
+        if coldest > 1:
+            exact = exact_band_radiance(kelvin, *band)
+        else:
+            c1 = 2 * mpmath.mpf("6.62607015e-34") * mpmath.mpf(299792458) ** 2 * mpmath.mpf(10) ** 24
+            exact = mpmath.quad(lambda um: c1 / um**5 / mpmath.expm1(c2 / (um * kelvin)), [lower, upper])
+        # An error of T counts x = c₂/(λT) times in ln L; the logarithm itself is as good as its ulp.
+        assert abs(mpmath.log(exact / mpmath.mpf(radiance))) < 2e-12 * max(1, coldest), (temperature, exact)
+
+
+def test_inverse_beyond_what_a_blackbody_has():
+    """0 K for 0; NaN below and for what is no number; infinity where the temperature itself overflows."""
+    values = planck.brightness_temperature(np.array([0.0, -0.0, -1e-320, -1e300, np.nan, np.inf, -np.inf]), *BAND)
+    assert list(values[:2]) == [0.0, 0.0] and np.isnan(values[2:]).all()
+    assert planck.brightness_temperature(1.7e308, 100.0, 1000.0) == np.inf
+
+
 def test_shapes_and_odd_values():
     assert isinstance(planck.band_radiance(300.0, *BAND), float)
     assert planck.band_radiance(np.full((2, 3), 300.0), *BAND).shape == (2, 3)

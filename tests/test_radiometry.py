@@ -104,13 +104,13 @@ def test_errors_of_a_wrong_setting_in_kelvin():
 def test_operator_is_read_from_text():
     assert Operator.parse("emissivity=0.95, air_c=-5,distance_m=1e2") == Operator(0.95, air_c=-5.0, distance_m=100.0)
     for text, words in (
-        ("emisivity=0.9", "'emisivity' is unknown; did you mean 'emissivity'"),
-        ("emissivity=1.2", "emissivity=1.2 is not allowed; give 0.001…1"),
-        ("emissivity=nan", "emissivity=nan is not allowed"),
-        ("humidity=50", "humidity=50 is not allowed; give 0…1"),
-        ("air_c=warm", "air_c='warm' is not a number"),
+        ("emisivity=0.9", "operator: unknown key 'emisivity'; did you mean 'emissivity'"),
+        ("emissivity=1.2", "emissivity=1.2 is not allowed; give a number 0.001…1"),
+        ("emissivity=nan", "emissivity=nan is not allowed; give a number 0.001…1"),
+        ("humidity=50", "humidity=50.0 is not allowed; give a number 0…1"),
+        ("air_c=warm", "air_c='warm' is not allowed; give a number -100…100 °C"),
         ("air_c=1,air_c=2", "'air_c' is given twice"),
-        ("distance_m", "distance_m='' is not a number"),
+        ("distance_m", "distance_m='' is not allowed; give a number 0…1e.06 m"),
     ):
         with pytest.raises(ThermorenderError, match=words):
             Operator.parse(text)

@@ -11,8 +11,8 @@ from scenes import write_mesh, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.physics.band import emitted_radiance
 from thermorender.physics.planck import band_radiance, brightness_temperature
-from thermorender.render import bake
 from thermorender.render.geometry import Geometry
+from thermorender.render.light import radiosity
 from thermorender.render.plan import make_plan
 from thermorender.render.sampling import edge_step, morton_order
 from thermorender.render.variant import activate
@@ -94,7 +94,7 @@ def test_transport_against_the_view_factor_of_parallel_squares(tmp_path, subdivi
     for _ in range(subdivisions):
         pair = pair.subdivide()
     scene = tr.load_scene(write_mesh(tmp_path / "s", pair))
-    transport = bake.trace(Geometry(activate(), scene.surfaces), rays)
+    transport = radiosity.trace(Geometry(activate(), scene.surfaces), rays)
     up = scene.surfaces[0].vertices[scene.surfaces[0].faces].mean(axis=1)[:, 2] > 1.0
     seen = np.asarray(transport.operator[~up][:, up].sum()) / (~up).sum()
     exact = view_factor_of_parallel_squares(1.0)
@@ -102,14 +102,14 @@ def test_transport_against_the_view_factor_of_parallel_squares(tmp_path, subdivi
     # Independent rays would err by this much (one standard error); stratified ones by less.
     standard_error = np.sqrt(exact * (1 - exact) / (rays * (~up).sum()))
     assert abs(seen - exact) < 4 * standard_error
-    sums = np.asarray(transport.operator.sum(axis=1)).ravel() + transport.sky.sum(axis=1) + transport.beyond
+    sums = np.asarray(transport.operator.sum(axis=1)).ravel() + transport.sky.sum(axis=1) + transport.background
     np.testing.assert_allclose(sums, 1.0, atol=1e-9)
 
 
 def test_neighbouring_faces_cast_different_rays(tmp_path):
     # One ray each: parallel rays off the floor of a room would meet its ceiling and two walls at most.
     scene = tr.load_scene(write_mesh(tmp_path / "s", box(True)))
-    transport = bake.trace(Geometry(activate(), scene.surfaces), 1)
+    transport = radiosity.trace(Geometry(activate(), scene.surfaces), 1)
     middle = scene.surfaces[0].vertices[scene.surfaces[0].faces].mean(axis=1)
     side = np.argmax(np.abs(middle), axis=1) + 3 * (middle.max(axis=1) > 1.99)
     floor = np.isclose(middle[:, 2], -2.0)
@@ -156,7 +156,7 @@ def test_occluded_directions_return_solved_radiance(tmp_path):
 
 def test_plan_leaves_out_what_black_scenes_do_not_need(tmp_path, monkeypatch):
     scene = tr.load_scene(write_mesh(tmp_path / "s", square(), 300.0, 1.0))
-    monkeypatch.setattr(bake, "trace", lambda *_: pytest.fail("a black scene traced light between surfaces"))
+    monkeypatch.setattr(radiosity, "trace", lambda *_: pytest.fail("a black scene traced light between surfaces"))
     renderer = tr.Renderer(scene)
     assert not renderer.plan.bake and renderer.plan.as_dict()["bake_rays"] == 0
     frame = renderer.frame(tr.pose(0, 0, 5, **DOWN))
@@ -290,12 +290,12 @@ def test_same_input_same_bytes(tmp_path):
 def test_new_temperatures_reuse_the_traced_light(tmp_path, monkeypatch):
     scene = tr.load_scene(write_terrain(tmp_path / "s", height=np.random.default_rng(2).uniform(0, 2, (16, 16))))
     first = tr.Renderer(scene, rays=16)
-    first.prepare()
+    _ = first.baked
     from thermorender.scene.spec import TemperatureSpec
 
     warmer = scene.with_temperature(TemperatureSpec(source="constant", value=310.0))
     fresh = tr.Renderer(warmer, rays=16).frame(tr.pose(0, 0, 9, **DOWN))
-    monkeypatch.setattr(bake, "trace", lambda *_: pytest.fail("light was traced again"))
+    monkeypatch.setattr(radiosity, "trace", lambda *_: pytest.fail("light was traced again"))
     again = tr.Renderer(warmer, rays=16, like=first).frame(tr.pose(0, 0, 9, **DOWN))
     np.testing.assert_array_equal(again.radiance, fresh.radiance)
 
@@ -391,6 +391,5 @@ def test_errors(tmp_path):
     ):
         with pytest.raises(ThermorenderError, match=words):
             tr.Renderer(scene, **keyword)
-    other = tr.load_scene(write_mesh(tmp_path / "o", square()))
-    with pytest.raises(ThermorenderError, match="renders other surfaces"):
-        tr.Renderer(other, like=renderer)
+    with pytest.raises(ThermorenderError, match="scene='heath' is no Scene; give what load_scene returns"):
+        tr.Renderer("heath")

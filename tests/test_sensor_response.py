@@ -11,7 +11,7 @@ from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.sensor import detector, motion
 from thermorender.sensor.camera import load_camera
 from thermorender.sensor.chain import Sensor, at_rest
-from thermorender.sensor.exposure import Exposure, schedule
+from thermorender.sensor.exposure import Exposure, plan_row, schedule
 from thermorender.trajectory.path import pose
 
 CAMERA = replace(load_camera("zenmuse-xt2"), width=80, height=64, ffc_interval_s=0.0)
@@ -254,6 +254,12 @@ def test_schedule_grows_coarser_with_age_and_is_bounded():
     assert len(schedule(5.0, delays, TAU, 1e5, 4.9).times_s) <= 403
     few = schedule(5.0, delays, TAU, 0.9, 5.0 + delays[0] - 0.08)
     assert len(few.renders) == 1 and len(few.times_s) <= 10
+
+
+def test_plan_says_what_the_pixels_memory_brings():
+    camera = load_camera("zenmuse-xt2")
+    assert plan_row(camera)[1] == "by motion" and "10 ms" in plan_row(camera)[2]
+    assert plan_row(replace(camera, time_constant_ms=0.0))[1] == "out"
 
 
 def test_validation_measures_lag_blur_and_chain(tmp_path, monkeypatch):

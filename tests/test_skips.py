@@ -1,10 +1,12 @@
-"""What may be left out: a run that skips a test which the list does not name is red."""
+"""What the check itself checks: skips that no list names, data without a source, rooms that no test visits."""
 
+import json
 import re
 import subprocess
 import sys
 from pathlib import Path
 
+import coverage_of_rooms
 import pytest
 from conftest import HERE, allowed_skips
 
@@ -54,3 +56,22 @@ def test_data_of_the_tests_is_small_and_each_file_has_its_source():
     for path in files:
         name = path.relative_to(folder).as_posix()
         assert name == "README.md" or name in told or f"{path.parent.relative_to(folder).as_posix()}/" in told, name
+
+
+@pytest.mark.parametrize(("covered", "status"), [(17, 0), (16, 1)])
+def test_a_room_below_the_floor_is_red(tmp_path, capsys, covered, status):
+    files = {
+        "thermorender/scene/load.py": (covered - 8, 10), "thermorender/scene/procedural/heat.py": (8, 10),
+        "/somewhere/thermorender/thermorender/sensor/noise.py": (50, 50), "thermorender/cli.py": (9, 10),
+        "thermorender/scene/__init__.py": (0, 0),
+    }  # fmt: skip
+    report = {
+        "files": {
+            name: {"summary": {"covered_lines": seen, "num_statements": lines}} for name, (seen, lines) in files.items()
+        }
+    }
+    (tmp_path / "c.json").write_text(json.dumps(report))
+    assert coverage_of_rooms.main(tmp_path / "c.json") == status
+    rows = {line.split()[0]: line for line in capsys.readouterr().out.splitlines()[1:]}
+    assert list(rows) == ["scene", "sensor", "thermorender"] and "100.0 %" in rows["sensor"]
+    assert ("below 85 %" in rows["scene"]) == bool(status) and f"{5 * covered:.1f} %" in rows["scene"]

@@ -6,10 +6,10 @@ import trimesh
 
 import thermorender as tr
 from scenes import write_mesh, write_terrain
+from thermorender.atmosphere.rays import MEAN_RADIUS_M
 from thermorender.errors import ThermorenderError
 from thermorender.physics.band import quadrature
 from thermorender.physics.planck import band_radiance_derivative, brightness_temperature, spectral_radiance
-from thermorender.physics.rays import MEAN_RADIUS_M
 from thermorender.render import reference
 from thermorender.render.geometry import Geometry
 from thermorender.render.plan import make_plan
@@ -223,7 +223,7 @@ def test_without_such_materials_no_ray_is_cast_for_them(tmp_path, monkeypatch):
         path = folder / "scene.toml"
         path.write_text(path.read_text().replace("grass_green", one).replace("sand_quartz", other))
         renderer = tr.Renderer(tr.load_scene(folder), rays=16, edge_mk=np.inf)
-        renderer.prepare()
+        _ = renderer.baked
         casts.clear()
         radiance.append(renderer.radiance(tr.pose(0, -4, 6, pitch_deg=-40)))
         counts.append(len(casts))

@@ -1,6 +1,7 @@
 """Procedural scenes: repeatable to the byte, plausible in kelvin, and not to be had from colour or class."""
 
 import csv
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -9,8 +10,11 @@ import pytest
 import rasterio
 
 from thermorender.errors import ThermorenderError
-from thermorender.scene.procedural.heat import STEFAN_BOLTZMANN, THERMAL, saturation_vapour, step
-from thermorender.scene.procedural.light import incidence, normals, sky_view, sun_position, sun_visibility
+from thermorender.physics import sun
+from thermorender.physics.heat import STEFAN_BOLTZMANN, march_hours, saturation_vapour, step
+from thermorender.scene.procedural import heath
+from thermorender.scene.procedural.heat import THERMAL, Weather, surface_temperature
+from thermorender.scene.procedural.light import incidence, normals, sky_view, sun_visibility
 from thermorender.scene.procedural.noise import fractal_noise, stream
 from thermorender.scene.synthetic import KINDS, make, write
 
@@ -104,6 +108,14 @@ def test_same_seed_same_bytes_other_seed_other_place(tmp_path):
         assert (one / name).read_bytes() != (other / name).read_bytes(), name
     difference = small("heath").elevation - small("heath", 1).elevation
     assert np.abs(difference).max() > 1.0
+
+
+def test_texts_with_quotes_and_backslashes_are_written_as_they_are(tmp_path):
+    title = 'A "heath" of C:\\new, in\ntwo lines'
+    (thing, *_) = small("heath").objects
+    scene = replace(small("heath"), title=title, objects=({**thing, "name": 'the "marker"'},))
+    spec = tomllib.loads((write(scene, tmp_path / "odd") / "scene.toml").read_text(encoding="utf-8"))
+    assert spec["title"] == title and spec["object"][0]["name"] == 'the "marker"'
 
 
 def test_what_is_written_is_what_was_made(tmp_path):
@@ -215,10 +227,93 @@ def test_temperature_grid_must_divide(tmp_path):
 
 
 def test_sun_stands_where_the_almanac_says():
-    azimuth, elevation = sun_position(52.0, 0.0, 12.0)
+    azimuth, elevation = sun.position(52.0, 0.0, 12.0)
     assert azimuth == pytest.approx(180.0) and elevation == pytest.approx(38.0)
-    azimuth, elevation = sun_position(52.0, 0.0, 18.0)
+    azimuth, elevation = sun.position(52.0, 0.0, 18.0)
     assert azimuth == pytest.approx(270.0) and elevation == pytest.approx(0.0, abs=1e-9)
+    # Overhead, where rounding makes a sine of more than 1.
+    for at in np.linspace(-23.4, 23.4, 200):
+        assert sun.position(at, at, 12.0)[1] == pytest.approx(90.0, abs=1e-5)
+
+
+def bumpy(hour, latitude, declination):
+    """Temperature of a small hilly place of five materials, and its Weather."""
+    weather = Weather(latitude, declination, hour, 283.0, 295.0, 260.0, 1000.0, 2.0)
+    names = dict(enumerate(("grass_green", "sand_quartz", "asphalt", "water", "conifer")))
+    row, column = np.mgrid[0:64, 0:64]
+    surface = np.float32(4.0 * np.sin(row / 6.0) * np.cos(column / 9.0) + 50.0)
+    material = np.uint8((row // 8 + column // 8) % len(names))
+    return surface_temperature(surface, 1.0, material, names, weather, 3)[0], weather
+
+
+@pytest.mark.parametrize("hour", [0.0, 3.0, 6.0, 12.0, 18.0, 23.9])
+@pytest.mark.parametrize(
+    ("latitude", "declination"), [(52.0, 8.0), (-35.0, 23.4), (0.0, 0.0), (75.0, 23.4), (75.0, -23.4), (-90.0, -23.4),
+                                  (90.0, 0.0), (66.5, 23.45)]
+)  # fmt: skip
+def test_any_hour_at_any_latitude_is_plausible(hour, latitude, declination):
+    temperature, weather = bumpy(hour, latitude, declination)
+    assert np.isfinite(temperature).all()
+    air, elevation = weather.air(hour), weather.sun(hour)[1]
+    # By night nothing is warmer than the day's warmest air (lakes and stone give back), nor colder than the
+    # balance of a dry, windless plate under this sky, 15 K below the coldest air.
+    assert weather.air_low - 15.0 < temperature.min() and temperature.max() < weather.air_high + 45.0
+    if weather.sun(hour - 3.0)[1] < 0.0 and elevation < 0.0:
+        assert temperature.max() < weather.air_high + 1.0 and abs(np.median(temperature) - air) < 8.0
+    # A day later the same sun stands there.
+    assert np.abs(bumpy(hour + 24.0, latitude, declination)[0] - temperature).max() < 1e-3
+
+
+def test_the_night_cools_and_the_morning_is_as_the_night_left_it():
+    dusk, midnight, small_hours, dawn = (bumpy(hour, 52.0, 8.0)[0] for hour in (19.0, 24.0, 4.0, 5.4))
+    assert dusk.mean() > midnight.mean() + 1.0 > small_hours.mean() + 1.5
+    # Dawn's own temperature is a guess, from which a day is marched: within the few kelvins of what the night leaves.
+    before = bumpy(sun.sunrise(52.0, 8.0) - 1e-3, 52.0, 8.0)[0]
+    assert np.abs(dawn - before).mean() < 3.0
+
+
+def test_march_begins_at_the_last_sunrise_and_never_runs_backwards():
+    # Level ground sees the sun's centre rise at 6 h under the equator, and by cos h = −tan φ tan δ elsewhere.
+    assert sun.sunrise(0.0, 10.0) == pytest.approx(6.0)
+    assert sun.sunrise(52.0, 8.0) == pytest.approx(12.0 - np.degrees(np.arccos(-0.179885)) / 15.0, abs=1e-4)
+    assert sun.position(52.0, 8.0, sun.sunrise(52.0, 8.0))[1] == pytest.approx(0.0, abs=1e-9)
+    assert sun.sunrise(75.0, 23.4) is None and sun.sunrise(75.0, -23.4) is None and sun.sunrise(-90.0, 5.0) is None
+    for latitude, declination in ((52.0, 8.0), (75.0, 23.4), (75.0, -23.4)):
+        rise = sun.sunrise(latitude, declination)
+        for hour in (-7.0, 0.0, 3.0, 5.0, 14.0, 24.0, 40.0):
+            times = march_hours(latitude, declination, hour)
+            assert times[-1] == hour and (np.diff(times) > 0.0).all() and np.diff(times).max() <= 1.2 + 1e-9
+            if rise is None:
+                assert hour - times[0] == pytest.approx(24.0)
+            else:
+                assert (times[0] - rise) / 24.0 == pytest.approx(round((times[0] - rise) / 24.0))
+                assert hour - times[0] <= 24.0
+
+
+def test_a_day_forgets_where_it_began():
+    one, times = np.ones((1, 3), np.float32), march_hours(75.0, 23.4, 3.0)
+    ends = []
+    for start in (265.0, 305.0):
+        temperature = np.float32(start) * one
+        for begin, end in zip(times[:-1], times[1:], strict=True):
+            # No radiation but its own, no wind, three inertias.
+            temperature = step(
+                temperature, 3600.0 * (end - begin), 0 * one, 330 * one, 0 * one, 0 * one, 285.0, 1000.0,
+                np.float32([[300.0, 2000.0, 14000.0]]), 285 * one,
+            )  # fmt: skip
+        ends.append(temperature)
+    # Force and restore: e^(−2π) of 40 K is 0.08 K; in twenty implicit steps (1 + 2π/20)⁻²⁰, 0.17 K.
+    assert 0.01 < np.abs(ends[1] - ends[0]).max() < 0.17
+
+
+@pytest.mark.parametrize("hour", [3.0, 22.0])
+def test_a_scene_by_night_is_whole(monkeypatch, hour):
+    monkeypatch.setattr(heath, "WEATHER", replace(heath.WEATHER, solar_hour=hour))
+    scene = make("heath", 0, *SMALL["heath"])
+    assert np.isfinite(scene.temperature).all() and 270.0 < scene.temperature.min() < scene.temperature.max() < 300.0
+    assert scene.temperature.mean() < small("heath").temperature.mean() - 5.0
+    # Skylight alone: darker than by day, and no texel without a number.
+    assert 10.0 < scene.orthophoto.mean() < 0.8 * small("heath").orthophoto.mean()
 
 
 def test_a_wall_casts_a_shadow_of_its_length():

@@ -12,7 +12,7 @@ import thermorender as tr
 from thermorender import cli
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
-from thermorender.render import cache
+from thermorender.render.light import cache
 from thermorender.render.reference import squared_error
 from thermorender.sensor.camera import load_camera
 from thermorender.validate import (
@@ -110,7 +110,7 @@ def test_bench_tells_finite_numbers(tmp_path, monkeypatch):
     json.dumps(result)
     # A bake read from disk would be timed as one that costs nothing.
     assert not list(tmp_path.iterdir())
-    tr.Renderer(bench.terrain(200), rays=4).prepare()
+    _ = tr.Renderer(bench.terrain(200), rays=4).baked
     assert list(tmp_path.iterdir())
     (scene,) = result["scenes"].values()
     assert scene["triangles"] == 200 and scene["bake_s"] > 0.0
@@ -253,7 +253,8 @@ def test_air_s_channels_err_by_less_than_planned(tmp_path, monkeypatch):
     ("verb", "module", "function", "expected"),
     [
         (["convergence", "ridge", "--quick"], convergence, "convergence", (["ridge"], "OUT", "quick", False, "auto")),
-        (["convergence", "--overwrite"], convergence, "convergence", (convergence.SCENES, "OUT", "full", True, "auto")),
+        (["convergence", "--overwrite"], convergence, "convergence",
+         (("heath", "village", "ridge"), "OUT", "full", True, "auto")),
         (["growth", "--device", "cpu"], growth, "hold", ("OUT", "cpu")),
         (["sensor", "village"], sensor, "sensor", ("OUT", "village", "auto")),
         (["footage", "a.tif", "b", "--base", "tau2-640", "--scale", "0.04,1", "--name", "x"], sensor_statistics,

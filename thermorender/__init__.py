@@ -11,8 +11,8 @@ Importing the package is light; Mitsuba is loaded with the first Renderer.
 from importlib import import_module
 
 _PUBLIC = {
-    "Frame": "thermorender.frames",
-    "Renderer": "thermorender.render.frame",
+    "Frame": "thermorender.frame",
+    "Renderer": "thermorender.render.renderer",
     "Scene": "thermorender.scene.load",
     "ThermorenderError": "thermorender.errors",
     "Trajectory": "thermorender.trajectory",

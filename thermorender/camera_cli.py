@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from thermorender import defaults
+
 Frames = Annotated[list[Path], typer.Argument(help="Frames, or folders of them: 16-bit TIFF or radiometric JPEG.")]
 Base = Annotated[str, typer.Option(help="Camera model whose optics stand for the real one's, or its .toml file.")]
 Output = Annotated[Path, typer.Option("-o", "--output", help="Camera file to write, .toml.")]
@@ -13,7 +15,7 @@ Scale = Annotated[
 ]
 
 
-def fit_camera(frames: Frames, output: Output, base: Base = "zenmuse-xt2", scale: Scale = None):
+def fit_camera(frames: Frames, output: Output, base: Base = defaults.CAMERA, scale: Scale = None):
     """Estimate noise, fixed pattern, blur and gain control from real frames, and write a camera file."""
     from thermorender.sensor import calibration
 

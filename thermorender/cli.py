@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from thermorender import defaults
 from thermorender.camera_cli import fit_camera
 from thermorender.errors import ThermorenderError
 from thermorender.materials_cli import app as materials
@@ -27,7 +28,8 @@ app.command("fit-camera")(fit_camera)
 train = typer.Typer(help="Train learned maps.", no_args_is_help=True)
 app.add_typer(train, name="train")
 
-SceneName = Annotated[str, typer.Argument(help="Scene folder, or the name of a shipped one: heath, village, ridge.")]
+SCENES_TOLD = ", ".join(defaults.SCENES)
+SceneName = Annotated[str, typer.Argument(help=f"Scene folder, or the name of a shipped one: {SCENES_TOLD}.")]
 Out = Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")]
 Seed = Annotated[int, typer.Option(help="Seed of the sensor's noise.")]
 Quality = Annotated[str, typer.Option(help="fast, standard or high: how finely a pixel is sampled.")]
@@ -105,7 +107,7 @@ def import_terrain(
         str | None, typer.Option(help="ellipsoid or geoid; default: what the CRS says.")
     ] = None,
     geoid_undulation_m: Annotated[float | None, typer.Option(help="Geoid above ellipsoid there [m].")] = None,
-    model: Annotated[str, typer.Option(help="Learned map for the temperatures.")] = "fok-1to1",
+    model: Annotated[str, typer.Option(help="Learned map for the temperatures.")] = defaults.TEMPERATURE_MAP,
     material: Annotated[str, typer.Option(help="Material of the ground.")] = "soil_loam",
     sky_temperature: Annotated[float, typer.Option(help="[K]")] = 255.0,
 ):
@@ -125,7 +127,7 @@ def import_terrain(
 
 @app.command("make-scene")
 def make_scene(
-    kind: Annotated[str, typer.Argument(help="heath, village or ridge.")],
+    kind: Annotated[str, typer.Argument(help=f"One of {SCENES_TOLD}.")],
     output: Out,
     seed: Annotated[int, typer.Option(help="Another seed is another place.")] = 0,
     size_m: Annotated[float | None, typer.Option(help="Side of the square [m].")] = None,
@@ -146,10 +148,12 @@ def plan(scene: SceneName, quality: Quality = "standard", rays: Rays = 128, tole
          air: Air = None):  # fmt: skip
     """Print what rendering a scene needs, what is left out, and the bound that allows it."""
     from thermorender.render.plan import make_plan
+    from thermorender.sensor.exposure import plan_row
 
     loaded = _scene(scene, None, None, air)
     typer.echo(str(loaded))
-    table(("item", "in", "why"), make_plan(loaded, quality, rays=rays, tolerance_mk=tolerance_mk).rows())
+    rows = make_plan(loaded, quality, rays=rays, tolerance_mk=tolerance_mk).rows()
+    table(("item", "in", "why"), [*rows, plan_row(loaded.camera)])
 
 
 @app.command()
@@ -272,7 +276,7 @@ def fly(
 def compare(
     scene: SceneName,
     output: Out,
-    models: Annotated[str, typer.Option(help="Comma-separated learned maps.")] = "fok-1to1,fok-9to1",
+    models: Annotated[str, typer.Option(help="Comma-separated learned maps.")] = ",".join(defaults.TEMPERATURE_MAPS),
     trajectory: TrajectoryFiles = None,
     format: Format = None,
     anchor: AnchorText = None,
@@ -317,7 +321,7 @@ def compare(
 
 @app.command()
 def bench(
-    scenes: Annotated[list[str] | None, typer.Argument(help="Scenes; default: heath.")] = None,
+    scenes: Annotated[list[str] | None, typer.Argument(help=f"Scenes; default: {defaults.SCENE}.")] = None,
     triangles: Annotated[int | None, typer.Option(help="Adds a synthetic terrain of so many triangles.")] = None,
     texels: Annotated[int | None, typer.Option(help="Texels along each side of it; two per cell where absent.")] = None,
     repeats: Annotated[int, typer.Option(help="Turns of each measurement.")] = 15,
@@ -330,7 +334,7 @@ def bench(
     from thermorender.validate import bench as run
 
     with progress() as tell:
-        scenes = scenes or (() if triangles else ("heath",))
+        scenes = scenes or (() if triangles else (defaults.SCENE,))
         result = run.bench(scenes, triangles, texels, repeats, tell, device=device, air=parse_air(air))
     table(run.HEADER, run.rows(result))
     for line in run.costs(result):
@@ -347,8 +351,8 @@ def demo(
     """Run the main job on the shipped heath: a flight towards the heated marker, and the comparison."""
     if (output / "flight" / "flight.json").exists():
         raise ThermorenderError(f"{output} already holds a demo; give another folder with -o, or remove it")
-    fly("heath", output / "flight", rate_hz=4.0, device=device)
-    compare("heath", output / "comparison", rate_hz=0.2, device=device)
+    fly(defaults.SCENE, output / "flight", rate_hz=4.0, device=device)
+    compare(defaults.SCENE, output / "comparison", rate_hz=0.2, device=device)
     typer.echo(f"look at {output / 'flight' / 'flight.mp4'} and at the pictures in {output / 'comparison'}")
 
 
@@ -447,7 +451,8 @@ def _scene(name, temperature, range_c, air=None):
     if temperature:
         loaded = loaded.with_temperature(TemperatureSpec(source="learned", model=temperature, range_c=_range(range_c)))
     elif range_c:
-        raise ThermorenderError(f"--range-c={range_c!r} needs a learned map; add --temperature fok-1to1")
+        needed = f"add --temperature {defaults.TEMPERATURE_MAP}"
+        raise ThermorenderError(f"--range-c={range_c!r} needs a learned map; {needed}")
     if air is not None:
         loaded = loaded.with_air(*parse_air(air))
     for model, report in loaded.report.items():
@@ -477,14 +482,14 @@ def _operator(text):
 
 
 def _renderer(scene, quality, rays, tolerance_mk, seed, device, tell):
-    from thermorender.render.frame import Renderer
+    from thermorender.render.renderer import Renderer
 
     return Renderer(scene, quality, rays=rays, tolerance_mk=tolerance_mk, seed=seed, device=device, progress=tell)
 
 
 def _tell_cache(renderer):
-    if renderer.cache_note:
-        typer.echo(f"note: {renderer.cache_note}", err=True)
+    if renderer.baked.cache_note:
+        typer.echo(f"note: {renderer.baked.cache_note}", err=True)
 
 
 def _trajectory(scene, files, format, anchor, clock_offset_s, mount, lever_arm_m):

@@ -176,7 +176,7 @@ def _exposure(renderer, trajectory, interval_s):
 
     return Exposure(
         sensor_of(scene.camera, renderer.seed),
-        lambda time_s: renderer.frame(pose_at(time_s), time_s=time_s).radiance,
+        lambda time_s: renderer.radiance(pose_at(time_s), time_s),
         pose_at,
         ground_at,
         interval_s,

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
 from thermorender.terminal import table
 
@@ -13,12 +14,13 @@ app = typer.Typer(help="Look at, check, import and join tables of surface materi
 Library = Annotated[
     Path | None, typer.Option("--library", help="Materials folder laid over the shipped one, e.g. a scene's.")
 ]
+BAND = "{:g},{:g}".format(*BAND_UM)
 Band = Annotated[str, typer.Option("--band", help="LOWER,UPPER limits of the camera's band [µm].")]
 Kelvin = Annotated[float, typer.Option("--temperature", help="Of the surface, weighs the band emissivity [K].")]
 
 
 @app.command("list")
-def list_materials(library: Library = None, band: Band = "7.5,13.5", temperature: Kelvin = 300.0):
+def list_materials(library: Library = None, band: Band = BAND, temperature: Kelvin = 300.0):
     """List the materials with their band emissivity."""
     from thermorender.scene.material_compare import covers
 
@@ -40,7 +42,7 @@ def list_materials(library: Library = None, band: Band = "7.5,13.5", temperature
 def show(
     names: Annotated[list[str], typer.Argument(help="Materials.")],
     library: Library = None,
-    band: Band = "7.5,13.5",
+    band: Band = BAND,
     temperature: Kelvin = 300.0,
 ):
     """Print all that is known about materials, and their band emissivity."""
@@ -68,7 +70,7 @@ def plot(
     names: Annotated[list[str], typer.Argument(help="Materials, up to 8.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="PNG to write.")] = Path("materials.png"),
     library: Library = None,
-    band: Band = "7.5,13.5",
+    band: Band = BAND,
     temperature: Kelvin = 300.0,
 ):
     """Draw emissivity against wavelength with its spread, and against angle."""
@@ -134,7 +136,7 @@ def diff(
     first: Annotated[str, typer.Argument(help="Materials folder, or the name of a material.")],
     second: Annotated[str, typer.Argument(help="Materials folder, or name; default: the shipped folder.")] = "",
     library: Library = None,
-    band: Band = "7.5,13.5",
+    band: Band = BAND,
 ):
     """Tell what differs, in band emissivity and in mK of a 300 K surface under a 250 K sky."""
     from thermorender.paths import data_folder
@@ -191,7 +193,7 @@ def _materials(folder, names):
 def _band(text):
     lower, upper = _numbers("--band", text, ("LOWER", "UPPER"))
     if not 0.0 < lower < upper:
-        raise ThermorenderError(f"--band={text!r} is not a band; give LOWER,UPPER in µm, e.g. 7.5,13.5")
+        raise ThermorenderError(f"--band={text!r} is not a band; give LOWER,UPPER in µm, e.g. {BAND}")
     return lower, upper
 
 

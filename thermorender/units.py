@@ -35,6 +35,7 @@ def kelvin(name, temperature, allow_zero=False):
     if bad.any():
         worst = values[bad].min() if values.ndim else float(values)
         raise ThermorenderError(
-            f"{name}={worst:g} is below {LOWEST_KELVIN:g} K or not finite; values are kelvin, add 273.15 to °C"
+            f"{name}={worst:g} is below {LOWEST_KELVIN:g} K or not finite; "
+            f"values are kelvin, add {ZERO_CELSIUS_K} to °C"
         )
     return temperature

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from thermorender import defaults
 from thermorender.camera_cli import Base, Frames, Scale, parse_scale
 from thermorender.errors import ThermorenderError
 from thermorender.terminal import air as parse_air
@@ -18,18 +19,17 @@ Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
 
 @app.command()
 def convergence(
-    scenes: Annotated[list[str] | None, typer.Argument(help="Scenes; default: heath village ridge.")] = None,
+    scenes: Annotated[list[str] | None, typer.Argument(help=f"Scenes; default: {' '.join(defaults.SCENES)}.")] = None,
     output: Out = Path("validation"),
     quick: Annotated[bool, typer.Option("--quick", help="Minutes instead of an hour.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Measure anew what is there.")] = False,
     device: Device = "auto",
 ):
     """Error against run time, beside stock Mitsuba, against the path-traced reference."""
-    from thermorender.validate.convergence import SCENES
     from thermorender.validate.convergence import convergence as run
 
     with progress() as tell:
-        run(scenes or SCENES, output, tell, "quick" if quick else "full", overwrite, device)
+        run(scenes or defaults.SCENES, output, tell, "quick" if quick else "full", overwrite, device)
     typer.echo(f"table, numbers and figures in {output}")
 
 
@@ -55,7 +55,7 @@ def validate_emissivity(
 
 @app.command("air")
 def validate_air(
-    scene: Annotated[str, typer.Argument(help="Scene folder, or the name of a shipped one.")] = "heath",
+    scene: Annotated[str, typer.Argument(help="Scene folder, or the name of a shipped one.")] = defaults.SCENE,
     output: Out = Path("out/validation"),
     air: Annotated[str, typer.Option(help="Standard atmosphere and aerosol.")] = "midlatitude-summer,rural-23km",
     device: Device = "auto",
@@ -88,9 +88,9 @@ def validate_growth(output: Out = Path("out/validation"), device: Device = "auto
 def validate_footage(
     frames: Frames,
     output: Out = Path("out/validation"),
-    base: Base = "zenmuse-xt2",
+    base: Base = defaults.CAMERA,
     scale: Scale = None,
-    scene: Annotated[str, typer.Option(help="Scene the simulated frames show.")] = "heath",
+    scene: Annotated[str, typer.Option(help="Scene the simulated frames show.")] = defaults.SCENE,
     name: Annotated[str, typer.Option(help="Of the files to write.")] = "footage",
     device: Device = "auto",
 ):
@@ -106,7 +106,7 @@ def validate_footage(
 
 @app.command("sensor")
 def validate_sensor(
-    scene: Annotated[str, typer.Argument(help="Scene folder, or the name of a shipped one.")] = "heath",
+    scene: Annotated[str, typer.Argument(help="Scene folder, or the name of a shipped one.")] = defaults.SCENE,
     output: Out = Path("out/validation"),
     device: Device = "auto",
 ):

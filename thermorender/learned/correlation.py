@@ -6,13 +6,14 @@ equation 9). Intensity is linear in band radiance: 0 stands for the coldest and 
 campaign's temperature range; it is never clipped, since values outside are what the method gives.
 """
 
-import difflib
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance
+from thermorender.schema import did_you_mean
 from thermorender.units import ZERO_CELSIUS_K
 
 
@@ -88,7 +89,7 @@ class Correlation:
 
 _FOK = {
     "range_k": (ZERO_CELSIUS_K + 14.0, ZERO_CELSIUS_K + 24.0),
-    "band_um": (7.5, 13.5),
+    "band_um": BAND_UM,
     # 120 m, the campaign's greatest height, times 17 µm over 13 mm.
     "texel_m": 120.0 * 17e-6 / 13e-3,
     # The publication states no sky; assumed that of a clear mid-latitude summer day in this band.
@@ -115,8 +116,7 @@ def load_model(name, range_c=None):
         An unknown name, or a range whose first value is not below its second.
     """
     if name not in MODELS:
-        close = difflib.get_close_matches(name, MODELS, n=1)
-        hint = f"did you mean {close[0]!r}? " if close else ""
+        hint = did_you_mean(name, MODELS)
         raise ThermorenderError(f"learned map {name!r} is unknown; {hint}known are {', '.join(MODELS)}")
     model = MODELS[name]
     if range_c is None:

@@ -8,6 +8,8 @@ orthophoto of another ground sampling distance is brought to that first.
 
 import numpy as np
 
+from thermorender.physics.srgb import decoded
+
 # Standard deviations of the windows [texels].
 WINDOWS_TEXELS = (1.5, 4.0, 10.0)
 # Texels around a tile that its features depend on: a window is cut at three standard deviations, and spreads and
@@ -29,7 +31,7 @@ def lab(rgb):
     import colour
 
     # The eye of the standard needs no more than a byte per channel: each is linearised once.
-    light = colour.models.eotf_sRGB(np.arange(256) / 255.0)[rgb]
+    light = decoded(np.arange(256) / 255.0)[rgb]
     to_xyz = colour.models.RGB_COLOURSPACE_sRGB.matrix_RGB_to_XYZ
     return colour.XYZ_to_Lab(light @ to_xyz.T).astype(np.float32)
 

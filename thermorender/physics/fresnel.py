@@ -92,21 +92,6 @@ def directional_emissivity(n, k, rms_slope=0.0):
     return smooth if rms_slope == 0.0 else smooth @ _facets(rms_slope).T
 
 
-def wind_slope(wind_m_s):
-    """Return the rms slope of a clean sea surface under a wind [1].
-
-    Parameters
-    ----------
-    wind_m_s : float or array
-        Wind speed 12.5 m above the sea, 0…14 [m/s].
-
-    Notes
-    -----
-    Cox and Munk (1954), doi:10.1364/JOSA.44.000838: mean square slope 0.003 + 5.12e-3 U.
-    """
-    return np.sqrt(0.003 + 5.12e-3 * np.asarray(wind_m_s, dtype=np.float64))
-
-
 def hemispherical(cosines, emissivity):
     """Return the hemispherical emissivity 2 ∫ ε(µ) µ dµ of tables by angle [1].
 

@@ -9,6 +9,7 @@ temperature, and is cut where the remaining tail is below 1e-20 of it: 64 Gauss�
 import numpy as np
 
 from thermorender.errors import ThermorenderError
+from thermorender.units import ZERO_CELSIUS_K
 
 # CODATA 2018, exact in the 2019 SI.
 _H, _C, _K = 6.62607015e-34, 299792458.0, 1.380649e-23
@@ -20,6 +21,9 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
 _NODES = 0.5 * (_NODES + 1.0)
 _WEIGHTS = 0.5 * _WEIGHTS
 _TAIL = 50.0
+# Limits of the band radiance [W m⁻² sr⁻¹] and of λT/c₂ between which it is inverted by its integral.
+_FAINTEST, _HOTTEST = 1e-290, 1e6
+_WIEN = np.polynomial.Polynomial([6.0, 6.0, 3.0, 1.0])
 _CHUNK = 4096
 
 
@@ -88,21 +92,29 @@ def brightness_temperature(radiance, lower_um, upper_um):
     Parameters
     ----------
     radiance : array
-        Band radiance [W m⁻² sr⁻¹]. Zero gives 0 K; negative values and NaN give NaN, since no blackbody
-        has them.
+        Band radiance [W m⁻² sr⁻¹], any positive float64. Zero gives 0 K; negative values, infinities and NaN
+        give NaN, since no blackbody has them; a temperature beyond float64 is infinite.
     lower_um, upper_um : float
         Limits of the band [µm].
 
     Notes
     -----
     Newton's method on ln L as a function of 1/T, which is nearly straight and convex, so it converges from
-    every start; the result is exact to about 1e-12 relative.
+    every start; the result is exact to about 1e-12 relative. Radiances whose blackbody lies so far in Wien's or in
+    Rayleigh's and Jeans' limit that the integral leaves float64 are inverted by these laws, as exactly.
+    `scipy.optimize.newton` takes arrays too, but goes on with all of them until the last has converged, and does not
+    hold steps back.
     """
     lower, upper = _band(lower_um, upper_um)
     radiance = np.asarray(radiance, dtype=np.float64)
     flat = radiance.reshape(-1)
     result = np.where(flat == 0.0, 0.0, np.nan)
-    valid = np.flatnonzero((flat > 0.0) & np.isfinite(flat))
+    positive = (flat > 0.0) & np.isfinite(flat)
+    faint, hot = positive & (flat < _FAINTEST), flat > _slope_of_hot(lower, upper) * _HOTTEST * C2 / lower
+    hot &= positive
+    result[faint] = _faint_inverse(flat[faint], lower, upper)
+    result[hot] = _hot_inverse(flat[hot], lower, upper)
+    valid = np.flatnonzero(positive & ~faint & ~hot)
     if valid.size:
         target = np.log(flat[valid])
         # Start from a monochromatic inversion at mid-band.
@@ -123,11 +135,33 @@ def brightness_temperature(radiance, lower_um, upper_um):
     return result if result.ndim else float(result)
 
 
+def _faint_inverse(radiance, lower, upper):
+    """Temperature of radiances below `_FAINTEST`, where x = c₂/(λT) > 600 and Wien's law, x³ e⁻ˣ, is exact."""
+    ratio, target = upper / lower, np.log(radiance)
+    x = -target
+    # ∫ x³ e⁻ˣ dx = −(x³ + 3x² + 6x + 6) e⁻ˣ; each round leaves less than 1/100 of the error.
+    for _ in range(9):
+        wide = _WIEN(x) - _WIEN(ratio * x) * np.exp(-(ratio - 1.0) * x)
+        x = np.log(C1L) - 4.0 * np.log(upper * x) + np.log(wide) - target
+    return C2 / (upper * x)
+
+
+def _slope_of_hot(lower, upper):
+    """Band radiance per kelvin by Rayleigh and Jeans' law, 2ck/λ⁴ [W m⁻² sr⁻¹ K⁻¹]."""
+    return C1L / C2 * (lower**-3 - upper**-3) / 3.0
+
+
+def _hot_inverse(radiance, lower, upper):
+    """Temperature of radiances where x = c₂/(λT) < 1/`_HOTTEST`: x³/(eˣ−1) is x² (1 − x/2) to 1e-13."""
+    with np.errstate(over="ignore"):
+        return (radiance + C1L * (lower**-4 - upper**-4) / 8.0) / _slope_of_hot(lower, upper)
+
+
 def _checked(temperature):
     temperature = np.asarray(temperature, dtype=np.float64)
     if np.any(temperature < 0.0):
         raise ThermorenderError(
-            f"temperature={np.nanmin(temperature):g} is below 0 K; values are kelvin, add 273.15 to °C"
+            f"temperature={np.nanmin(temperature):g} is below 0 K; values are kelvin, add {ZERO_CELSIUS_K} to °C"
         )
     return temperature
 

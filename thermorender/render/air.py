@@ -8,16 +8,17 @@ radiance. Rays look it up; rays that meet nothing look up sky and surroundings b
 import drjit as dr
 import numpy as np
 
+from thermorender.atmosphere.model import HIGHEST_CAMERA_M
+from thermorender.atmosphere.rays import EARTH_RADIUS_M, MEAN_RADIUS_M, horizon_cos_zenith
 from thermorender.errors import ThermorenderError
-from thermorender.physics.atmosphere import HIGHEST_CAMERA_M
-from thermorender.physics.rays import EARTH_RADIUS_M, MEAN_RADIUS_M, horizon_cos_zenith
 
 # A grid's lengths grow by at most this factor from one to the next, and its altitudes are at most this far apart [m].
 _GROWTH = 1.08
 _FEWEST = 4
 _ALTITUDE_M = 100.0
-# Zenith angles of what lies beyond, below and above the horizon; densest there. 5 mK of the sky from 120 m.
-_BEYOND = 64
+# Zenith angles of what lies beyond the surfaces, below and above the horizon; densest there. 5 mK of the sky from
+# 120 m.
+_BACKGROUND = 64
 # Heights above the ground at which these are computed [m], each higher by a factor, and how many are kept.
 _LOWEST_M, _STEP, _KEPT = 0.1, 1.03, 16
 
@@ -28,19 +29,20 @@ class Vacuum:
     Parameters
     ----------
     mi : module
-    sky, beyond : (C,) floats
+    sky, background : (C,) floats
         Channels of rays that meet nothing, above and below the horizon.
     """
 
-    def __init__(self, mi, sky, beyond):
-        self._sky, self._beyond = ([dr.opaque(mi.Float, float(value)) for value in row] for row in (sky, beyond))
+    def __init__(self, mi, sky, background):
+        rows = (sky, background)
+        self._sky, self._background = ([dr.opaque(mi.Float, float(value)) for value in row] for row in rows)
 
-    def arrive(self, hit, values, origin, direction):
+    def at_camera(self, hit, values, origin, direction):
         """Return what rays bring back, a list of Float, of the channels `values` where they meet something."""
         up = direction.z >= 0.0
         return [
-            dr.select(hit.valid, value, dr.select(up, sky, beyond))
-            for value, sky, beyond in zip(values, self._sky, self._beyond, strict=True)
+            dr.select(hit.valid, value, dr.select(up, sky, background))
+            for value, sky, background in zip(values, self._sky, self._background, strict=True)
         ]
 
 
@@ -56,7 +58,7 @@ class Air:
 
     def __init__(self, mi, scene, spectrum):
         self._mi, self._air, self._solver = mi, scene.air, spectrum.solver
-        self._altitude_m, self._beyond_k = scene.altitude_m, scene.surroundings_temperature
+        self._altitude_m, self._background_k = scene.altitude_m, scene.surroundings_temperature
         self._seen = {}
 
     def view(self, origin, box):
@@ -84,7 +86,7 @@ class Air:
         columns = max(_FEWEST, 1 + int(np.ceil(np.log(farthest / nearest) / np.log(_GROWTH))))
         rows = 2 + int((high - low) / _ALTITUDE_M)
         length = np.geomspace(nearest, farthest, columns)
-        # At each length, from the lowest to the highest place at that distance from the camera.
+        # At each length, from the lowest to the highest point at that distance from the camera.
         bottom, top = np.maximum(low, camera - length), np.minimum(high, camera + length)
         end = bottom + np.linspace(0.0, 1.0, rows)[:, None] * np.maximum(top - bottom, 0.0)
         end = np.clip(end, camera - length, camera + length)
@@ -92,21 +94,21 @@ class Air:
         cells = np.concatenate([passed @ self._solver, added.sum(axis=-1, keepdims=True)], axis=-1)
         frame = (base, low, high, camera, np.log(nearest), (columns - 1) / np.log(farthest / nearest))
         horizon = float(horizon_cos_zenith(camera))
-        return AirView(self._mi, cells, frame, self._beyond(camera), horizon)
+        return AirView(self._mi, cells, frame, self._background(camera), horizon)
 
-    def _beyond(self, camera):
-        """Band radiance of rays that meet nothing, (2, _BEYOND), linear between altitudes kept from earlier views."""
+    def _background(self, camera):
+        """Band radiance of rays that meet nothing, (2, _BACKGROUND), linear between altitudes of earlier views."""
         height = max(camera - self._altitude_m, _LOWEST_M)
-        place = np.log(height / _LOWEST_M) / np.log(_STEP)
-        lower = int(place)
+        position = np.log(height / _LOWEST_M) / np.log(_STEP)
+        lower = int(position)
         both = []
         for number in (lower, lower + 1):
             if number not in self._seen:
                 if len(self._seen) >= _KEPT:
                     self._seen.pop(next(iter(self._seen)))
                 at = min(self._altitude_m + _LOWEST_M * _STEP**number, HIGHEST_CAMERA_M)
-                parts = np.linspace(0.0, 1.0, _BEYOND)
-                self._seen[number] = beyond(self._air, at, self._altitude_m, self._beyond_k, parts)
+                parts = np.linspace(0.0, 1.0, _BACKGROUND)
+                self._seen[number] = background(self._air, at, self._altitude_m, self._background_k, parts)
             both.append(self._seen[number])
         share = (height / _LOWEST_M / _STEP**lower - 1.0) / (_STEP - 1.0)
         return (1.0 - share) * both[0] + share * both[1]
@@ -123,21 +125,21 @@ class AirView:
     frame : tuple
         Altitude of the local frame's origin, of the lowest and the highest end, and of the camera [m]; logarithm of
         the first column's length, and columns per unit of it.
-    beyond : (2, n) array
-        As by `beyond`.
+    background : (2, n) array
+        As by `background`.
     horizon : float
         Cosine of the horizon's zenith angle.
     """
 
-    def __init__(self, mi, cells, frame, beyond, horizon):
+    def __init__(self, mi, cells, frame, background, horizon):
         self._mi, (rows, columns, count) = mi, cells.shape
         padded = np.pad(cells.reshape(-1, count), ((0, 0), (0, -count % 4))).astype(np.float32)
         self._groups = [mi.Float(np.ascontiguousarray(padded[:, k : k + 4]).ravel()) for k in range(0, count, 4)]
         self._numbers = [dr.opaque(mi.Float, float(number)) for number in (*frame, columns, rows - 1)]
-        self._sky = mi.Float(beyond.astype(np.float32).ravel())
+        self._sky = mi.Float(background.astype(np.float32).ravel())
         self._horizon = dr.opaque(mi.Float, horizon)
 
-    def arrive(self, hit, values, origin, direction):
+    def at_camera(self, hit, values, origin, direction):
         """Return what rays bring back, [Float], of the channels `values` where they meet something."""
         mi = self._mi
         base, low, high, camera, first, step, count, rows = self._numbers
@@ -155,20 +157,20 @@ class AirView:
                               (cell + below, (1 - across) * down), (cell + below + 1, across * down)):  # fmt: skip
             found = [value for group in self._groups for value in dr.gather(mi.Vector4f, group, index, hit.valid)]
             total += weight * sum(number * factor for number, factor in zip(found, factors, strict=False))
-        return [dr.select(hit.valid, total, self._seen_beyond(direction.z, ~hit.valid))]
+        return [dr.select(hit.valid, total, self._seen_background(direction.z, ~hit.valid))]
 
-    def _seen_beyond(self, cosine, active):
+    def _seen_background(self, cosine, active):
         """What rays see that meet nothing."""
-        mi, half = self._mi, _BEYOND - 1
-        # Two tables one after the other, below and above the horizon, as `beyond` makes them.
+        mi, half = self._mi, _BACKGROUND - 1
+        # Two tables one after the other, below and above the horizon, as `background` makes them.
         rise = cosine - self._horizon
         above = rise >= 0.0
         span = dr.select(above, 1.0 - self._horizon, 1.0 + self._horizon)
-        place = dr.sqrt(dr.clip(dr.abs(rise) / span, 0.0, 1.0)) * (half * 0.9999)
-        lower = mi.UInt32(place)
-        index = lower + dr.select(above, _BEYOND, 0)
+        position = dr.sqrt(dr.clip(dr.abs(rise) / span, 0.0, 1.0)) * (half * 0.9999)
+        lower = mi.UInt32(position)
+        index = lower + dr.select(above, _BACKGROUND, 0)
         a, b = (dr.gather(mi.Float, self._sky, index + k, active) for k in (0, 1))
-        return dr.lerp(a, b, place - mi.Float(lower))
+        return dr.lerp(a, b, position - mi.Float(lower))
 
 
 def altitude(points, altitude_m):
@@ -177,7 +179,7 @@ def altitude(points, altitude_m):
     return altitude_m + points[..., 2] + np.square(points[..., :2]).sum(axis=-1) * (0.5 / MEAN_RADIUS_M)
 
 
-def beyond(air, camera_m, ground_m, temperature, place):
+def background(air, camera_m, ground_m, temperature, position):
     """Return the band radiance of rays that meet nothing, (2, n): below the horizon, and above it [W m⁻² sr⁻¹].
 
     Parameters
@@ -187,11 +189,11 @@ def beyond(air, camera_m, ground_m, temperature, place):
         Altitudes of the camera and of the black ground beyond the scene [m].
     temperature : float
         Of that ground [K].
-    place : (n,) array
+    position : (n,) array
         Square roots of how far the cosine of the zenith angle lies from the horizon's, 0 there, 1 straight down or up.
     """
     horizon = float(horizon_cos_zenith(camera_m))
-    rise = np.square(place)
+    rise = np.square(position)
     sky = air.sky_radiance(camera_m, horizon + rise * (1.0 - horizon)).sum(axis=-1)
     # A chord of the sphere down to the ground, at most as long as to its own horizon.
     ground_m = min(ground_m, camera_m - 0.1)

@@ -1,8 +1,8 @@
 """A scene's meshes on the render side: the ray caster, and flat per-face and per-texel arrays for its kernels.
 
 All surfaces share one numbering of faces and one of texels, so a hit becomes two gathers: the face's record and the
-texels around the place. The record is the affine map from a point of the face's
-plane to its place on the texel map; it also tells the plane, so that places near a hit need no ray of their own.
+texels around the point. The record is the affine map from a point of the face's
+plane to its position on the texel map; it also tells the plane, so that points near a hit need no ray of their own.
 """
 
 from dataclasses import dataclass
@@ -10,6 +10,8 @@ from functools import cached_property
 
 import drjit as dr
 import numpy as np
+
+from thermorender.errors import ThermorenderError
 
 _RAYS_AT_ONCE = 1 << 22
 
@@ -99,7 +101,7 @@ class Geometry:
         """Return the records of faces, as two Vector4f: the gradient of the column and its offset, and the row's."""
         return tuple(dr.gather(self.mi.Vector4f, self._record, 2 * face + k, active) for k in (0, 1))
 
-    def place(self, record, point):
+    def map_position(self, record, point):
         """Return (column, row) on the texel map, in texels from its upper left corner, of points of a face."""
         return tuple(dr.fma(g.x, point.x, dr.fma(g.y, point.y, dr.fma(g.z, point.z, g.w))) for g in record)
 
@@ -108,7 +110,7 @@ class Geometry:
         u, v = (self.mi.Vector3f(g.x, g.y, g.z) for g in record)
         return dr.cross(u, v)
 
-    def places_in_faces(self, pattern):
+    def points_in_faces(self, pattern):
         """Yield (surface, column, row) on the texel maps, in each face, at every barycentric (u, v) of `pattern`."""
         mi = self.mi
         face_counts = np.diff(self.face_start)
@@ -117,7 +119,7 @@ class Geometry:
         corner = np.concatenate([s.uv * np.array(n, np.float32) for s, n in zip(self.surfaces, size, strict=True)])
         corner = [[mi.Float(np.ascontiguousarray(corner[:, k, axis])) for axis in (0, 1)] for k in range(3)]
         for u, v in np.asarray(pattern).tolist():
-            # Opaque weights: as literals they would have the kernel that uses them compiled anew for each place.
+            # Opaque weights: as literals they would have the kernel that uses them compiled anew for each point.
             u, v = dr.opaque(mi.Float, u), dr.opaque(mi.Float, v)
             column, row = (
                 (1.0 - u - v) * corner[0][axis] + u * corner[1][axis] + v * corner[2][axis] for axis in (0, 1)
@@ -125,7 +127,7 @@ class Geometry:
             yield surface, column, row
 
     def nearest(self, surface, column, row, active=True):
-        """Return the flat number of the texel at a place of a surface's map; outside, that at its edge."""
+        """Return the flat number of the texel at a position on a surface's map; outside, that at its edge."""
         mi = self.mi
         start, rows, columns = self.lattice(surface, active)
         i = dr.clip(mi.Int32(dr.floor(row)), 0, rows - 1)
@@ -138,7 +140,7 @@ class Geometry:
         return tuple(dr.gather(self.mi.Int32, values, surface, active) for values in arrays)
 
     def corners(self, lattice, column, row):
-        """Return the four texels round a place as [(flat number, weight), …]; outside the map, those at its edge."""
+        """Return the four texels round a position as [(flat number, weight), …]; outside the map, those at its edge."""
         mi = self.mi
         start, rows, columns = lattice
         x, y = column - 0.5, row - 0.5
@@ -154,7 +156,7 @@ class Geometry:
         ]
 
     def bilinear(self, channels, lattice, column, row, active=True):
-        """Return the Channels of a place of a surface's map, linear between texel centres, as a list of Float."""
+        """Return the Channels at a position on a surface's map, linear between texel centres, as a list of Float."""
         total = None
         for texel, weight in self.corners(lattice, column, row):
             values = [weight * value for value in channels.at(texel, active)]
@@ -231,13 +233,13 @@ class Channels:
 
 
 @dataclass(frozen=True)
-class Shown:
-    """What surfaces show: channels of their texels, and corrections of their faces.
+class OutgoingRadiance:
+    """Radiance that leaves surfaces towards a camera: channels of their texels, and corrections of their faces.
 
     Attributes
     ----------
     texels : Channels
-        Read at every place of a pixel: all there is, or the first of the spectral channels, which carries nearly all.
+        Read at every tap of a pixel: all there is, or the first of the spectral channels, which carries nearly all.
     rest : Channels or None
         The other spectral channels, read once per ray, as they tell a hundredth of what the first does.
     faces : Channels or None
@@ -253,7 +255,7 @@ class Shown:
 
     @classmethod
     def of(cls, mi, texels, faces=None, mirror=None):
-        """Return what surfaces show by spectral channels of texels, K arrays (T,), and of faces, (F, K)."""
+        """Return what leaves surfaces by spectral channels of texels, K arrays (T,), and of faces, (F, K)."""
         rest = Channels(mi, np.stack(texels[1:], axis=1)) if len(texels) > 1 else None
         return cls(Channels(mi, texels[0][:, None]), rest, None if faces is None else Channels(mi, faces), mirror)
 
@@ -261,10 +263,10 @@ class Shown:
         """Return all channels of texels, seen on faces, as a list of Float."""
         return self._on(face, self.texels.at(texel) + (self.rest.at(texel) if self.rest else []), True)
 
-    def at(self, geometry, hit, place):
-        """Return all channels at places (column, row) of a Hit, linear between texels, as a list of Float."""
+    def at(self, geometry, hit, position):
+        """Return all channels at positions (column, row) of a Hit, linear between texels, as a list of Float."""
         lattice = geometry.lattice(hit.surface, hit.valid)
-        values = [geometry.bilinear(part, lattice, *place, hit.valid) for part in (self.texels, self.rest) if part]
+        values = [geometry.bilinear(part, lattice, *position, hit.valid) for part in (self.texels, self.rest) if part]
         return self._on(hit.face, sum(values, []), hit.valid)
 
     def _on(self, face, values, active):
@@ -274,11 +276,29 @@ class Shown:
 
 @dataclass(frozen=True)
 class Layer:
-    """A ray caster, the view (rotation, origin) in its frame, and what its surfaces show."""
+    """A ray caster, the view (rotation, origin) in its frame, and what leaves its surfaces."""
 
     geometry: Geometry
     view: tuple
-    shown: Shown
+    outgoing: OutgoingRadiance | None
+
+
+def refuse_other_surfaces(known, surfaces):
+    """Raise unless two sequences of surfaces have the same geometry: vertices, faces, and where texels lie on them."""
+    differ = None
+    if len(known) != len(surfaces):
+        differ = f"{len(known)} surfaces, not {len(surfaces)}"
+    for one, other in zip(known, surfaces, strict=False):
+        for name in ("vertices", "faces", "uv"):
+            first, second = getattr(one, name), getattr(other, name)
+            if first is not second and not np.array_equal(first, second):
+                differ = differ or f"other {name} in surface {other.name!r}"
+        if one.material.shape != other.material.shape:
+            differ = differ or f"{one.material.shape} texels, not {other.material.shape}, in surface {other.name!r}"
+    if differ:
+        raise ThermorenderError(
+            f"like=… has {differ}; give one of the same surfaces, at other temperatures or of other materials"
+        )
 
 
 def opaque_view(mi, pose):

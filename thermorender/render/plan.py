@@ -8,12 +8,11 @@ from thermorender.errors import ThermorenderError
 from thermorender.physics.band import quadrature
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, spectral_radiance
 from thermorender.physics.sun import irradiance
+from thermorender.render.mirrors import ReflectanceTables, make_tables
 from thermorender.render.sampling import PATTERNS, STAGES
 from thermorender.render.spectrum import REFERENCE_K, Envelope, Spectrum, make_spectrum
-from thermorender.render.specular import Tables, make_tables
-from thermorender.sensor.exposure import GLIDE_PX, LAG_MK
 
-# Rays per pixel, texture places per ray, and the error from which on an edge pixel gets more rays [mK].
+# Rays per pixel, texture taps per ray, and the error from which on an edge pixel gets more rays [mK].
 QUALITIES = {"fast": (1, 4, 500.0), "standard": (1, 4, 150.0), "high": (4, 4, 24.0)}
 
 
@@ -32,13 +31,15 @@ class Plan:
         Whether reflection is solved at all.
     rays : int
         Rays per face of the bake.
+    tolerance_mk : float
+        Error allowed to nodes, channels and the solution of the bake [mK].
     samples, taps : int
-        Rays per pixel, and places per ray at which the texture is read.
+        Rays per pixel, and taps per ray at which the texture is read.
     edge_mk : float
         Error of a pixel that shows an edge from which on it gets more rays [mK]; infinite: never.
     coldest, warmest : float
         Temperatures of the scene, its sky and surroundings [K].
-    moving : int
+    dynamic : int
         Objects with a track.
     air_mk : float or None
         What a kilometre of the scene's air changes a surface of 300 K by [mK]; None without air.
@@ -47,12 +48,10 @@ class Plan:
         scene declares no sun.
     sun : bool
         Whether it is in.
-    time_constant_ms : float
-        Of the camera's pixels [ms].
     specular_mk : float or None
         Most that the angle of view can change a directional material's apparent temperature by, up to 80° [mK]; None
         where nothing is of one.
-    specular : Tables or None
+    specular : ReflectanceTables or None
         How such materials reflect; None where mirror rays are left out.
     """
 
@@ -61,18 +60,18 @@ class Plan:
     reflection_mk: float
     bake: bool
     rays: int
+    tolerance_mk: float
     samples: int
     taps: int
     edge_mk: float
     coldest: float
     warmest: float
-    moving: int
+    dynamic: int
     air_mk: float | None
     sun_mk: float | None
     sun: bool
-    time_constant_ms: float
     specular_mk: float | None
-    specular: Tables | None
+    specular: ReflectanceTables | None
 
     @property
     def nodes(self):
@@ -82,9 +81,9 @@ class Plan:
     def rows(self):
         """Return the plan as (item, in or out, why) rows for a table."""
         needed = "in" if self.bake else "out"
-        moving = ("moving objects", "out", "none has a track")
-        if self.moving:
-            moving = (moving[0], str(self.moving), "cast in their own frames; their light by one bounce each way")
+        dynamic = ("dynamic objects", "out", "none has a track")
+        if self.dynamic:
+            dynamic = (dynamic[0], str(self.dynamic), "cast in their own frames; their light by one bounce each way")
         edges = ("more rays at edges", "out", "edge_mk is infinite")
         if self.edge_mk < np.inf:
             edges = (edges[0], "in", f"up to {STAGES[-1]} where one surface hides another and errs {self.edge_mk:g} mK")
@@ -94,11 +93,10 @@ class Plan:
             ("spectral nodes", str(self.nodes), f"worst error {self.spectrum.nodes_mk:.3g} mK"),
             ("bake rays per face", str(self.rays if self.bake else 0), "sky visibility and inter-reflection"),
             ("rays per pixel", str(self.samples), "band radiance averaged, never temperature"),
-            ("texture places per ray", str(self.taps), "on the plane of the face that is hit"),
+            ("texture taps per ray", str(self.taps), "on the plane of the face that is hit"),
             edges,
-            moving,
+            dynamic,
             *self._air_rows(),
-            self._lag_row(),
             self._specular_row(),
         ]
 
@@ -123,13 +121,6 @@ class Plan:
             ("air", f"{spectrum.channels} channels", f"{why}{spectrum.channels_mk:.3g} mK"),
             ("sun", "in" if self.sun else "out", sun),
         ]
-
-    def _lag_row(self):
-        """Row of what the pixels' memory brings to a flight."""
-        if self.time_constant_ms == 0.0:
-            return ("sub-frames", "out", "this camera's pixels remember nothing")
-        why = f"one render where a flight's view moves up to {GLIDE_PX:g} px in {self.time_constant_ms:g} ms"
-        return ("sub-frames", "by motion", f"{why}; beyond it as many as keep {LAG_MK:g} mK")
 
     def as_dict(self):
         """Return the plan as plain numbers, for the record beside each frame."""
@@ -158,7 +149,7 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
     quality : {"fast", "standard", "high"}
         Names the three numbers that follow.
     samples, taps : int, optional
-        Rays per pixel and texture places per ray (1, 2, 4, 8 or 16) in place of the quality's own.
+        Rays per pixel and texture taps per ray (1, 2, 4, 8 or 16) in place of the quality's own.
     edge_mk : float, optional
         Error from which on a pixel that shows an edge gets more rays [mK], in place of the quality's own; infinite:
         never.
@@ -214,15 +205,15 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
         reflection_mk=reflection_mk,
         bake=bake,
         rays=rays,
+        tolerance_mk=float(tolerance_mk),
         samples=samples,
         taps=taps,
         edge_mk=float(edge_mk),
         coldest=coldest,
         warmest=warmest,
-        moving=len(scene.movers),
+        dynamic=len(scene.movers),
         air_mk=air_mk,
         sun_mk=sun_mk,
-        time_constant_ms=scene.camera.time_constant_ms,
         sun=sun_mk is not None and sun_mk > 0.1 * tolerance_mk,
         specular_mk=specular.bound_mk if specular else None,
         specular=specular if specular and specular.bound_mk > 0.1 * tolerance_mk else None,
@@ -231,22 +222,22 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
 
 def _envelope(scene):
     """The Envelope of a scene."""
-    terrain, objects = scene.surfaces[: scene.terrain_count], scene.surfaces[scene.terrain_count :]
+    terrain, still = scene.surfaces[: scene.terrain_count], scene.surfaces[scene.terrain_count :]
     ground = [float(limit(surface.temperature)) for surface in terrain for limit in (np.min, np.max)]
     own = {}
-    for surface in objects:
+    for surface in still:
         for material in np.unique(surface.material):
             own.setdefault(int(material), []).extend(surface.temperature[surface.material == material].ravel())
     for mover in scene.movers:
         for surface in mover.surfaces:
             own.setdefault(int(surface.material.flat[0]), []).extend(mover.temperatures())
     extremes = {material: {float(min(values)), float(max(values))} for material, values in own.items()}
-    things = [(material, temperature) for material, both in extremes.items() for temperature in sorted(both)]
+    objects = [(material, temperature) for material, both in extremes.items() for temperature in sorted(both)]
     height = [limit(surface.vertices[:, 2]) for surface in scene.surfaces for limit in (np.min, np.max)]
     return Envelope(
         band_um=tuple(scene.camera.band_um),
         ground=(min(ground), max(ground)),
-        things=things,
+        objects=objects,
         sky_temperature=scene.spec.sky_temperature,
         surroundings_temperature=scene.surroundings_temperature,
         air=scene.air,

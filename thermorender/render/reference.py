@@ -12,8 +12,8 @@ import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import C1L, C2
-from thermorender.render.frame import checked_pose
-from thermorender.render.specular import directional
+from thermorender.render.mirrors import directional
+from thermorender.render.renderer import checked_pose
 from thermorender.render.variant import activate
 
 VARIANTS = {"llvm_ad_mono": "llvm_ad_spectral", "cuda_ad_mono": "cuda_ad_spectral"}
@@ -94,7 +94,7 @@ def frame(renderer, pose, samples=64, depth=8, progress=None):
     """
     radiance = render(renderer.scene, pose, samples, depth, renderer.seed, progress=progress)
     plan = {"engine": "reference", "paths": samples, "depth": depth}
-    return renderer.frame_of(radiance.astype(np.float32), checked_pose(pose), plan=plan)
+    return renderer.frame_of(radiance.astype(np.float32), pose, plan)
 
 
 def squared_error(frame, first, second):
@@ -146,7 +146,7 @@ def mitsuba_scene(mi, scene, pose, integrator, depth):
             },
         },
     }
-    # So large that its horizon is that of every place in the scene to 1e-3 rad.
+    # So large that its horizon is that of every point of the scene to 1e-3 rad.
     reach = 1e3 * max(float(np.abs(surface.vertices).max()) for surface in scene.surfaces)
     parts["outside"] = {
         "type": "sphere",
@@ -223,7 +223,7 @@ def _register(mi, name, scene, height):
             left, top = dr.floor(x), dr.floor(y)
             fx, fy = x - left, y - top
             result = wavelength * 0.0
-            place = (wavelength - start) / step
+            position = (wavelength - start) / step
             corners = ((0, 0, (1 - fx) * (1 - fy)), (0, 1, fx * (1 - fy)), (1, 0, (1 - fx) * fy), (1, 1, fx * fy))
             for di, dj, share in corners:
                 row = dr.clip(mi.Int32(top) + di, 0, rows - 1)
@@ -232,8 +232,8 @@ def _register(mi, name, scene, height):
                 base = dr.gather(mi.UInt32, material, index, active) * len(grid)
                 epsilon = mi.UnpolarizedSpectrum(0.0)
                 for k in range(len(epsilon)):
-                    lower = mi.UInt32(dr.clip(place[k], 0.0, len(grid) - 2.0))
-                    weight = place[k] - mi.Float(lower)
+                    lower = mi.UInt32(dr.clip(position[k], 0.0, len(grid) - 2.0))
+                    weight = position[k] - mi.Float(lower)
                     epsilon[k] = dr.lerp(
                         dr.gather(mi.Float, spectra, base + lower, active),
                         dr.gather(mi.Float, spectra, base + lower + 1, active),

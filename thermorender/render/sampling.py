@@ -1,4 +1,4 @@
-"""Where a pixel is sampled: places in it, their rays, and which pixels show an edge and need more.
+"""Where a pixel is sampled: offsets in it, their rays, and which pixels show an edge and need more.
 
 Texture inside a face is sampled on the face's plane without rays of its own; what that misses are edges, where
 one surface hides another. Across one plane the inverse of depth is linear in the image, so an edge shows where its
@@ -8,7 +8,7 @@ second difference does not vanish. How much an edge matters is told by the radia
 import drjit as dr
 import numpy as np
 
-# Sub-pixel places (right, down) in 0…1: lattices whose rows and columns are all different.
+# Sub-pixel offsets (right, down) in 0…1: lattices whose rows and columns are all different.
 _MULTIPLIER = {1: 1, 2: 1, 8: 5, 16: 7}
 PATTERNS = {
     count: tuple(((index * step % count + 0.5) / count, (index + 0.5) / count) for index in range(count))
@@ -26,21 +26,21 @@ _BESIDE = 0.5
 # are left at 4, 16 and 64 rays, round its hottest objects 0.13, 0.045 and 0.0135, and among a village's parked cars a
 # fifth more: the bound, times n^−0.8.
 _EDGE_ERROR, _EDGE_BOUND = 0.25, 0.37
-# Error of the mean of n places over texture: this share of the contrast with the neighbours, times n^−0.8. Above what
-# heath and ridge show away from edges: 0.015–0.035, 0.011–0.019, 0.005–0.010 and 0.002–0.004 at 1, 2, 4 and 16 places.
+# Error of the mean of n taps of the texture: this share of the contrast with the neighbours, times n^−0.8. Above what
+# heath and ridge show away from edges: 0.015–0.035, 0.011–0.019, 0.005–0.010 and 0.002–0.004 at 1, 2, 4 and 16 taps.
 _TEXTURE_ERROR = 0.04
 # Of a step suspected from the neighbours, the share that may be there although no ray of the pixel met it.
 UNSEEN = 0.25
 
 
-def places(samples, taps):
-    """Return [(ray, [tap, …]), …] of a pixel, each place as (right, down) in 0…1.
+def offsets(samples, taps):
+    """Return [(ray, [tap, …]), …], sub-pixel offsets (right, down) in 0…1.
 
-    Single places make up one lattice. Where a ray has several, it stands in the middle of a cell of the pixel and
+    Single offsets make up one lattice. Where a ray has several, it stands in the middle of a cell of the pixel and
     they form a lattice in that cell.
     """
     if taps == 1:
-        return [(place, [place]) for place in PATTERNS[samples]]
+        return [(offset, [offset]) for offset in PATTERNS[samples]]
     rows, columns = _CELLS[samples]
     return [
         (
@@ -66,6 +66,9 @@ class CameraRays:
 
     Attributes
     ----------
+    camera : Camera
+    width, height : int
+        Of its image [px].
     order : (H·W,) int64
         Pixel numbers in the order the arrays keep.
     position : (H·W,) int64
@@ -75,7 +78,7 @@ class CameraRays:
     """
 
     def __init__(self, mi, camera):
-        self._mi = mi
+        self._mi, self.camera, self.width, self.height = mi, camera, camera.width, camera.height
         self.order = morton_order(camera.height, camera.width)
         self.position = np.empty_like(self.order)
         self.position[self.order] = np.arange(self.order.size)
@@ -91,7 +94,7 @@ class CameraRays:
         self._net = [mi.Float(values.astype(np.float32)) for values in _net().T]
 
     def slopes(self, right, down, index=None):
-        """Return the slopes (x/z, y/z) of places 0…1 in pixels, of all or of those at `index` in the order."""
+        """Return the slopes (x/z, y/z) of offsets 0…1 in pixels, of all or of those at `index` in the order."""
         parts = self._parts
         if index is not None:
             parts = [[dr.gather(self._mi.Float, values, index) for values in part] for part in parts]
@@ -112,7 +115,7 @@ class CameraRays:
 
 
 def _net():
-    """Places (64, 2), evenly spread in 0…1, and so are the first 16: Sobol's sequence."""
+    """Offsets (64, 2), evenly spread in 0…1, and so are the first 16: Sobol's sequence."""
     from scipy.stats import qmc
 
     number = np.rint(qmc.Sobol(2, scramble=False).random(STAGES[-1]) * STAGES[-1]).astype(int)
@@ -166,7 +169,7 @@ def edge_bound(step, count):
 
 
 def texture_error(span, count):
-    """Return the error of the mean of `count` places in a pixel that differs by `span` from its neighbours."""
+    """Return the error of the mean of `count` taps in a pixel that differs by `span` from its neighbours."""
     return _TEXTURE_ERROR * count**-0.8 * span
 
 

@@ -16,8 +16,8 @@ from functools import cached_property
 
 import numpy as np
 
+from thermorender.atmosphere.model import HIGHEST_CAMERA_M
 from thermorender.errors import ThermorenderError
-from thermorender.physics.atmosphere import HIGHEST_CAMERA_M
 from thermorender.physics.band import RadianceTable, emitted_radiance, quadrature
 from thermorender.physics.planck import (
     band_radiance,
@@ -186,7 +186,7 @@ class Envelope:
     band_um : (2,) floats
     ground : (2,) floats
         Coldest and warmest temperature of the terrain [K].
-    things : list of (material, temperature)
+    objects : list of (material, temperature)
         Objects, each material at its extremes.
     sky_temperature : float or None
         Of an isotropic sky [K]; None where there is air.
@@ -199,7 +199,7 @@ class Envelope:
 
     band_um: tuple
     ground: tuple
-    things: list
+    objects: list
     sky_temperature: float | None
     surroundings_temperature: float
     air: object
@@ -209,24 +209,24 @@ class Envelope:
     def temperatures(self):
         """All temperatures [K]."""
         skies = [] if self.sky_temperature is None else [self.sky_temperature]
-        own = [temperature for _, temperature in self.things]
+        own = [temperature for _, temperature in self.objects]
         return [*self.ground, *own, *skies, self.surroundings_temperature]
 
     def sources(self, points):
-        """Return (outside (n, Q), ground (2, Q), things (t, Q)): what shines by itself, at the points.
+        """Return (outside (n, Q), ground (2, Q), objects (t, Q)): what shines by itself, at the points.
 
         Sky and surroundings; blackbodies at the terrain's extremes and at each object's temperature.
         """
         ground = _black(points, self.ground)
-        things = _black(points, [temperature for _, temperature in self.things]) if self.things else ground[:0]
-        beyond = _black(points, [self.surroundings_temperature])
+        objects = _black(points, [temperature for _, temperature in self.objects]) if self.objects else ground[:0]
+        background = _black(points, [self.surroundings_temperature])
         if self.air is None:
-            return np.concatenate([_black(points, [self.sky_temperature]), beyond]), ground, things
+            return np.concatenate([_black(points, [self.sky_temperature]), background]), ground, objects
         at, cosine = np.meshgrid(self.altitude_m, _SKY_COSINES)
         sky = self.air.sky_radiance(at.ravel(), cosine.ravel())
-        return np.concatenate([points.spread(sky), beyond]), ground, things
+        return np.concatenate([points.spread(sky), background]), ground, objects
 
-    def light(self, emissivity, outside, ground, things):
+    def light(self, emissivity, outside, ground, objects):
         """Return spectra that can fall on a surface of this scene, (n, X), from sources at points or at nodes.
 
         The outside; any material of the ground at its extremes, reflecting the outside or ground at its extremes; and
@@ -237,7 +237,7 @@ class Envelope:
         light = [outside]
         for own in emissivity:
             light += [own * black + (1.0 - own) * others for black in ground]
-        for (material, _), black in zip(self.things, things, strict=True):
+        for (material, _), black in zip(self.objects, objects, strict=True):
             light.append(emissivity[material] * black + (1.0 - emissivity[material]) * outside)
         return np.concatenate(light)
 
@@ -366,9 +366,9 @@ def _channels(case, tolerance_mk):
     if case.envelope.air is None:
         return np.ones((1, 1)), np.ones((1, 1)), 0.0
     # What surfaces show: each at the extremes of the ground, or at its own temperature, reflecting any light.
-    ground, things = case.sources[1:]
+    ground, objects = case.sources[1:]
     own = [(m, black) for m in range(len(case.spectra)) for black in ground]
-    own += [(m, black) for (m, _), black in zip(case.envelope.things, things, strict=True)]
+    own += [(m, black) for (m, _), black in zip(case.envelope.objects, objects, strict=True)]
     node = case.points.node
     reflected = [_gathered((1.0 - emissivity) * case.light, node) for emissivity in case.spectra]
     shown = np.concatenate([_gathered(case.spectra[m] * black, node) + reflected[m] for m, black in own])

@@ -1,4 +1,4 @@
-"""What is really there: temperature, material, depth and place at the middle of each pixel, and where targets are.
+"""What is really there: temperature, material, depth and position at the middle of each pixel, and where targets are.
 
 Truth is that of the one surface a pixel's middle shows, not a mean over the pixel: a mean of depths or materials at
 an edge would be that of nothing.
@@ -11,27 +11,28 @@ from thermorender.physics.band import emitted_radiance, quadrature
 from thermorender.physics.fresnel import COSINES
 from thermorender.physics.planck import band_radiance, spectral_radiance
 from thermorender.render.geometry import view_ray
-from thermorender.render.plan import REFERENCE_K
-from thermorender.render.specular import directional
+from thermorender.render.mirrors import directional
+from thermorender.render.spectrum import REFERENCE_K
 from thermorender.scene.surface import BEYOND
 
 NO_MATERIAL = 255
 
 
-def truth(scene, rays, layers, warm):
+def truth(baked, rays, pose, placements):
     """Return {name: image} of what the pixels' middles show; the images are those of `Frame.truth`.
 
     Parameters
     ----------
-    scene : Scene
+    baked : BakedScene
     rays : CameraRays
-        Of the scene's camera.
-    layers : sequence of Layer
-        The still scene, then each moving object where it is.
-    warm : sequence of float
-        The moving objects' temperatures [K].
+    pose : (4, 4) array
+        world_from_camera.
+    placements : sequence of Placement
+        Of the dynamic objects.
     """
-    mi, camera = layers[0].geometry.mi, scene.camera
+    scene, camera, layers = baked.scene, rays.camera, baked.device.layers(pose, placements)
+    warm = [placement.temperature for placement in placements]
+    mi = layers[0].geometry.mi
     slope = rays.slopes(0.5, 0.5)
     valid, distance, texel, first = mi.Bool(False), mi.Float(np.inf), mi.UInt32(0), 0
     by_angle, cosine = directional(scene.materials), mi.Float(0.0)
@@ -39,7 +40,7 @@ def truth(scene, rays, layers, warm):
         geometry = layer.geometry
         ray = view_ray(mi, *layer.view, *slope)
         hit = geometry.cast(ray, coherent=True)
-        column, row = geometry.place(geometry.record(hit.face, hit.valid), ray.o + hit.distance * ray.d)
+        column, row = geometry.map_position(geometry.record(hit.face, hit.valid), ray.o + hit.distance * ray.d)
         nearer = hit.distance < distance
         found = first + geometry.nearest(hit.surface, column, row, hit.valid)
         texel, distance = dr.select(nearer, found, texel), dr.minimum(distance, hit.distance)
@@ -62,15 +63,15 @@ def truth(scene, rays, layers, warm):
         images.append(flat.reshape(camera.height, camera.width))
     valid, number, up, cosine, depth, *position = images
     valid, up = valid > 0, up > 0
-    moving = [surface for mover in scene.movers for surface in mover.surfaces]
+    dynamic = [surface for mover in scene.movers for surface in mover.surfaces]
     flags, material = (
-        np.concatenate([getattr(surface, which).ravel() for surface in (*scene.surfaces, *moving)])[number]
+        np.concatenate([getattr(surface, which).ravel() for surface in (*scene.surfaces, *dynamic)])[number]
         for which in ("flags", "material")
     )
     sizes = [int(layer.geometry.texel_start[-1]) for layer in layers[1:]]
-    still = [surface.temperature.ravel() for surface in scene.surfaces]
-    temperature = np.concatenate([*still, np.repeat(warm, sizes).astype(np.float32)])[number]
-    band_um = scene.camera.band_um
+    static = [surface.temperature.ravel() for surface in scene.surfaces]
+    temperature = np.concatenate([*static, np.repeat(warm, sizes).astype(np.float32)])[number]
+    band_um = camera.band_um
     black = band_radiance(REFERENCE_K, *band_um)
     emissivity = np.array([emitted_radiance(m.emissivity_at, REFERENCE_K, *band_um) / black for m in scene.materials])
     emissivity = emissivity[material]
@@ -90,25 +91,23 @@ def truth(scene, rays, layers, warm):
     }
 
 
-def targets(scene, geometry, movers, pose):
+def targets(baked, camera, pose, placements):
     """Return {object: {pixel, in_view, visible, range_m}} of the scene's objects, as `Frame.targets` has it.
 
     Parameters
     ----------
-    scene : Scene
-    geometry : Geometry
-        Of what stands still.
-    movers : sequence of Moving
-        Where they are.
+    baked : BakedScene
+    camera : Camera
     pose : (4, 4) array
         world_from_camera.
+    placements : sequence of Placement
+        Of the dynamic objects.
     """
-    mi, camera = geometry.mi, scene.camera
-    middles = dict(scene.targets)
-    for moving in movers:
-        corner = np.concatenate([surface.vertices for surface in moving.surfaces])
+    middles = dict(baked.scene.targets)
+    for mover, placement in zip(baked.scene.movers, placements, strict=True):
+        corner = np.concatenate([surface.vertices for surface in mover.surfaces])
         middle = 0.5 * (corner.min(axis=0) + corner.max(axis=0))
-        middles[moving.name] = moving.pose[:3, :3] @ middle + moving.pose[:3, 3]
+        middles[mover.name] = placement.pose[:3, :3] @ middle + placement.pose[:3, 3]
     if not middles:
         return {}
     centre = np.array(list(middles.values()))
@@ -116,8 +115,10 @@ def targets(scene, geometry, movers, pose):
     pixel = camera.project(local)
     distance = np.linalg.norm(local, axis=-1)
     nearest, names = np.full(len(centre), np.inf), np.full(len(centre), "", dtype=object)
-    for shapes, place in ((geometry, np.eye(4)), *((moving.geometry, moving.pose) for moving in movers)):
-        inverse = np.linalg.inv(place)
+    shown = [(baked.geometry, np.eye(4))]
+    shown += [(item.geometry, each.pose) for item, each in zip(baked.device.objects, placements, strict=True)]
+    for shapes, own_pose in shown:
+        mi, inverse = shapes.mi, np.linalg.inv(own_pose)
         start = (inverse[:3, :3] @ pose[:3, 3] + inverse[:3, 3]).tolist()
         direction = ((centre - pose[:3, 3]) / distance[:, None]) @ inverse[:3, :3].T
         hit = shapes.cast(mi.Ray3f(mi.Point3f(*start), mi.Vector3f(*direction.T.astype(np.float32))))

@@ -2,6 +2,9 @@
 
 The local frame is Cartesian. Everything enters it through Earth-centred, Earth-fixed coordinates (ECEF),
 so the Earth's curvature (a drop of 785 m at 100 km) and the convergence of map grids are kept.
+
+PROJ gives the same within 0.1 µm, as a test holds; through rasterio's lists of Python numbers it takes two to five
+times as long, which matters for the posts of a terrain. Maps' own projections are PROJ's throughout.
 """
 
 from dataclasses import dataclass

@@ -11,18 +11,20 @@ from pathlib import Path
 
 import numpy as np
 
+from thermorender import defaults
 from thermorender.errors import ThermorenderError
 from thermorender.products import missing_folders, remove_empty
 from thermorender.scene.raster import Grid, bounds_in, grid_of, lon_lat, onto, read_colour
 from thermorender.scene.surface import scene_kelvin
 from thermorender.scene.terrain import read_elevation
+from thermorender.schema import toml_text
 
 DEFAULT_VERTICES = 4_000_000
 DEFAULT_TEXELS = 8192
 
 
 def import_terrain(elevation, orthophoto, folder, max_vertices=DEFAULT_VERTICES, max_texels=DEFAULT_TEXELS,
-                   height_reference=None, geoid_undulation_m=None, model="fok-1to1", material="soil_loam",
+                   height_reference=None, geoid_undulation_m=None, model=defaults.TEMPERATURE_MAP, material="soil_loam",
                    sky_temperature=255.0):  # fmt: skip
     """Write a scene folder and return a summary of what was done to the rasters.
 
@@ -110,6 +112,18 @@ def import_terrain(elevation, orthophoto, folder, max_vertices=DEFAULT_VERTICES,
     if not valid.any():
         raise ThermorenderError(f"{orthophoto} is empty where {elevation} lies; give an orthophoto of the same area")
 
+    text = toml_text(
+        {
+            "title": folder.name,
+            "terrain": {"elevation": "elevation.tif", "orthophoto": "orthophoto.tif",
+                        "height_reference": height_reference, "geoid_undulation_m": geoid_undulation_m},
+            "temperature": {"source": "learned", "model": model},
+            "emissivity": {"source": "material", "material": material},
+            "sky": {"temperature": sky_temperature},
+            "camera": {"model": defaults.CAMERA},
+        },
+        f"Made from {Path(elevation).name} and {Path(orthophoto).name}.",
+    )  # fmt: skip
     part = folder.with_name(f".{folder.name}.part")
     made = missing_folders(folder.parent)
     try:
@@ -121,11 +135,7 @@ def import_terrain(elevation, orthophoto, folder, max_vertices=DEFAULT_VERTICES,
     try:
         _write(part / "elevation.tif", height[None].astype(np.float32), target, nodata=np.nan, predictor=3)
         _write(part / "orthophoto.tif", np.moveaxis(rgb, -1, 0), texels, predictor=2, photometric="RGB", mask=valid)
-        (part / "scene.toml").write_text(
-            _scene_toml(folder.name, elevation, orthophoto, height_reference, geoid_undulation_m, model, material,
-                        sky_temperature),
-            encoding="utf-8",
-        )  # fmt: skip
+        (part / "scene.toml").write_text(text, encoding="utf-8", newline="\n")
         if folder.exists():
             folder.rmdir()
         os.replace(part, folder)
@@ -223,35 +233,3 @@ def _write(path, bands, grid, mask=None, **options):
         dataset.write(bands)
         if mask is not None:
             dataset.write_mask(mask)
-
-
-def _scene_toml(title, elevation, orthophoto, height_reference, undulation, model, material, sky):
-    undulation = "" if undulation is None else f"geoid_undulation_m = {undulation}\n"
-    return f"""title = {_quoted(title)}
-# Made from {Path(elevation).name} and {Path(orthophoto).name}.
-
-[terrain]
-elevation = "elevation.tif"
-orthophoto = "orthophoto.tif"
-height_reference = "{height_reference}"
-{undulation}
-[temperature]
-source = "learned"
-model = "{model}"
-
-[emissivity]
-source = "material"
-material = "{material}"
-
-[sky]
-temperature = {sky}
-
-[camera]
-model = "zenmuse-xt2"
-"""
-
-
-def _quoted(text):
-    import json
-
-    return json.dumps(text, ensure_ascii=False)

@@ -4,15 +4,14 @@ import hashlib
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 
+from thermorender.atmosphere.declared import declared_air
 from thermorender.errors import ThermorenderError
 from thermorender.paths import data_folder
 from thermorender.scene import materials as material_tables
 from thermorender.scene import mesh, terrain
-from thermorender.scene.air import declared_air
 from thermorender.scene.georeference import FARTHEST_M, LocalFrame
 from thermorender.scene.ground import Ground
 from thermorender.scene.material_map import learned_materials
@@ -465,7 +464,7 @@ def _object(item, materials):
         _part_surface(replace(part, name=f"{item.name}:{part.name}"), material, item.temperature) for part in parts
     )
     time_s, columns = read_track(item.track) if item.track else (np.zeros(1), {})
-    return Mover(item, tuple(surfaces), lift, time_s, MappingProxyType(columns))
+    return Mover(item, tuple(surfaces), lift, time_s, columns)
 
 
 def _placed(thing, values, scene):

@@ -26,7 +26,7 @@ from thermorender.scene.material_files import (
 from thermorender.scene.material_import import WANTED_RANGE_UM
 from thermorender.scene.material_samples import QUANTITIES, WAVELENGTH_UNITS, ecostress_lines, is_ecostress
 from thermorender.scene.materials import DIRECTIONAL_MODELS, NAME
-from thermorender.units import LOWEST_KELVIN
+from thermorender.units import LOWEST_KELVIN, ZERO_CELSIUS_K
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def _check_row(place, cells):
         )  # fmt: skip
     limits = [
         ("solar_absorptance", 0.0, 1.0, "give the share absorbed, 0.7 for 70 %"),
-        ("temperature_k", LOWEST_KELVIN, 6000.0, "values are kelvin, add 273.15 to °C"),
+        ("temperature_k", LOWEST_KELVIN, 6000.0, f"values are kelvin, add {ZERO_CELSIUS_K} to °C"),
         ("samples", 1.0, 1e6, "count the measured samples"),
         *((f"colour_{c}", 0.0, 255.0, "give sRGB as a colour picker shows it") for c in "rgb"),
     ]

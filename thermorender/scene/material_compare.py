@@ -6,14 +6,14 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.scene.material_files import INDEX_COLUMNS, ROUGHNESS_COLUMN, read_table
 from thermorender.scene.material_store import store
 from thermorender.scene.materials import read_library
 
-# What a change of emissivity is told in: a camera's band, a surface, and the sky it reflects.
-BAND_UM = (7.5, 13.5)
+# What a change of emissivity is told in, over a camera's band: a surface, and the sky it reflects.
 SURFACE_K = 300.0
 SKY_K = 250.0
 

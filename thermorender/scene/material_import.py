@@ -302,7 +302,9 @@ def _thinned(wavelength, value, grid):
     """Return the table on an even grid that lies closest to a spectrum, both taken as linear between their points.
 
     Closest in the mean square, with the mean and the slope over each half micrometre kept exactly: band emissivities
-    are integrals over a smooth weight, so they stay what the measurement says to 1e-6. Nothing leaves 0…1.
+    are integrals over a smooth weight, so they stay what the measurement says to 1e-6. Nothing leaves 0…1: values
+    that would are held at the bound and the rest is solved again. `scipy.optimize.lsq_linear` knows bounds but no
+    equations to be kept.
     """
     step, size = grid[1] - grid[0], grid.size
     nodes = np.union1d(wavelength[(wavelength > grid[0]) & (wavelength < grid[-1])], grid)

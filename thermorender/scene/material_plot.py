@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
 
 # What cameras of the long-wave infrared see: drawn even where a table reaches further.
@@ -11,7 +12,7 @@ DRAWN_UM = (7.0, 14.0)
 MOST_MATERIALS = 8
 
 
-def plot(materials, path, band_um=(7.5, 13.5), temperature=300.0):
+def plot(materials, path, band_um=BAND_UM, temperature=300.0):
     """Write a PNG of the spectra of materials; return its path.
 
     Parameters

@@ -5,7 +5,6 @@ refractive index, or its emissivity by angle). The package ships one; a scene ma
 it. A material knows the wavelengths at which it was measured and refuses all others.
 """
 
-import difflib
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +25,7 @@ from thermorender.scene.material_files import (
     read_refractive_index,
     read_table,
 )
+from thermorender.schema import closest
 from thermorender.units import kelvin
 
 # How emissivity depends on the angle, as written in the index, and what that makes of `spectra/<name>.csv`.
@@ -305,7 +305,7 @@ def find(library, name, where):
     """
     if name in library:
         return library[name]
-    close = difflib.get_close_matches(str(name), library, n=3, cutoff=0.4)
+    close = closest(name, library, count=3, cutoff=0.4)
     hint = f"the closest are {', '.join(close)}" if close else f"it holds {', '.join(sorted(library))}"
     raise ThermorenderError(
         f"{where} uses material {name!r}, which the library does not hold; {hint}; use one it "

@@ -1,124 +1,231 @@
 """What a scene file says: `scene.toml` read into frozen dataclasses, every key checked.
 
-Each table is described once, as key → (reader, default). A reader turns the TOML value into ours or raises a
-sentence; a key that is not described is an error naming the key and its table. Files are named relative to the
-scene's folder and must lie inside it.
+A key is a row of its table's dataclass; see `thermorender.schema`. Files are named relative to the scene's folder and
+must lie inside it.
 """
 
-import difflib
-import sys
-from dataclasses import dataclass, field, fields
+from dataclasses import astuple, dataclass, replace
+from functools import partial
 from pathlib import Path
 
+from thermorender import defaults
 from thermorender.errors import ThermorenderError
 from thermorender.scene.surface import scene_kelvin
+from thermorender.schema import (
+    Where,
+    choice,
+    entry,
+    file_inside,
+    key,
+    mapping,
+    number,
+    read,
+    read_toml,
+    table,
+    tables,
+    text,
+    texts,
+)
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
-
-REQUIRED = object()
 # A learned emissivity map's texel is unknown where its most probable material is less probable than this.
 DEFAULT_CONFIDENCE = 0.35
-_CLASS_NUMBERS = {str(number) for number in range(1, 256)}
+_CLASS_NUMBERS = {str(count): count for count in range(1, 256)}
+
+
+# Readers of what only scenes have
+
+
+def kelvin(value, where, allow_zero=False):
+    """Read a temperature of a surface [K], or of a sky, which may be 0 K."""
+    return scene_kelvin(str(where), number()(value, where), allow_zero)
+
+
+cold = partial(kelvin, allow_zero=True)
+share = number(0.0, 1.0, above=True)
+
+
+def camera_model(value, where):
+    """Read the name of a shipped camera model, or a file of one."""
+    return str(file_inside(value, where)) if text(value, where).endswith(".toml") else value
+
+
+def temperature_map(value, where):
+    """Read the name of a learned map of temperatures."""
+    from thermorender.learned.correlation import load_model
+
+    try:
+        return load_model(text(value, where)).name
+    except ThermorenderError as error:
+        raise ThermorenderError(f"{where}: {error}") from None
+
+
+def emissivity_map(value, where):
+    """Read the name of a shipped map of materials, or a file of one."""
+    from thermorender.learned.emissivity import SHIPPED
+
+    return value if text(value, where) in SHIPPED else str(file_inside(value, where))
+
+
+def class_number(name, where):
+    """Read the key of a class, which TOML gives as a text."""
+    return _CLASS_NUMBERS[name] if name in _CLASS_NUMBERS else where.refuse(name, "class numbers 1…255 (0: no data)")
+
+
+def _needed(where, values, needs):
+    """Refuse that what the table's source needs is missing."""
+    for name in needs[values.source]:
+        if getattr(values, name) in (None, {}):
+            raise where.error(f"{where.key}.{name} is missing; source={values.source!r} needs it")
+
+
+# Tables
 
 
 @dataclass(frozen=True)
 class TerrainSpec:
     """Ground of the scene: an elevation raster with an orthophoto, or one textured mesh."""
 
-    elevation: Path | None
-    mesh: Path | None
-    orthophoto: Path | None
-    height_reference: str
-    geoid_undulation_m: float | None
+    elevation: Path | None = key(file_inside, None)
+    mesh: Path | None = key(file_inside, None)
+    orthophoto: Path | None = key(file_inside, None)
+    height_reference: str = key(choice("ellipsoid", "geoid"), "ellipsoid")
+    geoid_undulation_m: float | None = key(number(), None)
+
+    def check(self, where, given):
+        """Refuse none or two kinds of ground."""
+        where.exactly_one(given, ("elevation", "mesh"))
+        if self.mesh and self.orthophoto:
+            raise where.error("terrain.orthophoto needs 'elevation'; a mesh brings its own texture")
 
 
 @dataclass(frozen=True)
 class TemperatureSpec:
-    """Where the kinetic temperature of each texel comes from."""
+    """Where the kinetic temperature of each texel comes from; `range_c` is of intensities 0 and 1 of a learned map."""
 
-    source: str
-    value: float | None = None
-    raster: Path | None = None
-    model: str | None = None
-    range_c: tuple[float, float] | None = None
-    materials: dict = field(default_factory=dict)
+    source: str = key(choice("constant", "raster", "material", "learned"))
+    value: float | None = key(kelvin, None)
+    raster: Path | None = key(file_inside, None)
+    model: str | None = key(temperature_map, None)
+    range_c: tuple[float, float] | None = key(number(count=2, ordered=True), None)
+    materials: dict = key(mapping(kelvin), {})
+
+    def check(self, where, given):
+        """Refuse a source without what it needs."""
+        needs = {"constant": ["value"], "raster": ["raster"], "learned": ["model"], "material": ["materials"]}
+        _needed(where, self, needs)
 
 
 @dataclass(frozen=True)
 class EmissivitySpec:
     """Where the material of each texel comes from."""
 
-    source: str
-    value: float | None
-    material: str | None
-    raster: Path | None
-    classes: dict
-    model: str | None = None
-    fallback: str | None = None
-    confidence: float = DEFAULT_CONFIDENCE
-    without: tuple[str, ...] = ()
+    source: str = key(choice("constant", "material", "classes", "learned"))
+    value: float | None = key(share, None)
+    material: str | None = key(text, None)
+    raster: Path | None = key(file_inside, None)
+    classes: dict = key(mapping(text, class_number), {})
+    model: str | None = key(emissivity_map, None)
+    fallback: str | None = key(text, None)
+    confidence: float = key(share, DEFAULT_CONFIDENCE)
+    without: tuple[str, ...] = key(texts, ())
+
+    def check(self, where, given):
+        """Refuse a source without what it needs."""
+        needs = {"constant": ["value"], "material": ["material"], "classes": ["raster", "classes"],
+                 "learned": ["model", "fallback"]}  # fmt: skip
+        _needed(where, self, needs)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ObjectSpec:
     """A solid standing in the scene: a primitive or a mesh file, with one material and temperature."""
 
-    name: str
-    shape: str | None
-    file: Path | None
-    size: tuple[float, float, float]
-    position: tuple[float, float, float]
-    yaw_deg: float
-    temperature: float
-    material: str
-    colour: tuple[float, float, float]
-    track: Path | None
+    name: str = key(text)
+    shape: str | None = key(choice("disc", "box", "sphere"), None)
+    file: Path | None = key(file_inside, None)
+    size: tuple[float, float, float] = key(number(0.0, above=True, count=3, unit="m"), (1.0, 1.0, 1.0))
+    position: tuple[float, float, float] = key(number(count=3, unit="m"))
+    yaw_deg: float = key(number(), 0.0)
+    temperature: float = key(kelvin)
+    material: str = key(text)
+    colour: tuple[float, float, float] = key(number(0.0, 255.0, count=3, unit="(sRGB)"), (128.0, 128.0, 128.0))
+    track: Path | None = key(file_inside, None)
+
+    def check(self, where, given):
+        """Refuse none or two kinds of solid, and a name that could be a part's."""
+        where.exactly_one(given, ("shape", "file"))
+        if ":" in self.name:
+            where.of("name").refuse(self.name, "a name without ':', which separates the parts of an object")
 
 
 @dataclass(frozen=True)
 class AtmosphereSpec:
     """The air: a standard atmosphere, a table or a measured profile, its clouds, and where the scene lies in it."""
 
-    standard: str | None = None
-    file: Path | None = None
-    profile: Path | None = None
-    aerosol: str = "none"
-    visibility_km: float = 23.0
-    temperature_offset_k: float = 0.0
-    humidity_factor: float = 1.0
-    cloud_fraction: float = 0.0
-    cloud_base_m: float = 2000.0
-    altitude_m: float | None = None
+    standard: str | None = key(text, None)
+    file: Path | None = key(file_inside, None)
+    profile: Path | None = key(file_inside, None)
+    aerosol: str = key(text, "none")
+    visibility_km: float = key(number(), 23.0)
+    temperature_offset_k: float = key(number(), 0.0)
+    humidity_factor: float = key(number(), 1.0)
+    cloud_fraction: float = key(number(), 0.0)
+    cloud_base_m: float = key(number(), 2000.0)
+    altitude_m: float | None = key(number(), None)
+
+    def check(self, where, given):
+        """Refuse none or two kinds of air, and what another kind would pass over."""
+        kind = where.exactly_one(given, ("standard", "file", "profile"))
+        only = {"aerosol": ("standard", "profile"), "visibility_km": ("profile",),
+                "temperature_offset_k": ("standard",), "humidity_factor": ("standard",)}  # fmt: skip
+        for name, kinds in only.items():
+            if name in given and kind not in kinds:
+                where.of(name).refuse(given[name], f"it with {' or '.join(kinds)} only, not with {kind}")
 
 
 @dataclass(frozen=True)
 class SunSpec:
-    """Where the sun stands."""
+    """Where the sun stands: above the horizon, and from north, eastward positive."""
 
-    elevation_deg: float
-    azimuth_deg: float
+    elevation_deg: float = key(number(-90.0, 90.0))
+    azimuth_deg: float = key(number(-360.0, 360.0))
 
 
 @dataclass(frozen=True)
+class _Frame:
+    latitude_deg: float = key(number(-90.0, 90.0))
+    longitude_deg: float = key(number(-360.0, 360.0))
+    height_m: float = key(number())
+
+
+@dataclass(frozen=True, kw_only=True)
 class SceneSpec:
     """A whole scene file; `sky_temperature` is None where there is an atmosphere, whose sky it is then."""
 
     folder: Path
-    title: str
-    terrain: TerrainSpec
-    temperature: TemperatureSpec
-    emissivity: EmissivitySpec
-    sky_temperature: float | None
-    surroundings_temperature: float | None
-    camera: str
-    truth_temperature: Path | None
-    frame: tuple[float, float, float] | None
-    objects: tuple[ObjectSpec, ...]
-    atmosphere: AtmosphereSpec | None = None
-    sun: SunSpec | None = None
+    # A blank title is none.
+    title: str = key(lambda value, where: value if value == "" else text(value, where), "")
+    terrain: TerrainSpec = key(table(TerrainSpec))
+    temperature: TemperatureSpec = key(table(TemperatureSpec))
+    emissivity: EmissivitySpec = key(table(EmissivitySpec))
+    sky_temperature: float | None = key(entry("temperature", cold), None, name="sky")
+    atmosphere: AtmosphereSpec | None = key(table(AtmosphereSpec), None)
+    sun: SunSpec | None = key(table(SunSpec), None)
+    surroundings_temperature: float | None = key(entry("temperature", cold, None), None, name="surroundings")
+    camera: str = key(entry("model", camera_model, defaults.CAMERA), defaults.CAMERA)
+    truth_temperature: Path | None = key(entry("temperature", file_inside, None), None, name="truth")
+    frame: tuple[float, float, float] | None = key(lambda value, where: astuple(read(_Frame, value, where)), None)
+    objects: tuple[ObjectSpec, ...] = key(tables(ObjectSpec), (), name="object")
+
+    def check(self, where, given):
+        """Refuse none or two skies, a sun without air, and two objects of one name."""
+        where.exactly_one(given, ("sky", "atmosphere"), "a sky of one temperature and no air, or air with its sky")
+        if self.sun and not self.atmosphere:
+            raise where.error("[sun] shines through the air; add [atmosphere] or leave [sun] out")
+        names = [item.name for item in self.objects]
+        for name in names:
+            if names.count(name) > 1:
+                where.of("object.name").refuse(name, "a name of its own to each object")
 
 
 def read_scene(folder):
@@ -138,300 +245,8 @@ def read_scene(folder):
     path = Path(folder)
     if path.name != "scene.toml":
         path = path / "scene.toml"
-    try:
-        with open(path, "rb") as file:
-            raw = tomllib.load(file)
-    except FileNotFoundError:
-        raise ThermorenderError(f"{path} does not exist; a scene is a folder with a scene.toml") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ThermorenderError(f"{path} is not valid TOML: {error}") from None
-    except OSError as error:
-        raise ThermorenderError(f"{path} cannot be read: {error.strerror}") from None
-    return _Reader(path).scene(raw)
-
-
-class _Reader:
-    """Reads one file; methods named after value kinds take (value, "table.key") and return ours."""
-
-    def __init__(self, path):
-        self.path = path
-        self.folder = path.parent.resolve()
-
-    def fail(self, where, value, allowed):
-        shown = repr(value) if len(repr(value)) <= 80 else f"{repr(value)[:80]}…"
-        raise ThermorenderError(f"{self.path}: {where}={shown} is not allowed; give {allowed}")
-
-    def text(self, value, where):
-        if not isinstance(value, str) or not value.strip():
-            self.fail(where, value, "a text")
-        return value
-
-    def number(self, value, where):
-        # The bound also refuses NaN, infinity and whole numbers that fit no float.
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < 1e300:
-            self.fail(where, value, "a finite number")
-        return float(value)
-
-    def share(self, value, where):
-        if not 0.0 < self.number(value, where) <= 1.0:
-            self.fail(where, value, "a number above 0 and up to 1")
-        return float(value)
-
-    def temperature(self, value, where):
-        return scene_kelvin(f"{self.path}: {where}", self.number(value, where))
-
-    def cold(self, value, where):
-        return scene_kelvin(f"{self.path}: {where}", self.number(value, where), allow_zero=True)
-
-    def file(self, value, where):
-        try:
-            path = (self.folder / self.text(value, where)).resolve()
-            inside, there = path.is_relative_to(self.folder), path.is_file()
-        except (OSError, ValueError) as error:  # too long, or with a NUL in it
-            if isinstance(error, ThermorenderError):
-                raise
-            self.fail(where, value, "the name of a file")
-        if not inside:
-            self.fail(where, value, "a path inside the scene's folder")
-        if not there:
-            raise ThermorenderError(f"{self.path}: {where}={value!r} does not exist; give a file in {self.folder}")
-        return path
-
-    def camera_model(self, value, where):
-        return str(self.file(value, where)) if self.text(value, where).endswith(".toml") else value
-
-    def learned_map(self, value, where):
-        from thermorender.learned.correlation import load_model
-
-        try:
-            return load_model(self.text(value, where)).name
-        except ThermorenderError as error:
-            raise ThermorenderError(f"{self.path}: {where}: {error}") from None
-
-    def texts(self, value, where):
-        if not isinstance(value, list):
-            self.fail(where, value, "a list of texts")
-        return tuple(self.text(item, where) for item in value)
-
-    def emissivity_map(self, value, where):
-        from thermorender.learned.emissivity import SHIPPED
-
-        return value if self.text(value, where) in SHIPPED else str(self.file(value, where))
-
-    def vector(self, length):
-        def read(value, where):
-            if not isinstance(value, list) or len(value) != length:
-                self.fail(where, value, f"a list of {length} numbers")
-            return tuple(self.number(item, where) for item in value)
-
-        return read
-
-    def choice(self, *allowed):
-        def read(value, where):
-            if value not in allowed:
-                self.fail(where, value, f"one of {', '.join(allowed)}")
-            return value
-
-        return read
-
-    def mapping(self, read_value):
-        def read(value, where):
-            if not isinstance(value, dict) or not value:
-                self.fail(where, value, "a table with at least one entry")
-            return {key: read_value(item, f"{where}.{key}") for key, item in value.items()}
-
-        return read
-
-    def table(self, raw, name, keys):
-        """Read one table: {key: (reader, default)} → {key: value}; REQUIRED marks a key without default."""
-        if not isinstance(raw, dict):
-            self.fail(name, raw, "a table")
-        for key in raw:
-            if key not in keys:
-                close = difflib.get_close_matches(key, keys, n=1)
-                hint = f"did you mean {close[0]!r}? " if close else ""
-                raise ThermorenderError(
-                    f"{self.path}: unknown key {key!r} in {name}; {hint}allowed are {', '.join(keys)}"
-                )
-        values = {}
-        for key, (read, default) in keys.items():
-            if key in raw:
-                values[key] = read(raw[key], f"{name}.{key}")
-            elif default is REQUIRED:
-                raise ThermorenderError(f"{self.path}: key {key!r} is missing in {name}; add it")
-            else:
-                values[key] = default
-        return values
-
-    def needs(self, values, table, key, reason):
-        if values[key] in (None, {}):
-            raise ThermorenderError(f"{self.path}: {table}.{key} is missing; {reason} needs it")
-
-    def scene(self, raw):
-        sections = {
-            key: (lambda value, where: value, default)
-            for key, default in {
-                "title": "",
-                "terrain": REQUIRED,
-                "temperature": REQUIRED,
-                "emissivity": REQUIRED,
-                "sky": None,
-                "atmosphere": None,
-                "sun": None,
-                "surroundings": {},
-                "camera": {},
-                "truth": {},
-                "frame": None,
-                "object": [],
-            }.items()
-        }
-        top = self.table(raw, "the scene", sections)
-        if not isinstance(top["object"], list):
-            self.fail("object", top["object"], "tables headed [[object]]")
-        frame = top["frame"]
-        if frame is not None:
-            axes = ("latitude_deg", "longitude_deg", "height_m")
-            frame = tuple(self.table(frame, "frame", {axis: (self.number, REQUIRED) for axis in axes}).values())
-            if not (abs(frame[0]) <= 90.0 and abs(frame[1]) <= 360.0):
-                self.fail("frame", list(frame), "latitude −90…90, longitude −180…180 or 0…360 and a height in metres")
-        if (top["sky"] is None) == (top["atmosphere"] is None):
-            raise ThermorenderError(
-                f"{self.path}: the scene needs either [sky], of one temperature and without air, or [atmosphere], "
-                "whose sky it then has; give exactly one"
-            )
-        if top["sun"] is not None and top["atmosphere"] is None:
-            raise ThermorenderError(f"{self.path}: [sun] shines through the air; add [atmosphere] or leave [sun] out")
-        sky = {"temperature": None}
-        if top["sky"] is not None:
-            sky = self.table(top["sky"], "sky", {"temperature": (self.cold, REQUIRED)})
-        surroundings = self.table(top["surroundings"], "surroundings", {"temperature": (self.cold, None)})
-        camera = self.table(top["camera"], "camera", {"model": (self.camera_model, "zenmuse-xt2")})
-        truth = self.table(top["truth"], "truth", {"temperature": (self.file, None)})
-        objects = tuple(self.object(item, index) for index, item in enumerate(top["object"], 1))
-        names = [item.name for item in objects]
-        for name in names:
-            if names.count(name) > 1:
-                self.fail("object.name", name, "a name of its own to each object")
-        return SceneSpec(
-            folder=self.folder,
-            title=self.text(top["title"] or self.folder.name, "title"),
-            terrain=self.terrain(top["terrain"]),
-            temperature=self.temperature_source(top["temperature"]),
-            emissivity=self.emissivity(top["emissivity"]),
-            sky_temperature=sky["temperature"],
-            atmosphere=None if top["atmosphere"] is None else self.atmosphere(top["atmosphere"]),
-            sun=None if top["sun"] is None else self.sun(top["sun"]),
-            surroundings_temperature=surroundings["temperature"],
-            camera=camera["model"],
-            truth_temperature=truth["temperature"],
-            frame=frame,
-            objects=objects,
-        )
-
-    def terrain(self, raw):
-        keys = {
-            "elevation": (self.file, None),
-            "mesh": (self.file, None),
-            "orthophoto": (self.file, None),
-            "height_reference": (self.choice("ellipsoid", "geoid"), "ellipsoid"),
-            "geoid_undulation_m": (self.number, None),
-        }
-        values = self.table(raw, "terrain", keys)
-        if (values["elevation"] is None) == (values["mesh"] is None):
-            raise ThermorenderError(f"{self.path}: terrain needs either 'elevation' or 'mesh'; give exactly one")
-        if values["mesh"] and values["orthophoto"]:
-            raise ThermorenderError(f"{self.path}: terrain.orthophoto needs 'elevation'; a mesh brings its own texture")
-        return TerrainSpec(**values)
-
-    def temperature_source(self, raw):
-        keys = {
-            "source": (self.choice("constant", "raster", "material", "learned"), REQUIRED),
-            "value": (self.temperature, None),
-            "raster": (self.file, None),
-            "model": (self.learned_map, None),
-            "range_c": (self.vector(2), None),
-            "materials": (self.mapping(self.temperature), {}),
-        }
-        values = self.table(raw, "temperature", keys)
-        needs = {"constant": "value", "raster": "raster", "learned": "model", "material": "materials"}
-        needed = needs[values["source"]]
-        self.needs(values, "temperature", needed, f"source={values['source']!r}")
-        low_high = values["range_c"]
-        if low_high and not low_high[0] < low_high[1]:
-            self.fail("temperature.range_c", list(low_high), "[coldest, warmest] in °C, the first below the second")
-        return TemperatureSpec(**values)
-
-    def emissivity(self, raw):
-        keys = {
-            "source": (self.choice("constant", "material", "classes", "learned"), REQUIRED),
-            "value": (self.share, None),
-            "material": (self.text, None),
-            "raster": (self.file, None),
-            "classes": (self.mapping(self.text), {}),
-            "model": (self.emissivity_map, None),
-            "fallback": (self.text, None),
-            "confidence": (self.share, DEFAULT_CONFIDENCE),
-            "without": (self.texts, ()),
-        }
-        values = self.table(raw, "emissivity", keys)
-        source = values["source"]
-        needs = {"constant": ["value"], "material": ["material"], "classes": ["raster", "classes"],
-                 "learned": ["model", "fallback"]}  # fmt: skip
-        for key in needs[source]:
-            self.needs(values, "emissivity", key, f"source={source!r}")
-        classes = {}
-        for key, name in values["classes"].items():
-            if key not in _CLASS_NUMBERS:
-                self.fail("emissivity.classes", key, "class numbers 1…255 (0 marks no data)")
-            classes[int(key)] = name
-        return EmissivitySpec(**{**values, "classes": classes})
-
-    def atmosphere(self, raw):
-        readers = {"standard": self.text, "file": self.file, "profile": self.file, "aerosol": self.text}
-        keys = {item.name: (readers.get(item.name, self.number), item.default) for item in fields(AtmosphereSpec)}
-        values = self.table(raw, "atmosphere", keys)
-        given = [key for key in ("standard", "file", "profile") if values[key] is not None]
-        if len(given) != 1:
-            self.fail("atmosphere", dict(raw), "exactly one of standard = …, file = … or profile = …")
-        # What another kind of air would ignore is refused rather than passed over.
-        only = {"aerosol": ("standard", "profile"), "visibility_km": ("profile",),
-                "temperature_offset_k": ("standard",), "humidity_factor": ("standard",)}  # fmt: skip
-        for key, kinds in only.items():
-            if key in raw and given[0] not in kinds:
-                self.fail(f"atmosphere.{key}", raw[key], f"it with {' or '.join(kinds)} only, not with {given[0]}")
-        return AtmosphereSpec(**values)
-
-    def sun(self, raw):
-        keys = {"elevation_deg": (self.number, REQUIRED), "azimuth_deg": (self.number, REQUIRED)}
-        values = self.table(raw, "sun", keys)
-        if not -90.0 <= values["elevation_deg"] <= 90.0:
-            self.fail("sun.elevation_deg", values["elevation_deg"], "degrees above the horizon, −90…90")
-        if not abs(values["azimuth_deg"]) <= 360.0:
-            self.fail("sun.azimuth_deg", values["azimuth_deg"], "degrees from north, eastward positive, −360…360")
-        return SunSpec(**values)
-
-    def object(self, raw, index):
-        name = raw.get("name", f"number {index}") if isinstance(raw, dict) else f"number {index}"
-        where = f"object {name!r}"
-        keys = {
-            "name": (self.text, REQUIRED),
-            "shape": (self.choice("disc", "box", "sphere"), None),
-            "file": (self.file, None),
-            "size": (self.vector(3), (1.0, 1.0, 1.0)),
-            "position": (self.vector(3), REQUIRED),
-            "yaw_deg": (self.number, 0.0),
-            "temperature": (self.temperature, REQUIRED),
-            "material": (self.text, REQUIRED),
-            "colour": (self.vector(3), (128.0, 128.0, 128.0)),
-            "track": (self.file, None),
-        }
-        values = self.table(raw, where, keys)
-        if (values["shape"] is None) == (values["file"] is None):
-            raise ThermorenderError(f"{self.path}: {where} needs either 'shape' or 'file'; give exactly one")
-        if ":" in values["name"]:
-            self.fail(f"{where}.name", values["name"], "a name without ':', which separates the parts of an object")
-        if min(values["size"]) <= 0.0:
-            self.fail(f"{where}.size", list(values["size"]), "three lengths above 0 in metres")
-        if not all(0.0 <= channel <= 255.0 for channel in values["colour"]):
-            self.fail(f"{where}.colour", list(values["colour"]), "three sRGB values 0…255")
-        return ObjectSpec(**values)
+    if not path.exists():
+        raise ThermorenderError(f"{path} does not exist; a scene is a folder with a scene.toml")
+    folder = path.parent.resolve()
+    spec = read(SceneSpec, read_toml(path), Where(path, folder, top="the scene"), folder=folder)
+    return replace(spec, title=spec.title or folder.name)

@@ -2,7 +2,6 @@
 
 import csv
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 
@@ -26,7 +25,7 @@ class Mover:
         How far above its base's stated height it is put.
     time_s : (n,) float64
         Rising [s].
-    columns : mapping
+    columns : dict
         {name of COLUMNS: (n,) float64}.
     """
 
@@ -34,7 +33,7 @@ class Mover:
     surfaces: tuple
     lift_m: float
     time_s: np.ndarray
-    columns: MappingProxyType
+    columns: dict
 
     @property
     def name(self):

@@ -11,8 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from thermorender import defaults
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance_derivative
+from thermorender.schema import toml_line, toml_value
 from thermorender.sensor.camera import load_camera, model_path
 from thermorender.sensor.edge_width import edge_widths, sharpest, width_through
 from thermorender.sensor.flir_jpeg import read_flir_jpeg
@@ -38,11 +40,15 @@ class Estimate:
     how: str
 
     @property
+    def rounded(self):
+        """The value, or list of values, to four digits, as a camera file has it."""
+        values = [float(f"{value:.4g}") for value in np.atleast_1d(self.value)]
+        return values if isinstance(self.value, tuple) else values[0]
+
+    @property
     def text(self):
-        """The value as a camera file has it."""
-        values = self.value if isinstance(self.value, tuple) else (self.value,)
-        text = ", ".join(f"{value:.4g}" for value in values)
-        return f"[{text}]" if isinstance(self.value, tuple) else text
+        """`rounded` as TOML writes it."""
+        return toml_value(self.rounded)
 
 
 def frame_files(paths):
@@ -66,7 +72,7 @@ def frame_files(paths):
     return files
 
 
-def fit_camera(paths, base="zenmuse-xt2", scale=None, progress=None):
+def fit_camera(paths, base=defaults.CAMERA, scale=None, progress=None):
     """Return what the frames of a camera tell of it, {key of a camera file: Estimate}.
 
     Parameters
@@ -127,7 +133,7 @@ def write_camera(path, base, estimates):
     text = model_path(base).read_text(encoding="utf-8")
     text = f"# Fitted to footage; keys without such a note are those of {model_path(base).stem}.\n" + text
     for key, estimate in estimates.items():
-        line = f"{key} = {estimate.text}  # fitted, ± {estimate.uncertainty:.2g}: {estimate.how}"
+        line = toml_line(key, estimate.rounded, f"fitted, ± {estimate.uncertainty:.2g}: {estimate.how}")
         text, replaced = re.subn(rf"(?m)^{key}\s*=.*$", lambda _, line=line: line, text)
         if not replaced:
             text = f"{text.rstrip()}\n{line}\n"

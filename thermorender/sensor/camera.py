@@ -5,40 +5,21 @@ coordinates are in pixels from the upper left corner of the image, so pixel (row
 [j, j+1] × [i, i+1] and its centre is (j + ½, i + ½).
 """
 
-import difflib
-import sys
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from thermorender.errors import ThermorenderError
+from thermorender.schema import Where, choice, flag, key, number, read, read_toml
 from thermorender.units import ZERO_CELSIUS_K
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 # More along a side is no microbolometer, and a frame of it fits no memory.
 MOST_PIXELS = 16384
-_SHARE, _CELSIUS = "a share up to 1", f"{-ZERO_CELSIUS_K:g}…5000 °C, above absolute zero"
-
-
-def _key(low, high, default=MISSING, count=1, whole=False, above=False, say=None):
-    """A number of a camera file, or `count` of them: low … high, `low` itself excluded where `above`.
-
-    Two numbers above a bound are an interval. `say` tells the bounds in words.
-    """
-    told = {"low": low, "high": high, "count": count, "whole": whole, "above": above}
-    told |= {"ordered": count == 2 and above, "say": say}
-    return field(metadata=told, default=default)
-
-
-def _choice(*values):
-    """A key that takes one of some values, the first where it is left out."""
-    return field(metadata={"values": values}, default=values[0])
+_share = number(0.0, 1.0, above=True)
+_range_c = number(-ZERO_CELSIUS_K, 5000.0, above=True, count=2, ordered=True)
+_noise_mk = number(0.0, 1e5)
 
 
 @dataclass(frozen=True)
@@ -120,49 +101,61 @@ class Camera:
     """
 
     name: str
-    width: int = _key(1, MOST_PIXELS, whole=True, say=f"up to {MOST_PIXELS} pixels")
-    height: int = _key(1, MOST_PIXELS, whole=True, say=f"up to {MOST_PIXELS} pixels")
-    pixel_pitch_um: float = _key(0.5, 1000.0)
-    focal_length_mm: float = _key(0.01, 1e5)
-    f_number: float = _key(0.2, 100.0)
-    lens_transmittance: float = _key(0.0, 1.0, above=True, say=_SHARE)
-    band_um: tuple = _key(0.0, 1000.0, count=2, above=True)
-    netd_mk: float = _key(0.0, 1e5, above=True)
-    netd_f_number: float = _key(0.2, 100.0)
-    bits: int = _key(2, 16, whole=True)
-    range_c: tuple = _key(-ZERO_CELSIUS_K, 5000.0, count=2, above=True, say=_CELSIUS)
-    frame_rate_hz: float = _key(0.0, 1e5, above=True)
-    principal_offset_px: tuple = _key(-MOST_PIXELS, MOST_PIXELS, (0.0, 0.0), count=2)
-    distortion: tuple = _key(-1e300, 1e300, (0.0, 0.0, 0.0, 0.0, 0.0), count=5)
-    diffraction: bool = _choice(False, True)
-    defocus_um: float = _key(-1000.0, 1000.0, 0.0)
-    blur_sigma_px: float = _key(0.0, 5.0, 0.0)
-    illumination_exponent: float = _key(0.0, 8.0, 0.0)
-    vignetting: float = _key(0.0, 0.9, 0.0)
-    case_temperature_c: float = _key(-100.0, 150.0, 25.0)
-    case_rise_k: float = _key(-100.0, 100.0, 0.0)
-    case_time_constant_s: float = _key(1.0, 1e6, 600.0)
-    housing_residual: float = _key(0.0, 1.0, 0.0)
-    narcissus_mk: float = _key(-1e5, 1e5, 0.0)
-    narcissus_radius_px: float = _key(1.0, MOST_PIXELS, 100.0)
-    absorptance: float = _key(0.0, 1.0, 1.0, above=True, say=_SHARE)
-    time_constant_ms: float = _key(0.0, 1000.0, 0.0)
-    row_time_us: float = _key(0.0, 1e4, 0.0)
-    sigma_t_mk: float = _key(0.0, 1e5, 0.0)
-    sigma_tv_mk: float = _key(0.0, 1e5, 0.0)
-    sigma_th_mk: float = _key(0.0, 1e5, 0.0)
-    sigma_v_mk: float = _key(0.0, 1e5, 0.0)
-    sigma_h_mk: float = _key(0.0, 1e5, 0.0)
-    sigma_vh_mk: float = _key(0.0, 1e5, 0.0)
-    drift_mk_per_k: float = _key(0.0, 1e5, 0.0)
-    bad_pixels: float = _key(0.0, 0.05, 0.0)
-    ffc_interval_s: float = _key(0.0, 1e6, 0.0)
-    ffc_duration_s: float = _key(0.0, 60.0, 0.0)
-    gain: str = _choice("high", "low")
-    low_gain_range_c: tuple = _key(-ZERO_CELSIUS_K, 5000.0, (-40.0, 550.0), count=2, above=True, say=_CELSIUS)
-    low_gain_netd_mk: float = _key(0.0, 1e5, 0.0)
-    tlinear_mk: float = _choice(0.0, 40.0, 400.0)
-    agc_tails_percent: tuple = _key(0.0, 49.0, (0.5, 0.5), count=2)
+    width: int = key(number(1, MOST_PIXELS, whole=True, unit="pixels"))
+    height: int = key(number(1, MOST_PIXELS, whole=True, unit="pixels"))
+    pixel_pitch_um: float = key(number(0.5, 1000.0))
+    focal_length_mm: float = key(number(0.01, 1e5))
+    f_number: float = key(number(0.2, 100.0))
+    lens_transmittance: float = key(_share)
+    band_um: tuple = key(number(0.0, 1000.0, above=True, count=2, ordered=True))
+    netd_mk: float = key(number(0.0, 1e5, above=True))
+    netd_f_number: float = key(number(0.2, 100.0))
+    bits: int = key(number(2, 16, whole=True))
+    range_c: tuple = key(_range_c)
+    frame_rate_hz: float = key(number(0.0, 1e5, above=True))
+    principal_offset_px: tuple = key(number(-MOST_PIXELS, MOST_PIXELS, count=2), (0.0, 0.0))
+    distortion: tuple = key(number(count=5), (0.0, 0.0, 0.0, 0.0, 0.0))
+    diffraction: bool = key(flag, False)
+    defocus_um: float = key(number(-1000.0, 1000.0), 0.0)
+    blur_sigma_px: float = key(number(0.0, 5.0), 0.0)
+    illumination_exponent: float = key(number(0.0, 8.0), 0.0)
+    vignetting: float = key(number(0.0, 0.9), 0.0)
+    case_temperature_c: float = key(number(-100.0, 150.0), 25.0)
+    case_rise_k: float = key(number(-100.0, 100.0), 0.0)
+    case_time_constant_s: float = key(number(1.0, 1e6), 600.0)
+    housing_residual: float = key(number(0.0, 1.0), 0.0)
+    narcissus_mk: float = key(number(-1e5, 1e5), 0.0)
+    narcissus_radius_px: float = key(number(1.0, MOST_PIXELS), 100.0)
+    absorptance: float = key(_share, 1.0)
+    time_constant_ms: float = key(number(0.0, 1000.0), 0.0)
+    row_time_us: float = key(number(0.0, 1e4), 0.0)
+    sigma_t_mk: float = key(_noise_mk, 0.0)
+    sigma_tv_mk: float = key(_noise_mk, 0.0)
+    sigma_th_mk: float = key(_noise_mk, 0.0)
+    sigma_v_mk: float = key(_noise_mk, 0.0)
+    sigma_h_mk: float = key(_noise_mk, 0.0)
+    sigma_vh_mk: float = key(_noise_mk, 0.0)
+    drift_mk_per_k: float = key(_noise_mk, 0.0)
+    bad_pixels: float = key(number(0.0, 0.05), 0.0)
+    ffc_interval_s: float = key(number(0.0, 1e6), 0.0)
+    ffc_duration_s: float = key(number(0.0, 60.0), 0.0)
+    gain: str = key(choice("high", "low"), "high")
+    low_gain_range_c: tuple = key(_range_c, (-40.0, 550.0))
+    low_gain_netd_mk: float = key(_noise_mk, 0.0)
+    tlinear_mk: float = key(choice(0.0, 40.0, 400.0), 0.0)
+    agc_tails_percent: tuple = key(number(0.0, 49.0, count=2), (0.5, 0.5))
+
+    def check(self, where, given):
+        """Refuse noise of frames, rows and columns that leaves nothing of the whole, and a lens that folds."""
+        temporal = ("sigma_t_mk", "sigma_tv_mk", "sigma_th_mk")
+        if sum(getattr(self, name) ** 2 for name in temporal) >= self.netd_mk**2:
+            raise where.error(
+                f"{', '.join(temporal)} leave nothing of netd_mk={self.netd_mk:g}, of which they are part; lower them"
+            )
+        # A folding distortion would otherwise show with the first frame only, after the scene is baked. Where it
+        # folds, Newton's steps run off to infinity before they are refused.
+        with np.errstate(all="ignore"):
+            self.directions(_image_edge(self.width, self.height))
 
     @property
     def count_range_k(self):
@@ -220,7 +213,9 @@ class Camera:
 
         Notes
         -----
-        Newton's method on the Brown–Conrady model (Brown 1971), to 1e-12 of the focal length.
+        Newton's method on the Brown–Conrady model (Brown 1971), to 1e-12 of the focal length. OpenCV's
+        `undistortPoints` iterates a fixed point: five rounds leave 0.002 pixels at the corner of a strongly
+        distorted image, and where the model folds it answers with a wrong direction instead of an error.
         """
         target = (np.asarray(pixel, dtype=np.float64) - self._principal_point) / self.focal_length_px
         if not any(self.distortion):
@@ -288,75 +283,7 @@ def load_camera(name, where="camera model"):
         An unknown model or key, a missing key, or a value out of range; the message names it.
     """
     path = model_path(name, where)
-    try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ThermorenderError(f"{path} is not valid TOML: {error}") from None
-    known = {item.name: item for item in fields(Camera) if item.name != "name"}
-    for key in raw:
-        if key not in known:
-            close = difflib.get_close_matches(key, known, n=1)
-            hint = f"did you mean {close[0]!r}{_unit(close[0], ' in ')}? " if close else ""
-            raise ThermorenderError(f"{path}: unknown key {key!r}; {hint}allowed are {', '.join(known)}")
-    values = {"name": path.stem}
-    for key, item in known.items():
-        if key in raw:
-            values[key] = _checked(f"{path}: {key}={raw[key]!r} is not allowed; give ", key, raw[key], item.metadata)
-        elif item.default is MISSING:
-            raise ThermorenderError(f"{path}: key {key!r} is missing; add it{_unit(key, ' in ')}")
-    temporal = ("sigma_t_mk", "sigma_tv_mk", "sigma_th_mk")
-    common = sum(values.get(key, 0.0) ** 2 for key in temporal)
-    if common >= values["netd_mk"] ** 2:
-        raise ThermorenderError(
-            f"{path}: {', '.join(temporal)} leave nothing of netd_mk={values['netd_mk']:g}, of which they are part; "
-            "lower them"
-        )
-    camera = Camera(**values)
-    # A folding distortion would otherwise show with the first frame only, after the scene is baked. Where it
-    # folds, Newton's steps run off to infinity before they are refused.
-    with np.errstate(all="ignore"):
-        camera.directions(_image_edge(camera.width, camera.height))
-    return camera
-
-
-# What the ends of keys' names stand for.
-_UNITS = {"um": "µm", "mm": "mm", "mk": "mK", "c": "°C", "hz": "Hz", "px": "px", "ms": "ms", "us": "µs", "s": "s"}
-_UNITS |= {"k": "K", "mk_per_k": "mK per K"}
-
-
-def _unit(key, before=" "):
-    """The unit at the end of a key's name with a word before it; nothing where there is none."""
-    unit = _UNITS.get("mk_per_k" if key.endswith("_mk_per_k") else key.rsplit("_", 1)[-1]) if "_" in key else None
-    return before + unit if unit else ""
-
-
-def _checked(refusal, key, value, told):
-    """Return a camera file's value as the dataclass keeps it, or raise the refusal with what is allowed."""
-    if "values" in told:
-        for allowed in told["values"]:
-            if value == allowed and isinstance(value, bool) == isinstance(allowed, bool):
-                return allowed
-        allowed = ", ".join(str(choice).lower() for choice in told["values"])
-        raise ThermorenderError(f"{refusal}one of {allowed}{_unit(key)}")
-    low, high, count, unit = told["low"], told["high"], told["count"], _unit(key)
-    numbers = value if count > 1 else [value]
-    if (
-        not isinstance(numbers, list)
-        or len(numbers) != count
-        or not all(isinstance(n, (int, float)) and not isinstance(n, bool) and abs(n) < 1e300 for n in numbers)
-    ):
-        raise ThermorenderError(f"{refusal}{count if count > 1 else 'a'} finite number(s){unit}")
-    least, most = min(numbers), max(numbers)
-    if told["whole"] and value != int(value):
-        raise ThermorenderError(f"{refusal}a whole number")
-    if least <= 0.0 and (low > 0.0 or (low == 0.0 and told["above"])):
-        raise ThermorenderError(f"{refusal}a number above 0{unit}")
-    if least < low or most > high or (told["above"] and least == low):
-        raise ThermorenderError(f"{refusal}{told['say'] or f'{low:g}…{high:g}{unit}'}")
-    if told["ordered"] and not numbers[0] < numbers[1]:
-        raise ThermorenderError(f"{refusal}the lower value first")
-    kind = int if told["whole"] else float
-    return tuple(map(kind, numbers)) if count > 1 else kind(value)
+    return read(Camera, read_toml(path), Where(path), name=path.stem)
 
 
 def _image_edge(width, height):

@@ -35,6 +35,14 @@ _INSTANT_MK, _MOVED_MK, _GLIDE_MK = 12.0, 15.0, 42.0
 MOST_INSTANTS = 400
 
 
+def plan_row(camera):
+    """Return what the pixels' memory brings to a flight, as an (item, in or out, why) row of a plan."""
+    if camera.time_constant_ms == 0.0:
+        return ("sub-frames", "out", "this camera's pixels remember nothing")
+    why = f"one render where a flight's view moves up to {GLIDE_PX:g} px in {camera.time_constant_ms:g} ms"
+    return ("sub-frames", "by motion", f"{why}; beyond it as many as keep {LAG_MK:g} mK")
+
+
 @dataclass(frozen=True)
 class Schedule:
     """Instants of one frame.

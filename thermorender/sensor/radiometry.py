@@ -6,13 +6,14 @@ surroundings (emissivity, reflected temperature), the glow of the air and of a w
 one emissivity, one distance and one air for the whole picture, so it errs where the truth differs.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
+from thermorender.schema import Where, checked, key, number, read
 from thermorender.units import ZERO_CELSIUS_K
 
 
@@ -114,45 +115,30 @@ class Operator:
         A window before the lens: its temperature [°C] and transmittance.
     """
 
-    emissivity: float = 1.0
-    reflected_c: float = 20.0
-    air_c: float = 20.0
-    humidity: float = 0.5
-    distance_m: float = 0.0
-    window_c: float = 20.0
-    window_transmittance: float = 1.0
+    emissivity: float = key(number(1e-3, 1.0), 1.0)
+    reflected_c: float = key(number(-ZERO_CELSIUS_K + 1.0, 5000.0), 20.0)
+    air_c: float = key(number(-100.0, 100.0), 20.0)
+    humidity: float = key(number(0.0, 1.0), 0.5)
+    distance_m: float = key(number(0.0, 1e6), 0.0)
+    window_c: float = key(number(-100.0, 1000.0), 20.0)
+    window_transmittance: float = key(number(1e-3, 1.0), 1.0)
 
     def __post_init__(self):
-        allowed = {
-            "emissivity": (1e-3, 1.0), "humidity": (0.0, 1.0), "window_transmittance": (1e-3, 1.0),
-            "distance_m": (0.0, 1e6), "reflected_c": (-ZERO_CELSIUS_K + 1.0, 5000.0), "air_c": (-100.0, 100.0),
-            "window_c": (-100.0, 1000.0),
-        }  # fmt: skip
-        for name, (low, high) in allowed.items():
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise ThermorenderError(f"operator's {name}={value:g} is not allowed; give {low:g}…{high:g}")
+        checked(self, "operator")
 
     @classmethod
     def parse(cls, text):
         """Return the settings of a text such as "emissivity=0.95,air_c=15,distance_m=100"."""
-        known = [item.name for item in fields(cls)]
-        values = {}
+        where, values = Where("operator"), {}
         for part in filter(None, (part.strip() for part in text.split(","))):
             name, _, value = (piece.strip() for piece in part.partition("="))
-            if name not in known:
-                import difflib
-
-                close = difflib.get_close_matches(name, known, n=1)
-                hint = f"did you mean {close[0]!r}? " if close else ""
-                raise ThermorenderError(f"operator's setting {name!r} is unknown; {hint}allowed are {', '.join(known)}")
             if name in values:
-                raise ThermorenderError(f"operator's setting {name!r} is given twice; give it once")
+                raise where.error(f"key {name!r} is given twice; give it once")
             try:
                 values[name] = float(value)
             except ValueError:
-                raise ThermorenderError(f"operator's {name}={value!r} is not a number; give e.g. {name}=1") from None
-        return cls(**values)
+                values[name] = value
+        return read(cls, values, where)
 
 
 def operator_temperature(signal, planck, operator, air=None):

@@ -4,19 +4,14 @@ A mapping is a TOML file (`formats/`): which of a log's columns is which of ours
 written, and between which axes its quaternion turns.
 """
 
-import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, make_dataclass
 from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from thermorender.schema import Where, choice, flag, key, number, read, read_toml, table, tables, text
 
 POSITION_LOCAL = ("east_m", "north_m")
 POSITION_GEODETIC = ("lat_deg", "lon_deg")
@@ -37,9 +32,9 @@ _NAMED_AXES = {
 class Quantity:
     """Where one of our quantities comes from: a column times `scale` plus `offset`, or a constant."""
 
-    column: str | None = None
-    scale: float = 1.0
-    offset: float = 0.0
+    column: str | None = key(text, None)
+    scale: float = key(number(), 1.0)
+    offset: float = key(number(), 0.0)
     constant: float | None = None
 
 
@@ -105,79 +100,33 @@ def load_mapping(name):
             f"format={str(name)!r} is neither a bundled trajectory format ({', '.join(bundled_formats())}) "
             "nor the path of a mapping file in TOML"
         )
-    try:
-        data = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ThermorenderError(f"{name}: is not a TOML file: {error}") from error
-    return _mapping_from(str(name), data)
-
-
-def _mapping_from(name, data):
-    _known(name, "", data, ("title", "sort_by_time", "time", "columns", "quaternion"))
-    time = data.get("time", {"column": "time_s"})
-    _known(name, "time.", time, ("column", "scale", "offset", "stamps"))
-    stamps = time.get("stamps", ())
-    if not isinstance(stamps, (list, tuple)):
-        raise ThermorenderError(f"{name}: time.stamps={stamps!r} is not understood; give tables headed [[time.stamps]]")
-    stamps = tuple(stamps)
-    if bool(stamps) == ("column" in time):
-        raise ThermorenderError(f"{name}: [time] needs either column or [[time.stamps]]")
-    for stamp in stamps:
-        _known(name, "time.stamps.", stamp, ("column", "pattern", "fraction"))
-        for key in ("column", "pattern"):
-            if key not in stamp:
-                raise ThermorenderError(f"{name}: [[time.stamps]] lacks {key}")
-        for key, value in stamp.items():
-            if not isinstance(value, str):
-                raise ThermorenderError(f"{name}: time.stamps.{key}={value!r} is not a text; give one in quotes")
-    columns = data.get("columns", {})
-    _known(name, "columns.", columns, QUANTITIES)
-    quaternion = data.get("quaternion", {})
-    _known(name, "quaternion.", quaternion, ("world", "body", "inverse"))
-    world = quaternion.get("world", "NED")
-    if world not in ("NED", "ENU"):
-        raise ThermorenderError(f"{name}: quaternion.world={world!r}; allowed are 'NED' and 'ENU'")
+    given = read(_File, read_toml(file, str(name)), Where(name))
     return Mapping(
-        name=name,
-        title=data.get("title", name),
-        quantities={ours: _quantity(name, f"columns.{ours}", value) for ours, value in columns.items()},
-        time=Quantity() if stamps else _quantity(name, "time", time),
-        stamps=stamps,
-        sort_by_time=bool(data.get("sort_by_time", False)),
-        quaternion_world=world,
-        log_body_from_frd=_body_axes(name, quaternion.get("body", "FRD")),
-        quaternion_inverse=bool(quaternion.get("inverse", False)),
+        name=str(name),
+        title=given.title or str(name),
+        quantities={ours: value for ours, value in vars(given.columns).items() if value is not None},
+        time=Quantity() if given.time.stamps else Quantity(given.time.column, given.time.scale, given.time.offset),
+        stamps=tuple({k: v for k, v in vars(stamp).items() if v is not None} for stamp in given.time.stamps),
+        sort_by_time=given.sort_by_time,
+        quaternion_world=given.quaternion.world,
+        log_body_from_frd=given.quaternion.body,
+        quaternion_inverse=given.quaternion.inverse,
     )
 
 
-def _known(name, prefix, data, allowed):
-    if not isinstance(data, dict):
-        raise ThermorenderError(f"{name}: {prefix[:-1]} must be a table with the keys {', '.join(allowed)}")
-    for key in data:
-        if key not in allowed:
-            raise ThermorenderError(f"{name}: unknown key {prefix}{key}; allowed are {', '.join(allowed)}")
-
-
-def _quantity(name, key, value):
+def _quantity(value, where):
     if isinstance(value, str):
-        return Quantity(column=value)
+        return Quantity(text(value, where))
+    if isinstance(value, dict) and "column" in value:
+        return read(Quantity, value, where)
     if isinstance(value, (int, float)) and not isinstance(value, bool):
-        return Quantity(constant=float(value))
-    if (
-        isinstance(value, dict)
-        and set(value) <= {"column", "scale", "offset"}
-        and isinstance(value.get("column"), str)
-    ):
-        factors = {k: value[k] for k in ("scale", "offset") if k in value}
-        if all(isinstance(f, (int, float)) and not isinstance(f, bool) for f in factors.values()):
-            return Quantity(column=value["column"], **{k: float(f) for k, f in factors.items()})
-    raise ThermorenderError(
-        f"{name}: {key}={value!r} is not understood; give a column's name, a number for all rows, or "
-        "{ column = '…', scale = 1.0, offset = 0.0 }"
+        return Quantity(constant=number()(value, where))
+    where.refuse(
+        value, "a column's name, a number for all rows, or { column = '…', scale = 1.0, offset = 0.0 }"
     )
 
 
-def _body_axes(name, axes):
+def _body_axes(axes, where):
     """Columns: forward, right, down in the log's body axes, from "FRD", "FLU" or signed axis letters."""
     if isinstance(axes, str) and axes in _NAMED_AXES:
         return _NAMED_AXES[axes]
@@ -186,14 +135,54 @@ def _body_axes(name, axes):
         for letter, unit in zip("xyz", np.eye(3), strict=True)
         for sign, s in (("", 1.0), ("+", 1.0), ("-", -1.0))
     }
-    if isinstance(axes, list) and len(axes) == 3 and all(axis in letters for axis in axes):
+    if isinstance(axes, list) and len(axes) == 3 and all(isinstance(axis, str) and axis in letters for axis in axes):
         matrix = np.stack([letters[axis] for axis in axes], axis=-1)
         if np.isclose(np.linalg.det(matrix), 1.0):
             return matrix
-    raise ThermorenderError(
-        f"{name}: quaternion.body={axes!r}; allowed are 'FRD', 'FLU' or three of x, y, z with signs that say "
-        "where forward, right and down lie, as a right-handed set"
+    where.refuse(
+        axes, "'FRD', 'FLU' or three of x, y, z with signs that say where forward, right and down lie, as a "
+        "right-handed set"
     )
+
+
+# A mapping file's tables.
+
+
+@dataclass(frozen=True)
+class _Stamp:
+    column: str = key(text)
+    pattern: str = key(text)
+    fraction: str | None = key(text, None)
+
+
+@dataclass(frozen=True)
+class _Time:
+    column: str | None = key(text, None)
+    scale: float = key(number(), 1.0)
+    offset: float = key(number(), 0.0)
+    stamps: tuple = key(tables(_Stamp), ())
+
+    def check(self, where, given):
+        where.exactly_one([name for name in given if getattr(self, name)], ("column", "stamps"))
+
+
+@dataclass(frozen=True)
+class _Quaternion:
+    world: str = key(choice("NED", "ENU"), "NED")
+    body: np.ndarray = key(_body_axes, _NAMED_AXES["FRD"])
+    inverse: bool = key(flag, False)
+
+
+_Columns = make_dataclass("_Columns", [(name, Quantity, key(_quantity, None)) for name in QUANTITIES], frozen=True)
+
+
+@dataclass(frozen=True)
+class _File:
+    title: str | None = key(text, None)
+    sort_by_time: bool = key(flag, False)
+    time: _Time = key(table(_Time), _Time("time_s"))
+    columns: object = key(table(_Columns), _Columns())
+    quaternion: _Quaternion = key(table(_Quaternion), _Quaternion())
 
 
 def fitting_formats(header):

@@ -4,13 +4,13 @@ Rows are counted in messages as a spreadsheet shows them: the header is row 1.
 """
 
 import csv
-import difflib
 from dataclasses import dataclass
 from datetime import datetime, timezone
 
 import numpy as np
 
 from thermorender.errors import ThermorenderError
+from thermorender.schema import closest
 from thermorender.trajectory.mapping import QUANTITIES, Quantity, fitting_formats
 
 # Endings of columns that hold one of our quantities in another unit.
@@ -198,7 +198,7 @@ def _refuse_near_misses(path, header):
     for column in header:
         if column in QUANTITIES or column == "time_s":
             continue
-        close = difflib.get_close_matches(column, ours, n=1, cutoff=0.85)
+        close = closest(column, ours, cutoff=0.85)
         stem, _, unit = column.rpartition("_")
         if unit in _OTHER_UNITS:
             close = close or [name for name in ours if name.rpartition("_")[0] == stem]

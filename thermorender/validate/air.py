@@ -9,7 +9,7 @@ import time
 import numpy as np
 
 from thermorender import products
-from thermorender.render.frame import Renderer
+from thermorender.render.renderer import Renderer
 from thermorender.validate.bench import machine, views
 from thermorender.validate.metrics import rms_mk
 from thermorender.versions import versions
@@ -55,7 +55,7 @@ def hold(scene, air=("midlatitude-summer", "rural-23km"), heights_m=(120.0, 2000
     for number, tolerance in enumerate((FINEST_MK, *tolerances_mk)):
         tell(f"baking for {tolerance:g} mK", number / (len(tolerances_mk) + 1))
         made.append(Renderer(aired, tolerance_mk=tolerance, like=vacuum, **own))
-        made[-1].prepare()
+        _ = made[-1].baked
     cases = []
     step = np.zeros((4, 4))
     step[2, 3] = 1e-3

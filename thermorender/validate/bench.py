@@ -13,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
+from thermorender import defaults
 from thermorender.errors import ThermorenderError
-from thermorender.render.frame import Renderer
+from thermorender.render.renderer import Renderer
 from thermorender.scene import materials as material_tables
 from thermorender.scene.load import Scene, load_scene
 from thermorender.scene.spec import EmissivitySpec, SceneSpec, TemperatureSpec, TerrainSpec
@@ -32,7 +33,7 @@ HEADER = ("scene", "view", "setting", "rays per pixel", "rays only [ms]", "frame
           "÷ rays", "frames/s", "error [mK]", "after optics [mK]")  # fmt: skip
 
 
-def bench(scene_names=("heath",), triangles=None, texels=None, repeats=15, progress=None, settings=SETTINGS,
+def bench(scene_names=(defaults.SCENE,), triangles=None, texels=None, repeats=15, progress=None, settings=SETTINGS,
           device="auto", air=None):  # fmt: skip
     """Return what a frame costs and how wrong it is, for each scene, view and setting; plain numbers.
 
@@ -119,7 +120,7 @@ def _measure(scene, settings, device, repeats):
         renderer = Renderer(scene, **{"device": device, "like": first, **keywords})
         built = time.perf_counter()
         with cache_off():
-            renderer.prepare()
+            _ = renderer.baked
         if first is None:
             first, build_s, bake_s = renderer, built - start, time.perf_counter() - built
         found = {view: _times(renderer, place, repeats) for view, place in poses.items()}
@@ -254,7 +255,7 @@ def terrain(triangles, texels=None, seed=0, side_m=400.0):
     return in_memory(f"{2 * rows * columns} triangles", (surface,), [library[name] for name in names])
 
 
-def in_memory(name, surfaces, materials, sky=260.0, surroundings=None, camera="zenmuse-xt2"):
+def in_memory(name, surfaces, materials, sky=260.0, surroundings=None, camera=defaults.CAMERA):
     """Return the Scene of surfaces made in memory: no files, no place on Earth, no objects."""
     spec = SceneSpec(
         folder=Path(name), title=name,

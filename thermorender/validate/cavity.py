@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
-from thermorender.render.frame import Renderer
+from thermorender.render.renderer import Renderer
 from thermorender.scene.materials import grey
 from thermorender.scene.surface import SURFACE, Surface
 from thermorender.trajectory.path import pose

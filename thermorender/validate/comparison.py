@@ -11,13 +11,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from thermorender import defaults
 from thermorender import products as product_files
 from thermorender.errors import ThermorenderError
-from thermorender.frames import apparent_temperature
+from thermorender.frame import apparent_temperature
 from thermorender.learned.correlation import load_model
-from thermorender.render.frame import Renderer
+from thermorender.render.renderer import Renderer
 from thermorender.scene.spec import TemperatureSpec
 from thermorender.scene.surface import FALLBACK, FILLED, SURFACE
+from thermorender.units import ZERO_CELSIUS_K
 from thermorender.versions import versions
 
 
@@ -101,7 +103,7 @@ def compare(scene, trajectory, folder, models, rate_hz=1.0, range_c=None, progre
         No truth, an unknown map, a folder that cannot be written.
     """
     if not models:
-        raise ThermorenderError("models is empty; give at least one learned map, such as fok-1to1")
+        raise ThermorenderError(f"models is empty; give at least one learned map, such as {defaults.TEMPERATURE_MAP}")
     maps = [load_model(name, range_c) for name in models]
     truth = scene.with_temperature(scene.truth_temperature_spec)
     times = trajectory.frame_times(rate_hz)
@@ -116,7 +118,7 @@ def compare(scene, trajectory, folder, models, rate_hz=1.0, range_c=None, progre
     constant = ErrorSums()
     for index, (time_s, pose) in enumerate(zip(times, poses, strict=True)):
         frame = reference.frame(pose, time_s, index)
-        visible, covered = reference.visible(pose)
+        visible, covered = reference.visible(pose, time_s)
         flags = frame.truth["mask"]
         known = covered & ((flags & SURFACE) > 0) & ((flags & (FILLED | FALLBACK)) == 0)
         mean = float(frame.apparent_temperature[known].mean()) if known.any() else np.nan
@@ -158,11 +160,11 @@ def _picture(path, visible, reference, name, pictures, time_s):
     from matplotlib import pyplot
 
     figure, axes = pyplot.subplots(2, 3, figsize=(15, 8.6), layout="constrained")
-    flat, kelvin_offset = reference[np.isfinite(reference)], 273.15
-    low, high = np.percentile(flat, [1, 99]) - kelvin_offset
+    flat = reference[np.isfinite(reference)]
+    low, high = np.percentile(flat, [1, 99]) - ZERO_CELSIUS_K
     axes[0, 0].imshow(visible)
     axes[0, 0].set_title(f"visible view, t = {time_s:.1f} s")
-    shown = axes[1, 0].imshow(reference - kelvin_offset, cmap="inferno", vmin=low, vmax=high)
+    shown = axes[1, 0].imshow(reference - ZERO_CELSIUS_K, cmap="inferno", vmin=low, vmax=high)
     axes[1, 0].set_title("reference: rendered from truth")
     figure.colorbar(shown, ax=axes[1, 0], label="apparent temperature [°C]", shrink=0.8)
     errors = np.concatenate([pictures[f"{name} {way}"][1].ravel() for way in ("2D", "3D")])
@@ -171,7 +173,7 @@ def _picture(path, visible, reference, name, pictures, time_s):
     for row, way in enumerate(("2D", "3D")):
         seen, error = pictures[f"{name} {way}"]
         what = "translation of the visible frame" if way == "2D" else "render of the translated orthophoto"
-        shown = axes[row, 1].imshow(seen - kelvin_offset, cmap="inferno", vmin=low, vmax=high)
+        shown = axes[row, 1].imshow(seen - ZERO_CELSIUS_K, cmap="inferno", vmin=low, vmax=high)
         axes[row, 1].set_title(f"{name} {way}: {what}")
         figure.colorbar(shown, ax=axes[row, 1], label="apparent temperature [°C]", shrink=0.8)
         shown = axes[row, 2].imshow(error, cmap="RdBu_r", vmin=-limit, vmax=limit)

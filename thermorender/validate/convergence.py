@@ -15,17 +15,16 @@ from math import inf
 
 import numpy as np
 
-from thermorender import products
+from thermorender import defaults, products
 from thermorender.errors import ThermorenderError
 from thermorender.render import reference
-from thermorender.render.frame import Renderer
 from thermorender.render.plan import QUALITIES
+from thermorender.render.renderer import Renderer
 from thermorender.render.variant import activate
 from thermorender.scene.load import load_scene
 from thermorender.validate import bench, cavity, convergence_report
 from thermorender.validate.metrics import after_optics, cache_off, converged, mk_per_radiance, optics_sigma_px, rms_mk
 
-SCENES = ("heath", "village", "ridge")
 OWN, DEFAULT = "thermorender", "standard"
 # Paths of two reflections, as in the renderer's own race; "direct" sees one.
 STOCK = {
@@ -106,7 +105,8 @@ MODES = {
 }  # fmt: skip
 
 
-def convergence(scenes=SCENES, folder="validation", progress=None, mode="full", overwrite=False, device="auto"):
+def convergence(scenes=defaults.SCENES, folder="validation", progress=None, mode="full", overwrite=False,
+                device="auto"):  # fmt: skip
     """Measure the cases of some scenes; return {case: record}, as is also written.
 
     Parameters
@@ -256,7 +256,7 @@ class _Site:
             renderer = Renderer(self.scene, **settings)
             start = time.perf_counter()
             with cache_off():
-                renderer.prepare()
+                _ = renderer.baked
             self._baked = settings, renderer, time.perf_counter() - start
         return self._baked[1:]
 

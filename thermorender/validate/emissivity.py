@@ -10,6 +10,7 @@ import time
 
 import numpy as np
 
+from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
 from thermorender.learned.emissivity import load_map, map_materials
 from thermorender.learned.emissivity_features import lab
@@ -20,7 +21,6 @@ from thermorender.scene.spec import DEFAULT_CONFIDENCE
 from thermorender.scene.synthetic import KINDS, make
 
 ARMS = ("learned, mix of three", "learned, most probable", "nearest colour", "commonest material", "fallback")
-_BAND_UM = (7.5, 13.5)
 
 
 def hold(model="procedural", seeds=(201, 202), fallback="soil_loam", confidence=DEFAULT_CONFIDENCE,
@@ -49,7 +49,7 @@ def hold(model="procedural", seeds=(201, 202), fallback="soil_loam", confidence=
     tell = tell or (lambda what, share: None)
     model, library = load_map(model), load_library()
     # Of the others nothing is known in this band.
-    low, high = _BAND_UM
+    low, high = BAND_UM
     library = {n: m for n, m in library.items() if m.valid_range_um[0] <= low and m.valid_range_um[1] >= high}
     names = list(library)
     own = [find(library, name, f"emissivity map {model.name!r}").name for name in model.materials]
@@ -129,7 +129,7 @@ class _Judge:
     """Errors of guessed materials on the texels of a scene of known temperature."""
 
     def __init__(self, materials, temperature, sky):
-        wavelength, weight = quadrature(*_BAND_UM)
+        wavelength, weight = quadrature(*BAND_UM)
         low, high = float(temperature.min()), float(temperature.max())
         spectra = np.array([material.emissivity_at(wavelength) for material in materials])
         planck = weight * spectral_radiance(wavelength, 0.5 * (low + high))
@@ -137,7 +137,7 @@ class _Judge:
         self.reflected = (1.0 - spectra) @ (weight * spectral_radiance(wavelength, sky))
         self.emitted = {}
         self.materials, self.range = materials, (low, high)
-        self.apparent = RadianceTable.of(np.ones_like, min(low, sky) - 5.0, high + 5.0, *_BAND_UM)
+        self.apparent = RadianceTable.of(np.ones_like, min(low, sky) - 5.0, high + 5.0, *BAND_UM)
         self.temperature = temperature.astype(np.float64)
 
     def __call__(self, truth, index, share):
@@ -154,7 +154,7 @@ class _Judge:
             for material in np.unique(index[..., rank]):
                 here = index[..., rank] == material
                 if material not in self.emitted:
-                    table = RadianceTable.of(self.materials[material].emissivity_at, *self.range, *_BAND_UM)
+                    table = RadianceTable.of(self.materials[material].emissivity_at, *self.range, *BAND_UM)
                     self.emitted[material] = table
                 seen = self.emitted[material](self.temperature[here]) + self.reflected[material]
                 radiance[here] += share[here][:, rank] * seen

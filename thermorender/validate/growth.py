@@ -66,17 +66,22 @@ def hold(folder, axes=AXES, base=BASE, progress=None, device="auto"):
 
 
 def _measure(triangles, texels, nodes, device):
-    from thermorender.render.frame import Renderer
+    from thermorender.render.baked import bake
+    from thermorender.render.geometry import Geometry
+    from thermorender.render.plan import make_plan
+    from thermorender.render.renderer import Renderer
     from thermorender.render.spectrum import with_nodes
+    from thermorender.render.variant import activate
 
     scene = bench.terrain(triangles, texels)
     bench.forget_peak_memory()
     start = time.perf_counter()
-    renderer = Renderer(scene, rays=RAYS, device=device)
-    renderer.plan = replace(renderer.plan, spectrum=with_nodes(renderer.plan.spectrum, scene.materials, nodes))
+    plan = make_plan(scene, rays=RAYS)
+    plan = replace(plan, spectrum=with_nodes(plan.spectrum, scene.materials, nodes))
+    geometry = Geometry(activate(device), scene.surfaces)
     built = time.perf_counter()
     with cache_off():
-        renderer.prepare()
+        renderer = Renderer.of(bake(scene, plan, geometry))
     baked = time.perf_counter()
     place, seconds = bench.views(scene)["oblique"], []
     for turn in range(7):

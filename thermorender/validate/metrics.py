@@ -8,7 +8,8 @@ import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance_derivative, brightness_temperature
-from thermorender.render.frame import Renderer
+from thermorender.render.renderer import Renderer
+from thermorender.sensor.psf import filtered, gaussian_otf, lens_otf
 
 # Pixels of the converged image per pixel and direction, and rays in each: 256 per pixel.
 FINER, RAYS = 8, 4
@@ -99,28 +100,22 @@ def optics_sigma_px(camera):
 
     Notes
     -----
-    A lens without aberrations passes spatial frequency ν with 2/π (arccos x − x √(1−x²)), x = ν λ F (Goodman,
-    Introduction to Fourier Optics, eq. 6-31). The Gaussian has the same value at the detector's Nyquist frequency,
-    1/2 per pixel, at the middle of the band: exp(−π² σ²/2) = MTF. At f/1.25, 10.5 µm and 17 µm pixels x = 0.386,
-    MTF = 0.521 and σ = 0.363 px. A pixel's own width is in the images already; with it, 1/√12 px, the whole is
-    as wide as a Gaussian of 0.464 px. A real lens blurs more, and so hides more of the error.
+    The Gaussian passes as much as `lens_otf` at the detector's Nyquist frequency, 1/2 per pixel, at the middle of the
+    band: exp(−π² σ²/2) = MTF. At f/1.25, 10.5 µm and 17 µm pixels MTF = 0.521 and σ = 0.363 px. A pixel's own width
+    is in the images already; with it, 1/√12 px, the whole is as wide as a Gaussian of 0.464 px. A real lens blurs
+    more, and so hides more of the error.
     """
-    x = 0.5 * float(np.mean(camera.band_um)) * camera.f_number / camera.pixel_pitch_um
-    if x >= 1.0:
+    mtf = float(lens_otf(0.5 / camera.pixel_pitch_um, np.mean(camera.band_um), camera.f_number))
+    if mtf <= 0.0:
         raise ThermorenderError(
             f"camera {camera.name}: f_number={camera.f_number:g} blurs more than two pixels by diffraction; lower it"
         )
-    mtf = 2.0 / np.pi * (np.arccos(x) - x * np.sqrt(1.0 - x * x))
     return float(np.sqrt(-2.0 * np.log(mtf)) / np.pi)
 
 
 def after_optics(image, sigma_px):
     """Return an image (H, W) filtered with a Gaussian of `sigma_px`, mirrored at its borders.
 
-    The filter is applied to the image's cosine series: sampled at pixels, so narrow a Gaussian would hardly blur.
+    Exactly: sampled at pixels, so narrow a Gaussian would hardly blur.
     """
-    from scipy.fft import dctn, idctn
-
-    row, column = (0.5 * np.arange(n) / n for n in image.shape)
-    transfer = np.exp(-2.0 * (np.pi * sigma_px) ** 2 * (row[:, None] ** 2 + column**2))
-    return idctn(dctn(image, norm="ortho") * transfer, norm="ortho")
+    return filtered(image, lambda frequency: gaussian_otf(frequency, sigma_px))

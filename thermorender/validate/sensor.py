@@ -11,11 +11,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from thermorender import products
+from thermorender import defaults, products
 from thermorender.errors import ThermorenderError
-from thermorender.frames import apparent_temperature
+from thermorender.frame import apparent_temperature
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
-from thermorender.render.frame import Renderer
+from thermorender.render.renderer import Renderer
 from thermorender.scene.load import load_scene
 from thermorender.sensor import exposure, psf
 from thermorender.sensor.chain import Sensor, at_rest, in_sequence
@@ -43,7 +43,7 @@ KERNELS = ((3, 0), (5, 0), (7, 0), (9, 0), (3, 5), (5, 5), (7, 5), (9, 5))
 SMOOTH_K = 1.0
 
 
-def sensor(folder, scene="heath", flights=tuple(FLIGHTS), device="auto", progress=None):
+def sensor(folder, scene=defaults.SCENE, flights=tuple(FLIGHTS), device="auto", progress=None):
     """Measure the sensor, write `sensor.json`, `sensor.md` and figures into a folder, and return the result.
 
     Parameters
@@ -71,7 +71,6 @@ def sensor(folder, scene="heath", flights=tuple(FLIGHTS), device="auto", progres
     tell = progress or (lambda what, share: None)
     loaded = load_scene(scene)
     renderer = Renderer(loaded, device=device)
-    renderer.prepare()
     of = Sensor(loaded.camera, renderer.seed)
     lags, seen = {}, {}
     for number, name in enumerate(flights):
@@ -168,15 +167,11 @@ def _reference(of, look, delays):
 
 def _blur(renderer, camera):
     """Error and time of each pair of kernels, on two views of the scene."""
-    from scipy.fft import dctn, idctn
-
     images = [renderer.radiance(place) for place in views(renderer.scene).values()]
     per_mk = band_radiance_derivative(300.0, *camera.band_um) * 1e-3
-    row, column = (0.5 * np.arange(n) / n for n in images[0].shape)
-    radius = np.hypot(row[:, None], column)
-    table = np.linspace(0.0, radius.max(), 4000)
-    transfer = np.interp(radius, table, psf.otf(camera, table))
-    expected = [idctn(dctn(image.astype(np.float64)) * transfer) for image in images]
+    table = np.linspace(0.0, np.sqrt(0.5), 4000)
+    transfer = psf.otf(camera, table)
+    expected = [psf.filtered(image, lambda frequency: np.interp(frequency, table, transfer)) for image in images]
     records = []
     for fine, coarse in ((1, 0), *KERNELS):
         blur = psf.blur_of(camera, fine, coarse) if fine > 1 else None

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from thermorender import products
+from thermorender import defaults, products
 from thermorender.physics.band import RadianceTable
 from thermorender.physics.planck import band_radiance
 from thermorender.sensor.calibration import fit_camera, frame_files, noise_scale, read_frame, write_camera
@@ -28,7 +28,8 @@ _FRAMES, _HEIGHT_M, _AWAY_M = 12, 200.0, 60.0
 _RINGS = 6
 
 
-def compare(paths, output, base="zenmuse-xt2", scale=None, scene="heath", name="footage", seed=0, tell=None, **options):
+def compare(paths, output, base=defaults.CAMERA, scale=None, scene=defaults.SCENE, name="footage", seed=0, tell=None,
+            **options):  # fmt: skip
     """Write `name`.json, `name`.png and `name`.toml of a camera's footage and its simulations; return what JSON holds.
 
     Parameters
@@ -81,7 +82,7 @@ def rows(result):
 
 def _views(scene, camera, seed, tell, options):
     """Band radiance of views straight down at places and headings drawn from the seed."""
-    from thermorender.render.frame import Renderer
+    from thermorender.render.renderer import Renderer
     from thermorender.scene.load import load_scene
     from thermorender.trajectory.path import pose
 

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from thermorender import defaults
 from thermorender.errors import ThermorenderError
+from thermorender.schema import toml_text
 
 TEMPERATURE_STEP_K = 0.02  # of the stored raster: 6 mK root mean square, below any microbolometer's noise
 _TEMPERATURE_BASE_K = 200.0
@@ -92,50 +94,28 @@ def _rasters(scene, folder, every):
 
 def scene_toml(scene):
     """Return the text of a scene's scene.toml."""
-    lines = [
-        f'title = "{scene.title}"',
-        "",
-        f"# Made by thermorender.scene.synthetic: kind {scene.kind}, seed {scene.seed}, {scene.size_m:g} m.",
-        f"# Sun at azimuth {scene.sun[0]:.1f}°, elevation {scene.sun[1]:.1f}°.",
-        "",
-        "[terrain]",
-        'elevation = "elevation.tif"',
-        'orthophoto = "orthophoto.tif"',
-        'height_reference = "ellipsoid"',
-        "",
-        "[temperature]",
-        'source = "raster"',
-        'raster = "temperature.tif"',
-        "",
-        "[emissivity]",
-        'source = "classes"',
-        'raster = "classes.tif"',
-        "",
-        "[emissivity.classes]",
-        *(f'{value} = "{name}"' for value, name in scene.class_names.items()),
-        "",
-        "[sky]",
-        f"temperature = {scene.sky_temperature:.1f}",
-        "",
-        "[camera]",
-        'model = "zenmuse-xt2"',
-        "",
-        "[truth]",
-        'temperature = "temperature.tif"',
-    ]
-    for thing in scene.objects:
-        lines += ["", "[[object]]"]
-        lines += [f"{key} = {_toml(value)}" for key, value in thing.items()]
-    return "\n".join(lines) + "\n"
+    values = {
+        "title": scene.title,
+        "terrain": {"elevation": "elevation.tif", "orthophoto": "orthophoto.tif", "height_reference": "ellipsoid"},
+        "temperature": {"source": "raster", "raster": "temperature.tif"},
+        "emissivity": {"source": "classes", "raster": "classes.tif", "classes": scene.class_names},
+        "sky": {"temperature": round(scene.sky_temperature, 1)},
+        "camera": {"model": defaults.CAMERA},
+        "truth": {"temperature": "temperature.tif"},
+        "object": [{key: _rounded(value) for key, value in thing.items()} for thing in scene.objects],
+    }
+    return toml_text(
+        values,
+        f"Made by thermorender.scene.synthetic: kind {scene.kind}, seed {scene.seed}, {scene.size_m:g} m.\n"
+        f"Sun at azimuth {scene.sun[0]:.1f}°, elevation {scene.sun[1]:.1f}°.",
+    )
 
 
-def _toml(value):
-    """Return a string, number or list of numbers as TOML."""
-    if isinstance(value, str):
-        return f'"{value}"'
+def _rounded(value):
+    """Return a number, or numbers in lists, to three digits behind the point; anything else as it is."""
     if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_toml(v) for v in value) + "]"
-    return f"{round(value, 3)}" if isinstance(value, float) else f"{value}"
+        return [_rounded(item) for item in value]
+    return round(value, 3) if isinstance(value, float) else value
 
 
 def flight_csv(flight):

@@ -1,4 +1,4 @@
-"""Surface temperature of a synthetic scene: a surface energy balance marched from dawn to the afternoon.
+"""Surface temperature of a synthetic scene: a surface energy balance marched from sunrise to the picture's hour.
 
 Every texel absorbs sun and sky, radiates, is cooled by the air and by evaporation, and exchanges heat with
 what lies beneath it. Nothing here sees a colour.
@@ -8,13 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thermorender.scene.procedural.light import incidence, normals, sky_view, sun_position, sun_visibility
+from thermorender.physics import sun
+from thermorender.physics.heat import STEFAN_BOLTZMANN, march_hours, step
+from thermorender.scene.procedural.light import incidence, normals, sky_view, sun_visibility
 from thermorender.scene.procedural.noise import fractal_noise, smooth_noise, stream
-
-STEFAN_BOLTZMANN = 5.670374419e-8  # W m⁻² K⁻⁴, CODATA 2018
-_DAY_S = 86400.0
-_PSYCHROMETER_PA_K = 66.0  # near sea level: Allen et al., FAO paper 56 (1998), table 2.2
-_MELTING_K = 273.15
+from thermorender.units import ZERO_CELSIUS_K
 
 
 @dataclass(frozen=True)
@@ -76,7 +74,7 @@ class Weather:
     latitude_deg, declination_deg : float
         Of the place and of the sun [deg].
     solar_hour : float
-        Time of the picture, apparent solar time [h].
+        Time of the picture, apparent solar time [h], any.
     air_low, air_high : float
         Air temperature at dawn and in mid-afternoon at the scene's median height [K].
     sky_temperature : float
@@ -103,79 +101,7 @@ class Weather:
 
     def sun(self, hour):
         """Return (azimuth, elevation) of the sun at a solar hour [deg]."""
-        return sun_position(self.latitude_deg, self.declination_deg, hour)
-
-
-def clear_sky(elevation_deg):
-    """Return (direct on a plane facing the sun, diffuse on a level plane) irradiance [W m⁻²].
-
-    Notes
-    -----
-    Direct: 1353 · 0.7^(m^0.678), Meinel & Meinel, Applied Solar Energy (1976), with air mass m = 1/sin(e).
-    Diffuse: a tenth of the direct, as usual for clear skies.
-    """
-    if elevation_deg <= 0.5:
-        return 0.0, 0.0
-    mass = 1.0 / np.sin(np.radians(elevation_deg))
-    direct = 1353.0 * 0.7 ** (mass**0.678)
-    return direct, 0.1 * direct
-
-
-def saturation_vapour(temperature):
-    """Return (saturation vapour pressure [Pa], its derivative [Pa/K]) over water at a temperature [K].
-
-    Magnus form: Allen et al., FAO Irrigation and Drainage Paper 56 (1998), eqs 11 and 13.
-    """
-    celsius = temperature - np.float32(273.15)
-    pressure = 610.8 * np.exp(np.float32(17.27) * celsius / (celsius + np.float32(237.3)))
-    return pressure, pressure * np.float32(4098.0) / (celsius + np.float32(237.3)) ** 2
-
-
-def step(temperature, seconds, absorbed, longwave, exchange, wet, air, vapour_pa, inertia, deep):
-    """Return surface temperatures one implicit time step later, (H, W) float32 [K].
-
-    Parameters
-    ----------
-    temperature : (H, W) float32
-        At the start of the step [K].
-    seconds : float
-        Length of the step [s].
-    absorbed, longwave : (H, W) float32
-        Absorbed sunlight and down-welling long-wave [W m⁻²].
-    exchange : (H, W) float32
-        Convective coefficient h [W m⁻² K⁻¹].
-    wet : (H, W) float32
-        Share of the evaporation of free water, 0…1.
-    air : (H, W) float32 or float
-        Air temperature [K].
-    vapour_pa : float
-        Vapour pressure of the air [Pa].
-    inertia, deep : (H, W) float32
-        Thermal inertia [J m⁻² K⁻¹ s^-1/2] and temperature of the restoring layer [K].
-
-    Notes
-    -----
-    Force–restore: dT/dt = 2√π F / (I √τ) − (2π/τ) (T − T_deep), Deardorff, J. Geophys. Res. 83 (1978)
-    1889, eq. 8 with ρ c d₁ = I √τ. The flux F = S + L − εσT⁴ − h (T − T_air) − w (h/γ)(e_s(T) − e) carries
-    evaporation in Penman's bulk form (Proc. R. Soc. A 193 (1948) 120). Backward Euler, solved by Newton;
-    emissivity 0.96.
-    """
-    emissivity = np.float32(0.96)
-    gain = np.float32(seconds * 2.0 * np.sqrt(np.pi) / np.sqrt(_DAY_S)) / inertia
-    restore = np.float32(2.0 * np.pi * seconds / _DAY_S)
-    latent = wet * exchange / np.float32(_PSYCHROMETER_PA_K)
-    later = temperature.copy()
-    for _ in range(3):
-        saturation, slope = saturation_vapour(later)
-        excess = saturation - np.float32(vapour_pa)
-        cube = emissivity * np.float32(STEFAN_BOLTZMANN) * later**3
-        flux = absorbed + emissivity * longwave - cube * later - exchange * (later - air)
-        # Dew returns little heat in daytime: only evaporation is kept.
-        flux -= latent * np.maximum(excess, 0.0)
-        rate = 4.0 * cube + exchange + latent * slope * (excess > 0.0)
-        residual = later - temperature - gain * flux + restore * (later - deep)
-        later -= np.clip(residual / (1.0 + gain * rate + restore), -25.0, 25.0)
-    return later
+        return sun.position(self.latitude_deg, self.declination_deg, hour)
 
 
 def surface_temperature(
@@ -241,23 +167,16 @@ def surface_temperature(
     normal = normals(surface if relief is None else surface + relief, texel_m)
     sky = STEFAN_BOLTZMANN * weather.sky_temperature**4
 
-    dawn = (
-        12.0
-        - np.degrees(
-            np.arccos(-np.tan(np.radians(weather.latitude_deg)) * np.tan(np.radians(weather.declination_deg)))
-        )
-        / 15.0
-    )
-    times = np.linspace(dawn, weather.solar_hour, 9)
+    times = march_hours(weather.latitude_deg, weather.declination_deg, weather.solar_hour)
     snow = np.isin(material, [v for v, n in names.items() if n in ("snow", "ice")])
-    # At dawn the surface has lost the night's net radiation: dry, open ground lies below the air.
+    # At sunrise the surface has lost the night's net radiation: dry, open ground lies below the air.
     temperature = (np.float32(weather.air_low - 1.0) + lapse) * 0.75 + 0.25 * deep - np.float32(1.5) * view
     water = inertia > 5000.0
     temperature = np.where(water, deep, temperature).astype(np.float32)
     for begin, end in zip(times[:-1], times[1:], strict=True):
         air = np.float32(weather.air(end)) + lapse
         azimuth, elevation = weather.sun(end)
-        direct, diffuse = clear_sky(elevation)
+        direct, diffuse = sun.clear_sky(elevation)
         visible = sun_visibility(surface, texel_m, azimuth, elevation)
         cosine = incidence(normal, azimuth, elevation)
         # Light that the surroundings reflect fills what the sky does not (their albedo about 0.2).
@@ -278,5 +197,5 @@ def surface_temperature(
             deep,
         )
         # Melting snow stays at the melting point and takes the rest of the heat as melt.
-        temperature = np.where(snow, np.minimum(temperature, np.float32(_MELTING_K)), temperature)
+        temperature = np.where(snow, np.minimum(temperature, np.float32(ZERO_CELSIUS_K)), temperature)
     return temperature, {"visible": visible, "cosine": cosine, "view": view}

@@ -53,7 +53,7 @@ def heath(canvas):
     _fields(c, south, edge)
     _road(c, offset_road, along_road)
     _tracks(c, track, sand)
-    _trees(c, pines, edge, south, track, sand)
+    _trees(c, pines, south, track, sand)
     _clearing(c)
     return WEATHER, _objects(c, track), _flight(c)
 
@@ -268,7 +268,7 @@ def _tracks(c, track, sand):
         c.paint(cover, pale * 0.9, "sand_quartz")
 
 
-def _trees(c, pines, edge, south, track, sand):
+def _trees(c, pines, south, track, sand):
     """Pine forest with a planted stand, birches on its edge, lone shrubs on the heath, trees by the road."""
     g = c.stream("trees")
     offset, _ = c.ribbon(track, 8.0)

@@ -1,35 +1,15 @@
-"""The sun of a synthetic scene: where it stands, what it casts on a surface model, how that photographs."""
+"""The sun of a synthetic scene: what it lights on a surface model, how that photographs."""
 
 import numpy as np
 
+from thermorender.physics import srgb
+from thermorender.physics.sun import LOWEST_DEG
 from thermorender.scene.procedural.noise import smooth_noise, stream
 
 # Colour of light on a horizontal, unshaded surface: sun and sky shares per linear sRGB channel. Skylight is
 # blue, sunlight warm; they add up to one, so a colour is given as it looks in full sun.
 _SUN_SHARE = np.array([0.82, 0.795, 0.755], np.float32)
 _SKY_SHARE = 1.0 - _SUN_SHARE
-
-
-def sun_position(latitude_deg, declination_deg, solar_hour):
-    """Return the sun's (azimuth clockwise from north, elevation) [deg].
-
-    Parameters
-    ----------
-    latitude_deg, declination_deg : float
-        Of the place and of the sun [deg].
-    solar_hour : float
-        Apparent solar time [h]; 12 is the culmination.
-
-    Notes
-    -----
-    Iqbal, An Introduction to Solar Radiation (1983), eqs 1.5.1 and 1.5.2.
-    """
-    lat, dec = np.radians(latitude_deg), np.radians(declination_deg)
-    angle = np.radians(15.0 * (solar_hour - 12.0))
-    up = np.sin(lat) * np.sin(dec) + np.cos(lat) * np.cos(dec) * np.cos(angle)
-    east = -np.cos(dec) * np.sin(angle)
-    north = np.cos(lat) * np.sin(dec) - np.sin(lat) * np.cos(dec) * np.cos(angle)
-    return float(np.degrees(np.arctan2(east, north)) % 360.0), float(np.degrees(np.arcsin(up)))
 
 
 def _shifted(field, east_texels, north_texels):
@@ -60,7 +40,7 @@ def sun_visibility(surface, texel_m, azimuth_deg, elevation_deg, penumbra_m=0.12
     A texel is in shadow where the surface towards the sun rises above the ray. The highest such ray,
     M(x) = max_s h(x + s d) − s tan(elevation), is built by doubling the range marched at each step.
     """
-    if elevation_deg <= 0.5:
+    if elevation_deg <= LOWEST_DEG:
         return np.zeros_like(surface)
     azimuth, slope = np.radians(azimuth_deg), np.tan(np.radians(elevation_deg))
     east, north = np.sin(azimuth), np.cos(azimuth)
@@ -124,9 +104,9 @@ def incidence(normal, azimuth_deg, elevation_deg):
 
 
 def linear(red, green, blue):
-    """Return linear sRGB, (3,) float32 in 0…1, of an 8-bit sRGB colour (IEC 61966-2-1)."""
-    value = np.array([red, green, blue], np.float32) / 255.0
-    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    """Return linear sRGB, (3,) float32 in 0…1, of an 8-bit sRGB colour."""
+    # In single precision throughout, as all of the painting.
+    return srgb.decoded(np.array([red, green, blue], np.float32) / 255.0)
 
 
 def photograph(albedo, visible, cosine, view, elevation_deg, seed, blur_texels=0.55, noise=1.1):
@@ -149,7 +129,9 @@ def photograph(albedo, visible, cosine, view, elevation_deg, seed, blur_texels=0
 
     # Rough surfaces do not go fully dark at grazing sun: half the contrast of a Lambertian facet is kept
     # out of the direct share (Minnaert-like flattening, exponent 0.75).
-    direct = visible * (cosine / np.float32(np.sin(np.radians(elevation_deg)))) ** np.float32(0.75)
+    # Below the lowest sun nothing is visible: skylight alone.
+    level = np.float32(np.sin(np.radians(max(elevation_deg, LOWEST_DEG))))
+    direct = visible * (cosine / level) ** np.float32(0.75)
     ambient = view * np.float32(0.92) + np.float32(0.08)
     shape = albedo.shape[:2]
     generator = stream(seed, "photograph")
@@ -164,10 +146,6 @@ def photograph(albedo, visible, cosine, view, elevation_deg, seed, blur_texels=0
         value = np.where(value > 0.7, 0.7 + 0.3 * np.tanh((value - 0.7) / 0.3), value)
         value = np.float32(0.008 * (1.0, 1.1, 1.35)[channel]) + np.float32(0.985) * np.maximum(value, 0.0)
         value = cv2.GaussianBlur(value, (0, 0), blur_texels)
-        encoded = np.where(
-            value <= 0.0031308, 12.92 * value, 1.055 * np.maximum(value, 1e-6) ** (1 / 2.4) - 0.055
-        )
-        picture[..., channel] = np.clip(255.0 * encoded + np.float32(noise) * grain + 0.5, 0, 255).astype(
-            np.uint8
-        )
+        value = 255.0 * srgb.encoded(value) + np.float32(noise) * grain
+        picture[..., channel] = np.clip(value + 0.5, 0, 255).astype(np.uint8)
     return picture

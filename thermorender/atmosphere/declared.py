@@ -1,7 +1,8 @@
 """The air a scene file declares: a standard atmosphere, a table or a measured profile, limited to the camera's band."""
 
+from thermorender.atmosphere.model import Atmosphere
+from thermorender.atmosphere.profile import from_profile
 from thermorender.errors import ThermorenderError
-from thermorender.physics.atmosphere import Atmosphere
 
 
 def declared_air(spec, band_um, where):
@@ -27,8 +28,6 @@ def declared_air(spec, band_um, where):
         if spec.file:
             air = Atmosphere.load(spec.file).clouded(**clouds)
         elif spec.profile:
-            from thermorender.weather.profile import from_profile
-
             air = from_profile(spec.profile, spec.aerosol, spec.visibility_km, **clouds)
         else:
             air = Atmosphere.standard(

@@ -1,4 +1,8 @@
-"""A frame: what the camera sees from one pose, with the truth behind it, each part computed when asked for."""
+"""A frame: what the camera sees from one pose, with the truth behind it, each part computed when asked for.
+
+A frame is a value: it can be pickled, and then brings its truth with it. Until then it refers to the baked scene that
+it shows, for what has not been asked for yet.
+"""
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -39,10 +43,14 @@ class Frame:
     seed: int
     camera: object
     plan: dict
-    _truth: object = field(repr=False)
-    _targets: object = field(repr=False)
-    _budget: object = field(repr=False, default=None)
+    _view: object = field(repr=False, default=None)
+    _sampling: object = field(repr=False, default=None)
     _reading: object = field(repr=False, default=None)
+
+    def __getstate__(self):
+        # What is found when asked for needs the scene, which does not go along: it is found now.
+        found = {name: getattr(self, name) for name in ("budget_mk", "targets", "truth")}
+        return {**vars(self), **found, "_view": None, "_sampling": None}
 
     def with_reading(self, counts, how):
         """Return the same frame as a flight's sensor read it: counts (H, W) uint16, and `how` for the plan."""
@@ -57,12 +65,12 @@ class Frame:
         from channels, a bound; "total". Estimates from above. None for a frame of the reference engine, whose error
         is its noise.
         """
-        return None if self._budget is None else self._budget()
+        return None if self._sampling is None else self._view.budget_mk(self.radiance, self._sampling)
 
     @cached_property
     def targets(self):
         """Where the scene's objects are: {name: {"pixel": (column, row) or None, "in_view", "visible", "range_m"}}."""
-        return self._targets()
+        return self._view.targets()
 
     @cached_property
     def apparent_temperature(self):
@@ -93,7 +101,7 @@ class Frame:
             material (H, W) uint8, 255 for none; mask (H, W) uint8, flags of `thermorender.scene.surface`. NaN (depth:
             infinity) where nothing is hit.
         """
-        found = self._truth()
+        found = self._view.truth()
         saturated = readout.saturated(self.counts, self.camera)
         found["mask"] = found["mask"] | np.where(saturated, SATURATED, 0).astype(np.uint8)
         return found

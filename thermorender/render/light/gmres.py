@@ -25,7 +25,9 @@ def gmres(operator, rho, source, wanted):
     Notes
     -----
     Every node has its own Krylov space, but all take their steps together, so that K is read once for all. (With
-    one space for all, each node would pay for the others' reflectances.)
+    one space for all, each node would pay for the others' reflectances.) `scipy.sparse.linalg.gmres` solves one
+    system at a time, so that K would be read anew for every node and step, and stops at a root mean square where
+    here the largest residual counts.
     """
     count, nodes = source.shape
     size = _norm(source)

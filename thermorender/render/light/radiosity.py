@@ -20,7 +20,7 @@ import drjit as dr
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.render.gmres import STEPS, gmres
+from thermorender.render.light.gmres import STEPS, gmres
 
 # A cached Transport of another version is not used: count up with every change of what `trace` returns.
 VERSION = 2
@@ -70,7 +70,7 @@ class Transport:
         return self.up.sum(axis=1) / (2.0 * self.rays)
 
     @property
-    def beyond(self):
+    def background(self):
         """Share of each face's cosine-weighted hemisphere that sees the surroundings below the horizon, (F,)."""
         return self.down.sum(axis=1) / (2.0 * self.rays)
 
@@ -119,7 +119,7 @@ def trace(geometry, rays, progress=None, seed=0):
         origin, direction, _, _ = rays_of(first, here, seed)
         found = geometry.cast(mi.Ray3f(origin, direction))
         # One number per ray: the face, or one beyond the last for each bin of the sky and for the surroundings.
-        code = dr.select(found.valid, found.face, count + beyond_code(mi, direction))
+        code = dr.select(found.valid, found.face, count + background_code(mi, direction))
         part = _counted(np.array(code, dtype=np.int32).reshape(2 * here, half), count)
         for whole, values in zip((lengths, seen, hits), part[:3], strict=True):
             whole.append(values)
@@ -136,13 +136,13 @@ def sky_edges():
     return (np.arange(SKY_BINS + 1) / SKY_BINS) ** 2
 
 
-def beyond_code(mi, direction):
+def background_code(mi, direction):
     """Return what a ray sees that hits nothing: the bin of the sky, or SKY_BINS for the surroundings, UInt32."""
-    place = mi.UInt32(dr.sqrt(dr.clip(direction.z, 0.0, 1.0)) * SKY_BINS)
-    return dr.select(direction.z >= 0.0, dr.minimum(place, SKY_BINS - 1), SKY_BINS)
+    position = mi.UInt32(dr.sqrt(dr.clip(direction.z, 0.0, 1.0)) * SKY_BINS)
+    return dr.select(direction.z >= 0.0, dr.minimum(position, SKY_BINS - 1), SKY_BINS)
 
 
-def solve(transport, emitted, reflectance, outside, tolerance):
+def solve(transport, emitted, reflectance, environment, tolerance):
     """Return (incident (F, N) mean incident radiance of each face, error bound (N,)), both [W m⁻² sr⁻¹].
 
     Parameters
@@ -150,7 +150,7 @@ def solve(transport, emitted, reflectance, outside, tolerance):
     transport : Transport
     emitted, reflectance : (F, N)
         Mean emitted radiance [W m⁻² sr⁻¹] and reflectance of each face at each node.
-    outside : Outside
+    environment : Environment
         Light from sky, surroundings and sun.
     tolerance : float
         Error bound to reach at each node [W m⁻² sr⁻¹].
@@ -169,9 +169,9 @@ def solve(transport, emitted, reflectance, outside, tolerance):
     operator, incident, bounds = transport.operator, np.empty(emitted.shape), np.empty(emitted.shape[1])
     for part in _blocks(emitted.shape):
         rho = reflectance[:, part]
-        source = operator @ emitted[:, part] + outside.light(transport.sky, transport.beyond, part)
-        if outside.direct is not None:
-            source += outside.direct[:, part]
+        source = operator @ emitted[:, part] + environment.light(transport.sky, transport.background, part)
+        if environment.direct is not None:
+            source += environment.direct[:, part]
         reflected = (operator @ rho).max(axis=0, initial=0.0)
         if reflected.max() > _MOST_REFLECTED:
             raise ThermorenderError(
@@ -196,7 +196,7 @@ def solve(transport, emitted, reflectance, outside, tolerance):
     return incident, bounds
 
 
-def noise(transport, emitted, reflectance, outside, incident):
+def noise(transport, emitted, reflectance, environment, incident):
     """Return the Monte Carlo error of each face's reflected radiance, (F,) [W m⁻² sr⁻¹].
 
     The sum over nodes, one standard error. That of one face is a single draw and tells little by itself; the root
@@ -204,7 +204,7 @@ def noise(transport, emitted, reflectance, outside, incident):
 
     Parameters
     ----------
-    transport, emitted, reflectance, outside
+    transport, emitted, reflectance, environment
         As given to `solve`.
     incident : (F, N)
         Its result.
@@ -220,7 +220,7 @@ def noise(transport, emitted, reflectance, outside, incident):
     for part in _blocks(emitted.shape):
         rho = reflectance[:, part]
         seen = (halves @ (emitted[:, part] + rho * incident[:, part])).reshape(len(emitted), 2, -1)
-        source = seen[:, 0] - seen[:, 1] + outside.light(up, down, part)
+        source = seen[:, 0] - seen[:, 1] + environment.light(up, down, part)
         size = np.abs(source).max(axis=0)
         total += (rho * gmres(operator, rho, source, _NOISE_ACCURACY * size)).sum(axis=1)
     return np.abs(total)
@@ -279,14 +279,14 @@ def _counted(code, count):
     begins = np.empty(flat.size, dtype=bool)
     np.not_equal(flat[1:], flat[:-1], out=begins[1:])
     begins[::rays] = True
-    place = np.flatnonzero(begins)
-    hits = np.diff(place, append=flat.size).astype(np.uint16)
-    seen = flat[place]
-    beyond = np.zeros((rows, SKY_BINS + 1), dtype=np.uint16)
+    first = np.flatnonzero(begins)
+    hits = np.diff(first, append=flat.size).astype(np.uint16)
+    seen = flat[first]
+    missing = np.zeros((rows, SKY_BINS + 1), dtype=np.uint16)
     surface = seen < count
     missed = ~surface
-    beyond[place[missed] // rays, seen[missed] - count] = hits[missed]
-    return np.bincount(place[surface] // rays, minlength=rows), seen[surface], hits[surface], beyond
+    missing[first[missed] // rays, seen[missed] - count] = hits[missed]
+    return np.bincount(first[surface] // rays, minlength=rows), seen[surface], hits[surface], missing
 
 
 def _faces(surfaces):

@@ -7,13 +7,15 @@ when cold) and with those of dry air.
 
 import numpy as np
 
+from thermorender.units import ZERO_CELSIUS_K
+
 
 def saturation_g_m3(temperature):
     """Return the density of saturated water vapour over liquid water [g m⁻³] at temperatures [K].
 
     Kneizys et al. (1988), Users Guide to LOWTRAN 7, AFGL-TR-88-0177: its fit, so that relative humidities agree.
     """
-    ratio = 273.15 / np.asarray(temperature, dtype=np.float64)
+    ratio = ZERO_CELSIUS_K / np.asarray(temperature, dtype=np.float64)
     return ratio * np.exp(18.9766 - 14.9595 * ratio - 2.43882 * np.square(ratio))
 
 
@@ -63,7 +65,7 @@ def scaled_densities(pressure_hpa, temperature, gas):
     temperature from 296 to 260 K, and water times dry air, in units of the density of air at p₀, T₀.
     """
     pressure = np.asarray(pressure_hpa, dtype=np.float64) / 1013.25
-    cold = 273.15 / np.asarray(temperature, dtype=np.float64)
+    cold = ZERO_CELSIUS_K / np.asarray(temperature, dtype=np.float64)
     lines = [gas[row] * pressure**n * cold**m for row, n, m in BAND_MODELS]
     # 1 g/m³ of water vapour is 1/803.8 of the molecules in a cubic metre of air at p₀, T₀.
     water = gas[0] / 803.8

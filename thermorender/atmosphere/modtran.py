@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from thermorender.atmosphere.emission import TOP_M
+from thermorender.atmosphere.model import Atmosphere
+from thermorender.atmosphere.rays import EARTH_RADIUS_M
 from thermorender.errors import ThermorenderError
-from thermorender.physics.atmosphere import Atmosphere
-from thermorender.physics.emission import TOP_M
 from thermorender.physics.planck import spectral_radiance
-from thermorender.physics.rays import EARTH_RADIUS_M
 
 _MODELS = (
     "tropical", "midlatitude-summer", "midlatitude-winter", "subarctic-summer", "subarctic-winter", "us-1976",

@@ -1,4 +1,4 @@
-"""Emitted and reflected light folded into one radiance per texel and one correction per face.
+"""Emitted and reflected light baked into one radiance per texel and one correction per face.
 
 Light between surfaces is solved per face, materials and temperatures are given per texel. Each texel takes the
 light of the face that covers it; where a face is seen through texels of other faces (a wall narrower than a texel,
@@ -10,7 +10,7 @@ import drjit as dr
 import numpy as np
 
 from thermorender.physics.band import RadianceTable
-from thermorender.render.bake import low_discrepancy
+from thermorender.render.light.radiosity import low_discrepancy
 
 # Places per face, and per texel of an average face, from which its mean is taken.
 _FEWEST, _MOST, _PER_TEXEL = 4, 64, 2
@@ -32,15 +32,15 @@ def face_means(geometry, plan, material, temperature):
     mi = geometry.mi
     pattern = _pattern(geometry)
     number = np.empty((geometry.face_count, len(pattern)), dtype=np.uint32)
-    for place, found in enumerate(geometry.places_in_faces(pattern)):
-        number[:, place] = np.array(geometry.nearest(*found))
+    for column, found in enumerate(geometry.points_in_faces(pattern)):
+        number[:, column] = np.array(geometry.nearest(*found))
     number = mi.UInt32(number.ravel())
     spectrum = plan.spectrum
     grid = RadianceTable.grid(plan.coldest, plan.warmest)
     black = spectrum.black(grid).astype(np.float32)
-    place = (dr.gather(mi.Float, mi.Float(temperature), number) - float(grid[0])) / float(grid[1] - grid[0])
-    lower = mi.UInt32(dr.clip(place, 0.0, float(len(grid) - 2)))
-    weight = place - mi.Float(lower)
+    position = (dr.gather(mi.Float, mi.Float(temperature), number) - float(grid[0])) / float(grid[1] - grid[0])
+    lower = mi.UInt32(dr.clip(position, 0.0, float(len(grid) - 2)))
+    weight = position - mi.Float(lower)
     kind = mi.UInt32(dr.gather(mi.UInt8, mi.UInt8(material), number))
     dr.eval(lower, weight, kind)
     emitted = np.empty((geometry.face_count, spectrum.nodes))
@@ -83,7 +83,7 @@ def emitted(plan, materials, material, temperature):
     return found
 
 
-def fold(geometry, covers, emitted, material, light):
+def bake_channel(geometry, covers, emitted, material, light):
     """Return (radiance of each texel (T,), correction of each face (F,), what is left (F,)), float32.
 
     Parameters
@@ -115,7 +115,7 @@ def fold(geometry, covers, emitted, material, light):
     face = dr.arange(mi.UInt32, count)
     mean, square = dr.zeros(mi.Float, count), dr.zeros(mi.Float, count)
     pattern = _pattern(geometry)
-    for surface, column, row in geometry.places_in_faces(pattern):
+    for surface, column, row in geometry.points_in_faces(pattern):
         missing = mi.Float(0.0)
         for number, weight in geometry.corners(geometry.lattice(surface), column, row):
             missing += weight * (reflected(face, number) - reflected(dr.gather(mi.UInt32, covers, number), number))
@@ -180,7 +180,7 @@ def variation(geometry, reflected, noise, samples=2000, seed=0):
 
 
 def _pattern(geometry):
-    """Barycentric places (n, 2), evenly spread over a triangle."""
+    """Barycentric points (n, 2), evenly spread over a triangle."""
     texels, faces = np.diff(geometry.texel_start), np.diff(geometry.face_start)
     count = max(
         1 if t == 1 else int(np.clip(np.ceil(_PER_TEXEL * t / f), _FEWEST, _MOST))

@@ -7,30 +7,29 @@ node Beer's law holds exactly, so transmittances of adjoining paths multiply, an
 it is invisible. Products are taken per node and summed over nodes last; a band average of transmittance is wrong
 to multiply with.
 
-The constants are fitted to LOWTRAN7 (`thermorender.weather.fit`). Fitted are paths of 100 m and more; shorter ones
-follow from the same terms, where LOWTRAN's own band model absorbs too much.
+The constants are fitted to LOWTRAN7 (`atmosphere.lowtran.fit`). Fitted are paths of 100 m and more; shorter ones follow
+from the same terms, where LOWTRAN's own band model absorbs too much.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from thermorender.atmosphere import rays
+from thermorender.atmosphere.absorbers import exponential, offset_water, scaled_densities
+from thermorender.atmosphere.emission import ALTITUDE_M, TOP_M, Profile, amounts, emission
+from thermorender.atmosphere.tables import NAMES, read_saved, read_table
 from thermorender.errors import ThermorenderError
-from thermorender.physics import rays
-from thermorender.physics.absorbers import exponential, offset_water, scaled_densities
-from thermorender.physics.emission import ALTITUDE_M, TOP_M, Profile, amounts, emission
 from thermorender.physics.planck import C2, spectral_radiance
 
 # Temperature at which nodes' weights are shares of their sub-band.
 REFERENCE_K = 285.0
 HIGHEST_CAMERA_M = 3.0e4
-_TABLE = __file__.removesuffix("atmosphere.py") + "atmospheres.npz"
 # Steps of a path in ln(3 km + altitude); finer ones change no result by more than 6 mK, and near the ground by 1 mK.
 _STEP = 0.08
 # Paths handled at a time, so that intermediate values stay in the processor's cache.
 _CHUNK = 128
 _PLANCK_NODE, _PLANCK_WEIGHT = np.polynomial.legendre.leggauss(6)
-_SKY_NODE, _SKY_WEIGHT = np.polynomial.legendre.leggauss(10)
 
 
 @dataclass(frozen=True, repr=False)
@@ -180,27 +179,19 @@ class Atmosphere:
         Raises
         ------
         ThermorenderError
-            The file is missing or is no such table.
+            The file is missing or is no such table, or one of its arrays is out of order.
         """
-        keys = ("lower_um", "upper_um", "weight", "tilt", "altitude_m", "temperature", "density", "absorption")
+        values, cloud = read_saved(path)
         try:
-            with open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:
-                values = {key: np.float64(stored[key]) for key in keys}
-                cloud = [float(value) for value in stored["cloud"]]
-        except OSError as error:
-            raise ThermorenderError(f"atmosphere {path} cannot be read ({error.strerror or error}); give a file "
-                                    "written by Atmosphere.save") from None
-        except Exception:
-            raise ThermorenderError(f"atmosphere {path} is no table of an atmosphere; give a file written by "
-                                    "Atmosphere.save") from None
-        return cls(**values, cloud_fraction=cloud[0], cloud_base_m=cloud[1])
+            return cls(**values).clouded(*cloud)
+        except ThermorenderError as error:
+            raise ThermorenderError(f"atmosphere {path}: {error}") from None
 
     def save(self, path):
         """Write the atmosphere to an .npz file of plain arrays."""
-        keys = ("lower_um", "upper_um", "weight", "tilt", "altitude_m", "temperature", "density", "absorption")
         with open(path, "wb") as file:
             np.savez_compressed(
-                file, **{key: getattr(self, key) for key in keys}, cloud=[self.cloud_fraction, self.cloud_base_m]
+                file, **{name: getattr(self, name) for name in NAMES}, cloud=[self.cloud_fraction, self.cloud_base_m]
             )
 
     def clouded(self, cloud_fraction, cloud_base_m=2000.0):
@@ -347,14 +338,6 @@ class Atmosphere:
             sky[below] = (1.0 - self.cloud_fraction) * sky[below] + self.cloud_fraction * cloudy
         return sky
 
-    def sky_irradiance_mean(self, at_m):
-        """Return E/π of the sky on level ground, (N,) [W m⁻² sr⁻¹]: the mean radiance a diffuse surface sees.
-
-        E/π = ∫ L 2 cosθ d(cosθ) in ten Gauss–Legendre directions of √cosθ, which crowd at the horizon.
-        """
-        root = 0.5 * (_SKY_NODE + 1.0)
-        return (2.0 * _SKY_WEIGHT * root**3) @ self.sky_radiance(at_m, root**2)
-
     def sun_transmittance(self, at_m, cos_zenith):
         """Return the transmittance from a place to space between clouds, (..., N); parameters as `sky_radiance`."""
         return self._column(at_m, cos_zenith, TOP_M)[0]
@@ -394,12 +377,6 @@ class Atmosphere:
     def _sum(self, altitude, length):
         """(transmittance, emission), each (P, N), along rays."""
         return emission(self._profile, self.absorption, altitude, length, amounts(self._profile, altitude, length))
-
-
-def read_table():
-    """Return the arrays of the shipped table; `thermorender.weather.fit` makes them."""
-    with open(_TABLE, "rb") as file, np.load(file, allow_pickle=False) as stored:
-        return {key: stored[key] for key in stored.files}
 
 
 def name_index(what, name, names):

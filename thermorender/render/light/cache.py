@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from thermorender.render import bake
+from thermorender.render.light import radiosity
 
 # Bytes that all files together may take; the longest unused go first.
 LIMIT = 4 << 30
@@ -24,7 +24,7 @@ LIMIT = 4 << 30
 WORTH_RAYS = 1 << 22
 # A temporary file this old [s] is left over from a process that was killed.
 _STALE_S = 3600.0
-_ARRAYS = tuple(field.name for field in fields(bake.Transport) if field.name != "rays")
+_ARRAYS = tuple(field.name for field in fields(radiosity.Transport) if field.name != "rays")
 
 
 def folder():
@@ -44,16 +44,16 @@ def folder():
 def traced(geometry, rays, progress=None, seed=0):
     """Return (Transport of a scene, reason why the disk cache could not be used or None).
 
-    As `bake.trace`, but read from disk where the same scene was traced before. Small scenes, below WORTH_RAYS, are
+    As `radiosity.trace`, but read from disk where the same scene was traced before. Small scenes, below WORTH_RAYS, are
     always traced.
     """
     if geometry.face_count * rays < WORTH_RAYS:
-        return bake.trace(geometry, rays, progress, seed), None
+        return radiosity.trace(geometry, rays, progress, seed), None
     name = key(geometry, rays, seed)
     transport = load(name)
     if transport is not None:
         return transport, None
-    transport = bake.trace(geometry, rays, progress, seed)
+    transport = radiosity.trace(geometry, rays, progress, seed)
     return transport, store(name, transport)
 
 
@@ -62,7 +62,7 @@ def key(geometry, rays, seed=0):
     digest = hashlib.blake2b(digest_size=20)
     # The CPU's and the GPU's ray casters differ in the last digits, so each keeps its own.
     mi = geometry.mi
-    digest.update(repr((bake.VERSION, mi.__version__, mi.variant(), rays, seed, len(geometry.surfaces))).encode())
+    digest.update(repr((radiosity.VERSION, mi.__version__, mi.variant(), rays, seed, len(geometry.surfaces))).encode())
     for surface in geometry.surfaces:
         for values in (surface.vertices, surface.faces):
             _feed(digest, values)
@@ -76,7 +76,7 @@ def load(name):
         # Opened here, because NumPy leaves a file open that it cannot read.
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:
             found = {which: stored[which] for which in ("rays", *_ARRAYS, "checksum")}
-        transport = bake.Transport(int(found["rays"]), *(found[which] for which in _ARRAYS))
+        transport = radiosity.Transport(int(found["rays"]), *(found[which] for which in _ARRAYS))
         if str(found["checksum"]) != _checksum(name, transport):
             return None
     except Exception:

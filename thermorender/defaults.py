@@ -1,0 +1,9 @@
+"""What stands where nothing else is said, and the names of what ships."""
+
+# Of the shipped cameras [µm], taken as flat.
+BAND_UM = (7.5, 13.5)
+CAMERA = "zenmuse-xt2"
+SCENES = ("heath", "village", "ridge")
+SCENE = SCENES[0]
+TEMPERATURE_MAPS = ("fok-1to1", "fok-9to1")
+TEMPERATURE_MAP = TEMPERATURE_MAPS[0]

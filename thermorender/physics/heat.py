@@ -1,0 +1,90 @@
+"""Heat balance of a surface: sun, sky, air, evaporation and what lies beneath, one implicit step in time."""
+
+import numpy as np
+
+from thermorender.physics import sun
+from thermorender.units import ZERO_CELSIUS_K
+
+STEFAN_BOLTZMANN = 5.670374419e-8  # W m⁻² K⁻⁴, CODATA 2018
+_DAY_S = 86400.0
+_PSYCHROMETER_PA_K = 66.0  # near sea level: Allen et al., FAO paper 56 (1998), table 2.2
+# A march has at least so many steps, and none longer [h].
+_FEWEST_STEPS, _LONGEST_STEP_H = 8, 1.2
+
+
+def march_hours(latitude_deg, declination_deg, solar_hour):
+    """Return the rising hours (n,) between which a surface's temperature is marched, the last being `solar_hour`.
+
+    Parameters
+    ----------
+    latitude_deg, declination_deg : float
+        Of the place and of the sun [deg].
+    solar_hour : float
+        Apparent solar time [h]; also negative or past 24, for the same sun on another day.
+
+    Notes
+    -----
+    A march begins at the last sunrise, of the day before if the hour is earlier than this day's; where the sun does
+    not rise, one day before. A day forgets where it began: force–restore alone by e^(−2π).
+    """
+    rise = sun.sunrise(latitude_deg, declination_deg)
+    start = solar_hour - 24.0 if rise is None else rise + 24.0 * np.floor((solar_hour - rise) / 24.0)
+    steps = max(_FEWEST_STEPS, int(np.ceil((solar_hour - start) / _LONGEST_STEP_H)))
+    return np.linspace(start, solar_hour, steps + 1)
+
+
+def saturation_vapour(temperature):
+    """Return (saturation vapour pressure [Pa], its derivative [Pa/K]) over water at a temperature [K].
+
+    Magnus form: Allen et al., FAO Irrigation and Drainage Paper 56 (1998), eqs 11 and 13.
+    """
+    celsius = temperature - np.float32(ZERO_CELSIUS_K)
+    pressure = 610.8 * np.exp(np.float32(17.27) * celsius / (celsius + np.float32(237.3)))
+    return pressure, pressure * np.float32(4098.0) / (celsius + np.float32(237.3)) ** 2
+
+
+def step(temperature, seconds, absorbed, longwave, exchange, wet, air, vapour_pa, inertia, deep):
+    """Return surface temperatures one implicit time step later, (H, W) float32 [K].
+
+    Parameters
+    ----------
+    temperature : (H, W) float32
+        At the start of the step [K].
+    seconds : float
+        Length of the step [s].
+    absorbed, longwave : (H, W) float32
+        Absorbed sunlight and down-welling long-wave [W m⁻²].
+    exchange : (H, W) float32
+        Convective coefficient h [W m⁻² K⁻¹].
+    wet : (H, W) float32
+        Share of the evaporation of free water, 0…1.
+    air : (H, W) float32 or float
+        Air temperature [K].
+    vapour_pa : float
+        Vapour pressure of the air [Pa].
+    inertia, deep : (H, W) float32
+        Thermal inertia [J m⁻² K⁻¹ s^-1/2] and temperature of the restoring layer [K].
+
+    Notes
+    -----
+    Force–restore: dT/dt = 2√π F / (I √τ) − (2π/τ) (T − T_deep), Deardorff, J. Geophys. Res. 83 (1978)
+    1889, eq. 8 with ρ c d₁ = I √τ. The flux F = S + L − εσT⁴ − h (T − T_air) − w (h/γ)(e_s(T) − e) carries
+    evaporation in Penman's bulk form (Proc. R. Soc. A 193 (1948) 120). Backward Euler, solved by Newton;
+    emissivity 0.96.
+    """
+    emissivity = np.float32(0.96)
+    gain = np.float32(seconds * 2.0 * np.sqrt(np.pi) / np.sqrt(_DAY_S)) / inertia
+    restore = np.float32(2.0 * np.pi * seconds / _DAY_S)
+    latent = wet * exchange / np.float32(_PSYCHROMETER_PA_K)
+    later = temperature.copy()
+    for _ in range(3):
+        saturation, slope = saturation_vapour(later)
+        excess = saturation - np.float32(vapour_pa)
+        cube = emissivity * np.float32(STEFAN_BOLTZMANN) * later**3
+        flux = absorbed + emissivity * longwave - cube * later - exchange * (later - air)
+        # Dew returns little heat in daytime: only evaporation is kept.
+        flux -= latent * np.maximum(excess, 0.0)
+        rate = 4.0 * cube + exchange + latent * slope * (excess > 0.0)
+        residual = later - temperature - gain * flux + restore * (later - deep)
+        later -= np.clip(residual / (1.0 + gain * rate + restore), -25.0, 25.0)
+    return later

@@ -1,0 +1,178 @@
+"""A baked scene: a scene whose light between surfaces is solved and laid into its texels, ready for any view.
+
+It is a value: NumPy arrays that nothing changes, which can be sent to another process and be solved anew after an edit
+of temperature, material, sky or air, with the rays between its faces traced once. What the device needs is uploaded
+when first asked for and made again where the value arrives.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from thermorender.physics.planck import band_radiance_derivative
+from thermorender.render import mirrors
+from thermorender.render.device import DeviceScene, flat
+from thermorender.render.dynamic import StaticLight
+from thermorender.render.geometry import Geometry, refuse_other_surfaces
+from thermorender.render.light import cache, environment, radiosity, texels
+from thermorender.render.plan import REFERENCE_K, Plan, make_plan
+from thermorender.render.variant import activate
+from thermorender.scene.load import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class BakedScene:
+    """A scene with its light.
+
+    Attributes
+    ----------
+    scene : Scene
+    plan : Plan
+    transport : Transport or None
+        Rays between the faces; None where reflection is left out.
+    texels : tuple of (T,) float32
+        Radiance that leaves each texel, one array per spectral channel [W m⁻² sr⁻¹].
+    faces : (F, K) float32 or None
+        Correction of each face, added to its texels [W m⁻² sr⁻¹].
+    face_error : (F,) float32 or None
+        Mean square error of the light on each face [(W m⁻² sr⁻¹)²].
+    mirror_black : (n, K) or None
+        Channels of blackbodies of the directional texels' temperatures; None where mirrors are left out.
+    static_light : StaticLight or None
+        What dynamic objects must know; None without them.
+    errors_mk : dict
+        Errors of the reflected light [mK]: "solution", a bound, and root mean squares over the surfaces: "noise" of
+        the rays, from independent halves, "faces", of light taken as constant over a face, and "texels", of baking
+        it to texels.
+    cache_note : str or None
+        Why the traced light could not be kept on disk, where it could not.
+    """
+
+    scene: Scene
+    plan: Plan
+    transport: radiosity.Transport | None
+    texels: tuple
+    faces: np.ndarray | None
+    face_error: np.ndarray | None
+    mirror_black: np.ndarray | None
+    static_light: StaticLight | None
+    errors_mk: dict
+    cache_note: str | None
+    _uploaded: dict = field(repr=False)
+
+    @property
+    def geometry(self):
+        """The Geometry of the scene's surfaces on the device."""
+        if "geometry" not in self._uploaded:
+            self._uploaded["geometry"] = Geometry(activate(), self.scene.surfaces)
+        return self._uploaded["geometry"]
+
+    @property
+    def device(self):
+        """The DeviceScene, uploaded when first asked for."""
+        if "scene" not in self._uploaded:
+            self._uploaded["scene"] = DeviceScene(self, self.geometry)
+        return self._uploaded["scene"]
+
+    def __getstate__(self):
+        return {**vars(self), "_uploaded": {}}
+
+    def solved_for(self, scene, progress=None):
+        """Return the BakedScene of an edited scene: other temperatures, materials, sky or air; nothing is traced.
+
+        Parameters
+        ----------
+        scene : Scene
+            Of the same surfaces.
+        progress : callable, optional
+            As of `bake`.
+
+        Raises
+        ------
+        ThermorenderError
+            Surfaces that differ.
+        """
+        old = self.plan
+        plan = make_plan(
+            scene, samples=old.samples, taps=old.taps, edge_mk=old.edge_mk, rays=old.rays,
+            tolerance_mk=old.tolerance_mk,
+        )  # fmt: skip
+        return bake(scene, plan, like=self, progress=progress)
+
+    def seen_as(self, scene, plan):
+        """Return this light under another camera or sampling, or None where `scene` and `plan` change the light."""
+        old = self.scene
+        same = all(getattr(scene, name) is getattr(old, name) for name in ("surfaces", "materials", "air", "movers"))
+        light = ("rays", "tolerance_mk", "band_um")
+        same &= scene.spec == old.spec and all(getattr(plan, name) == getattr(self.plan, name) for name in light)
+        return replace(self, scene=scene, plan=plan) if same else None
+
+
+def bake(scene, plan, geometry=None, like=None, progress=None):
+    """Return the BakedScene of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    plan : Plan
+        From `make_plan`.
+    geometry : Geometry, optional
+        Of the scene's surfaces, where it is there already.
+    like : BakedScene, optional
+        Of the same surfaces; its rays are used again where they are as many.
+    progress : callable, optional
+        Called with (what, share done).
+
+    Raises
+    ------
+    ThermorenderError
+        Surfaces that differ from those of `like`, or light that does not converge.
+    """
+    known = None
+    if like is not None:
+        refuse_other_surfaces(like.scene.surfaces, scene.surfaces)
+        geometry = geometry or like.geometry
+        known = like.transport if like.plan.rays == plan.rays else None
+    geometry = geometry or Geometry(activate(), scene.surfaces)
+    spectrum, material, temperature = plan.spectrum, flat(scene, "material"), flat(scene, "temperature")
+    texel = texels.emitted(plan, scene.materials, material, temperature)
+    black = None
+    if plan.specular:
+        black = mirrors.black_of(plan, plan.specular.number, material, temperature)
+    uploaded = {"geometry": geometry}
+    if not plan.bake:
+        none = dict.fromkeys(("solution", "noise", "faces", "texels"), 0.0)
+        return BakedScene(scene, plan, None, tuple(texel), None, None, black, None, none, None, uploaded)
+    tell, note = progress or (lambda what, share: None), None
+    if known is None:
+        what = "tracing the light between surfaces"
+        tell(what, 0.0)
+        known, note = cache.traced(geometry, plan.rays, lambda share: tell(what, share))
+    tell("solving the light between surfaces", 0.0)
+    per_mk = float(band_radiance_derivative(REFERENCE_K, *plan.band_um)) * 1e-3
+    emitted, reflectance = texels.face_means(geometry, plan, material, temperature)
+    around = environment.of_scene(scene, plan, geometry)
+    tolerance = 0.1 * plan.tolerance_mk * per_mk / spectrum.nodes
+    incident, bounds = radiosity.solve(known, emitted, reflectance, around, tolerance)
+    noise = radiosity.noise(known, emitted, reflectance, around, incident)
+    face = np.empty((geometry.face_count, spectrum.channels), dtype=np.float32)
+    covers = geometry.face_of_texel()
+    if spectrum.channels > 1:
+        # What scatter means in kelvin is told by the band, whose light no path has weakened.
+        light = texels.light(incident, np.tensordot(spectrum.solver.sum(axis=0), spectrum.reflected, (0, 1)))
+        _, _, scatter = texels.bake_channel(geometry, covers, texel[0], material, light)
+    for channel in range(spectrum.channels):
+        light = texels.light(incident, spectrum.reflected[:, channel])
+        texel[channel], face[:, channel], left = texels.bake_channel(geometry, covers, texel[channel], material, light)
+    scatter = left if spectrum.channels == 1 else scatter
+    static = StaticLight.of(emitted + reflectance * incident, reflectance, around) if scene.movers else None
+    share = geometry.share
+    varies = texels.variation(geometry, incident @ (share @ reflectance), noise)
+    solution = ((1.0 - spectrum.emissivity).max(axis=0) * bounds).sum()
+    rms = [np.sqrt(share @ square) for square in (noise**2, scatter)]
+    errors = {"solution": solution, "noise": rms[0], "faces": varies, "texels": rms[1]}
+    errors = {name: float(value / per_mk) for name, value in errors.items()}
+    tell("solving the light between surfaces", 1.0)
+    # Of each face, for the budget of a frame that shows some of them.
+    square = np.float32(noise**2 + scatter)
+    return BakedScene(scene, plan, known, tuple(texel), face, square, black, static, errors, note, uploaded)

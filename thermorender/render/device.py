@@ -1,0 +1,95 @@
+"""A baked scene on the ray-tracing device: what is uploaded once, and the layers of one view of it."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from thermorender.physics.planck import band_radiance
+from thermorender.render import mirrors
+from thermorender.render.air import Air, Vacuum
+from thermorender.render.dynamic import DynamicObject
+from thermorender.render.geometry import Channels, Layer, OutgoingRadiance, opaque_view
+
+
+class DeviceScene:
+    """The arrays of a BakedScene on the device; everything it keeps can be made again from that.
+
+    Parameters
+    ----------
+    baked : BakedScene
+    geometry : Geometry
+        Of its surfaces.
+
+    Attributes
+    ----------
+    face_error : Float or None
+        As `BakedScene.face_error`.
+    """
+
+    def __init__(self, baked, geometry):
+        scene, plan, mi = baked.scene, baked.plan, geometry.mi
+        self.geometry, self._mi = geometry, mi
+        tables = mirrors.DeviceTables(mi, plan.specular) if plan.specular else None
+        mirror = mirrors.Mirror(mi, tables, flat(scene, "material"), baked.mirror_black) if tables else None
+        self._outgoing = OutgoingRadiance.of(mi, baked.texels, baked.faces, mirror)
+        self._faces, self._light = baked.faces, baked.static_light
+        self.face_error = None if baked.face_error is None else mi.Float(baked.face_error)
+        self.objects = [DynamicObject(mi, mover, plan, scene.materials, tables) for mover in scene.movers]
+        self._corners = box_of(scene)
+        if scene.air is None:
+            outside = np.array([scene.spec.sky_temperature, scene.surroundings_temperature])
+            self._air = Vacuum(mi, *band_radiance(outside, *plan.band_um)[:, None])
+        else:
+            self._air = Air(mi, scene, plan.spectrum)
+        self._last_medium = self._last_outgoing = None, None
+
+    def layers(self, pose, placements):
+        """Return the Layers that a view from `pose` shows: the static scene and each object at its Placement."""
+        outgoing, own = self._lit(placements)
+        layers = [Layer(self.geometry, opaque_view(self._mi, pose), outgoing)]
+        for item, placement, radiance in zip(self.objects, placements, own, strict=True):
+            layers.append(Layer(item.geometry, opaque_view(self._mi, np.linalg.inv(placement.pose) @ pose), radiance))
+        return layers
+
+    def medium(self, pose, placements):
+        """Return what lies between a camera at `pose` and what it sees: its air, or none."""
+        if isinstance(self._air, Vacuum):
+            return self._air
+        moved = [item.box(placement.pose) for item, placement in zip(self.objects, placements, strict=True)]
+        boxes = np.stack([self._corners, *moved])
+        box = np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
+        key = pose[:3, 3].tobytes() + box.tobytes()
+        if self._last_medium[0] != key:
+            self._last_medium = key, self._air.view(pose[:3, 3], box)
+        return self._last_medium[1]
+
+    def _lit(self, placements):
+        """(OutgoingRadiance of the static scene, [that of each object]) with the objects' light on each other's."""
+        if not self.objects:
+            return self._outgoing, []
+        key = tuple((placement.pose.tobytes(), placement.temperature) for placement in placements)
+        if self._last_outgoing[0] != key:
+            found = [
+                item.update(placement, self.geometry, self._light)
+                for item, placement in zip(self.objects, placements, strict=True)
+            ]
+            outgoing = self._outgoing
+            if self._light is not None:
+                light = self._faces.copy()
+                for _, (faces, added) in found:
+                    light[faces] += added
+                outgoing = replace(outgoing, faces=Channels(self._mi, light))
+            self._last_outgoing = key, (outgoing, [own for own, _ in found])
+        return self._last_outgoing[1]
+
+
+def flat(scene, name):
+    """Return an attribute of all texels of a scene, (T,); that of a single surface is not copied: it may be large."""
+    images = [getattr(surface, name) for surface in scene.surfaces]
+    return images[0].reshape(-1) if len(images) == 1 else np.concatenate([image.ravel() for image in images])
+
+
+def box_of(scene):
+    """Return the lowest and the highest corner of a scene's surfaces, (2, 3) [m]."""
+    corner = [limit(surface.vertices, axis=0) for limit in (np.min, np.max) for surface in scene.surfaces]
+    return np.stack([np.min(corner, axis=0), np.max(corner, axis=0)])

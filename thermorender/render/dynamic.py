@@ -1,0 +1,217 @@
+"""Light on and from a dynamic object, for one pose and temperature at a time, without baking the scene again.
+
+The scene was solved without the object. Rays off its faces tell what it receives; by reciprocity the same rays tell
+what each face of the static scene receives from it, and the rays' other ends what it hides from there. One bounce each
+way: light that went twice between object and ground is left out, as is light between two dynamic objects; both are
+weaker by the reflectances of the two.
+"""
+
+from dataclasses import dataclass
+
+import drjit as dr
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.render import mirrors
+from thermorender.render.geometry import Geometry, OutgoingRadiance
+from thermorender.render.light import radiosity
+from thermorender.render.light.gmres import gmres
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where a dynamic object is and how warm, at one time.
+
+    Attributes
+    ----------
+    name : str
+    pose : (4, 4) float64
+        From the object's own frame to the scene's.
+    temperature : float
+        [K].
+    """
+
+    name: str
+    pose: np.ndarray
+    temperature: float
+
+
+def placements(scene, time_s, objects=None):
+    """Return the Placement of each dynamic object of a scene at a time, a tuple in their order.
+
+    Parameters
+    ----------
+    scene : Scene
+    time_s : float
+        On their tracks [s].
+    objects : dict, optional
+        {name: {column of its track: value}} to take instead of the track's.
+
+    Raises
+    ------
+    ThermorenderError
+        An object that has no track or leaves the terrain, or an unknown column.
+    """
+    objects = objects or {}
+    names = [mover.name for mover in scene.movers]
+    for name in objects:
+        if name not in names:
+            raise ThermorenderError(
+                f"object {name!r} does not move; give one with a track ({', '.join(names) or 'there is none'})"
+            )
+    found = []
+    for mover in scene.movers:
+        values = mover.at(time_s, **objects.get(mover.name, {}))
+        pose = mover.world_from_own(values, scene.ground)
+        found.append(Placement(mover.name, pose, values["temperature_k"]))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class StaticLight:
+    """What a dynamic object must know of the static scene's light.
+
+    Attributes
+    ----------
+    reflectance : (F, N) float32
+        Of each face at each node.
+    seen : (F + SKY_BINS + 1, N) float32
+        Radiance that leaves each face, and that of the sky's bins and of the surroundings [W m⁻² sr⁻¹].
+    """
+
+    reflectance: np.ndarray
+    seen: np.ndarray
+
+    @classmethod
+    def of(cls, leaving, reflectance, environment):
+        """Return that of faces which radiate `leaving` (F, N) [W m⁻² sr⁻¹] with `reflectance` (F, N)."""
+        # As faces beyond the last: rays that hit nothing see these.
+        seen = np.vstack([leaving, environment.sky.mean(axis=0), environment.background])
+        return cls(reflectance.astype(np.float32), seen.astype(np.float32))
+
+
+class DynamicObject:
+    """An object with a track, on the render side.
+
+    Parameters
+    ----------
+    mi : module
+    mover : Mover
+    plan : Plan
+    materials : sequence of Material
+    tables : DeviceTables or None
+        Of the scene's directional materials; None where none is shown as such.
+
+    Attributes
+    ----------
+    geometry : Geometry
+        In the object's own frame.
+    """
+
+    def __init__(self, mi, mover, plan, materials, tables=None):
+        self.surfaces, self._plan = mover.surfaces, plan
+        self.geometry = Geometry(mi, mover.surfaces)
+        # One material all over.
+        self._material = int(mover.surfaces[0].material.flat[0])
+        self._emissivity_at = materials[self._material].emissivity_at
+        self._texel_count = sum(surface.material.size for surface in mover.surfaces)
+        self._tables = tables if tables and tables.number[self._material] else None
+        self._last = None, None
+
+    def update(self, placement, geometry, light):
+        """Return (OutgoingRadiance, (faces, light it adds to them)) of the object at a Placement.
+
+        Parameters
+        ----------
+        placement : Placement
+        geometry : Geometry
+            Of the static scene.
+        light : StaticLight or None
+            None where reflection is left out.
+
+        Returns
+        -------
+        outgoing : OutgoingRadiance
+        faces : (n,) int64
+            Of the static scene.
+        added : (n, K) float32
+            What these reflect more than without the object, in each channel [W m⁻² sr⁻¹].
+        """
+        pose, temperature = placement.pose, placement.temperature
+        key = pose.tobytes(), temperature
+        if self._last[0] != key:
+            self._last = key, self._updated(pose, temperature, geometry, light)
+        return self._last[1]
+
+    def _updated(self, pose, temperature, geometry, light):
+        mi, plan = self.geometry.mi, self._plan
+        emitted = plan.spectrum.emitted_at(self._emissivity_at, temperature, plan.band_um)
+        channels = plan.spectrum.channels
+        own = np.zeros((self.geometry.face_count, channels))
+        added = np.zeros(0, np.int64), np.zeros((0, channels), np.float32)
+        if light is not None:
+            own, added = self._light(pose, temperature, geometry, light)
+        mirror = None
+        if self._tables:
+            material = np.full(self._texel_count, self._material)
+            warm = np.full(self._texel_count, temperature)
+            black = mirrors.black_of(plan, self._tables.number, material, warm)
+            mirror = mirrors.Mirror(mi, self._tables, material, black)
+        texels = [np.full(self._texel_count, value, np.float32) for value in emitted]
+        return OutgoingRadiance.of(mi, texels, own, mirror), added
+
+    def box(self, pose):
+        """Return the lowest and highest corner of the object at a pose, (2, 3) [m]."""
+        corner = np.concatenate([surface.vertices for surface in self.surfaces]) @ pose[:3, :3].T + pose[:3, 3]
+        return np.stack([corner.min(axis=0), corner.max(axis=0)])
+
+    def _light(self, pose, temperature, geometry, static):
+        """(light that each own face reflects, what `update` says of the static scene's)."""
+        from scipy.sparse import csr_array
+
+        mi, plan, count, others = self.geometry.mi, self._plan, self.geometry.face_count, geometry.face_count
+        spectrum, known = plan.spectrum, len(static.seen)
+        half = (plan.rays + 1) // 2
+        rays = 2 * half
+        origin, direction, reverse, _ = radiosity.face_rays(self.geometry, half)
+        matrix, origin_m = _matrix(mi, pose)
+        start, along = matrix @ origin + origin_m, matrix @ direction
+        # Both ways off a face: a sheet shines to both sides, and either end tells what the object hides from the other.
+        codes, ends = [], []
+        for own_from, sign in ((origin, 1.0), (reverse, -1.0)):
+            own = self.geometry.cast(mi.Ray3f(mi.Point3f(own_from), mi.Vector3f(sign * direction)))
+            end = geometry.cast(mi.Ray3f(mi.Point3f(start), sign * along))
+            there = dr.select(end.valid, end.face, others + radiosity.background_code(mi, sign * along))
+            codes.append(dr.select(own.distance < end.distance, known + own.face, there))
+            ends.append(there)
+        dr.eval(codes, ends)
+        met, met_reverse = (np.array(values, dtype=np.int64) for values in codes)
+        end, end_reverse = (np.array(values, dtype=np.int64) for values in ends)
+        index = np.arange(0, count * rays + 1, rays)
+        seen = csr_array((np.full(met.size, 1.0 / rays), met, index), shape=(count, known + count))
+        rho = np.broadcast_to(1.0 - spectrum.emissivity[self._material], (count, spectrum.nodes))
+        emitted = spectrum.emissivity[self._material] * spectrum.black([temperature])[0]
+        between = seen[:, known:].tocsr()
+        source = seen[:, :known] @ static.seen + (between.sum(axis=1))[:, None] * emitted
+        incident = gmres(between, rho, source, 1e-6 * np.abs(source).max(axis=0))
+        leaving = emitted + rho * incident
+
+        # Of each ray that ends on the ground, that face sees the object in place of what lies behind.
+        faces, changes = [], []
+        for first, hidden in ((met, end_reverse), (met_reverse, end)):
+            hit = np.flatnonzero(first < others)
+            face, own = first[hit], hit // rays
+            change = ((leaving[own] - static.seen[hidden[hit]]) * static.reflectance[face]) @ spectrum.share.T
+            faces.append(face)
+            changes.append(change * (self.geometry.area[own] / (rays * geometry.area[face]))[:, None])
+        faces, row = np.unique(np.concatenate(faces), return_inverse=True)
+        changes = np.concatenate(changes)
+        added = np.stack([np.bincount(row, change, len(faces)) for change in changes.T], axis=1)
+        return incident @ spectrum.reflected[self._material].T, (faces, added.astype(np.float32))
+
+
+def _matrix(mi, pose):
+    """(rotation, translation) of a pose as opaque Dr.Jit values, so that a new one reuses the compiled kernel."""
+    values = [[dr.opaque(mi.Float, float(value)) for value in row] for row in pose[:3]]
+    rotation = mi.Matrix3f([row[:3] for row in values])
+    return rotation, mi.Vector3f(*(row[3] for row in values))

@@ -1,0 +1,1 @@
+"""Diffuse light between surfaces: traced, solved, and baked to texels."""

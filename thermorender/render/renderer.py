@@ -1,0 +1,245 @@
+"""The renderer: frames of one baked scene, each a function of camera, pose, time and objects alone."""
+
+from dataclasses import dataclass
+
+import drjit as dr
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.frame import Frame
+from thermorender.physics.planck import band_radiance_derivative
+from thermorender.physics.srgb import bytes_from_linear
+from thermorender.render import budget, truth, visible
+from thermorender.render.air import Vacuum
+from thermorender.render.baked import BakedScene, bake
+from thermorender.render.dynamic import placements
+from thermorender.render.geometry import Geometry, Layer, opaque_view, refuse_other_surfaces, view_ray
+from thermorender.render.plan import REFERENCE_K, make_plan
+from thermorender.render.sampling import CameraRays
+from thermorender.render.tracer import Tracer
+from thermorender.render.variant import activate
+from thermorender.scene.load import Scene
+
+# Error from which on edge pixels of a visible view get more rays: a share of white, summed over the colours.
+_VISIBLE_EDGE = 0.03
+
+
+class Renderer:
+    """Renders frames of one scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    quality : {"fast", "standard", "high"}
+        How finely a pixel is sampled; see `thermorender.render.plan.QUALITIES`.
+    samples, taps, edge_mk : optional
+        Rays per pixel, texture taps per ray, and the error from which on a pixel that shows an edge gets more rays
+        [mK], in place of the quality's own.
+    rays : int
+        Rays per face of the bake.
+    tolerance_mk : float
+        Error allowed to the spectral nodes and to the solution of the bake [mK].
+    seed : int
+        Seed of the sensor's noise.
+    device : {"auto", "cpu", "cuda"}
+    progress : callable, optional
+        Called with (what, share done) while the scene is baked.
+    like : Renderer, optional
+        A renderer of the same surfaces at other temperatures; its traced light is used again.
+
+    Attributes
+    ----------
+    plan : Plan
+        What this scene needs and what was left out.
+
+    Raises
+    ------
+    ThermorenderError
+        What is no Scene, a setting out of range, or a `like` of other surfaces.
+    """
+
+    def __init__(self, scene, quality="standard", samples=None, taps=None, edge_mk=None, rays=128,
+                 tolerance_mk=5.0, seed=0, device="auto", progress=None, like=None):  # fmt: skip
+        if not isinstance(scene, Scene):
+            raise ThermorenderError(
+                f"scene={scene!r} is no Scene; give what load_scene returns, as in Renderer(load_scene('heath'))"
+            )
+        self.scene, self.seed = scene, _checked_seed(seed)
+        self.plan = make_plan(scene, quality, samples, taps, edge_mk, rays, tolerance_mk)
+        self._like, self._progress, self._baked, self._rays_of, self._coloured = None, progress, None, {}, None
+        if like is not None:
+            refuse_other_surfaces(like.scene.surfaces, scene.surfaces)
+            self._geometry = like._geometry
+            self._like = like.baked if like.plan.rays == rays else None
+            self._baked = self._like and self._like.seen_as(scene, self.plan)
+        else:
+            self._geometry = Geometry(activate(device), scene.surfaces)
+
+    @classmethod
+    def of(cls, baked, seed=0):
+        """Return the Renderer of a BakedScene, such as one from another process."""
+        made = cls.__new__(cls)
+        made.scene, made.plan, made.seed = baked.scene, baked.plan, _checked_seed(seed)
+        made._like, made._progress, made._baked, made._rays_of, made._coloured = None, None, baked, {}, None
+        made._geometry = baked.geometry
+        return made
+
+    @property
+    def baked(self):
+        """The BakedScene; light between surfaces is traced and solved when first asked for."""
+        if self._baked is None:
+            self._baked = bake(self.scene, self.plan, self._geometry, self._like, self._progress)
+            self._like = None
+        return self._baked
+
+    def frame(self, pose, time_s=0.0, index=0, objects=None):
+        """Return the Frame seen from `pose`.
+
+        Parameters
+        ----------
+        pose : (4, 4) array
+            world_from_camera: camera looks along +z, x right, y down; metres in the scene's local frame.
+        time_s : float
+            Where on their tracks dynamic objects are [s].
+        index : int
+            Number of the frame; with the seed it decides the noise.
+        objects : dict, optional
+            {name of a dynamic object: {column of its track: value}} to take instead of the track's.
+
+        Raises
+        ------
+        ThermorenderError
+            A pose that is no rigid transform, or an object that does not move or leaves the terrain.
+        """
+        view = self._view(pose, time_s, objects)
+        radiance, sampling = view.radiance()
+        return self._frame(view, radiance, time_s, index, self.plan.as_dict(), sampling)
+
+    def radiance(self, pose, time_s=0.0, objects=None):
+        """Return the band radiance of `frame` alone, (H, W) float32 [W m⁻² sr⁻¹], without noise or truth."""
+        return self._view(pose, time_s, objects).radiance()[0]
+
+    def frame_of(self, radiance, pose, plan, time_s=0.0, index=0, objects=None):
+        """Return the Frame of a radiance image (H, W) made elsewhere for this view; `plan` (a dict) says how."""
+        return self._frame(self._view(pose, time_s, objects), radiance, time_s, index, plan)
+
+    def visible(self, pose, time_s=0.0, objects=None, camera=None):
+        """Return (image (H, W, 3) uint8 sRGB, valid (H, W) bool): the orthophoto seen from `pose`.
+
+        The texture carries its own sun and shade; light is averaged linearly over a pixel's rays. Pixels without
+        surface, or where its colour is unknown, are not valid. `camera` stands in for the scene's.
+        """
+        pose, mi = checked_pose(pose), self._geometry.mi
+        if self._coloured is None:
+            shapes = [self._geometry, *(Geometry(mi, mover.surfaces) for mover in self.scene.movers)]
+            self._coloured = [(shape, visible.outgoing(shape)) for shape in shapes]
+        poses = [np.eye(4), *(placement.pose for placement in placements(self.scene, time_s, objects))]
+        layers = [
+            Layer(shape, opaque_view(mi, np.linalg.inv(own) @ pose), outgoing)
+            for (shape, outgoing), own in zip(self._coloured, poses, strict=True)
+        ]
+        nothing = Vacuum(mi, *np.zeros((2, 4)))
+        found, _ = Tracer(layers, self._camera_rays(camera), nothing, self.plan).image(_VISIBLE_EDGE)
+        return bytes_from_linear(np.moveaxis(found[:3], 0, -1)), found[3] > 0.999
+
+    def rays(self, pose):
+        """Return the slopes of all rays that a frame from `pose` casts into the static scene, [(x/z, y/z), …]."""
+        view = self._view(pose)
+        return view.tracer.slopes(view.radiance()[1])
+
+    def cast_only(self, pose, rays):
+        """Cast rays, as by `rays`, and nothing else: the floor under the time of a frame."""
+        mi = self._geometry.mi
+        view = opaque_view(mi, checked_pose(pose))
+        cast = self._geometry.caster.ray_intersect_preliminary
+        dr.eval([cast(view_ray(mi, *view, *slope), coherent=True).t for slope in rays])
+        dr.sync_thread()
+
+    def _view(self, pose, time_s=0.0, objects=None):
+        return View(self.baked, self._camera_rays(), checked_pose(pose), placements(self.scene, time_s, objects))
+
+    def _frame(self, view, radiance, time_s, index, plan, sampling=None):
+        return Frame(
+            radiance=radiance,
+            pose=view.pose,
+            time_s=float(time_s),
+            index=int(index),
+            seed=self.seed,
+            camera=self.scene.camera,
+            plan=plan,
+            _view=view,
+            _sampling=sampling,
+        )
+
+    def _camera_rays(self, camera=None):
+        camera = camera or self.scene.camera
+        if camera not in self._rays_of:
+            self._rays_of[camera] = CameraRays(self._geometry.mi, camera)
+        return self._rays_of[camera]
+
+
+@dataclass(frozen=True)
+class View:
+    """A baked scene seen from one pose at one time.
+
+    Attributes
+    ----------
+    baked : BakedScene
+    rays : CameraRays
+    pose : (4, 4) float64
+        world_from_camera.
+    placements : tuple of Placement
+        Of the dynamic objects.
+    """
+
+    baked: BakedScene
+    rays: CameraRays
+    pose: np.ndarray
+    placements: tuple
+
+    @property
+    def tracer(self):
+        """The Tracer of this view."""
+        device = self.baked.device
+        layers, medium = device.layers(self.pose, self.placements), device.medium(self.pose, self.placements)
+        return Tracer(layers, self.rays, medium, self.baked.plan)
+
+    def radiance(self):
+        """Return (band radiance (H, W) float32 [W m⁻² sr⁻¹], Sampling)."""
+        plan = self.baked.plan
+        limit = plan.edge_mk * float(band_radiance_derivative(REFERENCE_K, *plan.band_um)) * 1e-3
+        image, sampling = self.tracer.image(limit)
+        return image[0], sampling
+
+    def truth(self):
+        """Return what is really there, as `Frame.truth` has it, without the sensor's flags."""
+        return truth.truth(self.baked, self.rays, self.pose, self.placements)
+
+    def targets(self):
+        """Return where objects are, as `Frame.targets` has it."""
+        return truth.targets(self.baked, self.rays.camera, self.pose, self.placements)
+
+    def budget_mk(self, radiance, sampling):
+        """Return the error budget, as `Frame.budget_mk` has it, of a radiance image with its Sampling."""
+        return budget.budget_mk(self.baked, self.rays, self.pose, radiance, sampling)
+
+
+def checked_pose(pose):
+    """Return a pose as (4, 4) float64 after refusing what is no rigid transform."""
+    pose = np.array(pose, dtype=np.float64)
+    if pose.shape != (4, 4) or not np.isfinite(pose).all() or not np.allclose(pose[3], [0, 0, 0, 1]):
+        raise ThermorenderError(
+            f"pose of shape {pose.shape} is no world_from_camera; give (4, 4) with last row 0 0 0 1"
+        )
+    rotation = pose[:3, :3]
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0.0:
+        raise ThermorenderError(
+            "pose has a rotation that is not orthonormal and right-handed; normalise its quaternion"
+        )
+    return pose
+
+
+def _checked_seed(seed):
+    if not 0 <= seed < 2**64:
+        raise ThermorenderError(f"seed={seed} is not allowed; give a whole number 0 … 2⁶⁴−1")
+    return seed

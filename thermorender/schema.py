@@ -1,0 +1,375 @@
+"""Settings as tables: each key a row with its kind, unit, range and default, read from TOML into frozen dataclasses.
+
+A dataclass is a table of a file. Its keys are the fields declared with `key`; a *reader* of each turns the TOML value
+into ours or refuses it in one sentence that names file, key, value and what is allowed. A key that is not declared is
+an error too. What several keys must fulfil together stands in a method `check(where, given)` of the dataclass.
+
+Units are the ends of keys' names (`row_time_us`), and messages take them from there.
+"""
+
+import difflib
+import json
+import re
+import sys
+from copy import copy
+from dataclasses import MISSING, dataclass, field, fields, make_dataclass, replace
+from numbers import Integral, Real
+from pathlib import Path
+
+from thermorender.errors import ThermorenderError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+_UNITS = {"um": "µm", "mm": "mm", "m": "m", "km": "km", "k": "K", "mk": "mK", "mk_per_k": "mK per K", "c": "°C",
+          "hz": "Hz", "px": "px", "s": "s", "ms": "ms", "us": "µs", "deg": "deg", "percent": "%"}  # fmt: skip
+_SHOWN = 80  # characters of a refused value
+
+
+@dataclass(frozen=True)
+class Where:
+    """A spot in a file of settings, for messages.
+
+    Attributes
+    ----------
+    file : str or path
+        What messages begin with.
+    folder : Path, optional
+        Files must lie in it.
+    key : str
+        Dotted; empty for the outermost table.
+    top : str
+        What the outermost table is called in a sentence; may be empty.
+    """
+
+    file: object
+    folder: Path | None = None
+    key: str = ""
+    top: str = ""
+
+    def __str__(self):
+        return f"{self.file}: {self.key or self.top}"
+
+    def of(self, key):
+        """Return the spot of a key of this table."""
+        return replace(self, key=f"{self.key}.{key}" if self.key else str(key))
+
+    def error(self, sentence):
+        """Return the error of this file."""
+        return ThermorenderError(f"{self.file}: {sentence}")
+
+    def refuse(self, value, allowed):
+        """Raise that this key's value is not allowed."""
+        try:
+            shown = repr(value)
+        except ValueError:  # a whole number too long for Python to write
+            shown = "a number of thousands of digits"
+        shown = shown if len(shown) <= _SHOWN else f"{shown[:_SHOWN]}…"
+        raise self.error(f"{self.key or self.top}={shown} is not allowed; give {allowed}")
+
+    def exactly_one(self, given, keys, why=""):
+        """Return which of some keys is given after refusing none and several; `why` is added in brackets."""
+        found = [key for key in keys if key in given]
+        if len(found) != 1:
+            told = f"{' and '.join(found) or 'none'} {'are' if len(found) > 1 else 'is'} given"
+            table = self.key or self.top
+            raise self.error(f"{table} needs exactly one of {', '.join(keys)}{why and f' ({why})'}, but {told}")
+        return found[0]
+
+
+def unit_of(key, before=" "):
+    """Return the unit at the end of a key's name with a word before it; "" where there is none."""
+    name = key.rpartition(".")[2]
+    unit = _UNITS.get("mk_per_k" if name.endswith("_mk_per_k") else name.rpartition("_")[2]) if "_" in name else None
+    return before + unit if unit else ""
+
+
+def closest(name, known, count=1, cutoff=0.6):
+    """Return up to `count` known names that may have been meant, nearest first; `cutoff` 0 takes any, 1 equal ones."""
+    return difflib.get_close_matches(str(name), list(map(str, known)), n=count, cutoff=cutoff)
+
+
+def did_you_mean(name, known):
+    """Return "did you mean 'x' in µm? " or "", to stand before the list of what is allowed."""
+    return "".join(f"did you mean {near!r}{unit_of(near, ' in ')}? " for near in closest(name, known))
+
+
+# Tables
+
+
+def key(read, default=MISSING, name=None):
+    """Return the dataclass field of a key: its reader, its default (none: required), its name in the file if another.
+
+    A reader takes (value, Where) and returns what the dataclass keeps.
+    """
+    kept = {"default": default} if default.__hash__ else {"default_factory": lambda: copy(default)}
+    return field(**kept, metadata={"read": read, "name": name})
+
+
+def read(cls, raw, where, **more):
+    """Return a dataclass of a table's values, every key checked.
+
+    Parameters
+    ----------
+    cls : type
+        Dataclass whose keys are declared with `key`.
+    raw : dict
+        The table as TOML gives it.
+    where : Where
+    more
+        Values of fields that are no keys.
+
+    Raises
+    ------
+    ThermorenderError
+        An unknown or missing key, or a value that is not allowed.
+    """
+    if not isinstance(raw, dict):
+        where.refuse(raw, "a table")
+    rows = {item.metadata["name"] or item.name: item for item in fields(cls) if "read" in item.metadata}
+    within = where.key or where.top
+    within = f" in {within}" if within else ""
+    for name in raw:
+        if name not in rows:
+            hint = did_you_mean(name, rows)
+            raise where.error(f"unknown key {name!r}{within}; {hint}allowed are {', '.join(rows)}")
+    values = dict(more)
+    for name, item in rows.items():
+        if name in raw:
+            values[item.name] = item.metadata["read"](raw[name], where.of(name))
+        elif item.default is MISSING and item.default_factory is MISSING:
+            raise where.error(f"key {name!r} is missing{within}; add it{unit_of(name, ' in ')}")
+    found = cls(**values)
+    if hasattr(found, "check"):
+        found.check(where, raw)
+    return found
+
+
+def checked(settings, name):
+    """Return the values of a dataclass made in code, {field: value}, read by its own rows; `name` begins messages."""
+    where = Where(name)
+    rows = (item for item in fields(settings) if "read" in item.metadata)
+    return {item.name: item.metadata["read"](getattr(settings, item.name), where.of(item.name)) for item in rows}
+
+
+# Readers
+
+
+def number(low=-float("inf"), high=float("inf"), above=False, whole=False, count=1, ordered=False, unit=""):
+    """Return the reader of a finite number, low … high, or of a list of `count`.
+
+    Parameters
+    ----------
+    low, high : float
+    above : bool
+        `low` itself is not allowed.
+    whole : bool
+        Whole numbers only, which become int; others become float.
+    count : int
+        Above 1: a list of so many, which becomes a tuple.
+    ordered : bool
+        Each number of the list is above the one before.
+    unit : str
+        Where the key's name does not end in it.
+    """
+    ends = f"{low:g}…{high:g}" if high < float("inf") else f"of at least {low:g}" if low > -float("inf") else ""
+    if above:
+        ends = f"above {low:g}" + (f" and up to {high:g}" if high < float("inf") else "")
+    words = f"{'a list of ' + str(count) if count > 1 else 'a'} {'' if ends else 'finite '}{'whole ' if whole else ''}"
+    words += f"number{'s' if count > 1 else ''}{ends and ' ' + ends}{unit and ' ' + unit}"
+
+    def fits(value):
+        # The bound also refuses NaN, infinity and whole numbers that fit no float.
+        return (
+            isinstance(value, Real) and not isinstance(value, bool) and abs(value) < 1e300
+            and (value > low if above else value >= low) and value <= high
+            and (not whole or value == int(value))
+        )  # fmt: skip
+
+    def read_number(value, where):
+        values = value if count > 1 else [value]
+        good = isinstance(values, (list, tuple)) and len(values) == count and all(map(fits, values))
+        if not good or (ordered and any(a >= b for a, b in zip(values, values[1:], strict=False))):
+            where.refuse(value, f"{words}{unit_of(where.key)}{', the lower value first' if ordered else ''}")
+        values = tuple(map(int if whole else float, values))
+        return values if count > 1 else values[0]
+
+    return read_number
+
+
+def choice(*allowed):
+    """Return the reader of a value out of a few."""
+    names = ", ".join(str(one).lower() if isinstance(one, bool) else str(one) for one in allowed)
+
+    def read_choice(value, where):
+        for one in allowed:
+            if value == one and isinstance(value, bool) == isinstance(one, bool):
+                return one
+        where.refuse(value, f"one of {names}{unit_of(where.key)}")
+
+    return read_choice
+
+
+flag = choice(False, True)
+
+
+def text(value, where):
+    """Read a text that is not blank."""
+    if not isinstance(value, str) or not value.strip():
+        where.refuse(value, "a text")
+    return value
+
+
+def texts(value, where):
+    """Read a list of texts."""
+    if not isinstance(value, list):
+        where.refuse(value, "a list of texts")
+    return tuple(text(item, where) for item in value)
+
+
+def file_inside(value, where):
+    """Read the name of a file that lies in the settings' folder; return its Path."""
+    try:
+        path = (where.folder / text(value, where)).resolve()
+        inside, there = path.is_relative_to(where.folder), path.is_file()
+    except ThermorenderError:
+        raise
+    except (OSError, ValueError):  # too long, or with a NUL in it
+        where.refuse(value, "the name of a file")
+    if not inside:
+        where.refuse(value, f"a path inside {where.top or 'the file'}'s folder")
+    if not there:
+        raise where.error(f"{where.key}={value!r} does not exist; give a file in {where.folder}")
+    return path
+
+
+def mapping(read_value, read_key=lambda key, where: key):
+    """Return the reader of a table whose keys are free, at least one; `read_key` takes (key, Where of the table)."""
+
+    def read_mapping(value, where):
+        if not isinstance(value, dict) or not value:
+            where.refuse(value, "a table with at least one entry")
+        return {read_key(name, where): read_value(item, where.of(name)) for name, item in value.items()}
+
+    return read_mapping
+
+
+def table(cls):
+    """Return the reader of a table into a dataclass."""
+    return lambda value, where: read(cls, value, where)
+
+
+def tables(cls):
+    """Return the reader of tables headed [[key]] into a tuple of dataclasses; messages call each by its name."""
+
+    def read_tables(value, where):
+        if not isinstance(value, list):
+            where.refuse(value, f"tables headed [[{where.key}]]")
+        names = (item.get("name", index) if isinstance(item, dict) else index for index, item in enumerate(value, 1))
+        return tuple(
+            read(cls, item, replace(where, key=f"{where.key} {name!r}"))
+            for name, item in zip(names, value, strict=True)
+        )
+
+    return read_tables
+
+
+def entry(name, read_value, default=MISSING):
+    """Return the reader of a table that has a single key, whose value stands for the table."""
+    cls = make_dataclass("Entry", [(name, object, key(read_value, default))])
+    return lambda value, where: getattr(read(cls, value, where), name)
+
+
+# TOML
+
+
+def read_toml(path, name=None):
+    """Return the dict of a TOML file; messages call it `name`, or by its path.
+
+    Raises
+    ------
+    ThermorenderError
+        A file that cannot be read or is not TOML, with the line.
+    """
+    name = path if name is None else name
+    try:
+        data = path.read_bytes()
+        return tomllib.loads(data.decode("utf-8"))
+    except OSError as error:
+        raise ThermorenderError(f"{name} cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise ThermorenderError(f"{name} is not valid TOML: line {line} is not UTF-8; save it as UTF-8") from None
+    except RecursionError:
+        raise ThermorenderError(f"{name} is not valid TOML: brackets are nested too deeply; close them") from None
+    except ValueError as error:  # TOMLDecodeError, or a number too long for Python
+        raise ThermorenderError(f"{name} is not valid TOML: {error}") from None
+
+
+def toml_text(values, comment=""):
+    """Return the text of a TOML file.
+
+    Parameters
+    ----------
+    values : dict
+        Text, numbers, flags, paths, lists and dicts of them; a dict becomes a table, a list of dicts tables headed
+        [[key]], None is left out.
+    comment : str
+        Put at the top, a line each.
+    """
+    lines = [f"# {_harmless(line)}".rstrip() for line in comment.split("\n")] if comment else []
+    return "\n".join([*lines, *_table_lines(values, ())]).strip("\n") + "\n"
+
+
+def toml_line(name, value, comment=""):
+    """Return the line of a key, with a comment behind it."""
+    return f"{_toml_key(name)} = {toml_value(value)}" + (f"  # {_harmless(comment)}" if comment else "")
+
+
+def toml_value(value):
+    """Return a value as TOML writes it."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, (str, Path)):
+        return _quoted(str(value))
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(toml_value, value))}]"
+    if isinstance(value, dict):
+        return "{" + ", ".join(toml_line(name, item) for name, item in value.items() if item is not None) + "}"
+    if isinstance(value, Real):
+        return repr(int(value) if isinstance(value, Integral) else float(value))
+    raise TypeError(f"{value!r} has no form in TOML")
+
+
+def _table_lines(values, path):
+    plain, below = [], []
+    for name, value in values.items():
+        here = (*path, _toml_key(name))
+        if isinstance(value, dict):
+            below += ["", f"[{'.'.join(here)}]", *_table_lines(value, here)]
+        elif isinstance(value, (list, tuple)) and value and all(isinstance(item, dict) for item in value):
+            for item in value:
+                below += ["", f"[[{'.'.join(here)}]]", *_table_lines(item, here)]
+        elif value is not None:
+            plain.append(toml_line(name, value))
+    return plain + below
+
+
+def _toml_key(name):
+    return str(name) if re.fullmatch("[A-Za-z0-9_-]+", str(name)) else _quoted(str(name))
+
+
+def _quoted(value):
+    """A basic string: JSON's escapes are TOML's too, but JSON lets the delete character stand."""
+    try:
+        value.encode("utf-8")
+    except UnicodeEncodeError:
+        raise ThermorenderError(f"{value!r} is not valid Unicode and cannot be written to TOML; rename it") from None
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _harmless(comment):
+    """A comment in one line, without what TOML keeps out of comments."""
+    return re.sub("[\x00-\x1f\x7f\ud800-\udfff]", "\N{REPLACEMENT CHARACTER}", comment)
