@@ -5,7 +5,7 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
 
-.PHONY: setup demo test lint clean
+.PHONY: setup demo test lint coverage clean
 
 setup: $(READY)
 
@@ -37,6 +37,16 @@ test: $(READY)
 lint: $(READY)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'ruff>=0.6'
 	$(BIN)/ruff check .
+# Types of the public API are checked here as well once it has them: $(BIN)/mypy thermorender
+
+# Line coverage of each room (folder of the package), processes that tests start included; fails below 85 %.
+coverage: $(READY)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'coverage>=7.10'
+	$(BIN)/python -m coverage erase
+	$(BIN)/python -m coverage run -m pytest
+	$(BIN)/python -m coverage combine --quiet
+	$(BIN)/python -m coverage json --quiet -o coverage.json
+	$(BIN)/python tests/coverage_of_rooms.py coverage.json
 
 clean:
 	rm -rf $(VENV) out build dist

@@ -1,11 +1,18 @@
-"""Shared fixtures: real data where it is present."""
+"""Shared fixtures: measured data, and which tests may be left out."""
 
+import atexit
+import functools
 import os
+import shutil
+import tarfile
+import tempfile
 from pathlib import Path
 
 import pytest
 
-DATA = Path(os.environ.get("THERMORENDER_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
+HERE = Path(__file__).resolve().parent
+# What may be redistributed travels with the tests; the rest is looked for here.
+DATA = Path(os.environ.get("THERMORENDER_DATA", HERE.parents[1] / "shared" / "data"))
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -20,8 +27,65 @@ def _cache(tmp_path_factory):
 
 
 def shared_data(path):
-    """Path of a file of the real data sets, or a skip that says where it was looked for."""
-    found = DATA / path
-    if not found.exists():
-        pytest.skip(f"real data not present: {found} (set THERMORENDER_DATA to the folder that holds it)")
-    return found
+    """Path of a file or folder of the real data sets, or a skip that says where it was looked for."""
+    for folder in (HERE / "data", _unpacked(), DATA):
+        if (folder / path).exists():
+            return folder / path
+    pytest.skip(f"real data not present: {DATA / path} (set THERMORENDER_DATA to the folder that holds it)")
+
+
+@functools.cache
+def _unpacked():
+    """A folder of this run with what lies in `data/**/NAME.tar.xz`, as `**/NAME/`."""
+    folder = Path(tempfile.mkdtemp(prefix="thermorender-tests-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    for archive in (HERE / "data").rglob("*.tar.xz"):
+        with tarfile.open(archive) as tar:
+            tar.extractall(folder / archive.relative_to(HERE / "data").with_suffix("").with_suffix(""), filter="data")
+    return folder
+
+
+# --- which tests may be skipped ---------------------------------------------------------------------------
+
+
+def allowed_skips(path=HERE / "allowed_skips.txt"):
+    """{"file.py::test": reason} of the tests that may be skipped."""
+    lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
+    return dict(line.split(": ", 1) for line in lines if line and not line.startswith("#"))
+
+
+def pytest_addoption(parser):
+    parser.addoption(
+        "--listed-skips-only", action="store_true", default=bool(os.environ.get("CI")),
+        help="fail where a test is skipped that allowed_skips.txt does not name; default where CI is set",
+    )  # fmt: skip
+
+
+def pytest_configure(config):
+    if config.getoption("--listed-skips-only"):
+        config.pluginmanager.register(_ListedSkips())
+
+
+class _ListedSkips:
+    """Fails a run in which a test was skipped that is not on the list."""
+
+    def __init__(self):
+        self.unlisted = {}
+
+    def pytest_runtest_logreport(self, report):
+        if report.skipped and not hasattr(report, "wasxfail"):
+            name = report.nodeid.partition("[")[0].rpartition("/")[2]
+            if name not in allowed_skips():
+                self.unlisted[report.nodeid] = report.longrepr[2]
+
+    def pytest_collectreport(self, report):
+        if report.skipped:
+            self.unlisted[report.nodeid] = report.longrepr[2]
+
+    def pytest_sessionfinish(self, session, exitstatus):
+        if self.unlisted and exitstatus == pytest.ExitCode.OK:
+            session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+    def pytest_terminal_summary(self, terminalreporter):
+        for name, reason in self.unlisted.items():
+            terminalreporter.write_line(f"SKIPPED AND NOT IN allowed_skips.txt: {name}: {reason}", red=True)

@@ -577,7 +577,7 @@ def test_missing_lowtran_says_how_to_install_it(tmp_path, monkeypatch):
 
 def test_only_a_program_compiled_here_is_run(tmp_path, monkeypatch):
     """A cache folder may be shared: an executable that lies in it, whatever its name, is never run."""
-    from thermorender.weather import lowtran
+    from thermorender.atmosphere.lowtran import program as lowtran
 
     def script(path, text):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -596,20 +596,20 @@ def test_only_a_program_compiled_here_is_run(tmp_path, monkeypatch):
     monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path / "cache"))
     monkeypatch.syspath_prepend(str(tmp_path / "package"))
     name = hashlib.blake2b(("      SUBROUTINE X\n      END\n" + lowtran._MAIN).encode(), digest_size=8).hexdigest()
-    script(tmp_path / "cache" / f"lowtran7-{name}", f"touch {tmp_path / 'intruded'}")
+    script(tmp_path / "cache" / "lowtran" / f"lowtran7-{name}", f"touch {tmp_path / 'intruded'}")
     assert lowtran._run("") == "compiled\n" and not (tmp_path / "intruded").exists()
     # Compiled once per process, in a folder of the user's own, and nothing to be run is left in the cache.
     assert lowtran._run("") == "compiled\n" and (tmp_path / "count").read_text() == "once\n"
     assert lowtran.program().parent.stat().st_mode & 0o077 == 0
-    assert [path.name for path in (tmp_path / "cache").iterdir()] == [f"lowtran7-{name}"]
+    assert [path.name for path in (tmp_path / "cache" / "lowtran").iterdir()] == [f"lowtran7-{name}"]
 
 
 def test_a_damaged_cache_is_made_anew(tmp_path, monkeypatch):
-    from thermorender.weather import lowtran
+    from thermorender.atmosphere.lowtran import program as lowtran
 
     monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path))
     assert lowtran.cached("key", lambda: np.arange(3.0)).tolist() == [0.0, 1.0, 2.0]
-    (stored,) = tmp_path.iterdir()
+    (stored,) = (tmp_path / "lowtran").iterdir()
     for damage in (b"", b"garbage", stored.read_bytes()[:-8]):
         stored.write_bytes(damage)
         assert lowtran.cached("key", lambda: np.arange(4.0)).tolist() == [0.0, 1.0, 2.0, 3.0]
@@ -734,5 +734,5 @@ def test_modtran_as_a_second_opinion():
             assert air.sky_radiance(tape.from_m, tape.cos_zenith).sum() == pytest.approx(light, rel=0.02)
     with pytest.raises(ThermorenderError, match="covers 8–12 µm, which does not hold the camera's band 7.5–13.5 µm"):
         modtran.read_tape7(shared_data("emissivity/pyradi_modtran/tape7.LWIRSun"), 7.5, 13.5)
-    with pytest.raises(ThermorenderError, match="covers 2.5–5 µm"):
+    with pytest.raises(ThermorenderError, match="covers 4.762–5 µm"):
         modtran.read_tape7(shared_data("emissivity/pyradi_modtran/ModTrantape7file"), 8.0, 12.0)

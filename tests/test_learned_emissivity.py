@@ -30,6 +30,9 @@ STRIPES = {
     "asphalt": ((105, 104, 102), 3.0),
     "sand_quartz": ((200, 180, 140), 6.0),
 }
+# Their colours lie so far apart that only beside the two borders, where windows hold both, a texel may be wrong: one on
+# either side in 144 columns.
+RIGHT = 1.0 - 4.0 / 144.0
 PATCH = (slice(50, 78), slice(150, 178))  # of the scene: in the middle stripe
 SMALL = {"village": (110.0, 0.25, 0.5)}
 
@@ -85,7 +88,8 @@ def test_features_tell_texture_and_direction():
     of = {name: {key: features(image)[48, 48, NAMES.index(key)] for key in ("L spread 4", "steepness", "one way")}
           for name, image in (("flat", flat), ("rough", rough), ("furrows", furrows))}  # fmt: skip
     assert of["flat"]["L spread 4"] == pytest.approx(0.0, abs=1e-2) and of["flat"]["steepness"] < 1e-3
-    # 20 bytes of noise are 8 of lightness at this grey: d L*/d byte = 0.40.
+    # 20 bytes of noise are 8 of lightness at this grey: d L*/d byte = 0.40. Gauss' window of 4 texels holds 4π 4² = 201
+    # of them, which tell a spread to 1/√402: three times 5 %.
     assert np.expm1(of["rough"]["L spread 4"]) == pytest.approx(8.0, rel=0.15)
     assert of["furrows"]["one way"] > 0.9 > 0.4 > of["rough"]["one way"]
 
@@ -157,7 +161,7 @@ def test_unseen_picture_is_mapped_right(model):
     rgb, number = striped(11)
     mapped = map_materials(model, rgb, 0.5)
     named = np.array(model.materials)[mapped.index[..., 0]]
-    assert (named == np.array(["", *STRIPES])[number]).mean() > 0.97
+    assert (named == np.array(["", *STRIPES])[number]).mean() > RIGHT
     assert mapped.share.sum(axis=-1) == pytest.approx(np.ones(rgb.shape[:2]), abs=1e-5)
     assert (np.diff(mapped.share, axis=-1) <= 0.0).all()
     assert model.about["held_out_accuracy"] > 0.95 and "stripes 1; stripes 2" == model.about["trained_on"]
@@ -371,9 +375,11 @@ def test_what_cannot_be_told_apart_is_mixed(scene):
             wanted = sum(share * kelvin[name] for name, share in shares.items())
             assert surface.temperature[here] == pytest.approx(np.full(here.sum(), wanted), abs=1e-3)
             asphalt[number] = shares.get("asphalt", 0.0)
-    # Rare materials are drawn more often than their area, by its square root.
+    # Rare materials are drawn more often than their area, by its square root: of a quarter, as asphalt has 5/12 of all
+    # texels and sand 3/12, is left a fifth. The palette's eighths round it by a sixteenth at most.
+    drawn = 0.25 / np.sqrt(5 / 12), 0.75 / np.sqrt(3 / 12)
     share = asphalt[surface.material[:, 220:260]].mean()
-    assert share == pytest.approx(0.25, abs=0.12)
+    assert share == pytest.approx(drawn[0] / sum(drawn), abs=1 / 16)
     assert f"and {sum(isinstance(m, Mixture) for m in loaded.materials)} mixes of them" in str(loaded)
 
 

@@ -106,6 +106,5 @@ def test_survey_photographs(baviaans, row):
     scene = baviaans.scene
     rendered, covered = baviaans.visible(pose_from_map(scene.frame, scene.grid.crs, pose), camera)
     found = displacement(rendered, covered, photograph(folder / f"{shot['filename']}.tif"))
-    print(shot["filename"], len(found), np.median(found), covered.mean())
     assert covered.mean() > 0.5 and len(found) > 200
     assert np.median(found) <= 2.0

@@ -1,5 +1,7 @@
 """What the operator's software reads: the camera's formula, its corrections, and files of temperature."""
 
+import io
+import json
 import struct
 import warnings
 from dataclasses import replace
@@ -171,6 +173,16 @@ PRINTED = {
 
 
 @pytest.mark.parametrize("name", PRINTED)
+def test_formula_and_settings_of_real_cameras_give_what_they_printed(name):
+    """The numbers of the files alone: constants, the operator's settings, raw values at the scale's ends."""
+    stored = json.loads(shared_data("flir/settings.json").read_text(encoding="utf-8"))[name]
+    settings = PlanckConstants(**stored["planck"]), Operator(**stored["operator"]), AirModel(**stored["air"])
+    ends = operator_temperature(np.array(stored["scale_raw"]), *settings)
+    # Printed to 0.1 °C.
+    np.testing.assert_allclose(ends - 273.15, PRINTED[name], atol=0.0501)
+
+
+@pytest.mark.parametrize("name", PRINTED)
 def test_readings_are_those_the_camera_printed(name):
     picture = read_flir_jpeg(shared_data(f"pairs/flir_rjpeg_samples/{name}"))
     ends = operator_temperature(np.array(picture.camera["scale_raw"]), picture.planck, picture.operator, picture.air)
@@ -220,10 +232,20 @@ def test_temperatures_against_another_package(name):
             np.testing.assert_allclose(ours, file.read(1), atol=1e-4)
 
 
-def fff(raw, order="<", size=None, records=2):
-    """A radiometric JPEG written by hand: one APP1 segment, two records."""
+def png(raw, order):
+    """A 16-bit PNG of raw values; a camera that thinks little-endian stores them without turning their bytes."""
+    from PIL import Image
+
+    memory = io.BytesIO()
+    Image.fromarray(raw.byteswap() if order == "<" else raw).save(memory, "PNG")
+    return memory.getvalue()
+
+
+def fff(raw, order="<", size=None, records=2, pixels=None, pieces=1):
+    """A radiometric JPEG written by hand: two records in one APP1 segment, or in several pieces in falling order."""
     height, width = size or raw.shape
-    picture = struct.pack(order + "HHH", 2, width, height).ljust(32, b"\0") + raw.astype(order + "u2").tobytes()
+    pixels = raw.astype(order + "u2").tobytes() if pixels is None else pixels
+    picture = struct.pack(order + "HHH", 2, width, height).ljust(32, b"\0") + pixels
     block = bytearray(1100)
     struct.pack_into(order + "H", block, 0, 2)
     for place, value in {
@@ -239,14 +261,21 @@ def fff(raw, order="<", size=None, records=2):
     for kind, body in ((1, picture), (0x20, bytes(block))):
         directory += struct.pack(">HHIIIIIII", kind, 2, 100, 0, start, len(body), 0, 0, 0).ljust(32, b"\0")
         start += len(body)
-    data = b"FLIR\0\x01\0\0" + head + directory + picture + bytes(block)
-    return b"\xff\xd8\xff\xe1" + struct.pack(">H", len(data) + 2) + data + b"\xff\xd9"
+    whole, segments = head + directory + picture + bytes(block), b""
+    size = -(-len(whole) // pieces)
+    for k in reversed(range(pieces)):
+        data = b"FLIR\0\x01" + bytes([k, pieces - 1]) + whole[k * size : (k + 1) * size]
+        segments += b"\xff\xe1" + struct.pack(">H", len(data) + 2) + data
+    return b"\xff\xd8" + segments + b"\xff\xd9"
 
 
+@pytest.mark.parametrize("compressed", [False, True])
+@pytest.mark.parametrize("pieces", [1, 3])
 @pytest.mark.parametrize("order", "<>")
-def test_a_file_written_by_hand(order, tmp_path):
+def test_a_file_written_by_hand(order, pieces, compressed, tmp_path):
     raw = np.arange(17000, 17000 + 12 * 16, dtype=np.uint16).reshape(12, 16)
-    (tmp_path / "a.jpg").write_bytes(fff(raw, order))
+    pixels = png(raw, order) if compressed else None
+    (tmp_path / "a.jpg").write_bytes(fff(raw, order, pixels=pixels, pieces=pieces))
     picture = read_flir_jpeg(tmp_path / "a.jpg")
     np.testing.assert_array_equal(picture.raw, raw)
     assert picture.operator.emissivity == pytest.approx(0.9) and picture.operator.air_c == pytest.approx(10.0, abs=1e-4)
@@ -275,11 +304,15 @@ def test_damaged_files_give_one_sentence(tmp_path):
             assert str(error).startswith(f"{path} is no whole FLIR radiometric JPEG: ")
             assert "\n" not in str(error)
     assert told > 200
+    raw = rng.integers(0, 1 << 16, (12, 16), dtype=np.uint16)
     for data, words in (
         (b"GIF89a", "it is no JPEG"),
         (b"\xff\xd8\xff\xd9", "carries no FLIR data"),
         (fff(np.full((12, 16), 1, np.uint16), size=(4000, 4000)), "raw image has"),
         (fff(np.full((12, 16), 1, np.uint16), records=1), "holds no camera block"),
+        (fff(raw, pixels=png(raw[:3, :4], ">")), "the PNG inside is 4×3"),
+        (fff(raw, pixels=png(raw, ">")[:-60]), "the PNG inside cannot be read"),
+        (fff(raw, pieces=3).replace(b"FLIR\0\x01\x01", b"XXXX\0\x01\x01"), "3 pieces of FLIR data .* 2 are there"),
     ):
         path.write_bytes(data)
         with pytest.raises(ThermorenderError, match=words):

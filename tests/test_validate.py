@@ -2,17 +2,30 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import thermorender as tr
+from thermorender import cli
 from thermorender.errors import ThermorenderError
-from thermorender.physics.planck import band_radiance
+from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.render.light import cache
 from thermorender.render.reference import squared_error
 from thermorender.sensor.camera import load_camera
-from thermorender.validate import bench, cavity, convergence, growth, metrics
+from thermorender.validate import (
+    air,
+    bench,
+    cavity,
+    convergence,
+    emissivity,
+    growth,
+    metrics,
+    sensor,
+    sensor_statistics,
+)
 from thermorender.validate.figures.convergence import pareto
 
 CAMERA = load_camera("zenmuse-xt2")
@@ -122,6 +135,57 @@ def test_closed_cavity_is_black():
     assert found["error_mk"] < 1.0
 
 
+def seen_through(loop, place, normal):
+    """Share of the diffuse view from places (n, 3) on faces of normals (n, 3) that closed polygons (k, 2, 3) span.
+
+    Lambert's contour integral, exact for any polygon above the horizon: inside a convex body all is.
+    """
+    one, other = (loop[None, :, k] - place[:, None] for k in (0, 1))
+    across = np.cross(one, other)
+    length = np.linalg.norm(across, axis=-1)
+    angle = np.arctan2(length, (one * other).sum(axis=-1))
+    return np.abs((angle / length * np.einsum("nkc,nc->nk", across, normal)).sum(axis=1)) / (2.0 * np.pi)
+
+
+@pytest.mark.parametrize("emissivity", [0.5, 0.1])
+def test_open_cavity_against_the_closed_form_of_its_polyhedron(emissivity):
+    import trimesh
+
+    rays = 4096
+    found = cavity.measure("open", 0.1, emissivity, rays, "auto")
+    ball = trimesh.creation.icosphere(subdivisions=4)
+    kept = ball.triangles_center[:, 2] < 0.8
+    # Edges of the hole: those of one face that is kept and one that is not, in a circle round the hole.
+    edges = ball.vertices[ball.face_adjacency_edges[kept[ball.face_adjacency].sum(axis=1) == 1]]
+    clockwise = np.cross(edges[:, 0], edges[:, 1])[:, 2] < 0.0
+    edges[clockwise] = edges[clockwise, ::-1]
+    centre, inward, area = ball.triangles_center[kept], -ball.face_normals[kept], ball.area_faces[kept]
+    opening = seen_through(edges, centre, inward)
+    # Every wall shines by nearly the same light m into itself: a share of sky that is the mean over their areas.
+    black, sky = (float(band_radiance(t, *CAMERA.band_um)) for t in (300.0, 250.0))
+
+    def wall(share):
+        received = ((1 - share) * emissivity * black + share * sky) / (1 - (1 - emissivity) * (1 - share))
+        return emissivity * black + (1 - emissivity) * received
+
+    scale = 1e3 / float(band_radiance_derivative(300.0, *CAMERA.band_um))
+    share = np.average(opening, weights=area)
+    missing = 1.0 - area.sum() / ball.area
+    assert np.ptp(opening) < 0.003 and share == pytest.approx(missing, abs=1e-3)
+    # `measure` tells the error against a sphere of whose area as much is missing: the polyhedron's own is a few mK.
+    own = scale * (wall(share) - wall(missing))
+    assert 1.0 < abs(own) < 6.0
+    # A face's error were its rays independent; stratified ones err by less, and by as much from face to face, so the
+    # mean over the faces in the picture (45° by 37°) errs by their root's part. The mean light m adds its own error,
+    # of all faces, as often as light goes round.
+    alone = scale * (1 - emissivity) * (wall(share) - sky) * np.sqrt(share * (1 - share) / rays)
+    assert found["error_mk"] < 0.5 * alone
+    seen = (np.abs(centre[:, :2]) < -centre[:, 2:] * np.tan(np.radians([45.4 / 2, 37.0 / 2]))).all(axis=1).sum()
+    round_about = (1 - emissivity) * (1 - share) / (1 - (1 - emissivity) * (1 - share))
+    error = found["error_mk"] * np.hypot(1.0 / np.sqrt(seen), round_about / np.sqrt(len(centre)))
+    assert seen > 150 and abs(found["mean_mk"] - own) < 3.0 * error < 9.0
+
+
 def test_convergence_measures_what_is_missing_only(tmp_path, monkeypatch):
     monkeypatch.setattr(convergence, "QUALITIES", {"standard": (1, 4, np.inf)})
     engine = "stock direct, BSDF samples"
@@ -157,3 +221,71 @@ def test_growth_measures_each_axis_in_a_process_of_its_own(tmp_path):
     path = tmp_path / "growth.json"
     path.write_text(path.read_text().replace('"bake_s": ', '"bake_s": 1e9, "was": '))
     assert all(case["bake_s"] == 1e9 for case in growth.hold(tmp_path, axes, base).values())
+
+
+# --- the verbs --------------------------------------------------------------------------------------------
+
+
+def test_air_s_channels_err_by_less_than_planned(tmp_path, monkeypatch):
+    scene = small(bench.terrain(200))
+    hold = air.hold
+    monkeypatch.setattr("thermorender.scene.load.load_scene", lambda name: scene)
+    few = {"heights_m": (120.0,), "tolerances_mk": (500.0, 20.0), "rays": 4, "repeats": 1}
+    monkeypatch.setattr(air, "hold", lambda *arguments, **keywords: hold(*arguments, **keywords, **few))
+    done = CliRunner().invoke(cli.app, ["validate", "air", "-o", str(tmp_path), "--air", "tropical,urban-5km"])
+    assert done.exit_code == 0, done.output
+    result = json.loads((tmp_path / "air.json").read_text())
+    assert result["air"] == ["tropical", "urban-5km"] and (tmp_path / "air.png").stat().st_size > 5000
+    assert [(case["view"], case["tolerance_mk"]) for case in result["cases"]] == [
+        (view, tolerance) for view in bench.VIEWS for tolerance in (500.0, 20.0)
+    ]
+    for loose, tight in zip(result["cases"][::2], result["cases"][1::2], strict=True):
+        assert loose["channels"] < tight["channels"] and tight["error_mk"] < loose["error_mk"]
+        # What is planned holds for any path and surface; half a millikelvin is what the finest still err by. Channels
+        # and nodes each have their tolerance.
+        for case in (loose, tight):
+            assert case["error_mk"] < case["planned_mk"] + 0.5 and case["planned_mk"] < 2.0 * case["tolerance_mk"]
+            assert case["frame_ms"] > 0.0 and case["over_vacuum"] > 0.0
+    assert done.output.count("oblique") == 2
+
+
+@pytest.mark.parametrize(
+    ("verb", "module", "function", "expected"),
+    [
+        (["convergence", "ridge", "--quick"], convergence, "convergence", (["ridge"], "OUT", "quick", False, "auto")),
+        (["convergence", "--overwrite"], convergence, "convergence",
+         (("heath", "village", "ridge"), "OUT", "full", True, "auto")),
+        (["growth", "--device", "cpu"], growth, "hold", ("OUT", "cpu")),
+        (["sensor", "village"], sensor, "sensor", ("OUT", "village", "auto")),
+        (["footage", "a.tif", "b", "--base", "tau2-640", "--scale", "0.04,1", "--name", "x"], sensor_statistics,
+         "compare", ([Path("a.tif"), Path("b")], "OUT", "tau2-640", (0.04, 1.0), "heath", "x", "auto")),
+        (["emissivity", "--seeds", "7, 8"], emissivity, "hold", ("procedural", [7, 8])),
+    ],
+)  # fmt: skip
+def test_verbs_hand_on_what_was_asked(tmp_path, monkeypatch, verb, module, function, expected):
+    asked = []
+
+    def stand_in(*arguments, **keywords):
+        asked.extend([*arguments, *keywords.values()])
+        return {}
+
+    monkeypatch.setattr(module, function, stand_in)
+    if function in ("hold", "compare"):
+        monkeypatch.setattr(module, "rows", lambda result: [])
+    monkeypatch.setattr(emissivity, "write_confusion", lambda result, path: path.write_text(""))
+    done = CliRunner().invoke(cli.app, ["validate", *verb, "-o", str(tmp_path)], catch_exceptions=False)
+    assert done.exit_code == 0 and str(tmp_path) in "".join(done.output.split())
+    told = tuple(item for item in asked if not callable(item))
+    assert told == tuple(tmp_path if item == "OUT" else item for item in expected)
+
+
+def test_bench_verb_writes_what_it_measured(tmp_path, monkeypatch):
+    run = bench.bench
+    few = {"settings": (("one", {"samples": 1, "rays": 4}),)}
+    monkeypatch.setattr(bench, "bench", lambda *arguments, **keywords: run(*arguments, **keywords, **few))
+    monkeypatch.setattr(bench, "terrain", lambda *arguments, terrain=bench.terrain: small(terrain(*arguments)))
+    arguments = ["bench", "--triangles", "200", "--repeats", "1", "-o", str(tmp_path / "b.json")]
+    done = CliRunner().invoke(cli.app, arguments, catch_exceptions=False)
+    assert done.exit_code == 0 and "200 triangles" in done.output
+    (measured,) = json.loads((tmp_path / "b.json").read_text())["scenes"].values()
+    assert measured["triangles"] == 200 and set(measured["settings"]) == {"one"}

@@ -1,0 +1,114 @@
+"""The versions of Mitsuba and Dr.Jit the package admits, and what differs between them."""
+
+import importlib.metadata
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from packaging.requirements import Requirement
+
+import thermorender as tr
+from scenes import write_terrain
+from thermorender.render.variant import activate
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+PROJECT = Path(__file__).resolve().parents[1] / "pyproject.toml"
+
+
+def test_only_versions_that_were_seen_to_work_are_admitted():
+    listed = tomllib.loads(PROJECT.read_text("utf-8"))["project"]["dependencies"]
+    admitted = {requirement.name: requirement.specifier for requirement in map(Requirement, listed)}
+    # 3.7.0 has no UInt8; 3.10 renames vertex_positions and changes mi.Mesh(...).
+    found = [v for v in ("3.7.0", "3.7.1", "3.8.0", "3.9.1", "3.10.0", "4.0.0") if v in admitted["mitsuba"]]
+    assert found == ["3.7.1", "3.8.0", "3.9.1"]
+    # Each Mitsuba demands the very Dr.Jit it was built with, so the pin of one is the pin of both.
+    (drjit,) = (r for r in map(Requirement, importlib.metadata.requires("mitsuba")) if r.name == "drjit")
+    assert [clause.operator for clause in drjit.specifier] == ["=="]
+    assert importlib.metadata.version("drjit") in drjit.specifier & admitted["drjit"]
+    assert importlib.metadata.version("mitsuba") in admitted["mitsuba"]
+
+
+def handing_on(dr, name):
+    """Dr.Jit's function as of 1.5: NaN comes out where NaN goes in."""
+    original = getattr(dr, name)
+
+    def function(*values):
+        result = original(*values)
+        if not dr.is_float_v(result):
+            return result
+        bad = sum((dr.select(dr.isnan(value), 1, 0) for value in values), 0)
+        return dr.select(bad > 0, np.nan, result)
+
+    return function
+
+
+def dropping(dr, name):
+    """Dr.Jit's function up to 1.4: NaN is the operand that is left out."""
+    original = getattr(dr, name)
+
+    def function(first, *others):
+        result = original(first, *others)
+        if not dr.is_float_v(result):
+            return result
+        if name == "clip":
+            return dr.select(dr.isnan(first), others[1], result)
+        return dr.select(dr.isnan(first), others[0], dr.select(dr.isnan(others[0]), first, result))
+
+    return function
+
+
+@pytest.mark.parametrize("air", [False, True])
+def test_frames_do_not_depend_on_what_minimum_and_clip_make_of_nan(tmp_path, monkeypatch, air):
+    """Dr.Jit 1.5 hands NaN on where earlier ones drop it; a frame must be the same bytes with both.
+
+    NaN does arise: a ray that meets nothing has an infinite distance, and so a place of ∞ − ∞. Sky, edges, mirrors,
+    an object that moves, and air are all in the picture; light is traced anew for each.
+    """
+    import drjit as dr
+
+    activate()
+    mesh = trimesh.creation.icosphere(subdivisions=1, radius=1.0)
+    folder = tmp_path / "s"
+    extra = "".join(
+        f'[[object]]\nname = "{name}"\n{shape}\nposition = [{east}, 2, 1.5]\ntemperature = 330.0\n'
+        f'material = "{material}"\n'
+        for name, shape, east, material in (
+            ("ball", 'file = "ball.ply"', 0, "paint_black"),
+            ("plate", 'shape = "box"\nsize = [2, 1, 2]', -3, "gold_polished"),
+            ("car", 'shape = "box"\nsize = [1, 1, 1]\ntrack = "t.csv"', 3, "gold_polished"),
+        )
+    )
+    if air:
+        extra += '[sun]\nelevation_deg = 40\nazimuth_deg = 180\n'
+    write_terrain(folder, height=np.random.default_rng(2).uniform(0, 2, (16, 16)), extra=extra)
+    mesh.export(folder / "ball.ply")
+    (folder / "t.csv").write_text("time_s,east_m\n0,3\n")
+    if air:
+        path = folder / "scene.toml"
+        text = path.read_text().replace("[sky]\ntemperature = 260.0", '[atmosphere]\nstandard = "tropical"')
+        path.write_text(text)
+    scene = tr.load_scene(folder)
+    frames = []
+    for number, change in enumerate((None, handing_on, dropping)):
+        monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path / f"cache{number}"))
+        with monkeypatch.context() as patch:
+            for name in ("minimum", "maximum", "clip") if change else ():
+                patch.setattr(dr, name, change(dr, name))
+            if change:
+                nan = dr.clip(activate().Float(np.nan), 0.0, 1.0)[0]
+                assert np.isnan(nan) == (change is handing_on)
+            frames.append(tr.Renderer(scene, rays=16).frame(tr.pose(0, -9, 4, pitch_deg=-8)))
+    assert np.isfinite(frames[0].radiance).all()
+    depth = frames[0].truth["depth"]
+    assert 0.1 < np.isfinite(depth).mean() < 0.9
+    for frame in frames[1:]:
+        assert frame.radiance.tobytes() == frames[0].radiance.tobytes()
+        for name, image in frames[0].truth.items():
+            assert frame.truth[name].tobytes() == image.tobytes(), name
+        assert frame.targets == frames[0].targets and frame.budget_mk == frames[0].budget_mk
