@@ -581,23 +581,23 @@ def test_the_shipped_map_is_small_and_labelled():
 
 def test_the_shipped_map_beats_simpler_ways_on_unseen_land(monkeypatch):
     monkeypatch.setattr(validation, "make", lambda kind, seed: make(kind, seed, *SMALL[kind]))
-    result = validation.hold("procedural", (11,), kinds=("village",))
-    arms = result["all"]
-    learned_arm = arms["learned, mix of three"]
-    assert learned_arm["accuracy"] > 0.7
+    result = validation.evaluate("procedural", (11,), kinds=("village",))
+    methods = result["all"]
+    learned = methods["learned, mix of three"]
+    assert learned["accuracy"] > 0.7
     for other in ("nearest colour", "commonest material", "fallback"):
-        assert learned_arm["mk_mean"] < 0.7 * arms[other]["mk_mean"], other
-        assert learned_arm["emissivity_mean"] < 0.7 * arms[other]["emissivity_mean"], other
+        assert learned["mk_mean"] < 0.7 * methods[other]["mk_mean"], other
+        assert learned["emissivity_mean"] < 0.7 * methods[other]["emissivity_mean"], other
     table = np.array(result["confusion"])
     assert table.sum() == 440 * 440 and len(result["materials"]) == table.shape[0] == table.shape[1] - 1
     right = sum(table[k, k] for k in range(len(table))) / table.sum()
-    # Unknown texels count as wrong in the table, and as the fallback in the arm.
-    assert right == pytest.approx(learned_arm["accuracy"], abs=0.02)
+    # Unknown texels count as wrong in the table, and as the fallback in the method.
+    assert right == pytest.approx(learned["accuracy"], abs=0.02)
 
 
-def test_the_map_is_not_held_against_what_it_was_trained_on():
+def test_the_map_is_not_evaluated_on_what_it_was_trained_on():
     with pytest.raises(ThermorenderError, match="seed 101 is one that 'procedural' was trained on; give another"):
-        validation.hold("procedural", (101,))
+        validation.evaluate("procedural", (101,))
 
 
 def test_errors_of_temperature_are_those_of_grey_surfaces():
