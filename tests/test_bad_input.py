@@ -1073,6 +1073,19 @@ def no_llvm(monkeypatch):
     return variant
 
 
+def test_a_process_keeps_its_device(monkeypatch):
+    import mitsuba
+
+    from thermorender.errors import ThermorenderError
+    from thermorender.render.variant import activate
+
+    monkeypatch.setattr(mitsuba, "variant", lambda: "cuda_ad_mono")
+    monkeypatch.setattr(mitsuba, "set_variant", lambda name: pytest.fail("the variant was changed under its scenes"))
+    with pytest.raises(ThermorenderError, match="device='cpu' is not allowed while this process renders on 'cuda'"):
+        activate("cpu")
+    assert activate("auto") is mitsuba
+
+
 def test_no_llvm(scene, refused, no_llvm):
     refused(
         ["no LLVM library of version 16 or newer", "apt-get install libllvm19", "DRJIT_LIBLLVM_PATH"],
