@@ -191,8 +191,8 @@ def test_sunlight_above_the_air_is_that_of_modtran():
     wavenumber = np.array([float(row[0]) for row in rows])
     theirs = np.array([float(row[column]) for row in rows]) * 1e4 * wavenumber**2 / 1e4
     ours = sun.irradiance(1e4 / wavenumber)
-    # Their sun is that of 1 January (card 3A1), 0.9833 astronomical units away; ours stands at one. What is left is what
-    # `irradiance` states for its one temperature over the window: 3 %.
+    # Their sun is that of 1 January (card 3A1), 0.9833 astronomical units away; ours stands at one. What is left is
+    # what `irradiance` states for its one temperature over the window: 3 %.
     assert lines[6].split()[:3] == ["1", "2", "1"]
     assert np.abs(ours / 0.9833**2 / theirs - 1.0).max() < 0.03
 
