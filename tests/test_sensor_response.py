@@ -117,6 +117,22 @@ def test_an_image_moved_over_level_ground_is_that_seen_from_there(distortion):
     assert np.sqrt(np.mean((moved - wanted)[inside > 0] ** 2)) < 0.02 * whole
 
 
+@pytest.mark.parametrize("ground_m", [3.0, 37.5, 60.0])
+def test_points_of_the_ground_move_as_both_cameras_see_them(ground_m):
+    """Cameras above the ground and, looking up, below it."""
+    up = -75.0 if ground_m < 40.0 else 75.0
+    here, there = pose(0, 0, 40, 10, up, 2), pose(0.6, 0.4, 40.5, 13, up + 1, 0)
+    away = np.random.default_rng(1).uniform(-0.5, 0.5, (50, 2)) * abs(ground_m - 40.0)
+    point = np.column_stack([away, np.full(50, ground_m)])
+
+    def slopes(view):
+        local = (point - view[:3, 3]) @ view[:3, :3]
+        return local / local[:, 2:]
+
+    seen = slopes(there) @ motion.homography(here, there, ground_m).T
+    np.testing.assert_allclose(seen / seen[:, 2:], slopes(here), atol=1e-9)
+
+
 def test_a_camera_on_the_ground_is_no_division_by_nothing():
     camera, here, there = load_camera("ideal"), pose(0, 0, 5, 0, -30), pose(0.01, 0, 5, 0, -30)
     assert np.isfinite(motion.motion_px(camera, here, there, 5.0))
