@@ -45,14 +45,14 @@ def polygons(height, width, oversampled=4, count=60):
     return image.reshape(height, oversampled, width, oversampled).mean(axis=(1, 3))
 
 
-def footage(camera, frames, still=False, seed=4):
+def footage(camera, frames, static=False, seed=4):
     """Apparent temperatures of a camera over a scene of patches, with a little texture [K]."""
     scene = polygons(2 * camera.height, 2 * camera.width)
     sensor = Sensor(camera, seed)
     for index in range(frames):
-        i, j = (0, 0) if still else (int(RNG.integers(0, n)) for n in (camera.height, camera.width))
+        i, j = (0, 0) if static else (int(RNG.integers(0, n)) for n in (camera.height, camera.width))
         view = scene[i : i + camera.height, j : j + camera.width].astype(np.float64)
-        counts = sensor.still(TABLE(view).astype(np.float32), index)
+        counts = sensor.counts_at_rest(TABLE(view).astype(np.float32), index)
         yield TABLE.inverse(radiance_from_counts(counts, camera))
 
 
@@ -96,10 +96,10 @@ def test_a_known_camera_is_found_again(fitted, key):
     assert estimate.uncertainty < 0.35 * true or key == "sigma_th_mk"
 
 
-def test_a_still_camera(base, tmp_path):
-    folder = write_frames(tmp_path / "still", footage(CAMERA, 5, still=True))
+def test_a_static_camera(base, tmp_path):
+    folder = write_frames(tmp_path / "static", footage(CAMERA, 5, static=True))
     found = calibration.fit_camera([folder], base)
-    assert "still camera" in found["netd_mk"].how
+    assert "static camera" in found["netd_mk"].how
     # Rows and columns, which few frames tell badly, make 4 % of the whole.
     assert found["netd_mk"].value == pytest.approx(CAMERA.netd_mk, rel=0.05)
     assert found["sigma_vh_mk"].value == pytest.approx(CAMERA.sigma_vh_mk, rel=0.15)
@@ -145,10 +145,10 @@ def test_blocks_are_blind_to_slopes():
 
 def test_row_and_column_noise_by_their_lines():
     spectra = Spectra((256, 320))
-    still = RNG.normal(0.0, 0.02, (256, 1))
+    fixed = RNG.normal(0.0, 0.02, (256, 1))
     for _ in range(12):
         rows, columns = RNG.normal(0.0, 0.012, (256, 1)), RNG.normal(0.0, 0.03, (1, 320))
-        spectra.add(still + rows + columns + RNG.normal(0.0, 0.05, (256, 320)))
+        spectra.add(fixed + rows + columns + RNG.normal(0.0, 0.05, (256, 320)))
     noise = noise_of(spectra)
     for (value, uncertainty), true in (
         (noise.fixed_row, 0.02), (noise.row, 0.012), (noise.column, 0.03), (noise.fixed_column, 0.0),
@@ -198,8 +198,8 @@ def test_width_through_a_lens():
     # A square pixel alone draws a ramp of one pixel: the nearest blurred step, by trying all.
     from scipy.special import erf
 
-    place, sigmas = np.linspace(-6.0, 6.0, 1201), np.linspace(0.25, 0.4, 301)
-    misfit = [((erf(place / (np.sqrt(2.0) * s)) - np.clip(2.0 * place, -1.0, 1.0)) ** 2).sum() for s in sigmas]
+    position, sigmas = np.linspace(-6.0, 6.0, 1201), np.linspace(0.25, 0.4, 301)
+    misfit = [((erf(position / (np.sqrt(2.0) * s)) - np.clip(2.0 * position, -1.0, 1.0)) ** 2).sum() for s in sigmas]
     assert width_through(np.sinc) == pytest.approx(sigmas[np.argmin(misfit)], abs=0.01)
     whole = width_through(lambda f: otf(CAMERA, f) * np.sinc(f))
     assert np.sqrt(0.4**2 + 1 / 12) < whole < 1.0
