@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from thermorender.cli import app as cli
-from thermorender.output.products import read_exr
+from thermorender.output.exr import read_exr
 from thermorender.scene.load import load_scene
 from thermorender.scene.surface import BEYOND, MOST_TEXELS, SURFACE
 
@@ -875,8 +875,8 @@ def test_a_path_under_the_terrain(scene, refused, call, tmp_path):
         ("--products ,", ["products is empty"]),
         ("--products truth", ["'truth' is channels of the EXR", "add 'exr'"]),
         ("--products video", ["add 'display'"]),
-        ("--products counts --operator emissivity=0.9", ["goes into 'exr' and 'radiometric'"]),
-        ("--operator emisivity=0.9", ["unknown key 'emisivity'", "did you mean 'emissivity'"]),
+        ("--products counts --thermography emissivity=0.9", ["goes into 'exr' and 'radiometric'"]),
+        ("--thermography emisivity=0.9", ["unknown key 'emisivity'", "did you mean 'emissivity'"]),
         ("--display clahe", ["display mode 'clahe' is unknown", "linear, plateau, local"]),
         ("--palette hot", ["palette 'hot' is unknown", "ironbow"]),
         ("--agc-memory-s -1", ["memory_s=-1 is not allowed"]),

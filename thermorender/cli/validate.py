@@ -1,4 +1,4 @@
-"""Commands that hold the renderer against references: `thermorender validate …`."""
+"""Commands that compare the renderer with references: `thermorender validate …`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -11,7 +11,7 @@ from thermorender.cli.terminal import air as parse_air
 from thermorender.cli.terminal import output_option, progress, split, table
 from thermorender.errors import ThermorenderError
 
-app = typer.Typer(help="Hold the renderer against references.", no_args_is_help=True)
+app = typer.Typer(help="Compare the renderer with references.", no_args_is_help=True)
 
 Out = Annotated[Path, output_option("-o", "--output", help="Folder for the results.")]
 Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
@@ -39,7 +39,7 @@ def validate_emissivity(
     model: Annotated[str, typer.Option(help="Emissivity map: a file, or procedural.")] = "procedural",
     seeds: Annotated[str, typer.Option(help="Comma-separated seeds of procedural scenes not trained on.")] = "201,202",
 ):
-    """Errors of a learned emissivity map on procedural scenes, beside simpler ways."""
+    """Errors of a learned emissivity map on procedural scenes, beside simpler methods."""
     from thermorender.validate import emissivity as run
 
     if not all(part.isdigit() for part in split(seeds)) or not split(seeds):
