@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from thermorender.cli import app as cli
-from thermorender.output.products import read_exr
+from thermorender.output.exr import read_exr
 from thermorender.scene.load import load_scene
 from thermorender.scene.surface import BACKGROUND, MOST_TEXELS, SURFACE
 
@@ -875,8 +875,8 @@ def test_a_path_under_the_terrain(scene, refused, call, tmp_path):
         ("--products ,", ["products is empty"]),
         ("--products truth", ["'truth' is channels of the EXR", "add 'exr'"]),
         ("--products video", ["add 'display'"]),
-        ("--products counts --operator emissivity=0.9", ["goes into 'exr' and 'radiometric'"]),
-        ("--operator emisivity=0.9", ["unknown key 'emisivity'", "did you mean 'emissivity'"]),
+        ("--products counts --thermography emissivity=0.9", ["goes into 'exr' and 'radiometric'"]),
+        ("--thermography emisivity=0.9", ["unknown key 'emisivity'", "did you mean 'emissivity'"]),
         ("--display clahe", ["display mode 'clahe' is unknown", "linear, plateau, local"]),
         ("--palette hot", ["palette 'hot' is unknown", "ironbow"]),
         ("--agc-memory-s -1", ["memory_s=-1 is not allowed"]),
@@ -1071,6 +1071,19 @@ def no_llvm(monkeypatch):
     monkeypatch.setattr(variant.ctypes.util, "find_library", lambda name: None)
     monkeypatch.setattr(mitsuba, "variant", lambda: None)
     return variant
+
+
+def test_a_process_keeps_its_device(monkeypatch):
+    import mitsuba
+
+    from thermorender.errors import ThermorenderError
+    from thermorender.render.variant import activate
+
+    monkeypatch.setattr(mitsuba, "variant", lambda: "cuda_ad_mono")
+    monkeypatch.setattr(mitsuba, "set_variant", lambda name: pytest.fail("the variant was changed under its scenes"))
+    with pytest.raises(ThermorenderError, match="device='cpu' is not allowed while this process renders on 'cuda'"):
+        activate("cpu")
+    assert activate("auto") is mitsuba
 
 
 def test_no_llvm(scene, refused, no_llvm):

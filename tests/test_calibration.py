@@ -46,14 +46,14 @@ def polygons(height, width, seed=0, oversampled=4, count=60):
     return image.reshape(height, oversampled, width, oversampled).mean(axis=(1, 3))
 
 
-def footage(camera, frames, still=False, seed=4):
+def footage(camera, frames, static=False, seed=4):
     """Apparent temperatures of a camera over a scene of patches, with a little texture [K]."""
     scene, rng = polygons(2 * camera.height, 2 * camera.width, seed), np.random.default_rng(seed + 1)
     sensor = Sensor(camera, seed)
     for index in range(frames):
-        i, j = (0, 0) if still else (int(rng.integers(0, n)) for n in (camera.height, camera.width))
+        i, j = (0, 0) if static else (int(rng.integers(0, n)) for n in (camera.height, camera.width))
         view = scene[i : i + camera.height, j : j + camera.width].astype(np.float64)
-        counts = sensor.still(TABLE(view).astype(np.float32), index)
+        counts = sensor.counts_at_rest(TABLE(view).astype(np.float32), index)
         yield TABLE.inverse(radiance_from_counts(counts, camera))
 
 
@@ -112,10 +112,10 @@ def test_a_known_camera_is_found_again(takes, key):
     assert error < 0.28 * true
 
 
-def test_a_still_camera(base, tmp_path):
-    folder = write_frames(tmp_path / "still", footage(CAMERA, 5, still=True))
+def test_a_static_camera(base, tmp_path):
+    folder = write_frames(tmp_path / "static", footage(CAMERA, 5, static=True))
     found = calibration.fit_camera([folder], base)
-    assert "still camera" in found["netd_mk"].how
+    assert "static camera" in found["netd_mk"].how
     # Five frames may tell nothing of rows and columns, 1.9 mK of the whole; single pixels they tell to 0.2 mK.
     without = np.sqrt(CAMERA.netd_mk**2 - CAMERA.sigma_tv_mk**2 - CAMERA.sigma_th_mk**2)
     assert found["netd_mk"].value == pytest.approx(CAMERA.netd_mk, abs=CAMERA.netd_mk - without + 3.0 * 0.2)
@@ -243,8 +243,8 @@ def test_width_through_a_lens():
     # A square pixel alone draws a ramp of one pixel: the nearest blurred step, by trying all.
     from scipy.special import erf
 
-    place, sigmas = np.linspace(-6.0, 6.0, 1201), np.linspace(0.25, 0.4, 301)
-    misfit = [((erf(place / (np.sqrt(2.0) * s)) - np.clip(2.0 * place, -1.0, 1.0)) ** 2).sum() for s in sigmas]
+    position, sigmas = np.linspace(-6.0, 6.0, 1201), np.linspace(0.25, 0.4, 301)
+    misfit = [((erf(position / (np.sqrt(2.0) * s)) - np.clip(2.0 * position, -1.0, 1.0)) ** 2).sum() for s in sigmas]
     assert width_through(np.sinc) == pytest.approx(sigmas[np.argmin(misfit)], abs=0.01)
     whole = width_through(lambda f: otf(CAMERA, f) * np.sinc(f))
     assert np.sqrt(0.4**2 + 1 / 12) < whole < 1.0

@@ -70,10 +70,10 @@ def test_some_help_has_units():
 
 
 @pytest.mark.parametrize("words", WRITING, ids=" ".join)
-@pytest.mark.parametrize("place", ["below a file", "where nothing can be made"])
-def test_outputs_are_refused_before_the_work(words, place, call, tmp_path):
+@pytest.mark.parametrize("where", ["below a file", "where nothing can be made"])
+def test_outputs_are_refused_before_the_work(words, where, call, tmp_path):
     (tmp_path / "file").write_text("precious")
-    if place == "below a file":
+    if where == "below a file":
         folder = tmp_path / "file"
     elif Path("/proc/self").exists():
         folder = Path("/proc")

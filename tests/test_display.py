@@ -6,8 +6,8 @@ import pytest
 from conftest import shared_data
 
 from thermorender.errors import ThermorenderError
-from thermorender.output import products
-from thermorender.sensor.display import MODES, Look
+from thermorender.output.images import write_image, write_video
+from thermorender.sensor.display import MODES, DisplaySettings
 from thermorender.sensor.palettes import PALETTES, palette
 
 RNG = np.random.default_rng(3)
@@ -33,7 +33,7 @@ def brute_force_equalisation(counts, plateau_share, steepest):
 
 @pytest.mark.parametrize("counts", [SCENE, np.full((64, 64), 5000, np.uint16) + np.arange(64, dtype=np.uint16)])
 def test_plateau_against_brute_force(counts):
-    shown = Look("plateau").image(counts)[1]
+    shown = DisplaySettings("plateau").image(counts)[1]
     levels = brute_force_equalisation(counts, 150 / 327680, 255 / 64)
     expected = np.vectorize(levels.__getitem__)(counts)
     assert np.abs(shown - expected).max() <= 0.5 + 1e-9
@@ -44,7 +44,7 @@ def test_plateau_lies_between_stretch_and_equalisation():
     # levels, the plateau gives it no more than the ramp's own counts have.
     flat, ramp = np.full(160 * 320, 5000), np.linspace(6000, 7000, 96 * 320)
     counts = np.concatenate([flat, ramp]).reshape(256, 320).astype(np.uint16)
-    shown = Look("plateau").image(counts)[1]
+    shown = DisplaySettings("plateau").image(counts)[1]
     assert shown[-1, -1] - shown[160, 0] > 250 and shown[0, 0] < 2
     assert np.diff(shown.ravel().astype(int)).min() >= 0
 
@@ -52,7 +52,7 @@ def test_plateau_lies_between_stretch_and_equalisation():
 def test_linear_stretches_between_the_tails():
     ramp = np.linspace(2000, 6000, 512 * 640).reshape(512, 640).astype(np.uint16)
     for tails in ((0.5, 0.5), (0.0, 10.0)):
-        shown = Look(tails_percent=tails).image(ramp)[1]
+        shown = DisplaySettings(tails_percent=tails).image(ramp)[1]
         assert shown.min() == 0 and shown.max() == 255 and (np.diff(shown.ravel().astype(int)) >= 0).all()
         # Half a level of 255 more is rounded to the ends at either side.
         low, high = 2000 + 40 * tails[0], 6000 - 40 * tails[1]
@@ -63,44 +63,44 @@ def test_linear_stretches_between_the_tails():
 def test_noise_on_a_flat_scene_stays_quiet(mode):
     quiet = RNG.normal(5000, 2, (512, 640)).astype(np.uint16)
     # Two counts at 255/64 levels each are 8 levels; CLAHE may treble the slope.
-    assert Look(mode).image(quiet)[1].std() < (8.5 if mode != "local" else 25.5)
+    assert DisplaySettings(mode).image(quiet)[1].std() < (8.5 if mode != "local" else 25.5)
 
 
 def test_local_contrast_lifts_faint_texture():
     # Two halves far apart, each with texture of 12 counts that a global stretch leaves within 3 levels.
     texture = np.tile(np.kron(np.indices((32, 20)).sum(axis=0) % 2, np.ones((4, 4))) * 24, (2, 4))[:256, :320]
     counts = (texture + np.where(np.arange(320) < 160, 4000, 6000)).astype(np.uint16)
-    spread = {mode: Look(mode).image(counts)[1][:, 40:120].std() for mode in MODES}
+    spread = {mode: DisplaySettings(mode).image(counts)[1][:, 40:120].std() for mode in MODES}
     assert spread["local"] > 1.8 * spread["linear"]
-    whole = Look("local").image(counts)[1].astype(float)
+    whole = DisplaySettings("local").image(counts)[1].astype(float)
     assert whole[:, 200:].mean() > whole[:, :120].mean() + 40
 
 
 @pytest.mark.parametrize("mode", MODES)
 def test_memory_is_an_exponential_mean(mode):
     # After a jump of the scene the measure nears the new one as 1 − exp(−t/τ), however often it is looked at.
-    look = Look(mode, memory_s=0.5)
+    settings = DisplaySettings(mode, memory_s=0.5)
     before, after = SCENE, (SCENE + 700).astype(np.uint16)
     old, new = (MODES[mode][0](counts, (0.5, 0.5)) for counts in (before, after))
     for steps in (1, 9):
-        state, _ = look.image(before)
+        state, _ = settings.image(before)
         np.testing.assert_array_equal(state, old)
         for _ in range(steps):
-            state, _ = look.image(after, state, 0.3 / steps)
+            state, _ = settings.image(after, state, 0.3 / steps)
         np.testing.assert_allclose(state, new + (old - new) * np.exp(-0.6), rtol=1e-12, atol=1e-9)
-    np.testing.assert_array_equal(Look(mode).image(after, old, 0.3)[0], new)
+    np.testing.assert_array_equal(DisplaySettings(mode).image(after, old, 0.3)[0], new)
 
 
 @pytest.mark.parametrize("mode", MODES)
 def test_memory_continues_from_its_saved_state(mode, tmp_path):
-    look = Look(mode, "ironbow", memory_s=1.0)
+    settings = DisplaySettings(mode, "ironbow", memory_s=1.0)
     frames = [(SCENE + 90 * k).astype(np.uint16) for k in range(4)]
     state, whole = None, []
     for counts in frames:
-        state, image = look.image(counts, state, 0.1)
+        state, image = settings.image(counts, state, 0.1)
         whole.append(image.tobytes())
         np.save(tmp_path / f"{len(whole)}.npy", state)
-    _, again = look.image(frames[3], np.load(tmp_path / "3.npy"), 0.1)
+    _, again = settings.image(frames[3], np.load(tmp_path / "3.npy"), 0.1)
     assert again.tobytes() == whole[3] != whole[2]
 
 
@@ -112,9 +112,9 @@ def test_palettes():
     # Brightness (Rec. 601) rises all the way, so no two temperatures look alike.
     assert np.diff(iron @ [0.299, 0.587, 0.114]).min() > 0.0
     assert iron[0].max() < 10 and iron[-1].tolist() == [255, 255, 255]
-    shown = Look(palette="ironbow").image(SCENE)[1]
+    shown = DisplaySettings(palette="ironbow").image(SCENE)[1]
     assert shown.shape == (*SCENE.shape, 3) and shown.dtype == np.uint8
-    np.testing.assert_array_equal(shown, palette("ironbow")[Look().image(SCENE)[1]])
+    np.testing.assert_array_equal(shown, palette("ironbow")[DisplaySettings().image(SCENE)[1]])
 
 
 def test_ironbow_against_the_palette_a_camera_stores():
@@ -122,8 +122,8 @@ def test_ironbow_against_the_palette_a_camera_stores():
     stored = np.loadtxt(shared_data("flir/iron_palette.csv"), delimiter=",", skiprows=1)
     y, cr, cb = ((stored - [16, 128, 128]) * [255 / 219, 255 / 224, 255 / 224]).T
     rgb = np.clip(np.stack([y + 1.402 * cr, y - 0.714136 * cr - 0.344136 * cb, y + 1.772 * cb], axis=-1), 0, 255)
-    place = np.linspace(0, 255, len(rgb))
-    ours = np.stack([np.interp(place, np.arange(256), channel) for channel in palette("ironbow").T], axis=-1)
+    level = np.linspace(0, 255, len(rgb))
+    ours = np.stack([np.interp(level, np.arange(256), channel) for channel in palette("ironbow").T], axis=-1)
     error = np.abs(ours - rgb)
     assert error.mean() < 3 and error[8:-8].max() < 16
 
@@ -132,8 +132,8 @@ def test_colour_video_keeps_its_colours(tmp_path):
     images = []
     for k, level in enumerate((30, 128, 230)):
         images.append(tmp_path / f"{k}.png")
-        products.write_image(images[-1], np.full((64, 96, 3), palette("ironbow")[level]))
-    products.write_video(tmp_path / "a.mp4", images, 5.0)
+        write_image(images[-1], np.full((64, 96, 3), palette("ironbow")[level]))
+    write_video(tmp_path / "a.mp4", images, 5.0)
     video = cv2.VideoCapture(str(tmp_path / "a.mp4"))
     for level in (30, 128, 230):
         frame = video.read()[1][..., ::-1].reshape(-1, 3).mean(axis=0)
@@ -143,9 +143,9 @@ def test_colour_video_keeps_its_colours(tmp_path):
 
 def test_wrong_names_are_refused():
     with pytest.raises(ThermorenderError, match="display mode 'clahe' is unknown; give one of linear, plateau, local"):
-        Look("clahe")
+        DisplaySettings("clahe")
     with pytest.raises(ThermorenderError, match="palette 'hot' is unknown; give one of white-hot, black-hot, ironbow"):
-        Look(palette="hot")
+        DisplaySettings(palette="hot")
     with pytest.raises(ThermorenderError, match="memory_s=-1 is not allowed"):
-        Look(memory_s=-1.0)
+        DisplaySettings(memory_s=-1.0)
     assert set(PALETTES) == {"white-hot", "black-hot", "ironbow"}

@@ -11,11 +11,12 @@ import thermorender as tr
 from scenes import write_mesh, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.footage.radiometric_files import read_temperature
-from thermorender.output import products
+from thermorender.output.exr import read_exr
 from thermorender.output.flight import fly
+from thermorender.output.images import write_image
 from thermorender.scene.spec import TemperatureSpec
-from thermorender.sensor.display import Look
-from thermorender.sensor.radiometry import Operator
+from thermorender.sensor.display import DisplaySettings
+from thermorender.sensor.radiometry import ThermographySettings
 
 MARKER = """
 [[object]]
@@ -60,7 +61,7 @@ def test_products_and_records(setting, tmp_path):
     np.testing.assert_allclose(np.array(lines[2]["world_from_camera"])[:3, 3], [0, 0, 12], atol=1e-9)
 
     frame = renderer.frame(path.pose(0.5), time_s=0.5, index=2)
-    channels, record = products.read_exr(tmp_path / "f/frame_000002.exr")
+    channels, record = read_exr(tmp_path / "f/frame_000002.exr")
     flown = json.loads((tmp_path / "f/flight.json").read_text())
     assert record["versions"] == flown["versions"] and record["device"] == flown["device"]
     np.testing.assert_array_equal(channels["radiance"], frame.radiance)
@@ -105,8 +106,8 @@ def test_a_hovering_flight_starts_as_a_single_frame(setting, tmp_path):
     import cv2
 
     renderer, path = setting
-    still = tr.Trajectory(path.time_s, path.position[[0, 0]], path.quaternion)
-    fly(renderer, still, tmp_path / "f", rate_hz=1.0, products=("counts",))
+    hovering = tr.Trajectory(path.time_s, path.position[[0, 0]], path.quaternion)
+    fly(renderer, hovering, tmp_path / "f", rate_hz=1.0, products=("counts",))
     counts = cv2.imread(str(tmp_path / "f/frame_000000_counts.png"), cv2.IMREAD_UNCHANGED)
     np.testing.assert_array_equal(counts, renderer.frame(path.pose(0.0)).counts)
 
@@ -138,7 +139,7 @@ def test_resume_restores_what_the_pixels_remember(setting, tmp_path, lost):
 @pytest.mark.parametrize("lost", [False, True])
 def test_resume_continues_the_gain_control(setting, tmp_path, lost):
     renderer, path = setting
-    flight = {"rate_hz": 4.0, "products": ("display",), "look": Look("plateau", "ironbow", memory_s=1.0)}
+    flight = {"rate_hz": 4.0, "products": ("display",), "display": DisplaySettings("plateau", "ironbow", memory_s=1.0)}
     fly(renderer, path, tmp_path / "whole", **flight)
 
     def stop(done, total):
@@ -152,28 +153,28 @@ def test_resume_continues_the_gain_control(setting, tmp_path, lost):
     assert fly(renderer, path, tmp_path / "part", resume=True, **flight)["rendered"] == 2
     assert contents(tmp_path / "part") == contents(tmp_path / "whole")
     # Without memory the last frame looks different, so the memory did reach it.
-    fly(renderer, path, tmp_path / "none", **flight | {"look": Look("plateau", "ironbow")})
+    fly(renderer, path, tmp_path / "none", **flight | {"display": DisplaySettings("plateau", "ironbow")})
     assert contents(tmp_path / "none")["frame_000004.png"] != contents(tmp_path / "whole")["frame_000004.png"]
     with pytest.raises(ThermorenderError, match="was flown with display.mode="):
-        fly(renderer, path, tmp_path / "whole", resume=True, **flight | {"look": Look()})
+        fly(renderer, path, tmp_path / "whole", resume=True, **flight | {"display": DisplaySettings()})
 
 
-def test_the_operator_stands_beside_the_truth(setting, tmp_path):
+def test_the_thermography_reading_stands_beside_the_truth(setting, tmp_path):
     renderer, path = setting
-    operator = Operator(emissivity=0.95, reflected_c=-13.15, air_c=15.0, distance_m=12.0)
-    fly(renderer, path, tmp_path / "f", rate_hz=1.0, products=("exr", "truth", "radiometric"), operator=operator)
-    channels, record = products.read_exr(tmp_path / "f/frame_000001.exr")
-    read = channels["operator_temperature"]
-    assert record["operator"]["emissivity"] == 0.95 and record["units"]["operator_temperature"] == "K"
+    settings = ThermographySettings(emissivity=0.95, reflected_c=-13.15, air_c=15.0, distance_m=12.0)
+    fly(renderer, path, tmp_path / "f", rate_hz=1.0, products=("exr", "truth", "radiometric"), thermography=settings)
+    channels, record = read_exr(tmp_path / "f/frame_000001.exr")
+    read = channels["thermography_temperature"]
+    assert record["thermography"]["emissivity"] == 0.95 and record["units"]["thermography_temperature"] == "K"
     assert np.abs(read_temperature(tmp_path / "f/frame_000001_radiometric.tif") - read).max() < 0.0201
     # Where nothing is taken away, the formula and the true apparent temperature differ by noise, blur and fit only.
-    fly(renderer, path, tmp_path / "g", rate_hz=1.0, products=("exr",), operator=Operator())
-    plain = products.read_exr(tmp_path / "g/frame_000001.exr")[0]
-    difference = plain["operator_temperature"] - plain["apparent_temperature"]
+    fly(renderer, path, tmp_path / "g", rate_hz=1.0, products=("exr",), thermography=ThermographySettings())
+    plain = read_exr(tmp_path / "g/frame_000001.exr")[0]
+    difference = plain["thermography_temperature"] - plain["apparent_temperature"]
     assert abs(np.median(difference)) < 0.1 and 0.02 < np.median(np.abs(difference)) < 0.3
-    assert np.median(read - plain["operator_temperature"]) > 0.5
+    assert np.median(read - plain["thermography_temperature"]) > 0.5
     with pytest.raises(ThermorenderError, match="goes into 'exr' and 'radiometric'"):
-        fly(renderer, path, tmp_path / "h", products=("counts",), operator=operator)
+        fly(renderer, path, tmp_path / "h", products=("counts",), thermography=settings)
 
 
 def test_what_moves_by_itself_is_rendered_at_each_instant(tmp_path):
@@ -202,9 +203,9 @@ def test_resume_refuses_other_settings(setting, tmp_path):
     higher = tr.Trajectory(path.time_s, path.position + [0.0, 0.0, 0.5], path.quaternion)
     with pytest.raises(ThermorenderError, match="was flown with path_digest="):
         fly(renderer, higher, tmp_path / "f", rate_hz=2.0, products=("counts",), resume=True)
-    # The same places at the frames (0, 0.5 and 1 s), but another way between them.
-    way = np.array([path.position[0], [0.0, 0.3, 12.0], [0.0, 0.0, 12.0], path.position[1]])
-    detour = tr.Trajectory(np.array([0.0, 0.25, 0.5, 1.0]), way, path.quaternion[[0, 0, 0, 0]])
+    # The same positions at the frames (0, 0.5 and 1 s), but another path between them.
+    positions = np.array([path.position[0], [0.0, 0.3, 12.0], [0.0, 0.0, 12.0], path.position[1]])
+    detour = tr.Trajectory(np.array([0.0, 0.25, 0.5, 1.0]), positions, path.quaternion[[0, 0, 0, 0]])
     np.testing.assert_array_equal(detour.pose(0.5), path.pose(0.5))
     with pytest.raises(ThermorenderError, match="was flown with path_digest="):
         fly(renderer, detour, tmp_path / "f", rate_hz=2.0, products=("counts",), resume=True)
@@ -303,5 +304,5 @@ def test_products_are_optional(setting, tmp_path):
 def test_colours_keep_their_order(tmp_path):
     import cv2
 
-    products.write_image(tmp_path / "a.png", np.full((2, 2, 3), (250, 100, 10), np.uint8))
+    write_image(tmp_path / "a.png", np.full((2, 2, 3), (250, 100, 10), np.uint8))
     assert cv2.imread(str(tmp_path / "a.png"))[0, 0].tolist() == [10, 100, 250]

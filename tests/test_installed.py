@@ -12,7 +12,8 @@ import pytest
 from typer.testing import CliRunner
 
 import thermorender as tr
-from thermorender import cli, doctor
+from thermorender.cli import app as cli
+from thermorender.cli import doctor
 from thermorender.errors import ThermorenderError
 from thermorender.render import variant
 

@@ -1,4 +1,4 @@
-"""What the operator's software reads: the camera's formula, its corrections, and files of temperature."""
+"""What thermography software reads: the camera's formula, its corrections, and files of temperature."""
 
 import io
 import json
@@ -17,11 +17,11 @@ from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.sensor.camera import load_camera
 from thermorender.sensor.radiometry import (
     AirModel,
-    Operator,
     PlanckConstants,
+    ThermographySettings,
     camera_constants,
     fitted_constants,
-    operator_temperature,
+    thermography_temperature,
     water_vapour,
 )
 
@@ -74,20 +74,24 @@ def test_air_model():
 def test_settings_that_take_nothing_away():
     signal = camera_constants(CAMERA).signal(np.linspace(250.0, 400.0, 50))
     np.testing.assert_allclose(
-        operator_temperature(signal, camera_constants(CAMERA), Operator()), np.linspace(250.0, 400.0, 50), rtol=1e-12
+        thermography_temperature(signal, camera_constants(CAMERA), ThermographySettings()),
+        np.linspace(250.0, 400.0, 50),
+        rtol=1e-12,
     )
 
 
 @pytest.mark.parametrize("planck", [SC660, XT, camera_constants(CAMERA)])
 def test_true_settings_give_the_true_temperature(planck):
     # A grey surface seen through air and a window, summed in signal by hand.
-    operator = Operator(emissivity=0.8, reflected_c=-30.0, air_c=12.0, humidity=0.7, distance_m=120.0, window_c=25.0,
-                        window_transmittance=0.9)  # fmt: skip
+    settings = ThermographySettings(
+        emissivity=0.8, reflected_c=-30.0, air_c=12.0, humidity=0.7, distance_m=120.0, window_c=25.0,
+        window_transmittance=0.9,
+    )  # fmt: skip
     surface = np.linspace(270.0, 340.0, 8)
     tau = AirModel().transmittance(12.0, 0.7, 120.0)
     leaving = 0.8 * planck.signal(surface) + 0.2 * planck.signal(243.15)
     signal = 0.9 * (tau * leaving + (1 - tau) * planck.signal(285.15)) + 0.1 * planck.signal(298.15)
-    np.testing.assert_allclose(operator_temperature(signal, planck, operator), surface, rtol=1e-11)
+    np.testing.assert_allclose(thermography_temperature(signal, planck, settings), surface, rtol=1e-11)
 
 
 def test_errors_of_a_wrong_setting_in_kelvin():
@@ -95,16 +99,17 @@ def test_errors_of_a_wrong_setting_in_kelvin():
     radiance = 0.95 * band_radiance(300.0, 7.5, 13.5) + 0.05 * band_radiance(250.0, 7.5, 13.5)
     seen = brightness_temperature(radiance, 7.5, 13.5)
     planck = camera_constants(CAMERA)
-    assert operator_temperature(radiance, planck, Operator()) == pytest.approx(seen, abs=0.035)
-    right = Operator(emissivity=0.95, reflected_c=250.0 - 273.15)
-    assert operator_temperature(radiance, planck, right) == pytest.approx(300.0, abs=0.05)
+    assert thermography_temperature(radiance, planck, ThermographySettings()) == pytest.approx(seen, abs=0.035)
+    right = ThermographySettings(emissivity=0.95, reflected_c=250.0 - 273.15)
+    assert thermography_temperature(radiance, planck, right) == pytest.approx(300.0, abs=0.05)
     assert 300.0 - seen > 1.5
 
 
-def test_operator_is_read_from_text():
-    assert Operator.parse("emissivity=0.95, air_c=-5,distance_m=1e2") == Operator(0.95, air_c=-5.0, distance_m=100.0)
+def test_settings_are_read_from_text():
+    read = ThermographySettings.parse("emissivity=0.95, air_c=-5,distance_m=1e2")
+    assert read == ThermographySettings(0.95, air_c=-5.0, distance_m=100.0)
     for text, words in (
-        ("emisivity=0.9", "operator: unknown key 'emisivity'; did you mean 'emissivity'"),
+        ("emisivity=0.9", "thermography: unknown key 'emisivity'; did you mean 'emissivity'"),
         ("emissivity=1.2", "emissivity=1.2 is not allowed; give a number 0.001…1"),
         ("emissivity=nan", "emissivity=nan is not allowed; give a number 0.001…1"),
         ("humidity=50", "humidity=50.0 is not allowed; give a number 0…1"),
@@ -113,9 +118,9 @@ def test_operator_is_read_from_text():
         ("distance_m", "distance_m='' is not allowed; give a number 0…1e.06 m"),
     ):
         with pytest.raises(ThermorenderError, match=words):
-            Operator.parse(text)
+            ThermographySettings.parse(text)
     with pytest.raises(ThermorenderError, match="distance_m=1e.06 leaves"):
-        operator_temperature(1.0, SC660, Operator(distance_m=1e6))
+        thermography_temperature(1.0, SC660, ThermographySettings(distance_m=1e6))
 
 
 def test_radiometric_tiff_is_read_by_common_tools(tmp_path):
@@ -174,10 +179,10 @@ PRINTED = {
 
 @pytest.mark.parametrize("name", PRINTED)
 def test_formula_and_settings_of_real_cameras_give_what_they_printed(name):
-    """The numbers of the files alone: constants, the operator's settings, raw values at the scale's ends."""
+    """The numbers of the files alone: constants, the thermography settings, raw values at the scale's ends."""
     stored = json.loads(shared_data("flir/settings.json").read_text(encoding="utf-8"))[name]
-    settings = PlanckConstants(**stored["planck"]), Operator(**stored["operator"]), AirModel(**stored["air"])
-    ends = operator_temperature(np.array(stored["scale_raw"]), *settings)
+    settings = PlanckConstants(**stored["planck"]), ThermographySettings(**stored["thermography"]), AirModel(**stored["air"])
+    ends = thermography_temperature(np.array(stored["scale_raw"]), *settings)
     # Printed to 0.1 °C.
     np.testing.assert_allclose(ends - 273.15, PRINTED[name], atol=0.0501)
 
@@ -185,7 +190,8 @@ def test_formula_and_settings_of_real_cameras_give_what_they_printed(name):
 @pytest.mark.parametrize("name", PRINTED)
 def test_readings_are_those_the_camera_printed(name):
     picture = read_flir_jpeg(shared_data(f"pairs/flir_rjpeg_samples/{name}"))
-    ends = operator_temperature(np.array(picture.camera["scale_raw"]), picture.planck, picture.operator, picture.air)
+    signal = np.array(picture.camera["scale_raw"])
+    ends = thermography_temperature(signal, picture.planck, picture.thermography, picture.air)
     # Printed to 0.1 °C.
     np.testing.assert_allclose(ends - 273.15, PRINTED[name], atol=0.0501)
 
@@ -225,7 +231,8 @@ def test_temperatures_against_another_package(name):
     import rasterio
 
     path = shared_data(f"pairs/flirone_trees/{name}_thermal_degC_eps1.tif")
-    ours = read_temperature(shared_data(f"pairs/flir_rjpeg_samples/{name}.JPG"), operator=Operator()) - 273.15
+    source = shared_data(f"pairs/flir_rjpeg_samples/{name}.JPG")
+    ours = read_temperature(source, thermography=ThermographySettings()) - 273.15
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
         with rasterio.open(path) as file:
@@ -248,12 +255,12 @@ def fff(raw, order="<", size=None, records=2, pixels=None, pieces=1):
     picture = struct.pack(order + "HHH", 2, width, height).ljust(32, b"\0") + pixels
     block = bytearray(1100)
     struct.pack_into(order + "H", block, 0, 2)
-    for place, value in {
+    for offset, value in {
         0x20: 0.9, 0x24: 10.0, 0x28: 293.15, 0x2C: 283.15, 0x30: 293.15, 0x34: 1.0, 0x3C: 0.4, 0x58: SC660.r1,
         0x5C: SC660.b, 0x60: SC660.f, 0x70: 0.006569, 0x74: 0.01262, 0x78: -0.002276, 0x7C: -0.00667, 0x80: 1.9,
         0x90: 393.15, 0x94: 253.15, 0x30C: SC660.r2,
     }.items():  # fmt: skip
-        struct.pack_into(order + "f", block, place, value)
+        struct.pack_into(order + "f", block, offset, value)
     struct.pack_into(order + "i", block, 0x308, int(SC660.o))
     head = b"FFF\0" + b"test".ljust(16, b"\0") + struct.pack(">III", 100, 64, records) + bytes(32)
     start = 64 + 32 * 2
@@ -278,10 +285,11 @@ def test_a_file_written_by_hand(order, pieces, compressed, tmp_path):
     (tmp_path / "a.jpg").write_bytes(fff(raw, order, pixels=pixels, pieces=pieces))
     picture = read_flir_jpeg(tmp_path / "a.jpg")
     np.testing.assert_array_equal(picture.raw, raw)
-    assert picture.operator.emissivity == pytest.approx(0.9) and picture.operator.air_c == pytest.approx(10.0, abs=1e-4)
-    np.testing.assert_allclose(picture.temperature(Operator()), SC660.temperature(raw), atol=1e-3)
+    assert picture.thermography.emissivity == pytest.approx(0.9)
+    assert picture.thermography.air_c == pytest.approx(10.0, abs=1e-4)
+    np.testing.assert_allclose(picture.temperature(ThermographySettings()), SC660.temperature(raw), atol=1e-3)
     np.testing.assert_array_equal(read_temperature(tmp_path / "a.jpg"), picture.temperature())
-    assert replace(picture.operator, emissivity=1.0) != picture.operator
+    assert replace(picture.thermography, emissivity=1.0) != picture.thermography
 
 
 def test_damaged_files_give_one_sentence(tmp_path):
@@ -294,8 +302,8 @@ def test_damaged_files_give_one_sentence(tmp_path):
         if k % 2:
             del data[int(rng.integers(2, len(data))) :]
         else:
-            for place in rng.integers(0, 250, 3):
-                data[place] = int(rng.integers(0, 256))
+            for offset in rng.integers(0, 250, 3):
+                data[offset] = int(rng.integers(0, 256))
         path.write_bytes(data)
         try:
             read_flir_jpeg(path)
@@ -324,8 +332,8 @@ def test_real_files_cut_short(tmp_path):
     rng = np.random.default_rng(2)
     for _ in range(25):
         data = bytearray(source)
-        for place in rng.integers(0, 400_000, 40):
-            data[place] ^= int(rng.integers(1, 256))
+        for offset in rng.integers(0, 400_000, 40):
+            data[offset] ^= int(rng.integers(1, 256))
         (tmp_path / "a.jpg").write_bytes(data[: int(rng.integers(1000, len(data)))])
         with pytest.raises(ThermorenderError, match="no whole FLIR radiometric JPEG"):
             read_flir_jpeg(tmp_path / "a.jpg")

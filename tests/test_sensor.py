@@ -26,7 +26,7 @@ def even(camera, kelvin=300.0):
 def read_mk(camera, frames, seed=0, kelvin=300.0):
     """Apparent temperature behind the counts of frames of a blackbody, less its own, (frames, H, W) [mK]."""
     sensor, scene = Sensor(camera, seed), even(camera, kelvin)
-    counts = [sensor.still(scene, index) for index in range(frames)]
+    counts = [sensor.counts_at_rest(scene, index) for index in range(frames)]
     table = brightness_temperature(readout.radiance_from_counts(np.arange(2.0**camera.bits), camera), *camera.band_um)
     return ((table - kelvin) * 1e3)[np.array(counts)]
 
@@ -236,11 +236,12 @@ def test_noise_is_normal_white_and_of_unit_size():
 
 def test_noise_depends_on_seed_and_index_only():
     sensor = Sensor(CAMERA, 7)
-    first = sensor.still(even(CAMERA), 3)
-    sensor.still(even(CAMERA), 9)
-    assert (first == sensor.still(even(CAMERA), 3)).all() and (first == Sensor(CAMERA, 7).still(even(CAMERA), 3)).all()
-    assert (first != sensor.still(even(CAMERA), 4)).mean() > 0.5
-    assert (first != Sensor(CAMERA, 8).still(even(CAMERA), 3)).mean() > 0.5
+    first = sensor.counts_at_rest(even(CAMERA), 3)
+    sensor.counts_at_rest(even(CAMERA), 9)
+    assert (first == sensor.counts_at_rest(even(CAMERA), 3)).all()
+    assert (first == Sensor(CAMERA, 7).counts_at_rest(even(CAMERA), 3)).all()
+    assert (first != sensor.counts_at_rest(even(CAMERA), 4)).mean() > 0.5
+    assert (first != Sensor(CAMERA, 8).counts_at_rest(even(CAMERA), 3)).mean() > 0.5
 
 
 def test_the_same_bytes_on_any_number_of_threads():
@@ -251,7 +252,7 @@ def test_the_same_bytes_on_any_number_of_threads():
     found = []
     for threads in (1, 2, 5):
         cv2.setNumThreads(threads)
-        found.append(Sensor(CAMERA, 1).still(scene, 0).tobytes())
+        found.append(Sensor(CAMERA, 1).counts_at_rest(scene, 0).tobytes())
     cv2.setNumThreads(before)
     assert len(set(found)) == 1
 
@@ -320,7 +321,7 @@ def test_bad_pixels_take_the_mean_of_good_neighbours():
             for b in range(max(j - 1, 0), min(j + 2, 128))
             if a * 128 + b not in bad
         ]
-        assert mended[i, j] == pytest.approx(np.mean([image[place] for place in near]), abs=1e-6)
+        assert mended[i, j] == pytest.approx(np.mean([image[pixel] for pixel in near]), abs=1e-6)
 
 
 def test_corrections_follow_at_their_interval_and_freeze_the_image():
@@ -345,7 +346,7 @@ def test_noise_free_chain_inverts_within_half_a_count(gain):
     camera = replace(CAMERA, gain=gain, **effects)
     kelvin = np.linspace(250.0, 400.0, 512 * 640).reshape(512, 640)
     radiance = band_radiance(kelvin, *BAND)
-    back = readout.radiance_from_counts(Sensor(camera, 0).still(radiance, 0), camera)
+    back = readout.radiance_from_counts(Sensor(camera, 0).counts_at_rest(radiance, 0), camera)
     step = np.diff(readout.radiance_from_counts([0, 1], camera))[0]
     # Single precision adds 2⁻²⁴ of full scale for each of some ten steps: a hundredth of a count at 14 bits.
     assert np.abs(back - radiance).max() <= 0.51 * step
@@ -355,7 +356,7 @@ def test_noise_free_chain_inverts_within_half_a_count(gain):
 def test_temperature_linear_counts_are_steps_of_kelvin(tlinear_mk, gain):
     camera = replace(SMALL, tlinear_mk=tlinear_mk, gain=gain, netd_mk=1e-6)
     kelvin = np.linspace(255.0, 400.0, 128 * 96).reshape(96, 128)
-    counts = Sensor(camera, 0).still(band_radiance(kelvin, *BAND))
+    counts = Sensor(camera, 0).counts_at_rest(band_radiance(kelvin, *BAND))
     raw_k = np.diff(readout.radiance_from_counts([0, 1], replace(camera, tlinear_mk=0.0)))[0]
     raw_k = raw_k / band_radiance_derivative(255.0, *BAND)
     assert np.abs(counts * tlinear_mk * 1e-3 - kelvin).max() <= 0.5 * tlinear_mk * 1e-3 + 0.51 * raw_k
@@ -370,9 +371,9 @@ def test_both_ends_of_a_range_are_flagged_and_nothing_else(tlinear_mk, gain, end
     cold, warm = np.array(ends) + 273.15
     inside = 1.5 if gain == "high" else 4.0
     for kelvin, expected in ((cold - 1, True), (cold + inside, False), (300.0, False), (warm + 1, True)):
-        counts = Sensor(camera, 0).still(even(camera, kelvin))
+        counts = Sensor(camera, 0).counts_at_rest(even(camera, kelvin))
         assert (readout.saturated(counts, camera) == expected).all(), kelvin
-    within = Sensor(camera, 0).still(even(camera, min(warm - 1, 640.0)))
+    within = Sensor(camera, 0).counts_at_rest(even(camera, min(warm - 1, 640.0)))
     assert not readout.saturated(within, camera).any()
 
 
@@ -404,7 +405,7 @@ def test_the_order_of_the_stages():
     # By what it does to a single hot pixel: it is spread before it is cut off at the end of the range.
     scene = even(CAMERA)
     scene[200, 300] = band_radiance(900.0, *BAND)
-    counts = Sensor(replace(CAMERA, bad_pixels=0.0), 0).still(scene).astype(int)
+    counts = Sensor(replace(CAMERA, bad_pixels=0.0), 0).counts_at_rest(scene).astype(int)
     assert counts[200, 300] == 2**14 - 1 and counts[200, 301] > counts[200, 310] + 500
 
 
@@ -412,7 +413,7 @@ def test_the_ideal_camera_shows_what_is_there():
     camera = load_camera("ideal")
     rng = np.random.default_rng(1)
     radiance = band_radiance(rng.uniform(280.0, 320.0, (512, 640)), *camera.band_um).astype(np.float32)
-    back = readout.radiance_from_counts(Sensor(camera, 0).still(radiance), camera)
+    back = readout.radiance_from_counts(Sensor(camera, 0).counts_at_rest(radiance), camera)
     kelvin = apparent_temperature(back, camera.band_um) - apparent_temperature(radiance, camera.band_um)
     # Half a count of 16 bits over −60 … 150 °C is 2 mK at 280 K.
     assert np.abs(kelvin).max() < 3e-3

@@ -20,12 +20,12 @@ K295 = band_radiance(295.0, *CAMERA.band_um)
 SLOPE = band_radiance_derivative(295.0, *CAMERA.band_um)
 
 
-def textured(camera, place, rows=slice(None)):
+def textured(camera, view, rows=slice(None)):
     """Radiance of level ground with waves of 20 to 75 m and a span of about 1 K, seen from a pose."""
     row, column = (index[rows] for index in np.mgrid[: camera.height, : camera.width] + 0.5)
     slope = camera.directions(np.stack([column, row], axis=-1))
-    ray = np.concatenate([slope, np.ones_like(slope[..., :1])], axis=-1) @ place[:3, :3].T
-    x, y = (place[axis, 3] - place[2, 3] * ray[..., axis] / ray[..., 2] for axis in (0, 1))
+    ray = np.concatenate([slope, np.ones_like(slope[..., :1])], axis=-1) @ view[:3, :3].T
+    x, y = (view[axis, 3] - view[2, 3] * ray[..., axis] / ray[..., 2] for axis in (0, 1))
     waves = 0.3 * np.sin(x / 6.0 + 1.0) * np.cos(y / 8.0) + 0.2 * np.cos((x + y) / 12.0)
     waves += 0.1 * np.sin((y - 0.3 * x) / 3.0)
     # Linear in radiance: fast, and no matter here.
@@ -38,10 +38,10 @@ def textured(camera, place, rows=slice(None)):
 @pytest.mark.parametrize("rate_hz", [9.0, 30.0, 60.0])
 def test_response_to_a_step_is_exponential_at_any_frame_rate(rate_hz):
     dark, light = np.zeros((2, 2), np.float32), np.ones((2, 2), np.float32)
-    membrane = detector.steady(0.0, dark)
+    state = detector.steady(0.0, dark)
     for frame in range(1, 8):
-        membrane = detector.stepped(membrane, frame / rate_hz, light, TAU)
-        assert membrane.signal[0, 0] == pytest.approx(1.0 - np.exp(-frame / rate_hz / TAU), abs=1e-6)
+        state = detector.stepped(state, frame / rate_hz, light, TAU)
+        assert state.signal[0, 0] == pytest.approx(1.0 - np.exp(-frame / rate_hz / TAU), abs=1e-6)
 
 
 @pytest.mark.parametrize("span_s", [1e-6, 0.003, 0.02, 0.5])
@@ -64,10 +64,10 @@ def test_response_agrees_with_a_numerical_solution():
 
     power = lambda t: np.interp(t, [0.0, 0.004, 0.010, 0.030], [1.0, 3.0, -1.0, 2.0])  # noqa: E731
     solved = solve_ivp(lambda t, y: (power(t) - y) / TAU, (0.0, 0.030), [0.5], rtol=1e-10, atol=1e-12, max_step=1e-4)
-    membrane = detector.Membrane(0.0, np.float32(0.5), np.float32(1.0))
+    state = detector.PixelState(0.0, np.float32(0.5), np.float32(1.0))
     for time_s in (0.004, 0.010, 0.030):
-        membrane = detector.advanced(membrane, time_s, np.float32(power(time_s)), TAU)
-    assert membrane.signal == pytest.approx(solved.y[0, -1], abs=1e-6)
+        state = detector.advanced(state, time_s, np.float32(power(time_s)), TAU)
+    assert state.signal == pytest.approx(solved.y[0, -1], abs=1e-6)
 
 
 def test_rows_are_read_one_after_another():
@@ -78,9 +78,9 @@ def test_rows_are_read_one_after_another():
     # A step at time 0: each row knows of it for as long as since then.
     dark, light = np.zeros((64, 80), np.float32), np.ones((64, 80), np.float32)
     out = np.empty((64, 80), np.float32)
-    membrane = detector.Membrane(0.0, dark, light)
+    state = detector.PixelState(0.0, dark, light)
     times = delays - delays[0]
-    detector.read_rows(membrane, times[-1], light, times, slice(0, 64), TAU, out)
+    detector.read_rows(state, times[-1], light, times, slice(0, 64), TAU, out)
     np.testing.assert_allclose(out[:, 5], 1.0 - np.exp(-times / TAU), atol=1e-6)
 
 
@@ -108,13 +108,29 @@ def test_an_image_moved_over_level_ground_is_that_seen_from_there(distortion):
     camera = replace(load_camera("zenmuse-xt2"), width=160, height=128, distortion=distortion, focal_length_mm=4.0)
     here, there = pose(0, 0, 40, 10, -75, 2), pose(0.6, 0.4, 40.5, 13, -74, 0)
     seen, wanted = textured(camera, here), textured(camera, there)
-    column, row = motion.places(camera, motion.homography(here, there, 0.0))
+    column, row = motion.source_pixels(camera, motion.homography(here, there, 0.0))
     moved = motion.moved(seen, column, row)
     inside = (column >= 0.0) & (column <= 159.0) & (row >= 0.0) & (row <= 127.0)
     assert 0.8 < inside.mean() < 1.0
-    # Cubic interpolation; off the net of so wide and distorted a view a twentieth of a pixel.
+    # Cubic interpolation; off the grid of so wide and distorted a view a twentieth of a pixel.
     whole = np.sqrt(np.mean((seen - wanted) ** 2))
     assert np.sqrt(np.mean((moved - wanted)[inside > 0] ** 2)) < 0.02 * whole
+
+
+@pytest.mark.parametrize("ground_m", [3.0, 37.5, 60.0])
+def test_points_of_the_ground_move_as_both_cameras_see_them(ground_m):
+    """Cameras above the ground and, looking up, below it."""
+    up = -75.0 if ground_m < 40.0 else 75.0
+    here, there = pose(0, 0, 40, 10, up, 2), pose(0.6, 0.4, 40.5, 13, up + 1, 0)
+    away = np.random.default_rng(1).uniform(-0.5, 0.5, (50, 2)) * abs(ground_m - 40.0)
+    point = np.column_stack([away, np.full(50, ground_m)])
+
+    def slopes(view):
+        local = (point - view[:3, 3]) @ view[:3, :3]
+        return local / local[:, 2:]
+
+    seen = slopes(there) @ motion.homography(here, there, ground_m).T
+    np.testing.assert_allclose(seen / seen[:, 2:], slopes(here), atol=1e-9)
 
 
 def test_a_camera_on_the_ground_is_no_division_by_nothing():
@@ -141,13 +157,13 @@ def rocket(time_s):
 
 
 def exposure(camera, path, rate_hz=30.0, render_px=20.0):
-    looks = []
+    rendered = []
 
-    def look(time_s):
-        looks.append(time_s)
+    def radiance_at(time_s):
+        rendered.append(time_s)
         return textured(camera, path(time_s))
 
-    return Exposure(Sensor(camera, 0), look, path, lambda place: 0.0, 1.0 / rate_hz, render_px), looks
+    return Exposure(Sensor(camera, 0), radiance_at, path, lambda pose: 0.0, 1.0 / rate_hz, render_px), rendered
 
 
 def radiance_of(signal, taken):
@@ -161,11 +177,11 @@ COARSE = replace(CAMERA, pixel_pitch_um=17.0 * 8, row_time_us=63.5 * 8, diffract
 
 
 @pytest.mark.parametrize("render_px", [0.0, 20.0])
-def test_a_rolling_and_racing_view_is_right_against_64_instants_per_time_constant(render_px):
-    taken, looks = exposure(COARSE, rocket, render_px=render_px)
+def test_fast_motion_with_rolling_rows_is_right_against_64_instants_per_time_constant(render_px):
+    taken, rendered = exposure(COARSE, rocket, render_px=render_px)
     now = textured(COARSE, rocket(0.0))
     signal, how = taken.signal(at_rest(COARSE), 0.0, now)
-    assert 4.5 < how["motion_px"] < 5.5 and how["renders"] == len(looks) + 1
+    assert 4.5 < how["motion_px"] < 5.5 and how["renders"] == len(rendered) + 1
     assert how["renders"] < 0.5 * how["instants"] if render_px else how["renders"] == how["instants"]
     seen = radiance_of(signal, taken)
     rows = range(3, 64, 12)
@@ -186,12 +202,12 @@ def past_of(camera, path, delays, rows):
 
 
 @pytest.mark.parametrize("speed", [10.0, 60.0])
-def test_a_gliding_view_is_right_from_one_image(speed):
+def test_sub_pixel_motion_is_right_from_one_image(speed):
     path = lambda time_s: pose(speed * time_s, 0.0, 100.0, 20.0, -60.0)  # noqa: E731
-    taken, looks = exposure(COARSE, path)
+    taken, rendered = exposure(COARSE, path)
     now, rows = textured(COARSE, path(0.0)), range(3, 64, 12)
     signal, how = taken.signal(at_rest(COARSE), 0.0, now)
-    assert 0.02 < how["motion_px"] < 0.8 and how["renders"] == 1 and not looks
+    assert 0.02 < how["motion_px"] < 0.8 and how["renders"] == 1 and not rendered
     expected = past_of(COARSE, path, taken._delays, rows)
     mk = lambda image: 1e3 / SLOPE * np.sqrt(np.mean((image[list(rows)] - expected)[:, 3:-3] ** 2))  # noqa: E731
     # OpenCV moves images by whole 32nds of a pixel, 0.01 pixels root mean square.
@@ -202,7 +218,7 @@ def test_a_gliding_view_is_right_from_one_image(speed):
 def test_a_slow_view_is_one_image_with_the_memory_of_those_before():
     camera = replace(COARSE, row_time_us=0.0)
     slow = lambda time_s: pose(0.2 * time_s, 0.0, 100.0, 0.0, -90.0)  # noqa: E731
-    taken, looks = exposure(camera, slow, rate_hz=30.0)
+    taken, rendered = exposure(camera, slow, rate_hz=30.0)
     rng = np.random.default_rng(0)
     images = [(K295 + rng.normal(size=(64, 80))).astype(np.float32) for _ in range(4)]
     expected, old = images[0].astype(float), np.exp(-1 / 30.0 / TAU)
@@ -210,8 +226,8 @@ def test_a_slow_view_is_one_image_with_the_memory_of_those_before():
         how = taken.read(index, index / 30.0, image)[1]
         expected = image + old * (expected - image)
         assert (how["instants"], how["renders"]) == (1, 1) and how["motion_px"] < 0.1
-    np.testing.assert_allclose(radiance_of(taken.membrane.signal, taken), expected, rtol=1e-6)
-    assert not looks
+    np.testing.assert_allclose(radiance_of(taken.pixels.signal, taken), expected, rtol=1e-6)
+    assert not rendered
 
 
 @pytest.mark.parametrize("path", [rocket, lambda time_s: pose(0, 0, 100, 0, -90)])
@@ -279,7 +295,7 @@ def test_validation_measures_lag_blur_and_chain(tmp_path, monkeypatch):
     assert flown["all_mk"] < 0.25 * records[0]["all_mk"] and flown["renders"] < flown["instants"]
     errors = {(record["fine"], record["coarse"]): record["error_mk"] for record in result["blur"]}
     assert errors[7, 5] < errors[5, 0] < errors[1, 0]
-    assert 0.0 < result["chain"]["standing_ratio"] and 0.0 < result["chain"]["gliding_ratio"]
+    assert 0.0 < result["chain"]["standing_ratio"] and 0.0 < result["chain"]["subpixel_ratio"]
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
         "sensor.json", "sensor.md", "sensor.png", "effects.png",
     }  # fmt: skip

@@ -14,6 +14,7 @@ from thermorender.scene import terrain
 from thermorender.scene.ground import Ground
 from thermorender.scene.mesh import load, primitive
 from thermorender.scene.raster import Grid
+from thermorender.scene.surface import fill, nearest_valid
 
 UTM = CRS.from_epsg(32634)
 # On the central meridian, where the grid's north is true north.
@@ -124,3 +125,15 @@ def test_ground_of_a_mesh_with_vertical_walls():
     surface = SimpleNamespace(vertices=np.array(box.vertices), faces=np.array(box.faces, dtype=np.int32))
     # Top of the box, over its rim's wall, and beside it; warnings are errors.
     np.testing.assert_allclose(Ground((surface,))(np.array([0.5, 2.0, 9.0]), np.zeros(3)), [1.0, 1.0, np.nan])
+
+
+def test_holes_take_the_nearest_texel_that_is_known():
+    rng = np.random.default_rng(0)
+    valid = rng.random((17, 23)) < 0.1
+    known, place = np.argwhere(valid), np.argwhere(np.ones_like(valid))
+    found = np.column_stack(np.unravel_index(nearest_valid(valid).ravel(), valid.shape))
+    assert valid[tuple(found.T)].all()
+    least = np.linalg.norm(place[:, None] - known, axis=-1).min(axis=1)
+    np.testing.assert_allclose(np.linalg.norm(place - found, axis=1), least)
+    colour = rng.integers(0, 255, (17, 23, 3))
+    np.testing.assert_array_equal(fill(colour, nearest_valid(valid)).reshape(-1, 3), colour[tuple(found.T)])

@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 import thermorender as tr
-from thermorender import cli
+from thermorender.cli import app as cli
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.render.light import cache

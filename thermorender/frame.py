@@ -14,7 +14,7 @@ from thermorender.physics.planck import band_radiance
 from thermorender.scene.surface import SATURATED
 from thermorender.sensor import readout
 from thermorender.sensor.chain import sensor_of
-from thermorender.sensor.display import Look
+from thermorender.sensor.display import DisplaySettings
 
 
 @dataclass(frozen=True)
@@ -60,10 +60,12 @@ class Frame:
     def budget_mk(self):
         """Error of the radiance, without the sensor's noise, by its causes: {cause: root mean square [mK]}.
 
-        "nodes": spectral nodes and solution, a bound; "bake": light between the surfaces that are seen; "sampling":
-        rays and texture places of this frame; "air": spectral channels, a bound; "mirrors": what they reflect, told
-        from channels, a bound; "total". Estimates from above. None for a frame of the reference engine, whose error
-        is its noise.
+        "nodes": worst error of the spectral nodes over the spectra that the scene may show, and the bound of the
+        solution by its residual; "bake": light between the surfaces that are seen, by two independent halves of its
+        rays; "sampling": rays and texture taps of this frame, by shares fitted on heath, ridge and village; "air":
+        worst error of the spectral channels over the same spectra; "mirrors": worst error of what they reflect, up to
+        80°; "total". Estimates from above, and but for the solution no bounds. None for a frame of the reference
+        engine, whose error is its noise.
         """
         return None if self._sampling is None else self._view.budget_mk(self.radiance, self._sampling)
 
@@ -82,12 +84,12 @@ class Frame:
         """What the detector reads, with noise, (H, W) uint16; a camera at rest where the frame is not of a flight."""
         if self._reading is not None:
             return self._reading
-        return sensor_of(self.camera, self.seed).still(self.radiance, self.index)
+        return sensor_of(self.camera, self.seed).counts_at_rest(self.radiance, self.index)
 
     @cached_property
     def display(self):
         """The counts spread over 8 bits for a screen, white hot, (H, W) uint8."""
-        return Look(tails_percent=self.camera.agc_tails_percent).image(self.counts)[1]
+        return DisplaySettings(tails_percent=self.camera.agc_tails_percent).image(self.counts)[1]
 
     @cached_property
     def truth(self):

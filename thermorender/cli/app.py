@@ -30,8 +30,8 @@ app.command("fit-camera")(fit_camera)
 train = typer.Typer(help="Train learned maps.", no_args_is_help=True)
 app.add_typer(train, name="train")
 
-SCENES_TOLD = ", ".join(defaults.SCENES)
-SceneName = Annotated[str, typer.Argument(help=f"Scene folder, or the name of a shipped one: {SCENES_TOLD}.")]
+SCENE_NAMES = ", ".join(defaults.SCENES)
+SceneName = Annotated[str, typer.Argument(help=f"Scene folder, or the name of a shipped one: {SCENE_NAMES}.")]
 Out = Annotated[Path, output_option("-o", "--output", help="Folder for the results.")]
 NewFolder = Annotated[
     Path, output_option("-o", "--output", help="Folder to make for the scene.", check=files.check_new_folder)
@@ -46,10 +46,10 @@ Products = Annotated[
 ]
 Display = Annotated[str, typer.Option(help="linear, plateau or local: how counts become 8 bits.")]
 Palette = Annotated[str, typer.Option(help="white-hot, black-hot or ironbow.")]
-OperatorText = Annotated[
+Thermography = Annotated[
     str | None,
-    typer.Option("--operator", help="Settings of the operator's software, e.g. emissivity=0.95,reflected_c=-20,"
-                 "air_c=15,humidity=0.5,distance_m=100: what it then reads goes into EXR and radiometric."),
+    typer.Option(help="Settings of thermography software, e.g. emissivity=0.95,reflected_c=-20,air_c=15,humidity=0.5,"
+                 "distance_m=100: what it then reads goes into EXR and radiometric."),
 ]  # fmt: skip
 Air = Annotated[
     str | None,
@@ -78,7 +78,7 @@ Duplicates = Annotated[
 ClockOffset = Annotated[float, typer.Option(help="Added to the log's times [s].")]
 Mount = Annotated[str | None, typer.Option(help="YAW,PITCH,ROLL of the camera on the vehicle [deg].")]
 LeverArm = Annotated[
-    str, typer.Option(help="FORWARD,RIGHT,DOWN: the camera's place on the vehicle [m].")
+    str, typer.Option(help="FORWARD,RIGHT,DOWN: the camera's position on the vehicle [m].")
 ]
 Start = Annotated[float | None, typer.Option(help="First time to fly [s].")]
 Stop = Annotated[float | None, typer.Option(help="Last time to fly [s].")]
@@ -137,9 +137,9 @@ def import_terrain(
 
 @app.command("make-scene")
 def make_scene(
-    kind: Annotated[str, typer.Argument(help=f"One of {SCENES_TOLD}.")],
+    kind: Annotated[str, typer.Argument(help=f"One of {SCENE_NAMES}.")],
     output: NewFolder,
-    seed: Annotated[int, typer.Option(help="Another seed is another place.")] = 0,
+    seed: Annotated[int, typer.Option(help="Another seed makes another landscape.")] = 0,
     size_m: Annotated[float | None, typer.Option(help="Side of the square [m].")] = None,
     texel_m: Annotated[float | None, typer.Option(help="Side of an orthophoto texel [m].")] = None,
     post_m: Annotated[float | None, typer.Option(help="Distance of elevation posts [m].")] = None,
@@ -156,7 +156,7 @@ def make_scene(
 @app.command()
 def plan(scene: SceneName, quality: Quality = "standard", rays: Rays = 128, tolerance_mk: Tolerance = 5.0,
          air: Air = None):  # fmt: skip
-    """Print what rendering a scene needs, what is left out, and the bound that allows it."""
+    """Print what rendering a scene needs, what is left out, and the error in mK that allows it."""
     from thermorender.render.plan import make_plan
     from thermorender.sensor.exposure import plan_row
 
@@ -180,7 +180,7 @@ def render(
     products: Products = "exr,truth,counts,display",
     display: Display = "linear",
     palette: Palette = "white-hot",
-    operator: OperatorText = None,
+    thermography: Thermography = None,
     temperature: Temperature = None,
     range_c: RangeC = None,
     air: Air = None,
@@ -196,12 +196,14 @@ def render(
 ):
     """Render one frame."""
     from thermorender.output import products as frame_files
+    from thermorender.output.images import write_image
+    from thermorender.output.record import made_by, record
     from thermorender.trajectory import parse_numbers
     from thermorender.trajectory.path import pose as make_pose
 
     if engine not in ("renderer", "reference"):
         raise ThermorenderError(f"--engine={engine!r} is unknown; give renderer or reference")
-    look, settings = _look(display, palette), _operator(operator)
+    display_settings, settings = _display_settings(display, palette), _thermography_settings(thermography)
     wanted = frame_files.check(split(products), settings)
     numbers = parse_numbers("--pose", pose, ("E", "N", "U", "YAW", "PITCH", "ROLL"))
     with progress() as tell:
@@ -214,19 +216,21 @@ def render(
             up += ground
         renderer = _renderer(loaded, quality, rays, tolerance_mk, seed, device, tell)
         with files.output_folder(output) as folder:
-            place = make_pose(east, north, up, *angles)
+            world_from_camera = make_pose(east, north, up, *angles)
             if engine == "renderer":
-                frame = renderer.frame(place)
+                frame = renderer.frame(world_from_camera)
             else:
                 from thermorender.render.reference import frame as reference_frame
 
-                frame = reference_frame(renderer, place, paths, progress=lambda share: tell("tracing paths", share))
-            look = replace(look, tails_percent=frame.camera.agc_tails_percent)
-            written = frame_files.write(folder, frame, wanted, look.image(frame.counts)[1], settings)
+                frame = reference_frame(
+                    renderer, world_from_camera, paths, progress=lambda share: tell("tracing paths", share)
+                )
+            display_settings = replace(display_settings, tails_percent=frame.camera.agc_tails_percent)
+            written = frame_files.write(folder, frame, wanted, display_settings.image(frame.counts)[1], settings)
             if visible:
                 written["visible"] = folder / "frame_000000_visible.png"
-                frame_files.write_image(written["visible"], renderer.visible(frame.pose)[0])
-            files.write_json(folder / "frame_000000.json", frame_files.record(frame) | frame_files.made_by())
+                write_image(written["visible"], renderer.visible(frame.pose)[0])
+            files.write_json(folder / "frame_000000.json", record(frame) | made_by())
     _tell_cache(renderer)
     seen = frame.apparent_temperature
     typer.echo(f"apparent temperature {seen.min():.2f}–{seen.max():.2f} K, mean {seen.mean():.2f} K")
@@ -252,7 +256,7 @@ def fly(
     display: Display = "linear",
     palette: Palette = "white-hot",
     agc_memory_s: Annotated[float, typer.Option(help="Time constant of the gain control; 0: none [s].")] = 0.0,
-    operator: OperatorText = None,
+    thermography: Thermography = None,
     temperature: Temperature = None,
     range_c: RangeC = None,
     air: Air = None,
@@ -268,7 +272,8 @@ def fly(
     from thermorender.output import products as frame_files
     from thermorender.output.flight import fly as run
 
-    look, settings = _look(display, palette, agc_memory_s), _operator(operator)
+    display_settings = _display_settings(display, palette, agc_memory_s)
+    settings = _thermography_settings(thermography)
     wanted = frame_files.check(split(products), settings)
     with progress() as tell:
         loaded = _scene(scene, temperature, range_c, air)
@@ -277,15 +282,15 @@ def fly(
         renderer = _renderer(loaded, quality, rays, tolerance_mk, seed, device, tell)
         summary = run(
             renderer, path, output, rate_hz, wanted, start_s, stop_s, resume,
-            lambda done, total: tell(f"frame {done} of {total}", done / total), look, settings,
+            lambda done, total: tell(f"frame {done} of {total}", done / total), display_settings, settings,
         )  # fmt: skip
     _tell_cache(renderer)
     typer.echo(f"{summary['frames']} frames, {summary['rendered']} rendered now, in {summary['folder']}")
     without = summary["frames_without_terrain"]
     if without:
         typer.echo(
-            f"{without} of {summary['frames']} frames show no terrain; look at the flight's place and angles, or move "
-            "it with --anchor"
+            f"{without} of {summary['frames']} frames show no terrain; check the flight's position and angles, or "
+            "move it with --anchor"
         )
 
 
@@ -308,7 +313,7 @@ def compare(
     tolerance_mk: Tolerance = 5.0,
     device: Device = "auto",
 ):
-    """Hold learned 2D translations against the radiometric render of the same poses."""
+    """Compare learned 2D translations with the radiometric render of the same poses."""
     from thermorender.scene.load import load_scene
     from thermorender.validate.comparison import compare as run
 
@@ -327,7 +332,7 @@ def compare(
                  ("mean_c", "mean_absolute_c", "std_c")), str(error["pixels"]))
         for name, error in summary["errors"].items()
     ]  # fmt: skip
-    table(("arm", "mean error [°C]", "mean absolute error [°C]", "standard deviation [°C]", "pixels"), rows)
+    table(("method", "mean error [°C]", "mean absolute error [°C]", "standard deviation [°C]", "pixels"), rows)
     for name, report in summary["maps"].items():
         typer.echo(
             f"{name}: {report['share_outside_0_1']:.1%} of the texels' intensities lie outside 0…1, "
@@ -491,16 +496,16 @@ def _scene(name, temperature, range_c, air=None):
     return loaded
 
 
-def _look(mode, palette, memory_s=0.0):
-    from thermorender.sensor.display import Look
+def _display_settings(mode, palette, memory_s=0.0):
+    from thermorender.sensor.display import DisplaySettings
 
-    return Look(mode, palette, memory_s)
+    return DisplaySettings(mode, palette, memory_s)
 
 
-def _operator(text):
-    from thermorender.sensor.radiometry import Operator
+def _thermography_settings(text):
+    from thermorender.sensor.radiometry import ThermographySettings
 
-    return Operator.parse(text) if text else None
+    return ThermographySettings.parse(text) if text else None
 
 
 def _renderer(scene, quality, rays, tolerance_mk, seed, device, tell):

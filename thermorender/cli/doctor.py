@@ -22,8 +22,8 @@ def examine():
     found = [f"{version or 'unknown'}: {path}" for path, version in sorted(llvm_libraries().items(), key=str)]
     chosen = usable_llvm()
     rows.append(("LLVM libraries", "; ".join(found) or "none found", ""))
-    ways = "`thermorender doctor --install` or `apt-get install libllvm19`"
-    mend = "" if chosen else f"needs version {OLDEST_LLVM} or newer: {ways}"
+    remedies = "`thermorender doctor --install` or `apt-get install libllvm19`"
+    mend = "" if chosen else f"needs version {OLDEST_LLVM} or newer: {remedies}"
     rows.append(("LLVM in use", str(chosen[0]) if chosen else "none", mend))
     gpu = _gpu()
     rows.append(("GPU", gpu or "none", ""))

@@ -166,7 +166,7 @@ def diff(
     if rows:
         table(("material", "emissivity, first", "second", "shift [mK]", "differs in"), rows)
     typer.echo(f"{len(rows)} differences; emissivity over {limits[0]:g}–{limits[1]:g} µm at 300 K; shift of what a "
-               "camera reads when the second takes the first's place")  # fmt: skip
+               "camera reads when the second replaces the first")  # fmt: skip
 
 
 @app.command()
@@ -178,7 +178,7 @@ def merge(
     ],
     prefer: Annotated[str | None, typer.Option(help="first or second: which wins a conflict.")] = None,
 ):
-    """Join two libraries; materials they hold differently are refused unless --prefer says which wins."""
+    """Join two libraries; materials that differ between them are refused unless --prefer says which wins."""
     from thermorender.materials.compare import merge as run
 
     from_first, from_second, conflicts = run(first, second, output, prefer)

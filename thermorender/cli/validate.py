@@ -1,4 +1,4 @@
-"""Commands that hold the renderer against references: `thermorender validate …`."""
+"""Commands that compare the renderer with references: `thermorender validate …`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -11,7 +11,7 @@ from thermorender.cli.terminal import air as parse_air
 from thermorender.cli.terminal import output_option, progress, split, table
 from thermorender.errors import ThermorenderError
 
-app = typer.Typer(help="Hold the renderer against references.", no_args_is_help=True)
+app = typer.Typer(help="Compare the renderer with references.", no_args_is_help=True)
 
 Out = Annotated[Path, output_option("-o", "--output", help="Folder for the results.")]
 Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]

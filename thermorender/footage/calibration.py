@@ -24,7 +24,7 @@ from thermorender.sensor.camera import load_camera, model_path
 from thermorender.sensor.noise import NETD_REFERENCE_K
 from thermorender.sensor.optics import relative_illumination
 from thermorender.sensor.psf import otf
-from thermorender.sensor.radiometry import Operator
+from thermorender.sensor.radiometry import ThermographySettings
 
 # Edges are looked for in so many of the frames, evenly spread.
 _EDGE_FRAMES = 12
@@ -170,12 +170,13 @@ def _noise_keys(noise, camera, scene_k, step_k, frames):
     steps = f", without steps of {step_k * 1e3:.0f} mK" if step_k > 0.0 else ""
     if frames == 1:
         return {"netd_mk": Estimate(netd, error / scale * 1e3, f"{seen}, one frame: holds the fixed pattern{steps}")}
-    how = "differences of frames of a still camera" if noise.still else "finest detail of the flattest tenth of blocks"
-    bound = "" if noise.still else "; a bound from above where the scene has such lines"
+    how, lines = "finest detail of the flattest tenth of blocks", "; too high where the scene has such lines"
+    if noise.static:
+        how, lines = "differences of frames of a static camera", ""
     found = {
         "netd_mk": Estimate(netd, error / scale * 1e3, f"{seen}, {how}{steps}"),
-        "sigma_tv_mk": Estimate(row, noise.row[1] / scale * 1e3, f"rows, new in each frame{bound}"),
-        "sigma_th_mk": Estimate(column, noise.column[1] / scale * 1e3, f"columns, new in each frame{bound}"),
+        "sigma_tv_mk": Estimate(row, noise.row[1] / scale * 1e3, f"rows, new in each frame{lines}"),
+        "sigma_th_mk": Estimate(column, noise.column[1] / scale * 1e3, f"columns, new in each frame{lines}"),
     }
     for key, (value, uncertainty), what in (
         ("sigma_v_mk", noise.fixed_row, "rows"),
@@ -207,7 +208,7 @@ def _blur_key(images, noise_k, camera):
         return brentq(excess, 0.0, 5.0, args=(wanted,), xtol=1e-3) if excess(5.0, wanted) > 0.0 else 5.0
 
     value, low, high = (sigma_of(max(width + k * uncertainty, 0.0)) for k in (0, -1, 1))
-    how = f"sharpest of {len(widths)} edges, {width:.2f} ± {uncertainty:.2f} px in all; a bound from above"
+    how = f"sharpest of {len(widths)} edges, {width:.2f} ± {uncertainty:.2f} px in all; too high where edges are soft"
     return {"blur_sigma_px": Estimate(value, 0.5 * (high - low), how)}
 
 
@@ -222,7 +223,7 @@ def read_frame(path, scale):
     ends = picture.camera["scale_raw"]
     tails = [] if ends is None else [(100.0 * (picture.raw < ends[0]).mean(), 100.0 * (picture.raw > ends[1]).mean())]
     # The camera's own noise is that before any correction for surface and air.
-    return picture.temperature(Operator()), tails
+    return picture.temperature(ThermographySettings()), tails
 
 
 def _display_key(tails):

@@ -1,7 +1,7 @@
 """How wide a camera draws a sharp edge: the sharpest straight steps of its pictures, each fitted as a blurred step.
 
 A scene has edges that are soft by themselves, so the sharpest say most; and thin lines, corners and texture look
-sharper than they are, so only places that a single straight step explains to within the noise are believed.
+sharper than they are, so only patches that a single straight step explains to within the noise are used.
 """
 
 import numpy as np
@@ -29,7 +29,7 @@ def edge_widths(image, noise):
     Width is the σ of the Gaussian that blurs a step: a + b erf(u / √2 σ) + plane, u being the distance from a line.
     """
     fits = (_fitted(image[i - _HALF : i + _HALF + 1, j - _HALF : j + _HALF + 1], noise, angle)
-            for i, j, angle in _places(image, noise))  # fmt: skip
+            for i, j, angle in _steep_edges(image, noise))  # fmt: skip
     found = [
         (sigma, error)
         for sigma, error, misfit, offset in fits
@@ -68,17 +68,17 @@ def width_through(transfer):
     frequency = (np.arange(4000) + 0.5) * 1e-3
     value = transfer(frequency)
     # A step is the integral of its line spread: 2/π ∫ T sin(2πfu) / 2f df.
-    place = np.linspace(-_HALF, _HALF, 101)
-    edge = 2.0 * (np.sin(2.0 * np.pi * place[:, None] * frequency) / (np.pi * frequency)) @ (value * 1e-3)
+    position = np.linspace(-_HALF, _HALF, 101)
+    edge = 2.0 * (np.sin(2.0 * np.pi * position[:, None] * frequency) / (np.pi * frequency)) @ (value * 1e-3)
 
     def misfit(p):
-        return p[1] * erf(place / (np.sqrt(2.0) * p[0])) + p[2] * place - edge
+        return p[1] * erf(position / (np.sqrt(2.0) * p[0])) + p[2] * position - edge
 
     return float(least_squares(misfit, (0.5, 1.0, 0.0), bounds=([0.01, 0.5, -1.0], [6.0, 2.0, 1.0])).x[0])
 
 
-def _places(image, noise):
-    """(row, column, angle) of steep, straight places, the best first, none within another's patch."""
+def _steep_edges(image, noise):
+    """(row, column, angle) of steep, straight edges, the best first, none within another's patch."""
     from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
     down, right = (gaussian_filter1d(gaussian_filter1d(image, 1.0, axis=axis, order=1), 1.0, axis=1 - axis)

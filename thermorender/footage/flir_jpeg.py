@@ -1,7 +1,7 @@
-"""Read FLIR's radiometric JPEGs: the raw signal, the factory's constants and the operator's settings.
+"""Read FLIR's radiometric JPEGs: the raw signal, the factory's constants and the settings stored with it.
 
 The container ("FFF") is cut into the JPEG's APP1 segments. It holds a directory of records; the raw image is
-record 1 (16-bit values, plain or as PNG with swapped bytes) and the camera's block is record 0x20. Places of the
+record 1 (16-bit values, plain or as PNG with swapped bytes) and the camera's block is record 0x20. Offsets of the
 fields: the FLIR tables of ExifTool's documentation (https://exiftool.org/TagNames/FLIR.html).
 """
 
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.sensor.radiometry import AirModel, Operator, PlanckConstants, operator_temperature
+from thermorender.sensor.radiometry import AirModel, PlanckConstants, ThermographySettings, thermography_temperature
 from thermorender.units import ZERO_CELSIUS_K
 
 _RAW, _CAMERA = 0x01, 0x20
@@ -31,7 +31,7 @@ class RadiometricJpeg:
         Signal of the detector.
     planck : PlanckConstants
         Of the factory's calibration, with `raw` as the signal.
-    operator : Operator
+    thermography : ThermographySettings
         Settings stored with the picture.
     air : AirModel
     camera : dict
@@ -41,13 +41,13 @@ class RadiometricJpeg:
 
     raw: np.ndarray
     planck: PlanckConstants
-    operator: Operator
+    thermography: ThermographySettings
     air: AirModel
     camera: dict
 
-    def temperature(self, operator=None):
-        """Return what the software shows, (H, W) float64 [K], with the stored or other settings."""
-        return operator_temperature(self.raw, self.planck, operator or self.operator, self.air)
+    def temperature(self, thermography=None):
+        """Return what thermography software reads, (H, W) float64 [K], with the stored or other settings."""
+        return thermography_temperature(self.raw, self.planck, thermography or self.thermography, self.air)
 
 
 def read_flir_jpeg(path):
@@ -84,16 +84,16 @@ def _container(data):
     """The FFF container, joined from the JPEG's APP1 segments by their number."""
     if data[:2] != b"\xff\xd8":
         raise _Damaged("it is no JPEG")
-    parts, place = {}, 2
-    while place + 4 <= len(data) and data[place] == 0xFF:
-        marker, length = data[place + 1], int.from_bytes(data[place + 2 : place + 4], "big")
-        segment = data[place + 4 : place + 2 + length]
+    parts, offset = {}, 2
+    while offset + 4 <= len(data) and data[offset] == 0xFF:
+        marker, length = data[offset + 1], int.from_bytes(data[offset + 2 : offset + 4], "big")
+        segment = data[offset + 4 : offset + 2 + length]
         if marker == 0xE1 and segment[:5] == b"FLIR\0" and len(segment) > 8:
             parts[segment[6]] = segment[8:]
             last = segment[7]
         if marker in (0xD9, 0xDA) or length < 2:
             break
-        place += 2 + length
+        offset += 2 + length
     if not parts:
         raise _Damaged("it carries no FLIR data (DJI's own format needs DJI's software)")
     if sorted(parts) != list(range(last + 1)):
@@ -157,11 +157,11 @@ def _png(data, size):
 def _camera_block(record):
     order = _order(record)
 
-    def number(place, kind="f"):
-        return struct.unpack_from(order + kind, record, place)[0]
+    def number(offset, kind="f"):
+        return struct.unpack_from(order + kind, record, offset)[0]
 
-    def text(place, length):
-        return record[place : place + length].split(b"\0")[0].decode("latin-1").strip()
+    def text(offset, length):
+        return record[offset : offset + length].split(b"\0")[0].decode("latin-1").strip()
 
     planck = PlanckConstants(
         r1=number(0x58), b=number(0x5C), f=number(0x60), o=float(number(0x308, "i")), r2=number(0x30C)
@@ -170,7 +170,7 @@ def _camera_block(record):
     if not (finite and planck.r1 > 0.0 and planck.b > 0.0 and planck.r2 > 0.0):
         raise _Damaged("its Planck constants are not positive numbers")
     humidity = number(0x3C)
-    operator = Operator(
+    thermography = ThermographySettings(
         emissivity=number(0x20),
         distance_m=number(0x24),
         reflected_c=number(0x28) - ZERO_CELSIUS_K,
@@ -180,7 +180,7 @@ def _camera_block(record):
         # Some cameras store per cent.
         humidity=humidity / 100.0 if humidity > 2.0 else humidity,
     )
-    air = AirModel(*(number(place) for place in (0x70, 0x74, 0x78, 0x7C, 0x80)))
+    air = AirModel(*(number(offset) for offset in (0x70, 0x74, 0x78, 0x7C, 0x80)))
     if not np.isfinite([air.alpha1, air.alpha2, air.beta1, air.beta2, air.x]).all() or air.x == 0.0:
         air = AirModel()
     middle, span = number(0x338, "H"), number(0x33C, "i")
@@ -191,4 +191,4 @@ def _camera_block(record):
         "range_c": (number(0x94) - ZERO_CELSIUS_K, number(0x90) - ZERO_CELSIUS_K),
         "scale_raw": (middle - span / 2, middle + span / 2) if middle else None,
     }
-    return {"planck": planck, "operator": operator, "air": air, "camera": camera}
+    return {"planck": planck, "thermography": thermography, "air": air, "camera": camera}

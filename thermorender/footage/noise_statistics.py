@@ -116,8 +116,8 @@ class Noise:
         is.
     fixed_pixel, fixed_row, fixed_column : (2,) floats or None
         What stays; None of a single frame.
-    still : bool
-        Whether the camera stood still, so that the scene is in every frame.
+    static : bool
+        Whether the camera did not move, so that the scene is in every frame.
     """
 
     pixel: tuple
@@ -126,7 +126,7 @@ class Noise:
     fixed_pixel: tuple | None = None
     fixed_row: tuple | None = None
     fixed_column: tuple | None = None
-    still: bool = False
+    static: bool = False
 
 
 def noise_of(spectra):
@@ -135,7 +135,7 @@ def noise_of(spectra):
     Notes
     -----
     From a moving camera the noise of single pixels is that of the flattest tenth of blocks, less what is fixed; it is
-    a bound from above where nothing in the pictures is flat. From a still one it is what differs between frames, and
+    too high where nothing in the pictures is flat. From a static one it is what differs between frames, and
     the fixed part is read in the flattest blocks of the mean frame. Rows and columns of the scene itself (fields,
     roofs) pass for temporal row and column noise of a moving camera.
     """
@@ -149,12 +149,12 @@ def noise_of(spectra):
     fine, coarse = (spectra.off_axis(band) for band in (_FINE, _TEXTURE))
     fixed_lines = _lines(spectra, spectra.fixed, None)
     changing = [
-        (whole[0] - still[0] / seen_gain, np.hypot(whole[1], still[1] / seen_gain))
-        for whole, still in zip(lines, fixed_lines, strict=True)
+        (whole[0] - fixed[0] / seen_gain, np.hypot(whole[1], fixed[1] / seen_gain))
+        for whole, fixed in zip(lines, fixed_lines, strict=True)
     ]
     alone = fine.sum() / _HANN_ALIKE
-    still = bool(spectra.fixed[coarse].mean() > 0.5 * spectra.total[coarse].mean())
-    if still:
+    static = bool(spectra.fixed[coarse].mean() > 0.5 * spectra.total[coarse].mean())
+    if static:
         temporal = float((spectra.total - spectra.fixed)[fine].mean()) / seen_gain
         temporal_error = temporal / np.sqrt(alone * (spectra.count - 1))
         rest = temporal / spectra.count * block_means(spectra.gain**2)
@@ -172,7 +172,7 @@ def noise_of(spectra):
         *(_sigma(*line) for line in changing),
         _sigma(fixed, fixed_error),
         *(_sigma(*line) for line in fixed_lines),
-        still=still,
+        static=static,
     )
 
 

@@ -1,7 +1,7 @@
 """Files of temperature: 16-bit TIFFs of so many kelvin per count, written and read, and FLIR's radiometric JPEGs.
 
 Cameras write counts in a TIFF and tell nowhere what a count is: 0.04 K for a FLIR core in TLinear mode, a thousandth
-of a degree Celsius elsewhere. So a file's own scale is believed where it declares one with its unit, and has to be
+of a degree Celsius elsewhere. So a file's own scale is used where it declares one with its unit, and has to be
 given where it does not.
 """
 
@@ -49,7 +49,7 @@ def write_tlinear(path, temperature, step_k=TLINEAR_STEP_K):
             file.scales, file.offsets, file.units = (step_k,), (0.0,), ("K",)
 
 
-def read_temperature(path, scale=None, operator=None):
+def read_temperature(path, scale=None, thermography=None):
     """Return the temperatures of a radiometric file, (H, W) float64 [K]; NaN where it has none.
 
     Parameters
@@ -58,7 +58,7 @@ def read_temperature(path, scale=None, operator=None):
         TIFF of one band, or a radiometric JPEG of FLIR.
     scale : (2,) floats, optional
         (kelvin per count, kelvin of count 0) of a TIFF that does not declare them.
-    operator : Operator, optional
+    thermography : ThermographySettings, optional
         In place of the settings stored in a JPEG.
 
     Raises
@@ -72,7 +72,7 @@ def read_temperature(path, scale=None, operator=None):
 
         if scale is not None:
             raise ThermorenderError(f"{path} carries its own calibration; leave the scale away")
-        return read_flir_jpeg(path).temperature(operator)
+        return read_flir_jpeg(path).temperature(thermography)
     if path.suffix.lower() not in SUFFIXES:
         raise ThermorenderError(f"{path} is of unknown kind; give one of {', '.join(SUFFIXES)}")
     counts, declared = _read_tiff(path)

@@ -16,8 +16,10 @@ import numpy as np
 from thermorender import files
 from thermorender.errors import ThermorenderError
 from thermorender.output import products as product_files
+from thermorender.output.images import write_video
+from thermorender.output.record import made_by, record
 from thermorender.sensor.chain import sensor_of
-from thermorender.sensor.display import Look
+from thermorender.sensor.display import DisplaySettings
 from thermorender.sensor.exposure import RENDER_PX, Exposure
 
 # So many corners of each surface are looked for in a picture before its truth is computed, which takes as long as it.
@@ -25,7 +27,7 @@ _CORNERS = 4096
 
 
 def fly(renderer, trajectory, folder, rate_hz=None, products=product_files.DEFAULT, start_s=None, stop_s=None,
-        resume=False, progress=None, look=None, operator=None):  # fmt: skip
+        resume=False, progress=None, display=None, thermography=None):  # fmt: skip
     """Render a flight into a folder and return its summary.
 
     Parameters
@@ -44,10 +46,10 @@ def fly(renderer, trajectory, folder, rate_hz=None, products=product_files.DEFAU
         Continue a stopped flight of the same settings.
     progress : callable, optional
         Called with (frames done, frames in all).
-    look : Look, optional
+    display : DisplaySettings, optional
         How the display shows the counts; linear and white-hot where None. Its tails are the camera's.
-    operator : Operator, optional
-        Settings of the operator's software.
+    thermography : ThermographySettings, optional
+        For the product radiometric and the EXR: what thermography software then reads.
 
     Returns
     -------
@@ -59,8 +61,8 @@ def fly(renderer, trajectory, folder, rate_hz=None, products=product_files.DEFAU
     ThermorenderError
         Unknown products, a folder that is in use or cannot be written, or a resume with other settings.
     """
-    products = product_files.check(products, operator)
-    look = replace(look or Look(), tails_percent=renderer.scene.camera.agc_tails_percent)
+    products = product_files.check(products, thermography)
+    display = replace(display or DisplaySettings(), tails_percent=renderer.scene.camera.agc_tails_percent)
     rate = renderer.scene.camera.frame_rate_hz if rate_hz is None else float(rate_hz)
     times = trajectory.frame_times(rate, start_s, stop_s)
     poses = trajectory.sampled(times).poses()
@@ -74,12 +76,12 @@ def fly(renderer, trajectory, folder, rate_hz=None, products=product_files.DEFAU
         "frames": len(times),
         "first_time_s": float(times[0]),
         "last_time_s": float(times[-1]),
-        # Between frames too: the sensor remembers what it saw on the way.
+        # Between frames too: the sensor remembers what it saw there.
         "path_digest": _digest(poses, trajectory.time_s, trajectory.position, trajectory.quaternion),
         "products": list(products),
-        "display": asdict(look) | {"tails_percent": list(look.tails_percent)},
-        "operator": operator and asdict(operator),
-        **product_files.made_by(),
+        "display": asdict(display) | {"tails_percent": list(display.tails_percent)},
+        "thermography": thermography and asdict(thermography),
+        **made_by(),
     }
     exposure = _exposure(renderer, trajectory, 1.0 / rate)
     with files.output_folder(folder) as folder:
@@ -88,26 +90,26 @@ def fly(renderer, trajectory, folder, rate_hz=None, products=product_files.DEFAU
 
         def take(index, agc):
             frame = _taken(renderer, exposure, poses, times, index)
-            return frame, *(look.image(frame.counts, agc, 1.0 / rate) if "display" in products else (None, None))
+            return frame, *(display.image(frame.counts, agc, 1.0 / rate) if "display" in products else (None, None))
 
         if 0 < done < len(times):
-            agc = _recall(folder, exposure, done, take)
+            agc = _restored(folder, exposure, done, take)
         for index in range(done, len(times)):
             frame, agc, image = take(index, agc)
             # Only now, so that a mistake that shows with the first frame leaves nothing behind.
             if not (folder / "flight.json").exists():
                 files.write_json(folder / "flight.json", settings)
-            product_files.write(folder, frame, products, image, operator)
-            _remember(folder, exposure, agc, index)
+            product_files.write(folder, frame, products, image, thermography)
+            _save_state(folder, exposure, agc, index)
             terrain.append(_shows_terrain(renderer.scene, frame))
-            files.append_json(folder / "frames.jsonl", product_files.record(frame) | {"shows_terrain": terrain[-1]})
+            files.append_json(folder / "frames.jsonl", record(frame) | {"shows_terrain": terrain[-1]})
             if progress:
                 progress(index + 1, len(times))
-        for path in _memories(folder):
+        for path in _state_files(folder):
             path.unlink(missing_ok=True)
         if "video" in products:
             images = [product_files.paths(folder, index, ("display",))["display"] for index in range(len(times))]
-            product_files.write_video(folder / "flight.mp4", images, rate)
+            write_video(folder / "flight.mp4", images, rate)
         without = terrain.count(False)
         files.write_json(folder / "flight.json", settings | {"frames_without_terrain": without})
     return {
@@ -160,8 +162,8 @@ def _done(folder, settings, products, resume):
     text = lines.read_text(encoding="utf-8", errors="replace") if lines.exists() else ""
     for number, line in enumerate(text.splitlines()):
         try:
-            told = json.loads(line)
-            index, shows = told["index"], told["shows_terrain"]
+            stored = json.loads(line)
+            index, shows = stored["index"], stored["shows_terrain"]
         except (ValueError, KeyError, TypeError):
             break
         images = product_files.paths(folder, number, products).values()
@@ -175,7 +177,7 @@ def _done(folder, settings, products, resume):
 
 
 def _shows_terrain(scene, frame):
-    """Whether a pixel of a frame shows the scene: told by corners of its faces near the axis, else by the truth."""
+    """Whether a pixel of a frame shows the scene: by corners of its faces near the axis, else by the truth."""
     camera = frame.camera
     edges = np.array([[0.5, 0.0], [0.5, 1.0], [0.0, 0.5], [1.0, 0.5]]) * (camera.width, camera.height)
     # Within this slope of the axis all directions are in the picture.
@@ -218,26 +220,26 @@ def _taken(renderer, exposure, poses, times, index):
     return frame.with_reading(*exposure.read(index, float(times[index]), frame.radiance))
 
 
-def _memories(folder):
+def _state_files(folder):
     """The files that hold the sensor's state after frames of even and of odd number."""
     return folder / "sensor_even.npz", folder / "sensor_odd.npz"
 
 
-def _remember(folder, exposure, agc, index):
+def _save_state(folder, exposure, agc, index):
     """Keep the state of sensor and display beside the frame's line: two files in turn, so that one is always whole."""
     state = exposure.state() | ({} if agc is None else {"agc": agc})
-    with files.atomic(_memories(folder)[index % 2]) as part:
+    with files.atomic(_state_files(folder)[index % 2]) as part:
         np.savez(part, index=index, **state)
 
 
-def _recall(folder, exposure, done, take):
+def _restored(folder, exposure, done, take):
     """Bring the sensor to where it was after `done` frames, from its file or by taking them again; the display's state.
 
     `take` is called with a frame's index and the display's state, and returns the frame and the state after it.
     """
     last = done - 1
     try:
-        with open(_memories(folder)[last % 2], "rb") as file, np.load(file) as kept:
+        with open(_state_files(folder)[last % 2], "rb") as file, np.load(file) as kept:
             arrays = dict(kept)
         if arrays.pop("index") == last:
             agc = arrays.pop("agc", None)

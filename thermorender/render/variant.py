@@ -104,6 +104,12 @@ def activate(device="auto"):
         )
     if active == DEVICES[device]:
         return mi
+    if active in DEVICES.values():
+        running = next(name for name, variant in DEVICES.items() if variant == active)
+        raise ThermorenderError(
+            f"device={device!r} is not allowed while this process renders on {running!r}, whose scenes would break; "
+            f"give device={running!r}, or start another process"
+        )
     if device == "cuda" and not dr.has_backend(dr.JitBackend.CUDA):
         raise ThermorenderError("device='cuda' finds no usable NVIDIA GPU; give device='cpu' or install its driver")
     if device == "cpu" and not llvm:

@@ -98,8 +98,8 @@ class Sensor:
         self._pattern = (None, None)
 
     @cached_property
-    def full_field(self):
-        """1 over the illumination, (H, W) float32: the gain of the flat-field correction."""
+    def flat_field_gain(self):
+        """Gain of the flat-field correction: 1 over the illumination, (H, W) float32."""
         return 1.0 / self.illumination
 
     @cached_property
@@ -152,7 +152,7 @@ class Sensor:
         """Return the counts of a signal [W] that the pixels have warmed up to, (H, W) uint16."""
         return _through(READOUT, signal.copy(), self, moment)
 
-    def still(self, radiance, index=0):
+    def counts_at_rest(self, radiance, index=0):
         """Return the counts of a camera at rest, right after a flat-field correction, (H, W) uint16."""
         moment = at_rest(self.camera, index)
         return _through(READOUT, self.power(radiance, moment), self, moment)
@@ -205,7 +205,7 @@ def temporal_noise(image, sensor, moment):
 
 def flat_field(image, sensor, moment):
     """Divide by how much light reaches each pixel."""
-    image *= sensor.full_field
+    image *= sensor.flat_field_gain
     return image
 
 

@@ -54,7 +54,7 @@ def row_delays(camera, frame_interval_s=np.inf):
 
 
 @dataclass(frozen=True)
-class Membrane:
+class PixelState:
     """The pixels at one instant: what the next frame starts from.
 
     Attributes
@@ -72,31 +72,31 @@ class Membrane:
 
 
 def steady(time_s, power):
-    """Return the Membrane of pixels that have been heated with `power` for long."""
-    return Membrane(float(time_s), power, power)
+    """Return the PixelState of pixels that have been heated with `power` for long."""
+    return PixelState(float(time_s), power, power)
 
 
-def stepped(membrane, time_s, power, time_constant_s):
-    """Return the Membrane at `time_s` after the power has been as it is now ever since the last instant."""
-    old, _, _ = response_weights(time_s - membrane.time_s, time_constant_s)
+def stepped(state, time_s, power, time_constant_s):
+    """Return the PixelState at `time_s` after the power has been as it is now ever since the last instant."""
+    old, _, _ = response_weights(time_s - state.time_s, time_constant_s)
     if old < 1e-7:
         return steady(time_s, power)
-    signal = power + np.float32(old) * (membrane.signal - power)
-    return Membrane(float(time_s), signal, power)
+    signal = power + np.float32(old) * (state.signal - power)
+    return PixelState(float(time_s), signal, power)
 
 
-def advanced(membrane, time_s, power, time_constant_s):
-    """Return the Membrane at `time_s` after the power has changed evenly to `power`."""
-    old, first, last = map(np.float32, response_weights(time_s - membrane.time_s, time_constant_s))
-    return Membrane(float(time_s), old * membrane.signal + first * membrane.power + last * power, power)
+def advanced(state, time_s, power, time_constant_s):
+    """Return the PixelState at `time_s` after the power has changed evenly to `power`."""
+    old, first, last = map(np.float32, response_weights(time_s - state.time_s, time_constant_s))
+    return PixelState(float(time_s), old * state.signal + first * state.power + last * power, power)
 
 
-def read_rows(membrane, time_s, power, row_times_s, rows, time_constant_s, out):
+def read_rows(state, time_s, power, row_times_s, rows, time_constant_s, out):
     """Read those rows into `out` that come up while the power changes evenly to `power` at `time_s`.
 
     Parameters
     ----------
-    membrane : Membrane
+    state : PixelState
         The pixels at the start.
     time_s, power
         The end, and the (H, W) power then [W].
@@ -105,11 +105,11 @@ def read_rows(membrane, time_s, power, row_times_s, rows, time_constant_s, out):
     rows : slice of n rows
     out : (H, W) float32
     """
-    whole = time_s - membrane.time_s
-    passed = np.asarray(row_times_s) - membrane.time_s
+    whole = time_s - state.time_s
+    passed = np.asarray(row_times_s) - state.time_s
     old, first, last = response_weights(passed, time_constant_s)
     share = passed / whole if whole > 0.0 else np.ones_like(passed)
     # The power at a row's own instant lies between those at both ends.
     weights = (old, first + last * (1.0 - share), last * share)
     old, first, last = (weight.astype(np.float32)[:, None] for weight in weights)
-    out[rows] = old * membrane.signal[rows] + first * membrane.power[rows] + last * power[rows]
+    out[rows] = old * state.signal[rows] + first * state.power[rows] + last * power[rows]

@@ -1,8 +1,8 @@
 """Counts to 8 bits for a screen: the automatic gain control of a thermal camera.
 
 Each mode first measures the frame (the ends of a stretch, or a whole curve from counts to levels) and then shows
-the counts by that measure. In a flight the measure may follow the scene slowly, as a camera's does: the one shown by
-is a running mean of those measured. The modes and the running mean are those of FLIR, Camera Adjustments,
+the counts by that measure. In a flight the measure may follow the scene slowly, as a camera's does: the one used is
+a running mean of those measured. The modes and the running mean are those of FLIR, Camera Adjustments,
 102-PS242-100-01 rev. 110 (2014), sections 2.2 and 2.3; local contrast is OpenCV's CLAHE.
 """
 
@@ -22,7 +22,7 @@ _LOCAL_CLIP, _LOCAL_TILES = 3.0, (8, 8)
 
 
 @dataclass(frozen=True)
-class Look:
+class DisplaySettings:
     """How counts are shown.
 
     Attributes

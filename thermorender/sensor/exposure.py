@@ -1,11 +1,11 @@
 """A sequence of images as a microbolometer takes them: each pixel remembers, and rows are read one after another.
 
-Where the image hardly moves within a time constant, one radiance image per frame is enough, and what the pixels
-remember of the frames before. Where it glides by less than a pixel, that image is moved back along its way, to the
-ages that stand best for the exponential past of each row. Where it races, the power on the pixels is followed through
-instants close to each other, linear in time between them, and the response to that is exact. Few of these instants
-need a rendered image: between renders, an image is moved as the ground moves, and what comes from the render before
-and the render after is blended.
+Static view: where the image hardly moves within a time constant, one radiance image per frame is enough, and what
+the pixels remember of the frames before. Sub-pixel motion: that image is moved back along its path, to the ages that
+stand best for the exponential past of each row. Fast motion: the power on the pixels is followed through instants
+close to each other, linear in time between them, and the response to that is exact. Few of these instants need a
+rendered image: between renders, an image is moved as the ground moves, and what comes from the render before and the
+render after is blended.
 """
 
 from dataclasses import dataclass
@@ -14,24 +14,24 @@ import numpy as np
 
 from thermorender.physics.planck import band_radiance_derivative
 from thermorender.sensor.chain import in_sequence
-from thermorender.sensor.detector import Membrane, advanced, read_rows, row_delays, steady, stepped
-from thermorender.sensor.motion import homography, motion_px, moved, pixel_grid, places
+from thermorender.sensor.detector import PixelState, advanced, read_rows, row_delays, steady, stepped
+from thermorender.sensor.motion import homography, motion_px, moved, pixel_grid, source_pixels
 from thermorender.sensor.noise import NETD_REFERENCE_K
 
 # Motion within a time constant up to which a frame is one image [px].
-STILL_PX = 0.02
+STATIC_PX = 0.02
 # Motion up to which one image, moved along straight lines to a few ages, stands for the past [px]. These ages [time
 # constants] and weights integrate cubics against e⁻ᵃ exactly (Gauss–Laguerre).
-GLIDE_PX = 0.8
+SUBPIXEL_PX = 0.8
 _AGES, _WEIGHTS = np.polynomial.laguerre.laggauss(2)
 # Time constants that a pixel remembers: e⁻⁸ of 15 K is 5 mK.
 MEMORY = 8.0
-# Error allowed to the spacing of instants [mK], and motion between two renders [px].
+# Estimated error allowed to the spacing of instants [mK], and motion between two renders [px].
 LAG_MK, RENDER_PX = 10.0, 20.0
-# Root mean square errors over a frame, from above; found on heath from 100 and 120 m, where radiance changes by 0.7 K
-# per pixel. Of instants d pixels apart at v pixels per time constant: the first times d² min(1, d/v); of images that
-# are moved: the second; of moving one image to a few ages: the third times v².
-_INSTANT_MK, _MOVED_MK, _GLIDE_MK = 12.0, 15.0, 42.0
+# Empirical estimates, no bounds, of the root mean square error over a frame: fitted from above to heath from 100 and
+# 120 m, where radiance changes by 0.7 K per pixel. Of instants d pixels apart at v pixels per time constant: the first
+# times d² min(1, d/v); of images that are moved: the second; of moving one image to a few ages: the third times v².
+_INSTANT_MK, _MOVED_MK, _SUBPIXEL_MK = 12.0, 15.0, 42.0
 MOST_INSTANTS = 400
 
 
@@ -39,8 +39,8 @@ def plan_row(camera):
     """Return what the pixels' memory brings to a flight, as an (item, in or out, why) row of a plan."""
     if camera.time_constant_ms == 0.0:
         return ("sub-frames", "out", "this camera's pixels remember nothing")
-    why = f"one render where a flight's view moves up to {GLIDE_PX:g} px in {camera.time_constant_ms:g} ms"
-    return ("sub-frames", "by motion", f"{why}; beyond it as many as keep {LAG_MK:g} mK")
+    why = f"one render where a flight's view moves up to {SUBPIXEL_PX:g} px in {camera.time_constant_ms:g} ms"
+    return ("sub-frames", "by motion", f"{why}; above that as many as keep an estimated {LAG_MK:g} mK")
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Exposure:
     Parameters
     ----------
     sensor : Sensor
-    look : callable
+    radiance_at : callable
         Time [s] → (H, W) float32 band radiance then [W m⁻² sr⁻¹].
     pose_at : callable
         Time [s] → (4, 4) world_from_camera.
@@ -86,15 +86,15 @@ class Exposure:
         Motion between two renders [px], between which images are moved as the ground moves; 0: every instant is
         rendered.
     lag_mk : float
-        Error allowed to the spacing of instants [mK].
+        Estimated error allowed to the spacing of instants [mK].
     """
 
-    def __init__(self, sensor, look, pose_at, ground_at, interval_s, render_px=RENDER_PX, lag_mk=LAG_MK):
-        self.sensor, self._look, self._pose_at, self._ground_at = sensor, look, pose_at, ground_at
-        self.interval_s = interval_s
+    def __init__(self, sensor, radiance_at, pose_at, ground_at, interval_s, render_px=RENDER_PX, lag_mk=LAG_MK):
+        self.sensor, self.interval_s = sensor, interval_s
+        self._radiance_at, self._pose_at, self._ground_at = radiance_at, pose_at, ground_at
         self._delays = row_delays(sensor.camera, interval_s)
         self._render_px, self._lag_mk = render_px, lag_mk
-        self.membrane, self.held = None, None
+        self.pixels, self.last_counts = None, None
 
     def read(self, index, time_s, radiance):
         """Return (counts (H, W) uint16, how they were made) of one frame; frames come in order.
@@ -115,13 +115,13 @@ class Exposure:
             frozen (by a flat-field correction), and as by `signal`.
         """
         moment = in_sequence(self.sensor.camera, index, index * self.interval_s)
-        if moment.frozen and self.held is not None:
+        if moment.frozen and self.last_counts is not None:
             # The shutter stays closed for many time constants: nothing of before is remembered.
-            self.membrane = None
-            return self.held, {"frozen": True, "motion_px": None, "instants": 0, "renders": 1, "lag_mk": None}
+            self.pixels = None
+            return self.last_counts, {"frozen": True, "motion_px": None, "instants": 0, "renders": 1, "lag_mk": None}
         signal, how = self.signal(moment, time_s, radiance)
-        self.held = self.sensor.counts(signal, moment)
-        return self.held, {"frozen": False, **how}
+        self.last_counts = self.sensor.counts(signal, moment)
+        return self.last_counts, {"frozen": False, **how}
 
     def signal(self, moment, time_s, radiance):
         """Return (signal (H, W) float32 [W], how it was made) that the read-out of one frame starts from.
@@ -129,37 +129,37 @@ class Exposure:
         `how` holds motion_px (within a time constant), instants, renders, and lag_mk: estimated error of the lag, root
         mean square over the frame [mK].
         """
-        views, between = self._views(time_s), bool(self._render_px)
+        views, interpolates = self._views(time_s), bool(self._render_px)
         motion = motion_px(self.sensor.camera, *views)
-        if motion <= STILL_PX:
-            signal = self._still(time_s, self.sensor.power(radiance, moment))
+        if motion <= STATIC_PX:
+            signal = self._static(time_s, self.sensor.power(radiance, moment))
             late = np.hypot(1.0, np.std(self._delays) / (self.sensor.camera.time_constant_s or np.inf))
             instants, renders, error = 1, 1, motion * late * _gradient_mk(radiance, self.sensor)
-        elif motion <= GLIDE_PX and between and self.sensor.camera.time_constant_s:
-            signal = self._gliding(views, radiance, moment)
-            instants, renders, error = len(_AGES), 1, np.hypot(_MOVED_MK, _GLIDE_MK * motion**2)
+        elif motion <= SUBPIXEL_PX and interpolates and self.sensor.camera.time_constant_s:
+            signal = self._subpixel(views, radiance, moment)
+            instants, renders, error = len(_AGES), 1, np.hypot(_MOVED_MK, _SUBPIXEL_MK * motion**2)
         else:
             plan = self._schedule(time_s, motion)
-            signal = self._moving(plan, radiance, moment)
+            signal = self._fast(plan, radiance, moment)
             instants, renders = len(plan.times_s), len(plan.renders)
-            error = np.hypot(_instants_mk(plan.spacing_px, motion), _MOVED_MK * between)
-        told = {"motion_px": round(motion, 3), "instants": instants, "renders": renders}
-        return signal, told | {"lag_mk": round(float(error), 1)}
+            error = np.hypot(_instants_mk(plan.spacing_px, motion), _MOVED_MK * interpolates)
+        made = {"motion_px": round(motion, 3), "instants": instants, "renders": renders}
+        return signal, made | {"lag_mk": round(float(error), 1)}
 
     def state(self):
         """Return {name: array} of what the next frame depends on."""
-        arrays = {"held": self.held} if self.sensor.camera.ffc_interval_s else {}
-        if self.membrane is not None:
-            arrays |= {"time_s": np.float64(self.membrane.time_s)}
-            arrays |= {"signal": self.membrane.signal, "power": self.membrane.power}
+        arrays = {"counts": self.last_counts} if self.sensor.camera.ffc_interval_s else {}
+        if self.pixels is not None:
+            arrays |= {"time_s": np.float64(self.pixels.time_s)}
+            arrays |= {"signal": self.pixels.signal, "power": self.pixels.power}
         return arrays
 
     def restore(self, arrays):
         """Take over a `state`."""
-        self.held = arrays.get("held")
-        self.membrane = None
+        self.last_counts = arrays.get("counts")
+        self.pixels = None
         if "signal" in arrays:
-            self.membrane = Membrane(float(arrays["time_s"]), arrays["signal"], arrays["power"])
+            self.pixels = PixelState(float(arrays["time_s"]), arrays["signal"], arrays["power"])
 
     def _views(self, time_s):
         """(pose now, pose a time constant ago, height of the ground [m])."""
@@ -172,23 +172,23 @@ class Exposure:
     def _schedule(self, time_s, motion):
         time_constant_s = self.sensor.camera.time_constant_s
         since_s = time_s + self._delays[0] - MEMORY * time_constant_s
-        if self.membrane is not None:
-            since_s = max(since_s, self.membrane.time_s)
+        if self.pixels is not None:
+            since_s = max(since_s, self.pixels.time_s)
         return schedule(time_s, self._delays, time_constant_s, motion, since_s, self._lag_mk, self._render_px)
 
-    def _still(self, time_s, power):
+    def _static(self, time_s, power):
         time_constant_s = self.sensor.camera.time_constant_s
         if not time_constant_s:
             return power
-        before = self.membrane or steady(time_s, power)
-        self.membrane = stepped(before, time_s, power, time_constant_s)
-        return self.membrane.signal
+        before = self.pixels or steady(time_s, power)
+        self.pixels = stepped(before, time_s, power, time_constant_s)
+        return self.pixels.signal
 
-    def _gliding(self, views, radiance, moment):
+    def _subpixel(self, views, radiance, moment):
         """The signal of each row at its own time, from one image that is moved to a few ages, (H, W) float32 [W]."""
         camera, image = self.sensor.camera, self.sensor.blurred(radiance)
         column, row = pixel_grid(camera)
-        right, down = places(camera, homography(*views))
+        right, down = source_pixels(camera, homography(*views))
         right -= column
         down -= row
         total = np.zeros_like(image)
@@ -196,27 +196,27 @@ class Exposure:
             ago = (age - self._delays / camera.time_constant_s).astype(np.float32)[:, None]
             # The blur of linear interpolation counts little at a small weight.
             total += weight * moved(image, column + right * ago, row + down * ago, coarsely=weight < 0.2)
-        # Of a scene that stands still, the next frame's own image tells the past.
-        self.membrane = None
+        # Of a static scene, the next frame's own image tells the past.
+        self.pixels = None
         return self.sensor.power(total, moment, blurred=True)
 
-    def _moving(self, plan, radiance, moment):
+    def _fast(self, plan, radiance, moment):
         """The signal of each row at its own time, (H, W) float32 [W]."""
         time_constant_s = self.sensor.camera.time_constant_s
         signal, done = np.empty_like(radiance), 0
-        if self.membrane is not None and self.membrane.time_s < plan.times_s[0]:
-            self.membrane = None
+        if self.pixels is not None and self.pixels.time_s < plan.times_s[0]:
+            self.pixels = None
         for time_s, power in self._powers(plan, radiance, moment):
-            if self.membrane is None:
-                self.membrane = steady(time_s, power)
+            if self.pixels is None:
+                self.pixels = steady(time_s, power)
             until = len(plan.row_times_s)
             if time_s < plan.times_s[-1]:
                 until = np.searchsorted(plan.row_times_s, time_s, "right")
             if until > done:
                 rows = slice(done, until)
-                read_rows(self.membrane, time_s, power, plan.row_times_s[rows], rows, time_constant_s, signal)
+                read_rows(self.pixels, time_s, power, plan.row_times_s[rows], rows, time_constant_s, signal)
                 done = until
-            self.membrane = advanced(self.membrane, time_s, power, time_constant_s)
+            self.pixels = advanced(self.pixels, time_s, power, time_constant_s)
         return signal
 
     def _powers(self, plan, radiance, moment):
@@ -227,13 +227,13 @@ class Exposure:
             after = renders[min(np.searchsorted(renders, number), len(renders) - 1)]
             for render in (before, after):
                 if render not in seen:
-                    image = radiance if render == plan.own else self._look(times[render])
+                    image = radiance if render == plan.own else self._radiance_at(times[render])
                     seen[render] = self.sensor.blurred(image)
             seen = {render: seen[render] for render in (before, after)}
             images = [(times[render], image) for render, image in seen.items()]
-            yield time_s, self.sensor.power(self._between(images, time_s), moment, blurred=True)
+            yield time_s, self.sensor.power(self._interpolated(images, time_s), moment, blurred=True)
 
-    def _between(self, images, time_s):
+    def _interpolated(self, images, time_s):
         """The image at a time, from one or two images (time, (H, W) float32) of before and after."""
         if images[0][0] == time_s:
             return images[0][1]
@@ -241,7 +241,7 @@ class Exposure:
         ground_m = self._ground_at(wanted)
         found = []
         for at, image in images:
-            column, row = places(camera, homography(self._pose_at(at), wanted, ground_m))
+            column, row = source_pixels(camera, homography(self._pose_at(at), wanted, ground_m))
             inside = (np.abs(column + 0.5 - 0.5 * camera.width) <= 0.5 * camera.width) & (
                 np.abs(row + 0.5 - 0.5 * camera.height) <= 0.5 * camera.height
             )
@@ -250,7 +250,7 @@ class Exposure:
             return found[0][0]
         (first, in_first), (second, in_second) = found
         share = (time_s - images[0][0]) / (images[1][0] - images[0][0])
-        # Where one of them does not see the place, the other counts alone.
+        # Where one of them does not see the point, the other counts alone.
         weight = np.where(in_first == in_second, np.float32(share), in_second.astype(np.float32))
         second -= first
         second *= weight
@@ -273,7 +273,7 @@ def schedule(time_s, delays, time_constant_s, motion, since_s, lag_mk=LAG_MK, re
     since_s : float
         From when on the power matters [s].
     lag_mk : float
-        Error allowed to the spacing of instants [mK].
+        Estimated error allowed to the spacing of instants [mK].
     render_px : float
         Motion between two renders [px]; 0: every instant is rendered.
 
@@ -296,14 +296,14 @@ def schedule(time_s, delays, time_constant_s, motion, since_s, lag_mk=LAG_MK, re
         step *= 1.25
     times = np.unique([since_s, time_s, *times[:-1]])
     age = np.maximum(rows[0] - 0.5 * (times[1:] + times[:-1]), 0.0)
-    way = np.concatenate([[0.0], np.cumsum(np.diff(times) * motion / span * np.exp(-age / age_scale))])
+    travelled_px = np.concatenate([[0.0], np.cumsum(np.diff(times) * motion / span * np.exp(-age / age_scale))])
     own = int(np.searchsorted(times, time_s))
     renders = np.arange(len(times))
     if render_px:
-        way -= way[own]
-        least, most = (int(np.ceil(abs(end) / render_px - 0.5)) for end in way[[0, -1]])
+        travelled_px -= travelled_px[own]
+        least, most = (int(np.ceil(abs(end) / render_px - 0.5)) for end in travelled_px[[0, -1]])
         wanted = np.arange(-least, most + 1) * render_px
-        renders = np.unique(np.abs(way[:, None] - wanted).argmin(axis=0))
+        renders = np.unique(np.abs(travelled_px[:, None] - wanted).argmin(axis=0))
     return Schedule(times, renders, own, rows, float(min(step, times[-1] - times[0]) * motion / span))
 
 

@@ -4,7 +4,7 @@ from functools import lru_cache
 
 import numpy as np
 
-# Pixels along a cell of the net on which places are exact: between them they err by less than 0.02 pixels.
+# Pixels along a cell of the grid on which positions are exact: between them they err by less than 0.02 pixels.
 _CELL = 8
 # A ray that meets the ground farther than this, over the height above it, sees the sky or what moves like it.
 _FARTHEST = 50.0
@@ -12,7 +12,7 @@ _LEAST_M = 0.1
 
 
 def motion_px(camera, pose, other, ground_m):
-    """Return how far the image moves from one pose to another, the most over nine places of the image [px].
+    """Return how far the image moves from one pose to another, the most over nine points of the image [px].
 
     Parameters
     ----------
@@ -59,8 +59,8 @@ def homography(seen_from, wanted_from, ground_m):
     return rotation + np.outer(shift, normal) / distance
 
 
-def places(camera, matrix):
-    """Return where each pixel finds its value in an image seen through a homography, exact on a net, linear between.
+def source_pixels(camera, matrix):
+    """Return where each pixel finds its value in an image seen through a homography, exact on a grid, linear between.
 
     Parameters
     ----------
@@ -75,22 +75,22 @@ def places(camera, matrix):
     """
     import cv2
 
-    net, farthest = _net(camera)
-    x, y, w = matrix @ net.reshape(-1, 3).T
-    # Beyond the image the model of the distortion holds no longer.
+    grid, farthest = _grid(camera)
+    x, y, w = matrix @ grid.reshape(-1, 3).T
+    # Outside the image the model of the distortion holds no longer.
     outside = (w <= 0.0) | (np.hypot(x, y) > 1.02 * farthest * w)
     point = np.stack([np.where(outside, 0.0, x), np.where(outside, 0.0, y), np.where(outside, 1.0, w)], axis=-1)
-    pixel = np.where(outside[:, None], -1e4, camera.project(point) - 0.5).reshape(*net.shape[:2], 2)
+    pixel = np.where(outside[:, None], -1e4, camera.project(point) - 0.5).reshape(*grid.shape[:2], 2)
     fine = cv2.resize(pixel.astype(np.float32), None, fx=_CELL, fy=_CELL, interpolation=cv2.INTER_LINEAR)
     part = fine[_CELL : _CELL + camera.height, _CELL : _CELL + camera.width]
     return np.ascontiguousarray(part[..., 0]), np.ascontiguousarray(part[..., 1])
 
 
 def moved(image, column, row, coarsely=False):
-    """Return the values of an image (H, W) float32 at places between its pixels, as by `places`.
+    """Return the values of an image (H, W) float32 at positions between its pixels, as by `source_pixels`.
 
-    Cubic between pixels; `coarsely` linear, three times as fast, which blurs. The nearest border where a place lies
-    outside.
+    Cubic between pixels; `coarsely` linear, three times as fast, which blurs. The nearest border where a
+    position lies outside.
     """
     import cv2
 
@@ -100,17 +100,17 @@ def moved(image, column, row, coarsely=False):
     return cv2.remap(image, column, row, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
 
 
-def _straight(place):
-    """Places at which OpenCV's cubic weights give what belongs to `place`.
+def _straight(position):
+    """Positions at which OpenCV's cubic weights give what belongs to `position`.
 
     The weights (a = −¾ of Keys 1981, doi:10.1109/TASSP.1981.1163711) do not keep a slope straight: they read it
-    ½ f (1−f) (1−2f) of a pixel too far, f being the fraction of the place. Where a whole image moves by the same
+    ½ f (1−f) (1−2f) of a pixel too far, f being the fraction of the position. Where a whole image moves by the same
     fraction this would shift it by up to 0.05 pixels.
     """
-    whole = np.floor(place)
+    whole = np.floor(position)
     whole += np.float32(0.5)
     # Fractions counted from the middle between two pixels, h: too far by −h (¼ − h²).
-    wanted = place - whole
+    wanted = position - whole
     half = wanted
     for _ in range(2):
         more = half * half
@@ -131,13 +131,13 @@ def pixel_grid(camera):
 
 
 @lru_cache(maxsize=2)
-def _net(camera):
+def _grid(camera):
     """(slopes with a third 1, (h, w, 3), at the middles of cells, one cell more on each side; the largest slope)."""
     count = [-(-n // _CELL) + 2 for n in (camera.height, camera.width)]
     row, column = ((np.arange(n) - 0.5) * _CELL for n in count)
-    inside = [np.clip(place, 0.0, n) for place, n in ((column, camera.width), (row, camera.height))]
+    inside = [np.clip(position, 0.0, n) for position, n in ((column, camera.width), (row, camera.height))]
     pixel = np.stack(np.meshgrid(*inside), axis=-1)
-    beyond = np.stack(np.meshgrid(column, row), axis=-1) - pixel
+    outside = np.stack(np.meshgrid(column, row), axis=-1) - pixel
     # A cell outside continues the image with the focal length, so that no fold of the distortion is met.
-    slope = camera.directions(pixel) + beyond / camera.focal_length_px
+    slope = camera.directions(pixel) + outside / camera.focal_length_px
     return np.concatenate([slope, np.ones_like(slope[..., :1])], axis=-1), np.linalg.norm(slope, axis=-1).max()

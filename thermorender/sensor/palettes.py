@@ -13,8 +13,8 @@ _IRONBOW = (
 
 
 def _ironbow():
-    place = np.linspace(0.0, 255.0, len(_IRONBOW))
-    channels = [np.interp(np.arange(256), place, channel) for channel in np.array(_IRONBOW).T]
+    level = np.linspace(0.0, 255.0, len(_IRONBOW))
+    channels = [np.interp(np.arange(256), level, channel) for channel in np.array(_IRONBOW).T]
     return np.rint(np.stack(channels, axis=-1)).astype(np.uint8)
 
 

@@ -105,7 +105,7 @@ def blur_of(camera, fine=FINE, coarse=COARSE):
     Least squares up to the Nyquist frequencies. Frequencies count as they do in scenes: power falls with the square
     of frequency (Field 1987, doi:10.1364/JOSAA.4.002379), and pixels have averaged over their area. The tails
     matter: a round aperture spreads 6 % of the light beyond 2.5 pixels, which moves a scene's contrast by 1.9 %
-    root mean square where a 5 × 5 kernel folds them in.
+    root mean square where a 5 × 5 kernel gathers them.
     """
     edge = np.concatenate([[0.0], np.geomspace(_LOWEST, 0.5, _FREQUENCIES)])
     line, width = 0.5 * (edge[1:] + edge[:-1]), np.diff(edge)
@@ -163,23 +163,23 @@ def filtered(image, transfer):
     return idctn(values, norm="ortho")
 
 
-def _places(side):
-    """Places (m, n) of a kernel's eighth, 0 ≤ n ≤ m; the others mirror them."""
+def _offsets(side):
+    """Offsets (m, n) of the weights in one eighth of a kernel, 0 ≤ n ≤ m; the others mirror them."""
     return [(m, n) for m in range(side // 2 + 1) for n in range(m + 1)] if side else []
 
 
 def _waves(line, side):
-    """Transfer functions over a quarter of the plane of ones at (±m, ±n) and (±n, ±m), for each of `_places`."""
+    """Transfer functions over a quarter of the plane of ones at (±m, ±n) and (±n, ±m), for each of `_offsets`."""
     cosine = [np.cos(2.0 * np.pi * m * line) * (2.0 if m else 1.0) for m in range(side // 2 + 1)]
     return [
         np.outer(cosine[m], cosine[n]) + (np.outer(cosine[n], cosine[m]) if m != n else 0.0)
-        for m, n in _places(side)
+        for m, n in _offsets(side)
     ]
 
 
 def _kernel(values, side):
     half, weights = side // 2, np.zeros((side, side), np.float32)
-    for (m, n), value in zip(_places(side), values, strict=True):
+    for (m, n), value in zip(_offsets(side), values, strict=True):
         for i, j in ((m, n), (n, m)):
             weights[np.ix_([half - i, half + i], [half - j, half + j])] = value
     return weights

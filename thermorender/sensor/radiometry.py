@@ -1,8 +1,8 @@
-"""What the operator's software reads: the camera's own temperature formula, and its corrections for surface and air.
+"""What thermography software reads: the camera's own temperature formula, and its corrections for surface and air.
 
 A radiometric camera turns its signal S into kelvin by T = B / ln(R1 / (R2 (S + O)) + F), a Planck-like curve fitted
-at the factory. The software first takes away what it believes not to come from the surface: the reflection of the
-surroundings (emissivity, reflected temperature), the glow of the air and of a window before the lens. It believes
+at the factory. The software first subtracts what it assumes not to come from the surface: the reflection of the
+surroundings (emissivity, reflected temperature), the glow of the air and of a window before the lens. It assumes
 one emissivity, one distance and one air for the whole picture, so it errs where the truth differs.
 """
 
@@ -14,6 +14,7 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.schema import Where, checked, key, number, read
+from thermorender.sensor.readout import radiance_from_counts
 from thermorender.units import ZERO_CELSIUS_K
 
 
@@ -66,7 +67,7 @@ class AirModel:
     x: float = 1.9
 
     def transmittance(self, air_c, humidity, distance_m):
-        """Return the transmittance the software believes in, between 0 and 1.
+        """Return the transmittance the software assumes, between 0 and 1.
 
         Parameters
         ----------
@@ -96,8 +97,8 @@ def water_vapour(air_c, humidity):
 
 
 @dataclass(frozen=True)
-class Operator:
-    """What the operator tells the software about the picture; the defaults take nothing away.
+class ThermographySettings:
+    """What the thermography software is told about surface, air and window; the defaults correct nothing.
 
     Attributes
     ----------
@@ -124,12 +125,12 @@ class Operator:
     window_transmittance: float = key(number(1e-3, 1.0), 1.0)
 
     def __post_init__(self):
-        checked(self, "operator")
+        checked(self, "thermography")
 
     @classmethod
     def parse(cls, text):
         """Return the settings of a text such as "emissivity=0.95,air_c=15,distance_m=100"."""
-        where, values = Where("operator"), {}
+        where, values = Where("thermography"), {}
         for part in filter(None, (part.strip() for part in text.split(","))):
             name, _, value = (piece.strip() for piece in part.partition("="))
             if name in values:
@@ -141,15 +142,15 @@ class Operator:
         return read(cls, values, where)
 
 
-def operator_temperature(signal, planck, operator, air=None):
-    """Return the temperature the software shows, in the shape of `signal` [K]; NaN where it has none.
+def thermography_temperature(signal, planck, settings, air=None):
+    """Return the temperature thermography software reads, in the shape of `signal` [K]; NaN where it has none.
 
     Parameters
     ----------
     signal : array
         In the units of `planck`: raw counts of a file, or band radiance [W m⁻² sr⁻¹] with `fitted_constants`.
     planck : PlanckConstants
-    operator : Operator
+    settings : ThermographySettings
     air : AirModel, optional
 
     Notes
@@ -157,19 +158,33 @@ def operator_temperature(signal, planck, operator, air=None):
     S = τ_w [τ (ε S(T) + (1−ε) S(T_refl)) + (1−τ) S(T_air)] + (1−τ_w) S(T_window), solved for T. The shares sum to
     one, so the constant O drops out of all but the formula itself.
     """
-    tau = (air or AirModel()).transmittance(operator.air_c, operator.humidity, operator.distance_m)
+    tau = (air or AirModel()).transmittance(settings.air_c, settings.humidity, settings.distance_m)
     if tau < 1e-3:
         raise ThermorenderError(
-            f"operator's distance_m={operator.distance_m:g} leaves {tau:.1g} of the radiation; give a shorter one"
+            f"thermography: distance_m={settings.distance_m:g} leaves {tau:.1g} of the radiation; give a shorter one"
         )
     reflected, air_glow, window = (
-        planck.signal(celsius + ZERO_CELSIUS_K) for celsius in (operator.reflected_c, operator.air_c, operator.window_c)
+        planck.signal(celsius + ZERO_CELSIUS_K) for celsius in (settings.reflected_c, settings.air_c, settings.window_c)
     )
-    behind = (np.asarray(signal, np.float64) - (1.0 - operator.window_transmittance) * window) / (
-        operator.window_transmittance
+    behind = (np.asarray(signal, np.float64) - (1.0 - settings.window_transmittance) * window) / (
+        settings.window_transmittance
     )
     left = (behind - (1.0 - tau) * air_glow) / tau
-    return planck.temperature((left - (1.0 - operator.emissivity) * reflected) / operator.emissivity)
+    return planck.temperature((left - (1.0 - settings.emissivity) * reflected) / settings.emissivity)
+
+
+def thermography_reading(counts, camera, settings):
+    """Return the temperatures that thermography software reads from a frame's counts, (H, W) float32 [K].
+
+    Parameters
+    ----------
+    counts : (H, W) uint16
+    camera : Camera
+    settings : ThermographySettings
+    """
+    # There are fewer counts than pixels.
+    signal = radiance_from_counts(np.arange(int(counts.max()) + 1), camera)
+    return thermography_temperature(signal, camera_constants(camera), settings).astype(np.float32)[counts]
 
 
 def camera_constants(camera):

@@ -1,6 +1,6 @@
 """What the sensor's short cuts cost and err: instants and renders of a moving view, sizes of the lens's kernel.
 
-The lag is held against a view followed in 64 renders per time constant, each frame's rows read at their own time; the
+The lag is compared with a view followed in 64 renders per time constant, each frame's rows read at their own time; the
 blur against the transfer function itself, applied to the image's cosine series. Times are taken in the same process as
 one Gaussian filter of SciPy, the unit the whole chain is measured in.
 """
@@ -62,8 +62,8 @@ def sensor(folder, scene=defaults.SCENE, flights=tuple(FLIGHTS), device="auto", 
     dict
         machine, versions, scene, camera; lag: {flight: [{lag_mk, render_px, instants, renders, ms, smooth_mk, all_mk,
         estimate_mk}, …]}, lag_mk None for one image without memory; blur: [{fine, coarse, ms, error_mk, predicted}];
-        chain: {standing_ms, gliding_ms, gaussian_ms, standing_ratio, gliding_ratio}. smooth_mk is over pixels that see
-        less than 1 K within a time constant.
+        chain: {standing_ms, subpixel_ms, gaussian_ms, standing_ratio, subpixel_ratio}. smooth_mk is over pixels that
+        see less than 1 K within a time constant.
     """
     unknown = [name for name in flights if name not in FLIGHTS]
     if unknown:
@@ -99,11 +99,11 @@ def _lag(renderer, of, flight):
     """Errors and times of one flight's settings; and (one image, reference) of its frame in band radiance."""
     camera, (path, ground_m) = of.camera, _flight(renderer, flight)
 
-    def look(time_s):
+    def radiance_at(time_s):
         return renderer.radiance(path(time_s))
 
-    now = look(0.0)
-    expected, span = _reference(of, look, row_delays(camera, 1.0 / RATE_HZ))
+    now = radiance_at(0.0)
+    expected, span = _reference(of, radiance_at, row_delays(camera, 1.0 / RATE_HZ))
     per_mk = band_radiance_derivative(300.0, *camera.band_um) * 1e-3
     one = of.power(np.ones_like(now), at_rest(camera), blurred=True)
     smooth = span / per_mk < 1e3 * SMOOTH_K
@@ -124,7 +124,7 @@ def _lag(renderer, of, flight):
         }
     ]  # fmt: skip
     for lag_mk, render_px in SETTINGS:
-        taken = exposure.Exposure(of, look, path, lambda place: ground_m, 1.0 / RATE_HZ, render_px, lag_mk)
+        taken = exposure.Exposure(of, radiance_at, path, lambda pose: ground_m, 1.0 / RATE_HZ, render_px, lag_mk)
         start = time.perf_counter()
         signal, how = taken.signal(at_rest(camera), 0.0, now)
         ms = 1e3 * (time.perf_counter() - start)
@@ -142,32 +142,32 @@ def _lag(renderer, of, flight):
     return records, (single, expected)
 
 
-def _reference(of, look, delays):
+def _reference(of, radiance_at, delays):
     """A frame followed in `REFERENCE` renders per time constant: band radiance, and its span in the last of them."""
     tau = of.camera.time_constant_s
     first = int(np.floor((delays[0] / tau - exposure.MEMORY) * REFERENCE))
     last = int(np.ceil(delays[-1] / tau * REFERENCE))
     out, span = (np.empty((of.camera.height, of.camera.width), np.float32) for _ in range(2))
-    membrane, done, latest = None, 0, deque(maxlen=REFERENCE + 1)
+    state, done, latest = None, 0, deque(maxlen=REFERENCE + 1)
     for number in range(first, last + 1):
         time_s = number / REFERENCE * tau
-        image = of.blurred(look(time_s))
+        image = of.blurred(radiance_at(time_s))
         latest.append(image)
-        membrane = membrane or steady(time_s, image)
+        state = state or steady(time_s, image)
         until = np.searchsorted(delays, time_s, "right")
         if until > done:
             rows = slice(done, until)
-            read_rows(membrane, time_s, image, delays[rows], rows, tau, out)
+            read_rows(state, time_s, image, delays[rows], rows, tau, out)
             past = np.array([before[rows] for before in latest])
             span[rows] = past.max(axis=0) - past.min(axis=0)
             done = until
-        membrane = advanced(membrane, time_s, image, tau)
+        state = advanced(state, time_s, image, tau)
     return out, span
 
 
 def _blur(renderer, camera):
     """Error and time of each pair of kernels, on two views of the scene."""
-    images = [renderer.radiance(place) for place in views(renderer.scene).values()]
+    images = [renderer.radiance(view) for view in views(renderer.scene).values()]
     per_mk = band_radiance_derivative(300.0, *camera.band_um) * 1e-3
     table = np.linspace(0.0, np.sqrt(0.5), 4000)
     transfer = psf.otf(camera, table)
@@ -193,11 +193,11 @@ def _chain(renderer, of):
     image = renderer.radiance(flight(0.0))
     # With drift and pattern, as in a flight that has lasted.
     moment = in_sequence(of.camera, 900, 100.0)
-    taken = exposure.Exposure(of, None, flight, lambda place: ground_m, 1.0 / RATE_HZ)
+    taken = exposure.Exposure(of, None, flight, lambda pose: ground_m, 1.0 / RATE_HZ)
     # In turns, so that a busy machine slows all alike.
     jobs = {
         "standing": lambda: of.counts(of.power(image, moment), moment),
-        "gliding": lambda: of.counts(taken.signal(moment, 0.0, image)[0], moment),
+        "subpixel": lambda: of.counts(taken.signal(moment, 0.0, image)[0], moment),
         "gaussian": lambda: gaussian_filter(image, 1.0),
     }
     seconds = {name: [] for name in jobs}
@@ -207,7 +207,7 @@ def _chain(renderer, of):
             job()
             seconds[name].append(time.perf_counter() - start)
     median = {f"{name}_ms": 1e3 * float(np.median(values[1:])) for name, values in seconds.items()}
-    ratio = {f"{name}_ratio": median[f"{name}_ms"] / median["gaussian_ms"] for name in ("standing", "gliding")}
+    ratio = {f"{name}_ratio": median[f"{name}_ms"] / median["gaussian_ms"] for name in ("standing", "subpixel")}
     return median | ratio
 
 
@@ -240,7 +240,7 @@ def _effects(renderer, of, seen):
             found += [(f"{name}: that less an instant", (expected - single) / per_mk * 1e-3, "K")]
             break
     even = np.full(image.shape, band_radiance(300.0, *camera.band_um), np.float32)
-    frames = np.array([of.still(even, index) for index in range(100)], np.float32)
+    frames = np.array([of.counts_at_rest(even, index) for index in range(100)], np.float32)
     step = np.diff(radiance_from_counts(np.array([0, 1]), camera))[0]
     scale = step / per_mk
     found.append(("one frame of an even scene", (frames[1] - frames.mean()) * scale, "mK"))

@@ -105,7 +105,7 @@ def _readings(views, camera, seed):
     table = RadianceTable(grid, band_radiance(grid, *camera.band_um))
     sensor = Sensor(camera, seed)
     for index, view in enumerate(views):
-        yield table.inverse(radiance_from_counts(sensor.still(view, index), camera))
+        yield table.inverse(radiance_from_counts(sensor.counts_at_rest(view, index), camera))
 
 
 def _statistics(images, camera):
