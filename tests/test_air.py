@@ -123,7 +123,7 @@ def test_sky_and_the_ground_beyond(tmp_path):
     exact = np.empty(len(pixel))
     exact[up] = [air_by_steps.outward(air, 120.0, cosine)[1].sum() for cosine in z[up]]
     length = 120.0 / -z[~up] * (1.0 + 120.0 / z[~up] ** 2 / (2.0 * MEAN_RADIUS_M))
-    below = [air_by_steps.between(air, 120.0, 0.0, way) for way in length]
+    below = [air_by_steps.between(air, 120.0, 0.0, metres) for metres in length]
     exact[~up] = [passed @ air_by_steps.planck(air, 310.0)[0] + added.sum() for passed, added in below]
     kelvin = frame.apparent_temperature[pixel[:, 1], pixel[:, 0]] - brightness_temperature(exact, *BAND)
     # The table's 10 mK, and what refraction bends, which the straight chord here leaves out.
@@ -289,14 +289,14 @@ def test_standard_air_in_place_of_a_scenes_sky(tmp_path):
         scene.with_air("moon")
 
 
-def test_moving_object_in_air_is_as_one_that_stands(tmp_path):
+def test_a_dynamic_object_in_air_is_as_a_static_one(tmp_path):
     item = '[[object]]\nname = "car"\nshape = "box"\nsize = [1.8, 4.0, 1.2]\nposition = [0, 0, 0.0]\n'
     item += 'temperature = 310.0\nmaterial = "paint_metallic"\n'
     mesh = plane(20.0)
     for _ in range(5):
         mesh = mesh.subdivide()
     images = []
-    for name, more in (("still", ""), ("moving", 'track = "car.csv"\n')):
+    for name, more in (("static", ""), ("dynamic", 'track = "car.csv"\n')):
         folder = write(tmp_path / name, mesh, emissivity=0.9, extra=item + more)
         (folder / "car.csv").write_text("time_s,east_m\n0,0\n1,0.0\n") if more else None
         images.append(tr.Renderer(tr.load_scene(folder), rays=512).frame(tr.pose(0, -8, 9, pitch_deg=-50.0)))

@@ -341,8 +341,8 @@ def test_saved_atmosphere_is_the_same(tmp_path):
         Atmosphere.load(tmp_path / "text.npz")
 
 
-def spoilt(values, place, value):
-    values[place] = value
+def spoilt(values, index, value):
+    values[index] = value
     return values
 
 

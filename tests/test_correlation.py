@@ -1,4 +1,4 @@
-"""The published linear maps: coefficients, neighbourhood, range and the way to kinetic temperature."""
+"""The published linear maps: coefficients, neighbourhood, range and the step to kinetic temperature."""
 
 from dataclasses import replace
 

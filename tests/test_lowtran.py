@@ -1,4 +1,4 @@
-"""What is asked of LOWTRAN7 and made of its answers, with a grey gas of known law in its place; no compiler needed.
+"""What is asked of LOWTRAN7 and made of its answers, with a grey gas of known law in its stead; no compiler needed.
 
 The gas thins out exponentially with altitude and absorbs all wavelengths alike, so that transmittances and lights have
 closed forms. It reads TAPE5 by LOWTRAN's own columns.

@@ -41,9 +41,9 @@ def test_shapes_and_maps_stay(tmp_path):
     fine = scene.surfaces[0]
     assert len(fine.faces) > 1.5 * len(plain.faces)
     np.testing.assert_allclose(area(fine).sum(), area(plain).sum(), rtol=1e-9)
-    # The map is the same function of place: here affine, so one fit must hold for the corners of all triangles.
-    place, uv = fine.vertices[fine.faces].reshape(-1, 3)[:, :2], fine.uv.reshape(-1, 2)
-    system = np.column_stack([place, np.ones(len(place))])
+    # The map is the same function of position: here affine, so one fit must hold for the corners of all triangles.
+    position, uv = fine.vertices[fine.faces].reshape(-1, 3)[:, :2], fine.uv.reshape(-1, 2)
+    system = np.column_stack([position, np.ones(len(position))])
     solution, *_ = np.linalg.lstsq(system, uv, rcond=None)
     assert np.abs(system @ solution - uv).max() < 1e-5
     near = np.linalg.norm(fine.vertices[fine.faces].mean(axis=1)[:, :2] - [0.3, 0.2], axis=-1) < 1.0

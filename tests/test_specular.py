@@ -191,7 +191,7 @@ def test_isothermal_enclosure_with_mirrors_reads_the_wall(tmp_path, material):
     assert np.abs(frame.apparent_temperature - 300.0).max() < 1e-3 + 1e-6 * renderer.plan.specular.error_mk
 
 
-def test_moving_mirrors_and_what_moves_in_mirrors(tmp_path):
+def test_dynamic_mirrors_and_dynamic_objects_in_mirrors(tmp_path):
     frames = []
     for track in (None, "time_s,yaw_deg\n0,30\n"):
         rest = 'track = "t.csv"\n' if track else "yaw_deg = 30\n"
@@ -231,7 +231,7 @@ def test_without_such_materials_no_ray_is_cast_for_them(tmp_path, monkeypatch):
     assert counts == [1, 2, 1]
     assert np.abs(radiance[1] - radiance[0]).max() > 0.1
     rows = [plan.rows()[-1] for plan in plans]
-    assert [row[:2] for row in rows] == [("specular rays", way) for way in ("out", "in", "out")]
+    assert [row[:2] for row in rows] == [("specular rays", what) for what in ("out", "in", "out")]
     assert "Lambertian" in rows[0][2] and "estimated" in rows[1][2] and rows[2] == rows[0]
     assert [plan.as_dict()["specular"] for plan in plans] == [False, True, False]
 

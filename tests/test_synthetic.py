@@ -74,11 +74,11 @@ def test_objects_and_flight_lie_inside(kind):
     scene = small(kind)
     half = 0.5 * scene.size_m
     assert scene.objects
-    for thing in scene.objects:
-        assert np.abs(thing["position"][:2]).max() < half, thing["name"]
-        assert len(thing["size"]) == len(thing["position"]) == len(thing["colour"]) == 3
-        assert thing["temperature"] > 270.0
-    assert len({thing["name"] for thing in scene.objects}) == len(scene.objects)
+    for item in scene.objects:
+        assert np.abs(item["position"][:2]).max() < half, item["name"]
+        assert len(item["size"]) == len(item["position"]) == len(item["colour"]) == 3
+        assert item["temperature"] > 270.0
+    assert len({item["name"] for item in scene.objects}) == len(scene.objects)
     flight = scene.flight
     assert np.abs(flight["east_m"]).max() < half and np.abs(flight["north_m"]).max() < half
     assert np.allclose(np.diff(flight["time_s"]), 0.5) and 10.0 <= flight["time_s"][-1] <= 12.0
@@ -88,7 +88,7 @@ def test_objects_and_flight_lie_inside(kind):
 
 
 def test_the_heath_has_a_warm_marker_near_its_middle():
-    (marker,) = (thing for thing in small("heath").objects if thing["name"] == "marker")
+    (marker,) = (item for item in small("heath").objects if item["name"] == "marker")
     assert marker["temperature"] == 330.0
     assert 1.0 <= marker["size"][0] <= 2.0
     assert np.hypot(*marker["position"][:2]) < 20.0
@@ -112,8 +112,8 @@ def test_same_seed_same_bytes_other_seed_other_place(tmp_path):
 
 def test_texts_with_quotes_and_backslashes_are_written_as_they_are(tmp_path):
     title = 'A "heath" of C:\\new, in\ntwo lines'
-    (thing, *_) = small("heath").objects
-    scene = replace(small("heath"), title=title, objects=({**thing, "name": 'the "marker"'},))
+    (item, *_) = small("heath").objects
+    scene = replace(small("heath"), title=title, objects=({**item, "name": 'the "marker"'},))
     spec = tomllib.loads((write(scene, tmp_path / "odd") / "scene.toml").read_text(encoding="utf-8"))
     assert spec["title"] == title and spec["object"][0]["name"] == 'the "marker"'
 
@@ -139,7 +139,7 @@ def test_what_is_written_is_what_was_made(tmp_path):
     spec = tomllib.loads((folder / "scene.toml").read_text(encoding="utf-8"))
     assert spec["temperature"] == {"source": "raster", "raster": "temperature.tif"}
     assert spec["emissivity"]["classes"] == {str(k): v for k, v in scene.class_names.items()}
-    assert [thing["name"] for thing in spec["object"]] == [thing["name"] for thing in scene.objects]
+    assert [item["name"] for item in spec["object"]] == [item["name"] for item in scene.objects]
     with open(folder / "flight.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == ["time_s", "east_m", "north_m", "above_ground_m", "yaw_deg", "gimbal_pitch_deg"]
@@ -237,7 +237,7 @@ def test_sun_stands_where_the_almanac_says():
 
 
 def bumpy(hour, latitude, declination):
-    """Temperature of a small hilly place of five materials, and its Weather."""
+    """Temperature of a small hilly landscape of five materials, and its Weather."""
     weather = Weather(latitude, declination, hour, 283.0, 295.0, 260.0, 1000.0, 2.0)
     names = dict(enumerate(("grass_green", "sand_quartz", "asphalt", "water", "conifer")))
     row, column = np.mgrid[0:64, 0:64]
@@ -354,10 +354,10 @@ def test_balance_closes_at_equilibrium():
     flux = 400.0 + 0.96 * STEFAN_BOLTZMANN * (sky**4 - t**4) - 14.0 * (t - air) - latent
     assert abs(flux) < 0.05
     # Great inertia: it stays where it was.
-    still = step(
+    slow = step(
         288.0 * one, 3600.0, absorbed, longwave, exchange, 0 * one, air, 1000.0, 1e7 * one, 288.0 * one
     )
-    assert still[0, 0] == pytest.approx(288.0, abs=0.01)
+    assert slow[0, 0] == pytest.approx(288.0, abs=0.01)
 
 
 def test_wet_is_cooler_than_dry_and_inert_lags():

@@ -1,4 +1,4 @@
-"""Terrain and meshes: posts at pixel centres, maps the right way round, faces that look up, holes."""
+"""Terrain and meshes: posts at pixel centres, maps the right way up, faces that look up, holes."""
 
 from types import SimpleNamespace
 
@@ -50,8 +50,8 @@ def test_faces_look_up_and_map_to_their_texels(grid):
     vertices, faces, uv = terrain.mesh(HEIGHT, grid, frame, TEXELS)
     assert (normals(vertices, faces)[:, 2] > 0.0).all()
     # u runs east and v south over the 20 m of the texel map.
-    place = vertices[faces][..., :2] * 0.9996
-    np.testing.assert_allclose(uv, np.stack([0.5 + place[..., 0] / 20, 0.5 - place[..., 1] / 20], -1), atol=1e-4)
+    position = vertices[faces][..., :2] * 0.9996
+    np.testing.assert_allclose(uv, np.stack([0.5 + position[..., 0] / 20, 0.5 - position[..., 1] / 20], -1), atol=1e-4)
 
 
 @pytest.mark.parametrize("post", [(3, 3), (3, 4), (4, 3), (4, 4)])
@@ -130,10 +130,10 @@ def test_ground_of_a_mesh_with_vertical_walls():
 def test_holes_take_the_nearest_texel_that_is_known():
     rng = np.random.default_rng(0)
     valid = rng.random((17, 23)) < 0.1
-    known, place = np.argwhere(valid), np.argwhere(np.ones_like(valid))
+    known, position = np.argwhere(valid), np.argwhere(np.ones_like(valid))
     found = np.column_stack(np.unravel_index(nearest_valid(valid).ravel(), valid.shape))
     assert valid[tuple(found.T)].all()
-    least = np.linalg.norm(place[:, None] - known, axis=-1).min(axis=1)
-    np.testing.assert_allclose(np.linalg.norm(place - found, axis=1), least)
+    least = np.linalg.norm(position[:, None] - known, axis=-1).min(axis=1)
+    np.testing.assert_allclose(np.linalg.norm(position - found, axis=1), least)
     colour = rng.integers(0, 255, (17, 23, 3))
     np.testing.assert_array_equal(fill(colour, nearest_valid(valid)).reshape(-1, 3), colour[tuple(found.T)])

@@ -260,20 +260,20 @@ def test_north_and_down_are_those_of_the_place(tmp_path):
 
 @pytest.mark.parametrize("geodetic", [False, True])
 def test_heights_above_ground_and_above_takeoff(tmp_path, geodetic):
-    places = np.array([[0.0, 0.0], [800.0, 0.0], [800.0, -600.0]])
+    positions = np.array([[0.0, 0.0], [800.0, 0.0], [800.0, -600.0]])
     if geodetic:
-        lat, lon, _ = FRAME.geodetic_from_enu(np.column_stack([places, slope(*places.T)]))
+        lat, lon, _ = FRAME.geodetic_from_enu(np.column_stack([positions, slope(*positions.T)]))
         names, pairs = "lat_deg,lon_deg", [f"{a:.11f},{o:.11f}" for a, o in zip(lat, lon, strict=True)]
     else:
-        names, pairs = "east_m,north_m", [f"{e},{n}" for e, n in places]
+        names, pairs = "east_m,north_m", [f"{e},{n}" for e, n in positions]
     heights = [30.0, 40.0, 50.0]
     rows = "".join(f"{k},{pair},{h}\n" for k, (pair, h) in enumerate(zip(pairs, heights, strict=True)))
     above = read(tmp_path, f"time_s,{names},above_ground_m\n" + rows, frame=FRAME, ground=slope)
     assert np.allclose(above.above_ground(slope), heights, atol=1e-3)
-    assert np.allclose(above.position[:, 2], slope(*places.T) + heights, atol=0.01)
+    assert np.allclose(above.position[:, 2], slope(*positions.T) + heights, atol=0.01)
     takeoff = read(tmp_path, f"time_s,{names},above_takeoff_m\n" + rows, frame=FRAME, ground=slope)
     # Altitudes follow the Earth's curvature, 8 cm down at 1 km; local coordinates are taken as they are.
-    drop = (np.hypot(*places.T) ** 2 / (2 * 6.38e6)) if geodetic else 0.0
+    drop = (np.hypot(*positions.T) ** 2 / (2 * 6.38e6)) if geodetic else 0.0
     assert np.allclose(takeoff.position[:, 2], 100.0 + np.array(heights) - drop, atol=1e-3)
 
 

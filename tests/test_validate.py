@@ -99,7 +99,7 @@ def test_converged_image_shows_what_the_renderer_does():
     finest, image = metrics.converged(renderer, pose, {"rays": 4}), renderer.radiance(pose)
     error = metrics.rms_mk(image, finest, scene.camera)
     for axis in (0, 1):
-        # A quarter in the wrong place, or half a pixel off, would bring them no nearer than neighbours are.
+        # A quarter at the wrong corner, or half a pixel off, would bring them no nearer than neighbours are.
         assert error < 0.1 * metrics.rms_mk(np.roll(image, 1, axis), finest, scene.camera)
 
 
@@ -135,12 +135,12 @@ def test_closed_cavity_is_black():
     assert found["error_mk"] < 1.0
 
 
-def seen_through(loop, place, normal):
-    """Share of the diffuse view from places (n, 3) on faces of normals (n, 3) that closed polygons (k, 2, 3) span.
+def seen_through(loop, point, normal):
+    """Share of the diffuse view from points (n, 3) on faces of normals (n, 3) that closed polygons (k, 2, 3) span.
 
     Lambert's contour integral, exact for any polygon above the horizon: inside a convex body all is.
     """
-    one, other = (loop[None, :, k] - place[:, None] for k in (0, 1))
+    one, other = (loop[None, :, k] - point[:, None] for k in (0, 1))
     across = np.cross(one, other)
     length = np.linalg.norm(across, axis=-1)
     angle = np.arctan2(length, (one * other).sum(axis=-1))
@@ -228,10 +228,10 @@ def test_growth_measures_each_axis_in_a_process_of_its_own(tmp_path):
 
 def test_air_s_channels_err_by_less_than_planned(tmp_path, monkeypatch):
     scene = small(bench.terrain(200))
-    hold = air.hold
+    run = air.run
     monkeypatch.setattr("thermorender.scene.load.load_scene", lambda name: scene)
     few = {"heights_m": (120.0,), "tolerances_mk": (500.0, 20.0), "rays": 4, "repeats": 1}
-    monkeypatch.setattr(air, "hold", lambda *arguments, **keywords: hold(*arguments, **keywords, **few))
+    monkeypatch.setattr(air, "run", lambda *arguments, **keywords: run(*arguments, **keywords, **few))
     done = CliRunner().invoke(cli.app, ["validate", "air", "-o", str(tmp_path), "--air", "tropical,urban-5km"])
     assert done.exit_code == 0, done.output
     result = json.loads((tmp_path / "air.json").read_text())
@@ -255,11 +255,11 @@ def test_air_s_channels_err_by_less_than_planned(tmp_path, monkeypatch):
         (["convergence", "ridge", "--quick"], convergence, "convergence", (["ridge"], "OUT", "quick", False, "auto")),
         (["convergence", "--overwrite"], convergence, "convergence",
          (("heath", "village", "ridge"), "OUT", "full", True, "auto")),
-        (["growth", "--device", "cpu"], growth, "hold", ("OUT", "cpu")),
+        (["growth", "--device", "cpu"], growth, "run", ("OUT", "cpu")),
         (["sensor", "village"], sensor, "sensor", ("OUT", "village", "auto")),
         (["footage", "a.tif", "b", "--base", "tau2-640", "--scale", "0.04,1", "--name", "x"], sensor_statistics,
          "compare", ([Path("a.tif"), Path("b")], "OUT", "tau2-640", (0.04, 1.0), "heath", "x", "auto")),
-        (["emissivity", "--seeds", "7, 8"], emissivity, "hold", ("procedural", [7, 8])),
+        (["emissivity", "--seeds", "7, 8"], emissivity, "evaluate", ("procedural", [7, 8])),
     ],
 )  # fmt: skip
 def test_verbs_hand_on_what_was_asked(tmp_path, monkeypatch, verb, module, function, expected):
@@ -270,7 +270,7 @@ def test_verbs_hand_on_what_was_asked(tmp_path, monkeypatch, verb, module, funct
         return {}
 
     monkeypatch.setattr(module, function, stand_in)
-    if function in ("hold", "compare"):
+    if function in ("run", "evaluate", "compare"):
         monkeypatch.setattr(module, "rows", lambda result: [])
     monkeypatch.setattr(emissivity, "write_confusion", lambda result, path: path.write_text(""))
     done = CliRunner().invoke(cli.app, ["validate", *verb, "-o", str(tmp_path)], catch_exceptions=False)

@@ -288,15 +288,15 @@ def scatter(generator, canvas, spacing_m, density, jitter=0.42):
     count = int(np.ceil(canvas.size * 1.05 / spacing_m)) + 2
     j, i = np.mgrid[:count, :count].astype(np.float64)
     i = i + 0.5 * (j % 2)
-    spot = np.stack([i, j], -1) + generator.uniform(-jitter, jitter, (count, count, 2))
-    spot = spot.reshape(-1, 2) * spacing_m - 0.5 * count * spacing_m
-    keep = generator.uniform(size=len(spot))
+    position = np.stack([i, j], -1) + generator.uniform(-jitter, jitter, (count, count, 2))
+    position = position.reshape(-1, 2) * spacing_m - 0.5 * count * spacing_m
+    keep = generator.uniform(size=len(position))
     half = 0.5 * canvas.size
-    within = (np.abs(spot) < half).all(axis=1)
-    spot, keep = spot[within], keep[within]
-    row, column = canvas.texels(spot[:, 0], spot[:, 1])
+    within = (np.abs(position) < half).all(axis=1)
+    position, keep = position[within], keep[within]
+    row, column = canvas.texels(position[:, 0], position[:, 1])
     row, column = (np.clip(np.round(v).astype(int), 0, canvas.n - 1) for v in (row, column))
-    return spot[keep < density[row, column]]
+    return position[keep < density[row, column]]
 
 
 def planted_rows(g, c, between, along, bearing, density):
@@ -325,8 +325,8 @@ def planted_rows(g, c, between, along, bearing, density):
     return p[draw < density[row, column]]
 
 
-def plant(generator, canvas, spots, library, height_m, colours, material, spread=0.14, beneath=0.35):
-    """Stand a tree or shrub at each of the (K, 2) spots, crowns drawn from the library.
+def plant(generator, canvas, positions, library, height_m, colours, material, spread=0.14, beneath=0.35):
+    """Stand a tree or shrub at each of the (K, 2) positions, crowns drawn from the library.
 
     Parameters
     ----------
@@ -338,7 +338,7 @@ def plant(generator, canvas, spots, library, height_m, colours, material, spread
     """
     value = canvas.value(material)
     palette = np.array([linear(*c) for c in colours])
-    for east, north in spots:
+    for east, north in positions:
         crown, tone = library[generator.integers(len(library))]
         turn = generator.integers(8)
         crown, tone = np.rot90(crown, turn % 4), np.rot90(tone, turn % 4)

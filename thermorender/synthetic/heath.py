@@ -81,8 +81,8 @@ def _sand(c, track, pines, south):
     """Open sand in blow-outs and along the track; returns its cover."""
     offset, _ = c.ribbon(track, 30.0)
     near = np.where(np.isfinite(offset), 1.5 * np.exp(-((offset / 9.0) ** 2)), 0.0)
-    spot = 1.9 * np.exp(-((c.east - MARKER[0]) ** 2 + (c.north - MARKER[1]) ** 2) / 13.0**2)
-    dug = c.fractal("sand", 62.0, 7, 0.6) + near + spot - 1.45
+    at_marker = 1.9 * np.exp(-((c.east - MARKER[0]) ** 2 + (c.north - MARKER[1]) ** 2) / 13.0**2)
+    dug = c.fractal("sand", 62.0, 7, 0.6) + near + at_marker - 1.45
     field = dug + 0.35 * c.fractal("tufts", 2.2, 3, 0.7)
     field = np.where(pines > -4.0, field - 1.5, field)
     cover = smoothstep(-0.12, 0.22, field)
@@ -282,8 +282,8 @@ def _trees(c, pines, south, track, sand):
     holes = 0.93 - 0.75 * smoothstep(1.0, 1.6, c.fractal("holes", 22.0, 4))
     old = crowns(g, c.texel, 1.9, "pine", 40)
     east_side = c.east > 0.04 * c.size
-    spots = scatter(g, c, 3.1, (stand > 0.5) * clear * holes * ~east_side)
-    plant(g, c, spots, old, 15.5, tone, "conifer", beneath=0.4)
+    positions = scatter(g, c, 3.1, (stand > 0.5) * clear * holes * ~east_side)
+    plant(g, c, positions, old, 15.5, tone, "conifer", beneath=0.4)
     young = crowns(g, c.texel, 1.15, "pine", 40)
     rows = planted_rows(g, c, 2.1, 1.7, 0.35, (stand > 0.5) * clear * east_side * (holes + 0.05))
     plant(g, c, rows, young, 7.0, [(106, 120, 70), (118, 128, 76), (98, 114, 70)], "conifer", 0.10, 0.3)

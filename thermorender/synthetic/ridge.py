@@ -312,8 +312,8 @@ def _wood(c, height, slope, lake):
     bush = smoothstep(0.13, 0.03, np.abs(height / top - line - 0.09)) * smoothstep(
         0.1, 0.8, c.fractal("dwarf", 45.0, 5)
     )
-    spots = scatter(g, c, 3.6, 0.85 * bush * soil * (slope < 0.85))
-    plant(g, c, spots, dwarf, 1.9, [(84, 102, 62), (96, 110, 66)], "conifer", 0.2, 0.3)
+    positions = scatter(g, c, 3.6, 0.85 * bush * soil * (slope < 0.85))
+    plant(g, c, positions, dwarf, 1.9, [(84, 102, 62), (96, 110, 66)], "conifer", 0.2, 0.3)
     for radius, spacing, height_m, density in (
         (2.5, 4.6, 17.0, 0.93 * dense),
         (1.8, 7.0, 8.0, 0.35 * smoothstep(0.0, 0.4, stand) * soil),

@@ -93,7 +93,7 @@ def make(kind, seed=0, size_m=None, texel_m=None, post_m=None):
     kind : str
         One of `KINDS`.
     seed : int
-        Non-negative; another seed is another place.
+        Non-negative; another seed makes another landscape.
     size_m : float, optional
         Side of the square extent [m]; the kind's own by default.
     texel_m, post_m : float, optional

@@ -245,7 +245,7 @@ def _effects(renderer, of, seen):
     scale = step / per_mk
     found.append(("one frame of an even scene", (frames[1] - frames.mean()) * scale, "mK"))
     found.append(("mean of 100: the fixed pattern", (frames.mean(axis=0) - frames.mean()) * scale, "mK"))
-    found.append(("deviation over 100: noise by place", frames.std(axis=0) * scale, "mK"))
+    found.append(("deviation over 100: noise by pixel", frames.std(axis=0) * scale, "mK"))
     drifted = replace(at_rest(camera, 1), case_k=at_rest(camera).case_k + 3.0)
     later = of.counts(of.power(even, drifted), drifted).astype(np.float32)
     found.append(("3 K of drift of the case", (later - frames[1]) * scale, "mK"))

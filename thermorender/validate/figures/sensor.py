@@ -90,8 +90,8 @@ def figure(path, result):
     ):
         axis.plot([r["ms"] for r in chosen], [r["error_mk"] for r in chosen], mark, ms=5, lw=1, label=label)
         for record in chosen:
-            place = (record["ms"], record["error_mk"])
-            axis.annotate(f"{record['fine']}×{record['fine']}", place, (4, 4), textcoords="offset points", fontsize=7)
+            point = (record["ms"], record["error_mk"])
+            axis.annotate(f"{record['fine']}×{record['fine']}", point, (4, 4), textcoords="offset points", fontsize=7)
     axis.set(title="lens's blur", xlabel="time of the blur [ms]")
     for axis in axes:
         axis.set(xscale="log", yscale="log", ylabel="RMS error [mK]")

@@ -1,4 +1,4 @@
-"""Moving objects: the same light as if they stood still, along their tracks, without tracing the scene again."""
+"""Dynamic objects: the same light as static ones, along their tracks, without tracing the scene again."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ BAND = (7.5, 13.5)
 
 def scene_with(folder, track=None, shape="box", size=(3, 3, 1.5), rest="", **keywords):
     extra = (
-        f'[[object]]\nname = "thing"\nshape = "{shape}"\nsize = {list(size)}\nposition = [1, 2, 0.5]\nyaw_deg = 30\n'
+        f'[[object]]\nname = "target"\nshape = "{shape}"\nsize = {list(size)}\nposition = [1, 2, 0.5]\nyaw_deg = 30\n'
         f'temperature = 340.0\nmaterial = "paint_black"\n{rest}'
     )
     if track:
@@ -30,34 +30,35 @@ def scene_with(folder, track=None, shape="box", size=(3, 3, 1.5), rest="", **key
 @pytest.mark.parametrize(("shape", "size"), [("box", (3, 3, 1.5)), ("disc", (3, 3, 1))])
 def test_an_object_with_a_track_shines_as_one_that_stands_still(tmp_path, shape, size):
     pose, rays = tr.pose(1, -6, 8, pitch_deg=-45), 1024
-    scene = scene_with(tmp_path / "still", None, shape, size)
-    still = tr.Renderer(scene, rays=rays).frame(pose)
-    moving = tr.Renderer(scene_with(tmp_path / "moving", "time_s,yaw_deg\n0,30\n", shape, size), rays=rays).frame(pose)
+    scene = scene_with(tmp_path / "static", None, shape, size)
+    static = tr.Renderer(scene, rays=rays).frame(pose)
+    tracked = scene_with(tmp_path / "dynamic", "time_s,yaw_deg\n0,30\n", shape, size)
+    dynamic = tr.Renderer(tracked, rays=rays).frame(pose)
     for name in ("kinetic_temperature", "material", "mask", "depth", "emissivity"):
-        # A place between two texels may fall to either.
-        assert np.mean(~np.isclose(moving.truth[name], still.truth[name], rtol=1e-5)) < 1e-4
-    assert moving.targets == still.targets and moving.targets["thing"]["visible"]
-    difference = 1e3 * (moving.apparent_temperature - still.apparent_temperature)
-    material = still.truth["material"]
-    thing = material == material[int(still.targets["thing"]["pixel"][1]), int(still.targets["thing"]["pixel"][0])]
-    near = ~thing & (np.linalg.norm(still.truth["position"][..., :2] - [1, 2], axis=-1) < 3.0)
+        # A point between two texels may fall to either.
+        assert np.mean(~np.isclose(dynamic.truth[name], static.truth[name], rtol=1e-5)) < 1e-4
+    assert dynamic.targets == static.targets and dynamic.targets["target"]["visible"]
+    difference = 1e3 * (dynamic.apparent_temperature - static.apparent_temperature)
+    material = static.truth["material"]
+    target = material == material[int(static.targets["target"]["pixel"][1]), int(static.targets["target"]["pixel"][0])]
+    near = ~target & (np.linalg.norm(static.truth["position"][..., :2] - [1, 2], axis=-1) < 3.0)
     assert near.sum() > 5000
 
-    def one_face(name, warm, cold, own):
+    def one_face(name, warm, cold, temperature):
         """Standard error [mK] of two frames' difference on one face half of whose view is warm and half cold."""
         reflected = 1.0 - next(m for m in scene.materials if m.name == name).band_emissivity(*BAND, 300.0)
         contrast = reflected * (band_radiance(warm, *BAND) - band_radiance(cold, *BAND))
-        return 1e3 * contrast * np.sqrt(2.0 * 0.25 / rays) / band_radiance_derivative(own, *BAND)
+        return 1e3 * contrast * np.sqrt(2.0 * 0.25 / rays) / band_radiance_derivative(temperature, *BAND)
 
-    # Sand sees the thing of 340 K or the sky of 260 K; cells of 1 m² are two faces, and each errs by itself.
+    # Sand sees the target of 340 K or the sky of 260 K; cells of 1 m² are two faces, and each errs by itself.
     error = one_face("sand_quartz", 340.0, 260.0, 290.0)
     faces = 2.0 * (9.0 * np.pi - size[0] * size[1] * (1.0 if shape == "box" else np.pi / 4))
     assert difference[near].std() < error and abs(difference[near].mean()) < 3.0 * error / np.sqrt(faces)
     # Black paint sees ground of 300 K at most, or the sky; of its faces one may fill the picture.
-    assert abs(difference[thing].mean()) < 3.0 * one_face("paint_black", 300.0, 260.0, 340.0) < 100.0
-    # What the thing itself sends to the ground is far more than any of these errors.
+    assert abs(difference[target].mean()) < 3.0 * one_face("paint_black", 300.0, 260.0, 340.0) < 100.0
+    # What the target itself sends to the ground is far more than any of these errors.
     cold = scene_with(tmp_path / "cold", "time_s,temperature_k\n0,300\n", shape, size)
-    change = still.apparent_temperature - tr.Renderer(cold, rays=rays).frame(pose).apparent_temperature
+    change = static.apparent_temperature - tr.Renderer(cold, rays=rays).frame(pose).apparent_temperature
     assert 1e3 * change[near].mean() > 3.0 * 3.0 * error / np.sqrt(faces)
 
 
@@ -70,18 +71,18 @@ def test_it_moves_without_another_trace(tmp_path, monkeypatch):
     seen = []
     for time_s, east, kelvin in ((-1.0, -6.0, 300.0), (5.0, 0.0, 310.0), (10.0, 6.0, 320.0)):
         frame = renderer.frame(pose, time_s=time_s)
-        column, row = frame.targets["thing"]["pixel"]
+        column, row = frame.targets["target"]["pixel"]
         height = 30.0 - 0.5 - 0.75
         assert column == pytest.approx(320 + scene.camera.focal_length_px * east / height, abs=0.5)
         assert frame.truth["kinetic_temperature"][int(row), int(column)] == pytest.approx(kelvin)
         seen.append(frame)
     # A frame keeps its own truth after the object went on.
-    column, row = seen[0].targets["thing"]["pixel"]
+    column, row = seen[0].targets["target"]["pixel"]
     assert seen[0].truth["kinetic_temperature"][int(row), int(column)] == pytest.approx(300.0)
     back = renderer.frame(pose, time_s=-1.0)
     np.testing.assert_array_equal(back.radiance, seen[0].radiance)
-    given = renderer.frame(pose, objects={"thing": {"temperature_k": 360.0, "east_m": 1.0}})
-    column, row = given.targets["thing"]["pixel"]
+    given = renderer.frame(pose, objects={"target": {"temperature_k": 360.0, "east_m": 1.0}})
+    column, row = given.targets["target"]["pixel"]
     assert given.apparent_temperature[int(row), int(column)] > 350.0
     image, known = renderer.visible(pose)
     assert known[int(row), int(column)] and image.any()
@@ -124,11 +125,11 @@ def test_bad_settings(tmp_path):
     scene = scene_with(tmp_path / "s", "time_s,yaw_deg\n0,30\n")
     renderer = tr.Renderer(scene, rays=4)
     for objects, words in (
-        ({"other": {}}, "object 'other' does not move; give one with a track [(]thing[)]"),
-        ({"thing": {"speed": 1.0}}, "object 'thing' has no 'speed' to set"),
-        ({"thing": {"east_m": np.nan}}, "east_m=nan is not allowed"),
-        ({"thing": {"temperature_k": 20.0}}, "20 is below 100 K"),
-        ({"thing": {"east_m": 1e4}}, "where there is no terrain"),
+        ({"other": {}}, "object 'other' does not move; give one with a track [(]target[)]"),
+        ({"target": {"speed": 1.0}}, "object 'target' has no 'speed' to set"),
+        ({"target": {"east_m": np.nan}}, "east_m=nan is not allowed"),
+        ({"target": {"temperature_k": 20.0}}, "20 is below 100 K"),
+        ({"target": {"east_m": 1e4}}, "where there is no terrain"),
     ):
         with pytest.raises(ThermorenderError, match=words):
             renderer.frame(tr.pose(0, 0, 30, pitch_deg=-90), objects=objects)
