@@ -1,4 +1,4 @@
-"""The light of air by brute force, from the table's numbers alone: what frames through air are held against.
+"""The light of air by brute force, from the table's numbers alone: what frames through air are compared with.
 
 A ray is a straight line above a sphere of the Earth's radius over 0.87 (refraction), cut into a thousand steps; at
 each, densities are interpolated between the table's own levels, depth is added up by the trapezoidal rule, and light

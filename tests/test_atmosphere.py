@@ -249,7 +249,7 @@ def test_held_out_lines_of_sight_of_lowtran():
 def test_fewer_terms_of_the_table_err_more():
     # The same judge as for tables of other sizes: the shipped one, and one whose sub-bands keep a single mean term.
     table = read_table()
-    whole = terms.held(table, REFERENCE)
+    whole = terms.evaluate(table, REFERENCE)
     assert whole["nodes"] == 28 and whole["median_mk"] < 20.0 and whole["worst_mk"] < 100.0
     bands = np.unique(table["lower_um"])
     mean = dict(table)
@@ -261,7 +261,7 @@ def test_fewer_terms_of_the_table_err_more():
         ])  # fmt: skip
     mean["weight"] = np.ones(len(bands))
     mean["aerosol_factor"] = np.ones((len(table["aerosol_factor"]), len(bands)))
-    single = terms.held(mean, REFERENCE)
+    single = terms.evaluate(mean, REFERENCE)
     assert single["nodes"] == 5 and single["median_mk"] > 200.0
 
 

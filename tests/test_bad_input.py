@@ -14,7 +14,7 @@ import pytest
 from thermorender.cli import app as cli
 from thermorender.output.exr import read_exr
 from thermorender.scene.load import load_scene
-from thermorender.scene.surface import BEYOND, MOST_TEXELS, SURFACE
+from thermorender.scene.surface import BACKGROUND, MOST_TEXELS, SURFACE
 
 SCENE = """title = "tiny"
 [terrain]
@@ -500,7 +500,7 @@ def test_islands_without_height_are_holes(scene, call, tmp_path):
     assert (status, errors) == (0, "")
     channels, _ = read_exr(tmp_path / "o" / "frame_000000.exr")
     mask = channels["truth.mask"]
-    assert mask[6, 8] == BEYOND and np.isnan(channels["truth.kinetic_temperature"][6, 8])
+    assert mask[6, 8] == BACKGROUND and np.isnan(channels["truth.kinetic_temperature"][6, 8])
     assert mask[6, 0] & SURFACE and np.isfinite(channels["truth.kinetic_temperature"][6, 0])
     assert np.isfinite(channels["apparent_temperature"]).all()
     status, _, errors = call("render", scene, "-o", tmp_path / "p", "--pose", "0,0,20,0,-90,0", *QUICK)

@@ -38,8 +38,8 @@ def test_a_scene_the_map_describes_exactly(tmp_path):
     (folder / "scene.toml").write_text(text[:start] + '[emissivity]\nsource = "constant"\nvalue = 1.0\n' + text[end:])
     path = tr.Trajectory(np.array([0.0]), np.array([[0.0, 0.0, 8.0]]), np.array([[0.0, 1.0, 0.0, 0.0]]))
     summary = compare(tr.load_scene(folder), path, tmp_path / "c", ["fok-1to1"], rays=4)
-    for arm in ("fok-1to1 2D", "fok-1to1 3D"):
-        assert summary["errors"][arm]["mean_absolute_c"] < 1e-3, arm
+    for method in ("fok-1to1 2D", "fok-1to1 3D"):
+        assert summary["errors"][method]["mean_absolute_c"] < 1e-3, method
     written = json.loads((tmp_path / "c/comparison.json").read_text())
     assert written["errors"] == summary["errors"] and written["maps"]["fok-1to1"]["share_outside_0_1"] == 0.0
     assert (tmp_path / "c/pose_0000_fok-1to1.png").stat().st_size > 10_000

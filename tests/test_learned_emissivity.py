@@ -85,13 +85,13 @@ def test_features_tell_texture_and_direction():
     flat = np.full((96, 96, 3), 120, np.uint8)
     rough = np.clip(120 + 20 * generator.standard_normal((96, 96, 1)), 0, 255).astype(np.uint8).repeat(3, axis=2)
     furrows = (120 + 30 * np.sin(np.arange(96) * 1.2)).astype(np.uint8)[None, :, None].repeat(96, 0).repeat(3, 2)
-    of = {name: {key: features(image)[48, 48, NAMES.index(key)] for key in ("L spread 4", "steepness", "one way")}
+    of = {name: {key: features(image)[48, 48, NAMES.index(key)] for key in ("L spread 4", "gradient", "coherence")}
           for name, image in (("flat", flat), ("rough", rough), ("furrows", furrows))}  # fmt: skip
-    assert of["flat"]["L spread 4"] == pytest.approx(0.0, abs=1e-2) and of["flat"]["steepness"] < 1e-3
+    assert of["flat"]["L spread 4"] == pytest.approx(0.0, abs=1e-2) and of["flat"]["gradient"] < 1e-3
     # 20 bytes of noise are 8 of lightness at this grey: d L*/d byte = 0.40. Gauss' window of 4 texels holds 4π 4² = 201
     # of them, which tell a spread to 1/√402: three times 5 %.
     assert np.expm1(of["rough"]["L spread 4"]) == pytest.approx(8.0, rel=0.15)
-    assert of["furrows"]["one way"] > 0.9 > 0.4 > of["rough"]["one way"]
+    assert of["furrows"]["coherence"] > 0.9 > 0.4 > of["rough"]["coherence"]
 
 
 def test_probabilities_are_those_of_scikit_learn():
@@ -107,10 +107,10 @@ def test_probabilities_are_those_of_scikit_learn():
     layers = tuple(map(tuple, zip(network.coefs_, network.intercepts_, strict=True)))
     centres = generator.normal(size=(9, len(NEAR)))
     own = EmissivityMap("own", ("a", "b", "c"), 0.5, mean, scale, layers, centres, 2.0, {})
-    found, strangeness = own.probabilities(x)
+    found, novelty = own.probabilities(x)
     assert found == pytest.approx(network.predict_proba((x - mean) / scale), abs=1e-6)
     away = np.linalg.norm(((x - mean) / scale)[:, None, NEAR] - centres, axis=-1).min(axis=1)
-    assert strangeness == pytest.approx(away / 2.0, rel=1e-4)
+    assert novelty == pytest.approx(away / 2.0, rel=1e-4)
 
 
 def test_two_materials_are_trained_as_well():
@@ -170,7 +170,7 @@ def test_unseen_picture_is_mapped_right(model):
 def test_same_seed_same_map():
     names = dict(enumerate(STRIPES, 1))
     picture = Labelled(*striped(1), names, 0.5, "stripes")
-    one, two, other = (train([picture], 0.5, "m", lights=1, seed=seed)[0] for seed in (0, 0, 1))
+    one, two, other = (train([picture], 0.5, "m", augmentations=1, seed=seed)[0] for seed in (0, 0, 1))
     assert all((a == b).all() for a, b in zip(one.layers[0], two.layers[0], strict=True))
     assert (one.layers[0][0] != other.layers[0][0]).any()
 
@@ -191,10 +191,10 @@ def test_tiles_leave_no_seams(model, monkeypatch, axes):
         found[:, rows, columns] = probabilities
 
     mapped = map_materials(heedful, rgb, 0.5, keep=keep)
-    whole, strangeness = heedful.probabilities(features(rgb).reshape(-1, len(NAMES)))
+    whole, novelty = heedful.probabilities(features(rgb).reshape(-1, len(NAMES)))
     assert found.reshape(3, -1).T == pytest.approx(whole, abs=2e-4)
-    best = np.where(strangeness <= 1.0, whole.max(axis=-1), 0.0).reshape(rgb.shape[:2])
-    # A texel beside the threshold of strangeness may fall to either side of it.
+    best = np.where(novelty <= 1.0, whole.max(axis=-1), 0.0).reshape(rgb.shape[:2])
+    # A texel beside the threshold may fall to either side of it.
     assert (np.abs(mapped.confidence - best) > 2e-3).mean() < 1e-4
 
 
@@ -547,8 +547,8 @@ def test_training_settings_are_checked(scene, tmp_path):
         train_on([], tmp_path / "labels.geojson")
     with pytest.raises(ThermorenderError, match="--texel-m=0 is not allowed"):
         train_on([scene], None, texel_m=0.0)
-    with pytest.raises(ThermorenderError, match="--lights=-1 is not allowed"):
-        train_on([write_terrain(tmp_path / "classes")], lights=-1)
+    with pytest.raises(ThermorenderError, match="--augmentations=-1 is not allowed"):
+        train_on([write_terrain(tmp_path / "classes")], augmentations=-1)
     with pytest.raises(ThermorenderError, match=r"has no class raster to train on \(emissivity.source='learned'\)"):
         train_on([scene])
 
@@ -581,23 +581,23 @@ def test_the_shipped_map_is_small_and_labelled():
 
 def test_the_shipped_map_beats_simpler_ways_on_unseen_land(monkeypatch):
     monkeypatch.setattr(validation, "make", lambda kind, seed: make(kind, seed, *SMALL[kind]))
-    result = validation.hold("procedural", (11,), kinds=("village",))
-    arms = result["all"]
-    learned_arm = arms["learned, mix of three"]
-    assert learned_arm["accuracy"] > 0.7
+    result = validation.evaluate("procedural", (11,), kinds=("village",))
+    methods = result["all"]
+    learned = methods["learned, mix of three"]
+    assert learned["accuracy"] > 0.7
     for other in ("nearest colour", "commonest material", "fallback"):
-        assert learned_arm["mk_mean"] < 0.7 * arms[other]["mk_mean"], other
-        assert learned_arm["emissivity_mean"] < 0.7 * arms[other]["emissivity_mean"], other
+        assert learned["mk_mean"] < 0.7 * methods[other]["mk_mean"], other
+        assert learned["emissivity_mean"] < 0.7 * methods[other]["emissivity_mean"], other
     table = np.array(result["confusion"])
     assert table.sum() == 440 * 440 and len(result["materials"]) == table.shape[0] == table.shape[1] - 1
     right = sum(table[k, k] for k in range(len(table))) / table.sum()
-    # Unknown texels count as wrong in the table, and as the fallback in the arm.
-    assert right == pytest.approx(learned_arm["accuracy"], abs=0.02)
+    # Unknown texels count as wrong in the table, and as the fallback in the method.
+    assert right == pytest.approx(learned["accuracy"], abs=0.02)
 
 
-def test_the_map_is_not_held_against_what_it_was_trained_on():
+def test_the_map_is_not_evaluated_on_what_it_was_trained_on():
     with pytest.raises(ThermorenderError, match="seed 101 is one that 'procedural' was trained on; give another"):
-        validation.hold("procedural", (101,))
+        validation.evaluate("procedural", (101,))
 
 
 def test_errors_of_temperature_are_those_of_grey_surfaces():

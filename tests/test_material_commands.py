@@ -317,7 +317,7 @@ def test_diff_with_the_shipped_tables_tells_only_what_a_library_changes(run, tmp
     assert status == 0 and "2 differences" in out and "only in the second" not in out
     assert [line.split()[0] for line in out.splitlines()[1:3]] == ["asphalt", "tin"]
     assert "0 differences" in run("diff", data_folder("materials"))[1]
-    # Two folders that are named are held against each other whole.
+    # Two folders that are named are compared whole.
     assert "only in the second" in run("diff", own, data_folder("materials"))[1]
 
 

@@ -89,9 +89,9 @@ def test_it_moves_without_another_trace(tmp_path, monkeypatch):
 
 def test_heading_turns_the_short_way(tmp_path):
     scene = scene_with(tmp_path / "s", "time_s,yaw_deg\n0,350\n10,10\n")
-    (mover,) = scene.movers
-    assert mover.at(5.0)["yaw_deg"] % 360.0 == pytest.approx(0.0, abs=1e-9)
-    ahead = mover.world_from_own(mover.at(5.0), scene.ground)[:3, :3] @ [0, 1, 0]
+    (tracked,) = scene.tracked_objects
+    assert tracked.at(5.0)["yaw_deg"] % 360.0 == pytest.approx(0.0, abs=1e-9)
+    ahead = tracked.world_from_own(tracked.at(5.0), scene.ground)[:3, :3] @ [0, 1, 0]
     np.testing.assert_allclose(ahead, [0, 1, 0], atol=1e-9)
 
 

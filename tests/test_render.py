@@ -16,7 +16,7 @@ from thermorender.render.light import radiosity
 from thermorender.render.plan import make_plan
 from thermorender.render.sampling import edge_step, morton_order
 from thermorender.render.variant import activate
-from thermorender.scene.surface import BEYOND, FILLED, SURFACE
+from thermorender.scene.surface import BACKGROUND, FILLED, SURFACE
 from thermorender.validate.metrics import converged, rms_mk
 
 BAND = (7.5, 13.5)
@@ -195,7 +195,7 @@ def test_truth_stands_where_the_geometry_says(tmp_path):
     np.testing.assert_allclose(pixel, np.stack([columns + 0.5, rows + 0.5], -1), atol=0.02)
     ground = scene.ground(truth["position"][hit][:, 0], truth["position"][hit][:, 1])
     assert np.nanmax(np.abs(ground - truth["position"][hit][:, 2])) < 2e-3
-    assert set(np.unique(truth["mask"][~hit])) <= {0, BEYOND}
+    assert set(np.unique(truth["mask"][~hit])) <= {0, BACKGROUND}
     assert np.isinf(truth["depth"][~hit]).all() and (truth["material"][~hit] == 255).all()
 
 

@@ -94,9 +94,9 @@ def test_synthetic_terrain_has_the_triangles_asked_for(asked, made):
 def test_converged_image_shows_what_the_renderer_does():
     scene = small(bench.terrain(200))
     scene = replace(scene, camera=replace(scene.camera, principal_offset_px=(3.3, -2.7)))
-    place = bench.views(scene)["oblique"]
+    pose = bench.views(scene)["oblique"]
     renderer = tr.Renderer(scene, samples=16, taps=1, edge_mk=np.inf, rays=4)
-    finest, image = metrics.converged(renderer, place, {"rays": 4}), renderer.radiance(place)
+    finest, image = metrics.converged(renderer, pose, {"rays": 4}), renderer.radiance(pose)
     error = metrics.rms_mk(image, finest, scene.camera)
     for axis in (0, 1):
         # A quarter in the wrong place, or half a pixel off, would bring them no nearer than neighbours are.
@@ -203,7 +203,7 @@ def test_convergence_measures_what_is_missing_only(tmp_path, monkeypatch):
     monkeypatch.setattr(convergence._Site, "measure", lambda *_, **__: pytest.fail("measured a case that was there"))
     assert convergence.convergence((scene,), tmp_path, mode=mode) == first
     with pytest.raises(ThermorenderError, match=r"convergence.json holds cases of other settings; give another folder"):
-        convergence.convergence((scene,), tmp_path, mode=replace(mode, oracle=8))
+        convergence.convergence((scene,), tmp_path, mode=replace(mode, reference_paths=8))
     (tmp_path / "convergence.json").write_text("{", encoding="utf-8")
     with pytest.raises(ThermorenderError, match=r"convergence.json is damaged"):
         convergence.convergence((scene,), tmp_path, mode=mode)
@@ -213,14 +213,14 @@ def test_convergence_measures_what_is_missing_only(tmp_path, monkeypatch):
 
 def test_growth_measures_each_axis_in_a_process_of_its_own(tmp_path):
     base, axes = (200, 16, 2), {"triangles": (200,), "texels": (16,), "nodes": (1, 4)}
-    cases = growth.hold(tmp_path, axes, base)
+    cases = growth.run(tmp_path, axes, base)
     assert [case["nodes"] for case in cases.values()] == [2, 2, 1, 4]
     assert all(case["bake_s"] > 0.0 and case["frame_ms"] > 0.0 for case in cases.values())
     assert len(growth.rows(cases)) == 4 and (tmp_path / "growth.png").stat().st_size > 5000
     # What is there is not measured again.
     path = tmp_path / "growth.json"
     path.write_text(path.read_text().replace('"bake_s": ', '"bake_s": 1e9, "was": '))
-    assert all(case["bake_s"] == 1e9 for case in growth.hold(tmp_path, axes, base).values())
+    assert all(case["bake_s"] == 1e9 for case in growth.run(tmp_path, axes, base).values())
 
 
 # --- the verbs --------------------------------------------------------------------------------------------

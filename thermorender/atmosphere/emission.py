@@ -46,7 +46,7 @@ def amounts(profile, altitude, length):
     a straight ray, z″ = 1 / R, which counts with the density's slope.
     """
     altitude, length = altitude.T, length.T[..., None]
-    index, part = _place(altitude)
+    index, part = _interval(altitude)
     over, part = (altitude - ALTITUDE_M[index])[..., None], part[..., None]
     density, rise = profile.density.take(index, axis=0), profile.rise.take(index, axis=0)
     # Integral from the ground, and the density itself.
@@ -94,17 +94,17 @@ def emission(profile, absorption, altitude, length, amounts):
     return passed.T, light.T
 
 
-def _place(altitude):
-    """(number of the grid point below (...), share of the way to the next (...)) of altitudes."""
-    place = np.log1p(np.maximum(altitude, 0.0) / _SCALE_M)
-    place *= (_POINTS - 1) / np.log1p(TOP_M / _SCALE_M)
-    index = np.minimum(place.astype(np.intp), _POINTS - 2)
+def _interval(altitude):
+    """(number of the grid point below (...), share of the interval up to the next (...)) of altitudes."""
+    position = np.log1p(np.maximum(altitude, 0.0) / _SCALE_M)
+    position *= (_POINTS - 1) / np.log1p(TOP_M / _SCALE_M)
+    index = np.minimum(position.astype(np.intp), _POINTS - 2)
     return index, np.maximum((altitude - ALTITUDE_M.take(index)) / _SPACING.take(index), 0.0)
 
 
 def _lookup(grid, altitude):
     """Rows of a grid (points, n) interpolated at altitudes, (..., n)."""
-    index, part = _place(altitude)
+    index, part = _interval(altitude)
     lower, result = grid.take(index, axis=0), grid.take(index + 1, axis=0)
     result -= lower
     result *= part[..., None]

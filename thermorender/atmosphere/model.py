@@ -311,7 +311,7 @@ class Atmosphere:
         return both[..., : self.nodes], both[..., self.nodes :]
 
     def sky_radiance(self, at_m, cos_zenith):
-        """Return the sky's radiance towards a place, (..., N) [W m⁻² sr⁻¹], clouds included.
+        """Return the sky's radiance at a point, (..., N) [W m⁻² sr⁻¹], clouds included.
 
         Parameters
         ----------
@@ -340,7 +340,7 @@ class Atmosphere:
         return sky
 
     def sun_transmittance(self, at_m, cos_zenith):
-        """Return the transmittance from a place to space between clouds, (..., N); parameters as `sky_radiance`."""
+        """Return the transmittance from a point to space between clouds, (..., N); parameters as `sky_radiance`."""
         return self._column(at_m, cos_zenith, TOP_M)[0]
 
     def _along(self, from_m, to_m, range_m, function, step=_STEP):
@@ -360,7 +360,7 @@ class Atmosphere:
         return result.reshape(*distance.shape, -1)
 
     def _column(self, at_m, cos_zenith, top_m):
-        """(transmittance, emission) from a place along a direction up to an altitude, each (..., N)."""
+        """(transmittance, emission) from a point along a direction up to an altitude, each (..., N)."""
         at, cosine = np.broadcast_arrays(np.float64(at_m), np.float64(cos_zenith))
         _altitudes("at_m", at, HIGHEST_CAMERA_M)
         lowest = rays.horizon_cos_zenith(at)
@@ -381,7 +381,7 @@ class Atmosphere:
 
 
 def name_index(what, name, names):
-    """Return the place of a name in a list, or refuse it in a sentence that lists the names."""
+    """Return the index of a name in a list, or refuse it in a sentence that lists the names."""
     names = [str(value) for value in names]
     if name not in names:
         raise ThermorenderError(f"{what}={name!r} is unknown; give one of {', '.join(names)}")

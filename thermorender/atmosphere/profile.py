@@ -106,7 +106,7 @@ def read_profile(path):
         raise ThermorenderError(
             f"profile {path} has no column {missing[0]}; its first line must name the columns {', '.join(COLUMNS)}"
         )
-    places = [header.index(name) for name in wanted]
+    columns = [header.index(name) for name in wanted]
     rows = []
     # A sounding has a line of units below the names, and short lines where an instrument was silent.
     for number, line in lines[2 if sounding else 1 :]:
@@ -114,7 +114,7 @@ def read_profile(path):
         if sounding and len(words) < len(header):
             continue
         try:
-            rows.append([float(words[place]) for place in places])
+            rows.append([float(words[column]) for column in columns])
         except (ValueError, IndexError):
             raise ThermorenderError(
                 f"profile {path}, line {number}: {line[:60]!r} is no row of numbers; give {len(header)} numbers"
@@ -165,14 +165,14 @@ def _check(path, altitude, pressure, temperature, humidity):
 
 
 def _check_pressure(path, altitude, pressure, temperature):
-    """Refuse pressures that do not fall with altitude, or that no place on Earth has at the lowest level."""
+    """Refuse pressures that do not fall with altitude, or that occur nowhere on Earth at the lowest level."""
     wrong = np.flatnonzero(pressure <= 0.0)
     if wrong.size:
         raise ThermorenderError(
             f"profile {path}: pressure_hpa={pressure[wrong[0]]:g} at {altitude[wrong[0]]:g} m is not above 0; leave "
             "such levels out"
         )
-    # Reduced to sea level by the air that would fill the way there, 6.5 K warmer per kilometre.
+    # Reduced to sea level by the air that would lie below, 6.5 K warmer per kilometre.
     reduction = np.exp(altitude[0] / (_SCALE_M_K * (temperature[0] + 0.5 * 6.5e-3 * altitude[0])))
     at_sea = pressure[0] * reduction
     lowest, highest = _SEA_LEVEL_HPA
@@ -194,8 +194,8 @@ def _check_pressure(path, altitude, pressure, temperature):
 def _check_balance(path, altitude, pressure, temperature):
     """Refuse a profile whose layers are thicker or thinner than their pressures and temperatures make them.
 
-    Held against dz = −(R T / M g) d ln p between neighbours, and from the lowest level up: there an error of unit
-    shows that steps of a few metres hide. Tolerances: 3 % of the way (5 K by which a layer's mean may depart from
+    Compared with dz = −(R T / M g) d ln p between neighbours, and from the lowest level up: there an error of unit
+    shows that steps of a few metres hide. Tolerances: 3 % of the height (5 K by which a layer's mean may depart from
     that of its ends, 1.8 %; moisture, 0.6 of its mass, 1 %; gravity by latitude, 0.3 %), 2 z/R by which gravity falls
     with altitude, half a hectopascal of rounding at either end, and 10 m of the altitudes.
     """
@@ -203,10 +203,10 @@ def _check_balance(path, altitude, pressure, temperature):
     height = np.concatenate([[0.0], layers.cumsum()])
     upper = np.arange(1, len(altitude))
     for lower in (upper - 1, np.zeros_like(upper)):
-        way, thick = altitude[upper] - altitude[lower], height[upper] - height[lower]
+        rise, thick = altitude[upper] - altitude[lower], height[upper] - height[lower]
         rounding = 0.5 * _SCALE_M_K * (temperature[lower] / pressure[lower] + temperature[upper] / pressure[upper])
         share = 0.03 + 2.0 * np.maximum(altitude[upper], 0.0) / MEAN_RADIUS_M
-        off = np.flatnonzero(np.abs(thick - way) > share * way + rounding + 10.0)
+        off = np.flatnonzero(np.abs(thick - rise) > share * rise + rounding + 10.0)
         if off.size:
             first, last = lower[off[0]], upper[off[0]]
             raise ThermorenderError(
@@ -221,8 +221,8 @@ def _aerosol(altitude, pressure, temperature, water, haze, visibility_km, model,
     levels = np.stack([altitude, pressure, temperature, np.maximum(water, 1e-9)], axis=1)
     first = _thinned(levels[:own], _MOST_OWN_LEVELS)
     keep = np.concatenate([first, own + _thinned(levels[own:], _MOST_LEVELS - len(first))])
-    place = tuple(map(tuple, levels[keep].tolist()))
-    air = program.Air(model, haze, visibility_km, place, max(float(altitude[0]), 0.0))
+    kept = tuple(map(tuple, levels[keep].tolist()))
+    air = program.Air(model, haze, visibility_km, kept, max(float(altitude[0]), 0.0))
     fading = [extra for extra in spectra.EXTRA_LEVELS_M if extra > altitude[0]]
     coarse = np.unique(np.concatenate([altitude[keep], fading]))
     key = repr((air, coarse.tolist(), spectra.SUB_BANDS, program.version()))

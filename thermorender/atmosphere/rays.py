@@ -12,7 +12,7 @@ EARTH_RADIUS_M = MEAN_RADIUS_M / (1.0 - 0.13)
 # Altitudes of a path's steps are even in ln(this + altitude).
 _SCALE_M = 3.0e3
 _FEWEST_STEPS = 3
-# Steps of a ray that leaves the air, and of its way down to its lowest point: 4 mK of the sky, at 285 K.
+# Steps of a ray that leaves the air, and of its part down to its lowest point: 4 mK of the sky, at 285 K.
 _OUTWARD_STEPS = 24
 _DESCENT_STEPS = 8
 # Outward, altitudes crowd at the lowest point with this scale.

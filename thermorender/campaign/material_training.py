@@ -18,7 +18,7 @@ PROCEDURAL_SEEDS = (101, 102, 103, 104, 105)
 DEFAULT_TEXEL_M = 0.5
 
 
-def train_on(folders=(), polygons=None, name="map", texel_m=None, lights=None, seed=0, progress=None):
+def train_on(folders=(), polygons=None, name="map", texel_m=None, augmentations=None, seed=0, progress=None):
     """Return (EmissivityMap, confusion) trained on scenes, or on the procedural ones where none are given.
 
     Parameters
@@ -31,7 +31,7 @@ def train_on(folders=(), polygons=None, name="map", texel_m=None, lights=None, s
         Of the map.
     texel_m : float, optional
         Ground sampling distance to train at [m]; by default 0.5, or the coarsest orthophoto's own.
-    lights : int, optional
+    augmentations : int, optional
         See `emissivity_training.train`; by default 0 for scenes, 2 for procedural ones.
     seed, progress
         As there.
@@ -52,13 +52,13 @@ def train_on(folders=(), polygons=None, name="map", texel_m=None, lights=None, s
     if folders:
         labelled = [labelled_scene(scene_folder(folder), polygons) for folder in folders]
         texel_m = texel_m or max(DEFAULT_TEXEL_M, *(item.texel_m for item in labelled))
-        lights = 0 if lights is None else lights
+        augmentations = 0 if augmentations is None else augmentations
     else:
         labelled = procedural(PROCEDURAL_SEEDS)
-        texel_m, lights = texel_m or DEFAULT_TEXEL_M, 2 if lights is None else lights
-    if not 0 <= lights <= 20:
-        raise ThermorenderError(f"--lights={lights} is not allowed; give 0…20")
-    return train(labelled, texel_m, name, lights, seed, progress)
+        texel_m, augmentations = texel_m or DEFAULT_TEXEL_M, 2 if augmentations is None else augmentations
+    if not 0 <= augmentations <= 20:
+        raise ThermorenderError(f"--augmentations={augmentations} is not allowed; give 0…20")
+    return train(labelled, texel_m, name, augmentations, seed, progress)
 
 
 def labelled_scene(folder, polygons=None):

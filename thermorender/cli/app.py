@@ -392,8 +392,10 @@ def train_emissivity(
         Path | None, typer.Option(help="GeoJSON polygons with a property 'material', in place of one scene's classes.")
     ] = None,
     texel_m: Annotated[float | None, typer.Option(help="Ground sampling distance to train at [m].")] = None,
-    lights: Annotated[
-        int | None, typer.Option(help="Times each orthophoto is also seen in other light; default 0, procedural 2.")
+    augmentations: Annotated[
+        int | None,
+        typer.Option(help="Times each orthophoto is also taken with random exposure, balance, contrast and saturation; "
+                     "default 0, procedural 2."),
     ] = None,
     seed: Annotated[int, typer.Option(help="Of the training.")] = 0,
 ):
@@ -402,7 +404,7 @@ def train_emissivity(
     from thermorender.learned.emissivity import save_map
 
     with progress() as tell:
-        model, confusion = train_on(scenes or (), labels, output.stem, texel_m, lights, seed, tell)
+        model, confusion = train_on(scenes or (), labels, output.stem, texel_m, augmentations, seed, tell)
         save_map(model, output)
     typer.echo(str(model))
     rows = [

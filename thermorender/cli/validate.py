@@ -40,15 +40,15 @@ def validate_emissivity(
     seeds: Annotated[str, typer.Option(help="Comma-separated seeds of procedural scenes not trained on.")] = "201,202",
 ):
     """Errors of a learned emissivity map on procedural scenes, beside simpler methods."""
-    from thermorender.validate import emissivity as run
+    from thermorender.validate import emissivity as study
 
     if not all(part.isdigit() for part in split(seeds)) or not split(seeds):
         raise ThermorenderError(f"--seeds={seeds!r} is not allowed; give whole numbers such as 201,202")
     with progress() as tell, files.output_folder(output) as folder:
-        result = run.hold(model, [int(part) for part in split(seeds)], tell=tell)
+        result = study.evaluate(model, [int(part) for part in split(seeds)], progress=tell)
         files.write_json(folder / "emissivity.json", result)
-        run.write_confusion(result, folder / "emissivity_confusion.csv")
-    table(run.HEADER, run.rows(result))
+        study.write_confusion(result, folder / "emissivity_confusion.csv")
+    table(study.HEADER, study.rows(result))
     typer.echo(f"numbers and confusion table in {output}")
 
 
@@ -61,24 +61,25 @@ def validate_air(
 ):
     """What air costs a frame, and what its spectral channels leave wrong."""
     from thermorender.scene.load import load_scene
-    from thermorender.validate import air as run
+    from thermorender.validate import air as study
+    from thermorender.validate.figures.air import figure
 
     with progress() as tell, files.output_folder(output) as folder:
-        result = run.hold(load_scene(scene), parse_air(air), device=device, progress=tell)
+        result = study.run(load_scene(scene), parse_air(air), device=device, progress=tell)
         files.write_json(folder / "air.json", result)
-        run.figure(result, folder / "air.png")
-    table(run.HEADER, run.rows(result))
+        figure(folder / "air.png", result)
+    table(study.HEADER, study.rows(result))
     typer.echo(f"numbers and figure in {output}")
 
 
 @app.command("growth")
 def validate_growth(output: Out = Path("out/validation"), device: Device = "auto"):
     """How time and memory grow with triangles, texels and spectral nodes; continues where it was stopped."""
-    from thermorender.validate import growth as run
+    from thermorender.validate import growth as study
 
     with progress() as tell:
-        cases = run.hold(output, progress=tell, device=device)
-    table(run.HEADER, run.rows(cases))
+        cases = study.run(output, progress=tell, device=device)
+    table(study.HEADER, study.rows(cases))
     typer.echo(f"numbers and figure in {output}")
 
 
@@ -93,11 +94,11 @@ def validate_footage(
     device: Device = "auto",
 ):
     """Power spectra and noise of simulated frames beside those of real ones."""
-    from thermorender.validate import sensor_statistics as run
+    from thermorender.validate import sensor_statistics as study
 
     with progress() as tell, files.output_folder(output) as folder:
-        result = run.compare(frames, folder, base, parse_scale(scale), scene, name, tell=tell, device=device)
-    table(run.HEADER, run.rows(result))
+        result = study.compare(frames, folder, base, parse_scale(scale), scene, name, progress=tell, device=device)
+    table(study.HEADER, study.rows(result))
     typer.echo(f"numbers, figure and fitted camera in {output}")
 
 

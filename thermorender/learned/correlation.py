@@ -2,7 +2,7 @@
 
 The two shipped maps carry the coefficients published with the method (Students' Space Association, Warsaw
 University of Technology, "Generation of artificial infrared camera images for visual navigation simulation",
-equation 9). Intensity is linear in band radiance: 0 stands for the coldest and 1 for the warmest bound of the
+equation 9). Intensity is linear in band radiance: 0 stands for the coldest and 1 for the warmest end of the
 campaign's temperature range; it is never clipped, since values outside are what the method gives.
 """
 
@@ -71,8 +71,8 @@ class Correlation:
     def _kernel_at(self, spacing):
         """Kernel whose taps lie `spacing` texels apart: bilinear between texels, averaged over a tap's area."""
         size = len(self.kernel)
-        reach = int(np.ceil(size / 2 * spacing + 1))
-        texel = np.arange(-reach, reach + 1)
+        radius = int(np.ceil(size / 2 * spacing + 1))
+        texel = np.arange(-radius, radius + 1)
         # Share of each texel in each tap, along one axis: linear interpolation, widened by a box where a tap
         # covers more than one texel.
         fine = (np.arange(64) + 0.5) / 64 - 0.5
@@ -121,7 +121,7 @@ def load_model(name, range_c=None):
     model = MODELS[name]
     if range_c is None:
         return model
-    low, high = (float(bound) for bound in range_c)
+    low, high = (float(limit) for limit in range_c)
     if not -ZERO_CELSIUS_K < low < high:
         raise ThermorenderError(
             f"range_c=({low:g}, {high:g}) is not a range; give coldest and warmest in °C, coldest first"

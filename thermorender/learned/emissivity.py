@@ -23,7 +23,7 @@ MOST_MATERIALS = 254
 COARSEST_RATIO = 2.5
 _TILE_TEXELS = 512  # on the map's own grid
 _CHUNK_TEXELS = 8192
-_FORMAT = 1
+_FORMAT = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +43,8 @@ class EmissivityMap:
         Of the network: rectified linear units between, softmax at the end.
     centres : (K, len(NEAR)) float32
         Typical standardised features of the training texels' near surroundings.
-    reach : float
-        Distance from the nearest centre beyond which a texel is unlike anything trained on.
+    threshold : float
+        Distance from the nearest centre above which a texel is unlike anything trained on.
     about : dict
         Where it comes from: scenes, seeds, split, accuracy on texels held out, and what that did not test.
     """
@@ -56,13 +56,14 @@ class EmissivityMap:
     scale: np.ndarray
     layers: tuple
     centres: np.ndarray
-    reach: float
+    threshold: float
     about: dict
 
     def probabilities(self, described):
-        """Return (probabilities (N, C) float32, strangeness (N,) float32) of features, (N, F).
+        """Return (probabilities (N, C) float32, novelty (N,) float32) of features, (N, F).
 
-        Strangeness is the distance from the nearest centre over `reach`: above 1, the texel is like no other.
+        Novelty is the distance from the nearest centre over `threshold`: above 1, the texel is unlike anything
+        trained on.
         """
         standard = (described - self.mean) / self.scale
         value = standard
@@ -75,7 +76,7 @@ class EmissivityMap:
         near = standard[:, NEAR]
         squared = (self.centres**2).sum(axis=-1) - 2.0 * (near @ self.centres.T)
         distance = np.sqrt(np.maximum(squared.min(axis=-1) + (near**2).sum(axis=-1), 0.0))
-        return value, distance / np.float32(self.reach)
+        return value, distance / np.float32(self.threshold)
 
     def without(self, materials):
         """Return this map for land where some of its materials are known not to occur.
@@ -168,20 +169,20 @@ def map_materials(model, rgb, texel_m, progress=None, keep=None):
     for number, (top, left) in enumerate(starts):
         here = (slice(top, min(top + tile, shape[0])), slice(left, min(left + tile, shape[1])))
         # Centres of the tile's texels on the model's grid, and the part of that grid around them.
-        place = [(np.arange(part.start, part.stop) + 0.5) * r - 0.5 for part, r in zip(here, ratio, strict=True)]
+        position = [(np.arange(part.start, part.stop) + 0.5) * r - 0.5 for part, r in zip(here, ratio, strict=True)]
         inner = [
             (max(int(np.floor(line[0])), 0), min(int(np.floor(line[-1])) + 2, size))
-            for line, size in zip(place, grid_shape, strict=True)
+            for line, size in zip(position, grid_shape, strict=True)
         ]
         found = _on_grid(model, on_grid, inner)
         if grid_shape != shape:
-            y, x = (np.float32(line - low) for line, (low, _) in zip(place, inner, strict=True))
+            y, x = (np.float32(line - low) for line, (low, _) in zip(position, inner, strict=True))
             x, y = np.meshgrid(x, y)
             planes = [cv2.remap(plane, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for plane in found]
             found = np.stack(planes)
         else:
             found = found[:, : here[0].stop - top, : here[1].stop - left]
-        probabilities, strangeness = found[:-1], found[-1]
+        probabilities, novelty = found[:-1], found[-1]
         if keep:
             keep(*here, probabilities)
         left_over = probabilities.copy()
@@ -191,7 +192,7 @@ def map_materials(model, rgb, texel_m, progress=None, keep=None):
             result.share[here][..., rank] = np.take_along_axis(probabilities, best[None], axis=0)[0]
             np.put_along_axis(left_over, best[None], -1.0, axis=0)
         first = result.share[here][..., 0]
-        result.confidence[here] = np.where(strangeness <= 1.0, first, 0.0)
+        result.confidence[here] = np.where(novelty <= 1.0, first, 0.0)
         result.share[here] /= result.share[here].sum(axis=-1, keepdims=True)
         if progress:
             progress((number + 1) / len(starts))
@@ -216,7 +217,7 @@ def to_grid(rgb, texel_m, model):
 
 
 def _on_grid(model, image, inner):
-    """Probabilities and, last, strangeness of a part of an image on the model's grid, (C + 1, h, w) float32."""
+    """Probabilities and, last, novelty of a part of an image on the model's grid, (C + 1, h, w) float32."""
     (top, bottom), (left, right) = inner
     up, over = max(top - HALO_TEXELS, 0), max(left - HALO_TEXELS, 0)
     part = image[up : bottom + HALO_TEXELS, over : right + HALO_TEXELS]
@@ -235,7 +236,7 @@ def save_map(model, path):
     """Write an EmissivityMap as arrays and one JSON text."""
     head = {
         "format": _FORMAT, "name": model.name, "materials": model.materials, "texel_m": model.texel_m,
-        "features": NAMES, "reach": model.reach, "layers": len(model.layers), "about": model.about,
+        "features": NAMES, "threshold": model.threshold, "layers": len(model.layers), "about": model.about,
     }  # fmt: skip
     arrays = {"head": np.array(json.dumps(head)), "mean": model.mean, "scale": model.scale, "centres": model.centres}
     for number, (weight, bias) in enumerate(model.layers):
@@ -262,7 +263,7 @@ def load_map(name):
         with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
             head = json.loads(str(file["head"]))
             if (head["format"], tuple(head["features"])) != (_FORMAT, NAMES):
-                raise ValueError("it was made for other features")
+                raise ValueError("it was made by another version or for other features")
             layers = tuple((_floats(file[f"weight{n}"]), _floats(file[f"bias{n}"])) for n in range(head["layers"]))
             model = EmissivityMap(
                 name=str(head["name"]),
@@ -272,7 +273,7 @@ def load_map(name):
                 scale=_floats(file["scale"]),
                 layers=layers,
                 centres=_floats(file["centres"]),
-                reach=float(head["reach"]),
+                threshold=float(head["threshold"]),
                 about=dict(head["about"]),
             )
         _check(model)
@@ -300,5 +301,5 @@ def _check(model):
     shapes = [weight.shape for weight, _ in model.layers]
     fits = shapes == list(zip(widths[:-1], widths[1:], strict=True)) and widths[-1] == len(model.materials)
     fits &= model.mean.shape == model.scale.shape == (len(NAMES),) and model.centres.shape[1:] == (len(NEAR),)
-    if not (fits and (model.scale > 0.0).all() and model.texel_m > 0.0 and model.reach > 0.0):
+    if not (fits and (model.scale > 0.0).all() and model.texel_m > 0.0 and model.threshold > 0.0):
         raise ValueError("its arrays do not fit each other")

@@ -1,9 +1,9 @@
-"""What a texel looks like to the emissivity map: its colour, and the colour and texture around it.
+"""What describes a texel to the emissivity map: its colour, and the colour and texture around it.
 
 Colour is CIELAB (D65), where distances are about as large as people see them. Around the texel it is averaged over
-Gaussian windows, and texture is told by its spread in them, by the steepness of lightness and by how much of it
-runs one way (furrows, roofs, roads). Windows are counted in texels of the grid the map was trained on: an
-orthophoto of another ground sampling distance is brought to that first.
+Gaussian windows, and texture is told by its spread in them, by the gradient of lightness and by its coherence, which
+is high where it has one direction (furrows, roofs, roads). Windows are counted in texels of the grid the map was
+trained on: an orthophoto of another ground sampling distance is brought to that first.
 """
 
 import numpy as np
@@ -13,17 +13,17 @@ from thermorender.physics.srgb import decoded
 # Standard deviations of the windows [texels].
 WINDOWS_TEXELS = (1.5, 4.0, 10.0)
 # Texels around a tile that its features depend on: a window is cut at three standard deviations, and spreads and
-# steepness are taken of values that are neighbours' already.
+# gradients are taken of values that are neighbours' already.
 HALO_TEXELS = 32
 NAMES = (
     "L", "a", "b",
     *(f"{channel} mean {window:g}" for window in WINDOWS_TEXELS for channel in "Lab"),
     *(f"{what} spread {window:g}" for window in WINDOWS_TEXELS for what in ("L", "chroma")),
-    "steepness", "one way",
+    "gradient", "coherence",
 )  # fmt: skip
 # Those of the texel and its near surroundings. The wide windows tell what else is about, in combinations that no
 # training ground has all of.
-NEAR = tuple(k for k, name in enumerate(NAMES) if not name.endswith(f"{WINDOWS_TEXELS[-1]:g}") and name != "one way")
+NEAR = tuple(k for k, name in enumerate(NAMES) if not name.endswith(f"{WINDOWS_TEXELS[-1]:g}") and name != "coherence")
 
 
 def lab(rgb):
@@ -66,6 +66,6 @@ def features(rgb):
     # Eigenvalues of the structure tensor (Förstner & Gülch 1987): their sum and the share of their difference.
     xx, yy, xy = (mean(product, WINDOWS_TEXELS[1]) for product in (across * across, down * down, across * down))
     total = xx + yy
-    one_way = np.sqrt((xx - yy) ** 2 + 4.0 * xy * xy) / (total + 0.05)
-    found.append(np.stack([np.log1p(np.sqrt(total)), one_way], axis=-1))
+    coherence = np.sqrt((xx - yy) ** 2 + 4.0 * xy * xy) / (total + 0.05)
+    found.append(np.stack([np.log1p(np.sqrt(total)), coherence], axis=-1))
     return np.concatenate(found, axis=-1)

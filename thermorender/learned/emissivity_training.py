@@ -1,6 +1,6 @@
 """Training of an emissivity map from orthophotos whose materials are known, wholly or here and there.
 
-The recipe: bring each orthophoto to one ground sampling distance, optionally show it in other light too, describe
+The recipe: bring each orthophoto to one ground sampling distance, optionally augment it, describe
 every texel, draw texels with rare materials favoured, fit scikit-learn's multilayer perceptron, and note how far
 typical texels lie from each other, so that a texel unlike all of them is found out later. One block of ground in
 five is never trained on and tells the accuracy.
@@ -24,9 +24,9 @@ _MOST_SAMPLES = 360_000
 _MOST_PER_IMAGE = 400_000
 _EPOCHS = 20
 _CENTRES = 160
-# Share of the training texels that lie within reach of a centre.
-_WITHIN_REACH = 0.998
-_SLACK = 1.15
+# The novelty threshold: this quantile of the training texels' distances from their centres, times this margin.
+_THRESHOLD_QUANTILE = 0.998
+_THRESHOLD_MARGIN = 1.15
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Labelled:
     source: str
 
 
-def train(labelled, texel_m, name, lights=0, seed=0, progress=None):
+def train(labelled, texel_m, name, augmentations=0, seed=0, progress=None):
     """Return (EmissivityMap, confusion (C, C) int) trained on labelled orthophotos.
 
     Parameters
@@ -63,9 +63,9 @@ def train(labelled, texel_m, name, lights=0, seed=0, progress=None):
         Ground sampling distance to train at [m].
     name : str
         Of the map.
-    lights : int
-        How many times each orthophoto is also seen in another light: exposure, white balance, contrast, saturation.
-        Use it where the map is meant for other orthophotos than these.
+    augmentations : int
+        How many times each orthophoto is also taken with random exposure, white balance, contrast and saturation. Use
+        it where the map is meant for other orthophotos than these.
     seed : int
         Same seed, same map (with the same versions of the libraries).
     progress : callable (what, share), optional
@@ -94,7 +94,7 @@ def train(labelled, texel_m, name, lights=0, seed=0, progress=None):
         tell("describing the orthophotos", number / (number + 5.0))  # how many come is not known before the last
         sources.append(item.source)
         labels += np.count_nonzero(item.material), item.material.size
-        for found, values, held in _described(item, texel_m, name, lights, generator):
+        for found, values, held in _described(item, texel_m, name, augmentations, generator):
             for value in np.unique(values):
                 if item.names[value] not in names:
                     names.append(item.names[value])
@@ -149,7 +149,7 @@ def train(labelled, texel_m, name, lights=0, seed=0, progress=None):
         scale=np.float32(scale),
         layers=tuple((np.float32(weight), np.float32(bias)) for weight, bias in layers),
         centres=np.float32(clusters.cluster_centers_),
-        reach=float(_SLACK * np.quantile(distance, _WITHIN_REACH)),
+        threshold=float(_THRESHOLD_MARGIN * np.quantile(distance, _THRESHOLD_QUANTILE)),
         about={},
     )
     confusion = np.zeros((len(names), len(names)), dtype=np.int64)
@@ -160,7 +160,7 @@ def train(labelled, texel_m, name, lights=0, seed=0, progress=None):
     model.about.update(
         trained_on="; ".join(sources),
         split=f"one block of {BLOCK_TEXELS * texel_m:g} m in {_HELD_OUT_ONE_IN} held out",
-        lights=lights,
+        augmentations=augmentations,
         seed=seed,
         texels=int(len(drawn)),
         held_out_texels=int(held_out.sum()),
@@ -175,8 +175,8 @@ def train(labelled, texel_m, name, lights=0, seed=0, progress=None):
     return model, confusion
 
 
-def _described(item, texel_m, name, lights, generator):
-    """Yield (features (n, F), labels (n,), held out (n,)) of an orthophoto as it is and in other lights."""
+def _described(item, texel_m, name, augmentations, generator):
+    """Yield (features (n, F), labels (n,), held out (n,)) of an orthophoto as it is and augmented."""
     import cv2
 
     grid = EmissivityMap(name, (), texel_m, None, None, (), None, 0.0, {})
@@ -188,13 +188,13 @@ def _described(item, texel_m, name, lights, generator):
     block = rows // BLOCK_TEXELS * across + columns // BLOCK_TEXELS
     blocks = across * -(-labels.shape[0] // BLOCK_TEXELS)
     held = (generator.permutation(blocks) % _HELD_OUT_ONE_IN == 0)[block]
-    for light in range(1 + lights):
-        image = rgb if light == 0 else _in_other_light(rgb, generator)
+    for number in range(1 + augmentations):
+        image = rgb if number == 0 else _augmented(rgb, generator)
         keep = generator.random(rows.size) < _MOST_PER_IMAGE / max(rows.size, 1)
         yield features(image)[rows[keep], columns[keep]], labels[rows[keep], columns[keep]], held[keep]
 
 
-def _in_other_light(rgb, generator):
+def _augmented(rgb, generator):
     """Return an orthophoto as another camera on another day might have given it."""
     exposure = np.exp(generator.normal(0.0, 0.3))
     balance = np.exp(generator.normal(0.0, 0.06, 3))

@@ -34,11 +34,11 @@ class Finding:
     """One finding: whether it keeps the table from being used (`fault`), where it is, and what it is and its cure."""
 
     fault: bool
-    place: str
+    where: str
     text: str
 
     def __str__(self):
-        return f"{'fault' if self.fault else 'note '}  {self.place}: {self.text}"
+        return f"{'fault' if self.fault else 'note '}  {self.where}: {self.text}"
 
 
 def check(path):
@@ -73,16 +73,16 @@ def _check_library(folder):
     header, rows, findings = _table(folder, folder / "index.csv", INDEX_COLUMNS)
     seen = set()
     for row, cells in rows:
-        place, name = f"index.csv, row {row}", cells["name"]
+        where, name = f"index.csv, row {row}", cells["name"]
         if not NAME.fullmatch(name):
             findings.append(
-                Finding(True, place, f"name={name!r} is not a material name; use letters, digits, _ and -")
+                Finding(True, where, f"name={name!r} is not a material name; use letters, digits, _ and -")
             )
             continue
         if name in seen:
-            findings.append(Finding(True, place, f"material {name!r} is listed twice; delete one row or rename it"))
+            findings.append(Finding(True, where, f"material {name!r} is listed twice; delete one row or rename it"))
         seen.add(name)
-        findings += _check_row(place, cells)
+        findings += _check_row(where, cells)
         findings += _check_spectrum(
             folder / "spectra" / f"{name}.csv", f"spectra/{name}.csv", cells["directional"], folder, cells["samples"]
         )
@@ -94,17 +94,17 @@ def _check_library(folder):
     return findings
 
 
-def _check_row(place, cells):
+def _check_row(where, cells):
     """Return the findings on one row of the index."""
     findings = [
-        Finding(True, place, f"{column} of material {cells['name']!r} is missing; say where the numbers come from and "
+        Finding(True, where, f"{column} of material {cells['name']!r} is missing; say where the numbers come from and "
                 "on what terms ('own measurement, 2024' will do)")
         for column in ("title", "source", "citation", "licence")
         if not cells[column]
     ]  # fmt: skip
     if cells["directional"] not in DIRECTIONAL_MODELS:
         findings.append(
-            Finding(True, place, f"directional={cells['directional']!r} is not known; write "
+            Finding(True, where, f"directional={cells['directional']!r} is not known; write "
                     f"{' or '.join(DIRECTIONAL_MODELS)}")
         )  # fmt: skip
     limits = [
@@ -119,19 +119,19 @@ def _check_row(place, cells):
         try:
             number_in_cell("", 0, column, cells[column], low, high, mend)
         except ThermorenderError as error:
-            findings.append(Finding(True, place, str(error).partition(": ")[2]))
+            findings.append(Finding(True, where, str(error).partition(": ")[2]))
     return findings
 
 
-def _check_spectrum(path, place, directional, folder=None, samples=""):
+def _check_spectrum(path, where, directional, folder=None, samples=""):
     """Return the findings on one CSV table; `directional` None tells its kind by its headings."""
-    header, rows, findings = _table(folder, path, (), place)
+    header, rows, findings = _table(folder, path, (), where)
     if not rows:
         if header and not findings:
-            findings.append(Finding(True, place, "holds no row of data; a spectrum needs 2 at least"))
+            findings.append(Finding(True, where, "holds no row of data; a spectrum needs 2 at least"))
         return findings
     if directional is None and header[0].lower() == "wavelength":
-        return findings + _check_slum(place, header, rows)
+        return findings + _check_slum(where, header, rows)
     quantities = _quantities(header, directional)
     first = next((key for key in WAVELENGTH_UNITS if key in header), None)
     # A library's own tables are in µm only.
@@ -142,101 +142,101 @@ def _check_spectrum(path, place, directional, folder=None, samples=""):
             None: f"one of {', '.join(WAVELENGTH_UNITS)} and one of {', '.join(QUANTITIES)}",
         }.get(directional, ", ".join(SPECTRUM_COLUMNS))
         return findings + [
-            Finding(True, place, f"row 1 holds {shortened(', '.join(header))}; it must hold {wanted}, which tells the "
+            Finding(True, where, f"row 1 holds {shortened(', '.join(header))}; it must hold {wanted}, which tells the "
                     "units")
         ]  # fmt: skip
     numbers = [row for row, _ in rows]
-    axis, found = _column(place, numbers, first, [cells[first] for _, cells in rows])
+    axis, found = _column(where, numbers, first, [cells[first] for _, cells in rows])
     findings += found
     if first == "wavelength_um":
-        axis, found = _to_um(place, axis)
+        axis, found = _to_um(where, axis)
         findings += found
     else:
         axis = WAVELENGTH_UNITS[first](axis)
     # A table of wavenumbers, or one that `import` sorts by itself, may run either way.
-    order = _order(place, numbers, axis, first)
+    order = _order(where, numbers, axis, first)
     if directional is not None or found or np.any(np.diff(axis) >= 0.0):
         findings += order if not (found and np.all(np.diff(axis) < 0.0)) else []
     for column in quantities:
-        values, found = _column(place, numbers, column, [cells[column] for _, cells in rows])
+        values, found = _column(where, numbers, column, [cells[column] for _, cells in rows])
         findings += found
         if column in ("n", "k"):
-            findings += _outside(place, numbers, column, values, 1e-3 if column == "n" else 0.0, 1e3, "give n + ik")
+            findings += _outside(where, numbers, column, values, 1e-3 if column == "n" else 0.0, 1e3, "give n + ik")
         else:
-            findings += _share(place, numbers, column, values, "percent" in column)
+            findings += _share(where, numbers, column, values, "percent" in column)
     if "emissivity_std" in header:
-        findings += _spread(place, numbers, [cells["emissivity_std"] for _, cells in rows], samples)
-    return findings + _reach(place, axis)
+        findings += _spread(where, numbers, [cells["emissivity_std"] for _, cells in rows], samples)
+    return findings + _coverage(where, axis)
 
 
-def _check_slum(place, header, rows):
+def _check_slum(where, header, rows):
     """Return the findings on a SLUM table: emissivity by µm, or reflectance [%] by nm, one column a sample."""
     numbers = [row for row, _ in rows]
-    axis, findings = _column(place, numbers, header[0], [cells[header[0]] for _, cells in rows])
+    axis, findings = _column(where, numbers, header[0], [cells[header[0]] for _, cells in rows])
     short_wave = bool(np.nanmax(axis) > LONGEST_WAVELENGTH_UM)
     axis = axis / 1e3 if short_wave else axis
-    findings += _order(place, numbers, axis, header[0])
+    findings += _order(where, numbers, axis, header[0])
     for column in header[1:]:
-        values, found = _column(place, numbers, column, [cells[column] for _, cells in rows])
-        findings += found + _share(place, numbers, column, values, short_wave)
-    return findings if short_wave else findings + _reach(place, axis)
+        values, found = _column(where, numbers, column, [cells[column] for _, cells in rows])
+        findings += found + _share(where, numbers, column, values, short_wave)
+    return findings if short_wave else findings + _coverage(where, axis)
 
 
 def _check_ecostress(path):
-    place = path.name
+    where = path.name
     header, pairs = ecostress_lines(path)
     findings = []
     if "micromet" not in header.get("x units", "").lower():
         findings.append(
-            Finding(True, place, f"x units are {header.get('x units', 'not stated')!r}; convert to micrometres")
+            Finding(True, where, f"x units are {header.get('x units', 'not stated')!r}; convert to micrometres")
         )
     if "percent" not in header.get("y units", "").lower():
         findings.append(
-            Finding(True, place, f"y units are {header.get('y units', 'not stated')!r}; only reflectance in percent is "
+            Finding(True, where, f"y units are {header.get('y units', 'not stated')!r}; only reflectance in percent is "
                     "read, so convert it")
         )  # fmt: skip
     if "hemispherical" not in header.get("measurement", "").lower():
         findings.append(
-            Finding(True, place, f"measured as {header.get('measurement', 'not stated')!r}; one minus reflectance is "
+            Finding(True, where, f"measured as {header.get('measurement', 'not stated')!r}; one minus reflectance is "
                     "emissivity for hemispherical reflectance only, so leave the sample out")
         )  # fmt: skip
     if len(pairs) < 2:
-        return findings + [Finding(True, place, f"holds {len(pairs)} pairs of numbers; order the whole file again")]
+        return findings + [Finding(True, where, f"holds {len(pairs)} pairs of numbers; order the whole file again")]
     if not header.get("origin") and not header.get("owner"):
-        findings.append(Finding(False, place, "names neither origin nor owner; note the source yourself"))
+        findings.append(Finding(False, where, "names neither origin nor owner; note the source yourself"))
     numbers = list(range(1, len(pairs) + 1))
     wavelength, percent = np.array(pairs).T
     if wavelength[0] > wavelength[-1]:
         wavelength, percent, numbers = wavelength[::-1], percent[::-1], numbers[::-1]
-    wavelength, found = _to_um(place, wavelength)
-    findings += found + _order(place, numbers, wavelength, "wavelength", "pair")
+    wavelength, found = _to_um(where, wavelength)
+    findings += found + _order(where, numbers, wavelength, "wavelength", "pair")
     thermal = wavelength > 3.2
-    inside = _share(place, np.array(numbers)[thermal], "reflectance", percent[thermal], True, "pair")
-    return findings + inside + _reach(place, wavelength)
+    inside = _share(where, np.array(numbers)[thermal], "reflectance", percent[thermal], True, "pair")
+    return findings + inside + _coverage(where, wavelength)
 
 
-def _table(folder, path, columns, place=None):
+def _table(folder, path, columns, where=None):
     """Return header, rows and findings of a CSV file, reading on where a fault allows it."""
-    place, findings = place or path.name, []
+    where, findings = where or path.name, []
     if folder is not None and not inside(path, folder):
-        return [], [], [Finding(True, place, f"leads out of {folder}; put the file itself into the folder")]
+        return [], [], [Finding(True, where, f"leads out of {folder}; put the file itself into the folder")]
     if not path.is_file():
         text = "does not exist; a materials folder holds index.csv and spectra/<name>.csv"
-        return [], [], [Finding(True, place, text)]
+        return [], [], [Finding(True, where, text)]
     raw = path.read_bytes()
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         text = f"is not UTF-8 text ({error.reason} at byte {error.start}); save it as 'CSV UTF-8' in the spreadsheet"
-        findings.append(Finding(True, place, text))
+        findings.append(Finding(True, where, text))
         text = raw.decode("latin-1")
     first = text.partition("\n")[0]
     delimiter = ","
     if ";" in first and "," not in first:
-        findings.append(Finding(True, place, "is separated by semicolons; save it comma-separated"))
+        findings.append(Finding(True, where, "is separated by semicolons; save it comma-separated"))
         delimiter = ";"
     try:
-        table = csv_rows(text, place, delimiter)
+        table = csv_rows(text, where, delimiter)
     except ThermorenderError as error:
         row, _, fault = str(error).partition(": ")
         return [], [], findings + [Finding(True, row, fault)]
@@ -247,7 +247,7 @@ def _table(folder, path, columns, place=None):
         fault = f"lacks column {', '.join(missing)}" if missing else "holds no headings"
         fault = f"holds column {', '.join(sorted(twice))} twice" if twice else fault
         mend = f"; the first row must hold {', '.join(columns) or 'the names of the columns'}, each once"
-        return header, [], findings + [Finding(True, place, f"row 1 {fault}{mend}")]
+        return header, [], findings + [Finding(True, where, f"row 1 {fault}{mend}")]
     rows = []
     for number, cells in enumerate(table[1:], start=2):
         if any(cell.strip() for cell in cells):
@@ -268,7 +268,7 @@ def _quantities(header, directional):
     return ["emissivity"] if set(SPECTRUM_COLUMNS) <= set(header) else []
 
 
-def _column(place, numbers, column, texts):
+def _column(where, numbers, column, texts):
     """Return the values of a column, NaN where there is no number, and one finding on these."""
     values = np.full(len(texts), np.nan)
     for index, text in enumerate(texts):
@@ -281,10 +281,10 @@ def _column(place, numbers, column, texts):
         return values, []
     first = shortened(repr(texts[bad[0]]))
     text = f"{column}={first} is not a number{_more(bad)}; write it with a point as decimal mark and no unit"
-    return values, [Finding(True, f"{place}, row {numbers[bad[0]]}", text)]
+    return values, [Finding(True, f"{where}, row {numbers[bad[0]]}", text)]
 
 
-def _to_um(place, wavelength):
+def _to_um(where, wavelength):
     """Return the wavelengths in µm, whatever they seem to be in, and a finding if they are not."""
     known = wavelength[np.isfinite(wavelength)]
     if not known.size or known.max() <= LONGEST_WAVELENGTH_UM and not 300.0 <= known.min():
@@ -292,65 +292,65 @@ def _to_um(place, wavelength):
     span = f"wavelength_um runs over {known.min():g}–{known.max():g}"
     # 1–100 µm is 100–10000 cm⁻¹, and 1000–100000 nm; a thermal table that ends below 5000 is in wavenumbers.
     if known.max() < 5000.0:
-        return 1e4 / wavelength, [Finding(True, place, f"{span}: wavenumbers in cm⁻¹? write 10000 divided by them")]
-    return wavelength / 1e3, [Finding(True, place, f"{span}: nanometres? divide the column by 1000")]
+        return 1e4 / wavelength, [Finding(True, where, f"{span}: wavenumbers in cm⁻¹? write 10000 divided by them")]
+    return wavelength / 1e3, [Finding(True, where, f"{span}: nanometres? divide the column by 1000")]
 
 
-def _order(place, numbers, wavelength, column, word="row"):
+def _order(where, numbers, wavelength, column, word="row"):
     steps = np.diff(wavelength)
     findings = []
     repeated, falling = np.flatnonzero(steps == 0.0), np.flatnonzero(steps < 0.0)
     if repeated.size:
         at = repeated[0] + 1
         text = f"{column} repeats the {word} above ({wavelength[at]:g} µm){_more(repeated)}; keep one {word} for each"
-        findings.append(Finding(True, f"{place}, {word} {numbers[at]}", text))
+        findings.append(Finding(True, f"{where}, {word} {numbers[at]}", text))
     if falling.size:
         at = falling[0] + 1
         text = (
             f"{column} is less than in the {word} above ({wavelength[at]:g} after {wavelength[at - 1]:g} µm)"
             f"{_more(falling)}; sort the table by it, rising"
         )
-        findings.append(Finding(True, f"{place}, {word} {numbers[at]}", text))
+        findings.append(Finding(True, f"{where}, {word} {numbers[at]}", text))
     return findings
 
 
-def _share(place, numbers, column, values, percent, word="row"):
+def _share(where, numbers, column, values, percent, word="row"):
     """Return the findings on values that are shares of one, or percent."""
     known = values[np.isfinite(values)]
     if not percent and known.size and np.median(known) > 1.5 and known.max() <= 100.0:
         text = f"{column} runs over {known.min():g}–{known.max():g}: percent? divide the column by 100"
-        return [Finding(True, place, text)]
+        return [Finding(True, where, text)]
     top = 100.0 if percent else 1.0
-    return _outside(place, numbers, column, values, 0.0, top, "leave the sample out, or correct it", word)
+    return _outside(where, numbers, column, values, 0.0, top, "leave the sample out, or correct it", word)
 
 
-def _outside(place, numbers, column, values, low, high, mend, word="row"):
+def _outside(where, numbers, column, values, low, high, mend, word="row"):
     bad = np.flatnonzero((values < low) | (values > high))
     if not bad.size:
         return []
     text = f"{column}={values[bad[0]]:g} is not within {low:g}…{high:g}{_more(bad)}; {mend}"
-    return [Finding(True, f"{place}, {word} {numbers[bad[0]]}", text)]
+    return [Finding(True, f"{where}, {word} {numbers[bad[0]]}", text)]
 
 
-def _spread(place, numbers, texts, samples):
-    values, findings = _column(place, numbers, "emissivity_std", [text or "0" for text in texts])
-    findings += _outside(place, numbers, "emissivity_std", values, 0.0, 1.0, "give the standard deviation, or nothing")
+def _spread(where, numbers, texts, samples):
+    values, findings = _column(where, numbers, "emissivity_std", [text or "0" for text in texts])
+    findings += _outside(where, numbers, "emissivity_std", values, 0.0, 1.0, "give the standard deviation, or nothing")
     if samples.isdigit() and int(samples) > 1 and not any(texts):
         text = f"emissivity_std is empty for {samples} samples; give their standard deviation"
-        findings.append(Finding(False, place, text))
+        findings.append(Finding(False, where, text))
     if samples == "1" and any(text and float(text) == 0.0 for text in texts if _is_number(text)):
         text = "emissivity_std is 0 for one sample, which tells nothing about the spread; leave the column empty"
-        findings.append(Finding(False, place, text))
+        findings.append(Finding(False, where, text))
     return findings
 
 
-def _reach(place, wavelength):
+def _coverage(where, wavelength):
     """Return the findings on holes and on the range of the wavelengths [µm]."""
     known = np.unique(wavelength[np.isfinite(wavelength)])
     if known.size < 2:
-        return [Finding(True, place, f"holds {known.size} wavelengths; a spectrum needs 2 at least")]
+        return [Finding(True, where, f"holds {known.size} wavelengths; a spectrum needs 2 at least")]
     findings = [
-        Finding(True, place, f"has a gap: no row between {start:g} and {end:g} µm, and wavelengths there are refused; "
+        Finding(True, where, f"has a gap: no row between {start:g} and {end:g} µm, and wavelengths there are refused; "
                 "measure there, or add rows you answer for")
         for start, end in gaps(known)
         if end > WANTED_RANGE_UM[0] and start < WANTED_RANGE_UM[1]
@@ -360,7 +360,7 @@ def _reach(place, wavelength):
             f"covers {known[0]:g}–{known[-1]:g} µm, not all of {WANTED_RANGE_UM[0]:g}–{WANTED_RANGE_UM[1]:g}; a camera "
             "whose band reaches further refuses it"
         )
-        findings.append(Finding(False, place, text))
+        findings.append(Finding(False, where, text))
     return findings
 
 

@@ -1,4 +1,4 @@
-"""Two materials, or two libraries, held against each other in a camera's band; and two libraries made one."""
+"""Two materials, or two libraries, compared in a camera's band; and two libraries made one."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -108,8 +108,8 @@ def diff(first, second, band_um=BAND_UM):
 def merge(first, second, output, prefer=None):
     """Make one library of two in a new folder; return (names from the first, names from the second, conflicts).
 
-    A material only one of them holds is taken; one that both hold alike is taken once; one that they hold
-    differently is a conflict, refused unless `prefer` says which folder wins.
+    A material in only one of them is taken; one that is alike in both is taken once; one that differs between
+    them is a conflict, refused unless `prefer` says which folder wins.
 
     Parameters
     ----------

@@ -227,7 +227,7 @@ def read_selection(path, folders):
             )
         groups.setdefault(cells["material"], (row, cells, []))[2].append((found[0], column or None))
     materials = []
-    for name, (row, cells, places) in groups.items():
+    for name, (row, cells, sources) in groups.items():
 
         def number(column, low, high, row=row, cells=cells):
             mend = "correct the first row of the material"
@@ -236,7 +236,7 @@ def read_selection(path, folders):
         solar = number("solar_absorptance", 0, 1) if cells["solar_absorptance"] else None
         materials.append(
             from_samples(
-                [read_sample(*place) for place in places],
+                [read_sample(*source) for source in sources],
                 name,
                 title=cells["title"],
                 colour=tuple(int(number(f"colour_{c}", 0, 255)) for c in "rgb"),
@@ -303,7 +303,7 @@ def _thinned(wavelength, value, grid):
 
     Closest in the mean square, with the mean and the slope over each half micrometre kept exactly: band emissivities
     are integrals over a smooth weight, so they stay what the measurement says to 1e-6. Nothing leaves 0…1: values
-    that would are held at the bound and the rest is solved again. `scipy.optimize.lsq_linear` knows bounds but no
+    that would are fixed at the limit and the rest is solved again. `scipy.optimize.lsq_linear` knows limits but no
     equations to be kept.
     """
     step, size = grid[1] - grid[0], grid.size
@@ -332,18 +332,19 @@ def _thinned(wavelength, value, grid):
         kept.append(onto_grid(lever, stretch, edges.size + 1)[1:-1])
         aim.append(np.bincount(stretch, weights * lever * spectrum, edges.size + 1)[1:-1])
     kept, aim = np.concatenate(kept), np.concatenate(aim)
-    table, held = np.zeros(size), np.zeros(size, dtype=bool)
+    table, fixed = np.zeros(size), np.zeros(size, dtype=bool)
     for _ in range(size):
-        free = ~held
+        free = ~fixed
         system = np.block([[gram[np.ix_(free, free)], kept[:, free].T], [kept[:, free], np.zeros((aim.size,) * 2)]])
-        right = np.concatenate([pull[free] - gram[np.ix_(free, held)] @ table[held], aim - kept[:, held] @ table[held]])
-        # Where all of a stretch is held its two conditions say nothing, which only least squares takes.
-        solve = np.linalg.solve if not held.any() else lambda a, b: np.linalg.lstsq(a, b, rcond=None)[0]
+        known = table[fixed]
+        right = np.concatenate([pull[free] - gram[np.ix_(free, fixed)] @ known, aim - kept[:, fixed] @ known])
+        # Where all of a stretch is fixed its two conditions say nothing, which only least squares takes.
+        solve = np.linalg.solve if not fixed.any() else lambda a, b: np.linalg.lstsq(a, b, rcond=None)[0]
         table[free] = solve(system, right)[: free.sum()]
         outside = (table < 0.0) | (table > 1.0)
         if not outside.any():
             break
-        table[outside], held = np.clip(table[outside], 0.0, 1.0), held | outside
+        table[outside], fixed = np.clip(table[outside], 0.0, 1.0), fixed | outside
     return table
 
 

@@ -320,7 +320,7 @@ def load_library(directory=None):
     ----------
     directory : path, optional
         Folder with `index.csv` and `spectra/`, e.g. a scene's own `materials/`. A material of the same
-        name takes the place of the shipped one.
+        name replaces the shipped one.
 
     Returns
     -------
@@ -402,6 +402,6 @@ def _read_material(directory, index, row, cells):
 
 
 def _place(nodes, values):
-    """Return the index of the node below each value, and the value's share of the way to the next one."""
+    """Return the index of the node below each value, and the value's share of the interval up to the next one."""
     below = np.clip(np.searchsorted(nodes, values, side="right") - 1, 0, nodes.size - 2)
     return below, np.clip((values - nodes[below]) / (nodes[below + 1] - nodes[below]), 0.0, 1.0)

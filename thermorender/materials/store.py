@@ -88,7 +88,7 @@ def index_row(material):
 
 
 def store(row, spectrum, directory, replace=False):
-    """Put a material's index row (dict) and the text of its spectrum table into a folder, both or neither.
+    """Write a material's index row (dict) and the text of its spectrum table into a folder, both or neither.
 
     It is read back from a scratch folder first, so nothing is written that the library would refuse.
     """

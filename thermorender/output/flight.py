@@ -210,7 +210,7 @@ def _exposure(renderer, trajectory, interval_s):
         ground_at,
         interval_s,
         # Objects that move by themselves do not move as the ground does.
-        render_px=0.0 if scene.movers else RENDER_PX,
+        render_px=0.0 if scene.tracked_objects else RENDER_PX,
     )
 
 

@@ -128,8 +128,8 @@ def _facets(rms_slope):
         shown = (cosine - along * sine) * half * weight * np.exp(-0.5 * (along / deviation) ** 2)
         shown = shown[:, None] * across_weight
         facing = (cosine - along[:, None] * sine) / np.sqrt(1.0 + along[:, None] ** 2 + across**2)
-        place = np.sqrt(np.clip(facing, 0.0, 1.0))
-        below = np.minimum((place * (COSINES.size - 1)).astype(int), COSINES.size - 2)
+        position = np.sqrt(np.clip(facing, 0.0, 1.0))
+        below = np.minimum((position * (COSINES.size - 1)).astype(int), COSINES.size - 2)
         upper = (np.clip(facing, 0.0, 1.0) - COSINES[below]) / (COSINES[below + 1] - COSINES[below])
         shares[row] = np.bincount(below.ravel(), (shown * (1.0 - upper)).ravel(), COSINES.size)
         shares[row] += np.bincount(below.ravel() + 1, (shown * upper).ravel(), COSINES.size)

@@ -18,7 +18,7 @@ def march_hours(latitude_deg, declination_deg, solar_hour):
     Parameters
     ----------
     latitude_deg, declination_deg : float
-        Of the place and of the sun [deg].
+        Of the site and of the sun [deg].
     solar_hour : float
         Apparent solar time [h]; also negative or past 24, for the same sun on another day.
 

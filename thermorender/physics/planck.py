@@ -1,4 +1,4 @@
-"""Planck's law: spectral radiance, band radiance, its temperature derivative, and the way back to kelvin.
+"""Planck's law: spectral radiance, band radiance, its temperature derivative, and the inverse to kelvin.
 
 Everything is in terms of wavelength in micrometres; band radiance is the integral of spectral radiance
 over a wavelength interval. The integral is taken in x = c₂/(λT), where the integrand is x³/(eˣ−1) at every
@@ -103,7 +103,7 @@ def brightness_temperature(radiance, lower_um, upper_um):
     every start; the result is exact to about 1e-12 relative. Radiances whose blackbody lies so far in Wien's or in
     Rayleigh's and Jeans' limit that the integral leaves float64 are inverted by these laws, as exactly.
     `scipy.optimize.newton` takes arrays too, but goes on with all of them until the last has converged, and does not
-    hold steps back.
+    limit steps.
     """
     lower, upper = _band(lower_um, upper_um)
     radiance = np.asarray(radiance, dtype=np.float64)

@@ -33,7 +33,7 @@ def position(latitude_deg, declination_deg, solar_hour):
     Parameters
     ----------
     latitude_deg, declination_deg : float
-        Of the place and of the sun [deg].
+        Of the site and of the sun [deg].
     solar_hour : float
         Apparent solar time [h]; 12 is the culmination.
 

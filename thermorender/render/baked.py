@@ -41,9 +41,9 @@ class BakedScene:
     static_light : StaticLight or None
         What dynamic objects must know; None without them.
     errors_mk : dict
-        Errors of the reflected light [mK]: "solution", a bound, and root mean squares over the surfaces: "noise" of
-        the rays, from independent halves, "faces", of light taken as constant over a face, and "texels", of baking
-        it to texels.
+        Errors of the reflected light [mK at 300 K]: "solution", from the bound that its residual sets, and root mean
+        squares over the surfaces: "noise" of the rays, from independent halves, "faces", of light taken as constant
+        over a face, and "texels", of baking it to texels.
     cache_note : str or None
         Why the traced light could not be kept on disk, where it could not.
     """
@@ -102,7 +102,8 @@ class BakedScene:
     def seen_as(self, scene, plan):
         """Return this light under another camera or sampling, or None where `scene` and `plan` change the light."""
         old = self.scene
-        same = all(getattr(scene, name) is getattr(old, name) for name in ("surfaces", "materials", "air", "movers"))
+        parts = ("surfaces", "materials", "air", "tracked_objects")
+        same = all(getattr(scene, name) is getattr(old, name) for name in parts)
         light = ("rays", "tolerance_mk", "band_um")
         same &= scene.spec == old.spec and all(getattr(plan, name) == getattr(self.plan, name) for name in light)
         return replace(self, scene=scene, plan=plan) if same else None
@@ -165,7 +166,7 @@ def bake(scene, plan, geometry=None, like=None, progress=None):
         light = texels.light(incident, spectrum.reflected[:, channel])
         texel[channel], face[:, channel], left = texels.bake_channel(geometry, covers, texel[channel], material, light)
     scatter = left if spectrum.channels == 1 else scatter
-    static = StaticLight.of(emitted + reflectance * incident, reflectance, around) if scene.movers else None
+    static = StaticLight.of(emitted + reflectance * incident, reflectance, around) if scene.tracked_objects else None
     share = geometry.share
     varies = texels.variation(geometry, incident @ (share @ reflectance), noise)
     solution = ((1.0 - spectrum.emissivity).max(axis=0) * bounds).sum()

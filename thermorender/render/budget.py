@@ -1,11 +1,11 @@
-"""The error budget of a frame: what its radiance errs by, cause by cause, in mK."""
+"""The error budget of a frame: an estimate of what its radiance errs by, cause by cause, in mK at 300 K."""
 
 import drjit as dr
 import numpy as np
 
 from thermorender.physics.planck import band_radiance_derivative
 from thermorender.render.geometry import opaque_view, view_ray
-from thermorender.render.sampling import contrast, edge_bound, texture_error
+from thermorender.render.sampling import contrast, edge_estimate, texture_estimate
 from thermorender.render.spectrum import REFERENCE_K
 
 # Every how many pixels the light's error is looked up.
@@ -13,7 +13,7 @@ _PIXELS = 16
 
 
 def budget_mk(baked, rays, pose, radiance, sampling):
-    """Return {cause: root mean square error [mK]} of a frame, as `Frame.budget_mk` has it.
+    """Return {cause: estimated root mean square error [mK]} of a frame, as `Frame.budget_mk` has it.
 
     Parameters
     ----------
@@ -30,10 +30,10 @@ def budget_mk(baked, rays, pose, radiance, sampling):
     span = contrast(radiance)
     # Where nothing was asked about edges, any contrast may be one.
     step = span if sampling.step is None else sampling.step
-    edges = edge_bound(step, plan.samples).ravel()
+    edges = edge_estimate(step, plan.samples).ravel()
     for pixels, left, count in sampling.refined:
-        edges[pixels] = edge_bound(left, count)
-    texture = texture_error(span - step, plan.samples * plan.taps)
+        edges[pixels] = edge_estimate(left, count)
+    texture = texture_estimate(span - step, plan.samples * plan.taps)
     light = 0.0
     if device.face_error is not None:
         # Of the faces that some of the pixels show; what differs within the faces is known of the scene only.

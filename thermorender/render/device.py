@@ -34,7 +34,7 @@ class DeviceScene:
         self._outgoing = OutgoingRadiance.of(mi, baked.texels, baked.faces, mirror)
         self._faces, self._light = baked.faces, baked.static_light
         self.face_error = None if baked.face_error is None else mi.Float(baked.face_error)
-        self.objects = [DynamicObject(mi, mover, plan, scene.materials, tables) for mover in scene.movers]
+        self.objects = [DynamicObject(mi, tracked, plan, scene.materials, tables) for tracked in scene.tracked_objects]
         self._corners = box_of(scene)
         if scene.air is None:
             outside = np.array([scene.spec.sky_temperature, scene.surroundings_temperature])

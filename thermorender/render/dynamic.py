@@ -53,17 +53,17 @@ def placements(scene, time_s, objects=None):
         An object that has no track or leaves the terrain, or an unknown column.
     """
     objects = objects or {}
-    names = [mover.name for mover in scene.movers]
+    names = [tracked.name for tracked in scene.tracked_objects]
     for name in objects:
         if name not in names:
             raise ThermorenderError(
                 f"object {name!r} does not move; give one with a track ({', '.join(names) or 'there is none'})"
             )
     found = []
-    for mover in scene.movers:
-        values = mover.at(time_s, **objects.get(mover.name, {}))
-        pose = mover.world_from_own(values, scene.ground)
-        found.append(Placement(mover.name, pose, values["temperature_k"]))
+    for tracked in scene.tracked_objects:
+        values = tracked.at(time_s, **objects.get(tracked.name, {}))
+        pose = tracked.world_from_own(values, scene.ground)
+        found.append(Placement(tracked.name, pose, values["temperature_k"]))
     return tuple(found)
 
 
@@ -96,7 +96,7 @@ class DynamicObject:
     Parameters
     ----------
     mi : module
-    mover : Mover
+    tracked : TrackedObject
     plan : Plan
     materials : sequence of Material
     tables : DeviceTables or None
@@ -108,13 +108,13 @@ class DynamicObject:
         In the object's own frame.
     """
 
-    def __init__(self, mi, mover, plan, materials, tables=None):
-        self.surfaces, self._plan = mover.surfaces, plan
-        self.geometry = Geometry(mi, mover.surfaces)
+    def __init__(self, mi, tracked, plan, materials, tables=None):
+        self.surfaces, self._plan = tracked.surfaces, plan
+        self.geometry = Geometry(mi, tracked.surfaces)
         # One material all over.
-        self._material = int(mover.surfaces[0].material.flat[0])
+        self._material = int(tracked.surfaces[0].material.flat[0])
         self._emissivity_at = materials[self._material].emissivity_at
-        self._texel_count = sum(surface.material.size for surface in mover.surfaces)
+        self._texel_count = sum(surface.material.size for surface in tracked.surfaces)
         self._tables = tables if tables and tables.number[self._material] else None
         self._last = None, None
 

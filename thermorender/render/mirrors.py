@@ -29,7 +29,7 @@ from thermorender.render.spectrum import REFERENCE_K
 
 # Directions of the sky, even in the root of the cosine of zenith angle: 5 mK of the sky.
 _DIRECTIONS = np.linspace(0.0, 1.0, 65) ** 2
-# Steepest view for which bound and error are stated, and angles at which these are looked at.
+# Steepest view for which effect and error are stated, and angles at which they are evaluated.
 _GRAZING = np.cos(np.radians(80.0))
 _JUDGED = np.flatnonzero(COSINES >= _GRAZING)[::8]
 # Blackbodies between the coldest and the warmest texel, and how much more than other light they count in the fit of
@@ -55,17 +55,18 @@ class ReflectanceTables:
         the reflection of no light [W m⁻² sr⁻¹].
     weight : (K,) float64
         Of the channels in the band radiance.
-    bound_mk : float
-        Most that treating these materials as diffuse changes what they show, up to 80° [mK].
+    effect_mk : float
+        Largest change of what these materials show if they were diffuse, over the envelope's light up to 80°; estimated
+        from above, as mirror and diffuse surface may see any two of its lights [mK at 300 K].
     error_mk : float
-        Most that `matrix` errs for any light of the scene, up to 80° [mK].
+        Largest error of `matrix`, over the envelope's light up to 80° [mK].
     """
 
     number: np.ndarray
     matrix: np.ndarray
     environment: np.ndarray
     weight: np.ndarray
-    bound_mk: float
+    effect_mk: float
     error_mk: float
 
 
@@ -100,7 +101,7 @@ def make_tables(scene, spectrum, envelope):
     row[list(seen)] = 1 + np.arange(len(seen))
     stacked = [np.stack([getattr(case, name) for case in cases]) for name in ("matrix", "environment")]
     weight = spectrum.solver.sum(axis=0)
-    worst = [max(getattr(case, name) for case in cases) for name in ("bound_mk", "error_mk")]
+    worst = [max(getattr(case, name) for case in cases) for name in ("effect_mk", "error_mk")]
     return ReflectanceTables(row, *stacked, weight, *worst)
 
 
@@ -136,7 +137,7 @@ class _Case:
         image, glow = judged @ light.T, (1.0 - diffuse) @ light.T
         most = emitted.max(axis=1) + image.max(axis=1) - glow.min()
         least = emitted.min(axis=1) + image.min(axis=1) - glow.max()
-        self.bound_mk = float(np.abs([most, least]).max() / band_radiance_derivative(REFERENCE_K, *band_um)) * 1e3
+        self.effect_mk = float(np.abs([most, least]).max() / band_radiance_derivative(REFERENCE_K, *band_um)) * 1e3
         shown = (black[0].sum() - judged @ black[0])[:, None] + judged @ every.T
         per_mk = band_radiance_derivative(brightness_temperature(shown, *band_um), *band_um) * 1e-3
         left = (wanted - known @ fit)[_JUDGED] @ spectrum.solver.sum(axis=0) / per_mk
@@ -328,9 +329,9 @@ def _texels(scene, number, envelope):
             column, row = (surface.uv.mean(axis=1) * own.shape[::-1]).astype(int).T
             faces = own[np.clip(row, 0, own.shape[0] - 1), np.clip(column, 0, own.shape[1] - 1)]
             points.append(surface.vertices[surface.faces[faces]].reshape(-1, 3))
-    for mover in scene.movers:
-        if mover.surfaces[0].material.flat[0] == number:
-            warm += mover.temperatures()
+    for tracked in scene.tracked_objects:
+        if tracked.surfaces[0].material.flat[0] == number:
+            warm += tracked.temperatures()
     if not warm:
         return None
     height = altitude(np.concatenate([*points, np.zeros((0, 3))]), scene.altitude_m)

@@ -1,4 +1,4 @@
-"""What a scene needs and what it does not: spectral nodes, bake, air, samples; each choice with its bound in mK."""
+"""What a scene needs and what it does not: spectral nodes, bake, air, samples; each choice with its error in mK."""
 
 from dataclasses import dataclass
 
@@ -24,11 +24,13 @@ class Plan:
     ----------
     band_um : (2,) floats
     tolerance_mk : float
-        Error allowed to the spectral nodes and to the solution of the light between surfaces [mK].
+        Error allowed to the spectral nodes and to the solution of the light between surfaces [mK]; the solution keeps
+        to a tenth of it by a proven bound, the nodes on the scene's envelope.
     spectrum : Spectrum
         Nodes at which light between surfaces is solved, and channels of a texel.
     reflection_mk : float
-        Most that reflection can change any pixel's apparent temperature [mK].
+        Upper bound of what diffuse surfaces reflect, the sun's light apart: as if all they see were as bright as the
+        warmest of the scene's surfaces, sky and air [mK at 300 K].
     bake : bool
         Whether reflection is solved at all.
     rays : int
@@ -44,12 +46,12 @@ class Plan:
     air_mk : float or None
         What a kilometre of the scene's air changes a surface of 300 K by [mK]; None without air.
     sun_mk : float or None
-        Most that the sun's own light can change any diffuse surface's apparent temperature by [mK]; None where the
-        scene declares no sun.
+        Upper bound of the sun's own light off any diffuse surface, facing it above the air [mK at 300 K]; None where
+        the scene declares no sun.
     sun : bool
         Whether it is in.
     specular_mk : float or None
-        Most that the angle of view can change a directional material's apparent temperature by, up to 80° [mK]; None
+        Estimate from above of what the angle of view changes a directional material by, up to 80° [mK at 300 K]; None
         where nothing is of one.
     specular : ReflectanceTables or None
         How such materials reflect; None where mirror rays are left out.
@@ -89,8 +91,8 @@ class Plan:
             edges = (edges[0], "in", f"up to {STAGES[-1]} where one surface hides another and errs {self.edge_mk:g} mK")
         return [
             ("emission", "in", f"full spectral integral per material, {self.coldest:.1f}–{self.warmest:.1f} K"),
-            ("reflection", needed, f"changes a pixel by at most {_kelvin(self.reflection_mk)}"),
-            ("spectral nodes", str(self.nodes), f"worst error {self.spectrum.nodes_mk:.3g} mK"),
+            ("reflection", needed, f"adds at most {_kelvin(self.reflection_mk)} to a diffuse surface at 300 K"),
+            ("spectral nodes", str(self.nodes), f"error up to {self.spectrum.nodes_mk:.3g} mK on the scene's envelope"),
             ("bake rays per face", str(self.rays if self.bake else 0), "sky visibility and inter-reflection"),
             ("rays per pixel", str(self.samples), "band radiance averaged, never temperature"),
             ("texture taps per ray", str(self.taps), "on the plane of the face that is hit"),
@@ -103,20 +105,22 @@ class Plan:
     def _specular_row(self):
         if self.specular_mk is None:
             return ("specular rays", "out", "every material is Lambertian")
-        why = f"from directional materials, which they change by at most {_kelvin(self.specular_mk)}"
+        why = f"from directional materials, which they change by an estimated {_kelvin(self.specular_mk)}"
         if self.specular is None:
             return ("specular rays", "out", why)
-        return ("specular rays", "in", f"{why}; worst error {self.specular.error_mk:.3g} mK")
+        return ("specular rays", "in", f"{why}; error up to {self.specular.error_mk:.3g} mK on the envelope")
 
     def _air_rows(self):
         """Rows of what the atmosphere brings."""
         if self.air_mk is None:
             return [("air", "out", "this scene declares none")]
         spectrum = self.spectrum
-        why = f"a kilometre changes 300 K by {_kelvin(self.air_mk)}; worst error of the channels "
+        why = f"a kilometre changes 300 K by {_kelvin(self.air_mk)}; error of the channels up to "
         sun = "this scene declares none"
         if self.sun_mk is not None:
-            sun = f"changes a diffuse surface by at most {_kelvin(self.sun_mk)}" if self.sun_mk else "below the horizon"
+            sun = "below the horizon"
+            if self.sun_mk:
+                sun = f"adds at most {_kelvin(self.sun_mk)} to a diffuse surface at 300 K"
         return [
             ("air", f"{spectrum.channels} channels", f"{why}{spectrum.channels_mk:.3g} mK"),
             ("sun", "in" if self.sun else "out", sun),
@@ -157,8 +161,8 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
     rays : int
         Rays per face for the bake.
     tolerance_mk : float
-        Worst error allowed to the spectral nodes [mK]; reflection that changes no pixel by more than a tenth of
-        it is left out.
+        Largest error on the scene's envelope allowed to the spectral nodes [mK]; reflection that adds less than a tenth
+        of it to any pixel, at 300 K, is left out.
 
     Raises
     ------
@@ -212,26 +216,26 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
         edge_mk=float(edge_mk),
         coldest=coldest,
         warmest=warmest,
-        dynamic=len(scene.movers),
+        dynamic=len(scene.tracked_objects),
         air_mk=air_mk,
         sun_mk=sun_mk,
         sun=sun_mk is not None and sun_mk > 0.1 * tolerance_mk,
-        specular_mk=specular.bound_mk if specular else None,
-        specular=specular if specular and specular.bound_mk > 0.1 * tolerance_mk else None,
+        specular_mk=specular.effect_mk if specular else None,
+        specular=specular if specular and specular.effect_mk > 0.1 * tolerance_mk else None,
     )
 
 
 def _envelope(scene):
     """The Envelope of a scene."""
-    terrain, still = scene.surfaces[: scene.terrain_count], scene.surfaces[scene.terrain_count :]
+    terrain, static = scene.surfaces[: scene.terrain_count], scene.surfaces[scene.terrain_count :]
     ground = [float(limit(surface.temperature)) for surface in terrain for limit in (np.min, np.max)]
     own = {}
-    for surface in still:
+    for surface in static:
         for material in np.unique(surface.material):
             own.setdefault(int(material), []).extend(surface.temperature[surface.material == material].ravel())
-    for mover in scene.movers:
-        for surface in mover.surfaces:
-            own.setdefault(int(surface.material.flat[0]), []).extend(mover.temperatures())
+    for tracked in scene.tracked_objects:
+        for surface in tracked.surfaces:
+            own.setdefault(int(surface.material.flat[0]), []).extend(tracked.temperatures())
     extremes = {material: {float(min(values)), float(max(values))} for material, values in own.items()}
     objects = [(material, temperature) for material, both in extremes.items() for temperature in sorted(both)]
     height = [limit(surface.vertices[:, 2]) for surface in scene.surfaces for limit in (np.min, np.max)]

@@ -1,4 +1,4 @@
-"""The oracle: stock Mitsuba path tracing of the same scene, to say how wrong the renderer is.
+"""The reference engine: stock Mitsuba path tracing of the same scene, to say how wrong the renderer is.
 
 A spectral variant, a `specfilm` with the camera's band as its response, a stock path integrator, stock diffuse
 surfaces and area emitters. The only part of our own is a small texture: Planck radiance of a temperature map

@@ -140,7 +140,7 @@ class Renderer:
         """
         pose, mi = checked_pose(pose), self._geometry.mi
         if self._coloured is None:
-            shapes = [self._geometry, *(Geometry(mi, mover.surfaces) for mover in self.scene.movers)]
+            shapes = [self._geometry, *(Geometry(mi, tracked.surfaces) for tracked in self.scene.tracked_objects)]
             self._coloured = [(shape, _colours(shape)) for shape in shapes]
         poses = [np.eye(4), *(placement.pose for placement in placements(self.scene, time_s, objects))]
         layers = [

@@ -22,13 +22,15 @@ STAGES = (16, 64)
 _SURE_EDGE = 0.01
 # How surely a pixel shows an edge that only a neighbour, or its corner, tells of.
 _BESIDE = 0.5
-# Error of the mean of n evenly spread rays over an edge: this share of the step, over n. On heath 0.06, 0.016 and 0.004
-# are left at 4, 16 and 64 rays, round its hottest objects 0.13, 0.045 and 0.0135, and among a village's parked cars a
-# fifth more: the bound, times n^−0.8.
-_EDGE_ERROR, _EDGE_BOUND = 0.25, 0.37
-# Error of the mean of n taps of the texture: this share of the contrast with the neighbours, times n^−0.8. Above what
-# heath and ridge show away from edges: 0.015–0.035, 0.011–0.019, 0.005–0.010 and 0.002–0.004 at 1, 2, 4 and 16 taps.
-_TEXTURE_ERROR = 0.04
+# Two empirical errors of the mean of n evenly spread rays over an edge, as shares of the step; neither is a bound. The
+# first, over n, decides which pixels get more rays: on heath 0.06, 0.016 and 0.004 are left at 4, 16 and 64 rays. The
+# second, times n^−0.8, is for the budget: round heath's hottest objects 0.13, 0.045 and 0.0135 are left, and among a
+# village's parked cars a fifth more.
+_TYPICAL_EDGE, _SHARP_EDGE = 0.25, 0.37
+# Empirical error of the mean of n taps of the texture: this share of the contrast with the neighbours, times n^−0.8.
+# Above what heath and ridge show away from edges: 0.015–0.035, 0.011–0.019, 0.005–0.010 and 0.002–0.004 at 1, 2, 4 and
+# 16 taps.
+_TEXTURE = 0.04
 # Of a step suspected from the neighbours, the share that may be there although no ray of the pixel met it.
 UNSEEN = 0.25
 
@@ -158,19 +160,28 @@ def contrast(radiance):
     return cv2.dilate(radiance, near) - cv2.erode(radiance, near)
 
 
-def edge_error(step, count):
-    """Return the usual error of the mean of `count` rays over a pixel in which radiance differs by `step`."""
-    return _EDGE_ERROR * step / count
+def typical_edge_estimate(step, count):
+    """Return the usual error of the mean of `count` rays over a pixel in which radiance differs by `step`.
+
+    Fitted on heath.
+    """
+    return _TYPICAL_EDGE * step / count
 
 
-def edge_bound(step, count):
-    """Return the error of the mean of `count` rays over a pixel whose step is one sharp edge."""
-    return _EDGE_BOUND * count**-0.8 * step
+def edge_estimate(step, count):
+    """Return the error of the mean of `count` rays over a pixel whose step is one sharp edge.
+
+    Fitted on the hottest objects of heath and the parked cars of village: an estimate, which other scenes may exceed.
+    """
+    return _SHARP_EDGE * count**-0.8 * step
 
 
-def texture_error(span, count):
-    """Return the error of the mean of `count` taps in a pixel that differs by `span` from its neighbours."""
-    return _TEXTURE_ERROR * count**-0.8 * span
+def texture_estimate(span, count):
+    """Return the error of the mean of `count` taps in a pixel that differs by `span` from its neighbours.
+
+    Fitted on heath and ridge: an estimate, which other textures may exceed.
+    """
+    return _TEXTURE * count**-0.8 * span
 
 
 def _second_difference(image):

@@ -8,7 +8,8 @@ keeps: without air its band radiance; with air a few sums over the spectrum, of 
 a weighted sum. They are the principal components of what all paths make of all spectra of the scene.
 
 Emission is integrated over all points and needs no nodes. Reflection couples the reflectance of one surface with the
-spectrum of its surroundings; its nodes are as few as keep the error on the scene's own envelope below the tolerance.
+spectrum of its surroundings; its nodes are as few as keep the error below the tolerance for every light of the scene's
+envelope. That is a list of spectra, so these errors are the largest found on it, not bounds on all light of a scene.
 """
 
 from dataclasses import dataclass, replace
@@ -29,7 +30,7 @@ from thermorender.physics.planck import (
 MOST_NODES = 64
 MOST_CHANNELS = 8
 REFERENCE_K = 300.0
-# How strongly the fit of reflected light is held near the mean, and paths that it is judged behind.
+# How strongly the fit of reflected light is drawn to the mean, and number of paths that it is judged behind.
 _RIDGE = 1e-4
 _JUDGED_PATHS = 12
 # How much the light's colour (ln of warm over cold Planck spectra) counts beside reflectance; found on the shipped
@@ -113,9 +114,9 @@ class Spectrum:
     solver : (n, K) float64
         Transmittance of a path in the air's nodes to the weights of the channels behind it.
     nodes_mk : float
-        Worst error of the nodes in reflected light [mK].
+        Largest error of the nodes in reflected light, over the envelope's light and some of its paths [mK].
     channels_mk : float
-        Worst error of the channels in what any surface shows behind any path [mK]; 0 without air.
+        Largest error of the channels in what surfaces show, over the envelope's light and paths [mK]; 0 without air.
     """
 
     points: Points
@@ -262,7 +263,7 @@ def make_spectrum(materials, envelope, tolerance_mk, reflects):
     materials : sequence of Material
     envelope : Envelope
     tolerance_mk : float
-        Worst error allowed to nodes and channels [mK].
+        Largest error on the envelope allowed to nodes and channels [mK].
     reflects : bool
         Whether reflection is solved; without, one node stands for all.
 
@@ -274,7 +275,7 @@ def make_spectrum(materials, envelope, tolerance_mk, reflects):
     Notes
     -----
     What a material reflects of a node's light is not its mean reflectance there but the least-squares fit, over the
-    envelope's light, of what it reflects at the points, held near the mean. That corrects most of what spectra vary
+    envelope's light, of what it reflects at the points, drawn to the mean. That corrects most of what spectra vary
     within a node, so that a third of the nodes do.
     """
     points = Points.of(envelope.band_um, envelope.air)
@@ -362,7 +363,7 @@ class _Case:
 
 
 def _channels(case, tolerance_mk):
-    """(basis (K, n), solver (n, K), worst error [mK]) that stand for transmittances (P, n)."""
+    """(basis (K, n), solver (n, K), largest error [mK]) that stand for transmittances (P, n)."""
     if case.envelope.air is None:
         return np.ones((1, 1)), np.ones((1, 1)), 0.0
     # What surfaces show: each at the extremes of the ground, or at its own temperature, reflecting any light.

@@ -12,7 +12,7 @@ import numpy as np
 
 from thermorender.render import mirrors
 from thermorender.render.geometry import Hit, view_ray
-from thermorender.render.sampling import STAGES, UNSEEN, edge_error, edge_step, offsets
+from thermorender.render.sampling import STAGES, UNSEEN, edge_step, offsets, typical_edge_estimate
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ class Tracer:
         """
         rays = self._rays
         image, refined = image.reshape(len(image), -1), []
-        pixels = np.flatnonzero(edge_error(step, self._samples) > edge_limit)
+        pixels = np.flatnonzero(typical_edge_estimate(step, self._samples) > edge_limit)
         unseen = UNSEEN * step.ravel()[pixels]
         total, low, high, first = 0.0, np.inf, -np.inf, 0
         for last in STAGES:
@@ -123,7 +123,7 @@ class Tracer:
             image[:, pixels] = total / last
             left = np.maximum(high - low, unseen)
             refined.append((pixels, left, last))
-            on = edge_error(left, last) > edge_limit
+            on = typical_edge_estimate(left, last) > edge_limit
             pixels, total, low, high, unseen, first = pixels[on], total[:, on], low[on], high[on], unseen[on], last
         return refined
 

@@ -13,7 +13,7 @@ from thermorender.physics.planck import band_radiance, spectral_radiance
 from thermorender.render.geometry import view_ray
 from thermorender.render.mirrors import directional
 from thermorender.render.spectrum import REFERENCE_K
-from thermorender.scene.surface import BEYOND
+from thermorender.scene.surface import BACKGROUND
 
 NO_MATERIAL = 255
 
@@ -63,7 +63,7 @@ def truth(baked, rays, pose, placements):
         images.append(flat.reshape(camera.height, camera.width))
     valid, number, up, cosine, depth, *position = images
     valid, up = valid > 0, up > 0
-    dynamic = [surface for mover in scene.movers for surface in mover.surfaces]
+    dynamic = [surface for tracked in scene.tracked_objects for surface in tracked.surfaces]
     flags, material = (
         np.concatenate([getattr(surface, which).ravel() for surface in (*scene.surfaces, *dynamic)])[number]
         for which in ("flags", "material")
@@ -87,7 +87,7 @@ def truth(baked, rays, pose, placements):
         "material": np.where(valid, material, NO_MATERIAL).astype(np.uint8),
         "depth": np.where(valid, depth, np.inf).astype(np.float32),
         "position": np.where(valid[..., None], np.stack(position, axis=-1), np.nan).astype(np.float32),
-        "mask": np.where(valid, flags, np.where(up, 0, BEYOND)).astype(np.uint8),
+        "mask": np.where(valid, flags, np.where(up, 0, BACKGROUND)).astype(np.uint8),
     }
 
 
@@ -104,10 +104,10 @@ def targets(baked, camera, pose, placements):
         Of the dynamic objects.
     """
     middles = dict(baked.scene.targets)
-    for mover, placement in zip(baked.scene.movers, placements, strict=True):
-        corner = np.concatenate([surface.vertices for surface in mover.surfaces])
+    for tracked, placement in zip(baked.scene.tracked_objects, placements, strict=True):
+        corner = np.concatenate([surface.vertices for surface in tracked.surfaces])
         middle = 0.5 * (corner.min(axis=0) + corner.max(axis=0))
-        middles[mover.name] = placement.pose[:3, :3] @ middle + placement.pose[:3, 3]
+        middles[tracked.name] = placement.pose[:3, :3] @ middle + placement.pose[:3, 3]
     if not middles:
         return {}
     centre = np.array(list(middles.values()))

@@ -23,9 +23,9 @@ def pose_from_map(frame, crs, pose):
 
     pose = np.asarray(pose, dtype=np.float64)
     # The map's own axes at the camera, by steps of a metre.
-    spots = pose[:3, 3] + np.vstack([np.zeros(3), np.eye(3)])
-    longitude, latitude = transform(crs, CRS.from_epsg(4326), spots[:, 0], spots[:, 1])
-    local = frame.enu_from_geodetic(np.array(latitude), np.array(longitude), spots[:, 2])
+    points = pose[:3, 3] + np.vstack([np.zeros(3), np.eye(3)])
+    longitude, latitude = transform(crs, CRS.from_epsg(4326), points[:, 0], points[:, 1])
+    local = frame.enu_from_geodetic(np.array(latitude), np.array(longitude), points[:, 2])
     u, _, v = np.linalg.svd((local[1:] - local[0]).T)
     result = np.eye(4)
     result[:3, :3] = u @ v @ pose[:3, :3]

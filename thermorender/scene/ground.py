@@ -37,10 +37,10 @@ class Ground:
         """Return local heights [m] in the shape of the arguments, NaN off the terrain."""
         east, north = np.broadcast_arrays(np.asarray(east, np.float64), np.asarray(north, np.float64))
         point = np.stack([east.ravel(), north.ravel()], axis=-1)
-        place = np.floor((point - self._origin) / self._bin)
-        inside = ((place >= 0.0) & (place < self._count)).all(axis=-1)
-        # Places far outside fit no integer.
-        column, row = np.where(inside[:, None], place, 0.0).astype(np.int64).T
+        index = np.floor((point - self._origin) / self._bin)
+        inside = ((index >= 0.0) & (index < self._count)).all(axis=-1)
+        # Far outside it fits no integer.
+        column, row = np.where(inside[:, None], index, 0.0).astype(np.int64).T
         bins = row * self._count[0] + column
         count = np.where(inside, self._start[bins + 1] - self._start[bins], 0)
         which = np.repeat(np.arange(len(point)), count)

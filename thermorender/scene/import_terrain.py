@@ -96,11 +96,11 @@ def import_terrain(elevation, orthophoto, folder, max_vertices=DEFAULT_VERTICES,
         rgb, texels = _cut(rgb, colour_grid, bounds)
         valid, _ = _cut(valid, colour_grid, bounds)
     else:
-        how = "average" if _step(crs, texels) > 1.5 * texel else "bilinear"
+        resampling = "average" if _step(crs, texels) > 1.5 * texel else "bilinear"
         # Empty texels must not bleed into their neighbours: filter what is valid, and how much of it there is.
-        weight = onto(valid.astype(np.float32), colour_grid, texels, how)
+        weight = onto(valid.astype(np.float32), colour_grid, texels, resampling)
         weight = np.nan_to_num(weight)
-        filtered = onto(rgb * valid[..., None].astype(np.float32), colour_grid, texels, how)
+        filtered = onto(rgb * valid[..., None].astype(np.float32), colour_grid, texels, resampling)
         valid = weight > 0.5
         rgb = np.where(valid[..., None], filtered / np.maximum(weight, 1e-6)[..., None], 0.0)
         rgb = np.clip(np.rint(np.nan_to_num(rgb)), 0, 255).astype(np.uint8)

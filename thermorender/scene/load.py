@@ -30,7 +30,7 @@ from thermorender.scene.surface import (
     nearest_valid,
 )
 from thermorender.scene.temperature import Texels, resolve
-from thermorender.scene.tracks import Mover, read_track
+from thermorender.scene.tracks import TrackedObject, read_track
 from thermorender.sensor.camera import Camera, load_camera
 
 
@@ -45,7 +45,7 @@ class Scene:
     frame : LocalFrame or None
         Where the local East-North-Up frame lies on Earth; None for a mesh without [frame].
     surfaces : tuple of Surface
-        The terrain's first, then one or more per object that stands still.
+        The terrain's first, then one or more per static object.
     terrain_count : int
         How many of them are terrain.
     materials : tuple of Material
@@ -55,7 +55,7 @@ class Scene:
         Map grid of the terrain's texels.
     air : Atmosphere or None
         What the scene declares, in the camera's band.
-    movers : tuple of Mover
+    tracked_objects : tuple of TrackedObject
         Objects with a track.
     report : dict
         What the temperature source has to tell, per learned map.
@@ -71,7 +71,7 @@ class Scene:
     camera: Camera
     grid: object
     air: object = None
-    movers: tuple = ()
+    tracked_objects: tuple = ()
     report: dict = field(default_factory=dict)
     emissivity_report: dict = field(default_factory=dict)
 
@@ -95,7 +95,7 @@ class Scene:
 
     @property
     def surroundings_temperature(self):
-        """Temperature of the black surroundings beyond the terrain's edge [K]: as stated, else its texels' mean."""
+        """Temperature of the black background beyond the terrain's edge [K]: as stated, else its texels' mean."""
         if self.spec.surroundings_temperature is not None:
             return self.spec.surroundings_temperature
         terrain = [surface.temperature.ravel() for surface in self.surfaces[: self.terrain_count]]
@@ -127,7 +127,7 @@ class Scene:
 
     @cached_property
     def targets(self):
-        """{name: (3,) local position of its middle [m]} of the objects that stand still."""
+        """{name: (3,) local position of its middle [m]} of the static objects."""
         found = {}
         for item in (item for item in self.spec.objects if item.track is None):
             corners = np.concatenate(
@@ -179,11 +179,11 @@ class Scene:
             state.update(material.name.encode() + material.wavelength_um.tobytes() + material.emissivity.tobytes())
             if material.emissivity_by_angle is not None:
                 state.update(material.cosines.tobytes() + material.emissivity_by_angle.tobytes())
-        for mover in self.movers:
-            state.update(repr((mover.item, mover.lift_m)).encode() + mover.time_s.tobytes())
-            for name, values in mover.columns.items():
+        for tracked in self.tracked_objects:
+            state.update(repr((tracked.item, tracked.lift_m)).encode() + tracked.time_s.tobytes())
+            for name, values in tracked.columns.items():
                 state.update(name.encode() + values.tobytes())
-            for surface in mover.surfaces:
+            for surface in tracked.surfaces:
                 state.update(surface.vertices.tobytes() + surface.faces.tobytes() + surface.colour.tobytes())
         spec = self.spec
         state.update(repr((self.camera, spec.sky_temperature, spec.surroundings_temperature)).encode())
@@ -276,14 +276,16 @@ def load_scene(name):
         spec, frame, tuple(surfaces), len(surfaces), (), camera, grid,
         air=declared_air(spec.atmosphere, camera.band_um, where), emissivity_report=emissivity_report,
     )  # fmt: skip
-    things = [_object(item, materials, spec.folder) for item in spec.objects]
-    still = [surface for thing in things if not thing.item.track for surface in _placed(thing, thing.at(0.0), scene)]
-    movers = [thing for thing in things if thing.item.track]
-    passing = [surface for thing in movers for values in thing.stations() for surface in _placed(thing, values, scene)]
-    terrain_surfaces, done = refined(scene.surfaces, still + passing)
-    still = done[: len(still)]
-    movers = tuple(replace(thing, surfaces=tuple(refined((), thing.surfaces)[1])) for thing in movers)
-    scene = replace(scene, surfaces=(*terrain_surfaces, *still), movers=movers, materials=tuple(materials.used))
+    objects = [_object(item, materials, spec.folder) for item in spec.objects]
+    static = [surface for one in objects if not one.item.track for surface in _in_scene(one, one.at(0.0), scene)]
+    tracked = [one for one in objects if one.item.track]
+    along = [surface for one in tracked for values in one.stations() for surface in _in_scene(one, values, scene)]
+    terrain_surfaces, done = refined(scene.surfaces, static + along)
+    static = done[: len(static)]
+    tracked = tuple(replace(one, surfaces=tuple(refined((), one.surfaces)[1])) for one in tracked)
+    scene = replace(
+        scene, surfaces=(*terrain_surfaces, *static), tracked_objects=tracked, materials=tuple(materials.used)
+    )
     return scene.with_temperature(spec.temperature)
 
 
@@ -331,7 +333,7 @@ def _raster_terrain(spec, materials, report):
     if away > FARTHEST_M:
         raise ThermorenderError(
             f"{materials.where}: frame lies {away / 1e3:.0f} km from {grid.name}; "
-            "give a place on it, or leave [frame] out"
+            "give a position on it, or leave [frame] out"
         )
     shape = (texels.height, texels.width)
     valid = np.ones(shape, dtype=bool)
@@ -463,7 +465,7 @@ def _part_surface(part, material, temperature):
 
 
 def _object(item, materials, folder):
-    """The Mover of one object: its surfaces in its own frame, and its track if it has one."""
+    """The TrackedObject of one object: its surfaces in its own frame, and its track; one row where it has none."""
     if item.file:
         parts = mesh.load(item.file, folder)
     else:
@@ -477,15 +479,15 @@ def _object(item, materials, folder):
         _part_surface(replace(part, name=f"{item.name}:{part.name}"), material, item.temperature) for part in parts
     )
     time_s, columns = read_track(item.track) if item.track else (np.zeros(1), {})
-    return Mover(item, tuple(surfaces), lift, time_s, columns)
+    return TrackedObject(item, tuple(surfaces), lift, time_s, columns)
 
 
-def _placed(thing, values, scene):
-    """Surfaces of an object in the scene's frame, for values as by `Mover.at`."""
+def _in_scene(tracked, values, scene):
+    """Surfaces of an object in the scene's frame, for values as by `TrackedObject.at`."""
     try:
-        matrix = thing.world_from_own(values, scene.ground)
+        matrix = tracked.world_from_own(values, scene.ground)
     except ThermorenderError as error:
         raise ThermorenderError(f"{scene.where}: {error}") from None
     return [
-        replace(surface, vertices=surface.vertices @ matrix[:3, :3].T + matrix[:3, 3]) for surface in thing.surfaces
+        replace(surface, vertices=surface.vertices @ matrix[:3, :3].T + matrix[:3, 3]) for surface in tracked.surfaces
     ]

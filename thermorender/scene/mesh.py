@@ -88,15 +88,15 @@ class _Named:
 
     def get(self, name):
         """Return the bytes of a file."""
-        place = self.path.parent / name.strip()
+        path = self.path.parent / name.strip()
         try:
             # glTF writes a space as %20.
-            place = place if place.is_file() else self.path.parent / unquote(name.strip())
-            if not inside(place, self.folder):
+            path = path if path.is_file() else self.path.parent / unquote(name.strip())
+            if not inside(path, self.folder):
                 raise OSError("leads out of the scene's folder; put the file into it")
-            if not place.is_file():
+            if not path.is_file():
                 raise OSError("does not exist; put it beside the mesh")
-            self.found.append((name, place.read_bytes()))
+            self.found.append((name, path.read_bytes()))
         except (OSError, ValueError) as error:
             self.refusal = self.refusal or ThermorenderError(f"{self.path} names {name!r}, which {error}")
             raise

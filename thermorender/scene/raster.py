@@ -99,7 +99,7 @@ def grid_of(path):
     Raises
     ------
     ThermorenderError
-        A missing or unreadable file, or one without a coordinate reference system or place on its map.
+        A missing or unreadable file, or one without a coordinate reference system or position on its map.
     """
     with opened(path) as dataset:
         if dataset.crs is None:
@@ -109,7 +109,7 @@ def grid_of(path):
             )
         if dataset.transform.is_identity or dataset.transform.is_degenerate:
             raise ThermorenderError(
-                f"{path} has no geotransform, so its place on the map is unknown; assign one, "
+                f"{path} has no geotransform, so its position on the map is unknown; assign one, "
                 "for example with `rio edit-info --transform`"
             )
         return Grid(dataset.crs, dataset.transform, dataset.height, dataset.width, str(path))
@@ -121,7 +121,7 @@ def bounds_in(crs, grid):
     Raises
     ------
     ThermorenderError
-        The grid's coordinates have no place on that map.
+        The grid's coordinates have no position on that map.
     """
     from rasterio.warp import transform_bounds
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-# Longest edge of a triangle on and around an object, and reach around it, as shares of the object's extent.
+# Longest edge of a triangle on and around an object, and margin around it, as shares of the object's extent.
 _EDGE_SHARE = 1.0 / 16.0
-_REACH_SHARE = 0.25
+_MARGIN_SHARE = 0.25
 
 
 def refined(terrain, objects):
@@ -25,10 +25,10 @@ def refined(terrain, objects):
     for item in objects:
         low, high = item.vertices.min(axis=0), item.vertices.max(axis=0)
         extent = float((high - low).max())
-        reach, edge = _REACH_SHARE * extent, _EDGE_SHARE * extent
+        margin, edge = _MARGIN_SHARE * extent, _EDGE_SHARE * extent
         for surface, limit in zip(terrain, wanted, strict=True):
             corner = surface.vertices[surface.faces]
-            near = ((corner.min(axis=1) <= high + reach) & (corner.max(axis=1) >= low - reach)).all(axis=1)
+            near = ((corner.min(axis=1) <= high + margin) & (corner.max(axis=1) >= low - margin)).all(axis=1)
             limit[near] = np.minimum(limit[near], edge)
         done.append(_split(item, np.full(len(item.faces), edge)))
     return [_split(surface, limit) for surface, limit in zip(terrain, wanted, strict=True)], done
@@ -64,5 +64,5 @@ def _lattice(n):
             triangles.append([(i, j), (i + 1, j), (i, j + 1)])
             if i + j < n - 1:
                 triangles.append([(i + 1, j), (i + 1, j + 1), (i, j + 1)])
-    place = np.array(triangles, dtype=np.float64) / n
-    return np.concatenate([1.0 - place.sum(axis=-1, keepdims=True), place], axis=-1)
+    weights = np.array(triangles, dtype=np.float64) / n
+    return np.concatenate([1.0 - weights.sum(axis=-1, keepdims=True), weights], axis=-1)

@@ -12,7 +12,7 @@ SURFACE = 1  # something of the scene is there
 FILLED = 2  # no colour or material is known here; the nearest valid texel stands in
 FALLBACK = 4  # no temperature could be had here: the nearest one, or the material's own where a learned map fails
 SATURATED = 8  # the sensor's range is exceeded
-BEYOND = 16  # no surface is hit but the ray points below the horizon: the surroundings beyond the terrain
+BACKGROUND = 16  # no surface is hit but the ray points below the horizon: the black background beyond the terrain
 UNKNOWN = 32  # a learned emissivity map does not know this material: the scene's fallback stands in
 
 # Pixels of a raster or a texture, 23 170²: what reading needs of them at once, up to 30 bytes each, fits into 16 GB.

@@ -21,7 +21,7 @@ class Texels:
     material : (h, w) uint8
     materials : tuple of Material
     grid : Grid or None
-        The texels' place on the map, for rasters; None for meshes.
+        The texels' pixel grid on the map, for rasters; None for meshes.
     texel_m : float
     where : str
         Name of the scene file, for messages.

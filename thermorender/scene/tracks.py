@@ -1,4 +1,4 @@
-"""What moves or changes its temperature: objects whose place, heading and temperature are given over time."""
+"""Dynamic objects: those whose position, heading and temperature are given over time."""
 
 import csv
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ COLUMNS = ("east_m", "north_m", "above_ground_m", "yaw_deg", "temperature_k")
 
 
 @dataclass(frozen=True, eq=False)
-class Mover:
+class TrackedObject:
     """An object with a track.
 
     Attributes
@@ -22,7 +22,7 @@ class Mover:
     surfaces : tuple of Surface
         In the object's own frame: x right, y ahead, z up, the middle of its base at the origin.
     lift_m : float
-        How far above its base's stated height it is put.
+        Added to its base's stated height, so that a disc does not lie in the ground [m].
     time_s : (n,) float64
         Rising [s].
     columns : dict
@@ -74,15 +74,15 @@ class Mover:
     def stations(self, most=100):
         """Return values as by `at` along the track, an object's length apart; none where they are more than `most`."""
         corner = np.concatenate([surface.vertices for surface in self.surfaces])
-        length = float((corner.max(axis=0) - corner.min(axis=0)).max())
-        place = np.column_stack([self.columns.get(name, np.zeros(len(self.time_s))) for name in COLUMNS[:3]])
-        way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(place, axis=0), axis=1))])
-        count = int(np.ceil(way[-1] / length)) + 1
+        extent = float((corner.max(axis=0) - corner.min(axis=0)).max())
+        position = np.column_stack([self.columns.get(name, np.zeros(len(self.time_s))) for name in COLUMNS[:3]])
+        distance = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(position, axis=0), axis=1))])
+        count = int(np.ceil(distance[-1] / extent)) + 1
         if count > most:
             return []
         # Where the object stands still, only the first time counts.
-        keep = np.concatenate([[True], np.diff(way) > 0.0])
-        return [self.at(t) for t in np.interp(np.linspace(0.0, way[-1], count), way[keep], self.time_s[keep])]
+        keep = np.concatenate([[True], np.diff(distance) > 0.0])
+        return [self.at(t) for t in np.interp(np.linspace(0.0, distance[-1], count), distance[keep], self.time_s[keep])]
 
     def world_from_own(self, values, ground):
         """Return (4, 4) from the object's own frame to the scene's, for values as by `at`.
@@ -151,7 +151,7 @@ def read_track(path):
         row = int(np.argmax(np.diff(time_s) <= 0.0)) + 3
         raise ThermorenderError(f"{path}, row {row}: time_s does not rise; sort the rows and leave each time once")
     if "yaw_deg" in columns:
-        # The short way round between two rows.
+        # The smaller of the two turns between two rows.
         columns["yaw_deg"] = np.unwrap(columns["yaw_deg"], period=360.0)
     for value in columns.get("temperature_k", ()):
         scene_kelvin(f"{path}: temperature_k", value)

@@ -1,4 +1,4 @@
-"""What people build in synthetic scenes: streets, houses, solar panels, greenhouses, things in gardens."""
+"""What people build in synthetic scenes: streets, houses, solar panels, greenhouses, objects in gardens."""
 
 import numpy as np
 
@@ -18,7 +18,7 @@ ROOFS = (
 )
 
 
-class Place:
+class Window:
     """A window of the canvas in a frame of its own: u to the right of a heading, v along it.
 
     Parameters
@@ -28,14 +28,14 @@ class Place:
         Origin [m].
     heading_deg : float
         Direction of v, clockwise from north [deg].
-    reach_m : float
+    half_m : float
         Half side of the window [m].
     """
 
-    def __init__(self, canvas, east, north, heading_deg, reach_m):
+    def __init__(self, canvas, east, north, heading_deg, half_m):
         self.canvas = canvas
         self.rows, self.columns = canvas.window(
-            east - reach_m, east + reach_m, north - reach_m, north + reach_m
+            east - half_m, east + half_m, north - half_m, north + half_m
         )
         self.origin, self.heading = (east, north), heading_deg
         x, y = canvas.east[:, self.columns] - np.float32(east), canvas.north[self.rows] - np.float32(north)
@@ -74,12 +74,12 @@ class Place:
             part *= 1.0 - cover
 
 
-def house(place, fine, generator, u, v, half_u, half_v, wall_m, roof, pitch_deg=40.0, hip=False, warm=294.5):
+def house(window, fine, generator, u, v, half_u, half_v, wall_m, roof, pitch_deg=40.0, hip=False, warm=294.5):
     """Build a house with its ridge along u; returns its cover in the window.
 
     Parameters
     ----------
-    place : Place
+    window : Window
     fine : (N, N) float32
         Canvas-wide fine noise for the roofing.
     generator : numpy.random.Generator
@@ -94,24 +94,24 @@ def house(place, fine, generator, u, v, half_u, half_v, wall_m, roof, pitch_deg=
     warm : float
         Temperature beneath the roof [K].
     """
-    c = place.canvas
+    c = window.canvas
     material, colour, pitched = roof
     overhang = 0.45 if pitched else 0.0
-    x, y = place.u - np.float32(u), place.v - np.float32(v)
+    x, y = window.u - np.float32(u), window.v - np.float32(v)
     du, dv = half_u + overhang - np.abs(x), half_v + overhang - np.abs(y)
     inside = np.minimum(du, dv)
     body = inside > 0.0
     if not body.any():
         return body
-    ground = place.view(c.ground)
-    place.level(smoothstep(-1.5, 0.0, inside))
+    ground = window.view(c.ground)
+    window.level(smoothstep(-1.5, 0.0, inside))
     slope = np.float32(np.tan(np.radians(pitch_deg))) if pitched else np.float32(0.01)
     rise = slope * (np.minimum(dv, du * 1.1) if hip and pitched else dv)
-    grain = place.view(fine)
+    grain = window.view(fine)
     if pitched:
         courses = np.cos(2 * np.pi * dv / 0.83) * 0.03 + np.cos(2 * np.pi * x / 0.61) * 0.02
         moss = smoothstep(0.6, 1.6, grain * 0.5 + generator.normal(0.2, 0.5)) * 0.18
-        weather = generator.normal(0.0, 0.10) + 0.06 * place.view(fine)[::-1, ::-1]
+        weather = generator.normal(0.0, 0.10) + 0.06 * window.view(fine)[::-1, ::-1]
         tone = linear(*colour) * np.exp(0.07 * grain + courses - moss + weather)[..., None]
     else:
         seams = 0.10 * (np.abs(np.mod(x, 2.4) - 1.2) > 1.1)
@@ -133,63 +133,63 @@ def house(place, fine, generator, u, v, half_u, half_v, wall_m, roof, pitch_deg=
         height[stack] = wall_m + slope * half_v + 0.9
         tone = np.where(stack[..., None], linear(150, 108, 92), tone)
     # Where two wings meet, the higher roof is seen.
-    top = place.view(c.top)
+    top = window.view(c.top)
     shown = body & (height > top)
     top[shown] = height[shown]
-    place.view(c.albedo)[shown] = tone[shown]
-    place.view(c.material)[shown] = c.value(material)
-    place.view(c.interior)[shown] = warm
-    place.view(c.wetness)[shown] = 0.0
+    window.view(c.albedo)[shown] = tone[shown]
+    window.view(c.material)[shown] = c.value(material)
+    window.view(c.interior)[shown] = warm
+    window.view(c.wetness)[shown] = 0.0
     ground[body] = np.median(ground[body])
     return body
 
 
-def panels(place, u, v, columns, rows, lean_v, size=(1.04, 1.72)):
+def panels(window, u, v, columns, rows, lean_v, size=(1.04, 1.72)):
     """Lay a field of solar panels, its centre at (u, v), lying on what is there.
 
     `lean_v` is the factor by which a row shortens seen from above (cosine of the roof's pitch).
     """
-    c = place.canvas
+    c = window.canvas
     pitch_u, pitch_v = size[0] + 0.02, (size[1] + 0.02) * lean_v
-    x = place.u - np.float32(u) + 0.5 * columns * pitch_u
-    y = place.v - np.float32(v) + 0.5 * rows * pitch_v
+    x = window.u - np.float32(u) + 0.5 * columns * pitch_u
+    y = window.v - np.float32(v) + 0.5 * rows * pitch_v
     field = (x > 0) & (x < columns * pitch_u) & (y > 0) & (y < rows * pitch_v)
     frame = (np.mod(x, pitch_u) < 0.11) | (np.mod(y, pitch_v) < 0.13)
-    place.view(c.albedo)[field] = linear(38, 46, 68)
-    place.view(c.albedo)[field & frame] = linear(96, 104, 122)
-    place.view(c.material)[field] = c.value("glass")
-    place.view(c.top)[field] += np.float32(0.12)
-    place.view(c.interior)[field] = np.nan
+    window.view(c.albedo)[field] = linear(38, 46, 68)
+    window.view(c.albedo)[field & frame] = linear(96, 104, 122)
+    window.view(c.material)[field] = c.value("glass")
+    window.view(c.top)[field] += np.float32(0.12)
+    window.view(c.interior)[field] = np.nan
 
 
-def greenhouse(place, fine, u, v, half_u, half_v, spans, warm=304.0):
+def greenhouse(window, fine, u, v, half_u, half_v, spans, warm=304.0):
     """Build a greenhouse of several glazed spans along v."""
-    c = place.canvas
-    inside = np.minimum(half_u - np.abs(place.u - u), half_v - np.abs(place.v - v))
+    c = window.canvas
+    inside = np.minimum(half_u - np.abs(window.u - u), half_v - np.abs(window.v - v))
     body = inside > 0.0
     if not body.any():
         return
-    place.level(smoothstep(-1.5, 0.0, inside))
+    window.level(smoothstep(-1.5, 0.0, inside))
     width = 2.0 * half_u / spans
-    across = np.mod(place.u - u + half_u, width) - 0.5 * width
+    across = np.mod(window.u - u + half_u, width) - 0.5 * width
     height = 2.6 + 0.55 * (0.5 * width - np.abs(across))
-    grain = place.view(fine)
-    inner = smoothstep(-0.6, 0.9, grain + np.cos(2 * np.pi * (place.u - u) / 1.6))
+    grain = window.view(fine)
+    inner = smoothstep(-0.6, 0.9, grain + np.cos(2 * np.pi * (window.u - u) / 1.6))
     tone = linear(150, 164, 150) + inner[..., None] * (linear(112, 136, 102) - linear(150, 164, 150))
     west = across < 0
     tone = tone * np.where(west, 1.12, 0.9)[..., None]
-    bar = (np.abs(np.mod(place.v - v, 2.0) - 1.0) > 0.9) | (np.abs(across) < 0.15) | (inside < 0.2)
+    bar = (np.abs(np.mod(window.v - v, 2.0) - 1.0) > 0.9) | (np.abs(across) < 0.15) | (inside < 0.2)
     bar |= np.abs(np.abs(across) - 0.5 * width) < 0.14
     tone = np.where(bar[..., None], linear(206, 210, 208), tone)
-    place.view(c.top)[body] = height[body]
-    place.view(c.albedo)[body] = tone[body]
-    place.view(c.material)[body] = c.value("glass")
-    place.view(c.interior)[body] = warm
+    window.view(c.top)[body] = height[body]
+    window.view(c.albedo)[body] = tone[body]
+    window.view(c.material)[body] = c.value("glass")
+    window.view(c.interior)[body] = warm
 
 
-def clutter(place, generator, width, low, high, free):
+def clutter(window, generator, width, low, high, free):
     """Strew a garden with what stands about: tables, woodpiles, trampolines, sandpits, covers."""
-    c = place.canvas
+    c = window.canvas
     colours = [
         (224, 222, 214),
         (70, 72, 76),
@@ -204,14 +204,14 @@ def clutter(place, generator, width, low, high, free):
         half = generator.uniform(0.35, 1.1, 2)
         tint = linear(*colours[generator.integers(len(colours))]) * np.exp(generator.normal(0.0, 0.15))
         if generator.uniform() < 0.2:
-            r = np.hypot(place.u - u, place.v - v)
+            r = np.hypot(window.u - u, window.v - v)
             mark, rim = smoothstep(1.65, 1.5, r) * free, smoothstep(1.25, 1.4, r)[..., None]
             tint = linear(52, 54, 58) + rim * (linear(88, 116, 148) - linear(52, 54, 58))
         else:
-            mark = place.box(u, v, *half, 0.1) * free
-        mark = mark * (place.view(c.top) < 0.6)
-        place.paint(mark, tint, "wood")
-        top = place.view(c.top)
+            mark = window.box(u, v, *half, 0.1) * free
+        mark = mark * (window.view(c.top) < 0.6)
+        window.paint(mark, tint, "wood")
+        top = window.view(c.top)
         np.maximum(top, (mark > 0.5) * np.float32(generator.uniform(0.3, 0.9)), out=top)
 
 

@@ -196,7 +196,7 @@ def ruts(c, points, gauge, width, strength, name):
     ----------
     c : Canvas
     points : (K, 2) array
-        Way of the vehicle, east and north [m].
+        Path of the vehicle, east and north [m].
     gauge, width : float
         Distance of the wheels and half width of a mark [m].
     strength : float

@@ -81,7 +81,7 @@ def scene_toml(scene):
         "sky": {"temperature": round(scene.sky_temperature, 1)},
         "camera": {"model": defaults.CAMERA},
         "truth": {"temperature": "temperature.tif"},
-        "object": [{key: _rounded(value) for key, value in thing.items()} for thing in scene.objects],
+        "object": [{key: _rounded(value) for key, value in item.items()} for item in scene.objects],
     }
     return toml_text(
         values,

@@ -72,7 +72,7 @@ class Weather:
     Parameters
     ----------
     latitude_deg, declination_deg : float
-        Of the place and of the sun [deg].
+        Of the site and of the sun [deg].
     solar_hour : float
         Time of the picture, apparent solar time [h], any.
     air_low, air_high : float

@@ -245,13 +245,13 @@ def _tracks(c, track, sand):
     for index in range(5):
         a = start[index % 2] + g.uniform(-2, 2, 2)
         heading = g.uniform(0.0, 2 * np.pi)
-        reach = g.uniform(9.0, 24.0)
-        way = [a]
+        length = g.uniform(9.0, 24.0)
+        points = [a]
         for _ in range(5):
             heading += g.normal(0.0, 0.75)
-            way.append(way[-1] + reach * 0.55 * np.array([np.cos(heading), np.sin(heading)]))
-        way.append(a + g.uniform(-3, 3, 2))
-        rut = ruts(c, spline(way), 1.65, 0.45, 0.95, f"marks {index}")
+            points.append(points[-1] + length * 0.55 * np.array([np.cos(heading), np.sin(heading)]))
+        points.append(a + g.uniform(-3, 3, 2))
+        rut = ruts(c, spline(points), 1.65, 0.45, 0.95, f"marks {index}")
         on_sand = rut * sand
         c.tint(1.0 - 0.36 * on_sand)
         c.relief -= 0.06 * on_sand
@@ -322,7 +322,7 @@ def _trees(c, pines, south, track, sand):
 
 
 def _clearing(c):
-    """Level, bare sand round the marker: nothing stands in its way."""
+    """Level, bare sand round the marker: nothing hides it."""
     r = np.hypot(c.east - MARKER[0], c.north - MARKER[1]) + 0.5 * c.fractal("clearing", 5.0, 4)
     bare = smoothstep(4.6, 3.0, r)
     c.ground += bare * (c.height_at(*MARKER) - c.ground)
@@ -343,13 +343,13 @@ def _objects(c, track):
         "material": "paint_black",
         "colour": [44, 42, 40],
     }
-    spot = track[np.argmin(np.abs(track[:, 1] + 0.03 * c.size))]
-    place = [round(float(spot[0]), 1), round(float(spot[1]), 1)]
+    nearest = track[np.argmin(np.abs(track[:, 1] + 0.03 * c.size))]
+    position = [round(float(nearest[0]), 1), round(float(nearest[1]), 1)]
     car = {
         "name": "car",
         "shape": "box",
         "size": [1.8, 4.4, 0.8],
-        "position": [*place, 0.25],
+        "position": [*position, 0.25],
         "yaw_deg": 12.0,
         "temperature": 302.0,
         "material": "paint_metallic",
@@ -359,7 +359,7 @@ def _objects(c, track):
         **car,
         "name": "car_cabin",
         "size": [1.6, 2.3, 0.6],
-        "position": [*place, 1.05],
+        "position": [*position, 1.05],
         "temperature": 304.5,
     }
     return [marker, car, cabin]
@@ -371,20 +371,20 @@ def _flight(c):
     time = np.arange(0.0, 11.01, 0.5)
     start = min(height, 0.5 * c.size - 5.0)
     # Constant speed that eases out over the marker.
-    way = (
+    distance = (
         start
         * (1.0 - smoothstep(0.0, 1.0, 0.15 + 0.85 * time / time[-1]))
         / (1.0 - smoothstep(0.0, 1.0, 0.15))
     )
-    pitch = -np.degrees(np.arctan2(height, way))
+    pitch = -np.degrees(np.arctan2(height, distance))
     sway = 1.2 * np.sin(2 * np.pi * time / 7.0)
-    east = MARKER[0] + sway * way / start
+    east = MARKER[0] + sway * distance / start
     altitude = c.height_at(*MARKER) + height + 0.4 * np.sin(2 * np.pi * time / 5.0)
-    yaw = np.degrees(np.arctan2(MARKER[0] - east, np.maximum(way, 1e-9))) * (way > 1.0)
+    yaw = np.degrees(np.arctan2(MARKER[0] - east, np.maximum(distance, 1e-9))) * (distance > 1.0)
     return {
         "time_s": time,
         "east_m": east,
-        "north_m": MARKER[1] - way,
+        "north_m": MARKER[1] - distance,
         "altitude_m": altitude,
         "yaw_deg": yaw,
         "gimbal_pitch_deg": pitch,

@@ -13,7 +13,7 @@ _SKY_SHARE = 1.0 - _SUN_SHARE
 
 
 def _shifted(field, east_texels, north_texels):
-    """Return the field read at a constant offset; edges hold."""
+    """Return the field read at a constant offset; edge values are repeated."""
     import cv2
 
     affine = np.array([[1.0, 0.0, east_texels], [0.0, 1.0, -north_texels]])
@@ -44,10 +44,10 @@ def sun_visibility(surface, texel_m, azimuth_deg, elevation_deg, penumbra_m=0.12
         return np.zeros_like(surface)
     azimuth, slope = np.radians(azimuth_deg), np.tan(np.radians(elevation_deg))
     east, north = np.sin(azimuth), np.cos(azimuth)
-    reach = float(surface.max() - surface.min()) / slope
+    length = float(surface.max() - surface.min()) / slope
     height = _shifted(surface, east, north) - np.float32(slope * texel_m)
     step = 1.0
-    while step * texel_m < reach and step < max(surface.shape):
+    while step * texel_m < length and step < max(surface.shape):
         np.maximum(
             height,
             _shifted(height, step * east, step * north) - np.float32(step * slope * texel_m),
@@ -82,13 +82,13 @@ def sky_view(surface, texel_m, azimuths=8, reach_m=40.0):
 def normals(surface, texel_m, steepest=2.0):
     """Return unit normals as (east, north, up), three (H, W) float32.
 
-    Slopes are held below `steepest` [m/m]: a step between two texels is an edge, not a facet.
+    Slopes are limited to `steepest` [m/m]: a step between two texels is an edge, not a facet.
     """
     rise_row, rise_column = np.gradient(surface, np.float32(texel_m))
     steep = np.sqrt(rise_row**2 + rise_column**2)
-    held = np.minimum(1.0, np.float32(steepest) / np.maximum(steep, 1e-6))
-    up = 1.0 / np.sqrt(1.0 + (held * steep) ** 2)
-    return -rise_column * held * up, rise_row * held * up, up
+    limit = np.minimum(1.0, np.float32(steepest) / np.maximum(steep, 1e-6))
+    up = 1.0 / np.sqrt(1.0 + (limit * steep) ** 2)
+    return -rise_column * limit * up, rise_row * limit * up, up
 
 
 def incidence(normal, azimuth_deg, elevation_deg):

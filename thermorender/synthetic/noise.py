@@ -109,7 +109,7 @@ def ridged_noise(generator, shape, texel_m, wavelength_m, octaves=5, gain=0.5):
 
 
 def warp(field, offset_x, offset_y):
-    """Return the (H, W) field read at positions moved by the (H, W) offsets [texels]; edges hold."""
+    """Return the (H, W) field read at positions moved by the (H, W) offsets [texels]; edge values are repeated."""
     import cv2
 
     height, width = field.shape[:2]

@@ -357,9 +357,9 @@ def _flight(c):
     speed = min(28.0, 0.5 * c.size / 11.0)
     heading = np.radians(74.0)
     start = np.array([-0.5 * speed * 11.0 - 0.05 * c.size, -0.14 * c.size])
-    way = speed * time
-    east = start[0] + way * np.sin(heading)
-    north = start[1] + way * np.cos(heading) + 6.0 * np.sin(2 * np.pi * time / 11.0)
+    distance = speed * time
+    east = start[0] + distance * np.sin(heading)
+    north = start[1] + distance * np.cos(heading) + 6.0 * np.sin(2 * np.pi * time / 11.0)
     ground = np.array([c.height_at(e, n) for e, n in zip(east, north, strict=True)])
     sink = 2.5 * time
     altitude = float(np.max(ground + 118.0 + sink)) - sink

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from thermorender.synthetic.buildings import ROOFS, Place, car, clutter, greenhouse, house, panels, street
+from thermorender.synthetic.buildings import ROOFS, Window, car, clutter, greenhouse, house, panels, street
 from thermorender.synthetic.canvas import crowns, plant, scatter, spline
 from thermorender.synthetic.heat import Weather
 from thermorender.synthetic.light import linear
@@ -121,58 +121,58 @@ def _plots(c, g, points, set_back, side, fine, soft, taken, plants, objects):
         p = points[index] + (points[index + 1] - points[index]) * (middle - length[index]) / leg[index]
         course = np.degrees(np.arctan2(*(points[index + 1] - points[index])))
         heading = course + 90.0 * side
-        place = Place(c, p[0], p[1], heading, 46.0)
-        if place.u.size == 0 or not c.inside(*place.position(0.0, set_back), -8.0):
+        window = Window(c, p[0], p[1], heading, 46.0)
+        if window.u.size == 0 or not c.inside(*window.position(0.0, set_back), -8.0):
             continue
         depth = g.uniform(32.0, 42.0)
-        room = (np.abs(place.u) < 0.5 * width - 1.0) & (place.v > set_back - 6.0) & (place.v < set_back + 9.0)
-        if not room.any() or place.view(taken)[room].any():
+        room = (np.abs(window.u) < 0.5 * width - 1.0) & (window.v > set_back - 6.0) & (window.v < set_back + 9.0)
+        if not room.any() or window.view(taken)[room].any():
             continue
-        plot = (np.abs(place.u) < 0.5 * width) & (place.v > 0.0) & (place.v < depth)
-        free = ~place.view(taken)
-        _garden(place, g, width, depth, set_back, fine, soft, free)
-        _house(place, g, width, set_back, fine, objects)
-        _planting(place, g, width, depth, set_back, plants, free)
-        place.view(taken)[plot] = True
+        plot = (np.abs(window.u) < 0.5 * width) & (window.v > 0.0) & (window.v < depth)
+        free = ~window.view(taken)
+        _garden(window, g, width, depth, set_back, fine, soft, free)
+        _house(window, g, width, set_back, fine, objects)
+        _planting(window, g, width, depth, set_back, plants, free)
+        window.view(taken)[plot] = True
 
 
-def _garden(place, g, width, depth, set_back, fine, soft, free):
+def _garden(window, g, width, depth, set_back, fine, soft, free):
     """Lawn, drive, terrace, beds and hedges of one plot."""
-    c = place.canvas
+    c = window.canvas
     near = 5.0
-    grain, blotch = place.view(fine), place.view(soft)
-    lawn = place.box(0.0, 0.5 * (depth + near), 0.5 * width - 0.4, 0.5 * (depth - near)) * free
+    grain, blotch = window.view(fine), window.view(soft)
+    lawn = window.box(0.0, 0.5 * (depth + near), 0.5 * width - 0.4, 0.5 * (depth - near)) * free
     tint = linear(*_LAWNS[g.integers(len(_LAWNS))])
-    stripes = 0.035 * np.sign(np.cos(2 * np.pi * place.u / g.uniform(2.0, 3.0))) * (g.uniform() < 0.3)
-    c_relief = place.view(c.relief)
+    stripes = 0.035 * np.sign(np.cos(2 * np.pi * window.u / g.uniform(2.0, 3.0))) * (g.uniform() < 0.3)
+    c_relief = window.view(c.relief)
     c_relief *= 1.0 - 0.6 * lawn
-    place.paint(lawn, tint * np.exp(0.09 * grain + 0.13 * blotch + stripes)[..., None], "grass_green")
+    window.paint(lawn, tint * np.exp(0.09 * grain + 0.13 * blotch + stripes)[..., None], "grass_green")
     dryness = g.uniform(0.3, 1.4)
-    place.paint(
+    window.paint(
         0.7 * lawn * smoothstep(dryness, dryness + 0.7, blotch),
         linear(162, 152, 108) * np.exp(0.1 * grain)[..., None],
         "grass_dry",
     )
     drive_u = (0.5 * width - 2.9) * (1 if g.uniform() < 0.5 else -1)
-    drive = place.box(drive_u, 0.5 * (set_back + 3.0), 1.7, 0.5 * (set_back + 1.5)) * (place.v > 3.0) * free
+    drive = window.box(drive_u, 0.5 * (set_back + 3.0), 1.7, 0.5 * (set_back + 1.5)) * (window.v > 3.0) * free
     slab = [(160, 154, 144), (142, 126, 114), (128, 124, 120)][g.integers(3)]
-    joint = 0.05 * ((np.mod(place.u, 0.8) < 0.2) ^ (np.mod(place.v, 0.8) < 0.2))
-    place.paint(drive, linear(*slab) * np.exp(0.08 * grain - joint + 0.06 * blotch)[..., None], "concrete")
-    terrace = place.box(g.uniform(-2, 2), set_back + 7.0, 3.2, 2.2) * free
-    place.paint(terrace, linear(178, 168, 150) * np.exp(0.07 * grain - joint)[..., None], "concrete")
-    path = place.box(drive_u * -0.2, 0.5 * set_back, 0.6, 0.5 * set_back - 2.0) * (place.v > 4.5) * free
-    place.paint(path, linear(172, 164, 150) * np.exp(0.08 * grain)[..., None], "concrete")
+    joint = 0.05 * ((np.mod(window.u, 0.8) < 0.2) ^ (np.mod(window.v, 0.8) < 0.2))
+    window.paint(drive, linear(*slab) * np.exp(0.08 * grain - joint + 0.06 * blotch)[..., None], "concrete")
+    terrace = window.box(g.uniform(-2, 2), set_back + 7.0, 3.2, 2.2) * free
+    window.paint(terrace, linear(178, 168, 150) * np.exp(0.07 * grain - joint)[..., None], "concrete")
+    path = window.box(drive_u * -0.2, 0.5 * set_back, 0.6, 0.5 * set_back - 2.0) * (window.v > 4.5) * free
+    window.paint(path, linear(172, 164, 150) * np.exp(0.08 * grain)[..., None], "concrete")
     if g.uniform() < 0.55:
         u, v = g.uniform(-0.2, 0.2) * width, depth - 6.0
         half = (g.uniform(2.5, 4.5), g.uniform(1.8, 3.0))
-        bed = place.box(u, v, *half, soft=0.25) * free
-        rows = np.cos(2 * np.pi * place.u / 1.1)
+        bed = window.box(u, v, *half, soft=0.25) * free
+        rows = np.cos(2 * np.pi * window.u / 1.1)
         leaf = smoothstep(0.0, 0.8, rows + 0.5 * grain)[..., None]
-        place.paint(bed, linear(116, 94, 72) * (1 - leaf) + leaf * linear(96, 118, 60), "soil_dark")
-        place.view(c.wetness)[...] += 0.2 * bed
-        part = place.view(c.top)
+        window.paint(bed, linear(116, 94, 72) * (1 - leaf) + leaf * linear(96, 118, 60), "soil_dark")
+        window.view(c.wetness)[...] += 0.2 * bed
+        part = window.view(c.top)
         part += 0.25 * bed * leaf[..., 0]
-    clutter(place, g, width, set_back + 7.0, depth, free)
+    clutter(window, g, width, set_back + 7.0, depth, free)
     bump = 0.55 * grain + 0.6 * blotch
     for u, v, half_u, half_v, kind in (
         (-0.5 * width, 0.5 * (depth + near), 0.55, 0.5 * (depth - near), 0.45),
@@ -181,41 +181,41 @@ def _garden(place, g, width, depth, set_back, fine, soft, free):
     ):
         if g.uniform() > kind:
             fence = (
-                place.box(u, v, min(half_u, 0.5 * width), half_v, 0.05)
-                * ((np.abs(place.u - u) < 0.12) if half_u < 1 else (np.abs(place.v - v) < 0.12))
+                window.box(u, v, min(half_u, 0.5 * width), half_v, 0.05)
+                * ((np.abs(window.u - u) < 0.12) if half_u < 1 else (np.abs(window.v - v) < 0.12))
                 * free
             )
-            place.paint(0.8 * fence, linear(150, 132, 110), "wood")
+            window.paint(0.8 * fence, linear(150, 132, 110), "wood")
             continue
-        d = np.minimum(half_u - np.abs(place.u - u), half_v - np.abs(place.v - v)) + 0.16 * bump
+        d = np.minimum(half_u - np.abs(window.u - u), half_v - np.abs(window.v - v)) + 0.16 * bump
         hedge = (d > 0.0) & free
-        place.view(c.top)[hedge] = (g.uniform(1.3, 2.2) * (0.8 + 0.4 * np.minimum(d, 0.5) + 0.09 * bump))[
+        window.view(c.top)[hedge] = (g.uniform(1.3, 2.2) * (0.8 + 0.4 * np.minimum(d, 0.5) + 0.09 * bump))[
             hedge
         ]
-        place.view(c.albedo)[hedge] = (linear(98, 116, 66) * np.exp(0.22 * bump)[..., None])[hedge]
-        place.view(c.material)[hedge] = c.value("broadleaf")
+        window.view(c.albedo)[hedge] = (linear(98, 116, 66) * np.exp(0.22 * bump)[..., None])[hedge]
+        window.view(c.material)[hedge] = c.value("broadleaf")
 
 
-def _house(place, g, width, set_back, fine, objects):
+def _house(window, g, width, set_back, fine, objects):
     """One house with its wing or garage, chimney, panels, shed, and a car on the drive."""
-    c = place.canvas
+    c = window.canvas
     half_u, half_v = min(0.5 * width - 5.2, g.uniform(5.0, 6.6)), g.uniform(4.0, 4.9)
     roof = ROOFS[g.integers(len(ROOFS) - 1)] if g.uniform() < 0.9 else ROOFS[-1]
     wall, pitch = g.uniform(3.0, 5.6), g.uniform(32.0, 44.0)
     warm = g.uniform(292.5, 299.0)
     hip = g.uniform() < 0.3
     turned = g.uniform() < 0.4
-    frame = place
+    frame = window
     u0, v0 = g.uniform(-1.0, 1.0), set_back
     if turned:
-        east, north = place.position(u0, v0)
-        frame = Place(c, east, north, place.heading + 90.0, 16.0)
+        east, north = window.position(u0, v0)
+        frame = Window(c, east, north, window.heading + 90.0, 16.0)
         u0 = v0 = 0.0
         half_u, half_v = half_u * 1.05, half_v * 0.95
     house(frame, fine, g, u0, v0, half_u, half_v, wall, roof, pitch, hip, warm)
     if g.uniform() < 0.35 and roof[2]:
         east, north = frame.position(u0 + g.choice([-0.4, 0.4]) * half_u, v0 + 0.75 * half_v)
-        wing = Place(c, east, north, frame.heading + 90.0, 14.0)
+        wing = Window(c, east, north, frame.heading + 90.0, 14.0)
         house(
             wing, fine, g, 0.0, 0.0, 0.6 * half_v + 1.0, 0.40 * half_u, wall - 0.3, roof, pitch, False, warm
         )
@@ -228,7 +228,7 @@ def _house(place, g, width, set_back, fine, objects):
     side = 1 if g.uniform() < 0.5 else -1
     if g.uniform() < 0.5:
         house(
-            place,
+            window,
             fine,
             g,
             side * (0.5 * width - 2.6),
@@ -241,13 +241,13 @@ def _house(place, g, width, set_back, fine, objects):
         )
     if g.uniform() < 0.55:
         u, v = g.uniform(-0.3, 0.3) * width, set_back + g.uniform(14.0, 19.0)
-        if not (place.view(c.top)[(np.abs(place.u - u) < 2.5) & (np.abs(place.v - v) < 2.5)] > 1.2).any():
+        if not (window.view(c.top)[(np.abs(window.u - u) < 2.5) & (np.abs(window.v - v) < 2.5)] > 1.2).any():
             shed = ("roof_shingle", (124, 104, 84), True)
-            house(place, fine, g, u, v, g.uniform(1.4, 2.4), g.uniform(1.1, 1.7), 2.0, shed, 22.0, warm=290.0)
+            house(window, fine, g, u, v, g.uniform(1.4, 2.4), g.uniform(1.1, 1.7), 2.0, shed, 22.0, warm=290.0)
     if g.uniform() < 0.5 and len(objects) < 4 * 9:
         colour, material, temperature = _CARS[g.integers(len(_CARS))]
         for u in ((0.5 * width - 2.9), -(0.5 * width - 2.9)):
-            east, north = place.position(u, 6.6)
+            east, north = window.position(u, 6.6)
             row, column = (int(np.clip(k, 0, c.n - 1)) for k in c.texels(east, north))
             if c.inside(east, north, 4.0) and c.material[row, column] == c.value("concrete"):
                 bonnet = temperature + (g.uniform(8.0, 20.0) if g.uniform() < 0.4 else 1.5)
@@ -255,7 +255,7 @@ def _house(place, g, width, set_back, fine, objects):
                     f"car_{len(objects) // 4}",
                     east,
                     north,
-                    place.heading,
+                    window.heading,
                     colour,
                     material,
                     temperature,
@@ -264,20 +264,20 @@ def _house(place, g, width, set_back, fine, objects):
                 break
 
 
-def _planting(place, g, width, depth, set_back, plants, free):
+def _planting(window, g, width, depth, set_back, plants, free):
     """Choose where the garden's trees and shrubs stand."""
     trees, conifers, shrubs = plants
-    c = place.canvas
+    c = window.canvas
     for _ in range(int(g.integers(9, 20))):
         u, v = g.uniform(-0.46, 0.46) * width, g.uniform(set_back + 8.0, depth - 1.0)
         if g.uniform() < 0.25:
             v = g.uniform(7.5, set_back - 6.0)
-        hit = (np.abs(place.u - u) < 1.6) & (np.abs(place.v - v) < 1.6)
-        if not hit.any() or (place.view(c.top)[hit] > 2.3).any() or not free[hit].all():
+        hit = (np.abs(window.u - u) < 1.6) & (np.abs(window.v - v) < 1.6)
+        if not hit.any() or (window.view(c.top)[hit] > 2.3).any() or not free[hit].all():
             continue
         kind = g.uniform()
         (shrubs if kind < 0.45 or v < set_back else trees if kind < 0.85 else conifers).append(
-            place.position(u, v)
+            window.position(u, v)
         )
 
 
@@ -285,20 +285,20 @@ def _greenhouse(c, g, fine, taken, at):
     """A nursery with greenhouses and a flat-roofed hall south-east of the crossing."""
     s = c.size
     x, y = at(0.23 * s)
-    place = Place(c, x, y - 0.155 * s, 8.0, 40.0)
-    yard = place.box(2.0, 0.0, 25.0, 17.0, 0.6)
-    soft = place.view(fine)
-    place.level(yard)
-    place.paint(yard, linear(158, 148, 130) * np.exp(0.12 * soft)[..., None], "soil_loam")
-    lane = place.box(-4.0, 0.09 * s, 2.2, 0.10 * s) * ~place.view(taken)
-    place.paint(lane, linear(164, 154, 138) * np.exp(0.1 * soft)[..., None], "soil_loam")
-    greenhouse(place, fine, -11.0, 0.0, 9.6, 13.0, 3)
+    window = Window(c, x, y - 0.155 * s, 8.0, 40.0)
+    yard = window.box(2.0, 0.0, 25.0, 17.0, 0.6)
+    soft = window.view(fine)
+    window.level(yard)
+    window.paint(yard, linear(158, 148, 130) * np.exp(0.12 * soft)[..., None], "soil_loam")
+    lane = window.box(-4.0, 0.09 * s, 2.2, 0.10 * s) * ~window.view(taken)
+    window.paint(lane, linear(164, 154, 138) * np.exp(0.1 * soft)[..., None], "soil_loam")
+    greenhouse(window, fine, -11.0, 0.0, 9.6, 13.0, 3)
     hall = ("roof_rubber", (128, 126, 122), False)
-    house(place, fine, g, 15.0, 4.0, 8.0, 10.0, 5.5, hall, warm=295.0)
-    panels(place, 15.0, 7.5, 12, 2, 0.9)
-    panels(place, 15.0, 1.0, 12, 2, 0.9)
-    place.view(taken)[place.box(2.0, 0.0, 26.0, 18.0) > 0.5] = True
-    place.view(taken)[lane > 0.5] = True
+    house(window, fine, g, 15.0, 4.0, 8.0, 10.0, 5.5, hall, warm=295.0)
+    panels(window, 15.0, 7.5, 12, 2, 0.9)
+    panels(window, 15.0, 1.0, 12, 2, 0.9)
+    window.view(taken)[window.box(2.0, 0.0, 26.0, 18.0) > 0.5] = True
+    window.view(taken)[lane > 0.5] = True
 
 
 def _pond(c, centre):

@@ -159,7 +159,7 @@ def make(kind, seed=0, size_m=None, texel_m=None, post_m=None):
 def write(scene, directory, overwrite=False, temperature_every=2):
     """Return the folder written for a scene: rasters, scene.toml and flight.csv.
 
-    The folder is built beside its place under a temporary name and then renamed, so it is never half there.
+    The folder is built beside its path under a temporary name and then renamed, so it is never half there.
 
     Parameters
     ----------

@@ -116,8 +116,8 @@ def _geodetic_positions(log, frame, ground, height, value, relative):
     up = np.zeros(value.size)
     samples = slice(None) if height == "above_ground_m" else slice(0, 1)
     for _ in range(5):
-        place = at_up(up)[samples]
-        terrain = _ground_below(log, height, ground, place[:, 0], place[:, 1])
+        position = at_up(up)[samples]
+        terrain = _ground_below(log, height, ground, position[:, 0], position[:, 1])
         up = terrain + value if height == "above_ground_m" else np.full(value.size, terrain[0])
     if height == "above_ground_m":
         return at_up(up)

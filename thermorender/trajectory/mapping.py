@@ -55,7 +55,7 @@ class Mapping:
     stamps : tuple of dict
         Date-time columns to try in turn: column, pattern ("iso" or strptime's), optional fraction column.
     sort_by_time : bool
-        Put the rows in order of time before the check.
+        Sort the rows by time before the check.
     quaternion_world : str
         Axes the quaternion rotates into, "NED" or "ENU".
     log_body_from_frd : (3, 3) array

@@ -214,7 +214,7 @@ class Trajectory:
         return float(np.degrees(np.arctan2(direction[0], direction[1])) % 360.0)
 
     def anchored(self, east, north, heading_deg, up=None):
-        """Return the trajectory moved to another place and turned about up, its shape unchanged.
+        """Return the trajectory moved to another position and turned about up, its shape unchanged.
 
         Parameters
         ----------
@@ -315,7 +315,7 @@ def parse_mount(text):
 
 
 def parse_lever_arm(text):
-    """Return (forward, right, down) [m] of "forward,right,down": the camera's place in the vehicle's body."""
+    """Return (forward, right, down) [m] of "forward,right,down": the camera's position in the vehicle's body."""
     return parse_numbers("lever_arm", text, ("forward", "right", "down"))
 
 
@@ -338,7 +338,7 @@ def pose(east, north, up, yaw_deg=0.0, pitch_deg=0.0, roll_deg=0.0):
     if not max(abs(east), abs(north), abs(up)) <= FARTHEST_M:
         raise ThermorenderError(
             f"pose: east {east:g} m, north {north:g} m, up {up:g} m lies beyond {FARTHEST_M / 1e3:.0f} km from the "
-            "scene's origin; give a place in the scene"
+            "scene's origin; give a position in the scene"
         )
     matrix = np.eye(4)
     attitude = rotation_from_angles(yaw_deg, pitch_deg, roll_deg).as_matrix()

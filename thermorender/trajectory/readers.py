@@ -84,7 +84,7 @@ def read_trajectory(
         forward with the image's right edge to the vehicle's right, (0, −90, 0) looks down with the nose at
         the upper edge.
     lever_arm_m : (3,)
-        The camera's place in the vehicle's body: forward, right, down [m].
+        The camera's position in the vehicle's body: forward, right, down [m].
     duplicates : {"refuse", "spread", "first"}
         What becomes of different rows of one time, such as two images within a second of a clock that shows seconds:
         see `tables.read_log`.
@@ -132,7 +132,7 @@ def read_trajectory(
     )
     enu_from_ned = Rotation.from_matrix(ENU_FROM_NED)
     if horizontal == POSITION_GEODETIC:
-        # North and down turn along the way; the scene's axes are those of its origin.
+        # North and down turn along the path; the scene's axes are those of its origin.
         latitude, longitude, _ = frame.geodetic_from_enu(position)
         enu_from_ned = Rotation.from_matrix(frame.enu_from_ecef_rotation) * ecef_from_ned(latitude, longitude)
     trajectory = Trajectory(
@@ -166,30 +166,30 @@ def _triple(name, value, meaning):
 
 def _position_columns(logs, mapping):
     """The log that holds the position, its pair of horizontal columns and its height column."""
-    held = {}
+    log_of = {}
     for log in logs:
         for name in log.values:
-            if name in held:
+            if name in log_of:
                 raise ThermorenderError(
-                    f"column {log.columns.get(name, name)!r} is in both {held[name].path} and {log.path}; "
+                    f"column {log.columns.get(name, name)!r} is in both {log_of[name].path} and {log.path}; "
                     f"give it once"
                 )
-            held[name] = log
+            log_of[name] = log
     names = ", ".join(log.path for log in logs)
     if mapping.quantities:
         for name, quantity in mapping.quantities.items():
-            if name not in held:
+            if name not in log_of:
                 raise ThermorenderError(
                     f"{names}: column {quantity.column!r} ({name}) is missing; format={mapping.name!r} needs "
                     "it, in this file or in another one given with it"
                 )
-    pairs = [pair for pair in (POSITION_LOCAL, POSITION_GEODETIC) if any(name in held for name in pair)]
+    pairs = [pair for pair in (POSITION_LOCAL, POSITION_GEODETIC) if any(name in log_of for name in pair)]
     if len(pairs) != 1:
         raise ThermorenderError(
             f"{names}: has {'both' if pairs else 'neither'} of the position columns east_m, north_m and "
             "lat_deg, lon_deg; give one pair"
         )
-    heights = [name for name in HEIGHTS if name in held]
+    heights = [name for name in HEIGHTS if name in log_of]
     if len(heights) != 1:
         arrived = "the height columns " + ", ".join(heights) if heights else "no height column"
         raise ThermorenderError(
@@ -197,16 +197,16 @@ def _position_columns(logs, mapping):
             "is plain"
         )
     for name in pairs[0]:
-        if name not in held:
+        if name not in log_of:
             raise ThermorenderError(
                 f"{names}: column {name!r} is missing; {' and '.join(pairs[0])} go together"
             )
-    used = {id(held[name]) for name in (*pairs[0], heights[0])}
+    used = {id(log_of[name]) for name in (*pairs[0], heights[0])}
     if len(used) != 1:
         raise ThermorenderError(
             f"{names}: {', '.join(pairs[0])} and {heights[0]} must be columns of one file"
         )
-    return held[heights[0]], pairs[0], heights[0]
+    return log_of[heights[0]], pairs[0], heights[0]
 
 
 def _attitude_logs(logs):
@@ -290,12 +290,12 @@ def _gimbal(log, time_s, ned_from_body):
 def _anchored(trajectory, anchor, ground, height):
     up = anchor.up
     if ground is not None:
-        place = np.array([anchor.east]), np.array([anchor.north])
-        below = float(np.asarray(ground(*place), np.float64)[0])
+        position = np.array([anchor.east]), np.array([anchor.north])
+        below = float(np.asarray(ground(*position), np.float64)[0])
         if not np.isfinite(below):
             raise ThermorenderError(
                 f"anchor: there is no ground below east {anchor.east:g} m, north {anchor.north:g} m; give a "
-                "place on the scene's terrain"
+                "position on the scene's terrain"
             )
         up += below
     moved = trajectory.anchored(anchor.east, anchor.north, anchor.heading_deg, up)

@@ -2,7 +2,7 @@
 `Rotation`.
 
 Three sets of axes meet here. *Body* is FRD: x forward, y right, z down. *NED* is the local north, east, down
-of the place where the vehicle is. *Camera* is x right, y down, z forward (along the optical axis).
+at the vehicle's position. *Camera* is x right, y down, z forward (along the optical axis).
 """
 
 import numpy as np
@@ -60,7 +60,7 @@ def slerp(time_s, rotation):
     """Return the function that gives `rotation` (N attitudes at increasing `time_s`) at other times, turning
     evenly.
 
-    A single attitude is constant. Neighbouring attitudes are joined by the shorter way round.
+    A single attitude is constant. Neighbouring attitudes are joined by the smaller of the two turns.
 
     Notes
     -----

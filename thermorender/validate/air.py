@@ -8,7 +8,6 @@ import time
 
 import numpy as np
 
-from thermorender import files
 from thermorender.render.renderer import Renderer
 from thermorender.validate.bench import machine, views
 from thermorender.validate.metrics import rms_mk
@@ -20,8 +19,8 @@ HEADER = ("height [m]", "view", "asked [mK]", "nodes", "channels", "planned [mK]
           "÷ without air")  # fmt: skip
 
 
-def hold(scene, air=("midlatitude-summer", "rural-23km"), heights_m=(120.0, 2000.0), tolerances_mk=TOLERANCES_MK,
-         rays=32, repeats=15, device="auto", progress=None):  # fmt: skip
+def run(scene, air=("midlatitude-summer", "rural-23km"), heights_m=(120.0, 2000.0), tolerances_mk=TOLERANCES_MK,
+        rays=32, repeats=15, device="auto", progress=None):  # fmt: skip
     """Return what frames of a scene cost with and without air; plain numbers.
 
     Parameters
@@ -60,21 +59,21 @@ def hold(scene, air=("midlatitude-summer", "rural-23km"), heights_m=(120.0, 2000
     step = np.zeros((4, 4))
     step[2, 3] = 1e-3
     for height in heights_m:
-        for view, place in views(scene, height).items():
+        for view, pose in views(scene, height).items():
             seconds = np.empty((repeats, len(made)))
             for turn in range(-2, repeats):
                 for number, renderer in enumerate((vacuum, *made[1:])):
                     start = time.perf_counter()
-                    renderer.radiance(place + turn * step)
+                    renderer.radiance(pose + turn * step)
                     if turn >= 0:
                         seconds[turn, number] = time.perf_counter() - start
-            exact = made[0].radiance(place).astype(np.float64)
+            exact = made[0].radiance(pose).astype(np.float64)
             for number, (tolerance, renderer) in enumerate(zip(tolerances_mk, made[1:], strict=True), 1):
                 spectrum = renderer.plan.spectrum
                 cases.append({
                     "height_m": height, "view": view, "tolerance_mk": tolerance, "nodes": spectrum.nodes,
                     "channels": spectrum.channels, "planned_mk": spectrum.channels_mk + spectrum.nodes_mk,
-                    "error_mk": rms_mk(renderer.radiance(place), exact, scene.camera),
+                    "error_mk": rms_mk(renderer.radiance(pose), exact, scene.camera),
                     "frame_ms": 1e3 * float(np.median(seconds[:, number])),
                     "over_vacuum": float(np.median(seconds[:, number] / seconds[:, 0])),
                 })  # fmt: skip
@@ -83,38 +82,10 @@ def hold(scene, air=("midlatitude-summer", "rural-23km"), heights_m=(120.0, 2000
 
 
 def rows(result):
-    """Return a result of `hold` as rows of text under `HEADER`."""
+    """Return a result of `run` as rows of text under `HEADER`."""
     return [
         (f"{case['height_m']:g}", case["view"], f"{case['tolerance_mk']:g}", str(case["nodes"]), str(case["channels"]),
          f"{case['planned_mk']:.1f}", f"{case['error_mk']:.2f}", f"{case['frame_ms']:.1f}",
          f"{case['over_vacuum']:.2f}")
         for case in result["cases"]
     ]  # fmt: skip
-
-
-def figure(result, path):
-    """Draw error and planned bound against the frame's time over that without air."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    drawing, axis = pyplot.subplots(figsize=(7.5, 4.6), layout="constrained")
-    places = dict.fromkeys((case["height_m"], case["view"]) for case in result["cases"])
-    for number, place in enumerate(places):
-        own = [case for case in result["cases"] if (case["height_m"], case["view"]) == place]
-        x = [case["over_vacuum"] for case in own]
-        label = f"{place[1]}, {place[0]:g} m"
-        axis.plot(x, [case["error_mk"] for case in own], "o-", color=f"C{number}", label=label)
-        for case in own:
-            axis.annotate(str(case["channels"]), (case["over_vacuum"], case["error_mk"]), (4, 4),
-                          textcoords="offset points", fontsize=8)  # fmt: skip
-    axis.axvline(1.5, color="0.6", lw=1, ls=":")
-    axis.set(yscale="log", xlabel="time of a frame with air over one without [1]",
-             ylabel="RMS error of channels and nodes [mK]",
-             title=f"{result['scene']}, {', '.join(result['air'])}: channels at each point")  # fmt: skip
-    axis.grid(True, which="both", lw=0.3, color="0.85")
-    axis.legend(fontsize=8)
-    with files.atomic(path) as part:
-        drawing.savefig(part, dpi=90)
-    pyplot.close(drawing)

@@ -21,7 +21,7 @@ from thermorender.scene.load import Scene, load_scene
 from thermorender.scene.spec import EmissivitySpec, SceneSpec, TemperatureSpec, TerrainSpec
 from thermorender.scene.surface import SURFACE, Surface
 from thermorender.sensor.camera import load_camera
-from thermorender.trajectory.path import pose
+from thermorender.trajectory import path
 from thermorender.validate.metrics import SAMPLING, cache_off, converged, optics_sigma_px, rms_mk
 from thermorender.versions import versions
 
@@ -123,7 +123,7 @@ def _measure(scene, settings, device, repeats):
             _ = renderer.baked
         if first is None:
             first, build_s, bake_s = renderer, built - start, time.perf_counter() - built
-        found = {view: _times(renderer, place, repeats) for view, place in poses.items()}
+        found = {view: _times(renderer, pose, repeats) for view, pose in poses.items()}
         done[label] = {"plan": renderer.plan.as_dict(), "views": found}
         made.append((renderer, keywords))
     # The converged images are what nobody renders in use; their memory does not count.
@@ -131,11 +131,11 @@ def _measure(scene, settings, device, repeats):
     finest_of = {}
     for (renderer, keywords), measured in zip(made, done.values(), strict=True):
         light = {key: value for key, value in keywords.items() if key not in SAMPLING}
-        for view, place in poses.items():
+        for view, pose in poses.items():
             key = view, tuple(sorted(light.items()))
             if key not in finest_of:
-                finest_of[key] = converged(renderer, place, light)
-            finest, image = finest_of[key], renderer.radiance(place)
+                finest_of[key] = converged(renderer, pose, light)
+            finest, image = finest_of[key], renderer.radiance(pose)
             measured["views"][view]["error_mk"] = rms_mk(image, finest, scene.camera)
             measured["views"][view]["optics_error_mk"] = rms_mk(image, finest, scene.camera, sigma)
     return {
@@ -150,24 +150,24 @@ def _measure(scene, settings, device, repeats):
     }
 
 
-def _times(renderer, place, repeats):
+def _times(renderer, pose, repeats):
     """Times of rays, radiance and frame with sensor from one pose, and their ratios as (25, 50, 75) percentiles."""
 
-    def sensor(place):
-        frame = renderer.frame(place)
+    def sensor(pose):
+        frame = renderer.frame(pose)
         return frame.counts, frame.display
 
-    rays = renderer.rays(place)
+    rays = renderer.rays(pose)
     per_pixel = sum(len(x) for x, _ in rays) / (renderer.scene.camera.width * renderer.scene.camera.height)
-    jobs = (lambda place: renderer.cast_only(place, rays), renderer.radiance, sensor)
-    # A millimetre further each time: what a frame keeps of the last one's place does not count as fast.
+    jobs = (lambda pose: renderer.cast_only(pose, rays), renderer.radiance, sensor)
+    # A millimetre further each time: what a frame keeps of the last pose does not count as fast.
     step = np.zeros((4, 4))
     step[2, 3] = 1e-3
     seconds = np.empty((repeats, len(jobs)))
     # The first two turns compile kernels and are not counted.
     for turn in range(-2, repeats):
         for number, job in enumerate(jobs):
-            here = place + turn * step
+            here = pose + turn * step
             start = time.perf_counter()
             job(here)
             if turn >= 0:
@@ -193,7 +193,7 @@ def views(scene, height_m=HEIGHT_M):
     ground = float(scene.ground(east, north))
     up = height_m + (ground if np.isfinite(ground) else high[2])
     return {
-        view: pose(east, north - height_m / np.tan(np.radians(-pitch)), up, yaw_deg=0.0, pitch_deg=pitch)
+        view: path.pose(east, north - height_m / np.tan(np.radians(-pitch)), up, yaw_deg=0.0, pitch_deg=pitch)
         for view, pitch in VIEWS.items()
     }
 
@@ -256,7 +256,7 @@ def terrain(triangles, texels=None, seed=0, side_m=400.0):
 
 
 def in_memory(name, surfaces, materials, sky=260.0, surroundings=None, camera=defaults.CAMERA):
-    """Return the Scene of surfaces made in memory: no files, no place on Earth, no objects."""
+    """Return the Scene of surfaces made in memory: no files, no position on Earth, no objects."""
     spec = SceneSpec(
         folder=Path(name), title=name,
         terrain=TerrainSpec(None, None, None, "ellipsoid", None),

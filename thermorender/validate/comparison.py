@@ -1,10 +1,10 @@
 """Data-driven translation against the radiometric render of the same poses, in kelvin.
 
-Three pictures are made of each pose. The *reference* is rendered from the scene's truth temperatures. The *2D*
-arm applies a learned map to the rendered visible frame, as the published methods do. The *3D* arm applies the
-same map to the orthophoto, turns its apparent into kinetic temperature, and renders that scene. Errors are
-differences of apparent temperature from the reference, over pixels whose truth is known. A constant, the
-reference's own mean, stands beside them as the floor any map must beat.
+Three pictures are made of each pose. The *reference* is rendered from the scene's truth temperatures. In the *2D*
+domain a learned map is applied to the rendered visible frame, as the published methods do. In the *3D* domain it is
+applied to the orthophoto, its apparent temperatures are turned into kinetic ones, and that scene is rendered. A map in
+one domain is a *method*. Errors are differences of apparent temperature from the reference, over pixels whose truth is
+known. A constant, the reference's own mean, stands beside them as the floor any map must beat.
 """
 
 from dataclasses import dataclass, field
@@ -18,7 +18,7 @@ from thermorender.learned.correlation import load_model
 from thermorender.render.renderer import Renderer
 from thermorender.scene.spec import TemperatureSpec
 from thermorender.scene.surface import FALLBACK, FILLED, SURFACE
-from thermorender.units import ZERO_CELSIUS_K
+from thermorender.validate.figures.comparison import picture
 from thermorender.versions import versions
 
 
@@ -57,17 +57,17 @@ class ErrorSums:
 
 
 @dataclass
-class _Arm:
-    """One model seen one way."""
+class _Method:
+    """A learned map in one domain, "2D" or "3D"."""
 
     model: object
-    way: str
+    domain: str
     renderer: object = None
     errors: ErrorSums = field(default_factory=ErrorSums)
 
     @property
     def name(self):
-        return f"{self.model.name} {self.way}"
+        return f"{self.model.name} {self.domain}"
 
 
 def compare(scene, trajectory, folder, models, rate_hz=1.0, range_c=None, progress=None, **settings):
@@ -94,7 +94,7 @@ def compare(scene, trajectory, folder, models, rate_hz=1.0, range_c=None, progre
     Returns
     -------
     dict
-        Per arm: mean_c, mean_absolute_c, std_c (errors in °C, equal to K), pixels; and the settings.
+        Per method: mean_c, mean_absolute_c, std_c (errors in °C, equal to K), pixels; and the settings.
 
     Raises
     ------
@@ -109,11 +109,11 @@ def compare(scene, trajectory, folder, models, rate_hz=1.0, range_c=None, progre
     poses = trajectory.sampled(times).poses()
     folder = files.make_folder(folder)
     reference = Renderer(truth, progress=progress, **settings)
-    arms, reports = [], {}
+    methods, reports = [], {}
     for model in maps:
         translated = scene.with_temperature(TemperatureSpec(source="learned", model=model.name, range_c=range_c))
         reports.update(translated.report)
-        arms += [_Arm(model, "2D"), _Arm(model, "3D", Renderer(translated, like=reference, **settings))]
+        methods += [_Method(model, "2D"), _Method(model, "3D", Renderer(translated, like=reference, **settings))]
     constant = ErrorSums()
     for index, (time_s, pose) in enumerate(zip(times, poses, strict=True)):
         frame = reference.frame(pose, time_s, index)
@@ -123,17 +123,18 @@ def compare(scene, trajectory, folder, models, rate_hz=1.0, range_c=None, progre
         mean = float(frame.apparent_temperature[known].mean()) if known.any() else np.nan
         constant.add(mean - frame.apparent_temperature[known])
         pictures = {}
-        for arm in arms:
-            if arm.renderer:
-                seen = arm.renderer.frame(pose, time_s, index).apparent_temperature
+        for method in methods:
+            if method.renderer:
+                seen = method.renderer.frame(pose, time_s, index).apparent_temperature
             else:
-                seen = apparent_temperature(arm.model.radiance(arm.model.intensity(visible)), arm.model.band_um)
+                model = method.model
+                seen = apparent_temperature(model.radiance(model.intensity(visible)), model.band_um)
             error = np.where(known, seen - frame.apparent_temperature, np.nan)
-            arm.errors.add(error[known])
-            pictures[arm.name] = seen, error
+            method.errors.add(error[known])
+            pictures[method.name] = seen, error
         for model in maps:
             path = folder / f"pose_{index:04d}_{model.name}.png"
-            _picture(path, visible, frame.apparent_temperature, model.name, pictures, time_s)
+            picture(path, visible, frame.apparent_temperature, model.name, pictures, time_s)
         if progress:
             progress("comparing", (index + 1) / len(times))
     summary = {
@@ -144,44 +145,8 @@ def compare(scene, trajectory, folder, models, rate_hz=1.0, range_c=None, progre
         "range_c": list(range_c) if range_c else None,
         "plan": reference.plan.as_dict(),
         "maps": reports,
-        "errors": {**{arm.name: arm.errors.summary() for arm in arms}, "constant": constant.summary()},
+        "errors": {**{method.name: method.errors.summary() for method in methods}, "constant": constant.summary()},
         "versions": versions(),
     }
     files.write_json(folder / "comparison.json", summary)
     return summary
-
-
-def _picture(path, visible, reference, name, pictures, time_s):
-    """Visible, reference, both arms and their errors as one PNG with scales in °C."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(2, 3, figsize=(15, 8.6), layout="constrained")
-    flat = reference[np.isfinite(reference)]
-    low, high = np.percentile(flat, [1, 99]) - ZERO_CELSIUS_K
-    axes[0, 0].imshow(visible)
-    axes[0, 0].set_title(f"visible view, t = {time_s:.1f} s")
-    shown = axes[1, 0].imshow(reference - ZERO_CELSIUS_K, cmap="inferno", vmin=low, vmax=high)
-    axes[1, 0].set_title("reference: rendered from truth")
-    figure.colorbar(shown, ax=axes[1, 0], label="apparent temperature [°C]", shrink=0.8)
-    errors = np.concatenate([pictures[f"{name} {way}"][1].ravel() for way in ("2D", "3D")])
-    errors = errors[np.isfinite(errors)]
-    limit = float(np.percentile(np.abs(errors), 98)) if errors.size else 1.0
-    for row, way in enumerate(("2D", "3D")):
-        seen, error = pictures[f"{name} {way}"]
-        what = "translation of the visible frame" if way == "2D" else "render of the translated orthophoto"
-        shown = axes[row, 1].imshow(seen - ZERO_CELSIUS_K, cmap="inferno", vmin=low, vmax=high)
-        axes[row, 1].set_title(f"{name} {way}: {what}")
-        figure.colorbar(shown, ax=axes[row, 1], label="apparent temperature [°C]", shrink=0.8)
-        shown = axes[row, 2].imshow(error, cmap="RdBu_r", vmin=-limit, vmax=limit)
-        finite = error[np.isfinite(error)]
-        figure.colorbar(shown, ax=axes[row, 2], label="error [°C]", shrink=0.8)
-        if finite.size:
-            axes[row, 2].set_title(f"error: mean {finite.mean():+.2f}, std {finite.std():.2f} °C")
-    for axis in axes.ravel():
-        axis.set_axis_off()
-    with files.atomic(path) as part:
-        figure.savefig(part, dpi=80)
-    pyplot.close(figure)

@@ -1,7 +1,7 @@
-"""Error against run time: this renderer and stock Mitsuba path tracing, held against the oracle.
+"""Error against run time: this renderer and stock Mitsuba path tracing, against a path-traced reference.
 
 A case is one engine at one setting, seen from one pose. Its seconds are those of a whole frame of the camera; its
-error is that of the middle of the same frame against two independent oracle renders, so that their noise does not
+error is that of the middle of the same frame against two independent reference renders, so that their noise does not
 count (`thermorender.render.reference.squared_error`). Beside it stands the error of sampling alone, against the
 same renderer with 256 rays per pixel. Cavities of known radiance close the table. Every case is written as soon as
 it is measured; a later run measures what is missing.
@@ -27,7 +27,7 @@ from thermorender.validate.figures import convergence as convergence_report
 from thermorender.validate.metrics import after_optics, cache_off, converged, mk_per_radiance, optics_sigma_px, rms_mk
 
 OWN, DEFAULT = "thermorender", "standard"
-# Paths of two reflections, as in the renderer's own race; "direct" sees one.
+# Paths of two reflections, as the reference has them; "direct" sees one.
 STOCK = {
     "stock path": {"type": "path", "max_depth": 3},
     "stock direct, BSDF samples": {"type": "direct", "emitter_samples": 0, "bsdf_samples": 1},
@@ -44,12 +44,12 @@ class Mode:
     window : (2,) int
         Width and height of the part of the image, around its middle, whose error is taken [px].
     views : tuple of str
-    oracle : int
-        Paths per pixel of each of the two oracle renders.
+    reference_paths : int
+        Paths per pixel of each of the two reference renders.
     engines, stock : tuples of str and int
         Stock engines, and their paths per pixel.
     sampling : tuple of (int, int, float)
-        Rays per pixel, texture places per ray and the error of an edge pixel from which on it gets more [mK], beside
+        Rays per pixel, texture taps per ray and the error of an edge pixel from which on it gets more [mK], beside
         the qualities'.
     rays : tuple of int
         Rays per face of the bake, the default's first.
@@ -63,7 +63,7 @@ class Mode:
 
     window: tuple
     views: tuple
-    oracle: int
+    reference_paths: int
     engines: tuple
     stock: tuple
     sampling: tuple
@@ -77,7 +77,7 @@ MODES = {
     "quick": Mode(
         window=(96, 80),
         views=("oblique",),
-        oracle=256,
+        reference_paths=256,
         engines=("stock direct, BSDF samples",),
         stock=(1, 4),
         sampling=((1, 1, inf), (4, 4, inf)),
@@ -89,7 +89,7 @@ MODES = {
     "full": Mode(
         window=(160, 128),
         views=("oblique",),
-        oracle=1024,
+        reference_paths=1024,
         engines=tuple(STOCK),
         stock=(1, 4, 16, 64),
         sampling=(
@@ -160,8 +160,8 @@ def _read(path, settings):
     if not path.is_file():
         return {}
     try:
-        held = json.loads(path.read_text(encoding="utf-8"))
-        found, cases = held["settings"], held["cases"]
+        stored = json.loads(path.read_text(encoding="utf-8"))
+        found, cases = stored["settings"], stored["cases"]
     except (ValueError, KeyError, TypeError):
         raise ThermorenderError(f"{path} is damaged; remove it, or overwrite it") from None
     if found != settings:
@@ -263,10 +263,8 @@ class _Site:
 
     def _truth(self, view):
         # The same seeds as another case's would give the same noise.
-        return [
-            reference.render(self.part, self.poses[view], samples=self.mode.oracle, seed=seed, device=self.device)
-            for seed in (1, 2)
-        ]
+        pose, paths = self.poses[view], self.mode.reference_paths
+        return [reference.render(self.part, pose, samples=paths, seed=seed, device=self.device) for seed in (1, 2)]
 
     def _finest(self, view):
         part = Renderer(self.part, **self.own, like=self.base())
@@ -289,18 +287,18 @@ class Stock:
     Parameters
     ----------
     scene : Scene
-    place : (4, 4) array
+    pose : (4, 4) array
         world_from_camera.
     device : {"auto", "cpu", "cuda"}
     """
 
-    def __init__(self, scene, place, device="auto"):
+    def __init__(self, scene, pose, device="auto"):
         self._mi = activate(device)
         self._mono = self._mi.variant()
         self._shape = scene.camera.height, scene.camera.width
         self._mi.set_variant(reference.VARIANTS[self._mono])
         try:
-            self._world = reference.mitsuba_scene(self._mi, scene, place, "path", 8)
+            self._world = reference.mitsuba_scene(self._mi, scene, pose, "path", 8)
         finally:
             self._mi.set_variant(self._mono)
 

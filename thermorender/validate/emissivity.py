@@ -1,6 +1,6 @@
-"""The learned emissivity map held against procedural scenes whose materials are known.
+"""The learned emissivity map evaluated on procedural scenes whose materials are known.
 
-Beside the map stand three simpler ways: the colour nearest to the scene's own mean colour of each material (told the
+Beside the map stand three simpler methods: the colour nearest to the scene's own mean colour of each material (told the
 truth it needs), the scene's commonest material everywhere, and the fallback everywhere. Errors are of the band's
 emissivity and, with the scene's true temperatures and sky, of apparent temperature seen from straight above through
 no air, the sky reflected whole.
@@ -21,12 +21,12 @@ from thermorender.physics.planck import spectral_radiance
 from thermorender.scene.spec import DEFAULT_CONFIDENCE
 from thermorender.synthetic.worlds import KINDS, make
 
-ARMS = ("learned, mix of three", "learned, most probable", "nearest colour", "commonest material", "fallback")
+METHODS = ("learned, mix of three", "learned, most probable", "nearest colour", "commonest material", "fallback")
 
 
-def hold(model="procedural", seeds=(201, 202), fallback="soil_loam", confidence=DEFAULT_CONFIDENCE,
-         kinds=tuple(KINDS), tell=None):  # fmt: skip
-    """Return the comparison as a dict: per scene and over all, the errors of each of ARMS; the confusion table.
+def evaluate(model="procedural", seeds=(201, 202), fallback="soil_loam", confidence=DEFAULT_CONFIDENCE,
+             kinds=tuple(KINDS), progress=None):  # fmt: skip
+    """Return the comparison as a dict: per scene and over all, the errors of each of METHODS; the confusion table.
 
     Parameters
     ----------
@@ -40,14 +40,14 @@ def hold(model="procedural", seeds=(201, 202), fallback="soil_loam", confidence=
         Below it a texel is unknown.
     kinds : sequence of str
         Kinds of procedural scene.
-    tell : callable (what, share), optional
+    progress : callable (what, share), optional
 
     Raises
     ------
     ThermorenderError
         The map was trained on one of these scenes.
     """
-    tell = tell or (lambda what, share: None)
+    tell = progress or (lambda what, share: None)
     model, library = load_map(model), load_library()
     # Of the others nothing is known in this band.
     low, high = BAND_UM
@@ -61,7 +61,7 @@ def hold(model="procedural", seeds=(201, 202), fallback="soil_loam", confidence=
         if f"procedural {kind} seed {seed}" in str(model.about.get("trained_on", "")).split("; "):
             raise ThermorenderError(f"seed {seed} is one that {model.name!r} was trained on; give another")
     confusion = np.zeros((len(names), len(names) + 1), np.int64)
-    scenes, every = {}, {arm: [] for arm in ARMS}
+    scenes, every = {}, {method: [] for method in METHODS}
     for number, (kind, seed) in enumerate(jobs):
         tell("making and mapping landscapes", number / len(jobs))
         scene = make(kind, seed)
@@ -77,23 +77,23 @@ def hold(model="procedural", seeds=(201, 202), fallback="soil_loam", confidence=
         np.add.at(confusion, (truth, np.where(unknown, len(names), index[..., 0])), 1)
         index[unknown, 0], share[unknown] = stand_in, (1.0, 0.0, 0.0)
         guesses = {
-            ARMS[0]: (index, share),
-            ARMS[1]: _pure(index[..., 0]),
-            ARMS[2]: _pure(_nearest_colour(scene.orthophoto, truth)),
-            ARMS[3]: _pure(np.full(truth.shape, np.bincount(truth.ravel()).argmax())),
-            ARMS[4]: _pure(np.full(truth.shape, stand_in)),
+            METHODS[0]: (index, share),
+            METHODS[1]: _pure(index[..., 0]),
+            METHODS[2]: _pure(_nearest_colour(scene.orthophoto, truth)),
+            METHODS[3]: _pure(np.full(truth.shape, np.bincount(truth.ravel()).argmax())),
+            METHODS[4]: _pure(np.full(truth.shape, stand_in)),
         }
         judge = _Judge(list(library.values()), scene.temperature, scene.sky_temperature)
         found = {}
-        for arm, (index, share) in guesses.items():
+        for method, (index, share) in guesses.items():
             errors = judge(truth, index, share)
-            every[arm].append(errors)
-            found[arm] = _summary(*errors)
+            every[method].append(errors)
+            found[method] = _summary(*errors)
         scenes[f"{kind} {seed}"] = {
             "texels": truth.size,
             "share_unknown": round(float(unknown.mean()), 5),
             "seconds": round(seconds, 2),
-            "arms": found,
+            "methods": found,
         }
     seen = np.flatnonzero(confusion.sum(axis=1) + confusion.sum(axis=0)[:-1])
     confusion, names = confusion[seen][:, [*seen, -1]], [names[k] for k in seen]
@@ -110,20 +110,20 @@ def hold(model="procedural", seeds=(201, 202), fallback="soil_loam", confidence=
             if row
         },
         "scenes": scenes,
-        "all": {arm: _summary(*map(np.concatenate, zip(*errors, strict=True))) for arm, errors in every.items()},
+        "all": {method: _summary(*map(np.concatenate, zip(*errors, strict=True))) for method, errors in every.items()},
     }
 
 
 def rows(result):
-    """Return the comparison as table rows of text, one per arm."""
+    """Return the comparison as table rows of text, one per method."""
     return [
-        (arm, f"{e['accuracy']:.1%}", f"{e['emissivity_mean']:.4f}", f"{e['emissivity_rms']:.4f}",
+        (method, f"{e['accuracy']:.1%}", f"{e['emissivity_mean']:.4f}", f"{e['emissivity_rms']:.4f}",
          f"{e['mk_mean']:.0f}", f"{e['mk_rms']:.0f}", f"{e['mk_95']:.0f}")
-        for arm, e in result["all"].items()
+        for method, e in result["all"].items()
     ]  # fmt: skip
 
 
-HEADER = ("arm", "accuracy", "mean |Δε|", "rms Δε", "mean |ΔT|, mK", "rms ΔT, mK", "95 % of |ΔT|, mK")
+HEADER = ("method", "accuracy", "mean |Δε|", "rms Δε", "mean |ΔT|, mK", "rms ΔT, mK", "95 % of |ΔT|, mK")
 
 
 class _Judge:

@@ -14,6 +14,7 @@ import numpy as np
 
 from thermorender import files
 from thermorender.validate import bench
+from thermorender.validate.figures.growth import figure
 from thermorender.validate.metrics import cache_off
 from thermorender.versions import versions
 
@@ -28,7 +29,7 @@ RAYS = 16
 HEADER = ("varied", "triangles", "texels", "nodes", "build [s]", "bake [s]", "frame [ms]", "peak [GiB]")
 
 
-def hold(folder, axes=AXES, base=BASE, progress=None, device="auto"):
+def run(folder, axes=AXES, base=BASE, progress=None, device="auto"):
     """Measure what is not yet in `growth.json` of a folder; return {case: record}, as is written there.
 
     Parameters
@@ -59,7 +60,7 @@ def hold(folder, axes=AXES, base=BASE, progress=None, device="auto"):
             kept[name] = {"varied": axis, **case, **pool.submit(_measure, *case.values(), device).result()}
         record = {"machine": bench.machine(), "versions": versions(), "rays": RAYS, "cases": kept}
         files.write_json(path, record)
-        figure(kept, folder / "growth.png")
+        figure(folder / "growth.png", kept)
     if progress:
         progress("measured", 1.0)
     return kept
@@ -83,10 +84,10 @@ def _measure(triangles, texels, nodes, device):
     with cache_off():
         renderer = Renderer.of(bake(scene, plan, geometry))
     baked = time.perf_counter()
-    place, seconds = bench.views(scene)["oblique"], []
+    pose, seconds = bench.views(scene)["oblique"], []
     for turn in range(7):
         begin = time.perf_counter()
-        renderer.radiance(place)
+        renderer.radiance(pose)
         if turn > 1:
             seconds.append(time.perf_counter() - begin)
     return {
@@ -103,28 +104,3 @@ def rows(cases):
          "unknown" if case["peak_mib"] is None else f"{case['peak_mib'] / 1024:.2f}")
         for case in cases.values()
     ]  # fmt: skip
-
-
-def figure(cases, path):
-    """Draw bake, frame and memory along each axis."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    kinds = (("bake_s", "bake, 16 rays per face [s]", 1.0), ("frame_ms", "frame at 45° [ms]", 1.0),
-             ("peak_mib", "most memory [GiB]", 1.0 / 1024))  # fmt: skip
-    drawing, axes = pyplot.subplots(len(kinds), len(AXES), figsize=(11, 8), layout="constrained", squeeze=False)
-    for column, axis in zip(axes.T, AXES, strict=True):
-        own = sorted((case for case in cases.values() if case["varied"] == axis), key=lambda case: case[axis])
-        for place, (key, label, unit) in zip(column, kinds, strict=True):
-            known = [case for case in own if case[key] is not None]
-            if not known:
-                continue
-            place.plot([case[axis] for case in known], [case[key] * unit for case in known], "o-", ms=4)
-            place.set(xscale="log", yscale="log", xlabel=axis + (" along a side" if axis == "texels" else ""),
-                      ylabel=label)  # fmt: skip
-            place.grid(True, which="both", lw=0.3, color="0.85")
-    with files.atomic(path) as part:
-        drawing.savefig(part, dpi=80)
-    pyplot.close(drawing)

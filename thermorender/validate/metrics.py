@@ -32,14 +32,14 @@ def cache_off():
             os.environ[name] = before
 
 
-def converged(renderer, place, keywords):
+def converged(renderer, pose, keywords):
     """Return (H, W) float64 radiance [W m⁻² sr⁻¹] of a renderer's scene with 256 rays per pixel.
 
     Parameters
     ----------
     renderer : Renderer
         Its light between surfaces is used again.
-    place : (4, 4) array
+    pose : (4, 4) array
         world_from_camera.
     keywords : dict
         What the renderer was made with.
@@ -50,7 +50,7 @@ def converged(renderer, place, keywords):
     for lower in range(2):
         for right in range(2):
             part = replace(renderer.scene, camera=_quarter(camera, right, lower))
-            image = Renderer(part, **settings).radiance(place).astype(np.float64)
+            image = Renderer(part, **settings).radiance(pose).astype(np.float64)
             rows, columns = image.shape
             quarters.append(image.reshape(rows // FINER, FINER, columns // FINER, FINER).mean(axis=(1, 3)))
     return np.block([quarters[:2], quarters[2:]])

@@ -19,6 +19,7 @@ from thermorender.sensor.camera import load_camera
 from thermorender.sensor.chain import Sensor
 from thermorender.sensor.optics import relative_illumination
 from thermorender.sensor.readout import radiance_from_counts
+from thermorender.validate.figures.sensor_statistics import figure
 
 HEADER = ("frames", "pixel [mK]", "row", "column", "fixed pixel", "fixed row", "fixed column")
 _PARTS = ("pixel", "row", "column", "fixed_pixel", "fixed_row", "fixed_column")
@@ -28,8 +29,8 @@ _FRAMES, _HEIGHT_M, _AWAY_M = 12, 200.0, 60.0
 _RINGS = 6
 
 
-def compare(paths, output, base=defaults.CAMERA, scale=None, scene=defaults.SCENE, name="footage", seed=0, tell=None,
-            **options):  # fmt: skip
+def compare(paths, output, base=defaults.CAMERA, scale=None, scene=defaults.SCENE, name="footage", seed=0,
+            progress=None, **options):  # fmt: skip
     """Write `name`.json, `name`.png and `name`.toml of a camera's footage and its simulations; return what JSON holds.
 
     Parameters
@@ -45,12 +46,12 @@ def compare(paths, output, base=defaults.CAMERA, scale=None, scene=defaults.SCEN
     scene : str
         Scene the simulated frames show, from above.
     seed : int
-    tell : callable, optional
-        Called with (what is done, share of it).
+    progress : callable, optional
+        Called with (what, share done).
     **options
         Of the Renderer.
     """
-    tell = tell or (lambda what, share: None)
+    tell = progress or (lambda what, share: None)
     camera, frames = load_camera(base, "base camera"), frame_files(paths)
     found = fit_camera(paths, base, scale, lambda share: tell("reading the footage", share))
     fitted_path = Path(output) / f"{name}.toml"
@@ -67,7 +68,7 @@ def compare(paths, output, base=defaults.CAMERA, scale=None, scene=defaults.SCEN
     estimates = {key: asdict(estimate) for key, estimate in found.items()}
     result = {"camera": camera.name, "scene": scene, "estimates": estimates, "sides": told}
     files.write_json(Path(output) / f"{name}.json", result)
-    _figure(Path(output) / f"{name}.png", told, name)
+    figure(Path(output) / f"{name}.png", told, name)
     return result
 
 
@@ -81,7 +82,7 @@ def rows(result):
 
 
 def _views(scene, camera, seed, tell, options):
-    """Band radiance of views straight down at places and headings drawn from the seed."""
+    """Band radiance of views straight down at positions and headings drawn from the seed."""
     from thermorender.render.renderer import Renderer
     from thermorender.scene.load import load_scene
     from thermorender.trajectory.path import pose
@@ -92,8 +93,8 @@ def _views(scene, camera, seed, tell, options):
     views = []
     for number in range(_FRAMES):
         east, north = rng.uniform(-_AWAY_M, _AWAY_M, 2)
-        place = pose(east, north, _HEIGHT_M + float(loaded.ground(east, north)), rng.uniform(0.0, 360.0), -90.0, 0.0)
-        views.append(renderer.frame(place, index=number).radiance)
+        view = pose(east, north, _HEIGHT_M + float(loaded.ground(east, north)), rng.uniform(0.0, 360.0), -90.0, 0.0)
+        views.append(renderer.frame(view, index=number).radiance)
         tell("rendering", (number + 1) / _FRAMES)
     return views
 
@@ -108,7 +109,7 @@ def _readings(views, camera, seed):
 
 
 def _statistics(images, camera):
-    """What is told of frames, as plain values."""
+    """The statistics of frames, as plain values."""
     gain = 1.0 / relative_illumination(camera).astype(np.float64)
     spectra, powers = Spectra((camera.height, camera.width), gain), []
     for image in images:
@@ -175,36 +176,3 @@ def _field(powers, camera):
         radius.append(0.5 * (low + high))
         noise.append(1e3 * np.sqrt(ring[flattest, 1].mean()))
     return {"radius": _short(radius), "noise_mk": _short(noise)}
-
-
-def _figure(path, sides, title):
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(13, 9), layout="constrained")
-    (spectrum, lines), (parts, field) = figure.subplots(2, 2)
-    figure.suptitle(title)
-    for number, (side, told) in enumerate(sides.items()):
-        colour = f"C{number}"
-        spectrum.loglog(told["frequency"], told["power"], color=colour, label=f"{side}, {told['frames']} frames")
-        if told["fixed_power"]:
-            kept = np.array(told["fixed_power"])
-            spectrum.loglog(told["frequency"], np.where(kept > 0.0, kept, np.nan), "--", color=colour, lw=1)
-        for axis, style in (("rows", "-"), ("columns", ":")):
-            lines.semilogy(told[axis]["frequency"], told[axis]["power"], style, color=colour, label=f"{side}, {axis}")
-        values = [told["noise_mk"][part] or (np.nan, 0.0) for part in _PARTS]
-        place = np.arange(len(_PARTS)) + 0.27 * (number - 1)
-        parts.bar(place, [v for v, _ in values], 0.25, yerr=[e for _, e in values], color=colour, label=side)
-        field.plot(told["field"]["radius"], told["field"]["noise_mk"], "o-", color=colour, label=side)
-    spectrum.set(xlabel="frequency [cycles per pixel]", ylabel="power [K²]",
-                 title="all directions off the axes; dashed: what stays on the detector")  # fmt: skip
-    lines.set(xlabel="frequency [cycles per pixel]", ylabel="power [K²]", xlim=(0.0, 0.5),
-              title="along the axes: whole rows and columns")  # fmt: skip
-    parts.set(ylabel="standard deviation [mK]", title="parts of the noise, at 300 K without the lens")
-    parts.set_xticks(range(len(_PARTS)), [part.replace("_", "\n") for part in _PARTS])
-    field.set(xlabel="distance from the middle, as a share of the corner's", ylabel="finest detail where flat [mK]",
-              title="noise over the field, likewise", ylim=(0.0, None))  # fmt: skip
-    for axes in (spectrum, lines, parts, field):
-        axes.legend(fontsize=8)
-        axes.grid(alpha=0.3)
-    with files.atomic(path) as part:
-        figure.savefig(part, dpi=90, metadata={"Software": None})

@@ -191,30 +191,30 @@ class _Group:
     def __init__(self, amounts, used, count, band):
         self.amounts, self.used, self.count = amounts, used, count
         self.size = count * (2 + len(used))
-        # A tilt of ±1 makes a node the light of either end of the sub-band.
-        self.reach = 0.5 * (1.0 / band[0] - 1.0 / band[1])
+        # The tilt at which a node is the light of either end of the sub-band.
+        self.most_tilt = 0.5 * (1.0 / band[0] - 1.0 / band[1])
 
     def split(self, parameters):
         """(weight (K,), tilt (K,) [µm⁻¹], coefficients (K, J))."""
         share = np.exp(parameters[: self.count] - parameters[: self.count].max())
-        tilt = self.reach * np.tanh(parameters[self.count : 2 * self.count])
+        tilt = self.most_tilt * np.tanh(parameters[self.count : 2 * self.count])
         return share / share.sum(), tilt, np.exp(parameters[2 * self.count :]).reshape(self.count, -1)
 
     def value(self, parameters):
         """(transmittance at each weighting temperature (2 P,), its derivatives (2 P, size))."""
         weight, tilt, coefficients = self.split(parameters)
         term = np.exp(-(self.amounts @ coefficients.T))
-        bend = self.reach * (1.0 - np.square(tilt / self.reach))
+        bend = self.most_tilt * (1.0 - np.square(tilt / self.most_tilt))
         values, slopes = [], []
         for temperature in _WEIGHT_K:
-            reach = C2 * (1.0 / REFERENCE_K - 1.0 / temperature)
-            share = weight * np.exp(reach * tilt)
+            exponent = C2 * (1.0 / REFERENCE_K - 1.0 / temperature)
+            share = weight * np.exp(exponent * tilt)
             share /= share.sum()
             value = term @ share
             lean = share * (term - value[:, None])
             slope = -(share * term)[:, :, None] * self.amounts[:, None, :] * coefficients
             values.append(value)
-            slopes.append(np.hstack([lean, lean * reach * bend, slope.reshape(len(value), -1)]))
+            slopes.append(np.hstack([lean, lean * exponent * bend, slope.reshape(len(value), -1)]))
         return np.concatenate(values), np.vstack(slopes)
 
 
@@ -230,7 +230,7 @@ def _errors(groups, parameters, truth):
 def _solve(groups, start, truth, mix, rounds, emphasis=None):
     """Parameters that make mix @ (error of each group) least in squares: Levenberg–Marquardt by normal equations.
 
-    These are put together from each sub-band's own slopes. `scipy.optimize.least_squares` would want the slopes of
+    These are assembled from each sub-band's own slopes. `scipy.optimize.least_squares` would want the slopes of
     all rows of `mix` with all parameters at every step, 140 000 × 369 of them.
     """
     gram = mix.T @ mix

