@@ -1,10 +1,14 @@
 """The public names: what the package hands out, what type checkers see, and what `make lint` checks are the same."""
 
 import ast
+import re
 import sys
 from pathlib import Path
 
+from typer.main import get_command
+
 import thermorender as tr
+from thermorender.cli import app as cli
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -34,3 +38,37 @@ def test_the_modules_of_all_public_names_are_checked():
 
 def test_the_package_says_that_it_has_types():
     assert (PACKAGE / "py.typed").is_file()
+
+
+# --- what README says ---------------------------------------------------------------------------------------
+
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_example_of_the_readme_runs_and_prints_what_it_says(capsys):
+    (example,) = re.findall(r"```python\n(.*?)```", README, flags=re.S)
+    exec(compile(example, "README.md", "exec"), found := {})
+    mean, target = capsys.readouterr().out.splitlines()
+    assert f"print(frame.apparent_temperature.mean())  # {float(mean):.1f} (kelvin)" in example
+    assert ast.literal_eval(target)["visible"] is True
+    frame = found["frame"]
+    assert frame.counts.max() < 2**14 and frame.display.dtype == "uint8" and "emissivity" in frame.truth
+
+
+def test_the_verbs_of_the_readme_are_those_there_are():
+    commands = get_command(cli.app).commands
+    listed = set()
+    for row in re.findall(r"^\| (`thermorender .*)\|$", README, flags=re.M):
+        words = re.findall(r"`([^`]+)`", row.split(" | ")[0])
+        verb, *rest = words[0].split()[1:]
+        listed.add(verb)
+        group = getattr(commands[verb], "commands", None)
+        if group:
+            below = {rest[0], *(word.split()[0] for word in words[1:])}
+            assert below <= set(group), verb
+            within = [group[name] for name in below]
+        else:
+            within = [commands[verb]]
+        known = {option for command in within for parameter in command.params for option in parameter.opts}
+        assert set(re.findall(r"(?<![\w-])--?[a-z][\w-]*", row)) <= known, row
+    assert listed == set(commands)
