@@ -105,7 +105,7 @@ class _Named:
                 data = path.read_bytes()
                 if self.path.suffix.lower() == ".obj" and not self.found:
                     # The material library: trimesh goes without one that is not all UTF-8, a comment in it included.
-                    data = data.decode(errors="repath").encode()
+                    data = data.decode(errors="replace").encode()
                 self.found.append((name, data))
                 return data
         except (OSError, ValueError) as error:  # too long, with a NUL in it, or closed to the user
