@@ -35,9 +35,9 @@ test: $(READY)
 	$(BIN)/python -m pytest
 
 lint: $(READY)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'ruff>=0.6'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'ruff>=0.6' 'mypy>=1.11'
 	$(BIN)/ruff check .
-# Types of the public API are checked here as well once it has them: $(BIN)/mypy thermorender
+	$(BIN)/mypy
 
 # Line coverage of each room (folder of the package), processes that tests start included; fails below 85 %.
 coverage: $(READY)

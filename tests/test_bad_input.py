@@ -561,6 +561,12 @@ def test_garbage_and_empty_meshes(scene, refused, suffix):
         ("mtllib missing.mtl\n" + QUAD + FACES_UV, "names 'no such.png', which does not exist"),
         ("mtllib broken.mtl\n" + QUAD + FACES_UV, "the texture 'broken.png' cannot be read"),
         ("mtllib good.mtl\n" + QUAD + "usemtl a\n" + FACES, "has a texture but no map coordinates"),
+        ("mtllib deep.mtl\n" + QUAD + FACES_UV, "a single band of more than 8 bits"),
+        ("mtllib program.mtl\n" + QUAD + FACES_UV, "the texture cannot be read (it is EPS)"),
+        ("mtllib good.mtl\n" + QUAD + FACES_UV.replace("0 0", "nan 0"), "a map coordinate that is not finite"),
+        (QUAD + "v 1e300 0 0\nf 1 2 5\n", "a vertex that is not finite or lies beyond 20000 km"),
+        ("mtllib good.mtl\nmtllib deep.mtl\n" + QUAD + FACES_UV, "names the material libraries good.mtl, deep.mtl"),
+        ("mtllib " + 300 * "x" + "\n" + QUAD + FACES, "which cannot be read (File name too long)"),
     ],
 )
 def test_wrong_obj(scene, refused, text, words):
@@ -571,6 +577,10 @@ def test_wrong_obj(scene, refused, text, words):
     (scene / "broken.png").write_text("garbage")
     (scene / "good.mtl").write_text("newmtl a\nmap_Kd good one.png\n")
     Image.new("RGB", (4, 4)).save(scene / "good one.png")
+    (scene / "deep.mtl").write_text("newmtl a\nmap_Kd deep.png\n")
+    Image.fromarray(np.full((4, 4), 40000, np.uint16)).save(scene / "deep.png")
+    (scene / "program.mtl").write_text("newmtl a\nmap_Kd program.eps\n")
+    (scene / "program.eps").write_text("%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EndComments\nshowpage\n")
     mesh_scene(scene, "model.obj", text)
     refused(words, "render", scene)
 
@@ -587,7 +597,7 @@ def test_an_archive_is_no_mesh(scene, refused):
 def test_a_good_obj_passes(scene, call, tmp_path):
     from PIL import Image
 
-    (scene / "good.mtl").write_text("newmtl a\nmap_Kd good one.png\n")
+    (scene / "good.mtl").write_bytes("# by Zoë\nnewmtl a\nmap_Kd good one.png\n".encode("latin-1"))
     Image.new("RGB", (4, 4), (200, 0, 0)).save(scene / "good one.png")
     mesh_scene(scene, "model.obj", "mtllib good.mtl\n" + QUAD + FACES_UV)
     status, _, errors = call("render", scene, "-o", tmp_path / "o", "--pose", "0,0,20,0,-90,0", *QUICK)

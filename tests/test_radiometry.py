@@ -181,7 +181,8 @@ PRINTED = {
 def test_formula_and_settings_of_real_cameras_give_what_they_printed(name):
     """The numbers of the files alone: constants, the thermography settings, raw values at the scale's ends."""
     stored = json.loads(shared_data("flir/settings.json").read_text(encoding="utf-8"))[name]
-    settings = PlanckConstants(**stored["planck"]), ThermographySettings(**stored["thermography"]), AirModel(**stored["air"])
+    kinds = {"planck": PlanckConstants, "thermography": ThermographySettings, "air": AirModel}
+    settings = [kind(**stored[part]) for part, kind in kinds.items()]
     ends = thermography_temperature(np.array(stored["scale_raw"]), *settings)
     # Printed to 0.1 °C.
     np.testing.assert_allclose(ends - 273.15, PRINTED[name], atol=0.0501)

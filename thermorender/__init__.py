@@ -9,8 +9,10 @@ Importing the package is light; Mitsuba is loaded with the first Renderer.
 """
 
 from importlib import import_module
+from typing import TYPE_CHECKING
 
 _PUBLIC = {
+    "BakedScene": "thermorender.render.baked",
     "Frame": "thermorender.frame",
     "Renderer": "thermorender.render.renderer",
     "Scene": "thermorender.scene.load",
@@ -24,11 +26,25 @@ _PUBLIC = {
 __all__ = list(_PUBLIC)
 
 
-def __getattr__(name):
-    if name not in _PUBLIC:
-        raise AttributeError(f"module 'thermorender' has no attribute {name!r}")
-    return getattr(import_module(_PUBLIC[name]), name)
+if TYPE_CHECKING:
+    # The same names for type checkers and editors, which would take a __getattr__ for any name.
+    from thermorender.errors import ThermorenderError as ThermorenderError
+    from thermorender.frame import Frame as Frame
+    from thermorender.output.flight import fly as fly
+    from thermorender.render.baked import BakedScene as BakedScene
+    from thermorender.render.renderer import Renderer as Renderer
+    from thermorender.scene.load import Scene as Scene
+    from thermorender.scene.load import load_scene as load_scene
+    from thermorender.trajectory import Trajectory as Trajectory
+    from thermorender.trajectory import read_trajectory as read_trajectory
+    from thermorender.trajectory.path import pose as pose
+else:
+
+    def __getattr__(name):
+        if name not in _PUBLIC:
+            raise AttributeError(f"module 'thermorender' has no attribute {name!r}")
+        return getattr(import_module(_PUBLIC[name]), name)
 
 
-def __dir__():
+def __dir__() -> list[str]:
     return sorted([*globals(), *_PUBLIC])

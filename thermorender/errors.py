@@ -9,6 +9,6 @@ class ThermorenderError(ValueError):
     """
 
 
-def shortened(text, length=160):
+def shortened(text: str, length: int = 160) -> str:
     """Return a text of the user's for a message, cut where a sentence would drown in it."""
     return text if len(text) <= length else f"{text[:length]}…"

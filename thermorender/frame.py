@@ -4,15 +4,19 @@ A frame is a value: it can be pickled, and then brings its truth with it. Until 
 it shows, for what has not been asked for yet.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.physics.band import RadianceTable
 from thermorender.physics.planck import band_radiance
 from thermorender.scene.surface import SATURATED
 from thermorender.sensor import readout
+from thermorender.sensor.camera import Camera
 from thermorender.sensor.chain import sensor_of
 from thermorender.sensor.display import DisplaySettings
 
@@ -36,28 +40,28 @@ class Frame:
         What was rendered how.
     """
 
-    radiance: np.ndarray = field(repr=False)
-    pose: np.ndarray
+    radiance: NDArray[np.float32] = field(repr=False)
+    pose: NDArray[np.float64]
     time_s: float
     index: int
     seed: int
-    camera: object
-    plan: dict
-    _view: object = field(repr=False, default=None)
-    _sampling: object = field(repr=False, default=None)
-    _reading: object = field(repr=False, default=None)
+    camera: Camera
+    plan: dict[str, Any]
+    _view: Any = field(repr=False, default=None)
+    _sampling: Any = field(repr=False, default=None)
+    _reading: NDArray[np.uint16] | None = field(repr=False, default=None)
 
-    def __getstate__(self):
+    def __getstate__(self) -> dict[str, Any]:
         # What is found when asked for needs the scene, which does not go along: it is found now.
         found = {name: getattr(self, name) for name in ("budget_mk", "targets", "truth")}
         return {**vars(self), **found, "_view": None, "_sampling": None}
 
-    def with_reading(self, counts, how):
+    def with_reading(self, counts: NDArray[np.uint16], how: dict[str, Any]) -> "Frame":
         """Return the same frame as a flight's sensor read it: counts (H, W) uint16, and `how` for the plan."""
         return replace(self, _reading=counts, plan={**self.plan, "sensor": how})
 
     @cached_property
-    def budget_mk(self):
+    def budget_mk(self) -> dict[str, float] | None:
         """Error of the radiance, without the sensor's noise, by its causes: {cause: root mean square [mK]}.
 
         "nodes": worst error of the spectral nodes over the spectra that the scene may show, and the bound of the
@@ -70,29 +74,29 @@ class Frame:
         return None if self._sampling is None else self._view.budget_mk(self.radiance, self._sampling)
 
     @cached_property
-    def targets(self):
+    def targets(self) -> dict[str, dict[str, Any]]:
         """Where the scene's objects are: {name: {"pixel": (column, row) or None, "in_view", "visible", "range_m"}}."""
         return self._view.targets()
 
     @cached_property
-    def apparent_temperature(self):
+    def apparent_temperature(self) -> NDArray[np.float32]:
         """Temperature of the blackbody with each pixel's band radiance, (H, W) float32 [K]; 0 for no radiance."""
         return apparent_temperature(self.radiance, self.camera.band_um)
 
     @cached_property
-    def counts(self):
+    def counts(self) -> NDArray[np.uint16]:
         """What the detector reads, with noise, (H, W) uint16; a camera at rest where the frame is not of a flight."""
         if self._reading is not None:
             return self._reading
         return sensor_of(self.camera, self.seed).counts_at_rest(self.radiance, self.index)
 
     @cached_property
-    def display(self):
+    def display(self) -> NDArray[np.uint8]:
         """The counts spread over 8 bits for a screen, white hot, (H, W) uint8."""
         return DisplaySettings(tails_percent=self.camera.agc_tails_percent).image(self.counts)[1]
 
     @cached_property
-    def truth(self):
+    def truth(self) -> dict[str, NDArray[Any]]:
         """What is really there, at pixel centres.
 
         Returns
@@ -109,7 +113,7 @@ class Frame:
         return found
 
 
-def apparent_temperature(radiance, band_um):
+def apparent_temperature(radiance: ArrayLike, band_um: Sequence[float]) -> NDArray[np.float32]:
     """Return the blackbody temperature of band radiances, (…) float32 [K], by table (error below 0.1 mK).
 
     Zero gives 0 K and negative values NaN, since no blackbody has them.

@@ -9,25 +9,51 @@ again.
 
 import json
 import zipfile
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender import files
 from thermorender.errors import ThermorenderError
+from thermorender.frame import Frame
 from thermorender.output import products as product_files
 from thermorender.output.images import write_video
 from thermorender.output.record import made_by, record
+from thermorender.scene.load import Scene
 from thermorender.sensor.chain import sensor_of
 from thermorender.sensor.display import DisplaySettings
 from thermorender.sensor.exposure import RENDER_PX, Exposure
+from thermorender.sensor.radiometry import ThermographySettings
+from thermorender.trajectory.path import Trajectory
+
+if TYPE_CHECKING:
+    # It brings Mitsuba, which whoever has a renderer has loaded.
+    from thermorender.render.renderer import Renderer
 
 # So many corners of each surface are looked for in a picture before its truth is computed, which takes as long as it.
 _CORNERS = 4096
+# What the display's gain control remembers from one frame to the next.
+_Memory = NDArray[Any] | None
 
 
-def fly(renderer, trajectory, folder, rate_hz=None, products=product_files.DEFAULT, start_s=None, stop_s=None,
-        resume=False, progress=None, display=None, thermography=None):  # fmt: skip
+def fly(
+    renderer: "Renderer",
+    trajectory: Trajectory,
+    folder: str | PathLike[str],
+    rate_hz: float | None = None,
+    products: Sequence[str] = product_files.DEFAULT,
+    start_s: float | None = None,
+    stop_s: float | None = None,
+    resume: bool = False,
+    progress: Callable[[int, int], object] | None = None,
+    display: DisplaySettings | None = None,
+    thermography: ThermographySettings | None = None,
+) -> dict[str, Any]:
     """Render a flight into a folder and return its summary.
 
     Parameters
@@ -84,45 +110,45 @@ def fly(renderer, trajectory, folder, rate_hz=None, products=product_files.DEFAU
         **made_by(),
     }
     exposure = _exposure(renderer, trajectory, 1.0 / rate)
-    with files.output_folder(folder) as folder:
-        terrain = _done(folder, settings, products, resume)
+    with files.output_folder(folder) as out:
+        terrain = _done(out, settings, products, resume)
         done, agc = len(terrain), None
 
-        def take(index, agc):
+        def take(index: int, agc: _Memory) -> tuple[Frame, _Memory, Any]:
             frame = _taken(renderer, exposure, poses, times, index)
             return frame, *(display.image(frame.counts, agc, 1.0 / rate) if "display" in products else (None, None))
 
         if 0 < done < len(times):
-            agc = _restored(folder, exposure, done, take)
+            agc = _restored(out, exposure, done, take)
         for index in range(done, len(times)):
             frame, agc, image = take(index, agc)
             # Only now, so that a mistake that shows with the first frame leaves nothing behind.
-            if not (folder / "flight.json").exists():
-                files.write_json(folder / "flight.json", settings)
-            product_files.write(folder, frame, products, image, thermography)
-            _save_state(folder, exposure, agc, index)
+            if not (out / "flight.json").exists():
+                files.write_json(out / "flight.json", settings)
+            product_files.write(out, frame, products, image, thermography)
+            _save_state(out, exposure, agc, index)
             terrain.append(_shows_terrain(renderer.scene, frame))
-            files.append_json(folder / "frames.jsonl", record(frame) | {"shows_terrain": terrain[-1]})
+            files.append_json(out / "frames.jsonl", record(frame) | {"shows_terrain": terrain[-1]})
             if progress:
                 progress(index + 1, len(times))
-        for path in _state_files(folder):
+        for path in _state_files(out):
             path.unlink(missing_ok=True)
         if "video" in products:
-            images = [product_files.paths(folder, index, ("display",))["display"] for index in range(len(times))]
-            write_video(folder / "flight.mp4", images, rate)
+            images = [product_files.paths(out, index, ("display",))["display"] for index in range(len(times))]
+            write_video(out / "flight.mp4", images, rate)
         without = terrain.count(False)
-        files.write_json(folder / "flight.json", settings | {"frames_without_terrain": without})
+        files.write_json(out / "flight.json", settings | {"frames_without_terrain": without})
     return {
         "frames": len(times),
         "rendered": len(times) - done,
         "frames_without_terrain": without,
-        "folder": str(folder),
+        "folder": str(out),
         "first_time_s": float(times[0]),
         "last_time_s": float(times[-1]),
     }
 
 
-def _done(folder, settings, products, resume):
+def _done(folder: Path, settings: dict[str, Any], products: Sequence[str], resume: bool) -> list[bool]:
     """Return whether each frame already done shows terrain, after checking the folder and comparing `flight.json`."""
     described, lines = folder / "flight.json", folder / "frames.jsonl"
     if not resume:
@@ -176,8 +202,8 @@ def _done(folder, settings, products, resume):
     return terrain
 
 
-def _shows_terrain(scene, frame):
-    """Whether a pixel of a frame shows the scene: by corners of its faces near the axis, else by the truth."""
+def _shows_terrain(scene: Scene, frame: Frame) -> bool:
+    """Whether a pixel of a frame shows the scene: told by corners of its faces near the axis, else by the truth."""
     camera = frame.camera
     edges = np.array([[0.5, 0.0], [0.5, 1.0], [0.0, 0.5], [1.0, 0.5]]) * (camera.width, camera.height)
     # Within this slope of the axis all directions are in the picture.
@@ -190,16 +216,16 @@ def _shows_terrain(scene, frame):
     return bool(np.isfinite(frame.truth["depth"]).any())
 
 
-def _exposure(renderer, trajectory, interval_s):
+def _exposure(renderer: "Renderer", trajectory: Trajectory, interval_s: float) -> Exposure:
     """The Exposure of a flight: the sensor with what it keeps from frame to frame."""
     scene = renderer.scene
     first, last = trajectory.span_s
     terrain = np.concatenate([surface.vertices[:, 2] for surface in scene.surfaces[: scene.terrain_count]])
 
-    def pose_at(time_s):
+    def pose_at(time_s: float) -> NDArray[np.float64]:
         return trajectory.pose(min(max(time_s, first), last))
 
-    def ground_at(pose):
+    def ground_at(pose: NDArray[np.float64]) -> float:
         height = float(scene.ground(*pose[:2, 3]))
         return height if np.isfinite(height) else float(terrain.min())
 
@@ -214,25 +240,29 @@ def _exposure(renderer, trajectory, interval_s):
     )
 
 
-def _taken(renderer, exposure, poses, times, index):
+def _taken(
+    renderer: "Renderer", exposure: Exposure, poses: NDArray[np.float64], times: NDArray[np.float64], index: int
+) -> Frame:
     """One frame of the flight with what its sensor reads."""
     frame = renderer.frame(poses[index], time_s=times[index], index=index)
     return frame.with_reading(*exposure.read(index, float(times[index]), frame.radiance))
 
 
-def _state_files(folder):
+def _state_files(folder: Path) -> tuple[Path, Path]:
     """The files that hold the sensor's state after frames of even and of odd number."""
     return folder / "sensor_even.npz", folder / "sensor_odd.npz"
 
 
-def _save_state(folder, exposure, agc, index):
+def _save_state(folder: Path, exposure: Exposure, agc: _Memory, index: int) -> None:
     """Keep the state of sensor and display beside the frame's line: two files in turn, so that one is always whole."""
     state = exposure.state() | ({} if agc is None else {"agc": agc})
     with files.atomic(_state_files(folder)[index % 2]) as part:
         np.savez(part, index=index, **state)
 
 
-def _restored(folder, exposure, done, take):
+def _restored(
+    folder: Path, exposure: Exposure, done: int, take: Callable[[int, _Memory], tuple[Frame, _Memory, Any]]
+) -> _Memory:
     """Bring the sensor to where it was after `done` frames, from its file or by taking them again; the display's state.
 
     `take` is called with a frame's index and the display's state, and returns the frame and the state after it.
@@ -253,7 +283,7 @@ def _restored(folder, exposure, done, take):
     return agc
 
 
-def _digest(*arrays):
+def _digest(*arrays: NDArray[Any]) -> str:
     import hashlib
 
     state = hashlib.blake2b(digest_size=16)

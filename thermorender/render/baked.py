@@ -5,9 +5,12 @@ of temperature, material, sky or air, with the rays between its faces traced onc
 when first asked for and made again where the value arrives.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.physics.planck import band_radiance_derivative
 from thermorender.render import mirrors
@@ -15,9 +18,13 @@ from thermorender.render.device import DeviceScene, flat
 from thermorender.render.dynamic import StaticLight
 from thermorender.render.geometry import Geometry, refuse_other_surfaces
 from thermorender.render.light import cache, environment, radiosity, texels
-from thermorender.render.plan import REFERENCE_K, Plan, make_plan
+from thermorender.render.plan import Plan, make_plan
+from thermorender.render.spectrum import REFERENCE_K
 from thermorender.render.variant import activate
 from thermorender.scene.load import Scene
+
+# Called with (what, share done).
+Progress = Callable[[str, float], object]
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,33 +58,33 @@ class BakedScene:
     scene: Scene
     plan: Plan
     transport: radiosity.Transport | None
-    texels: tuple
-    faces: np.ndarray | None
-    face_error: np.ndarray | None
-    mirror_black: np.ndarray | None
+    texels: tuple[NDArray[np.float32], ...]
+    faces: NDArray[np.float32] | None
+    face_error: NDArray[np.float32] | None
+    mirror_black: NDArray[Any] | None
     static_light: StaticLight | None
-    errors_mk: dict
+    errors_mk: dict[str, float]
     cache_note: str | None
-    _uploaded: dict = field(repr=False)
+    _uploaded: dict[str, Any] = field(repr=False)
 
     @property
-    def geometry(self):
+    def geometry(self) -> Geometry:
         """The Geometry of the scene's surfaces on the device."""
         if "geometry" not in self._uploaded:
             self._uploaded["geometry"] = Geometry(activate(), self.scene.surfaces)
         return self._uploaded["geometry"]
 
     @property
-    def device(self):
+    def device(self) -> DeviceScene:
         """The DeviceScene, uploaded when first asked for."""
         if "scene" not in self._uploaded:
             self._uploaded["scene"] = DeviceScene(self, self.geometry)
         return self._uploaded["scene"]
 
-    def __getstate__(self):
+    def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_uploaded": {}}
 
-    def solved_for(self, scene, progress=None):
+    def solved_for(self, scene: Scene, progress: Progress | None = None) -> "BakedScene":
         """Return the BakedScene of an edited scene: other temperatures, materials, sky or air; nothing is traced.
 
         Parameters
@@ -99,7 +106,7 @@ class BakedScene:
         )  # fmt: skip
         return bake(scene, plan, like=self, progress=progress)
 
-    def seen_as(self, scene, plan):
+    def seen_as(self, scene: Scene, plan: Plan) -> "BakedScene | None":
         """Return this light under another camera or sampling, or None where `scene` and `plan` change the light."""
         old = self.scene
         parts = ("surfaces", "materials", "air", "tracked_objects")
@@ -109,7 +116,13 @@ class BakedScene:
         return replace(self, scene=scene, plan=plan) if same else None
 
 
-def bake(scene, plan, geometry=None, like=None, progress=None):
+def bake(
+    scene: Scene,
+    plan: Plan,
+    geometry: Geometry | None = None,
+    like: BakedScene | None = None,
+    progress: Progress | None = None,
+) -> BakedScene:
     """Return the BakedScene of a scene.
 
     Parameters
@@ -175,5 +188,5 @@ def bake(scene, plan, geometry=None, like=None, progress=None):
     errors = {name: float(value / per_mk) for name, value in errors.items()}
     tell("solving the light between surfaces", 1.0)
     # Of each face, for the budget of a frame that shows some of them.
-    square = np.float32(noise**2 + scatter)
+    square = (noise**2 + scatter).astype(np.float32)
     return BakedScene(scene, plan, known, tuple(texel), face, square, black, static, errors, note, uploaded)

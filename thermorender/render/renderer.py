@@ -1,9 +1,12 @@
 """The renderer: frames of one baked scene, each a function of camera, pose, time and objects alone."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, Literal
 
 import drjit as dr
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.frame import Frame
@@ -11,8 +14,8 @@ from thermorender.physics.planck import band_radiance_derivative
 from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
 from thermorender.render import budget, truth
 from thermorender.render.air import Vacuum
-from thermorender.render.baked import BakedScene, bake
-from thermorender.render.dynamic import placements
+from thermorender.render.baked import BakedScene, Progress, bake
+from thermorender.render.dynamic import Placement, placements
 from thermorender.render.geometry import (
     Channels,
     Geometry,
@@ -22,15 +25,19 @@ from thermorender.render.geometry import (
     refuse_other_surfaces,
     view_ray,
 )
-from thermorender.render.plan import REFERENCE_K, make_plan
+from thermorender.render.plan import Plan, make_plan
 from thermorender.render.sampling import CameraRays
-from thermorender.render.tracer import Tracer
+from thermorender.render.spectrum import REFERENCE_K
+from thermorender.render.tracer import Sampling, Tracer
 from thermorender.render.variant import activate
 from thermorender.scene.load import Scene
 from thermorender.scene.surface import FILLED
+from thermorender.sensor.camera import Camera
 
 # Error from which on edge pixels of a visible view get more rays: a share of white, summed over the colours.
 _VISIBLE_EDGE = 0.03
+# {name of a dynamic object: {column of its track: value}}.
+Objects = Mapping[str, Mapping[str, float]]
 
 
 class Renderer:
@@ -67,8 +74,21 @@ class Renderer:
         What is no Scene, a setting out of range, or a `like` of other surfaces.
     """
 
-    def __init__(self, scene, quality="standard", samples=None, taps=None, edge_mk=None, rays=128,
-                 tolerance_mk=5.0, seed=0, device="auto", progress=None, like=None):  # fmt: skip
+    scene: Scene
+    plan: Plan
+    seed: int
+    _like: BakedScene | None
+    _baked: BakedScene | None
+    _geometry: Geometry
+    _rays_of: dict[Camera, CameraRays]
+    _coloured: list[tuple[Geometry, OutgoingRadiance]] | None
+
+    def __init__(
+        self, scene: Scene, quality: Literal["fast", "standard", "high"] = "standard", samples: int | None = None,
+        taps: int | None = None, edge_mk: float | None = None, rays: int = 128, tolerance_mk: float = 5.0,
+        seed: int = 0, device: Literal["auto", "cpu", "cuda"] = "auto", progress: Progress | None = None,
+        like: "Renderer | None" = None,
+    ) -> None:  # fmt: skip
         if not isinstance(scene, Scene):
             raise ThermorenderError(
                 f"scene={scene!r} is no Scene; give what load_scene returns, as in Renderer(load_scene('heath'))"
@@ -85,7 +105,7 @@ class Renderer:
             self._geometry = Geometry(activate(device), scene.surfaces)
 
     @classmethod
-    def of(cls, baked, seed=0):
+    def of(cls, baked: BakedScene, seed: int = 0) -> "Renderer":
         """Return the Renderer of a BakedScene, such as one from another process."""
         made = cls.__new__(cls)
         made.scene, made.plan, made.seed = baked.scene, baked.plan, _checked_seed(seed)
@@ -94,14 +114,16 @@ class Renderer:
         return made
 
     @property
-    def baked(self):
+    def baked(self) -> BakedScene:
         """The BakedScene; light between surfaces is traced and solved when first asked for."""
         if self._baked is None:
             self._baked = bake(self.scene, self.plan, self._geometry, self._like, self._progress)
             self._like = None
         return self._baked
 
-    def frame(self, pose, time_s=0.0, index=0, objects=None):
+    def frame(
+        self, pose: ArrayLike, time_s: float = 0.0, index: int = 0, objects: Objects | None = None
+    ) -> Frame:
         """Return the Frame seen from `pose`.
 
         Parameters
@@ -124,15 +146,22 @@ class Renderer:
         radiance, sampling = view.radiance()
         return self._frame(view, radiance, time_s, index, self.plan.as_dict(), sampling)
 
-    def radiance(self, pose, time_s=0.0, objects=None):
+    def radiance(
+        self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None
+    ) -> NDArray[np.float32]:
         """Return the band radiance of `frame` alone, (H, W) float32 [W m⁻² sr⁻¹], without noise or truth."""
         return self._view(pose, time_s, objects).radiance()[0]
 
-    def frame_of(self, radiance, pose, plan, time_s=0.0, index=0, objects=None):
+    def frame_of(
+        self, radiance: NDArray[np.float32], pose: ArrayLike, plan: dict[str, Any], time_s: float = 0.0, index: int = 0,
+        objects: Objects | None = None,
+    ) -> Frame:  # fmt: skip
         """Return the Frame of a radiance image (H, W) made elsewhere for this view; `plan` (a dict) says how."""
         return self._frame(self._view(pose, time_s, objects), radiance, time_s, index, plan)
 
-    def visible(self, pose, time_s=0.0, objects=None, camera=None):
+    def visible(
+        self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None, camera: Camera | None = None
+    ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
         """Return (image (H, W, 3) uint8 sRGB, valid (H, W) bool): the orthophoto seen from `pose`.
 
         The texture carries its own sun and shade; light is averaged linearly over a pixel's rays. Pixels without
@@ -151,12 +180,12 @@ class Renderer:
         found, _ = Tracer(layers, self._camera_rays(camera), nothing, self.plan).image(_VISIBLE_EDGE)
         return bytes_from_linear(np.moveaxis(found[:3], 0, -1)), found[3] > 0.999
 
-    def rays(self, pose):
+    def rays(self, pose: ArrayLike) -> list[Sequence[Any]]:
         """Return the slopes of all rays that a frame from `pose` casts into the static scene, [(x/z, y/z), …]."""
         view = self._view(pose)
         return view.tracer.slopes(view.radiance()[1])
 
-    def cast_only(self, pose, rays):
+    def cast_only(self, pose: ArrayLike, rays: Sequence[Sequence[Any]]) -> None:
         """Cast rays, as by `rays`, and nothing else: the floor under the time of a frame."""
         mi = self._geometry.mi
         view = opaque_view(mi, checked_pose(pose))
@@ -164,10 +193,13 @@ class Renderer:
         dr.eval([cast(view_ray(mi, *view, *slope), coherent=True).t for slope in rays])
         dr.sync_thread()
 
-    def _view(self, pose, time_s=0.0, objects=None):
+    def _view(self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None) -> "View":
         return View(self.baked, self._camera_rays(), checked_pose(pose), placements(self.scene, time_s, objects))
 
-    def _frame(self, view, radiance, time_s, index, plan, sampling=None):
+    def _frame(
+        self, view: "View", radiance: NDArray[np.float32], time_s: float, index: int, plan: dict[str, Any],
+        sampling: Sampling | None = None,
+    ) -> Frame:  # fmt: skip
         return Frame(
             radiance=radiance,
             pose=view.pose,
@@ -180,7 +212,7 @@ class Renderer:
             _sampling=sampling,
         )
 
-    def _camera_rays(self, camera=None):
+    def _camera_rays(self, camera: Camera | None = None) -> CameraRays:
         camera = camera or self.scene.camera
         if camera not in self._rays_of:
             self._rays_of[camera] = CameraRays(self._geometry.mi, camera)
@@ -203,37 +235,37 @@ class View:
 
     baked: BakedScene
     rays: CameraRays
-    pose: np.ndarray
-    placements: tuple
+    pose: NDArray[np.float64]
+    placements: tuple[Placement, ...]
 
     @property
-    def tracer(self):
+    def tracer(self) -> Tracer:
         """The Tracer of this view."""
         device = self.baked.device
         layers, medium = device.layers(self.pose, self.placements), device.medium(self.pose, self.placements)
         return Tracer(layers, self.rays, medium, self.baked.plan)
 
-    def radiance(self):
+    def radiance(self) -> tuple[NDArray[np.float32], Sampling]:
         """Return (band radiance (H, W) float32 [W m⁻² sr⁻¹], Sampling)."""
         plan = self.baked.plan
         limit = plan.edge_mk * float(band_radiance_derivative(REFERENCE_K, *plan.band_um)) * 1e-3
         image, sampling = self.tracer.image(limit)
         return image[0], sampling
 
-    def truth(self):
+    def truth(self) -> dict[str, NDArray[Any]]:
         """Return what is really there, as `Frame.truth` has it, without the sensor's flags."""
         return truth.truth(self.baked, self.rays, self.pose, self.placements)
 
-    def targets(self):
+    def targets(self) -> dict[str, dict[str, Any]]:
         """Return where objects are, as `Frame.targets` has it."""
         return truth.targets(self.baked, self.rays.camera, self.pose, self.placements)
 
-    def budget_mk(self, radiance, sampling):
+    def budget_mk(self, radiance: NDArray[np.float32], sampling: Sampling) -> dict[str, float]:
         """Return the error budget, as `Frame.budget_mk` has it, of a radiance image with its Sampling."""
         return budget.budget_mk(self.baked, self.rays, self.pose, radiance, sampling)
 
 
-def checked_pose(pose):
+def checked_pose(pose: ArrayLike) -> NDArray[np.float64]:
     """Return a pose as (4, 4) float64 after refusing what is no rigid transform."""
     pose = np.array(pose, dtype=np.float64)
     if pose.shape != (4, 4) or not np.isfinite(pose).all() or not np.allclose(pose[3], [0, 0, 0, 1]):
@@ -248,7 +280,7 @@ def checked_pose(pose):
     return pose
 
 
-def _colours(geometry):
+def _colours(geometry: Geometry) -> OutgoingRadiance:
     """The linear colour of a Geometry's texels, and 1 where it is known, else 0, as OutgoingRadiance."""
     linear = linear_from_bytes(np.concatenate([surface.colour.reshape(-1, 3) for surface in geometry.surfaces]))
     flags = np.concatenate([surface.flags.ravel() for surface in geometry.surfaces])
@@ -256,7 +288,7 @@ def _colours(geometry):
     return OutgoingRadiance(Channels(geometry.mi, np.column_stack([linear, known])))
 
 
-def _checked_seed(seed):
+def _checked_seed(seed: int) -> int:
     if not 0 <= seed < 2**64:
         raise ThermorenderError(f"seed={seed} is not allowed; give a whole number 0 … 2⁶⁴−1")
     return seed

@@ -1,6 +1,12 @@
 """Height of the ground below a point: the highest terrain triangle over it, found through a grid of bins."""
 
+from collections.abc import Sequence
+from typing import Any, overload
+
 import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.scene.surface import Surface
 
 
 class Ground:
@@ -12,7 +18,7 @@ class Ground:
         The terrain.
     """
 
-    def __init__(self, surfaces):
+    def __init__(self, surfaces: Sequence[Surface]) -> None:
         corners = np.concatenate([surface.vertices[surface.faces] for surface in surfaces])
         self._corners = corners
         low, high = corners[..., :2].min(axis=1), corners[..., :2].max(axis=1)
@@ -33,8 +39,14 @@ class Ground:
         self._triangle = triangle[order]
         self._start = np.searchsorted(bins[order], np.arange(self._count.prod() + 1))
 
-    def __call__(self, east, north):
-        """Return local heights [m] in the shape of the arguments, NaN off the terrain."""
+    @overload
+    def __call__(self, east: float, north: float) -> float: ...
+
+    @overload
+    def __call__(self, east: NDArray[Any], north: NDArray[Any]) -> NDArray[np.float64]: ...
+
+    def __call__(self, east: Any, north: Any) -> Any:
+        """Return local heights [m] in the shape of the arguments, a number for numbers; NaN off the terrain."""
         east, north = np.broadcast_arrays(np.asarray(east, np.float64), np.asarray(north, np.float64))
         point = np.stack([east.ravel(), north.ravel()], axis=-1)
         index = np.floor((point - self._origin) / self._bin)
@@ -56,4 +68,4 @@ class Ground:
         a, b, c, v, w = (values[hit] for values in (a, b, c, v, w))
         height = np.full(len(point), -np.inf)
         np.maximum.at(height, which[hit], a[:, 2] + v * (b - a)[:, 2] + w * (c - a)[:, 2])
-        return np.where(np.isfinite(height), height, np.nan).reshape(east.shape)
+        return np.where(np.isfinite(height), height, np.nan).reshape(east.shape)[()]

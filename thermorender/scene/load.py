@@ -1,24 +1,30 @@
 """A scene in memory: surfaces with their texels, materials, sky and camera, made from a scene folder."""
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.atmosphere.declared import declared_air
+from thermorender.atmosphere.model import Atmosphere
 from thermorender.errors import ThermorenderError
 from thermorender.materials import library as material_tables
+from thermorender.materials.library import Material
 from thermorender.materials.mixture import Mixture
 from thermorender.paths import data_folder
 from thermorender.physics.geodesy import FARTHEST_M, LocalFrame
 from thermorender.scene import mesh, terrain
 from thermorender.scene.ground import Ground
 from thermorender.scene.material_map import learned_materials
-from thermorender.scene.raster import bounds_in, grid_of, onto, read_classes, read_colour
+from thermorender.scene.raster import Grid, bounds_in, grid_of, onto, read_classes, read_colour
 from thermorender.scene.refine import refined
-from thermorender.scene.spec import AtmosphereSpec, SceneSpec, TemperatureSpec, read_scene
+from thermorender.scene.spec import AtmosphereSpec, EmissivitySpec, ObjectSpec, SceneSpec, TemperatureSpec, read_scene
 from thermorender.scene.surface import (
     FALLBACK,
     FILLED,
@@ -32,6 +38,9 @@ from thermorender.scene.surface import (
 from thermorender.scene.temperature import Texels, resolve
 from thermorender.scene.tracks import TrackedObject, read_track
 from thermorender.sensor.camera import Camera, load_camera
+
+# Number of a texel's material (h, w), and whether it is known, or unknown, there (h, w).
+_Map = tuple[NDArray[np.uint8], NDArray[np.bool_]]
 
 
 @dataclass(frozen=True)
@@ -65,28 +74,28 @@ class Scene:
 
     spec: SceneSpec
     frame: LocalFrame | None
-    surfaces: tuple
+    surfaces: tuple[Surface, ...]
     terrain_count: int
-    materials: tuple
+    materials: tuple[Material, ...]
     camera: Camera
-    grid: object
-    air: object = None
-    tracked_objects: tuple = ()
-    report: dict = field(default_factory=dict)
-    emissivity_report: dict = field(default_factory=dict)
+    grid: Grid | None
+    air: Atmosphere | None = None
+    tracked_objects: tuple[TrackedObject, ...] = ()
+    report: dict[str, Any] = field(default_factory=dict)
+    emissivity_report: dict[str, Any] = field(default_factory=dict)
 
     @property
-    def name(self):
+    def name(self) -> str:
         """Name of the scene's folder."""
         return self.spec.folder.name
 
     @property
-    def where(self):
+    def where(self) -> str:
         """Path of the scene file, for messages."""
         return str(self.spec.folder / "scene.toml")
 
     @property
-    def altitude_m(self):
+    def altitude_m(self) -> float:
         """Altitude of the local frame's origin above sea level [m]: as declared, else as the frame lies, else 0."""
         air = self.spec.atmosphere
         if air and air.altitude_m is not None:
@@ -94,7 +103,7 @@ class Scene:
         return self.frame.height_m - (self.geoid_undulation_m or 0.0) if self.frame else 0.0
 
     @property
-    def surroundings_temperature(self):
+    def surroundings_temperature(self) -> float:
         """Temperature of the black background beyond the terrain's edge [K]: as stated, else its texels' mean."""
         if self.spec.surroundings_temperature is not None:
             return self.spec.surroundings_temperature
@@ -102,7 +111,7 @@ class Scene:
         return float(np.concatenate(terrain).mean(dtype=np.float64))
 
     @property
-    def truth_temperature_spec(self):
+    def truth_temperature_spec(self) -> TemperatureSpec:
         """TemperatureSpec of the truth raster.
 
         Raises
@@ -115,18 +124,18 @@ class Scene:
         return TemperatureSpec(source="raster", raster=self.spec.truth_temperature)
 
     @property
-    def geoid_undulation_m(self):
+    def geoid_undulation_m(self) -> float | None:
         """Height of the geoid above the ellipsoid that this scene declares [m], or None."""
         declared = self.spec.terrain.geoid_undulation_m
         return 0.0 if declared is None and self.spec.terrain.height_reference == "geoid" else declared
 
     @cached_property
-    def ground(self):
+    def ground(self) -> Ground:
         """Callable (east, north) → local height of the terrain [m], NaN off it."""
         return Ground(self.surfaces[: self.terrain_count])
 
     @cached_property
-    def targets(self):
+    def targets(self) -> dict[str, NDArray[np.float64]]:
         """{name: (3,) local position of its middle [m]} of the static objects."""
         found = {}
         for item in (item for item in self.spec.objects if item.track is None):
@@ -136,14 +145,14 @@ class Scene:
             found[item.name] = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
         return found
 
-    def with_temperature(self, spec):
+    def with_temperature(self, spec: TemperatureSpec) -> "Scene":
         """Return this scene with its terrain's temperatures from another source (a TemperatureSpec)."""
         if not isinstance(spec, TemperatureSpec):
             raise ThermorenderError(
                 f"with_temperature was given a {type(spec).__name__}; give a TemperatureSpec, for kelvins of one's own "
                 "TemperatureSpec(source='raster', raster=path) with the path of a GeoTIFF"
             )
-        report = {}
+        report: dict[str, Any] = {}
         surfaces = list(self.surfaces)
         for index, surface in enumerate(surfaces[: self.terrain_count]):
             texels = Texels(
@@ -156,7 +165,7 @@ class Scene:
             self, spec=replace(self.spec, temperature=spec), surfaces=tuple(surfaces), report=report
         )
 
-    def with_air(self, standard, aerosol="none"):
+    def with_air(self, standard: str, aerosol: str = "none") -> "Scene":
         """Return this scene under a standard atmosphere, in place of its own sky or air.
 
         Parameters
@@ -168,7 +177,7 @@ class Scene:
         spec = replace(self.spec, sky_temperature=None, atmosphere=air)
         return replace(self, spec=spec, air=declared_air(air, self.camera.band_um, self.name))
 
-    def digest(self):
+    def digest(self) -> str:
         """Return a fingerprint (hex) of everything a frame of this scene depends on."""
         state = hashlib.blake2b(digest_size=16)
         for surface in self.surfaces:
@@ -177,8 +186,8 @@ class Scene:
                 state.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
         for material in self.materials:
             state.update(material.name.encode() + material.wavelength_um.tobytes() + material.emissivity.tobytes())
-            if material.emissivity_by_angle is not None:
-                state.update(material.cosines.tobytes() + material.emissivity_by_angle.tobytes())
+            for table in (material.cosines, material.emissivity_by_angle):
+                state.update(b"" if table is None else table.tobytes())
         for tracked in self.tracked_objects:
             state.update(repr((tracked.item, tracked.lift_m)).encode() + tracked.time_s.tobytes())
             for name, values in tracked.columns.items():
@@ -194,7 +203,7 @@ class Scene:
                     state.update(value.tobytes())
         return state.hexdigest()
 
-    def __str__(self):
+    def __str__(self) -> str:
         faces = sum(len(surface.faces) for surface in self.surfaces)
         texels = sum(surface.material.size for surface in self.surfaces)
         terrain_k = np.concatenate([s.temperature.ravel() for s in self.surfaces[: self.terrain_count]])
@@ -212,12 +221,12 @@ class Scene:
                             f"{self.frame.height_m:g} m above the ellipsoid")  # fmt: skip
         return "\n".join(lines)
 
-    def _sky_words(self):
+    def _sky_words(self) -> str:
         if self.air is None:
             return f"{self.spec.sky_temperature:g} K"
         return f"that of {self.air}, {self.altitude_m:.0f} m above sea level"
 
-    def _materials_words(self):
+    def _materials_words(self) -> str:
         pure = [material.name for material in self.materials if not isinstance(material, Mixture)]
         mixes, report = len(self.materials) - len(pure), self.emissivity_report
         words = ", ".join(pure) + (f" and {mixes} mixes of them" if mixes else "")
@@ -229,7 +238,7 @@ class Scene:
         return words
 
 
-def scene_folder(name):
+def scene_folder(name: str | PathLike[str]) -> Path:
     """Return the folder of a scene given by path, or by the name of a shipped one.
 
     Raises
@@ -247,7 +256,7 @@ def scene_folder(name):
     raise ThermorenderError(f"scene {str(name)!r} does not exist; give a folder with a scene.toml or one of {known}")
 
 
-def load_scene(name):
+def load_scene(name: str | PathLike[str]) -> Scene:
     """Return the Scene of a folder, or of a shipped scene by name.
 
     Parameters
@@ -267,7 +276,9 @@ def load_scene(name):
     where = str(spec.folder / "scene.toml")
     camera = load_camera(spec.camera, f"{where}: camera.model")
     materials = _Materials(library, camera, where)
-    emissivity_report = {}
+    emissivity_report: dict[str, Any] = {}
+    frame: LocalFrame | None
+    grid: Grid | None
     if spec.terrain.elevation:
         frame, grid, surfaces = _raster_terrain(spec, materials, emissivity_report)
     else:
@@ -282,9 +293,9 @@ def load_scene(name):
     along = [surface for one in tracked for values in one.stations() for surface in _in_scene(one, values, scene)]
     terrain_surfaces, done = refined(scene.surfaces, static + along)
     static = done[: len(static)]
-    tracked = tuple(replace(one, surfaces=tuple(refined((), one.surfaces)[1])) for one in tracked)
+    tracked_objects = tuple(replace(one, surfaces=tuple(refined((), one.surfaces)[1])) for one in tracked)
     scene = replace(
-        scene, surfaces=(*terrain_surfaces, *static), tracked_objects=tracked, materials=tuple(materials.used)
+        scene, surfaces=(*terrain_surfaces, *static), tracked_objects=tracked_objects, materials=tuple(materials.used)
     )
     return scene.with_temperature(spec.temperature)
 
@@ -292,15 +303,15 @@ def load_scene(name):
 class _Materials:
     """Materials a scene uses, in the order of their first use; each checked against the camera's band."""
 
-    def __init__(self, library, camera, where):
+    def __init__(self, library: Mapping[str, Material], camera: Camera, where: str) -> None:
         self.library, self.camera, self.where = library, camera, where
-        self.used = []
+        self.used: list[Material] = []
 
-    def index(self, name, key):
+    def index(self, name: str, key: str) -> int:
         found = material_tables.find(self.library, name, f"{self.where}: {key}")
         return self.add(found)
 
-    def add(self, material):
+    def add(self, material: Material) -> int:
         if material not in self.used:
             try:
                 material.emissivity_at(np.array(self.camera.band_um))
@@ -315,7 +326,9 @@ class _Materials:
         return self.used.index(material)
 
 
-def _raster_terrain(spec, materials, report):
+def _raster_terrain(
+    spec: SceneSpec, materials: _Materials, report: dict[str, Any]
+) -> tuple[LocalFrame, Grid, list[Surface]]:
     source = spec.terrain
     height, grid = terrain.read_elevation(source.elevation)
     if source.height_reference == "geoid":
@@ -372,7 +385,7 @@ def _raster_terrain(spec, materials, report):
     return frame, texels, [surface]
 
 
-def _texel_grid(spec, elevation_grid):
+def _texel_grid(spec: SceneSpec, elevation_grid: Grid) -> Grid:
     """The finest description of the ground sets the texels: orthophoto, else classes, else temperature."""
     for path in (spec.terrain.orthophoto, spec.emissivity.raster, spec.temperature.raster):
         if path:
@@ -380,7 +393,7 @@ def _texel_grid(spec, elevation_grid):
     return elevation_grid
 
 
-def _require_overlap(one, other):
+def _require_overlap(one: Grid, other: Grid) -> None:
     a, b = bounds_in(other.crs, one), other.bounds
     if min(a[2], b[2]) <= max(a[0], b[0]) or min(a[3], b[3]) <= max(a[1], b[1]):
         raise ThermorenderError(
@@ -389,11 +402,11 @@ def _require_overlap(one, other):
         )
 
 
-def _extent(bounds):
+def _extent(bounds: tuple[float, ...]) -> str:
     return f"x {bounds[0]:.0f}…{bounds[2]:.0f}, y {bounds[1]:.0f}…{bounds[3]:.0f}"
 
 
-def _material_map(spec, materials, texels):
+def _material_map(spec: SceneSpec, materials: _Materials, texels: Grid) -> _Map:
     """(material index (h, w) uint8, known (h, w) bool) of the terrain's texels."""
     source = spec.emissivity
     shape = (texels.height, texels.width)
@@ -419,7 +432,10 @@ def _material_map(spec, materials, texels):
     return np.where(known, material, 0).astype(np.uint8), known
 
 
-def _learned_map(spec, materials, colour, valid, texel_m, report):
+def _learned_map(
+    spec: SceneSpec, materials: _Materials, colour: NDArray[np.uint8], valid: NDArray[np.bool_], texel_m: float,
+    report: dict[str, Any],
+) -> _Map:  # fmt: skip
     """(material index (h, w) uint8, unknown (h, w) bool) of the terrain's texels, told from their colour."""
     if not valid.all():
         colour = fill(colour, nearest_valid(valid))
@@ -430,13 +446,13 @@ def _learned_map(spec, materials, colour, valid, texel_m, report):
     return np.array([materials.add(material) for material in used], dtype=np.uint8)[number], unknown
 
 
-def _single_material(source, materials):
-    if source.source == "material":
+def _single_material(source: EmissivitySpec, materials: _Materials) -> int:
+    if source.source == "material" and source.material:
         return materials.index(source.material, "emissivity.material")
     return materials.add(material_tables.grey("constant", source.value))
 
 
-def _mesh_terrain(spec, materials):
+def _mesh_terrain(spec: SceneSpec, materials: _Materials) -> tuple[LocalFrame | None, None, list[Surface]]:
     if spec.emissivity.source in ("classes", "learned"):
         raise ThermorenderError(
             f"{materials.where}: emissivity.source={spec.emissivity.source!r} needs an elevation raster; give "
@@ -447,7 +463,7 @@ def _mesh_terrain(spec, materials):
     return (LocalFrame(*spec.frame) if spec.frame else None), None, surfaces
 
 
-def _part_surface(part, material, temperature):
+def _part_surface(part: mesh.Part, material: int, temperature: float) -> Surface:
     shape = part.colour.shape[:2]
     corners = part.vertices[part.faces]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1).sum()
@@ -464,14 +480,14 @@ def _part_surface(part, material, temperature):
     )
 
 
-def _object(item, materials, folder):
+def _object(item: ObjectSpec, materials: _Materials, folder: Path) -> TrackedObject:
     """The TrackedObject of one object: its surfaces in its own frame, and its track; one row where it has none."""
-    if item.file:
-        parts = mesh.load(item.file, folder)
-    else:
+    if item.shape:
         vertices, faces = mesh.primitive(item.shape, item.size)
         colour = np.array(item.colour, dtype=np.uint8).reshape(1, 1, 3)
         parts = [mesh.Part(item.shape, vertices, faces, np.full((len(faces), 3, 2), 0.5, np.float32), colour)]
+    else:
+        parts = mesh.load(item.file, folder)
     # A flat object lies a finger above the ground it covers, so that neither hides the other.
     lift = 0.02 if item.shape == "disc" else 0.0
     material = materials.index(item.material, f"object {item.name!r}")
@@ -482,7 +498,7 @@ def _object(item, materials, folder):
     return TrackedObject(item, tuple(surfaces), lift, time_s, columns)
 
 
-def _in_scene(tracked, values, scene):
+def _in_scene(tracked: TrackedObject, values: Mapping[str, float], scene: Scene) -> list[Surface]:
     """Surfaces of an object in the scene's frame, for values as by `TrackedObject.at`."""
     try:
         matrix = tracked.world_from_own(values, scene.ground)

@@ -10,12 +10,16 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, shortened
 from thermorender.paths import inside
 from thermorender.scene.surface import MOST_TEXELS
 
 # Archives, which trimesh would read too, bring files of their own.
 FORMATS = (".obj", ".glb", ".gltf", ".ply", ".stl", ".off")
+# Farther away than any coordinate on a map of the Earth.
+_FARTHEST_M = 2e7
+# Kinds of Pillow's images; it would run a program of the machine for some others. None is made by trimesh.
+_IMAGE_FORMATS = ("PNG", "JPEG", "MPO", "WEBP", "TIFF", "BMP", "GIF", "TGA", None)
 _IMAGE = f"give a whole PNG or JPEG image of up to {MOST_TEXELS} pixels"
 
 
@@ -63,7 +67,8 @@ def load(path, folder=None):
         raise ThermorenderError(f"{path} is empty; give an OBJ, GLB or PLY file")
     named = _Named(path, path.parent if folder is None else folder)
     try:
-        with _largest_image(MOST_TEXELS):
+        # What is not finite is looked for at the end.
+        with _largest_image(MOST_TEXELS), np.errstate(all="ignore"):
             return _parts(path, named)
     except Exception as error:  # trimesh raises many kinds for broken files
         if named.refusal or isinstance(error, ThermorenderError):
@@ -93,14 +98,20 @@ class _Named:
             # glTF writes a space as %20.
             path = path if path.is_file() else self.path.parent / unquote(name.strip())
             if not inside(path, self.folder):
-                raise OSError("leads out of the scene's folder; put the file into it")
-            if not path.is_file():
-                raise OSError("does not exist; put it beside the mesh")
-            self.found.append((name, path.read_bytes()))
-        except (OSError, ValueError) as error:
-            self.refusal = self.refusal or ThermorenderError(f"{self.path} names {name!r}, which {error}")
-            raise
-        return self.found[-1][1]
+                reason = "leads out of the scene's folder; put the file into it"
+            elif not path.is_file():
+                reason = "does not exist; put it beside the mesh"
+            else:
+                data = path.read_bytes()
+                if self.path.suffix.lower() == ".obj" and not self.found:
+                    # The material library: trimesh goes without one that is not all UTF-8, a comment in it included.
+                    data = data.decode(errors="replace").encode()
+                self.found.append((name, data))
+                return data
+        except (OSError, ValueError) as error:  # too long, with a NUL in it, or closed to the user
+            reason = f"cannot be read ({getattr(error, 'strerror', None) or error})"
+        self.refusal = self.refusal or ThermorenderError(f"{self.path} names {shortened(repr(name))}, which {reason}")
+        raise self.refusal
 
     __getitem__ = get
 
@@ -125,6 +136,14 @@ def _parts(path, named):
 
     is_gltf = path.suffix.lower() in (".glb", ".gltf")
     header = _gltf_header(path) if is_gltf else None
+    if path.suffix.lower() == ".obj":
+        lines = path.read_text(errors="replace").splitlines()
+        libraries = dict.fromkeys(line[7:].strip() for line in lines if line.startswith("mtllib "))
+        if len(libraries) > 1:
+            # trimesh reads the first.
+            raise ThermorenderError(
+                f"{path} names the material libraries {shortened(', '.join(libraries))}; join them into one"
+            )
     loaded = trimesh.load_scene(path, resolver=named)
     if named.refusal:
         raise named.refusal
@@ -150,9 +169,15 @@ def _parts(path, named):
         faces = np.array(geometry.faces, dtype=np.int32)
         if np.linalg.det(matrix[:3, :3]) < 0.0:
             faces = faces[:, ::-1]
-        if not np.isfinite(vertices).all():
-            raise ThermorenderError(f"{path} has a vertex that is not finite; export the mesh again")
-        parts.append(Part(f"{path.stem}:{node}", vertices, faces, *_texture(geometry, faces, path)))
+        if not (np.abs(vertices) <= _FARTHEST_M).all():
+            raise ThermorenderError(
+                f"{path} has a vertex that is not finite or lies beyond {_FARTHEST_M / 1e3:g} km; export the mesh "
+                "again, in metres"
+            )
+        uv, colour = _texture(geometry, faces, path)
+        if not np.isfinite(uv).all():
+            raise ThermorenderError(f"{path} has a map coordinate that is not finite; export the mesh again")
+        parts.append(Part(f"{path.stem}:{node}", vertices, faces, uv, colour))
     if not any(_has_area(part) for part in parts):
         raise ThermorenderError(f"{path} holds no triangles of any area; give a mesh with faces")
     return parts
@@ -206,6 +231,10 @@ def _texture(geometry, faces, path):
 
 def _pixels(image, name):
     try:
+        if image.format not in _IMAGE_FORMATS:
+            raise ValueError(f"it is {image.format}")
+        if image.mode[0] in "IF":
+            raise ValueError("it has a single band of more than 8 bits")
         return np.array(image.convert("RGB"), dtype=np.uint8)
     except Exception as error:  # Pillow raises many kinds for a broken file
         raise ThermorenderError(f"{name}: the texture cannot be read ({error}); {_IMAGE}") from None
@@ -213,11 +242,13 @@ def _pixels(image, name):
 
 def _check_image(data, name):
     """Refuse what has not even the head of an image."""
-    from PIL import Image
+    from PIL import Image, UnidentifiedImageError
 
     try:
         Image.open(io.BytesIO(data))
     except Exception as error:  # of Pillow, as above
+        if isinstance(error, UnidentifiedImageError):
+            error = "it is no image"
         raise ThermorenderError(f"{name} cannot be read ({error}); {_IMAGE}") from None
 
 
@@ -236,7 +267,8 @@ def _check_gltf_textures(path, header, loaded):
         textured = "baseColorTexture" in material.get("pbrMetallicRoughness", {})
         (named if textured else plain).add(material.get("name"))
     for geometry in loaded.geometry.values():
-        material = getattr(geometry.visual, "material", None)
+        # Lines and points have no material.
+        material = getattr(getattr(geometry, "visual", None), "material", None)
         if getattr(material, "name", None) in named - plain and getattr(material, "baseColorTexture", None) is None:
             raise ThermorenderError(
                 f"{path}: the texture of material {material.name!r} cannot be read; {_IMAGE}"

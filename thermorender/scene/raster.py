@@ -3,6 +3,7 @@
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,8 +22,8 @@ FORMATS = {
 class Grid:
     """A pixel grid on a map: coordinate reference system, affine transform (pixel to map) and size."""
 
-    crs: object
-    transform: object
+    crs: Any
+    transform: Any
     height: int
     width: int
     name: str = field(default="the raster", compare=False)  # for messages

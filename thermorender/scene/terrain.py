@@ -66,7 +66,7 @@ def mesh(height, grid, frame, texels):
     whole = np.isfinite(height)
     whole = whole[:-1, :-1] & whole[:-1, 1:] & whole[1:, :-1] & whole[1:, 1:]
     if not whole.any():
-        raise ThermorenderError("the elevation raster has no cell with four valid posts; give a denser DEM")
+        raise ThermorenderError(f"{grid.name} has no cell with four valid posts; give a denser DEM")
     # (cells, 2 triangles, 3 corners), both counter-clockwise seen from above for a north-up raster.
     faces = np.stack([np.stack([a, c, d], axis=-1), np.stack([a, d, b], axis=-1)], axis=2)[whole].reshape(-1, 3)
     if grid.transform.determinant > 0.0:

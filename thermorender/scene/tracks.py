@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from thermorender.errors import ThermorenderError, shortened
-from thermorender.scene.surface import scene_kelvin
+from thermorender.scene.spec import ObjectSpec
+from thermorender.scene.surface import Surface, scene_kelvin
 
 COLUMNS = ("east_m", "north_m", "above_ground_m", "yaw_deg", "temperature_k")
 
@@ -29,8 +30,8 @@ class TrackedObject:
         {name of COLUMNS: (n,) float64}.
     """
 
-    item: object
-    surfaces: tuple
+    item: ObjectSpec
+    surfaces: tuple[Surface, ...]
     lift_m: float
     time_s: np.ndarray
     columns: dict

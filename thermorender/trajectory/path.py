@@ -3,10 +3,12 @@
 Positions between samples lie on the straight line, attitudes turn evenly (slerp). Nothing is extrapolated.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from thermorender.errors import ThermorenderError
@@ -19,6 +21,9 @@ from thermorender.trajectory.rotations import (
     slerp,
     wxyz,
 )
+
+# (east, north), each (N,) [m], to the ground's local up (N,) [m]; NaN off the terrain.
+GroundHeight = Callable[[NDArray[np.float64], NDArray[np.float64]], ArrayLike]
 
 # A quaternion further from length 1 than this is not one that lost digits in a log.
 QUATERNION_TOLERANCE = 1e-3
@@ -71,11 +76,11 @@ class Trajectory:
         within 1e-3 (smaller errors are normalised away).
     """
 
-    time_s: np.ndarray
-    position: np.ndarray
-    quaternion: np.ndarray
+    time_s: NDArray[np.float64]
+    position: NDArray[np.float64]
+    quaternion: NDArray[np.float64]
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         time_s, position, quaternion = (
             np.array(a, np.float64) for a in (self.time_s, self.position, self.quaternion)
         )
@@ -109,10 +114,10 @@ class Trajectory:
             array.flags.writeable = False
             object.__setattr__(self, name, array)
 
-    def __len__(self):
+    def __len__(self) -> int:
         return self.time_s.size
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         start, stop = self.span_s
         low, high = self.position.min(axis=0), self.position.max(axis=0)
         ranges = ", ".join(
@@ -121,20 +126,20 @@ class Trajectory:
         return f"Trajectory({len(self)} samples, {start:.3f}…{stop:.3f} s, {ranges})"
 
     @property
-    def span_s(self):
+    def span_s(self) -> tuple[float, float]:
         """First and last time [s]."""
         return float(self.time_s[0]), float(self.time_s[-1])
 
     @cached_property
-    def rotation(self):
+    def rotation(self) -> Rotation:
         """The N attitudes as a SciPy `Rotation` from camera axes to east, north, up."""
         return rotation_from_wxyz(self.quaternion)
 
     @cached_property
-    def _rotation_at(self):
+    def _rotation_at(self) -> Callable[[ArrayLike], Rotation]:
         return slerp(self.time_s, self.rotation)
 
-    def sampled(self, times_s):
+    def sampled(self, times_s: ArrayLike) -> "Trajectory":
         """Return the trajectory at other times, strictly increasing, (M,) [s], within the span."""
         times = np.atleast_1d(np.asarray(times_s, np.float64))
         start, stop = self.span_s
@@ -147,7 +152,7 @@ class Trajectory:
         position = np.stack([np.interp(times, self.time_s, self.position[:, k]) for k in range(3)], axis=-1)
         return Trajectory(times, position, wxyz(self._rotation_at(times)))
 
-    def pose(self, time_s):
+    def pose(self, time_s: float) -> NDArray[np.float64]:
         """Return `world_from_camera`, (4, 4), at one time [s]: position on the straight line, attitude by
         slerp.
 
@@ -158,14 +163,16 @@ class Trajectory:
         """
         return self.sampled(float(time_s)).poses()[0]
 
-    def poses(self):
+    def poses(self) -> NDArray[np.float64]:
         """Return `world_from_camera` of every sample, (N, 4, 4)."""
         poses = np.tile(np.eye(4), (len(self), 1, 1))
         poses[:, :3, :3] = self.rotation.as_matrix()
         poses[:, :3, 3] = self.position
         return poses
 
-    def frame_times(self, rate_hz, start_s=None, stop_s=None):
+    def frame_times(
+        self, rate_hz: float, start_s: float | None = None, stop_s: float | None = None
+    ) -> NDArray[np.float64]:
         """Return frame times, (M,) [s], from the start at a fixed rate [Hz], the end included if it falls on
         one.
 
@@ -197,7 +204,7 @@ class Trajectory:
         return np.minimum(start + np.arange(count) / rate_hz, stop)
 
     @property
-    def first_heading_deg(self):
+    def first_heading_deg(self) -> float:
         """Heading at the start, clockwise from north, in [0, 360) [deg].
 
         The direction from the first sample to the first one at least 1 m away horizontally. If there is none,
@@ -213,7 +220,9 @@ class Trajectory:
             direction = axes[:2, 2] if np.hypot(*axes[:2, 2]) > 1e-6 else -axes[:2, 1]
         return float(np.degrees(np.arctan2(direction[0], direction[1])) % 360.0)
 
-    def anchored(self, east, north, heading_deg, up=None):
+    def anchored(
+        self, east: float, north: float, heading_deg: float, up: float | None = None
+    ) -> "Trajectory":
         """Return the trajectory moved to another position and turned about up, its shape unchanged.
 
         Parameters
@@ -233,7 +242,7 @@ class Trajectory:
             self.time_s, turn.apply(self.position - origin) + target, wxyz(turn * self.rotation)
         )
 
-    def above_ground(self, ground):
+    def above_ground(self, ground: GroundHeight) -> NDArray[np.float64]:
         """Return the camera's height above the ground, (N,) [m]; NaN where there is none below it.
 
         Parameters
@@ -244,7 +253,7 @@ class Trajectory:
         return self.position[:, 2] - np.asarray(ground(self.position[:, 0], self.position[:, 1]), np.float64)
 
 
-def check_above_ground(trajectory, ground, minimum_m=0.0):
+def check_above_ground(trajectory: Trajectory, ground: GroundHeight, minimum_m: float = 0.0) -> float:
     """Return the lowest height above ground at the samples [m] after refusing a flight that dips below.
 
     Parameters
@@ -276,7 +285,7 @@ def check_above_ground(trajectory, ground, minimum_m=0.0):
     return float(np.nanmin(height)) if np.isfinite(height).any() else float("nan")
 
 
-def parse_numbers(name, text, labels):
+def parse_numbers(name: str, text: str, labels: Sequence[str]) -> tuple[float, ...]:
     """Return the comma-separated numbers of a command-line option as floats, one per label.
 
     Raises
@@ -304,22 +313,24 @@ def parse_numbers(name, text, labels):
     return tuple(values)
 
 
-def parse_anchor(text):
+def parse_anchor(text: str) -> Anchor:
     """Return the `Anchor` of "E,N,U,heading" [m, m, m, deg clockwise from north]."""
     return Anchor(*parse_numbers("anchor", text, ("E", "N", "U", "heading")))
 
 
-def parse_mount(text):
+def parse_mount(text: str) -> tuple[float, ...]:
     """Return (yaw, pitch, roll) [deg] of "yaw,pitch,roll": the optical axis against the vehicle's body."""
     return parse_numbers("mount", text, ("yaw", "pitch", "roll"))
 
 
-def parse_lever_arm(text):
+def parse_lever_arm(text: str) -> tuple[float, ...]:
     """Return (forward, right, down) [m] of "forward,right,down": the camera's position in the vehicle's body."""
     return parse_numbers("lever_arm", text, ("forward", "right", "down"))
 
 
-def pose(east, north, up, yaw_deg=0.0, pitch_deg=0.0, roll_deg=0.0):
+def pose(
+    east: float, north: float, up: float, yaw_deg: float = 0.0, pitch_deg: float = 0.0, roll_deg: float = 0.0
+) -> NDArray[np.float64]:
     """Return world_from_camera, (4, 4), of a camera at a local position.
 
     Parameters

@@ -13,13 +13,17 @@ Conventions of our own CSV columns (row 1 names them; units are in the names):
   or roll is 0. With any of them the vehicle's attitude only turns the lever arm.
 """
 
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from pathlib import Path
+from os import PathLike
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from thermorender.errors import ThermorenderError
+from thermorender.physics.geodesy import LocalFrame
 from thermorender.trajectory.heights import frame_of_first_sample, local_positions, refuse_far
 from thermorender.trajectory.mapping import (
     ANGLES,
@@ -29,9 +33,10 @@ from thermorender.trajectory.mapping import (
     POSITION_GEODETIC,
     POSITION_LOCAL,
     QUATERNION,
+    Mapping,
     load_mapping,
 )
-from thermorender.trajectory.path import QUATERNION_TOLERANCE, Trajectory
+from thermorender.trajectory.path import QUATERNION_TOLERANCE, Anchor, GroundHeight, Trajectory
 from thermorender.trajectory.rotations import (
     BODY_FROM_CAMERA,
     ENU_FROM_NED,
@@ -41,22 +46,22 @@ from thermorender.trajectory.rotations import (
     slerp,
     wxyz,
 )
-from thermorender.trajectory.tables import read_log
+from thermorender.trajectory.tables import Log, read_log
 
 
 def read_trajectory(
-    paths,
+    paths: str | PathLike[str] | Iterable[str | PathLike[str]],
     *,
-    frame=None,
-    ground=None,
-    geoid_undulation_m=None,
-    format=None,
-    anchor=None,
-    clock_offset_s=0.0,
-    mount=None,
-    lever_arm_m=(0.0, 0.0, 0.0),
-    duplicates="refuse",
-):
+    frame: LocalFrame | None = None,
+    ground: GroundHeight | None = None,
+    geoid_undulation_m: float | None = None,
+    format: str | PathLike[str] | None = None,
+    anchor: Anchor | None = None,
+    clock_offset_s: float = 0.0,
+    mount: Sequence[float] | None = None,
+    lever_arm_m: Sequence[float] = (0.0, 0.0, 0.0),
+    duplicates: Literal["refuse", "spread", "first"] = "refuse",
+) -> Trajectory:
     """Return the camera's `Trajectory` in the scene's frame from one or several CSV files of a flight.
 
     Parameters
@@ -95,7 +100,7 @@ def read_trajectory(
         Anything a log can get wrong, naming file, row and column.
     """
     mapping = load_mapping(format)
-    paths = [paths] if isinstance(paths, (str, Path)) else list(paths)
+    paths = [paths] if isinstance(paths, (str, PathLike)) else list(paths)
     if not paths:
         raise ThermorenderError("paths is empty; give at least one CSV file")
     logs = _with_constants([read_log(path, mapping, duplicates) for path in paths], mapping)
@@ -131,8 +136,8 @@ def read_trajectory(
         else _gimbal(gimbal_log, time_s, ned_from_body)
     )
     enu_from_ned = Rotation.from_matrix(ENU_FROM_NED)
-    if horizontal == POSITION_GEODETIC:
-        # North and down turn along the path; the scene's axes are those of its origin.
+    if frame and horizontal == POSITION_GEODETIC:
+        # North and down turn along the path; the scene's axes are those of its origin, without which none comes here.
         latitude, longitude, _ = frame.geodetic_from_enu(position)
         enu_from_ned = Rotation.from_matrix(frame.enu_from_ecef_rotation) * ecef_from_ned(latitude, longitude)
     trajectory = Trajectory(
@@ -146,7 +151,7 @@ def read_trajectory(
     return trajectory
 
 
-def _with_constants(logs, mapping):
+def _with_constants(logs: list[Log], mapping: Mapping) -> list[Log]:
     """The logs with the mapping's constants added, each where its kind of column is logged."""
     kinds = (POSITION, QUATERNION + ANGLES, GIMBAL)
     for name, quantity in mapping.quantities.items():
@@ -157,16 +162,16 @@ def _with_constants(logs, mapping):
     return logs
 
 
-def _triple(name, value, meaning):
+def _triple(name: str, value: Sequence[float], meaning: str) -> NDArray[np.float64]:
     array = np.asarray(value, np.float64)
     if array.shape != (3,) or not np.isfinite(array).all():
         raise ThermorenderError(f"{name}={value} must be three finite numbers: {meaning}")
     return array
 
 
-def _position_columns(logs, mapping):
+def _position_columns(logs: list[Log], mapping: Mapping) -> tuple[Log, tuple[str, ...], str]:
     """The log that holds the position, its pair of horizontal columns and its height column."""
-    log_of = {}
+    log_of: dict[str, Log] = {}
     for log in logs:
         for name in log.values:
             if name in log_of:
@@ -209,7 +214,7 @@ def _position_columns(logs, mapping):
     return log_of[heights[0]], pairs[0], heights[0]
 
 
-def _attitude_logs(logs):
+def _attitude_logs(logs: list[Log]) -> list[Log | None]:
     """The log with the vehicle's attitude and the one with the gimbal's; None where there is none."""
     chosen = []
     for group, what in ((QUATERNION + ANGLES, "vehicle's attitude"), (GIMBAL, "gimbal's angles")):
@@ -234,7 +239,7 @@ def _attitude_logs(logs):
     return chosen
 
 
-def _common_times(logs):
+def _common_times(logs: list[Log]) -> NDArray[np.float64]:
     """All times of all logs within the span they share: nothing either of them says is lost."""
     if all(log is logs[0] for log in logs):
         return logs[0].time_s
@@ -249,7 +254,7 @@ def _common_times(logs):
     return times
 
 
-def _body(log, mapping, time_s):
+def _body(log: Log | None, mapping: Mapping, time_s: NDArray[np.float64]) -> Rotation:
     """Rotations from body FRD to NED at `time_s`; level, nose to the north, where nothing is logged."""
     if log is None:
         return rotation_from_angles(np.zeros(time_s.size), 0.0, 0.0)
@@ -276,7 +281,7 @@ def _body(log, mapping, time_s):
     return slerp(log.time_s, ned_from_body)(time_s)
 
 
-def _gimbal(log, time_s, ned_from_body):
+def _gimbal(log: Log, time_s: NDArray[np.float64], ned_from_body: Rotation) -> Rotation:
     """Rotations from the gimbal's axes (x along the view, y right, z down in the image) to NED."""
     zero = np.zeros(log.time_s.size)
     angles = [log.values.get(name, zero) for name in GIMBAL]
@@ -287,11 +292,13 @@ def _gimbal(log, time_s, ned_from_body):
     return rotation_from_angles(np.degrees(np.arctan2(nose[:, 1], nose[:, 0])), 0.0, 0.0) * gimbal
 
 
-def _anchored(trajectory, anchor, ground, height):
+def _anchored(
+    trajectory: Trajectory, anchor: Anchor, ground: GroundHeight | None, height: str
+) -> Trajectory:
     up = anchor.up
     if ground is not None:
-        position = np.array([anchor.east]), np.array([anchor.north])
-        below = float(np.asarray(ground(*position), np.float64)[0])
+        spot = np.array([anchor.east]), np.array([anchor.north])
+        below = float(np.asarray(ground(*spot), np.float64)[0])
         if not np.isfinite(below):
             raise ThermorenderError(
                 f"anchor: there is no ground below east {anchor.east:g} m, north {anchor.north:g} m; give a "

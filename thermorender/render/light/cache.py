@@ -93,26 +93,26 @@ def store(name, transport, limit=None):
     size = sum(values.nbytes for values in arrays.values())
     if size > limit:
         return f"traced light is not kept: its {size / 1e9:.2g} GB are more than the {limit / 1e9:.2g} GB of the cache"
-    place = "the cache folder"
+    folder = "the cache folder"
     try:
-        place = files.cache_folder("light")
-        with files.atomic(place / f"{name}.npz") as part:
+        folder = files.cache_folder("light")
+        with files.atomic(folder / f"{name}.npz") as part:
             np.savez(part, rays=transport.rays, checksum=_checksum(name, transport), **arrays)
-        _trim(place, limit, keep=f"{name}.npz")
+        _trim(folder, limit, keep=f"{name}.npz")
     except (OSError, RuntimeError, ThermorenderError) as error:
         # RuntimeError: there is no home folder.
         why = error.__cause__ or error
         return (
-            f"traced light is not kept: {place} cannot be written ({getattr(why, 'strerror', None) or why}); "
+            f"traced light is not kept: {folder} cannot be written ({getattr(why, 'strerror', None) or why}); "
             "set THERMORENDER_CACHE to a folder that can"
         )
     return None
 
 
-def _trim(place, limit, keep):
+def _trim(folder, limit, keep):
     """Remove the longest unused files until all take at most `limit` bytes, and what killed processes left."""
     kept = []
-    for path in place.iterdir():
+    for path in folder.iterdir():
         if re.fullmatch(rf"{_NAME}\.npz", path.name):
             with suppress(OSError):
                 status = path.stat()
@@ -125,7 +125,7 @@ def _trim(place, limit, keep):
         with suppress(OSError):
             path.unlink()
         total -= size
-    files.remove_parts(place, _NAME, _STALE_S)
+    files.remove_parts(folder, _NAME, _STALE_S)
 
 
 def _checksum(name, transport):

@@ -1,0 +1,74 @@
+"""The public names: what the package hands out, what type checkers see, and what `make lint` checks are the same."""
+
+import ast
+import re
+import sys
+from pathlib import Path
+
+from typer.main import get_command
+
+import thermorender as tr
+from thermorender.cli import app as cli
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = Path(tr.__file__).parent
+
+
+def test_type_checkers_see_the_names_that_are_handed_out():
+    tree = ast.parse((PACKAGE / "__init__.py").read_text(encoding="utf-8"))
+    (block,) = (node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
+    seen = {alias.asname: node.module for node in block.body for alias in node.names if alias.asname == alias.name}
+    assert seen == tr._PUBLIC
+    for name in tr.__all__:
+        assert getattr(tr, name).__name__ == name
+
+
+def test_the_modules_of_all_public_names_are_checked():
+    with open(ROOT / "pyproject.toml", "rb") as file:
+        checked = tomllib.load(file)["tool"]["mypy"]["files"]
+    assert all((ROOT / name).is_file() for name in checked)
+    modules = {sys.modules[getattr(tr, name).__module__].__file__ for name in tr.__all__}
+    assert {str(Path(path).relative_to(ROOT)) for path in modules} <= set(checked)
+
+
+def test_the_package_says_that_it_has_types():
+    assert (PACKAGE / "py.typed").is_file()
+
+
+# --- what README says ---------------------------------------------------------------------------------------
+
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_example_of_the_readme_runs_and_prints_what_it_says(capsys):
+    (example,) = re.findall(r"```python\n(.*?)```", README, flags=re.S)
+    exec(compile(example, "README.md", "exec"), found := {})
+    mean, target = capsys.readouterr().out.splitlines()
+    assert f"print(frame.apparent_temperature.mean())  # {float(mean):.1f} (kelvin)" in example
+    assert ast.literal_eval(target)["visible"] is True
+    frame = found["frame"]
+    assert frame.counts.max() < 2**14 and frame.display.dtype == "uint8" and "emissivity" in frame.truth
+
+
+def test_the_verbs_of_the_readme_are_those_there_are():
+    commands = get_command(cli.app).commands
+    listed = set()
+    for row in re.findall(r"^\| (`thermorender .*)\|$", README, flags=re.M):
+        words = re.findall(r"`([^`]+)`", row.split(" | ")[0])
+        verb, *rest = words[0].split()[1:]
+        listed.add(verb)
+        group = getattr(commands[verb], "commands", None)
+        if group:
+            below = {rest[0], *(word.split()[0] for word in words[1:])}
+            assert below <= set(group), verb
+            within = [group[name] for name in below]
+        else:
+            within = [commands[verb]]
+        known = {option for command in within for parameter in command.params for option in parameter.opts}
+        assert set(re.findall(r"(?<![\w-])--?[a-z][\w-]*", row)) <= known, row
+    assert listed == set(commands)

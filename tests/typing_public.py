@@ -1,0 +1,100 @@
+"""The public API as a user's type checker sees it: read by `make lint` under mypy's strict rules, and never run.
+
+Each line with a `type: ignore` is a mistake that must be found; where none is found, the ignore itself is the error.
+"""
+
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from typing_extensions import assert_type
+
+import thermorender as tr
+
+
+def frames() -> None:
+    """Scene, renderer, frame."""
+    scene = tr.load_scene("heath")
+    assert_type(tr.load_scene(Path("scenes") / "heath"), tr.Scene)
+    assert_type(scene.ground(0.0, -120), float)
+    assert_type(scene.ground(np.zeros(3), np.zeros(3)), NDArray[np.float64])
+    assert_type(scene.digest(), str)
+    assert_type(scene.with_air("midlatitude-summer", aerosol="rural-23km"), tr.Scene)
+    renderer = tr.Renderer(scene, quality="high", rays=16, progress=lambda what, share: print(what, f"{share:.0%}"))
+    pose = tr.pose(0, -120, 120 + scene.ground(0, -120), pitch_deg=-45)
+    assert_type(pose, NDArray[np.float64])
+    frame = renderer.frame(pose, time_s=0.0, objects={"marker": {"temperature_k": 350.0}})
+    assert_type(frame, tr.Frame)
+    assert_type(frame.radiance, NDArray[np.float32])
+    assert_type(frame.apparent_temperature, NDArray[np.float32])
+    assert_type(frame.counts, NDArray[np.uint16])
+    assert_type(frame.display, NDArray[np.uint8])
+    assert_type(frame.truth["depth"], NDArray[Any])
+    assert_type(frame.targets["marker"], dict[str, Any])
+    assert_type(frame.budget_mk, dict[str, float] | None)
+    assert_type(frame.camera.width, int)
+    assert_type(renderer.radiance(pose, 1.0), NDArray[np.float32])
+    assert_type(renderer.visible(pose, 1.0), tuple[NDArray[np.uint8], NDArray[np.bool_]])
+
+    tr.load_scene(7)  # type: ignore[arg-type]
+    tr.Renderer("heath")  # type: ignore[arg-type]
+    tr.Renderer(scene, quality="best")  # type: ignore[arg-type]
+    tr.Renderer(scene, device="gpu")  # type: ignore[arg-type]
+    tr.Renderer(scene, like=scene)  # type: ignore[arg-type]
+    tr.pose("0", 0, 120)  # type: ignore[arg-type]
+    renderer.frame(time_s=1.0)  # type: ignore[call-arg]
+    renderer.frame(pose, objects={"marker": 350.0})  # type: ignore[dict-item]
+    print(renderer.bake_mk)  # type: ignore[attr-defined]
+    scene.with_temperature(np.zeros((2, 2)))  # type: ignore[arg-type]
+    frame.radiance = frame.radiance  # type: ignore[misc]
+    print(frame.budget_mk["total"])  # type: ignore[index]
+    print(tr.Rendererer)  # type: ignore[attr-defined]
+
+
+def baked_scenes() -> None:
+    """What is sent to another process and solved anew."""
+    renderer = tr.Renderer(tr.load_scene("heath"))
+    baked = renderer.baked
+    assert_type(baked, tr.BakedScene)
+    assert_type(baked.errors_mk, dict[str, float])
+    assert_type(baked.cache_note, str | None)
+    assert_type(baked.texels, tuple[NDArray[np.float32], ...])
+    again: tr.BakedScene = pickle.loads(pickle.dumps(baked))
+    assert_type(tr.Renderer.of(again, seed=3), tr.Renderer)
+    assert_type(baked.solved_for(tr.load_scene("heath").with_air("tropical")), tr.BakedScene)
+    tr.Renderer(renderer.scene, like=renderer)
+
+    tr.Renderer.of(renderer.scene)  # type: ignore[arg-type]
+    baked.solved_for("heath")  # type: ignore[arg-type]
+    baked.plan = renderer.plan  # type: ignore[misc]
+
+
+def flights() -> None:
+    """Logs, trajectories, flights."""
+    scene = tr.load_scene("heath")
+    trajectory = tr.read_trajectory(
+        ["position.csv", Path("gimbal.csv")], frame=scene.frame, ground=scene.ground, duplicates="spread"
+    )
+    assert_type(trajectory, tr.Trajectory)
+    assert_type(trajectory.span_s, tuple[float, float])
+    assert_type(trajectory.sampled([0.0, 0.5]), tr.Trajectory)
+    assert_type(trajectory.pose(0.5), NDArray[np.float64])
+    assert_type(trajectory.poses(), NDArray[np.float64])
+    assert_type(trajectory.frame_times(30, stop_s=1.0), NDArray[np.float64])
+    assert_type(trajectory.anchored(0.0, 0.0, 90.0), tr.Trajectory)
+    assert_type(trajectory.above_ground(scene.ground), NDArray[np.float64])
+    try:
+        summary = tr.fly(tr.Renderer(scene), trajectory, "out", products=("exr", "counts"), resume=True)
+    except tr.ThermorenderError as error:
+        print(error)
+    else:
+        print(summary["frames"])
+
+    tr.read_trajectory("flight.csv", anchor=(0, 0, 100, 0))  # type: ignore[arg-type]
+    tr.read_trajectory("flight.csv", duplicates="last")  # type: ignore[arg-type]
+    trajectory.frame_times("30")  # type: ignore[arg-type]
+    tr.fly(scene, trajectory, "out")  # type: ignore[arg-type]
+    tr.fly(tr.Renderer(scene), "flight.csv", "out")  # type: ignore[arg-type]
+    tr.fly(tr.Renderer(scene), trajectory, "out", products=1)  # type: ignore[arg-type]
