@@ -36,7 +36,7 @@ def frames() -> None:
     assert_type(frame.budget_mk, dict[str, float] | None)
     assert_type(frame.camera.width, int)
     assert_type(renderer.radiance(pose, 1.0), NDArray[np.float32])
-    assert_type(renderer.visible(pose, 1.0), tuple[NDArray[np.uint8], NDArray[np.bool_]])
+    assert_type(renderer.visible(pose, time_s=1.0), tuple[NDArray[np.uint8], NDArray[np.bool_]])
 
     tr.load_scene(7)  # type: ignore[arg-type]
     tr.Renderer("heath")  # type: ignore[arg-type]

@@ -160,7 +160,7 @@ class Renderer:
         return self._frame(self._view(pose, time_s, objects), radiance, time_s, index, plan)
 
     def visible(
-        self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None, camera: Camera | None = None
+        self, pose: ArrayLike, camera: Camera | None = None, time_s: float = 0.0, objects: Objects | None = None
     ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
         """Return (image (H, W, 3) uint8 sRGB, valid (H, W) bool): the orthophoto seen from `pose`.
 

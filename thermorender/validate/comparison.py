@@ -117,7 +117,7 @@ def compare(scene, trajectory, folder, models, rate_hz=1.0, range_c=None, progre
     constant = ErrorSums()
     for index, (time_s, pose) in enumerate(zip(times, poses, strict=True)):
         frame = reference.frame(pose, time_s, index)
-        visible, covered = reference.visible(pose, time_s)
+        visible, covered = reference.visible(pose, time_s=time_s)
         flags = frame.truth["mask"]
         known = covered & ((flags & SURFACE) > 0) & ((flags & (FILLED | FALLBACK)) == 0)
         mean = float(frame.apparent_temperature[known].mean()) if known.any() else np.nan
