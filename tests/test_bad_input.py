@@ -383,6 +383,15 @@ def test_a_raster_has_a_limit(scene, refused, name):
         refused(words, "import-terrain", scene / "elevation.tif", scene / "orthophoto.tif")
 
 
+def test_terrain_beyond_the_memory_is_told_with_its_file(scene, refused, monkeypatch):
+    def full(*_):
+        raise MemoryError("Unable to allocate 27.9 GiB")
+
+    monkeypatch.setattr("thermorender.scene.terrain.mesh", full)
+    refused(["elevation.tif has", "posts, for whose mesh this machine's memory is not enough", "--max-vertices"],
+            "render", scene)  # fmt: skip
+
+
 VRT = """<VRTDataset rasterXSize="8" rasterYSize="8"><SRS>EPSG:32632</SRS>
 <GeoTransform>500000,2,0,5600000,0,-2</GeoTransform>
 <VRTRasterBand dataType="Float32" band="1"><SimpleSource>

@@ -341,7 +341,13 @@ def _raster_terrain(
             "together with `thermorender import-terrain`"
         )
     _require_overlap(texels, grid)
-    vertices, faces, uv = terrain.mesh(height, grid, frame, texels)
+    try:
+        vertices, faces, uv = terrain.mesh(height, grid, frame, texels)
+    except MemoryError:
+        raise ThermorenderError(
+            f"{source.elevation} has {grid.width}×{grid.height} posts, for whose mesh this machine's memory is not "
+            "enough; thin it with `thermorender import-terrain --max-vertices`"
+        ) from None
     away = np.linalg.norm(vertices, axis=-1).min()
     if away > FARTHEST_M:
         raise ThermorenderError(
