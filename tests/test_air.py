@@ -236,7 +236,7 @@ def test_plan_says_what_air_brings(tmp_path):
     [
         ("", "needs exactly one of sky, atmosphere (a sky of one temperature and no air, or air with its sky)"),
         (AIR + "[sky]\ntemperature = 250.0\n", "but sky and atmosphere are given"),
-        ('[atmosphere]\nstandard = "polar"\n', "atmosphere='polar' is unknown"),
+        ('[atmosphere]\nstandard = "polar"\n', "standard='polar' is unknown"),
         ('[atmosphere]\nstandard = "tropical"\naerosol = "smoke"\n', "aerosol='smoke' is unknown"),
         ("[atmosphere]\n", "atmosphere needs exactly one of standard, file, profile, but none is given"),
         ('[atmosphere]\nstandard = "tropical"\nvisibility_km = 5\n', "atmosphere.visibility_km"),
@@ -285,7 +285,7 @@ def test_standard_air_in_place_of_a_scenes_sky(tmp_path):
     arrays = [name for name, value in vars(aired.air).items() if isinstance(value, np.ndarray) and name[0] != "_"]
     others = [replace(aired, air=replace(aired.air, **{name: getattr(aired.air, name) * 1.0001})) for name in arrays]
     assert len(arrays) == 8 and len({aired.digest(), *(other.digest() for other in others)}) == 9
-    with pytest.raises(ThermorenderError, match="atmosphere='moon' is unknown"):
+    with pytest.raises(ThermorenderError, match="standard='moon' is unknown"):
         scene.with_air("moon")
 
 

@@ -402,7 +402,7 @@ def test_whole_numbers_and_single_precision_are_a_table_too(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"name": "arctic"}, "atmosphere='arctic' is unknown; give one of tropical, midlatitude-summer"),
+        ({"name": "arctic"}, "standard='arctic' is unknown; give one of tropical, midlatitude-summer"),
         ({"aerosol": "smog"}, "aerosol='smog' is unknown; give one of none, rural-23km"),
         ({"humidity_factor": -0.1}, r"humidity_factor=-0.1 is out of range; give 0 … 5"),
         ({"temperature_offset_k": 273.15}, r"temperature_offset_k=273.15 is out of range; give -40 … 40 \(kelvin\)"),

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from thermorender import files
 from thermorender.cli import app as cli
 from thermorender.output.exr import read_exr
 from thermorender.scene.load import load_scene
@@ -937,6 +938,9 @@ def test_wrong_options_of_a_flight(scene, refused, options, words):
         ("--seed -1", ["seed=-1 is not allowed"]),
         ("--quality finest", ["quality='finest' is unknown"]),
         ("--products bogus", ["product 'bogus' is unknown"]),
+        ("--pose 0,0,-5,0,-90,0", ["--pose='0,0,-5,0,-90,0' lies 5 m under the terrain", "--local-up"]),
+        ("--engine reference --paths 0", ["--paths=0 is not allowed", "at least 1"]),
+        ("--air tropical,rural-23km,5", ["--air='tropical,rural-23km,5' has 3 parts", "ATMOSPHERE,AEROSOL"]),
     ],
 )
 def test_wrong_options_of_a_render(scene, refused, options, words):
@@ -1033,6 +1037,14 @@ def test_resume(scene, call, tmp_path):
 
     untouched([output, "already holds a flight", "--resume"])
     untouched([output / "flight.json", "was flown with seed=0, now seed=1"], "--resume", "--seed", "1")
+    untouched(["scene_digest=", ", of the scene with its files, air"], "--resume", "--air", "tropical")
+    untouched(["path_digest=", ", of the trajectory with its anchor"], "--resume", "--lever-arm-m", "0,0,1")
+    with files.in_use(output):
+        untouched([output, "is being written by another process"], "--resume")
+    before = everything(output)
+    status, _, errors = call("render", scene, "-o", output)
+    check_sentence(status, errors, [output, "holds a flight", "another folder"])
+    assert everything(output) == before
     untouched(["was flown with products=", "resume with the same settings"], "--resume", "--products", "counts")
 
     lines = (output / "frames.jsonl").read_text()

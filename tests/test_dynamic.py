@@ -125,7 +125,7 @@ def test_bad_settings(tmp_path):
     scene = scene_with(tmp_path / "s", "time_s,yaw_deg\n0,30\n")
     renderer = tr.Renderer(scene, rays=4)
     for objects, words in (
-        ({"other": {}}, "object 'other' does not move; give one with a track [(]target[)]"),
+        ({"other": {}}, "object 'other' has no track and cannot change; give one that has [(]target[)]"),
         ({"target": {"speed": 1.0}}, "object 'target' has no 'speed' to set"),
         ({"target": {"east_m": np.nan}}, "east_m=nan is not allowed"),
         ({"target": {"temperature_k": 20.0}}, "20 is below 100 K"),

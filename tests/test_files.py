@@ -211,6 +211,15 @@ def test_what_cannot_be_written_is_told_before(check, path, words, tmp_path):
     assert names(tmp_path) == ["file", "folder"] and names(tmp_path / "folder") == ["file"]
 
 
+def test_a_folder_in_use_is_told(tmp_path):
+    pytest.importorskip("fcntl")
+    with files.in_use(tmp_path):
+        with pytest.raises(ThermorenderError, match="is being written by another process"), files.in_use(tmp_path):
+            pytest.fail("two have it")
+    with files.in_use(tmp_path):
+        assert names(tmp_path) == []
+
+
 def test_a_folder_without_permission(tmp_path, monkeypatch):
     def refuse(path, *_, **__):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), path)

@@ -632,5 +632,10 @@ def test_the_verbs_train_and_map(scene, tmp_path):
     assert len(list((tmp_path / "mapped").iterdir())) == 5
     failed = run("map-materials", scene, "--without", "snow", "-o", tmp_path / "none", "--model", scene / "own.npz")
     assert "knows no 'snow' to leave out" in str(failed.exception) and not (tmp_path / "none").exists()
+    failed = run("map-materials", scene, "--confidence", "2", "-o", tmp_path / "none", "--model", scene / "own.npz")
+    assert "confidence=2 is not allowed; give a number 0…1" in str(failed.exception)
+    assert not (tmp_path / "none").exists()
+    failed = run("train", "emissivity", scene, "-o", tmp_path / "none.txt")
+    assert "give one that ends in .npz" in str(failed.exception) and not (tmp_path / "none.txt").exists()
     failed = run("validate", "emissivity", "--seeds", "one", "-o", tmp_path / "none")
     assert "--seeds='one' is not allowed" in str(failed.exception)

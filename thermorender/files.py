@@ -127,6 +127,37 @@ def output_folder(path):
         _remove_empty(made)
 
 
+@contextmanager
+def in_use(folder):
+    """Keep other processes that ask for a folder out of it, where the system can; it ends with the process.
+
+    Raises
+    ------
+    ThermorenderError
+        Another process has it.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        # Windows.
+        yield
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ThermorenderError(
+                f"{folder} is being written by another process; wait until it ends, or give another folder"
+            ) from None
+        except OSError:
+            # A file system without locks.
+            pass
+        yield
+    finally:
+        os.close(handle)
+
+
 def make_folder(path):
     """Create a folder for output, or raise a sentence saying why it cannot be written to."""
     path = Path(path)

@@ -132,7 +132,7 @@ class Atmosphere:
         atmosphere, whatever `humidity_factor` is.
         """
         table = table or read_table()
-        model = name_index("atmosphere", name, table["model"])
+        model = name_index("standard", name, table["model"])
         haze = name_index("aerosol", aerosol, table["aerosol"])
         check_within("temperature_offset_k", temperature_offset_k, -40.0, 40.0, "kelvin")
         check_within("humidity_factor", humidity_factor, 0.0, 5.0, "times the standard water vapour")

@@ -58,7 +58,7 @@ def from_profile(
     check_within("visibility_km", visibility_km, 1.0, 100.0, "km")
     altitude, pressure, temperature, humidity = read_profile(path)
     table = read_table()
-    model = name_index("atmosphere", fill, table["model"])
+    model = name_index("fill", fill, table["model"])
     standard = np.float64(table["altitude_m"])
     above = standard > altitude[-1]
     other_pressure, other_temperature, other_gas = (

@@ -203,6 +203,10 @@ def render(
 
     if engine not in ("renderer", "reference"):
         raise ThermorenderError(f"--engine={engine!r} is unknown; give renderer or reference")
+    if paths < 1:
+        raise ThermorenderError(f"--paths={paths} is not allowed; give at least 1 path per pixel")
+    if (output / "flight.json").exists():
+        raise ThermorenderError(f"{output} holds a flight, whose first frame would be overwritten; give another folder")
     display_settings, settings = _display_settings(display, palette), _thermography_settings(thermography)
     wanted = frame_files.check(split(products), settings)
     numbers = parse_numbers("--pose", pose, ("E", "N", "U", "YAW", "PITCH", "ROLL"))
@@ -213,6 +217,11 @@ def render(
             ground = float(loaded.ground(east, north))
             if ground != ground:
                 raise ThermorenderError(f"--pose={pose!r} lies off the terrain; move it, or give --local-up")
+            if up < 0.0:
+                raise ThermorenderError(
+                    f"--pose={pose!r} lies {-up:.6g} m under the terrain; give U in metres above the ground, or "
+                    "--local-up"
+                )
             up += ground
         renderer = _renderer(loaded, quality, rays, tolerance_mk, seed, device, tell)
         with files.output_folder(output) as folder:
@@ -386,7 +395,13 @@ def train_emissivity(
         typer.Argument(help="Scenes with orthophoto and class raster; default: procedural scenes of every kind."),
     ] = None,
     output: Annotated[
-        Path, output_option("-o", "--output", help="File for the map, .npz.", check=files.check_output_file)
+        Path,
+        output_option(
+            "-o",
+            "--output",
+            help="File for the map, .npz.",
+            check=lambda path: files.check_output_file(path, (".npz",)),
+        ),
     ] = Path("emissivity.npz"),
     labels: Annotated[
         Path | None, typer.Option(help="GeoJSON polygons with a property 'material', in place of one scene's classes.")
@@ -424,7 +439,8 @@ def map_materials(
     model: Annotated[str, typer.Option(help="Emissivity map: a file, or procedural.")] = "procedural",
     fallback: Annotated[str, typer.Option(help="Material that stands in for unknown texels.")] = "soil_loam",
     confidence: Annotated[
-        float | None, typer.Option(help="A texel whose best material is less probable is unknown.")
+        float | None, typer.Option(help="A texel whose best material is less probable is unknown; "
+                     "default: as in scene files, 0.35.")
     ] = None,
     without: Annotated[str, typer.Option(help="Comma-separated materials known not to occur.")] = "",
 ):

@@ -6,6 +6,7 @@ from pathlib import Path
 import typer
 
 from thermorender import files
+from thermorender.errors import ThermorenderError
 
 
 def output_option(*names, help, check=files.check_output_folder):
@@ -49,7 +50,12 @@ def table(header, rows):
 
 def air(text):
     """Return (standard atmosphere, aerosol) of an option --air, or None for None."""
-    return None if text is None else split(text)[:2] or ("",)
+    if text is None:
+        return None
+    parts = split(text)
+    if len(parts) > 2:
+        raise ThermorenderError(f"--air={text!r} has {len(parts)} parts; give ATMOSPHERE or ATMOSPHERE,AEROSOL")
+    return parts or ("",)
 
 
 def split(text):

@@ -78,8 +78,8 @@ def read_temperature(path, scale=None, thermography=None):
     counts, declared = _read_tiff(path)
     if scale is None and declared is None:
         raise ThermorenderError(
-            f"{path} does not tell what a count is; give kelvin per count and kelvin of count 0, e.g. 0.04,0 for a "
-            "FLIR core in TLinear mode"
+            f"{path} does not tell what a count is; give kelvin per count and kelvin of count 0 (--scale), e.g. 0.04,0 "
+            "for a FLIR core in TLinear mode"
         )
     step, zero = scale or declared
     return counts * float(step) + float(zero)

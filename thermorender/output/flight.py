@@ -39,6 +39,11 @@ if TYPE_CHECKING:
 _CORNERS = 4096
 # What the display's gain control remembers from one frame to the next.
 _Memory = NDArray[Any] | None
+# Of what each digest is, for whoever is told that it differs.
+_DIGESTED = {
+    "scene_digest": ", of the scene with its files, air and temperatures",
+    "path_digest": ", of the trajectory with its anchor, mount, lever arm and clock offset",
+}
 
 
 def fly(
@@ -85,7 +90,8 @@ def fly(
     Raises
     ------
     ThermorenderError
-        Unknown products, a folder that is in use or cannot be written, or a resume with other settings.
+        Unknown products, a folder that is in use (by another process too) or cannot be written, or a resume with
+        other settings.
     """
     products = product_files.check(products, thermography)
     display = replace(display or DisplaySettings(), tails_percent=renderer.scene.camera.agc_tails_percent)
@@ -110,7 +116,7 @@ def fly(
         **made_by(),
     }
     exposure = _exposure(renderer, trajectory, 1.0 / rate)
-    with files.output_folder(folder) as out:
+    with files.output_folder(folder) as out, files.in_use(out):
         terrain = _done(out, settings, products, resume)
         done, agc = len(terrain), None
 
@@ -181,8 +187,8 @@ def _done(folder: Path, settings: dict[str, Any], products: Sequence[str], resum
                 inner = next(name for name in was | value if was.get(name, ...) != value.get(name, ...))
                 key, was, value = f"{key}.{inner}", was.get(inner), value.get(inner)
             raise ThermorenderError(
-                f"{described} was flown with {key}={was!r}, now {key}={value!r}; resume with the same settings or give "
-                "another folder"
+                f"{described} was flown with {key}={was!r}, now {key}={value!r}{_DIGESTED.get(key, '')}; resume with "
+                "the same settings or give another folder"
             )
     kept, terrain = [], []
     text = lines.read_text(encoding="utf-8", errors="replace") if lines.exists() else ""

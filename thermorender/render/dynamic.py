@@ -57,7 +57,8 @@ def placements(scene, time_s, objects=None):
     for name in objects:
         if name not in names:
             raise ThermorenderError(
-                f"object {name!r} does not move; give one with a track ({', '.join(names) or 'there is none'})"
+                f"object {name!r} has no track and cannot change; give one that has "
+                f"({', '.join(names) or 'there is none'}), or add its track to the scene"
             )
     found = []
     for tracked in scene.tracked_objects:

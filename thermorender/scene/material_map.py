@@ -123,6 +123,8 @@ def write_map(folder, output, model="procedural", fallback="soil_loam", confiden
     from thermorender.scene.spec import DEFAULT_CONFIDENCE
 
     confidence = DEFAULT_CONFIDENCE if confidence is None else confidence
+    if not 0.0 <= confidence <= 1.0:
+        raise ThermorenderError(f"confidence={confidence:g} is not allowed; give a number 0…1")
     spec = read_scene(folder)
     rgb, valid, grid, texel_m = orthophoto_of(spec)
     library = material_tables.load_library(spec.folder / "materials" if (spec.folder / "materials").is_dir() else None)
