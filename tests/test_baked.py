@@ -1,6 +1,8 @@
 """A baked scene and its frames are values: sent, kept, solved anew, and never dependent on what was rendered before."""
 
+import copy
 import pickle
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -13,6 +15,7 @@ from scenes import write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.render.light import radiosity
 from thermorender.scene.spec import TemperatureSpec
+from thermorender.scene.surface import SATURATED
 
 DOWN = {"pitch_deg": -90.0}
 CAR = """[[object]]
@@ -129,3 +132,42 @@ def test_like_compares_content(folder, renderer, pose):
     ):
         with pytest.raises(ThermorenderError, match=words):
             tr.Renderer(other, rays=16, like=renderer)
+
+
+def test_a_frame_that_was_sent_can_be_changed(renderer, pose):
+    back = pickle.loads(pickle.dumps(renderer.frame(pose, index=3)))
+    later, want = replace(back, index=4), renderer.frame(pose, index=4)
+    np.testing.assert_array_equal(later.counts, want.counts)
+    assert (later.targets, later.budget_mk) == (want.targets, want.budget_mk)
+    # What the sensor adds to the truth is that of the new reading, not of the one before.
+    full = back.with_reading(np.full_like(want.counts, 2**14 - 1), {})
+    for sent in (full, pickle.loads(pickle.dumps(full))):
+        assert (sent.truth["mask"] & SATURATED).all()
+        assert not (replace(sent, _reading=want.counts).truth["mask"] & SATURATED).any()
+    for one in (copy.copy(full), copy.deepcopy(full)):
+        np.testing.assert_array_equal(one.truth["depth"], want.truth["depth"])
+    assert back in (want, back) and len({back, want}) == 2
+
+
+def test_light_of_another_altitude_is_not_taken(renderer, pose):
+    high = renderer.scene.with_air("tropical")
+    low = replace(high, frame=replace(high.frame, height_m=high.frame.height_m + 3000.0))
+    found = tr.Renderer(low, rays=16, like=tr.Renderer(high, rays=16, like=renderer)).radiance(pose)
+    np.testing.assert_array_equal(found, tr.Renderer(low, rays=16).radiance(pose))
+
+
+def test_a_scene_like_another_shows_its_own_colours_and_names(folder, renderer, pose):
+    first, *others = renderer.scene.surfaces
+    dark = replace(renderer.scene, surfaces=(replace(first, colour=first.colour // 2, name="land"), *others))
+    alone = tr.Renderer(dark, rays=16)
+    for like in (tr.Renderer(dark, rays=16, like=renderer), tr.Renderer.of(renderer.baked.solved_for(dark))):
+        np.testing.assert_array_equal(like.visible(pose)[0], alone.visible(pose)[0])
+    # An object's name decides whether a target is seen.
+    still = (folder / "scene.toml").read_text().replace('track = "car.csv"\n', "")
+    other = folder.parent / "still"
+    shutil.copytree(folder, other)
+    (other / "scene.toml").write_text(still)
+    scene = tr.load_scene(other)
+    (other / "scene.toml").write_text(still.replace('"car"', '"van"'))
+    made = tr.Renderer(scene, rays=4)
+    assert tr.Renderer(tr.load_scene(other), rays=4, like=made).frame(pose).targets["van"]["visible"]

@@ -4,9 +4,15 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
+from thermorender.frame import apparent_temperature
 from thermorender.materials.library import grey, load_library
 from thermorender.physics.band import RadianceTable, emitted_radiance, quadrature
-from thermorender.physics.planck import band_radiance, band_radiance_derivative, spectral_radiance
+from thermorender.physics.planck import (
+    band_radiance,
+    band_radiance_derivative,
+    brightness_temperature,
+    spectral_radiance,
+)
 from thermorender.physics.surface import kinetic_temperature, reflected_radiance
 
 BAND = (7.5, 13.5)
@@ -82,3 +88,13 @@ def test_no_kinetic_temperature_outside_the_believed_range():
     radiance = np.array([-1.0, *band_radiance(np.array([250.0, 279.8, 320.2, 300.0]), *BAND)])
     kinetic = kinetic_temperature(radiance, black, 255.0, BAND, (280.0, 320.0))
     assert np.isnan(kinetic[:4]).all() and kinetic[4] == pytest.approx(300.0, abs=1e-4)
+
+
+def test_apparent_temperature_of_any_radiance():
+    """An image may hold what no scene shows: no table is made for it, and its neighbours stay as they are."""
+    odd = np.array([0.0, -1.0, np.nan, np.inf, 5e-324, 1e-300, 1e10, 1e300, 40.0])
+    found = apparent_temperature(odd, BAND)
+    expected = brightness_temperature(odd, *BAND)
+    with np.errstate(over="ignore"):
+        np.testing.assert_allclose(found, expected.astype(np.float32), rtol=1e-6)
+    assert apparent_temperature(40.0, BAND) == found[-1] == apparent_temperature(odd[-1:], BAND)

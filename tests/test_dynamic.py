@@ -133,4 +133,45 @@ def test_bad_settings(tmp_path):
     ):
         with pytest.raises(ThermorenderError, match=words):
             renderer.frame(tr.pose(0, 0, 30, pitch_deg=-90), objects=objects)
+    # A camera in the place of a time would be passed over where nothing moves.
+    for time_s in (np.nan, scene.camera):
+        for render in (renderer.frame, renderer.visible):
+            with pytest.raises(ThermorenderError, match="^time_s=.* is no time; give a finite number of seconds$"):
+                render(tr.pose(0, 0, 30, pitch_deg=-90), time_s)
     assert brightness_temperature(renderer.frame(tr.pose(0, 0, 30, pitch_deg=-90)).radiance.mean(), *BAND) > 200.0
+
+
+def test_what_stands_in_the_ground_does_not_light_it(tmp_path):
+    """The bake's faces get light on their fronts alone, and so must they from what moves below them."""
+    scene = scene_with(tmp_path / "s", "time_s,above_ground_m\n0,-3\n")
+    renderer, pose = tr.Renderer(scene, rays=64), tr.pose(1, 2, 10, pitch_deg=-90)
+    below, hotter = (renderer.radiance(pose, objects={"thing": {"temperature_k": k}}) for k in (300.0, 900.0))
+    np.testing.assert_array_equal(hotter, below)
+    # Half of it below: what is above shines on.
+    above, hotter = (
+        renderer.radiance(pose, objects={"thing": {"temperature_k": k, "above_ground_m": -0.75}}) for k in (300, 900)
+    )
+    assert (hotter > above).mean() > 0.9
+
+
+def test_a_thing_in_the_ground_shines_as_one_that_stands_still(tmp_path):
+    moving = scene_with(tmp_path / "moving", "time_s,above_ground_m\n0,-0.5\n")
+    scene_with(tmp_path / "still")
+    toml = tmp_path / "still" / "scene.toml"
+    toml.write_text(toml.read_text().replace("position = [1, 2, 0.5]", "position = [1, 2, -0.5]"))
+    pose = tr.pose(1, 2, 12, pitch_deg=-90)
+    one, other = (tr.Renderer(one, rays=512).frame(pose) for one in (tr.load_scene(tmp_path / "still"), moving))
+    ground = one.truth["kinetic_temperature"] != 340.0
+    apart = 1e3 * (other.apparent_temperature - one.apparent_temperature)[ground]
+    assert ground.sum() > 100_000 and abs(apart.mean()) < 20.0
+
+
+def test_it_may_be_the_only_mirror(tmp_path):
+    folder = tmp_path / "s"
+    scene_with(folder, "time_s,yaw_deg\n0,30\n")
+    toml = folder / "scene.toml"
+    toml.write_text(toml.read_text().replace("paint_black", "aluminium_polished"))
+    frame = tr.Renderer(tr.load_scene(folder), rays=16).frame(tr.pose(1, 2, 10, pitch_deg=-90))
+    thing = frame.truth["kinetic_temperature"] == 340.0
+    # Of 340 K, but nearly all that it shows is the sky of 260 K.
+    assert frame.plan["specular"] and abs(np.median(frame.apparent_temperature[thing]) - 260.0) < 15.0

@@ -9,6 +9,7 @@ import pytest
 from conftest import shared_data
 
 from thermorender.cli import app as cli
+from thermorender.errors import ThermorenderError
 from thermorender.materials.check import check
 from thermorender.materials.compare import apparent_temperature
 from thermorender.materials.files import INDEX_COLUMNS
@@ -265,6 +266,27 @@ def test_import_of_slum_samples_knows_its_source(run, tmp_path):
     road = read_library(tmp_path)["road"]
     assert status == 0 and road.samples == 2 and "doi:10.1016/j.isprsjprs.2014.05.005" in road.citation
     assert road.valid_range_um == (8.0, 14.0) and 0.8 < road.solar_absorptance < 0.95
+
+
+@pytest.mark.parametrize(
+    ("directional", "table", "words"),
+    [
+        # 1,5 + 0,1 i written with decimal commas is not 1 + 5 i.
+        ("fresnel", "wavelength_um,n,k\n7,1,5,0,1\n14,1,5,0,1\n", "row 2: holds 5 cells under 3 headings; write"),
+        ("lambertian", SPECTRUM.replace("7.0,0.2,", "-7.0,0.2,"), "row 2: wavelength_um=-7 is not within 0…1000"),
+    ],
+)
+def test_check_finds_what_a_scene_refuses(run, tmp_path, directional, table, words):
+    folder = library(tmp_path / "m", [ROW | {"directional": directional}], table)
+    status, out, _ = run("check", folder)
+    assert status == 2 and words in out
+    with pytest.raises(ThermorenderError, match=words):
+        read_library(folder)
+
+
+def test_cells_beyond_the_last_heading_may_be_empty(tmp_path):
+    folder = library(tmp_path / "m", spectrum=SPECTRUM.replace("0.2,\n", "0.2,,,\n"))
+    assert read_library(folder)["tin"].emissivity[0] == 0.2
 
 
 @pytest.mark.parametrize("verb", ["import", "check"])

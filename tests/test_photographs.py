@@ -75,7 +75,7 @@ def test_drone_photographs(toufeng, name):
     utm, reference = CRS.from_epsg(32651), reconstruction["reference_lla"]
     (x,), (y,) = transform(CRS.from_epsg(4326), utm, [reference["longitude"]], [reference["latitude"]])
     pose[:3, 3] += [x, y, reference["altitude"]]
-    rendered, covered = toufeng.visible(pose_from_map(toufeng.scene.frame, utm, pose), camera)
+    rendered, covered = toufeng.visible(pose_from_map(toufeng.scene.frame, utm, pose), camera=camera)
     found = displacement(rendered, covered, photograph(folder / f"{name}.tif"))
     assert covered.mean() > 0.85 and len(found) > 500
     assert np.median(found) <= 2.0
@@ -104,7 +104,7 @@ def test_survey_photographs(baviaans, row):
     pose[:3, :3] = Rotation.from_euler("XYZ", [omega, phi, kappa], degrees=True).as_matrix() @ np.diag([1, -1, -1])
     pose[:3, 3] = [float(shot[key]) for key in "xyz"]
     scene = baviaans.scene
-    rendered, covered = baviaans.visible(pose_from_map(scene.frame, scene.grid.crs, pose), camera)
+    rendered, covered = baviaans.visible(pose_from_map(scene.frame, scene.grid.crs, pose), camera=camera)
     found = displacement(rendered, covered, photograph(folder / f"{shot['filename']}.tif"))
     assert covered.mean() > 0.5 and len(found) > 200
     assert np.median(found) <= 2.0

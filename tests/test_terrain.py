@@ -12,6 +12,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene import terrain
 from thermorender.scene.ground import Ground
+from thermorender.scene.import_terrain import import_terrain
 from thermorender.scene.mesh import load, primitive
 from thermorender.scene.raster import Grid
 from thermorender.scene.surface import fill, nearest_valid
@@ -60,6 +61,64 @@ def test_a_missing_post_leaves_its_four_cells_out(post):
     height[post] = np.nan
     _, faces, _ = terrain.mesh(height, NORTH_UP, LocalFrame(52.0, 21.0, 100.0), TEXELS)
     assert len(faces) == 2 * (81 - 4) and np.isfinite(height.ravel()[faces]).all()
+
+
+def test_a_missing_post_lies_no_lower_than_the_others():
+    """It is in no face, but air is computed for all heights between the scene's corners."""
+    height = HEIGHT + 2000.0
+    height[3, 3] = np.nan
+    vertices, _, _ = terrain.mesh(height, NORTH_UP, LocalFrame(52.0, 21.0, 2100.0), TEXELS)
+    assert np.ptp(vertices[:, 2]) < 0.1
+
+
+def test_heights_in_feet_are_refused(tmp_path):
+    path = tmp_path / "dem.tif"
+    for crs, unit in (("EPSG:32634", "ft"), ("EPSG:32618+6360", None), ("EPSG:32634", "m"), ("EPSG:32634", None)):
+        with rasterio.open(
+            path, "w", driver="GTiff", count=1, dtype="float32", height=4, width=4, crs=crs,
+            transform=NORTH_UP.transform,
+        ) as file:  # fmt: skip
+            file.write(np.full((1, 4, 4), 50.0, np.float32))
+            if unit:
+                file.units = (unit,)
+        if unit == "m" or "+" not in crs and not unit:
+            terrain.read_elevation(path)
+            continue
+        with pytest.raises(ThermorenderError, match="holds heights in '(ft|US survey foot)'; give metres"):
+            terrain.read_elevation(path)
+
+
+def test_a_raster_that_runs_west_is_imported_like_one_that_runs_east(tmp_path):
+    height = np.arange(100.0, dtype=np.float32).reshape(1, 10, 10)
+    west = rasterio.Affine(-2.0, 0.0, LEFT + 20.0, 0.0, -2.0, TOP)
+    for name, values, transform in (("east", height, NORTH_UP.transform), ("west", height[:, :, ::-1], west)):
+        with rasterio.open(
+            tmp_path / f"{name}.tif", "w", driver="GTiff", count=1, dtype="float32", height=10, width=10, crs=UTM,
+            transform=transform,
+        ) as file:  # fmt: skip
+            file.write(values)
+    with rasterio.open(
+        tmp_path / "o.tif", "w", driver="GTiff", count=3, dtype="uint8", height=40, width=40, crs=UTM,
+        transform=TEXELS.transform,
+    ) as file:  # fmt: skip
+        file.write(np.full((3, 40, 40), 90, np.uint8))
+    found = []
+    for name in ("east", "west"):
+        import_terrain(tmp_path / f"{name}.tif", tmp_path / "o.tif", tmp_path / name)
+        found.append(terrain.read_elevation(tmp_path / name / "elevation.tif")[0])
+    np.testing.assert_allclose(found[1], found[0], atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "words"),
+    [
+        ({"height_reference": "sea"}, "height_reference='sea' is not allowed; give ellipsoid or geoid"),
+        ({"material": "aluminium_sheet"}, "measured over 3.2–12.5 µm only"),
+    ],
+)
+def test_import_makes_no_scene_that_cannot_be_loaded(tmp_path, keywords, words):
+    with pytest.raises(ThermorenderError, match=words):
+        import_terrain(tmp_path / "none.tif", tmp_path / "none.tif", tmp_path / "s", **keywords)
 
 
 def test_undeclared_placeholders_are_no_heights(tmp_path):

@@ -13,15 +13,50 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from thermorender.physics.band import RadianceTable
-from thermorender.physics.planck import band_radiance
+from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.scene.surface import SATURATED
 from thermorender.sensor import readout
 from thermorender.sensor.camera import Camera
 from thermorender.sensor.chain import sensor_of
 from thermorender.sensor.display import DisplaySettings
 
+# Temperatures that are looked up in a table [K]; others are computed one by one.
+_TABLE_K = (10.0, 10000.0)
+
 
 @dataclass(frozen=True)
+class Found:
+    """What a pickled frame's scene told of it: its view without the scene.
+
+    Attributes
+    ----------
+    images : dict
+        As by `View.truth`.
+    places : dict
+        As by `View.targets`.
+    budget : dict or None
+        As by `View.budget_mk`.
+    """
+
+    images: dict[str, NDArray[Any]]
+    places: dict[str, dict[str, Any]]
+    budget: dict[str, float] | None
+
+    def truth(self) -> dict[str, NDArray[Any]]:
+        """Return what is really there, without the sensor's flags."""
+        return dict(self.images)
+
+    def targets(self) -> dict[str, dict[str, Any]]:
+        """Return where objects are."""
+        return self.places
+
+    def budget_mk(self, radiance: NDArray[np.float32], sampling: Any) -> dict[str, float] | None:
+        """Return the error budget of the radiance that was pickled."""
+        return self.budget
+
+
+# Frames are compared by identity: arrays have no truth value to compare them by.
+@dataclass(frozen=True, eq=False)
 class Frame:
     """One LWIR frame.
 
@@ -53,8 +88,11 @@ class Frame:
 
     def __getstate__(self) -> dict[str, Any]:
         # What is found when asked for needs the scene, which does not go along: it is found now.
-        found = {name: getattr(self, name) for name in ("budget_mk", "targets", "truth")}
-        return {**vars(self), **found, "_view": None, "_sampling": None}
+        state = dict(vars(self))
+        images = state.pop("truth", None) or self._view.truth()
+        images = {**images, "mask": images["mask"] & ~np.uint8(SATURATED)}
+        found = Found(images, self.targets, self.budget_mk)
+        return {**state, "_view": found, "_sampling": None}
 
     def with_reading(self, counts: NDArray[np.uint16], how: dict[str, Any]) -> "Frame":
         """Return the same frame as a flight's sensor read it: counts (H, W) uint16, and `how` for the plan."""
@@ -71,7 +109,7 @@ class Frame:
         80°; "total". Estimates from above, and but for the solution no bounds. None for a frame of the reference
         engine, whose error is its noise.
         """
-        return None if self._sampling is None else self._view.budget_mk(self.radiance, self._sampling)
+        return self._view.budget_mk(self.radiance, self._sampling)
 
     @cached_property
     def targets(self) -> dict[str, dict[str, Any]]:
@@ -116,15 +154,18 @@ class Frame:
 def apparent_temperature(radiance: ArrayLike, band_um: Sequence[float]) -> NDArray[np.float32]:
     """Return the blackbody temperature of band radiances, (…) float32 [K], by table (error below 0.1 mK).
 
-    Zero gives 0 K and negative values NaN, since no blackbody has them.
+    Zero gives 0 K; negative values, infinities and NaN give NaN, since no blackbody has them.
     """
     radiance = np.asarray(radiance, dtype=np.float64)
-    positive = radiance[radiance > 0.0]
-    if not positive.size:
-        return np.where(radiance == 0.0, 0.0, np.nan).astype(np.float32)
-    from thermorender.physics.planck import brightness_temperature
-
-    coldest, warmest = brightness_temperature(np.array([positive.min(), positive.max()]), *band_um)
-    grid = RadianceTable.grid(coldest, warmest)
-    table = RadianceTable(grid, band_radiance(grid, *band_um))
-    return np.where(radiance > 0.0, table.inverse(radiance), np.where(radiance == 0.0, 0.0, np.nan)).astype(np.float32)
+    least, most = band_radiance(np.array(_TABLE_K), *band_um)
+    usual = (radiance >= least) & (radiance <= most)
+    result = np.empty(radiance.shape)
+    # Outside, a table would take no end of entries.
+    result[~usual] = brightness_temperature(radiance[~usual], *band_um)
+    if usual.any():
+        known = radiance[usual]
+        coldest, warmest = brightness_temperature(np.array([known.min(), known.max()]), *band_um)
+        grid = RadianceTable.grid(coldest, warmest)
+        result[usual] = RadianceTable(grid, band_radiance(grid, *band_um)).inverse(known)
+    with np.errstate(over="ignore"):
+        return result.astype(np.float32)

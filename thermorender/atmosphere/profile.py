@@ -101,7 +101,14 @@ def read_profile(path):
     header = lines[0][1].replace(",", " ").split() if lines else []
     sounding = "PRES" in header
     wanted = _SOUNDING if sounding else COLUMNS
+    if lines and ";" in lines[0][1] and "," not in lines[0][1]:
+        raise ThermorenderError(
+            f"profile {path} is separated by semicolons; save it comma-separated with a point as decimal mark"
+        )
     missing = [name for name in wanted if name not in header]
+    twice = [name for name in wanted if header.count(name) > 1]
+    if twice:
+        raise ThermorenderError(f"profile {path} has the column {twice[0]} twice; rename or delete one of them")
     if missing:
         raise ThermorenderError(
             f"profile {path} has no column {missing[0]}; its first line must name the columns {', '.join(COLUMNS)}"
@@ -114,10 +121,14 @@ def read_profile(path):
         if sounding and len(words) < len(header):
             continue
         try:
+            if not sounding and any(words[len(header) :]):
+                # As a decimal comma makes it: what follows it would be read as the next column.
+                raise ValueError
             rows.append([float(words[column]) for column in columns])
         except (ValueError, IndexError):
             raise ThermorenderError(
-                f"profile {path}, line {number}: {line[:60]!r} is no row of numbers; give {len(header)} numbers"
+                f"profile {path}, line {number}: {line[:60]!r} is no row of numbers; give {len(header)} numbers with a "
+                "point as decimal mark"
             ) from None
     values = np.array(rows, dtype=np.float64).reshape(-1, 4).T
     if sounding:

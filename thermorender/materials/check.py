@@ -17,6 +17,7 @@ from thermorender.materials.files import (
     LONGEST_WAVELENGTH_UM,
     ROUGHNESS_COLUMN,
     SPECTRUM_COLUMNS,
+    beyond,
     csv_rows,
     gaps,
     number_in_cell,
@@ -150,7 +151,8 @@ def _check_spectrum(path, where, directional, folder=None, samples=""):
     findings += found
     if first == "wavelength_um":
         axis, found = _to_um(where, axis)
-        findings += found
+        # In another unit all are outside, which is told once.
+        findings += found or _outside(where, numbers, first, axis, 0.0, LONGEST_WAVELENGTH_UM, "the column is in µm")
     else:
         axis = WAVELENGTH_UNITS[first](axis)
     # A table of wavenumbers, or one that `import` sorts by itself, may run either way.
@@ -251,6 +253,8 @@ def _table(folder, path, columns, where=None):
     rows = []
     for number, cells in enumerate(table[1:], start=2):
         if any(cell.strip() for cell in cells):
+            if fault := beyond(header, cells):
+                findings.append(Finding(True, f"{where}, row {number}", fault))
             cells = cells + [""] * (len(header) - len(cells))
             rows.append((number, {key: cell.strip() for key, cell in zip(header, cells, strict=False)}))
     return header, rows, findings

@@ -58,7 +58,8 @@ def read_text(path, directory=None):
 def read_table(path, columns, directory=None):
     """Return the rows of a CSV file as (row number in the spreadsheet, dict of column to stripped text).
 
-    Rows with nothing in them are left out; columns beyond those asked for are the user's own and pass.
+    Rows with nothing in them are left out; columns beyond those asked for are the user's own and pass, cells beyond the
+    last heading do not.
 
     Parameters
     ----------
@@ -72,7 +73,8 @@ def read_table(path, columns, directory=None):
     Raises
     ------
     ThermorenderError
-        The file is absent, elsewhere, not UTF-8, separated by semicolons, or a column is missing or twice there.
+        The file is absent, elsewhere, not UTF-8, separated by semicolons, a column is missing or twice there, or a row
+        is longer than the first.
     """
     text = read_text(path, directory)
     first_line = text.partition("\n")[0]
@@ -94,9 +96,21 @@ def read_table(path, columns, directory=None):
     rows = []
     for number, cells in enumerate(table[1:], start=2):
         if any(cell.strip() for cell in cells):
+            if fault := beyond(header, cells):
+                raise ThermorenderError(f"{path}, row {number}: {fault}")
             cells = cells + [""] * (len(header) - len(cells))
             rows.append((number, {key: cell.strip() for key, cell in zip(header, cells, strict=False)}))
     return rows
+
+
+def beyond(header, cells):
+    """Return a clause on what a row holds beyond the last heading, as a decimal comma makes it; None where nothing."""
+    if not any(cell.strip() for cell in cells[len(header) :]):
+        return None
+    return (
+        f"holds {len(cells)} cells under {len(header)} headings; write numbers with a point as decimal mark, and a "
+        "text with commas in quotation marks"
+    )
 
 
 def csv_rows(text, path, delimiter=","):

@@ -44,7 +44,8 @@ class BakedScene:
     face_error : (F,) float32 or None
         Mean square error of the light on each face [(W m⁻² sr⁻¹)²].
     mirror_black : (n, K) or None
-        Channels of blackbodies of the directional texels' temperatures; None where mirrors are left out.
+        Channels of blackbodies of the directional texels' temperatures; None where there are none, or where mirrors are
+        left out.
     static_light : StaticLight or None
         What dynamic objects must know; None without them.
     errors_mk : dict
@@ -112,7 +113,9 @@ class BakedScene:
         parts = ("surfaces", "materials", "air", "tracked_objects")
         same = all(getattr(scene, name) is getattr(old, name) for name in parts)
         light = ("rays", "tolerance_mk", "band_um")
-        same &= scene.spec == old.spec and all(getattr(plan, name) == getattr(self.plan, name) for name in light)
+        same &= all(getattr(plan, name) == getattr(self.plan, name) for name in light)
+        # The frame tells how high the scene lies in its air.
+        same &= all(getattr(scene, name) == getattr(old, name) for name in ("spec", "frame", "terrain_count"))
         return replace(self, scene=scene, plan=plan) if same else None
 
 
@@ -151,7 +154,8 @@ def bake(
     spectrum, material, temperature = plan.spectrum, flat(scene, "material"), flat(scene, "temperature")
     texel = texels.emitted(plan, scene.materials, material, temperature)
     black = None
-    if plan.specular:
+    # An object that moves may be the only one of such a material.
+    if plan.specular and plan.specular.number[material].any():
         black = mirrors.black_of(plan, plan.specular.number, material, temperature)
     uploaded = {"geometry": geometry}
     if not plan.bake:

@@ -30,7 +30,9 @@ class DeviceScene:
         scene, plan, mi = baked.scene, baked.plan, geometry.mi
         self.geometry, self._mi = geometry, mi
         tables = mirrors.DeviceTables(mi, plan.specular) if plan.specular else None
-        mirror = mirrors.Mirror(mi, tables, flat(scene, "material"), baked.mirror_black) if tables else None
+        mirror = None
+        if baked.mirror_black is not None:
+            mirror = mirrors.Mirror(mi, tables, flat(scene, "material"), baked.mirror_black)
         self._outgoing = OutgoingRadiance.of(mi, baked.texels, baked.faces, mirror)
         self._faces, self._light = baked.faces, baked.static_light
         self.face_error = None if baked.face_error is None else mi.Float(baked.face_error)
@@ -58,17 +60,18 @@ class DeviceScene:
         moved = [item.box(placement.pose) for item, placement in zip(self.objects, placements, strict=True)]
         boxes = np.stack([self._corners, *moved])
         box = np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
-        key = pose[:3, 3].tobytes() + box.tobytes()
-        if self._last_medium[0] != key:
-            self._last_medium = key, self._air.view(pose[:3, 3], box)
-        return self._last_medium[1]
+        key, last = pose[:3, 3].tobytes() + box.tobytes(), self._last_medium
+        # Read and replaced as a whole, as another thread may look from elsewhere meanwhile.
+        if last[0] != key:
+            last = self._last_medium = key, self._air.view(pose[:3, 3], box)
+        return last[1]
 
     def _lit(self, placements):
         """(OutgoingRadiance of the static scene, [that of each object]) with the objects' light on each other's."""
         if not self.objects:
             return self._outgoing, []
-        key = tuple((placement.pose.tobytes(), placement.temperature) for placement in placements)
-        if self._last_outgoing[0] != key:
+        key, last = tuple((each.pose.tobytes(), each.temperature) for each in placements), self._last_outgoing
+        if last[0] != key:
             found = [
                 item.update(placement, self.geometry, self._light)
                 for item, placement in zip(self.objects, placements, strict=True)
@@ -79,8 +82,8 @@ class DeviceScene:
                 for _, (faces, added) in found:
                     light[faces] += added
                 outgoing = replace(outgoing, faces=Channels(self._mi, light))
-            self._last_outgoing = key, (outgoing, [own for own, _ in found])
-        return self._last_outgoing[1]
+            last = self._last_outgoing = key, (outgoing, [own for own, _ in found])
+        return last[1]
 
 
 def flat(scene, name):

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import drjit as dr
 import numpy as np
 
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, shortened
 from thermorender.render import mirrors
 from thermorender.render.geometry import Geometry, OutgoingRadiance
 from thermorender.render.light import radiosity
@@ -50,8 +50,14 @@ def placements(scene, time_s, objects=None):
     Raises
     ------
     ThermorenderError
-        An object that has no track or leaves the terrain, or an unknown column.
+        A time that is no finite number, an object that has no track or leaves the terrain, or an unknown column.
     """
+    try:
+        finite = np.isfinite(float(time_s))
+    except (TypeError, ValueError):
+        finite = False
+    if not finite:
+        raise ThermorenderError(f"time_s={shortened(repr(time_s))} is no time; give a finite number of seconds")
     objects = objects or {}
     names = [tracked.name for tracked in scene.tracked_objects]
     for name in objects:
@@ -139,10 +145,10 @@ class DynamicObject:
             What these reflect more than without the object, in each channel [W m⁻² sr⁻¹].
         """
         pose, temperature = placement.pose, placement.temperature
-        key = pose.tobytes(), temperature
-        if self._last[0] != key:
-            self._last = key, self._updated(pose, temperature, geometry, light)
-        return self._last[1]
+        key, last = (pose.tobytes(), temperature), self._last
+        if last[0] != key:
+            last = self._last = key, self._updated(pose, temperature, geometry, light)
+        return last[1]
 
     def _updated(self, pose, temperature, geometry, light):
         mi, plan = self.geometry.mi, self._plan
@@ -178,14 +184,17 @@ class DynamicObject:
         matrix, origin_m = _matrix(mi, pose)
         start, along = matrix @ origin + origin_m, matrix @ direction
         # Both ways off a face: a sheet shines to both sides, and either end tells what the object hides from the other.
-        codes, ends = [], []
+        # A static face gets light on its front alone, as in the bake: what stands in the ground does not light it.
+        codes, ends, fronts = [], [], []
         for own_from, sign in ((origin, 1.0), (reverse, -1.0)):
             own = self.geometry.cast(mi.Ray3f(mi.Point3f(own_from), mi.Vector3f(sign * direction)))
             end = geometry.cast(mi.Ray3f(mi.Point3f(start), sign * along))
             there = dr.select(end.valid, end.face, others + radiosity.background_code(mi, sign * along))
             codes.append(dr.select(own.distance < end.distance, known + own.face, there))
             ends.append(there)
-        dr.eval(codes, ends)
+            normal = mi.Vector3f(*geometry.normals.at(end.face, end.valid))
+            fronts.append(end.valid & (dr.dot(normal, sign * along) < 0.0))
+        dr.eval(codes, ends, fronts)
         met, met_reverse = (np.array(values, dtype=np.int64) for values in codes)
         end, end_reverse = (np.array(values, dtype=np.int64) for values in ends)
         index = np.arange(0, count * rays + 1, rays)
@@ -199,8 +208,8 @@ class DynamicObject:
 
         # Of each ray that ends on the ground, that face sees the object in place of what lies behind.
         faces, changes = [], []
-        for first, hidden in ((met, end_reverse), (met_reverse, end)):
-            hit = np.flatnonzero(first < others)
+        for first, hidden, front in ((met, end_reverse, fronts[0]), (met_reverse, end, fronts[1])):
+            hit = np.flatnonzero((first < others) & np.array(front))
             face, own = first[hit], hit // rays
             change = ((leaving[own] - static.seen[hidden[hit]]) * static.reflectance[face]) @ spectrum.share.T
             faces.append(face)

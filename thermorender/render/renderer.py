@@ -31,7 +31,7 @@ from thermorender.render.spectrum import REFERENCE_K
 from thermorender.render.tracer import Sampling, Tracer
 from thermorender.render.variant import activate
 from thermorender.scene.load import Scene
-from thermorender.scene.surface import FILLED
+from thermorender.scene.surface import FILLED, Surface
 from thermorender.sensor.camera import Camera
 
 # Error from which on edge pixels of a visible view get more rays: a share of white, summed over the colours.
@@ -169,8 +169,10 @@ class Renderer:
         """
         pose, mi = checked_pose(pose), self._geometry.mi
         if self._coloured is None:
-            shapes = [self._geometry, *(Geometry(mi, tracked.surfaces) for tracked in self.scene.tracked_objects)]
-            self._coloured = [(shape, _colours(shape)) for shape in shapes]
+            # The geometry may be that of another scene of the same surfaces, in other colours.
+            shapes = [(self._geometry, self.scene.surfaces)]
+            shapes += [(Geometry(mi, one.surfaces), one.surfaces) for one in self.scene.tracked_objects]
+            self._coloured = [(shape, _colours(mi, surfaces)) for shape, surfaces in shapes]
         poses = [np.eye(4), *(placement.pose for placement in placements(self.scene, time_s, objects))]
         layers = [
             Layer(shape, opaque_view(mi, np.linalg.inv(own) @ pose), outgoing)
@@ -260,9 +262,9 @@ class View:
         """Return where objects are, as `Frame.targets` has it."""
         return truth.targets(self.baked, self.rays.camera, self.pose, self.placements)
 
-    def budget_mk(self, radiance: NDArray[np.float32], sampling: Sampling) -> dict[str, float]:
-        """Return the error budget, as `Frame.budget_mk` has it, of a radiance image with its Sampling."""
-        return budget.budget_mk(self.baked, self.rays, self.pose, radiance, sampling)
+    def budget_mk(self, radiance: NDArray[np.float32], sampling: Sampling | None) -> dict[str, float] | None:
+        """Return the error budget, as `Frame.budget_mk` has it, of a radiance image; None without its Sampling."""
+        return None if sampling is None else budget.budget_mk(self.baked, self.rays, self.pose, radiance, sampling)
 
 
 def checked_pose(pose: ArrayLike) -> NDArray[np.float64]:
@@ -280,12 +282,12 @@ def checked_pose(pose: ArrayLike) -> NDArray[np.float64]:
     return pose
 
 
-def _colours(geometry: Geometry) -> OutgoingRadiance:
-    """The linear colour of a Geometry's texels, and 1 where it is known, else 0, as OutgoingRadiance."""
-    linear = linear_from_bytes(np.concatenate([surface.colour.reshape(-1, 3) for surface in geometry.surfaces]))
-    flags = np.concatenate([surface.flags.ravel() for surface in geometry.surfaces])
+def _colours(mi: Any, surfaces: Sequence[Surface]) -> OutgoingRadiance:
+    """The linear colour of the surfaces' texels, and 1 where it is known, else 0, as OutgoingRadiance."""
+    linear = linear_from_bytes(np.concatenate([surface.colour.reshape(-1, 3) for surface in surfaces]))
+    flags = np.concatenate([surface.flags.ravel() for surface in surfaces])
     known = ((flags & FILLED) == 0).astype(np.float32)
-    return OutgoingRadiance(Channels(geometry.mi, np.column_stack([linear, known])))
+    return OutgoingRadiance(Channels(mi, np.column_stack([linear, known])))
 
 
 def _checked_seed(seed: int) -> int:

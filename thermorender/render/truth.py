@@ -115,16 +115,17 @@ def targets(baked, camera, pose, placements):
     pixel = camera.project(local)
     distance = np.linalg.norm(local, axis=-1)
     nearest, names = np.full(len(centre), np.inf), np.full(len(centre), "", dtype=object)
-    shown = [(baked.geometry, np.eye(4))]
-    shown += [(item.geometry, each.pose) for item, each in zip(baked.device.objects, placements, strict=True)]
-    for shapes, own_pose in shown:
+    shown = [(baked.geometry, baked.scene.surfaces, np.eye(4))]
+    moving = zip(baked.device.objects, placements, strict=True)
+    shown += [(item.geometry, item.surfaces, each.pose) for item, each in moving]
+    for shapes, surfaces, own_pose in shown:
         mi, inverse = shapes.mi, np.linalg.inv(own_pose)
         start = (inverse[:3, :3] @ pose[:3, 3] + inverse[:3, 3]).tolist()
         direction = ((centre - pose[:3, 3]) / distance[:, None]) @ inverse[:3, :3].T
         hit = shapes.cast(mi.Ray3f(mi.Point3f(*start), mi.Vector3f(*direction.T.astype(np.float32))))
         met, surface = np.array(hit.distance), np.array(hit.surface)
         nearer = met < nearest
-        names[nearer] = [shapes.surfaces[number].name.split(":")[0] for number in surface[nearer]]
+        names[nearer] = [surfaces[number].name.split(":")[0] for number in surface[nearer]]
         nearest = np.minimum(nearest, met)
     found = {}
     for k, name in enumerate(middles):

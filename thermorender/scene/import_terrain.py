@@ -61,7 +61,9 @@ def import_terrain(elevation, orthophoto, folder, max_vertices=DEFAULT_VERTICES,
     from thermorender.materials.library import find, load_library
 
     load_model(model)
-    find(load_library(), material, "material")
+    find(load_library(), material, "material").emissivity_at(np.array(defaults.BAND_UM))
+    if height_reference not in (None, "ellipsoid", "geoid"):
+        raise ThermorenderError(f"height_reference={height_reference!r} is not allowed; give ellipsoid or geoid")
     _finite("geoid_undulation_m", geoid_undulation_m)
     _finite("sky_temperature", sky_temperature)
     scene_kelvin("sky_temperature", sky_temperature)
@@ -181,8 +183,10 @@ def _grid(crs, bounds, step):
 
 
 def _aligned(grid, crs, target, step):
-    """Whether cutting pixels out of a grid is enough: same map, north up, no thinning."""
-    return grid.crs == crs and grid.transform.e < 0.0 and abs(_step(crs, target) - step) < 1e-6 * step
+    """Whether cutting pixels out of a grid is enough: same map, north up and east to the right, no thinning."""
+    t = grid.transform
+    upright = t.a > 0.0 and t.e < 0.0 and t.b == t.d == 0.0
+    return grid.crs == crs and upright and abs(_step(crs, target) - step) < 1e-6 * step
 
 
 def _cut(values, grid, bounds):

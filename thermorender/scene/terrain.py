@@ -4,7 +4,10 @@ import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import LocalFrame
-from thermorender.scene.raster import grid_of, lon_lat, read_band
+from thermorender.scene.raster import grid_of, lon_lat, opened, read_band
+
+# What a raster's own unit may be called; none is metres too.
+_METRES = ("", "m", "metre", "metres", "meter", "meters")
 
 
 def read_elevation(path):
@@ -13,12 +16,19 @@ def read_elevation(path):
     Raises
     ------
     ThermorenderError
-        No CRS or one its coordinates do not fit, fewer than 2 × 2 posts, nothing valid, or heights no land on
-        Earth has.
+        No CRS or one its coordinates do not fit, fewer than 2 × 2 posts, nothing valid, heights no land on Earth has,
+        or heights in another unit.
     """
     grid = grid_of(path)
     left, bottom, right, top = grid.bounds
     lon_lat(grid, np.array([left, right]), np.array([bottom, top]))
+    with opened(path) as dataset:
+        unit = dataset.units[0] if dataset.count else None
+    if (unit or "").strip().lower() not in _METRES:
+        raise ThermorenderError(
+            f"{path} holds heights in {unit!r}; give metres, or where they are, mend the unit with "
+            "`gdal_edit.py -units m`"
+        )
     height = read_band(path)
     # Files often carry an undeclared placeholder such as −9999 or ±3.4e38.
     height[~(np.abs(height) < 9000.0)] = np.nan
@@ -52,21 +62,23 @@ def mesh(height, grid, frame, texels):
         Pixel grids of the heights and of the texel map, in the same CRS.
     frame : LocalFrame
     """
+    known = np.isfinite(height)
+    whole = known[:-1, :-1] & known[:-1, 1:] & known[1:, :-1] & known[1:, 1:]
+    if not whole.any():
+        raise ThermorenderError(f"{grid.name} has no cell with four valid posts; give a denser DEM")
     rows, columns = height.shape
     column, row = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
     x, y = grid.to_map(column, row)
     longitude, latitude = lon_lat(grid, x.ravel(), y.ravel())
-    vertices = frame.enu_from_geodetic(latitude, longitude, np.nan_to_num(height.ravel()))
+    # Posts without height are in no face, but count among the scene's corners.
+    level = np.where(known, height, height[known].min())
+    vertices = frame.enu_from_geodetic(latitude, longitude, level.ravel())
 
     texel_column, texel_row = texels.to_pixel(x, y)
     uv = np.stack([texel_column / texels.width, texel_row / texels.height], axis=-1).reshape(-1, 2)
 
     index = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
-    whole = np.isfinite(height)
-    whole = whole[:-1, :-1] & whole[:-1, 1:] & whole[1:, :-1] & whole[1:, 1:]
-    if not whole.any():
-        raise ThermorenderError(f"{grid.name} has no cell with four valid posts; give a denser DEM")
     # (cells, 2 triangles, 3 corners), both counter-clockwise seen from above for a north-up raster.
     faces = np.stack([np.stack([a, c, d], axis=-1), np.stack([a, d, b], axis=-1)], axis=2)[whole].reshape(-1, 3)
     if grid.transform.determinant > 0.0:
