@@ -137,19 +137,21 @@ def test_bad_settings(tmp_path):
     for time_s in (np.nan, scene.camera):
         for render in (renderer.frame, renderer.visible):
             with pytest.raises(ThermorenderError, match="^time_s=.* is no time; give a finite number of seconds$"):
-                render(tr.pose(0, 0, 30, pitch_deg=-90), time_s)
+                render(tr.pose(0, 0, 30, pitch_deg=-90), time_s=time_s)
     assert brightness_temperature(renderer.frame(tr.pose(0, 0, 30, pitch_deg=-90)).radiance.mean(), *BAND) > 200.0
+    with pytest.raises(ThermorenderError, match="camera=1.0 is no Camera; give what load_camera returns"):
+        renderer.visible(tr.pose(0, 0, 30, pitch_deg=-90), 1.0)
 
 
 def test_what_stands_in_the_ground_does_not_light_it(tmp_path):
     """The bake's faces get light on their fronts alone, and so must they from what moves below them."""
     scene = scene_with(tmp_path / "s", "time_s,above_ground_m\n0,-3\n")
     renderer, pose = tr.Renderer(scene, rays=64), tr.pose(1, 2, 10, pitch_deg=-90)
-    below, hotter = (renderer.radiance(pose, objects={"thing": {"temperature_k": k}}) for k in (300.0, 900.0))
+    below, hotter = (renderer.radiance(pose, objects={"target": {"temperature_k": k}}) for k in (300.0, 900.0))
     np.testing.assert_array_equal(hotter, below)
     # Half of it below: what is above shines on.
     above, hotter = (
-        renderer.radiance(pose, objects={"thing": {"temperature_k": k, "above_ground_m": -0.75}}) for k in (300, 900)
+        renderer.radiance(pose, objects={"target": {"temperature_k": k, "above_ground_m": -0.75}}) for k in (300, 900)
     )
     assert (hotter > above).mean() > 0.9
 

@@ -32,14 +32,14 @@ class Found:
     ----------
     images : dict
         As by `View.truth`.
-    places : dict
+    objects : dict
         As by `View.targets`.
     budget : dict or None
         As by `View.budget_mk`.
     """
 
     images: dict[str, NDArray[Any]]
-    places: dict[str, dict[str, Any]]
+    objects: dict[str, dict[str, Any]]
     budget: dict[str, float] | None
 
     def truth(self) -> dict[str, NDArray[Any]]:
@@ -48,7 +48,7 @@ class Found:
 
     def targets(self) -> dict[str, dict[str, Any]]:
         """Return where objects are."""
-        return self.places
+        return self.objects
 
     def budget_mk(self, radiance: NDArray[np.float32], sampling: Any) -> dict[str, float] | None:
         """Return the error budget of the radiance that was pickled."""

@@ -8,7 +8,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, shortened
 from thermorender.frame import Frame
 from thermorender.physics.planck import band_radiance_derivative
 from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
@@ -167,6 +167,11 @@ class Renderer:
         The texture carries its own sun and shade; light is averaged linearly over a pixel's rays. Pixels without
         surface, or where its colour is unknown, are not valid. `camera` stands in for the scene's.
         """
+        if camera is not None and not isinstance(camera, Camera):
+            raise ThermorenderError(
+                f"camera={shortened(repr(camera))} is no Camera; give what load_camera returns, and a time by its "
+                "name, time_s"
+            )
         pose, mi = checked_pose(pose), self._geometry.mi
         if self._coloured is None:
             # The geometry may be that of another scene of the same surfaces, in other colours.
