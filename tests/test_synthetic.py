@@ -184,10 +184,19 @@ def test_unknown_kind_lists_the_right_ones():
         make("moor")
 
 
+@pytest.mark.filterwarnings("error")
+def test_the_largest_seeds_are_other_places_too():
+    drawn = {stream(seed, "heat").integers(2**62) for seed in (2**63, 2**63 + 1, 2**64 - 1)}
+    assert len(drawn) == 3
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         ({"seed": -1}, "seed=-1 must be a whole number of at least 0"),
+        ({"seed": 2**64}, "seed=18446744073709551616 must be .* less than 2⁶⁴"),
+        ({"seed": np.nan}, "seed=nan must be a whole number"),
+        ({"size_m": 1e5, "texel_m": 100.0, "post_m": 1e3}, "size_m=100000 is more than the 6400 m that a heath"),
         ({"size_m": 100.0, "texel_m": 0.3}, "texel_m=0.3 does not divide size_m=100"),
         ({"size_m": 100.0, "texel_m": 1.0, "post_m": 0.5}, "post_m=0.5 is smaller than texel_m=1"),
         ({"size_m": -5.0}, "size_m=-5 must be a length in metres above 0"),

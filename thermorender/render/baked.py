@@ -12,14 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender.physics.planck import band_radiance_derivative
 from thermorender.render import mirrors
 from thermorender.render.device import DeviceScene, flat
 from thermorender.render.dynamic import StaticLight
 from thermorender.render.geometry import Geometry, refuse_other_surfaces
 from thermorender.render.light import cache, environment, radiosity, texels
 from thermorender.render.plan import Plan, make_plan
-from thermorender.render.spectrum import REFERENCE_K
 from thermorender.render.variant import activate
 from thermorender.scene.load import Scene
 
@@ -167,7 +165,7 @@ def bake(
         tell(what, 0.0)
         known, note = cache.traced(geometry, plan.rays, lambda share: tell(what, share))
     tell("solving the light between surfaces", 0.0)
-    per_mk = float(band_radiance_derivative(REFERENCE_K, *plan.band_um)) * 1e-3
+    per_mk = plan.radiance_per_mk
     emitted, reflectance = texels.face_means(geometry, plan, material, temperature)
     around = environment.of_scene(scene, plan, geometry)
     tolerance = 0.1 * plan.tolerance_mk * per_mk / spectrum.nodes

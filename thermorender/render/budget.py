@@ -3,10 +3,8 @@
 import drjit as dr
 import numpy as np
 
-from thermorender.physics.planck import band_radiance_derivative
 from thermorender.render.geometry import opaque_view, view_ray
 from thermorender.render.sampling import contrast, edge_estimate, texture_estimate
-from thermorender.render.spectrum import REFERENCE_K
 
 # Every how many pixels the light's error is looked up.
 _PIXELS = 16
@@ -26,7 +24,7 @@ def budget_mk(baked, rays, pose, radiance, sampling):
     sampling : Sampling
     """
     plan, device = baked.plan, baked.device
-    mi, per_mk = device.geometry.mi, float(band_radiance_derivative(REFERENCE_K, *plan.band_um)) * 1e-3
+    mi, per_mk = device.geometry.mi, plan.radiance_per_mk
     span = contrast(radiance)
     # Where nothing was asked about edges, any contrast may be one.
     step = span if sampling.step is None else sampling.step

@@ -1,6 +1,7 @@
 """What a scene needs and what it does not: spectral nodes, bake, air, samples; each choice with its error in mK."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -74,6 +75,11 @@ class Plan:
     sun: bool
     specular_mk: float | None
     specular: ReflectanceTables | None
+
+    @cached_property
+    def radiance_per_mk(self):
+        """Band radiance of a millikelvin at the reference temperature [W m⁻² sr⁻¹ mK⁻¹]."""
+        return float(band_radiance_derivative(REFERENCE_K, *self.band_um)) * 1e-3
 
     @property
     def nodes(self):

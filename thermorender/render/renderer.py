@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.frame import Frame
-from thermorender.physics.planck import band_radiance_derivative
 from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
 from thermorender.render import budget, truth
 from thermorender.render.air import Vacuum
@@ -27,7 +26,6 @@ from thermorender.render.geometry import (
 )
 from thermorender.render.plan import Plan, make_plan
 from thermorender.render.sampling import CameraRays
-from thermorender.render.spectrum import REFERENCE_K
 from thermorender.render.tracer import Sampling, Tracer
 from thermorender.render.variant import activate
 from thermorender.scene.load import Scene
@@ -255,7 +253,7 @@ class View:
     def radiance(self) -> tuple[NDArray[np.float32], Sampling]:
         """Return (band radiance (H, W) float32 [W m⁻² sr⁻¹], Sampling)."""
         plan = self.baked.plan
-        limit = plan.edge_mk * float(band_radiance_derivative(REFERENCE_K, *plan.band_um)) * 1e-3
+        limit = plan.edge_mk * plan.radiance_per_mk
         image, sampling = self.tracer.image(limit)
         return image[0], sampling
 

@@ -13,11 +13,11 @@ def stream(seed, name):
     Parameters
     ----------
     seed : int
-        Non-negative.
+        0 … 2⁶⁴−1.
     name : str
         What the numbers are for.
     """
-    return np.random.Generator(np.random.Philox(key=[int(seed), zlib.crc32(name.encode())]))
+    return np.random.Generator(np.random.Philox(key=np.array([int(seed), zlib.crc32(name.encode())], np.uint64)))
 
 
 def smooth_noise(generator, shape, texel_m, wavelength_m):

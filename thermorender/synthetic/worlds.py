@@ -26,6 +26,8 @@ KINDS = {
 
 # Largest raster a scene may have: more does not fit an ordinary machine's memory while it is painted.
 _MOST_TEXELS = 8000
+# Largest side in terms of the kind's own: trees and houses are placed one by one, whatever the texel.
+_MOST_SIZES = 16
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,7 @@ def make(kind, seed=0, size_m=None, texel_m=None, post_m=None):
     kind : str
         One of `KINDS`.
     seed : int
-        Non-negative; another seed makes another landscape.
+        0 … 2⁶⁴−1; another seed makes another landscape.
     size_m : float, optional
         Side of the square extent [m]; the kind's own by default.
     texel_m, post_m : float, optional
@@ -103,7 +105,7 @@ def make(kind, seed=0, size_m=None, texel_m=None, post_m=None):
     Raises
     ------
     ThermorenderError
-        The kind is unknown, the seed negative, or the sizes do not fit each other.
+        The kind is unknown, the seed or the size out of range, or the sizes do not fit each other.
     """
     if kind not in KINDS:
         raise ThermorenderError(f"kind={kind!r} is not a synthetic scene; choose one of {', '.join(KINDS)}")
@@ -112,6 +114,10 @@ def make(kind, seed=0, size_m=None, texel_m=None, post_m=None):
     texel = float(default_texel if texel_m is None else texel_m)
     post = float(default_post if post_m is None else post_m)
     _check(seed, size, texel, post)
+    if size > _MOST_SIZES * default_size:
+        raise ThermorenderError(
+            f"size_m={size:g} is more than the {_MOST_SIZES * default_size:g} m that a {kind} may have; give less"
+        )
 
     canvas = Canvas(seed, size, texel)
     weather, objects, flight = layout(canvas)
@@ -182,8 +188,8 @@ def write(scene, directory, overwrite=False, temperature_every=2):
 
 def _check(seed, size, texel, post):
     """Refuse sizes that do not fit each other."""
-    if int(seed) != seed or seed < 0:
-        raise ThermorenderError(f"seed={seed!r} must be a whole number of at least 0")
+    if not 0 <= seed < 2**64 or int(seed) != seed:
+        raise ThermorenderError(f"seed={seed!r} must be a whole number of at least 0 and less than 2⁶⁴")
     for name, value in (("size_m", size), ("texel_m", texel), ("post_m", post)):
         if not (np.isfinite(value) and value > 0.0):
             raise ThermorenderError(f"{name}={value:g} must be a length in metres above 0")
