@@ -4,6 +4,7 @@ import atexit
 import functools
 import os
 import shutil
+import sys
 import tarfile
 import tempfile
 from pathlib import Path
@@ -24,6 +25,21 @@ def _cache(tmp_path_factory):
     os.environ.pop("THERMORENDER_CACHE")
     if before is not None:
         os.environ["THERMORENDER_CACHE"] = before
+
+
+@pytest.fixture
+def call(monkeypatch, capfd):
+    """Run the command line in this process; return (status, output, errors)."""
+    from thermorender.cli.app import main
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["thermorender", *map(str, arguments)])
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as exit:
+            main()
+        return exit.value.code, *capfd.readouterr()
+
+    return run
 
 
 def shared_data(path):

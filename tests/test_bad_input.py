@@ -105,20 +105,6 @@ def scene(tmp_path):
     return folder
 
 
-@pytest.fixture
-def call(monkeypatch, capfd):
-    """Run the command line in this process; return (status, output, errors)."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["thermorender", *map(str, arguments)])
-        capfd.readouterr()
-        with pytest.raises(SystemExit) as exit:
-            cli.main()
-        return exit.value.code, *capfd.readouterr()
-
-    return run
-
-
 def check_sentence(status, errors, words):
     assert status == 2, errors
     assert errors.startswith("error: ") and errors.endswith("\n"), errors

@@ -84,6 +84,13 @@ def test_a_frame_is_pickled_with_its_truth_and_without_its_scene(renderer, pose)
     assert (back.targets, back.budget_mk, back.seed, back.index) == (frame.targets, frame.budget_mk, 5, 3)
 
 
+def test_what_can_be_made_again_is_not_sent(renderer):
+    light = renderer.baked.transport
+    assert light.operator.nnz and "operator" in vars(light)
+    back = pickle.loads(pickle.dumps(light))
+    assert "operator" not in vars(back) and (back.operator != light.operator).nnz == 0
+
+
 def test_a_baked_scene_renders_the_same_bytes_in_another_process(renderer, pose, tmp_path):
     (tmp_path / "baked").write_bytes(pickle.dumps(renderer.baked))
     np.save(tmp_path / "pose.npy", pose)
@@ -114,6 +121,8 @@ def test_an_edit_is_solved_without_tracing(renderer, pose, monkeypatch):
 
 def test_like_compares_content(folder, renderer, pose):
     scene = tr.load_scene(folder)
+    with pytest.raises(ThermorenderError, match="device='tpu' is unknown"):
+        tr.Renderer(scene, rays=16, device="tpu", like=renderer)
     again = replace(scene, camera=renderer.scene.camera)
     assert again.surfaces[0].vertices is not renderer.scene.surfaces[0].vertices
     np.testing.assert_array_equal(tr.Renderer(again, rays=16, like=renderer).radiance(pose), renderer.radiance(pose))

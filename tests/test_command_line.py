@@ -1,7 +1,6 @@
 """All verbs alike: what their help says, and outputs that are refused before the work."""
 
 import re
-import sys
 from pathlib import Path
 
 import pytest
@@ -30,20 +29,6 @@ WRITING = [words for words, verb in VERBS.items() if outputs(verb)]
 
 def with_option(name):
     return {words for words, verb in VERBS.items() for parameter in verb.params if name in parameter.opts}
-
-
-@pytest.fixture
-def call(monkeypatch, capfd):
-    """Run the command line in this process; return (status, output, errors)."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["thermorender", *map(str, arguments)])
-        capfd.readouterr()
-        with pytest.raises(SystemExit) as exit:
-            cli.main()
-        return exit.value.code, *capfd.readouterr()
-
-    return run
 
 
 def test_the_walk_finds_every_verb():

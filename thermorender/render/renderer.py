@@ -89,18 +89,21 @@ class Renderer:
     ) -> None:  # fmt: skip
         if not isinstance(scene, Scene):
             raise ThermorenderError(
-                f"scene={scene!r} is no Scene; give what load_scene returns, as in Renderer(load_scene('heath'))"
+                f"scene={shortened(repr(scene))} is no Scene; give what load_scene returns, as in "
+                "Renderer(load_scene('heath'))"
             )
         self.scene, self.seed = scene, _checked_seed(seed)
         self.plan = make_plan(scene, quality, samples, taps, edge_mk, rays, tolerance_mk)
         self._like, self._progress, self._baked, self._rays_of, self._coloured = None, progress, None, {}, None
-        if like is not None:
-            refuse_other_surfaces(like.scene.surfaces, scene.surfaces)
-            self._geometry = like._geometry
-            self._like = like.baked if like.plan.rays == rays else None
-            self._baked = self._like and self._like.seen_as(scene, self.plan)
-        else:
-            self._geometry = Geometry(activate(device), scene.surfaces)
+        mi = activate(device)
+        if like is None:
+            self._geometry = Geometry(mi, scene.surfaces)
+            return
+        refuse_other_surfaces(like.scene.surfaces, scene.surfaces)
+        self._geometry = like._geometry
+        if like.plan.rays == rays:
+            self._baked = like.baked.seen_as(scene, self.plan)
+            self._like = None if self._baked else like.baked
 
     @classmethod
     def of(cls, baked: BakedScene, seed: int = 0) -> "Renderer":

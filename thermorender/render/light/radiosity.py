@@ -64,6 +64,10 @@ class Transport:
     up: np.ndarray
     down: np.ndarray
 
+    def __getstate__(self):
+        # The operator is made again from the rest, and is as large.
+        return {name: value for name, value in vars(self).items() if name != "operator"}
+
     @property
     def sky(self):
         """Share of each face's cosine-weighted hemisphere that sees each bin of the sky, (F, SKY_BINS)."""
