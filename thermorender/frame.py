@@ -73,6 +73,8 @@ class Frame:
     camera : Camera
     plan : dict
         What was rendered how.
+    time : datetime64 or None
+        The instant that it shows, UTC; None where the scene has no weather.
     """
 
     radiance: NDArray[np.float32] = field(repr=False)
@@ -82,6 +84,7 @@ class Frame:
     seed: int
     camera: Camera
     plan: dict[str, Any]
+    time: "np.datetime64 | None" = None
     _view: Any = field(repr=False, default=None)
     _sampling: Any = field(repr=False, default=None)
     _reading: NDArray[np.uint16] | None = field(repr=False, default=None)

@@ -26,7 +26,8 @@ else:
     import tomli as tomllib
 
 _UNITS = {"um": "µm", "mm": "mm", "m": "m", "km": "km", "k": "K", "mk": "mK", "mk_per_k": "mK per K", "c": "°C",
-          "hz": "Hz", "px": "px", "s": "s", "ms": "ms", "us": "µs", "deg": "deg", "percent": "%"}  # fmt: skip
+          "hz": "Hz", "px": "px", "s": "s", "ms": "ms", "us": "µs", "deg": "deg", "percent": "%",
+          "m_s": "m/s"}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -82,8 +83,8 @@ class Where:
 def unit_of(key, before=" "):
     """Return the unit at the end of a key's name with a word before it; "" where there is none."""
     name = key.rpartition(".")[2]
-    unit = _UNITS.get("mk_per_k" if name.endswith("_mk_per_k") else name.rpartition("_")[2]) if "_" in name else None
-    return before + unit if unit else ""
+    ends = [end for end in _UNITS if name.endswith(f"_{end}")]
+    return before + _UNITS[max(ends, key=len)] if ends else ""
 
 
 def closest(name, known, count=1, cutoff=0.6):

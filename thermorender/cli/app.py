@@ -10,8 +10,8 @@ import typer
 from thermorender import defaults, files
 from thermorender.cli.camera import fit_camera
 from thermorender.cli.materials import app as materials
+from thermorender.cli.terminal import Time, at_time, output_option, progress, split, table
 from thermorender.cli.terminal import air as parse_air
-from thermorender.cli.terminal import output_option, progress, split, table
 from thermorender.cli.validate import app as validate
 from thermorender.errors import ThermorenderError
 
@@ -31,10 +31,17 @@ train = typer.Typer(help="Train learned maps.", no_args_is_help=True)
 app.add_typer(train, name="train")
 
 SCENE_NAMES = ", ".join(defaults.SCENES)
+Pose = Annotated[
+    str, typer.Option(help="E,N,U,YAW,PITCH,ROLL: metres in the local frame, degrees; pitch −90 looks down.")
+]
+LocalUp = Annotated[bool, typer.Option("--local-up", help="U is the local up coordinate, not metres above the ground.")]
 SceneName = Annotated[str, typer.Argument(help=f"Scene folder, or the name of a shipped one: {SCENE_NAMES}.")]
 Out = Annotated[Path, output_option("-o", "--output", help="Folder for the results.")]
 NewFolder = Annotated[
     Path, output_option("-o", "--output", help="Folder to make for the scene.", check=files.check_new_folder)
+]
+NewResults = Annotated[
+    Path, output_option("-o", "--output", help="New folder for the results.", check=files.check_new_folder)
 ]
 Seed = Annotated[int, typer.Option(help="Seed of the sensor's noise.")]
 Quality = Annotated[str, typer.Option(help="fast, standard or high: how finely a pixel is sampled.")]
@@ -155,12 +162,16 @@ def make_scene(
 
 @app.command()
 def plan(scene: SceneName, quality: Quality = "standard", rays: Rays = 128, tolerance_mk: Tolerance = 5.0,
-         air: Air = None):  # fmt: skip
+         air: Air = None, time: Time = None):  # fmt: skip
     """Print what rendering a scene needs, what is left out, and the error in mK that allows it."""
     from thermorender.render.plan import make_plan
     from thermorender.sensor.exposure import plan_row
 
-    loaded = _scene(scene, None, None, air)
+    loaded = _scene(scene, None, None, air, time)
+    if not loaded.warmed:
+        # What is needed depends on the temperatures.
+        with progress() as tell:
+            loaded = _renderer(loaded, quality, rays, tolerance_mk, 0, "auto", tell).scene
     typer.echo(str(loaded))
     rows = make_plan(loaded, quality, rays=rays, tolerance_mk=tolerance_mk).rows()
     table(("item", "in", "why"), [*rows, plan_row(loaded.camera)])
@@ -170,12 +181,9 @@ def plan(scene: SceneName, quality: Quality = "standard", rays: Rays = 128, tole
 def render(
     scene: SceneName,
     output: Out,
-    pose: Annotated[
-        str, typer.Option(help="E,N,U,YAW,PITCH,ROLL: metres in the local frame, degrees; pitch −90 looks down.")
-    ] = "0,0,120,0,-90,0",
-    local_up: Annotated[
-        bool, typer.Option("--local-up", help="U is the local up coordinate, not metres above the ground.")
-    ] = False,
+    pose: Pose = "0,0,120,0,-90,0",
+    local_up: LocalUp = False,
+    time: Time = None,
     visible: Annotated[bool, typer.Option("--visible", help="Write the visible view as well.")] = False,
     products: Products = "exr,truth,counts,display",
     display: Display = "linear",
@@ -197,9 +205,7 @@ def render(
     """Render one frame."""
     from thermorender.output import products as frame_files
     from thermorender.output.images import write_image
-    from thermorender.output.record import made_by, record
-    from thermorender.trajectory import parse_numbers
-    from thermorender.trajectory.path import pose as make_pose
+    from thermorender.output.record import made_by, record, weather_of
 
     if engine not in ("renderer", "reference"):
         raise ThermorenderError(f"--engine={engine!r} is unknown; give renderer or reference")
@@ -209,23 +215,12 @@ def render(
         raise ThermorenderError(f"{output} holds a flight, whose first frame would be overwritten; give another folder")
     display_settings, settings = _display_settings(display, palette), _thermography_settings(thermography)
     wanted = frame_files.check(split(products), settings)
-    numbers = parse_numbers("--pose", pose, ("E", "N", "U", "YAW", "PITCH", "ROLL"))
+    numbers = _pose_numbers(pose)
     with progress() as tell:
-        loaded = _scene(scene, temperature, range_c, air)
-        east, north, up, *angles = numbers
-        if not local_up:
-            ground = float(loaded.ground(east, north))
-            if ground != ground:
-                raise ThermorenderError(f"--pose={pose!r} lies off the terrain; move it, or give --local-up")
-            if up < 0.0:
-                raise ThermorenderError(
-                    f"--pose={pose!r} lies {-up:.6g} m under the terrain; give U in metres above the ground, or "
-                    "--local-up"
-                )
-            up += ground
+        loaded = _scene(scene, temperature, range_c, air, time)
+        world_from_camera = _pose(loaded, pose, numbers, local_up)
         renderer = _renderer(loaded, quality, rays, tolerance_mk, seed, device, tell)
         with files.output_folder(output) as folder:
-            world_from_camera = make_pose(east, north, up, *angles)
             if engine == "renderer":
                 frame = renderer.frame(world_from_camera)
             else:
@@ -239,7 +234,7 @@ def render(
             if visible:
                 written["visible"] = folder / "frame_000000_visible.png"
                 write_image(written["visible"], renderer.visible(frame.pose)[0])
-            files.write_json(folder / "frame_000000.json", record(frame) | made_by())
+            files.write_json(folder / "frame_000000.json", record(frame) | weather_of(renderer.scene) | made_by())
     _tell_cache(renderer)
     seen = frame.apparent_temperature
     typer.echo(f"apparent temperature {seen.min():.2f}–{seen.max():.2f} K, mean {seen.mean():.2f} K")
@@ -261,6 +256,7 @@ def fly(
     start_s: Start = None,
     stop_s: Stop = None,
     rate_hz: Annotated[float | None, typer.Option(help="Frames per second; default: the camera's.")] = None,
+    time: Time = None,
     products: Products = "exr,truth,counts,display,video",
     display: Display = "linear",
     palette: Palette = "white-hot",
@@ -285,13 +281,13 @@ def fly(
     settings = _thermography_settings(thermography)
     wanted = frame_files.check(split(products), settings)
     with progress() as tell:
-        loaded = _scene(scene, temperature, range_c, air)
+        loaded = _scene(scene, temperature, range_c, air, time)
         path = _trajectory(loaded, trajectory, format, anchor, duplicates, clock_offset_s, mount, lever_arm_m)
         _above_ground(loaded, path, rate_hz, start_s, stop_s, allow_below_ground)
         renderer = _renderer(loaded, quality, rays, tolerance_mk, seed, device, tell)
         summary = run(
             renderer, path, output, rate_hz, wanted, start_s, stop_s, resume,
-            lambda done, total: tell(f"frame {done} of {total}", done / total), display_settings, settings,
+            lambda done, total: tell(f"frame {done} of {total}", done / total), display_settings, settings, tell,
         )  # fmt: skip
     _tell_cache(renderer)
     typer.echo(f"{summary['frames']} frames, {summary['rendered']} rendered now, in {summary['folder']}")
@@ -301,6 +297,46 @@ def fly(
             f"{without} of {summary['frames']} frames show no terrain; check the flight's position and angles, or "
             "move it with --anchor"
         )
+
+
+@app.command()
+def day(
+    scene: SceneName,
+    output: NewResults,
+    pose: Pose = "0,0,120,0,-90,0",
+    local_up: LocalUp = False,
+    time: Annotated[
+        str | None,
+        typer.Option(help="Date of the local solar day, or an instant of it with its zone. Default: the scene's "
+                     "weather.time."),
+    ] = None,
+    step_min: Annotated[int, typer.Option(help="Minutes between frames, a divisor of the day's 1440.")] = 60,
+    products: Products = "exr,truth,counts,display,video",
+    display: Display = "linear",
+    palette: Palette = "white-hot",
+    thermography: Thermography = None,
+    air: Air = None,
+    seed: Seed = 0,
+    quality: Quality = "standard",
+    rays: Rays = 128,
+    tolerance_mk: Tolerance = 5.0,
+    device: Device = "auto",
+):
+    """Render one view over a day, on one display scale, with a curve of temperature per material."""
+    from thermorender.output import products as frame_files
+    from thermorender.output.day import day as run
+    from thermorender.output.day import instant_of
+
+    display_settings, settings = _display_settings(display, palette), _thermography_settings(thermography)
+    wanted = frame_files.check(split(products), settings)
+    numbers = _pose_numbers(pose)
+    with progress() as tell:
+        loaded = _scene(scene, None, None, air, time, instant_of)
+        rows = run(
+            loaded, _pose(loaded, pose, numbers, local_up), output, step_min, wanted, display_settings, settings, tell,
+            device, quality=quality, rays=rays, tolerance_mk=tolerance_mk, seed=seed,
+        )  # fmt: skip
+    typer.echo(f"{len(rows)} frames from {rows[0]['time_utc']} to {rows[-1]['time_utc']}, day.csv and day.png in {output}")
 
 
 @app.command()
@@ -315,6 +351,7 @@ def compare(
     rate_hz: Annotated[float, typer.Option(help="Poses per second of flight.")] = 1.0,
     range_c: RangeC = None,
     air: Air = None,
+    time: Time = None,
     allow_below_ground: Below = False,
     seed: Seed = 0,
     quality: Quality = "standard",
@@ -323,12 +360,10 @@ def compare(
     device: Device = "auto",
 ):
     """Compare learned 2D translations with the radiometric render of the same poses."""
-    from thermorender.scene.load import load_scene
     from thermorender.validate.comparison import compare as run
 
     with progress() as tell:
-        loaded = load_scene(scene)
-        loaded = loaded.with_air(*parse_air(air)) if air is not None else loaded
+        loaded = _scene(scene, None, None, air, time)
         path = _trajectory(loaded, trajectory, format, anchor, duplicates)
         _above_ground(loaded, path, rate_hz, None, None, allow_below_ground)
         with files.output_folder(output):
@@ -360,6 +395,7 @@ def bench(
         Path | None, output_option("-o", "--output", help="JSON file for the result.", check=files.check_output_file)
     ] = None,
     air: Air = None,
+    time: Time = None,
     device: Device = "auto",
 ):
     """Measure frames per second, their ratio to casting the rays alone, and the error of each quality."""
@@ -367,6 +403,7 @@ def bench(
 
     with progress() as tell:
         scenes = scenes or (() if triangles else (defaults.SCENE,))
+        scenes = [at_time(name, time) for name in scenes]
         result = run.bench(scenes, triangles, texels, repeats, tell, device=device, air=parse_air(air))
     table(run.HEADER, run.rows(result))
     for line in run.costs(result):
@@ -486,11 +523,32 @@ def _fail(message):
     raise SystemExit(2) from None
 
 
-def _scene(name, temperature, range_c, air=None):
-    from thermorender.scene.load import load_scene
+def _pose_numbers(text):
+    from thermorender.trajectory import parse_numbers
+
+    return parse_numbers("--pose", text, ("E", "N", "U", "YAW", "PITCH", "ROLL"))
+
+
+def _pose(scene, text, numbers, local_up):
+    from thermorender.trajectory.path import pose
+
+    east, north, up, *angles = numbers
+    if not local_up:
+        ground = float(scene.ground(east, north))
+        if ground != ground:
+            raise ThermorenderError(f"--pose={text!r} lies off the terrain; move it, or give --local-up")
+        if up < 0.0:
+            raise ThermorenderError(
+                f"--pose={text!r} lies {-up:.6g} m under the terrain; give U in metres above the ground, or --local-up"
+            )
+        up += ground
+    return pose(east, north, up, *angles)
+
+
+def _scene(name, temperature, range_c, air=None, time=None, *read_time):
     from thermorender.scene.spec import TemperatureSpec
 
-    loaded = load_scene(name)
+    loaded = at_time(name, time, *read_time)
     if temperature:
         loaded = loaded.with_temperature(TemperatureSpec(source="learned", model=temperature, range_c=_range(range_c)))
     elif range_c:
@@ -498,6 +556,8 @@ def _scene(name, temperature, range_c, air=None):
         raise ThermorenderError(f"--range-c={range_c!r} needs a learned map; {needed}")
     if air is not None:
         loaded = loaded.with_air(*parse_air(air))
+    for note in loaded.weather_notes if loaded.balanced else ():
+        typer.echo(f"weather: {note}")
     for model, report in loaded.report.items():
         typer.echo(
             f"{model}: {report['share_outside_0_1']:.1%} of the intensities lie outside 0…1, "

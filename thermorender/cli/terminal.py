@@ -2,11 +2,19 @@
 
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Annotated
 
 import typer
 
 from thermorender import files
 from thermorender.errors import ThermorenderError
+from thermorender.units import instant
+
+Time = Annotated[
+    str | None,
+    typer.Option(help="Instant of the scene's temperatures, UTC or with an offset: 2018-07-28T14:30Z, "
+                 "2018-07-28T16:30+02:00. Default: the scene's weather.time."),
+]  # fmt: skip
 
 
 def output_option(*names, help, check=files.check_output_folder):
@@ -38,6 +46,22 @@ def progress():
             bar.update(tasks[key], completed=share, description=what)
 
         yield tell
+
+
+def at_time(name, time, read=lambda scene, text: instant("--time", text)):
+    """Return the Scene of a folder or name at the instant of an option --time, or at its own for None.
+
+    `read` makes an instant of the scene and the text.
+    """
+    from thermorender.scene.load import load_scene
+
+    scene = load_scene(name)
+    if time is None:
+        return scene
+    scene = scene.at(read(scene, time))
+    if not scene.balanced:
+        typer.echo(f"note: temperatures of source {scene.spec.temperature.source!r} do not change with --time", err=True)
+    return scene
 
 
 def table(header, rows):

@@ -7,8 +7,8 @@ import typer
 
 from thermorender import defaults, files
 from thermorender.cli.camera import Base, Frames, Scale, parse_scale
+from thermorender.cli.terminal import Time, at_time, output_option, progress, split, table
 from thermorender.cli.terminal import air as parse_air
-from thermorender.cli.terminal import output_option, progress, split, table
 from thermorender.errors import ThermorenderError
 
 app = typer.Typer(help="Compare the renderer with references.", no_args_is_help=True)
@@ -23,13 +23,15 @@ def convergence(
     output: Out = Path("validation"),
     quick: Annotated[bool, typer.Option("--quick", help="Minutes instead of an hour.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Measure anew what is there.")] = False,
+    time: Time = None,
     device: Device = "auto",
 ):
     """Error against run time, beside stock Mitsuba, against the path-traced reference."""
     from thermorender.validate.convergence import convergence as run
 
     with progress() as tell:
-        run(scenes or defaults.SCENES, output, tell, "quick" if quick else "full", overwrite, device)
+        loaded = [at_time(name, time) for name in scenes or defaults.SCENES]
+        run(loaded, output, tell, "quick" if quick else "full", overwrite, device)
     typer.echo(f"table, numbers and figures in {output}")
 
 
@@ -57,15 +59,15 @@ def validate_air(
     scene: Annotated[str, typer.Argument(help="Scene folder, or the name of a shipped one.")] = defaults.SCENE,
     output: Out = Path("out/validation"),
     air: Annotated[str, typer.Option(help="Standard atmosphere and aerosol.")] = "midlatitude-summer,rural-23km",
+    time: Time = None,
     device: Device = "auto",
 ):
     """What air costs a frame, and what its spectral channels leave wrong."""
-    from thermorender.scene.load import load_scene
     from thermorender.validate import air as study
     from thermorender.validate.figures.air import figure
 
     with progress() as tell, files.output_folder(output) as folder:
-        result = study.run(load_scene(scene), parse_air(air), device=device, progress=tell)
+        result = study.run(at_time(scene, time), parse_air(air), device=device, progress=tell)
         files.write_json(folder / "air.json", result)
         figure(folder / "air.png", result)
     table(study.HEADER, study.rows(result))
@@ -106,11 +108,12 @@ def validate_footage(
 def validate_sensor(
     scene: Annotated[str, typer.Argument(help="Scene folder, or the name of a shipped one.")] = defaults.SCENE,
     output: Out = Path("out/validation"),
+    time: Time = None,
     device: Device = "auto",
 ):
     """Errors of lag and blur against run time, and what the whole chain costs."""
     from thermorender.validate.sensor import sensor as run
 
     with progress() as tell:
-        run(output, scene, device=device, progress=tell)
+        run(output, at_time(scene, time), device=device, progress=tell)
     typer.echo(f"table, numbers and figures in {output}")

@@ -4,7 +4,7 @@ A frame counts as done when its line stands in `frames.jsonl`; the line is appen
 final names. `flight.json` holds everything the bytes depend on, so a resume that would not give the same bytes
 is refused, and at the end how many frames show no terrain. What the sensor's pixels remember is kept in two files,
 written in turn, until the flight is done; where it is lost, a resume takes the frames before once more to have it
-again.
+again. Temperatures of a heat balance go with the flight's time; see `thermorender.output.timed`.
 """
 
 import json
@@ -23,13 +23,15 @@ from thermorender.errors import ThermorenderError
 from thermorender.frame import Frame
 from thermorender.output import products as product_files
 from thermorender.output.images import write_video
-from thermorender.output.record import made_by, record
+from thermorender.output.record import made_by, record, weather_of
+from thermorender.output.timed import STEP_S, TimedRenderer
 from thermorender.scene.load import Scene
 from thermorender.sensor.chain import sensor_of
 from thermorender.sensor.display import DisplaySettings
 from thermorender.sensor.exposure import RENDER_PX, Exposure
 from thermorender.sensor.radiometry import ThermographySettings
 from thermorender.trajectory.path import Trajectory
+from thermorender.units import utc_text
 
 if TYPE_CHECKING:
     # It brings Mitsuba, which whoever has a renderer has loaded.
@@ -58,8 +60,12 @@ def fly(
     progress: Callable[[int, int], object] | None = None,
     display: DisplaySettings | None = None,
     thermography: ThermographySettings | None = None,
+    marching: Callable[[str, float], object] | None = None,
 ) -> dict[str, Any]:
     """Render a flight into a folder and return its summary.
+
+    The scene's own time is that of the trajectory's first sample. Temperatures of a heat balance are followed in steps
+    of `thermorender.output.timed.STEP_S`.
 
     Parameters
     ----------
@@ -81,6 +87,8 @@ def fly(
         How the display shows the counts; linear and white-hot where None. Its tails are the camera's.
     thermography : ThermographySettings, optional
         For the product radiometric and the EXR: what thermography software then reads.
+    marching : callable, optional
+        Called with (what, share done) while a heat balance is marched.
 
     Returns
     -------
@@ -90,14 +98,16 @@ def fly(
     Raises
     ------
     ThermorenderError
-        Unknown products, a folder that is in use (by another process too) or cannot be written, or a resume with
-        other settings.
+        Unknown products, a folder that is in use (by another process too) or cannot be written, a resume with other
+        settings, or weather that ends before the flight.
     """
     products = product_files.check(products, thermography)
     display = replace(display or DisplaySettings(), tails_percent=renderer.scene.camera.agc_tails_percent)
     rate = renderer.scene.camera.frame_rate_hz if rate_hz is None else float(rate_hz)
     times = trajectory.frame_times(rate, start_s, stop_s)
     poses = trajectory.sampled(times).poses()
+    timed = TimedRenderer(renderer, *trajectory.span_s, marching)
+    start = timed.time(trajectory.span_s[0])
     settings = {
         "scene": renderer.scene.name,
         "scene_digest": renderer.scene.digest(),
@@ -108,6 +118,9 @@ def fly(
         "frames": len(times),
         "first_time_s": float(times[0]),
         "last_time_s": float(times[-1]),
+        "time": None if start is None else utc_text(start),
+        **({"temperature_step_s": STEP_S} if renderer.scene.balanced else {}),
+        **weather_of(renderer.scene),
         # Between frames too: the sensor remembers what it saw there.
         "path_digest": _digest(poses, trajectory.time_s, trajectory.position, trajectory.quaternion),
         "products": list(products),
@@ -115,13 +128,13 @@ def fly(
         "thermography": thermography and asdict(thermography),
         **made_by(),
     }
-    exposure = _exposure(renderer, trajectory, 1.0 / rate)
+    exposure = _exposure(timed, renderer, trajectory, 1.0 / rate)
     with files.output_folder(folder) as out, files.in_use(out):
         terrain = _done(out, settings, products, resume)
         done, agc = len(terrain), None
 
         def take(index: int, agc: _Memory) -> tuple[Frame, _Memory, Any]:
-            frame = _taken(renderer, exposure, poses, times, index)
+            frame = _taken(timed, exposure, poses[index], float(times[index]), index)
             return frame, *(display.image(frame.counts, agc, 1.0 / rate) if "display" in products else (None, None))
 
         if 0 < done < len(times):
@@ -134,7 +147,8 @@ def fly(
             product_files.write(out, frame, products, image, thermography)
             _save_state(out, exposure, agc, index)
             terrain.append(_shows_terrain(renderer.scene, frame))
-            files.append_json(out / "frames.jsonl", record(frame) | {"shows_terrain": terrain[-1]})
+            told = record(frame) | timed.told(frame.time_s) | {"shows_terrain": terrain[-1]}
+            files.append_json(out / "frames.jsonl", told)
             if progress:
                 progress(index + 1, len(times))
         for path in _state_files(out):
@@ -222,7 +236,7 @@ def _shows_terrain(scene: Scene, frame: Frame) -> bool:
     return bool(np.isfinite(frame.truth["depth"]).any())
 
 
-def _exposure(renderer: "Renderer", trajectory: Trajectory, interval_s: float) -> Exposure:
+def _exposure(timed: TimedRenderer, renderer: "Renderer", trajectory: Trajectory, interval_s: float) -> Exposure:
     """The Exposure of a flight: the sensor with what it keeps from frame to frame."""
     scene = renderer.scene
     first, last = trajectory.span_s
@@ -237,7 +251,7 @@ def _exposure(renderer: "Renderer", trajectory: Trajectory, interval_s: float) -
 
     return Exposure(
         sensor_of(scene.camera, renderer.seed),
-        lambda time_s: renderer.radiance(pose_at(time_s), time_s),
+        lambda time_s: timed.at(time_s).radiance(pose_at(time_s), time_s),
         pose_at,
         ground_at,
         interval_s,
@@ -247,11 +261,12 @@ def _exposure(renderer: "Renderer", trajectory: Trajectory, interval_s: float) -
 
 
 def _taken(
-    renderer: "Renderer", exposure: Exposure, poses: NDArray[np.float64], times: NDArray[np.float64], index: int
+    timed: TimedRenderer, exposure: Exposure, pose: NDArray[np.float64], time_s: float, index: int
 ) -> Frame:
-    """One frame of the flight with what its sensor reads."""
-    frame = renderer.frame(poses[index], time_s=times[index], index=index)
-    return frame.with_reading(*exposure.read(index, float(times[index]), frame.radiance))
+    """One frame of the flight at its own time, with what its sensor reads."""
+    frame = timed.at(time_s).frame(pose, time_s=time_s, index=index)
+    frame = replace(frame, time=timed.time(time_s))
+    return frame.with_reading(*exposure.read(index, time_s, frame.radiance))
 
 
 def _state_files(folder: Path) -> tuple[Path, Path]:

@@ -3,6 +3,7 @@
 import numpy as np
 
 from thermorender.render.variant import active_device
+from thermorender.units import utc_text
 from thermorender.versions import versions
 
 
@@ -11,6 +12,7 @@ def record(frame):
     return {
         "index": frame.index,
         "time_s": frame.time_s,
+        "time": None if frame.time is None else utc_text(frame.time),
         "world_from_camera": np.round(frame.pose, 9).tolist(),
         "seed": frame.seed,
         "camera": frame.camera.name,
@@ -18,6 +20,16 @@ def record(frame):
         "budget_mk": frame.budget_mk and {cause: round(value, 2) for cause, value in frame.budget_mk.items()},
         "targets": frame.targets,
     }
+
+
+def weather_of(scene):
+    """Return which weather made a scene's temperatures, as plain values; {} where they are of no heat balance."""
+    if not scene.balanced:
+        return {}
+    spec = scene.spec.weather
+    file = spec.file or spec.epw
+    named = "named day" if file is None else file.name
+    return {"weather": {"source": named, "digest": scene.weather_digest(), "notes": list(scene.weather_notes)}}
 
 
 def made_by():

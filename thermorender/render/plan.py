@@ -151,6 +151,31 @@ class Plan:
         }
 
 
+def checked(quality="standard", samples=None, taps=None, edge_mk=None, rays=128, tolerance_mk=5.0):
+    """Return (samples, taps, edge_mk) of a quality and what is given in its place; as `make_plan`, without a scene.
+
+    Raises
+    ------
+    ThermorenderError
+        A setting out of range.
+    """
+    if quality not in QUALITIES:
+        raise ThermorenderError(f"quality={quality!r} is unknown; give one of {', '.join(QUALITIES)}")
+    given = (samples, taps, edge_mk)
+    samples, taps, edge_mk = (a if b is None else b for a, b in zip(QUALITIES[quality], given, strict=True))
+    for name, value in (("samples", samples), ("taps", taps)):
+        if value not in PATTERNS:
+            allowed = ", ".join(map(str, sorted(PATTERNS)))
+            raise ThermorenderError(f"{name}={value} is not allowed; give one of {allowed}")
+    if not edge_mk > 0.0:
+        raise ThermorenderError(f"edge_mk={edge_mk:g} is not allowed; give a number of mK above 0, or inf for none")
+    if not 1 <= rays <= 65536:
+        raise ThermorenderError(f"rays={rays} is not allowed; give 1…65536 rays per face")
+    if not tolerance_mk > 0.0:
+        raise ThermorenderError(f"tolerance_mk={tolerance_mk:g} is not allowed; give a number of mK above 0")
+    return samples, taps, edge_mk
+
+
 def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, rays=128, tolerance_mk=5.0):
     """Return the Plan of a scene.
 
@@ -173,22 +198,10 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
     Raises
     ------
     ThermorenderError
-        A setting out of range.
+        A setting out of range, or a scene whose heat balance is not solved.
     """
-    if quality not in QUALITIES:
-        raise ThermorenderError(f"quality={quality!r} is unknown; give one of {', '.join(QUALITIES)}")
-    given = (samples, taps, edge_mk)
-    samples, taps, edge_mk = (a if b is None else b for a, b in zip(QUALITIES[quality], given, strict=True))
-    for name, value in (("samples", samples), ("taps", taps)):
-        if value not in PATTERNS:
-            allowed = ", ".join(map(str, sorted(PATTERNS)))
-            raise ThermorenderError(f"{name}={value} is not allowed; give one of {allowed}")
-    if not edge_mk > 0.0:
-        raise ThermorenderError(f"edge_mk={edge_mk:g} is not allowed; give a number of mK above 0, or inf for none")
-    if not 1 <= rays <= 65536:
-        raise ThermorenderError(f"rays={rays} is not allowed; give 1…65536 rays per face")
-    if not tolerance_mk > 0.0:
-        raise ThermorenderError(f"tolerance_mk={tolerance_mk:g} is not allowed; give a number of mK above 0")
+    samples, taps, edge_mk = checked(quality, samples, taps, edge_mk, rays, tolerance_mk)
+    scene.refuse_unwarmed()
     band = tuple(scene.camera.band_um)
     envelope = _envelope(scene)
     coldest, warmest = min(envelope.temperatures), max(envelope.temperatures)

@@ -117,6 +117,7 @@ def squared_error(frame, first, second):
 
 def mitsuba_scene(mi, scene, pose, integrator, depth):
     """Return the Mitsuba scene of stock plugins and the thermal texture, for the active spectral variant."""
+    scene.refuse_unwarmed()
     name = f"thermal{next(_NAMES)}"
     _register(mi, name, scene, height=float(pose[2, 3]))
     camera = scene.camera

@@ -1,7 +1,7 @@
 """The renderer: frames of one baked scene, each a function of camera, pose, time and objects alone."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
 import drjit as dr
@@ -24,7 +24,7 @@ from thermorender.render.geometry import (
     refuse_other_surfaces,
     view_ray,
 )
-from thermorender.render.plan import Plan, make_plan
+from thermorender.render.plan import Plan, checked, make_plan
 from thermorender.render.sampling import CameraRays
 from thermorender.render.tracer import Sampling, Tracer
 from thermorender.render.variant import activate
@@ -57,12 +57,14 @@ class Renderer:
         Seed of the sensor's noise.
     device : {"auto", "cpu", "cuda"}
     progress : callable, optional
-        Called with (what, share done) while the scene is baked.
+        Called with (what, share done) while a heat balance is marched and the scene is baked.
     like : Renderer, optional
         A renderer of the same surfaces at other temperatures; its traced light is used again.
 
     Attributes
     ----------
+    scene : Scene
+        Where its temperatures are those of a heat balance, the scene with these solved for its time.
     plan : Plan
         What this scene needs and what was left out.
 
@@ -75,6 +77,7 @@ class Renderer:
     scene: Scene
     plan: Plan
     seed: int
+    _asked: Scene
     _like: BakedScene | None
     _baked: BakedScene | None
     _geometry: Geometry
@@ -92,15 +95,25 @@ class Renderer:
                 f"scene={shortened(repr(scene))} is no Scene; give what load_scene returns, as in "
                 "Renderer(load_scene('heath'))"
             )
-        self.scene, self.seed = scene, _checked_seed(seed)
-        self.plan = make_plan(scene, quality, samples, taps, edge_mk, rays, tolerance_mk)
+        sampling = (quality, samples, taps, edge_mk, rays, tolerance_mk)
+        checked(*sampling)
+        self._asked, self.seed = scene, _checked_seed(seed)
         self._like, self._progress, self._baked, self._rays_of, self._coloured = None, progress, None, {}, None
+        if scene.warmed:
+            # Before the device, so that a setting that does not suit the scene is told at once.
+            self.plan = make_plan(scene, *sampling)
         mi = activate(device)
         if like is None:
             self._geometry = Geometry(mi, scene.surfaces)
+        else:
+            refuse_other_surfaces(like.scene.surfaces, scene.surfaces)
+            self._geometry = like._geometry
+        if not scene.warmed:
+            scene = _warmed(scene, like, self._geometry, progress)
+            self.plan = make_plan(scene, *sampling)
+        self.scene = scene
+        if like is None:
             return
-        refuse_other_surfaces(like.scene.surfaces, scene.surfaces)
-        self._geometry = like._geometry
         if like.plan.rays == rays:
             self._baked = like.baked.seen_as(scene, self.plan)
             self._like = None if self._baked else like.baked
@@ -110,6 +123,7 @@ class Renderer:
         """Return the Renderer of a BakedScene, such as one from another process."""
         made = cls.__new__(cls)
         made.scene, made.plan, made.seed = baked.scene, baked.plan, _checked_seed(seed)
+        made._asked = baked.scene
         made._like, made._progress, made._baked, made._rays_of, made._coloured = None, None, baked, {}, None
         made._geometry = baked.geometry
         return made
@@ -216,6 +230,7 @@ class Renderer:
             seed=self.seed,
             camera=self.scene.camera,
             plan=plan,
+            time=self.scene.time,
             _view=view,
             _sampling=sampling,
         )
@@ -294,6 +309,18 @@ def _colours(mi: Any, surfaces: Sequence[Surface]) -> OutgoingRadiance:
     flags = np.concatenate([surface.flags.ravel() for surface in surfaces])
     known = ((flags & FILLED) == 0).astype(np.float32)
     return OutgoingRadiance(Channels(mi, np.column_stack([linear, known])))
+
+
+def _warmed(scene: Scene, like: "Renderer | None", geometry: Geometry, progress: Progress | None) -> Scene:
+    """A scene with its heat balance solved; that of `like` where it was asked for the same, but for the camera."""
+    if like is not None:
+        names = (item.name for item in fields(Scene) if item.name != "camera")
+        if all(getattr(scene, name) is getattr(like._asked, name) for name in names):
+            return replace(like.scene, camera=scene.camera)
+    # Only here: no other scene needs it.
+    from thermorender.render.heat import solved
+
+    return solved(scene, [scene.time], geometry, progress)[0]
 
 
 def _checked_seed(seed: int) -> int:

@@ -1,15 +1,15 @@
 """A scene in memory: surfaces with their texels, materials, sky and camera, made from a scene folder."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.atmosphere.declared import declared_air
 from thermorender.atmosphere.model import Atmosphere
@@ -24,7 +24,15 @@ from thermorender.scene.ground import Ground
 from thermorender.scene.material_map import learned_materials
 from thermorender.scene.raster import Grid, bounds_in, grid_of, onto, read_classes, read_colour
 from thermorender.scene.refine import refined
-from thermorender.scene.spec import AtmosphereSpec, EmissivitySpec, ObjectSpec, SceneSpec, TemperatureSpec, read_scene
+from thermorender.scene.spec import (
+    AtmosphereSpec,
+    EmissivitySpec,
+    ObjectSpec,
+    SceneSpec,
+    SunSpec,
+    TemperatureSpec,
+    read_scene,
+)
 from thermorender.scene.surface import (
     FALLBACK,
     FILLED,
@@ -38,7 +46,14 @@ from thermorender.scene.surface import (
 from thermorender.scene.temperature import Texels, resolve
 from thermorender.scene.tracks import TrackedObject, read_track
 from thermorender.sensor.camera import Camera, load_camera
+from thermorender.units import instant, utc_text
 
+if TYPE_CHECKING:
+    from thermorender.weather.series import Weather
+
+# The sun shines where its direct irradiance is above this [W m⁻²]: World Meteorological Organization, Guide to
+# Instruments and Methods of Observation, WMO-No. 8 (2018), volume I, 8.1.1.
+_SUNSHINE_W_M2 = 120.0
 # Number of a texel's material (h, w), and whether it is known, or unknown, there (h, w).
 _Map = tuple[NDArray[np.uint8], NDArray[np.bool_]]
 
@@ -70,6 +85,8 @@ class Scene:
         What the temperature source has to tell, per learned map.
     emissivity_report : dict
         What the learned emissivity map has to tell; empty without one.
+    time : datetime64[s] or None
+        The instant that is asked for, UTC; None for a scene without [weather].
     """
 
     spec: SceneSpec
@@ -83,6 +100,7 @@ class Scene:
     tracked_objects: tuple[TrackedObject, ...] = ()
     report: dict[str, Any] = field(default_factory=dict)
     emissivity_report: dict[str, Any] = field(default_factory=dict)
+    time: "np.datetime64 | None" = None
 
     @property
     def name(self) -> str:
@@ -107,19 +125,22 @@ class Scene:
         """Temperature of the black background beyond the terrain's edge [K]: as stated, else its texels' mean."""
         if self.spec.surroundings_temperature is not None:
             return self.spec.surroundings_temperature
+        self.refuse_unwarmed()
         terrain = [surface.temperature.ravel() for surface in self.surfaces[: self.terrain_count]]
         return float(np.concatenate(terrain).mean(dtype=np.float64))
 
     @property
     def truth_temperature_spec(self) -> TemperatureSpec:
-        """TemperatureSpec of the truth raster.
+        """TemperatureSpec of the truth raster, or without one of the heat balance.
 
         Raises
         ------
         ThermorenderError
-            The scene has none.
+            The scene has neither.
         """
         if self.spec.truth_temperature is None:
+            if self.balanced:
+                return self.spec.temperature
             raise ThermorenderError(f"{self.where} has no truth.temperature; name a raster of kelvin there")
         return TemperatureSpec(source="raster", raster=self.spec.truth_temperature)
 
@@ -128,6 +149,116 @@ class Scene:
         """Height of the geoid above the ellipsoid that this scene declares [m], or None."""
         declared = self.spec.terrain.geoid_undulation_m
         return 0.0 if declared is None and self.spec.terrain.height_reference == "geoid" else declared
+
+    @property
+    def balanced(self) -> bool:
+        """Whether the terrain's temperatures are those of a heat balance, at an instant and under a weather."""
+        return self.spec.temperature.source == "balance"
+
+    @property
+    def warmed(self) -> bool:
+        """Whether the terrain's temperatures are there: those of a balance are NaN until they are solved."""
+        terrain = self.surfaces[: self.terrain_count]
+        return not self.balanced or all(np.isfinite(surface.temperature).all() for surface in terrain)
+
+    def refuse_unwarmed(self) -> None:
+        """Raise unless the terrain's temperatures are there."""
+        if not self.warmed:
+            raise ThermorenderError(
+                f"{self.where}: the temperatures of source='balance' are not solved yet; take Renderer(scene).scene, "
+                "whose are"
+            )
+
+    @cached_property
+    def weather(self) -> "Weather":
+        """The Weather that the scene declares, at its own place; read when first asked for.
+
+        Raises
+        ------
+        ThermorenderError
+            No [weather], no place, a file that cannot be used, or `time` outside of it.
+        """
+        if self.spec.weather is None or self.time is None:
+            raise ThermorenderError(f"{self.where} has no [weather]; add it")
+        if self.frame is None:
+            raise ThermorenderError(
+                f"{self.where}: [weather] needs a place, which a mesh does not have; add [frame] with latitude_deg, "
+                "longitude_deg and height_m"
+            )
+        from thermorender.weather.declared import declared_weather
+
+        found = declared_weather(
+            self.spec.weather, self.frame.latitude_deg, self.frame.longitude_deg, self.altitude_m
+        )
+        first, last = found.time[0], found.time[-1]
+        if not first <= self.time <= last:
+            raise ThermorenderError(
+                f"{self.where}: time={utc_text(self.time)} lies outside of its weather, {utc_text(first)} to "
+                f"{utc_text(last)}; give a time inside, or weather of that day"
+            )
+        return found
+
+    @property
+    def weather_notes(self) -> tuple[str, ...]:
+        """What the weather lacked and how it was filled, and how little of it lies before `time`, in sentences."""
+        before_h = (self.time - self.weather.time[0]) / np.timedelta64(3600, "s")
+        short = f"the weather begins {before_h:.1f} h before {utc_text(self.time)}: less than a day leaves the ground "
+        return (*self.weather.notes, *([short + "near the state it was started in"] if before_h < 24.0 else []))
+
+    def at(self, time: "str | np.datetime64") -> "Scene":
+        """Return this scene asked for at another instant; the temperatures of a heat balance are then to be solved.
+
+        A truth raster is of the scene's own instant and left out at any other.
+
+        Parameters
+        ----------
+        time : str, datetime or datetime64
+            As by `thermorender.units.instant`: text with its zone; a datetime64 is UTC.
+
+        Raises
+        ------
+        ThermorenderError
+            No instant, or a scene that has no hour.
+        """
+        asked = instant("time", time)
+        if self.spec.weather is None:
+            raise ThermorenderError(
+                f"{self.where}: time={utc_text(asked)} needs temperature.source='balance' with [weather], and this "
+                f"scene's temperatures are of source={self.spec.temperature.source!r} without an hour; add both, or "
+                "leave the time out"
+            )
+        if asked == self.time:
+            return self
+        spec = replace(self.spec, weather=replace(self.spec.weather, time=asked), truth_temperature=None)
+        scene = replace(self, spec=spec, time=asked)
+        return scene.with_temperature(spec.temperature) if self.balanced else scene
+
+    def heated(self, time: np.datetime64, temperatures: "Sequence[ArrayLike]") -> "Scene":
+        """Return this scene at an instant of its weather, as its heat balance found it.
+
+        Where air is declared the sun stands in it as it does at that instant, if it shines.
+
+        Parameters
+        ----------
+        time : datetime64
+            UTC.
+        temperatures : sequence of (h, w) arrays
+            Kinetic temperature of the texels of each of the terrain's surfaces [K].
+        """
+        made = [
+            replace(surface, temperature=np.asarray(values, dtype=np.float32).reshape(surface.temperature.shape))
+            for surface, values in zip(self.surfaces[: self.terrain_count], temperatures, strict=True)
+        ]
+        spec = self.spec
+        if spec.atmosphere:
+            azimuth, elevation = map(float, self.weather.sun(time))
+            shines = elevation > 0.0 and float(self.weather.at(time).direct_w_m2) > _SUNSHINE_W_M2
+            spec = replace(spec, sun=SunSpec(elevation, azimuth) if shines else None)
+        surfaces = (*made, *self.surfaces[self.terrain_count :])
+        scene = replace(self, spec=spec, surfaces=surfaces, time=time.astype("datetime64[s]"))
+        # Whatever was read for the instant asked for holds for the others of its day.
+        scene.__dict__["weather"] = self.weather
+        return scene
 
     @cached_property
     def ground(self) -> Ground:
@@ -152,6 +283,8 @@ class Scene:
                 f"with_temperature was given a {type(spec).__name__}; give a TemperatureSpec, for kelvins of one's own "
                 "TemperatureSpec(source='raster', raster=path) with the path of a GeoTIFF"
             )
+        if spec.source == "balance":
+            self._refuse_balance()
         report: dict[str, Any] = {}
         surfaces = list(self.surfaces)
         for index, surface in enumerate(surfaces[: self.terrain_count]):
@@ -161,9 +294,22 @@ class Scene:
             temperature, flags = resolve(spec, texels)
             known = surface.flags & ~np.uint8(FALLBACK)
             surfaces[index] = replace(surface, temperature=temperature, flags=known | flags)
-        return replace(
-            self, spec=replace(self.spec, temperature=spec), surfaces=tuple(surfaces), report=report
-        )
+        own = replace(self.spec, temperature=spec)
+        if spec.source == "balance":
+            # The sun stands where it does at the instant that is solved.
+            own = replace(own, sun=None)
+        return replace(self, spec=own, surfaces=tuple(surfaces), report=report)
+
+    def _refuse_balance(self) -> None:
+        """Raise where a heat balance has no weather or no place."""
+        why = f"{self.where}: temperature.source='balance' "
+        if self.spec.weather is None:
+            raise ThermorenderError(f"{why}needs the weather; add [weather] with time and one of file, epw, air_high_c")
+        if self.frame is None:
+            raise ThermorenderError(
+                f"{why}needs a place, which a mesh does not have; add [frame] with latitude_deg, longitude_deg and "
+                "height_m"
+            )
 
     def with_air(self, standard: str, aerosol: str = "none") -> "Scene":
         """Return this scene under a standard atmosphere, in place of its own sky or air.
@@ -203,16 +349,25 @@ class Scene:
             for item in fields(self.air):
                 if isinstance(value := getattr(self.air, item.name), np.ndarray):
                     state.update(value.tobytes())
+        if self.balanced:
+            state.update(repr((self.time, spec.temperature, spec.weather)).encode() + self.weather_digest().encode())
+        return state.hexdigest()
+
+    def weather_digest(self) -> str:
+        """Return a fingerprint (hex) of the weather: its series, its place and what was filled in."""
+        state = hashlib.blake2b(digest_size=16)
+        for item in fields(self.weather):
+            value = getattr(self.weather, item.name)
+            state.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
         return state.hexdigest()
 
     def __str__(self) -> str:
         faces = sum(len(surface.faces) for surface in self.surfaces)
         texels = sum(surface.material.size for surface in self.surfaces)
-        terrain_k = np.concatenate([s.temperature.ravel() for s in self.surfaces[: self.terrain_count]])
         lines = [
             f"{self.name}: {self.spec.title}",
             f"  mesh          {faces} triangles, {texels} texels of {self.surfaces[0].texel_m:.3g} m",
-            f"  temperature   {self.spec.temperature.source}, {terrain_k.min():.1f}–{terrain_k.max():.1f} K",
+            f"  temperature   {self.spec.temperature.source}, {self._temperature_words()}",
             f"  materials     {self._materials_words()}",
             f"  sky           {self._sky_words()}",
             f"  objects       {', '.join(item.name for item in self.spec.objects) or 'none'}",
@@ -222,6 +377,12 @@ class Scene:
             lines.insert(2, f"  origin        {self.frame.latitude_deg:.6f}°, {self.frame.longitude_deg:.6f}°, "
                             f"{self.frame.height_m:g} m above the ellipsoid")  # fmt: skip
         return "\n".join(lines)
+
+    def _temperature_words(self) -> str:
+        if not self.warmed:
+            return f"to be solved for {utc_text(self.time)}"
+        terrain = np.concatenate([s.temperature.ravel() for s in self.surfaces[: self.terrain_count]])
+        return f"{terrain.min():.1f}–{terrain.max():.1f} K" + (f" at {utc_text(self.time)}" if self.balanced else "")
 
     def _sky_words(self) -> str:
         if self.air is None:
@@ -288,6 +449,7 @@ def load_scene(name: str | PathLike[str]) -> Scene:
     scene = Scene(
         spec, frame, tuple(surfaces), len(surfaces), (), camera, grid,
         air=declared_air(spec.atmosphere, camera.band_um, where), emissivity_report=emissivity_report,
+        time=spec.weather.time if spec.weather else None,
     )  # fmt: skip
     objects = [_object(item, materials, spec.folder) for item in spec.objects]
     static = [surface for one in objects if not one.item.track for surface in _in_scene(one, one.at(0.0), scene)]

@@ -9,7 +9,9 @@ from dataclasses import astuple, dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from thermorender import defaults
+import numpy as np
+
+from thermorender import defaults, units
 from thermorender.errors import ThermorenderError
 from thermorender.paths import inside
 from thermorender.scene.raster import FORMATS, files_of
@@ -19,6 +21,7 @@ from thermorender.schema import (
     choice,
     entry,
     file_inside,
+    flag,
     key,
     mapping,
     number,
@@ -28,6 +31,7 @@ from thermorender.schema import (
     tables,
     text,
     texts,
+    unit_of,
 )
 
 # A learned emissivity map's texel is unknown where its most probable material is less probable than this.
@@ -45,6 +49,11 @@ def kelvin(value, where, allow_zero=False):
 
 cold = partial(kelvin, allow_zero=True)
 share = number(0.0, 1.0, above=True)
+
+
+def instant(value, where):
+    """Read an instant with its zone; return datetime64[s], UTC."""
+    return units.instant(str(where), value)
 
 
 def raster_inside(value, where):
@@ -114,19 +123,27 @@ class TerrainSpec:
 
 @dataclass(frozen=True)
 class TemperatureSpec:
-    """Where the kinetic temperature of each texel comes from; `range_c` is of intensities 0 and 1 of a learned map."""
+    """Where the kinetic temperature of each texel comes from.
 
-    source: str = key(choice("constant", "raster", "material", "learned"))
+    `range_c` is of intensities 0 and 1 of a learned map; `brightness` lets the orthophoto's set the short-wave
+    absorptance inside a material for the heat balance.
+    """
+
+    source: str = key(choice("constant", "raster", "material", "learned", "balance"))
     value: float | None = key(kelvin, None)
     raster: Path | None = key(raster_inside, None)
     model: str | None = key(temperature_map, None)
     range_c: tuple[float, float] | None = key(number(count=2, ordered=True), None)
     materials: dict = key(mapping(kelvin), {})
+    brightness: bool = key(flag, False)
 
     def check(self, where, given):
-        """Refuse a source without what it needs."""
-        needs = {"constant": ["value"], "raster": ["raster"], "learned": ["model"], "material": ["materials"]}
+        """Refuse a source without what it needs, and a brightness that it would pass over."""
+        needs = {"constant": ["value"], "raster": ["raster"], "learned": ["model"], "material": ["materials"],
+                 "balance": []}  # fmt: skip
         _needed(where, self, needs)
+        if "brightness" in given and self.source != "balance":
+            where.of("brightness").refuse(given["brightness"], f"it with source='balance' only, not {self.source!r}")
 
 
 @dataclass(frozen=True)
@@ -206,6 +223,33 @@ class SunSpec:
 
 
 @dataclass(frozen=True)
+class WeatherSpec:
+    """The weather, from a station's record, a weather year or a named day, and the instant the scene is asked for."""
+
+    time: np.datetime64 = key(instant)
+    file: Path | None = key(file_inside, None)
+    epw: Path | None = key(file_inside, None)
+    air_low_c: float | None = key(number(-90.0, 60.0), None)
+    air_high_c: float | None = key(number(-90.0, 60.0), None)
+    humidity: float | None = key(share, None)
+    wind_m_s: float | None = key(number(0.0, 60.0), None)
+    cloud: float | None = key(number(0.0, 1.0), None)
+    snow_depth_m: float = key(number(0.0, 30.0), 0.0)
+    inside_c: float = key(number(-60.0, 60.0), 20.0)
+
+    def check(self, where, given):
+        """Refuse none or two kinds of weather, and a named day that is not whole."""
+        kind = where.exactly_one(given, ("file", "epw", "air_high_c"), "station, weather year or named day")
+        for name in ("air_low_c", "humidity", "wind_m_s", "cloud"):
+            if kind != "air_high_c" and name in given:
+                where.of(name).refuse(given[name], f"it with air_high_c only, not with {kind}")
+            if kind == "air_high_c" and name not in given:
+                raise where.error(f"{where.key}.{name} is missing; a named day needs it{unit_of(name, ' in ')}")
+        if kind == "air_high_c" and self.air_low_c > self.air_high_c:
+            where.of("air_low_c").refuse(given["air_low_c"], f"what is not above air_high_c={self.air_high_c:g}")
+
+
+@dataclass(frozen=True)
 class _Frame:
     latitude_deg: float = key(number(-90.0, 90.0))
     longitude_deg: float = key(number(-360.0, 360.0))
@@ -225,6 +269,7 @@ class SceneSpec:
     sky_temperature: float | None = key(entry("temperature", cold), None, name="sky")
     atmosphere: AtmosphereSpec | None = key(table(AtmosphereSpec), None)
     sun: SunSpec | None = key(table(SunSpec), None)
+    weather: WeatherSpec | None = key(table(WeatherSpec), None)
     surroundings_temperature: float | None = key(entry("temperature", cold, None), None, name="surroundings")
     camera: str = key(entry("model", camera_model, defaults.CAMERA), defaults.CAMERA)
     truth_temperature: Path | None = key(entry("temperature", raster_inside, None), None, name="truth")
@@ -236,6 +281,8 @@ class SceneSpec:
         where.exactly_one(given, ("sky", "atmosphere"), "a sky of one temperature and no air, or air with its sky")
         if self.sun and not self.atmosphere:
             raise where.error("[sun] shines through the air; add [atmosphere] or leave [sun] out")
+        if self.sun and self.temperature.source == "balance":
+            raise where.error("[sun] stands where weather.time puts it with temperature.source='balance'; leave it out")
         names = [item.name for item in self.objects]
         for name in names:
             if names.count(name) > 1:

@@ -117,4 +117,9 @@ def _learned(spec, texels):
     return values, np.where(trusted, 0, FALLBACK).astype(np.uint8)
 
 
-SOURCES = {"constant": _constant, "raster": _raster, "material": _material, "learned": _learned}
+def _balance(spec, texels):
+    # Solved where rays can be cast, for an instant; until then there is none.
+    return np.full(texels.material.shape, np.nan), np.zeros(texels.material.shape, np.uint8)
+
+
+SOURCES = {"constant": _constant, "raster": _raster, "material": _material, "learned": _learned, "balance": _balance}

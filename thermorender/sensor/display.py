@@ -62,12 +62,19 @@ class DisplaySettings:
         interval_s : float
             Time since the frame before [s].
         """
-        measure, show = MODES[self.mode]
-        measured = measure(counts, self.tails_percent)
+        measured = self.measure(counts)
         if state is not None and self.memory_s > 0.0:
             measured = state + -np.expm1(-interval_s / self.memory_s) * (measured - state)
-        levels = show(counts, measured)
-        return measured, levels if self.palette == "white-hot" else np.take(palette(self.palette), levels, axis=0)
+        return measured, self.shown(counts, measured)
+
+    def measure(self, counts):
+        """Return what this mode measures of counts (…) uint16, of one frame or of many."""
+        return MODES[self.mode][0](counts, self.tails_percent)
+
+    def shown(self, counts, measured):
+        """Return counts (H, W) by a measure, of this frame or of others: (H, W) grey or (H, W, 3) RGB uint8."""
+        levels = MODES[self.mode][1](counts, measured)
+        return levels if self.palette == "white-hot" else np.take(palette(self.palette), levels, axis=0)
 
 
 def _ends(counts, tails_percent):

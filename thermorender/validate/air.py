@@ -47,9 +47,9 @@ def run(scene, air=("midlatitude-summer", "rural-23km"), heights_m=(120.0, 2000.
         error_mk, frame_ms, over_vacuum}].
     """
     tell = progress or (lambda what, share: None)
-    aired = scene.with_air(*air)
     own = {"rays": rays, "device": device}
     vacuum = Renderer(scene, **own)
+    aired = vacuum.scene.with_air(*air)
     made = []
     for number, tolerance in enumerate((FINEST_MK, *tolerances_mk)):
         tell(f"baking for {tolerance:g} mK", number / (len(tolerances_mk) + 1))

@@ -15,9 +15,11 @@ from thermorender import defaults, files
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
 from thermorender.learned.correlation import load_model
+from thermorender.output.record import weather_of
 from thermorender.render.renderer import Renderer
 from thermorender.scene.spec import TemperatureSpec
 from thermorender.scene.surface import FALLBACK, FILLED, SURFACE
+from thermorender.units import utc_text
 from thermorender.validate.figures.comparison import picture
 from thermorender.versions import versions
 
@@ -76,7 +78,7 @@ def compare(scene, trajectory, folder, models, rate_hz=1.0, range_c=None, progre
     Parameters
     ----------
     scene : Scene
-        With a truth temperature raster and an orthophoto.
+        With a truth temperature raster, or the temperatures of a heat balance for truth, and an orthophoto.
     trajectory : Trajectory
     folder : path
         Receives `comparison.json` and one picture per pose and model.
@@ -139,7 +141,9 @@ def compare(scene, trajectory, folder, models, rate_hz=1.0, range_c=None, progre
             progress("comparing", (index + 1) / len(times))
     summary = {
         "scene": scene.name,
-        "scene_digest": truth.digest(),
+        "time": None if reference.scene.time is None else utc_text(reference.scene.time),
+        **weather_of(reference.scene),
+        "scene_digest": reference.scene.digest(),
         "poses": len(times),
         "rate_hz": rate_hz,
         "range_c": list(range_c) if range_c else None,

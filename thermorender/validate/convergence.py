@@ -198,6 +198,8 @@ class _Site:
     """A scene and what its cases share, each made when first needed."""
 
     def __init__(self, scene, mode, device):
+        # Stock Mitsuba is given temperatures too.
+        scene = scene if scene.warmed else Renderer(scene, device=device).scene
         self.scene, self.mode, self.device = scene, mode, device
         width, height = mode.window
         self.part = replace(scene, camera=replace(scene.camera, width=width, height=height))

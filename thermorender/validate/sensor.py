@@ -16,7 +16,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.render.renderer import Renderer
-from thermorender.scene.load import load_scene
+from thermorender.scene.load import Scene, load_scene
 from thermorender.sensor import exposure, psf
 from thermorender.sensor.chain import Sensor, at_rest, in_sequence
 from thermorender.sensor.detector import advanced, read_rows, row_delays, steady
@@ -49,8 +49,8 @@ def sensor(folder, scene=defaults.SCENE, flights=tuple(FLIGHTS), device="auto", 
     Parameters
     ----------
     folder : path
-    scene : str
-        Scene folder, or name of a shipped one.
+    scene : str or Scene
+        Scene folder, name of a shipped one, or a scene in memory.
     flights : sequence of str
         Some of `FLIGHTS`.
     device : {"auto", "cpu", "cuda"}
@@ -69,7 +69,7 @@ def sensor(folder, scene=defaults.SCENE, flights=tuple(FLIGHTS), device="auto", 
     if unknown:
         raise ThermorenderError(f"flight {unknown[0]!r} is unknown; give some of {', '.join(FLIGHTS)}")
     tell = progress or (lambda what, share: None)
-    loaded = load_scene(scene)
+    loaded = scene if isinstance(scene, Scene) else load_scene(scene)
     renderer = Renderer(loaded, device=device)
     of = Sensor(loaded.camera, renderer.seed)
     lags, seen = {}, {}

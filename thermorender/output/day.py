@@ -1,0 +1,199 @@
+"""A day: one view at each step of a local solar day, all frames on one display scale, and a curve per material.
+
+Everything appears at once when the day is done: a stop leaves nothing.
+"""
+
+import csv
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from thermorender import files
+from thermorender.errors import ThermorenderError
+from thermorender.output import products as product_files
+from thermorender.output.day_figure import figure
+from thermorender.output.images import write_image, write_video
+from thermorender.output.record import made_by, record, weather_of
+from thermorender.output.timed import solved_in_parts
+from thermorender.scene.surface import FILLED
+from thermorender.sensor.display import DisplaySettings
+from thermorender.units import instant, utc_text
+
+DEFAULT = ("exr", "truth", "counts", "display", "video")
+# Frames of the video per second.
+RATE_HZ = 8.0
+_DAY_MIN = 24 * 60
+
+
+def solar_midnight(time, longitude_deg):
+    """Return the instant at which the local solar day of an instant begins, datetime64[s] UTC.
+
+    By mean solar time, UTC + longitude/15° h, from which apparent solar time differs by up to 17 minutes in the year.
+    """
+    east = np.timedelta64(round(longitude_deg * 240.0), "s")
+    return (time + east).astype("datetime64[D]").astype("datetime64[s]") - east
+
+
+def instant_of(scene, text):
+    """Return an instant of the local solar day that a text names at a scene's place: a date's noon, or an instant."""
+    if not re.fullmatch(r"\d{4}-\d\d-\d\d", text):
+        return instant("--time", text)
+    longitude = scene.frame.longitude_deg if scene.frame else 0.0
+    return instant("--time", f"{text}T12:00Z") - np.timedelta64(round(longitude * 240.0), "s")
+
+
+def day(
+    scene, pose, folder, step_min=60, products=DEFAULT, display=None, thermography=None, progress=None, device="auto",
+    **settings,
+):  # fmt: skip
+    """Render one view over the local solar day of a scene's time into a folder; return its table.
+
+    Parameters
+    ----------
+    scene : Scene
+        With the temperatures of a heat balance.
+    pose : (4, 4) array
+        world_from_camera.
+    folder : path
+        A new one; receives the frames' products, `day.mp4`, `day.csv`, `day.png`, `day.json` and `frames.jsonl`.
+    step_min : int
+        Minutes between frames, 5 to 720, a divisor of the day's 1440; the first frame is at mean solar midnight.
+    products : sequence of str
+        As of a flight.
+    display : DisplaySettings, optional
+        How counts are shown, by one measure over all frames of the day.
+    thermography : ThermographySettings, optional
+        As of a flight.
+    progress : callable, optional
+        Called with (what, share done).
+    device : {"auto", "cpu", "cuda"}
+    **settings
+        Passed to Renderer.
+
+    Returns
+    -------
+    list of dict
+        The rows of `day.csv`: solar_hour [h], time_utc, sun_elevation_deg, air_k, apparent_mean_k of the frame, and of
+        each material of the terrain NAME_mean_k, NAME_min_k, NAME_max_k over its texels, seen or not.
+
+    Raises
+    ------
+    ThermorenderError
+        A scene without heat balance, a step out of range, weather that does not hold the whole day, or a folder that
+        is in use.
+    """
+    products = product_files.check(products, thermography)
+    display = replace(display or DisplaySettings(), tails_percent=scene.camera.agc_tails_percent)
+    times = _times(scene, step_min)
+    tell = progress or (lambda what, share: None)
+    with files.atomic_folder(folder) as out:
+        rows, counts = [], []
+        for index, frame, solved in _frames(scene, pose, times, tell, device, settings):
+            told = [product for product in products if product not in ("display", "video")]
+            product_files.write(out, frame, told, None, thermography)
+            files.append_json(out / "frames.jsonl", record(frame))
+            counts.append(frame.counts)
+            rows.append({"solar_hour": index * step_min / 60.0, **_row(solved, frame)})
+            tell(f"frame {index + 1} of {len(times)}", (index + 1) / len(times))
+        if "display" in products:
+            _show(out, display, np.stack(counts), "video" in products)
+        _write_table(out / "day.csv", rows)
+        figure(out / "day.png", scene.name, rows, _sun_up(scene, times[0]))
+        about = {
+            "scene": scene.name,
+            "camera": scene.camera.name,
+            "time": utc_text(times[0]),
+            "step_min": step_min,
+            **weather_of(scene),
+            **made_by(),
+        }
+        files.write_json(out / "day.json", about)
+    return rows
+
+
+def _times(scene, step_min):
+    """The instants of the day's frames."""
+    if not scene.balanced:
+        raise ThermorenderError(
+            f"{scene.where}: a day needs temperature.source='balance', which makes temperatures of an hour, not "
+            f"{scene.spec.temperature.source!r}; set it and add [weather]"
+        )
+    if not (5 <= step_min <= 720 and _DAY_MIN % step_min == 0):
+        raise ThermorenderError(
+            f"step_min={step_min} is not allowed; give minutes from 5 to 720 that divide the day's {_DAY_MIN}, such as "
+            "10, 30 or 60"
+        )
+    weather = scene.weather
+    first = solar_midnight(scene.time, weather.longitude_deg)
+    times = first + np.timedelta64(60 * step_min, "s") * np.arange(_DAY_MIN // step_min)
+    if times[0] < weather.time[0] or times[-1] > weather.time[-1]:
+        raise ThermorenderError(
+            f"{scene.where}: the local solar day {utc_text(times[0])} to {utc_text(times[-1])} is not all inside its "
+            f"weather, {utc_text(weather.time[0])} to {utc_text(weather.time[-1])}; give another --time, or weather of "
+            "the whole day"
+        )
+    return times
+
+
+def _frames(scene, pose, times, tell, device, settings):
+    """Give (index, Frame, solved Scene) of each instant, light traced once."""
+    # It brings Mitsuba.
+    from thermorender.render.renderer import Renderer
+    from thermorender.render.variant import activate
+
+    activate(device)
+    baked, seed = None, settings.get("seed", 0)
+    for index, solved in enumerate(solved_in_parts(scene, times, tell)):
+        if baked is None:
+            renderer = Renderer(solved, device=device, progress=tell, **settings)
+            baked = renderer.baked
+        else:
+            renderer = Renderer.of(baked.solved_for(solved), seed)
+        yield index, renderer.frame(pose, index=index), solved
+
+
+def _row(scene, frame):
+    """What the day's table says of one instant, its hour apart."""
+    _, elevation = scene.weather.sun(scene.time)
+    row = {
+        "time_utc": utc_text(scene.time),
+        "sun_elevation_deg": float(elevation),
+        "air_k": float(scene.weather.at(scene.time).air_k),
+        "apparent_mean_k": float(frame.apparent_temperature.mean(dtype=np.float64)),
+    }
+    terrain = scene.surfaces[: scene.terrain_count]
+    known = [(surface.flags & FILLED) == 0 for surface in terrain]
+    material = np.concatenate([one.material[here] for one, here in zip(terrain, known, strict=True)])
+    kelvin = np.concatenate([one.temperature[here] for one, here in zip(terrain, known, strict=True)])
+    for number in np.unique(material):
+        own, name = kelvin[material == number], scene.materials[number].name
+        row[f"{name}_mean_k"] = float(own.mean(dtype=np.float64))
+        row[f"{name}_min_k"], row[f"{name}_max_k"] = float(own.min()), float(own.max())
+    return row
+
+
+def _show(folder, display, counts, video):
+    """Write the display images of counts (N, H, W), by one measure of them all, and the video of these."""
+    measured = display.measure(counts)
+    images = [product_files.paths(folder, index, ("display",))["display"] for index in range(len(counts))]
+    for path, one in zip(images, counts, strict=True):
+        write_image(path, display.shown(one, measured))
+    if video:
+        write_video(folder / "day.mp4", images, RATE_HZ)
+
+
+def _write_table(path: Path, rows):
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(rows[0])
+        for row in rows:
+            writer.writerow([f"{value:.3f}" if isinstance(value, float) else value for value in row.values()])
+
+
+def _sun_up(scene, midnight):
+    """(solar hours 0…24, whether the sun is above the horizon) every five minutes."""
+    minutes = np.arange(0, _DAY_MIN + 1, 5)
+    _, elevation = scene.weather.sun(midnight + minutes * np.timedelta64(60, "s"))
+    return minutes / 60.0, np.asarray(elevation) > 0.0

@@ -1,0 +1,133 @@
+"""One scene as its temperatures follow the weather: its renderers at the instants of a flight or of a day.
+
+The heat balance is marched once for many instants, and light is solved anew for each of them with nothing traced again.
+What is kept at a time is bounded, and every renderer depends on its instant alone, whatever was asked for before it.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.errors import ThermorenderError
+from thermorender.scene.load import Scene
+from thermorender.units import utc_text
+
+if TYPE_CHECKING:
+    # They bring Mitsuba, which whoever has a renderer has loaded.
+    from thermorender.render.baked import Progress
+    from thermorender.render.renderer import Renderer
+
+# Temperatures of a flight are those of the nearest of instants so far apart [s]: at 3 K an hour 25 mK from its own.
+STEP_S = 60.0
+# Instants that are marched together, and whose temperatures are in memory at once.
+TOGETHER = 32
+
+
+def solved_in_parts(
+    scene: Scene, times: "Sequence[np.datetime64] | NDArray[Any]", progress: "Progress | None" = None
+) -> Iterator[Scene]:
+    """Give the scene at each instant of a rising sequence, its temperatures solved; few are in memory at once."""
+    from thermorender.render.heat import solved
+
+    for first in range(0, len(times), TOGETHER):
+        yield from solved(scene, list(times[first : first + TOGETHER]), None, progress)
+
+
+class TimedRenderer:
+    """The renderer of each instant of a flight.
+
+    Parameters
+    ----------
+    renderer : Renderer
+        Of the flight's first instant, its scene's own time.
+    first_s, last_s : float
+        Times of the whole trajectory [s], also where only a part is flown.
+    progress : callable, optional
+        Called with (what, share done) while a heat balance is marched.
+
+    Raises
+    ------
+    ThermorenderError
+        Weather that ends before the flight.
+    """
+
+    def __init__(
+        self, renderer: "Renderer", first_s: float, last_s: float, progress: "Progress | None" = None
+    ) -> None:
+        self._first, self._first_s, self._progress = renderer, first_s, progress
+        self._last_step = round((last_s - first_s) / STEP_S) if renderer.scene.balanced else 0
+        # Of two steps at most: what pixels remember reaches back over a change from one to the next.
+        self._made: dict[int, Renderer] = {}
+        self._part: tuple[int, dict[int, Scene]] = (-1, {})
+        if self._last_step:
+            end, weather = self._instant(self._last_step), renderer.scene.weather
+            if end > weather.time[-1]:
+                raise ThermorenderError(
+                    f"{renderer.scene.where}: the flight ends at {utc_text(end)}, after its weather, which ends at "
+                    f"{utc_text(weather.time[-1])}; give an earlier time, or weather that goes on"
+                )
+
+    def at(self, time_s: float) -> "Renderer":
+        """Return the Renderer for a time of the trajectory [s]."""
+        from thermorender.render.renderer import Renderer
+
+        step = self._step(time_s)
+        if step == 0:
+            return self._first
+        if step not in self._made:
+            baked = self._first.baked.solved_for(self._scenes(step)[step])
+            self._made = dict(list(self._made.items())[-1:]) | {step: Renderer.of(baked, self._first.seed)}
+        return self._made[step]
+
+    def time(self, time_s: float) -> "np.datetime64 | None":
+        """Return the instant of a time of the trajectory, datetime64[ms] UTC; None for a scene without an hour."""
+        start = self._first.scene.time
+        if start is None:
+            return None
+        return start.astype("datetime64[ms]") + np.timedelta64(round(1e3 * (time_s - self._first_s)), "ms")
+
+    def told(self, time_s: float) -> dict[str, Any]:
+        """Return what a frame's record says of its temperatures; {} where they are of no heat balance.
+
+        Returns
+        -------
+        dict
+            {"temperature": {"time": their instant, UTC; "change_mk": root mean square over the terrain's texels of how
+            they differ from those `STEP_S` before, None for the flight's first [mK]}}
+        """
+        if not self._first.scene.balanced:
+            return {}
+        step, change = self._step(time_s), None
+        if step:
+            scenes = self._scenes(step)
+            change = round(1e3 * _rms_change_k(scenes[step - 1], scenes[step]), 2)
+        return {"temperature": {"time": utc_text(self._instant(step)), "change_mk": change}}
+
+    def _step(self, time_s: float) -> int:
+        return min(max(round((time_s - self._first_s) / STEP_S), 0), self._last_step)
+
+    def _instant(self, step: int) -> np.datetime64:
+        start = self._first.scene.time
+        assert start is not None
+        return start + np.timedelta64(round(step * STEP_S), "s")
+
+    def _scenes(self, step: int) -> dict[int, Scene]:
+        """The scenes of the part of the flight that a step lies in, and that of the step before this part."""
+        from thermorender.render.heat import solved
+
+        part = (step - 1) // TOGETHER
+        if part != self._part[0]:
+            steps = range(part * TOGETHER, min((part + 1) * TOGETHER, self._last_step) + 1)
+            times = [self._instant(number) for number in steps]
+            found = solved(self._first.scene, times, self._first.baked.geometry, self._progress)
+            self._part = part, dict(zip(steps, found, strict=True))
+        return self._part[1]
+
+
+def _rms_change_k(one: Scene, other: Scene) -> float:
+    """Root mean square over the terrain's texels of a change of temperature [K]."""
+    pairs = zip(one.surfaces[: one.terrain_count], other.surfaces, strict=False)
+    change = np.concatenate([(b.temperature - a.temperature).ravel() for a, b in pairs])
+    return float(np.sqrt(np.mean(np.square(change, dtype=np.float64))))
