@@ -40,8 +40,8 @@ def read_station(
     Parameters
     ----------
     path : path
-        CSV in UTF-8 with a row of names: a time, the air temperature, and what else of `columns.COLUMNS` there is. Times
-        are the middles of averaging intervals: `time_utc`, `time` with a zone in each cell, or `time_local`.
+        CSV in UTF-8 with a row of names: a time, the air temperature, and what else of `columns.COLUMNS` there is.
+        Times are the middles of averaging intervals: `time_utc`, `time` with a zone in each cell, or `time_local`.
     latitude_deg, longitude_deg, altitude_m : float
         Of the station.
     utc_offset_h : float, optional
@@ -141,11 +141,15 @@ def _read(path, names):
                 lines.append([cell.strip() for cell in line])
                 numbers.append(number)
     except csv.Error as error:
-        raise ThermorenderError(f"{path}, row {len(lines) + 1}: is not CSV ({error}); mend the quotation marks") from None
+        raise ThermorenderError(
+            f"{path}, row {len(lines) + 1}: is not CSV ({error}); mend the quotation marks"
+        ) from None
     if len(lines) < 3:
         raise ThermorenderError(f"{path} holds {max(len(lines) - 1, 0)} rows below a row of names; give two at least")
     if ";" in lines[0][0] and len(lines[0]) == 1:
-        raise ThermorenderError(f"{path} is separated by semicolons; save it comma-separated with a point as decimal mark")
+        raise ThermorenderError(
+            f"{path} is separated by semicolons; save it comma-separated with a point as decimal mark"
+        )
     unknown = [name for name in names if name not in lines[0]]
     if unknown:
         raise ThermorenderError(f"{path} has no column {unknown[0]!r}; row 1 names {shortened(', '.join(lines[0]))}")
@@ -184,8 +188,8 @@ def _numbers(path, name, texts, rows, notes):
             value = float(text)
         except ValueError:
             raise ThermorenderError(
-                f"{path}, row {rows[k]}: {name}={shortened(repr(text))} is not a number; write it with a point as decimal "
-                "mark and without unit, or leave the cell empty"
+                f"{path}, row {rows[k]}: {name}={shortened(repr(text))} is not a number; write it with a point as "
+                "decimal mark and without unit, or leave the cell empty"
             ) from None
         if value in MISSING_NUMBERS:
             marked += 1
@@ -241,7 +245,9 @@ def _within(path, time, during):
     start, end = (instant(value, "during") for value in during)
     keep = (time >= start) & (time <= end)
     if keep.sum() < 2:
-        raise ThermorenderError(f"{path} has {keep.sum()} rows from {start}Z to {end}Z; ask for a period of two at least")
+        raise ThermorenderError(
+            f"{path} has {keep.sum()} rows from {start}Z to {end}Z; ask for a period of two at least"
+        )
     return keep
 
 
@@ -266,13 +272,14 @@ def _note_missing_rows(path, time, rows, step_s, longest_gap_h, notes):
     if long.any():
         k = int(np.argmax(long))
         raise ThermorenderError(
-            f"{path}: nothing from {time[k]}Z (row {rows[k]}) to {time[k + 1]}Z, longer than the {longest_gap_h:g} h that "
-            "are interpolated; fill the gap, or keep the rows before or after it"
+            f"{path}: nothing from {time[k]}Z (row {rows[k]}) to {time[k + 1]}Z, longer than the {longest_gap_h:g} h "
+            "that are interpolated; fill the gap, or keep the rows before or after it"
         )
     short = step > 1.5 * step_s
     if short.any():
         notes.append(
-            f"{short.sum()} gaps of missing rows, {(step[short].max() - step_s) / 3600.0:.2g} h at most, are interpolated."
+            f"{short.sum()} gaps of missing rows, {(step[short].max() - step_s) / 3600.0:.2g} h at most, are "
+            "interpolated."
         )
 
 
