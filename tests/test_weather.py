@@ -1,6 +1,8 @@
 """Weather: a station's file, a typical year's, a named day; what is missing modelled, what is wrong told."""
 
+import re
 from datetime import datetime, timedelta, timezone
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,6 +11,7 @@ from conftest import shared_data
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics import humidity, sky, sun
+from thermorender.weather.columns import COLUMNS
 from thermorender.weather.declared import declared_weather
 from thermorender.weather.epw import read_epw
 from thermorender.weather.named_day import daily_course, named_day
@@ -22,9 +25,7 @@ START = np.datetime64("2018-07-20T00:30", "s")
 def sunlight(time, place=PLACE):
     """Global, direct and diffuse of a clear sky at instants."""
     elevation = sun.position_at(time, *place[:2])[1]
-    direct, diffuse = sky.clear_sky(
-        elevation, humidity.standard_pressure(place[2]), 1.5, 0.1, sun.eccentricity(time)
-    )
+    direct, diffuse = sky.clear_sky(elevation, humidity.standard_pressure(place[2]), 1.5, 0.1, sun.eccentricity(time))
     return direct * np.sin(np.radians(np.maximum(elevation, 0.0))) + diffuse, direct, diffuse
 
 
@@ -41,7 +42,9 @@ def station(path, changes=None, days=3, step_h=1.0, clock_h=0.0, lines=None):
         **(changes or {}),
     }
     table = {
-        name: np.asarray(value(time) if callable(value) else value) for name, value in table.items() if value is not None
+        name: np.asarray(value(time) if callable(value) else value)
+        for name, value in table.items()
+        if value is not None
     }
     rows = [",".join(table), *(",".join(map(str, row)) for row in zip(*table.values(), strict=True))]
     path.write_text("\n".join(lines(rows) if lines else rows) + "\n")
@@ -129,7 +132,7 @@ def test_what_a_station_leaves_out_is_modelled_and_said(tmp_path):
     ],
 )
 def test_units_are_those_of_the_names(tmp_path, changes, name, value):
-    # Half the saturation pressure at 20 °C, 2339.2 Pa (IAPWS), and its dew point: known to 0.25 %, the difference to 0.5 %.
+    # Half the saturation pressure at 20 °C, 2339.2 Pa (IAPWS): known to 0.25 %, what the deficit leaves to 0.5 %.
     found = getattr(read_station(station(tmp_path / "s.csv", changes), *PLACE), name)
     np.testing.assert_allclose(found, value, rtol=5.5e-3 if name == "vapour_pa" else 1e-4)
 
@@ -149,14 +152,18 @@ def test_global_light_is_kept_whatever_is_measured_beside_it(tmp_path):
         # The file holds tenths of W/m².
         np.testing.assert_allclose(total, sunlight(weather.time)[0], atol=0.051)
         if kept:
-            np.testing.assert_allclose(weather.direct_w_m2[height > 0.2], sunlight(weather.time)[1][height > 0.2], rtol=3e-3)
+            np.testing.assert_allclose(
+                weather.direct_w_m2[height > 0.2], sunlight(weather.time)[1][height > 0.2], rtol=3e-3
+            )
 
 
 def test_photosynthetic_light_stands_for_short_wave(tmp_path):
     path = station(tmp_path / "s.csv", {"sw_down_w_m2": None, "ppfd_umol_m2_s": lambda t: 2.05 * sunlight(t)[0]})
     weather = read_station(path, *PLACE)
     height = np.sin(np.radians(np.maximum(weather.sun(weather.time)[1], 0.0)))
-    np.testing.assert_allclose(weather.direct_w_m2 * height + weather.diffuse_w_m2, sunlight(weather.time)[0], atol=1e-6)
+    np.testing.assert_allclose(
+        weather.direct_w_m2 * height + weather.diffuse_w_m2, sunlight(weather.time)[0], atol=1e-6
+    )
 
 
 def test_clouds_warm_the_sky(tmp_path):
@@ -179,7 +186,7 @@ def test_clouds_warm_the_sky(tmp_path):
         ({"air_c": None, "air_k": [15.0] * 72}, r"air_k=15 is not allowed"),
         ({"air_c": [72.0] * 72}, r"air_c=72 is not allowed; .*air_f"),
         ({"air_c": None}, "no air temperature; add a column air_c"),
-        ({"air_c": ["7,5", *[5] * 71]}, "."),
+        ({"air_c": ["7,5", *[5] * 71]}, "row 2: 6 cells where row 1 names 5 columns"),
         ({"air_c": ["warm", *[5] * 71]}, "row 2: air_c='warm' is not a number"),
         ({"rh_percent": [0.6] * 72}, "rh_percent is 0.6 at most, .*rename the column to rh"),
         ({"rh_percent": None, "rh": [60.0] * 72}, "rh=60 is not allowed"),
@@ -238,12 +245,16 @@ def test_long_gaps_are_refused(tmp_path):
     wind = [2.0] * 72
     wind[10:14] = [""] * 4
     path = station(tmp_path / "s.csv", {"wind_m_s": wind})
-    with pytest.raises(ThermorenderError, match="wind_m_s is missing from 2018-07-20T10:30:00Z to 2018-07-20T13:30:00Z"):
+    with pytest.raises(
+        ThermorenderError, match="wind_m_s is missing from 2018-07-20T10:30:00Z to 2018-07-20T13:30:00Z"
+    ):
         read_station(path, *PLACE)
     assert read_station(path, *PLACE, longest_gap_h=4.0).wind_m_s[11] == 2.0
     # Also at the end of the series, and as rows.
     path = station(tmp_path / "s.csv", {"wind_m_s": [2.0] * 68 + [""] * 4})
-    with pytest.raises(ThermorenderError, match="wind_m_s is missing from 2018-07-22T20:30:00Z to 2018-07-22T23:30:00Z"):
+    with pytest.raises(
+        ThermorenderError, match="wind_m_s is missing from 2018-07-22T20:30:00Z to 2018-07-22T23:30:00Z"
+    ):
         read_station(path, *PLACE)
     path = station(tmp_path / "s.csv", lines=lambda rows: rows[:30] + rows[34:])
     with pytest.raises(ThermorenderError, match=r"nothing from 2018-07-21T04:30:00Z \(row 30\) to 2018-07-21T09:30"):
@@ -459,8 +470,12 @@ def test_a_tmy3_table(tmp_path):
 
 def test_a_named_day():
     weather = named_day(np.datetime64("2018-07-28T14:30"), PLACE, 9.0, 22.0, 0.6, 3.0, 0.2)
-    assert weather.time[0] <= np.datetime64("2018-07-23T14:30") and weather.time[-1] >= np.datetime64("2018-07-29T14:00")
-    assert weather.air_k.min() == pytest.approx(282.15, abs=0.1) and weather.air_k.max() == pytest.approx(295.15, abs=0.1)
+    assert weather.time[0] <= np.datetime64("2018-07-23T14:30") and weather.time[-1] >= np.datetime64(
+        "2018-07-29T14:00"
+    )
+    assert weather.air_k.min() == pytest.approx(282.15, abs=0.1) and weather.air_k.max() == pytest.approx(
+        295.15, abs=0.1
+    )
     day = weather.air_k[:48]
     hour = sun.solar_hour(weather.time[:48], PLACE[1])
     rise = sun.sunrise(47.0, float(sun.declination(weather.time[0])))
@@ -529,3 +544,14 @@ def test_weather_of_a_scene(tmp_path):
         declared(air_high_c=22.0)
     with pytest.raises(ThermorenderError, match=r"^\[weather\] time='2018-07-21' is no|does not tell its zone"):
         declared("2018-07-21", air_low_c=9.0, air_high_c=22.0)
+
+
+def test_the_guide_names_the_columns_there_are():
+    text = (Path(__file__).resolve().parents[1] / "docs" / "architecture.md").read_text("utf-8")
+    table = text.partition("## Weather")[2].partition("## Three")[0].partition("| quantity |")[2]
+    named, last = set(), ""
+    for name in re.findall(r"`([^`]+)`", table):
+        # "_hpa" stands for the name before it with that ending.
+        last = re.sub("_[a-z]+$", name, last) if name.startswith("_") else name
+        named.add(last)
+    assert named == set(COLUMNS)

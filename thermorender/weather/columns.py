@@ -130,12 +130,13 @@ def check_range(where, quantity, values):
         raise ThermorenderError(f"{where}: {quantity}={values[k]:.6g} in hour {k + 1} is not allowed; give {allowed}")
 
 
-def check_light(where, column, values, clear):
-    """Refuse sunlight that is never above 5 W m⁻² where a clear sky gives 300: not W m⁻². NaN passes."""
-    if np.nanmax(clear) > 300.0 and 0.0 < np.nanmax(values) < 5.0:
+def check_light(where, column, values, elevation_deg):
+    """Refuse sunlight that is never above 5 W m⁻² though the sun comes to 20° and more: not W m⁻². NaN passes."""
+    most = np.nanmax(values)
+    if elevation_deg.max() > 20.0 and 0.0 < most < 5.0:
         raise ThermorenderError(
-            f"{where}: {column} is {np.nanmax(values):g} W/m² at most where a clear sky gives {np.nanmax(clear):.0f}; "
-            "it looks like MJ or kW, so give W/m²"
+            f"{where}: {column} is {most:g} W/m² at most where the sun comes to {elevation_deg.max():.0f}°; it looks "
+            "like MJ or kW, so give W/m²"
         )
 
 

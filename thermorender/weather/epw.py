@@ -87,7 +87,7 @@ def read_epw(path, year, snow_depth_m=0.0):
     for name, (column, scale, after, missing, at_end) in table.items():
         if column is None:
             continue
-        numbers = _numbers(path, rows, column) * 1.0
+        numbers = _numbers(path, rows, column)
         numbers[(numbers >= missing) | (numbers <= _BELOW)] = np.nan
         if np.isnan(numbers).all():
             continue

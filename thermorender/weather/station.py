@@ -5,13 +5,14 @@ Rows are counted as a spreadsheet shows them: the header is row 1.
 
 import csv
 import io
+from dataclasses import replace
 from datetime import datetime, timezone
 
 import numpy as np
 
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.files import read_text
-from thermorender.physics import humidity, sky, sun
+from thermorender.physics import sun
 from thermorender.schema import closest
 from thermorender.weather.clock import check_clock
 from thermorender.weather.columns import (
@@ -101,10 +102,10 @@ def read_station(
     if "pressure_pa" in values:
         check_pressure(path, column_of["pressure_pa"], values["pressure_pa"], altitude_m)
     _note_missing_rows(path, time, rows, step_s, longest_gap_h, notes)
-    clear = sum(_clear(time, place))
+    elevation = sun.position_at(time, latitude_deg, longitude_deg)[1]
     for quantity in list(values):
         if quantity in _LIGHT:
-            check_light(path, column_of[quantity], values[quantity], clear)
+            check_light(path, column_of[quantity], values[quantity], elevation)
             values[quantity] = without_offset(column_of[quantity], values[quantity], notes)
         values[quantity] = filled(
             path, column_of[quantity], quantity, values[quantity], time, step_s, longest_gap_h, notes
@@ -121,11 +122,11 @@ def read_station(
     found = complete(time, place, given, notes, wind_m_s, snow_depth_m, air_height_m=air_height_m,
                      wind_height_m=wind_height_m)  # fmt: skip
     if set(_LIGHT) & set(given):
-        height = np.sin(np.radians(np.maximum(found.sun(time)[1], 0.0)))
+        height = np.sin(np.radians(np.maximum(elevation, 0.0)))
         light = given.get("global_w_m2", found.direct_w_m2 * height + given.get("diffuse_w_m2", 0.0))
         note = check_clock(path, time, light, latitude_deg, longitude_deg, step_s)
         if note:
-            object.__setattr__(found, "notes", (*found.notes, note))
+            found = replace(found, notes=(*found.notes, note))
     return found
 
 
@@ -281,12 +282,3 @@ def _note_missing_rows(path, time, rows, step_s, longest_gap_h, notes):
             f"{short.sum()} gaps of missing rows, {(step[short].max() - step_s) / 3600.0:.2g} h at most, are "
             "interpolated."
         )
-
-
-def _clear(time, place):
-    """(Direct on a level plane, diffuse) of a clear sky, for what light there could be."""
-    elevation = sun.position_at(time, *place[:2])[1]
-    direct, diffuse = sky.clear_sky(
-        elevation, humidity.standard_pressure(place[2]), 1.0, sky.standard_aerosol(place[2]), sun.eccentricity(time)
-    )
-    return direct * np.sin(np.radians(np.maximum(elevation, 0.0))), diffuse
