@@ -25,6 +25,8 @@ _FILMS = {"inside": 1.0 / 0.13, "outside": 1.0 / 0.04}
 # Water that stays on leaves and on hard ground, and what bare soil holds before it resists evaporation: FAO Irrigation
 # and Drainage Paper 56 (1998), table 19, loams: 8 mm [kg m⁻²].
 _HELD, _HELD_BY_SOIL = 0.5, 8.0
+# Resistance of what does not evaporate [s/m].
+_NEVER_S_M = 1e9
 # Sunlight that water, snow and ice let in; the rest, near infrared, stays at the surface: Paulson & Simpson, J. Phys.
 # Oceanogr. 7 (1977) 952, table 2, about.
 _LET_IN = 0.45
@@ -125,8 +127,10 @@ def _column(material, weather, snow_m, station_roughness_m, layers):
     log_wind = np.log(wind_m / rough)
     # The wind at the height of the air's temperature tells the stability.
     stability_m = air_m * (log_wind / np.log(air_m / rough)) ** 2
-    evaporates = thermal.surface_resistance_s_m is not None
-    soil = thermal.cover == "bare" and evaporates and chain[-1].thickness_m is None and thermal.surface_resistance_s_m
+    resistance = thermal.surface_resistance_s_m
+    # Without resistance it is free water, as far as there is some.
+    free = thermal.wetness if resistance == 0.0 else 0.0
+    soil = thermal.cover == "bare" and bool(resistance) and thermal.thickness_m is None
     share = np.zeros(layers)
     if thermal.attenuation_1_m:
         reached = np.exp(-thermal.attenuation_1_m * cut.edge_m)
@@ -138,8 +142,9 @@ def _column(material, weather, snow_m, station_roughness_m, layers):
         log_wind=log_wind,
         log_heat=np.log(air_m / rough) + thermal.heat_roughness_ratio,
         height_m=stability_m,
-        resistance=thermal.surface_resistance_s_m if evaporates else 1e9,
+        resistance=resistance or _NEVER_S_M,
         wetness=thermal.wetness,
+        open_water=free,
         leaves=float(thermal.cover == "leaves"),
         held=_HELD_BY_SOIL if soil else _HELD,
         melting=float(thermal.melting_k is not None and thermal.cover == "snow"),
