@@ -192,30 +192,34 @@ def _stage(xp, state, known, guess, ground, forcing, seconds):
     wet = xp.minimum(state.film / xp.maximum(ground.held, 1e-3), 1.0)
     rain = WATER_HEAT * forcing.rain_kg_m2_s
     gained = surface_sun + ground.emissivity * forcing.longwave
-    t = guess
+    t, frozen = guess, guess < ZERO_CELSIUS_K
+    low, high = 0.0 * t, 0.0 * t + 1e4
     for _ in range(_NEWTON):
         h, bend = exchange.convection(
             xp, t, forcing.air_k, forcing.wind_m_s, density, ground.log_wind, ground.log_heat, ground.height_m
         )
         latent, slope, heat = exchange.evaporation(
-            xp, t, forcing.vapour_pa, forcing.pressure_pa, h, density, resistance, wet
+            xp, t, forcing.vapour_pa, forcing.pressure_pa, h, bend, density, resistance, wet, frozen
         )
         cube = ground.emissivity * STEFAN_BOLTZMANN * t**3
         warmer = t - forcing.air_k
         flux = gained - cube * t - (h + rain) * warmer - latent
         # The exchange weakens where a surface cools below the air: its share of the slope is bounded, so that the
         # step keeps its direction.
-        rate = 4.0 * cube + xp.maximum(h + bend * warmer, 0.25 * h) + rain + slope + series
-        move = (flux - series * (t - alpha)) / rate
-        t = t + xp.minimum(xp.maximum(move, -_LARGEST_STEP_K), _LARGEST_STEP_K)
+        rate = 4.0 * cube + xp.maximum(h + bend * warmer + slope, 0.25 * h) + rain + series
+        excess = flux - series * (t - alpha)
+        # Steps end between what was found too cold and too warm: the slope jumps where stability, dew or ice begin.
+        low, high = xp.where(excess > 0.0, t, low), xp.where(excess > 0.0, high, t)
+        move = xp.minimum(xp.maximum(excess / rate, -_LARGEST_STEP_K), _LARGEST_STEP_K)
+        t = xp.where((t + move >= low) & (t + move <= high), t + move, 0.5 * (low + high))
     # Melting snow stays at the melting point: the rest of the heat goes into its first layer, where it melts.
     cap = xp.where(ground.melting > 0.5, ZERO_CELSIUS_K, 1e4)
     t = xp.minimum(t, cap)
-    h, _ = exchange.convection(
+    h, bend = exchange.convection(
         xp, t, forcing.air_k, forcing.wind_m_s, density, ground.log_wind, ground.log_heat, ground.height_m
     )
     latent, _, heat = exchange.evaporation(
-        xp, t, forcing.vapour_pa, forcing.pressure_pa, h, density, resistance, wet
+        xp, t, forcing.vapour_pa, forcing.pressure_pa, h, bend, density, resistance, wet, frozen
     )
     flux = gained - ground.emissivity * STEFAN_BOLTZMANN * t**4 - (h + rain) * (t - forcing.air_k) - latent
     into = xp.where(t < cap, series * (t - alpha), flux)
