@@ -118,11 +118,30 @@ class State(NamedTuple):
 
 
 class Fluxes(NamedTuple):
-    """Into the surface, mean over a step [W m⁻²], and what evaporated [kg m⁻² s⁻¹]."""
+    """Means over a step: net_radiation = sensible + latent + into_ground, but for what Newton leaves.
 
-    net: Any
+    Attributes
+    ----------
+    net_radiation : array
+        Absorbed sunlight and long-wave less what is emitted [W m⁻²].
+    sensible : array
+        Heat given to the air and to rain [W m⁻²].
+    latent : array
+        Heat given to vapour [W m⁻²]; below 0 dew or frost forms.
+    into_ground : array
+        Heat that the layers gain through the surface, and by sunlight that they absorb [W m⁻²].
+    evaporated : array
+        [kg m⁻² s⁻¹]
+    molten : array
+        Ice of the layers that became water, less what froze [kg m⁻² s⁻¹].
+    """
+
+    net_radiation: Any
+    sensible: Any
+    latent: Any
     into_ground: Any
     evaporated: Any
+    molten: Any
 
 
 def at_rest(xp, temperatures_k, ground):
@@ -154,18 +173,18 @@ def step(xp, state, ground, first, second, seconds):
         Length of the step [s].
     """
     stage = _GAMMA * seconds
-    early, flux, lost = _stage(xp, state, state.layers_k, state.surface_k, ground, first, stage)
+    early, fluxes = _stage(xp, state, state.layers_k, state.surface_k, ground, first, stage)
     ahead = (1.0 - _GAMMA) / _GAMMA
     known = [t + ahead * (y - t) for t, y in zip(state.layers_k, early[1], strict=True)]
-    late, flux_2, lost_2 = _stage(xp, state, known, early[0], ground, second, stage)
-    flux = (1.0 - _GAMMA) * flux + _GAMMA * flux_2
-    lost = (1.0 - _GAMMA) * lost + _GAMMA * lost_2
+    late, later = _stage(xp, state, known, early[0], ground, second, stage)
+    fluxes = [(1.0 - _GAMMA) * one + _GAMMA * other for one, other in zip(fluxes, later, strict=True)]
     rain = (1.0 - _GAMMA) * first.rain_kg_m2_s + _GAMMA * second.rain_kg_m2_s
-    film = xp.minimum(xp.maximum(state.film + seconds * (rain - lost), 0.0), ground.held)
+    film = xp.minimum(xp.maximum(state.film + seconds * (rain - fluxes[-1]), 0.0), ground.held)
     layers, liquid, surface = late[1], state.liquid, late[0]
+    molten = 0.0 * film
     if ground.water is not None:
-        layers, liquid = _melted(xp, layers, liquid, ground)
-    return State(surface, layers, film, liquid), Fluxes(flux, flux, lost)
+        layers, liquid, molten = _melted(xp, layers, liquid, ground)
+    return State(surface, layers, film, liquid), Fluxes(*fluxes, molten / seconds)
 
 
 def stage_times(seconds):
@@ -174,7 +193,7 @@ def stage_times(seconds):
 
 
 def _stage(xp, state, known, guess, ground, forcing, seconds):
-    """((surface, layers), heat into the ground, evaporation) after one implicit stage."""
+    """((surface, layers), Fluxes but for the last) after one implicit stage."""
     heating = None
     surface_sun = forcing.absorbed
     if ground.sun_share is not None:
@@ -221,14 +240,17 @@ def _stage(xp, state, known, guess, ground, forcing, seconds):
     latent, _, heat = exchange.evaporation(
         xp, t, forcing.vapour_pa, forcing.pressure_pa, h, bend, density, resistance, wet, frozen
     )
-    flux = gained - ground.emissivity * STEFAN_BOLTZMANN * t**4 - (h + rain) * (t - forcing.air_k) - latent
-    into = xp.where(t < cap, series * (t - alpha), flux)
-    return (t, filled(alpha + beta * into, ground.conductance, pivots, sums)), into, latent / heat
+    radiation = gained - ground.emissivity * STEFAN_BOLTZMANN * t**4
+    sensible = (h + rain) * (t - forcing.air_k)
+    into = xp.where(t < cap, series * (t - alpha), radiation - sensible - latent)
+    layers = filled(alpha + beta * into, ground.conductance, pivots, sums)
+    inside = forcing.absorbed - surface_sun
+    return (t, layers), (radiation + inside, sensible, latent, into + inside, latent / heat)
 
 
 def _melted(xp, layers, liquid, ground):
-    """(temperatures, liquid water) of layers after what is warmer than ice has molten and what is colder has frozen."""
-    warm, wet = [], []
+    """(temperatures, liquid water, what melted of all [kg m⁻²]) after warm ice has molten and cold water frozen."""
+    warm, wet, total = [], [], 0.0
     for t, now, water, capacity in zip(layers, liquid, ground.water, ground.capacity, strict=True):
         # Snow melts as long as it is there; what it cannot hold runs off.
         ice = xp.where(ground.melting > 0.5, 1e9, water - now)
@@ -237,4 +259,5 @@ def _melted(xp, layers, liquid, ground):
         molten = xp.minimum(xp.maximum(molten, -now), ice)
         warm.append(t - molten * FUSION / capacity)
         wet.append(xp.minimum(now + molten, room))
-    return warm, wet
+        total = total + molten
+    return warm, wet, total
