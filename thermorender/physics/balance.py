@@ -18,7 +18,7 @@ FUSION = 3.337e5  # J kg⁻¹
 WATER_HEAT = 4186.0  # J kg⁻¹ K⁻¹
 # Both stages of Alexander's two-stage scheme, which is L-stable and of second order: SIAM J. Numer. Anal. 14 (1977)
 # 1006, theorem 5.
-_GAMMA = 1.0 - np.sqrt(0.5)
+_GAMMA = 1.0 - 0.5**0.5
 _NEWTON = 6
 _LARGEST_STEP_K = 20.0
 # Of its own water, what snow holds against gravity: Anderson, NOAA Technical Report NWS 19 (1976).

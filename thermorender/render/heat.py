@@ -239,7 +239,8 @@ class _March:
             row(begin.surface_k), rows(begin.layers_k), row(begin.film), rows(begin.liquid) if begin.liquid else None
         )
         normal = dr.gather(mi.Vector3f, self.normal, places.face)
-        dr.eval(state, own)
+        _evaluate(state)
+        dr.eval(own)
         light = None
         steps = _steps(self.start, self.asked)
         for number, (at, seconds) in enumerate(steps):
@@ -249,7 +250,7 @@ class _March:
             for offset in balance.stage_times(seconds):
                 stages.append(self._forcing(at + offset, light, places, normal, absorptance, wind, indoors))
             state, _ = balance.step(_Library, state, ground, *stages, dr.opaque(mi.Float, seconds))
-            dr.eval(state)
+            _evaluate(state)
             tell((number + 1) / len(steps))
             instant = self.start + np.timedelta64(round(at + seconds), "s")
             if instant in self.asked:
@@ -337,6 +338,11 @@ class _Light:
     sky: Any
     reflected: Any
     surroundings: Any
+
+
+def _evaluate(state):
+    """Compute a State, in one kernel: named tuples would be taken apart into one each."""
+    dr.eval(state.surface_k, *state.layers_k, state.film, *(state.liquid or ()))
 
 
 def _steps(start, asked):
