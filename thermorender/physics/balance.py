@@ -121,11 +121,30 @@ class State(NamedTuple):
 
 
 class Fluxes(NamedTuple):
-    """Into the surface, mean over a step [W m⁻²], and what evaporated [kg m⁻² s⁻¹]."""
+    """Means over a step: net_radiation = sensible + latent + into_ground, but for what Newton leaves.
 
-    net: Any
+    Attributes
+    ----------
+    net_radiation : array
+        Absorbed sunlight and long-wave less what is emitted [W m⁻²].
+    sensible : array
+        Heat given to the air and to rain [W m⁻²].
+    latent : array
+        Heat given to vapour [W m⁻²]; below 0 dew or frost forms.
+    into_ground : array
+        Heat that the layers gain through the surface, and by sunlight that they absorb [W m⁻²].
+    evaporated : array
+        [kg m⁻² s⁻¹]
+    molten : array
+        Ice of the layers that became water, less what froze [kg m⁻² s⁻¹].
+    """
+
+    net_radiation: Any
+    sensible: Any
+    latent: Any
     into_ground: Any
     evaporated: Any
+    molten: Any
 
 
 def at_rest(xp, temperatures_k, ground):
@@ -157,18 +176,18 @@ def step(xp, state, ground, first, second, seconds):
         Length of the step [s].
     """
     stage = _GAMMA * seconds
-    early, flux, lost = _stage(xp, state, state.layers_k, state.surface_k, ground, first, stage)
+    early, fluxes = _stage(xp, state, state.layers_k, state.surface_k, ground, first, stage)
     ahead = (1.0 - _GAMMA) / _GAMMA
     known = [t + ahead * (y - t) for t, y in zip(state.layers_k, early[1], strict=True)]
-    late, flux_2, lost_2 = _stage(xp, state, known, early[0], ground, second, stage)
-    flux = (1.0 - _GAMMA) * flux + _GAMMA * flux_2
-    lost = (1.0 - _GAMMA) * lost + _GAMMA * lost_2
+    late, later = _stage(xp, state, known, early[0], ground, second, stage)
+    fluxes = [(1.0 - _GAMMA) * one + _GAMMA * other for one, other in zip(fluxes, later, strict=True)]
     rain = (1.0 - _GAMMA) * first.rain_kg_m2_s + _GAMMA * second.rain_kg_m2_s
-    film = xp.minimum(xp.maximum(state.film + seconds * (rain - lost), 0.0), ground.held)
+    film = xp.minimum(xp.maximum(state.film + seconds * (rain - fluxes[-1]), 0.0), ground.held)
     layers, liquid, surface = late[1], state.liquid, late[0]
+    molten = 0.0 * film
     if ground.water is not None:
-        layers, liquid = _melted(xp, layers, liquid, ground)
-    return State(surface, layers, film, liquid), Fluxes(flux, flux, lost)
+        layers, liquid, molten = _melted(xp, layers, liquid, ground)
+    return State(surface, layers, film, liquid), Fluxes(*fluxes, molten / seconds)
 
 
 def stage_times(seconds):
@@ -177,7 +196,7 @@ def stage_times(seconds):
 
 
 def _stage(xp, state, known, guess, ground, forcing, seconds):
-    """((surface, layers), heat into the ground, evaporation) after one implicit stage."""
+    """((surface, layers), Fluxes but for the last) after one implicit stage."""
     heating = None
     surface_sun = forcing.absorbed
     if ground.sun_share is not None:
@@ -195,39 +214,46 @@ def _stage(xp, state, known, guess, ground, forcing, seconds):
     wet = xp.maximum(xp.minimum(state.film / xp.maximum(ground.held, 1e-3), 1.0), ground.open_water)
     rain = WATER_HEAT * forcing.rain_kg_m2_s
     gained = surface_sun + ground.emissivity * forcing.longwave
-    t = guess
+    t, frozen = guess, guess < ZERO_CELSIUS_K
+    low, high = 0.0 * t, 0.0 * t + 1e4
     for _ in range(_NEWTON):
         h, bend = exchange.convection(
             xp, t, forcing.air_k, forcing.wind_m_s, density, ground.log_wind, ground.log_heat, ground.height_m
         )
         latent, slope, heat = exchange.evaporation(
-            xp, t, forcing.vapour_pa, forcing.pressure_pa, h, density, resistance, wet
+            xp, t, forcing.vapour_pa, forcing.pressure_pa, h, bend, density, resistance, wet, frozen
         )
         cube = ground.emissivity * STEFAN_BOLTZMANN * t**3
         warmer = t - forcing.air_k
         flux = gained - cube * t - (h + rain) * warmer - latent
         # The exchange weakens where a surface cools below the air: its share of the slope is bounded, so that the
         # step keeps its direction.
-        rate = 4.0 * cube + xp.maximum(h + bend * warmer, 0.25 * h) + rain + slope + series
-        move = (flux - series * (t - alpha)) / rate
-        t = t + xp.minimum(xp.maximum(move, -_LARGEST_STEP_K), _LARGEST_STEP_K)
+        rate = 4.0 * cube + xp.maximum(h + bend * warmer + slope, 0.25 * h) + rain + series
+        excess = flux - series * (t - alpha)
+        # Steps end between what was found too cold and too warm: the slope jumps where stability, dew or ice begin.
+        low, high = xp.where(excess > 0.0, t, low), xp.where(excess > 0.0, high, t)
+        move = xp.minimum(xp.maximum(excess / rate, -_LARGEST_STEP_K), _LARGEST_STEP_K)
+        t = xp.where((t + move >= low) & (t + move <= high), t + move, 0.5 * (low + high))
     # Melting snow stays at the melting point: the rest of the heat goes into its first layer, where it melts.
     cap = xp.where(ground.melting > 0.5, ZERO_CELSIUS_K, 1e4)
     t = xp.minimum(t, cap)
-    h, _ = exchange.convection(
+    h, bend = exchange.convection(
         xp, t, forcing.air_k, forcing.wind_m_s, density, ground.log_wind, ground.log_heat, ground.height_m
     )
     latent, _, heat = exchange.evaporation(
-        xp, t, forcing.vapour_pa, forcing.pressure_pa, h, density, resistance, wet
+        xp, t, forcing.vapour_pa, forcing.pressure_pa, h, bend, density, resistance, wet, frozen
     )
-    flux = gained - ground.emissivity * STEFAN_BOLTZMANN * t**4 - (h + rain) * (t - forcing.air_k) - latent
-    into = xp.where(t < cap, series * (t - alpha), flux)
-    return (t, filled(alpha + beta * into, ground.conductance, pivots, sums)), into, latent / heat
+    radiation = gained - ground.emissivity * STEFAN_BOLTZMANN * t**4
+    sensible = (h + rain) * (t - forcing.air_k)
+    into = xp.where(t < cap, series * (t - alpha), radiation - sensible - latent)
+    layers = filled(alpha + beta * into, ground.conductance, pivots, sums)
+    inside = forcing.absorbed - surface_sun
+    return (t, layers), (radiation + inside, sensible, latent, into + inside, latent / heat)
 
 
 def _melted(xp, layers, liquid, ground):
-    """(temperatures, liquid water) of layers after what is warmer than ice has molten and what is colder has frozen."""
-    warm, wet = [], []
+    """(temperatures, liquid water, what melted of all [kg m⁻²]) after warm ice has molten and cold water frozen."""
+    warm, wet, total = [], [], 0.0
     for t, now, water, capacity in zip(layers, liquid, ground.water, ground.capacity, strict=True):
         # Snow melts as long as it is there; what it cannot hold runs off.
         ice = xp.where(ground.melting > 0.5, 1e9, water - now)
@@ -236,4 +262,5 @@ def _melted(xp, layers, liquid, ground):
         molten = xp.minimum(xp.maximum(molten, -now), ice)
         warm.append(t - molten * FUSION / capacity)
         wet.append(xp.minimum(now + molten, room))
-    return warm, wet
+        total = total + molten
+    return warm, wet, total

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 
 LAYERS = 12
-# Rates of the fastest and the slowest exchange that the layers tell apart [1/s]: half a minute, a month.
+# Rates of the fastest and the slowest exchange that the layers tell apart [1/s]: 20 s, five weeks.
 _FASTEST, _SLOWEST = 1.0 / 20.0, 1.0 / 3e6
 # In a wall or a roof, which end somewhere, each layer is thicker than the one above by this factor.
 _GROWTH = 1.15
@@ -72,9 +72,10 @@ def damping_depth(conductivity, capacity, period_s=86400.0):
 def ladder(count=LAYERS):
     """Return (nodes (count,), borders (count + 1,)) of a half-space's layers [s^½], as depth × √(capacity/conductivity).
 
-    A homogeneous half-space cut so answers heat at its surface as the uncut one does, for all rates between a minute
-    and a season: temperature over flux, 1/√s, within 1e-3 for 8 layers and 1e-5 for 12, where layers with their nodes
-    in the middle err by 1e-2. Further down it is a coarse grid, whose temperatures are right to some per cent.
+    A homogeneous half-space cut so answers heat at its surface as the uncut one does: its impedance, temperature over
+    flux, 1/(I √(iω)), errs by 1e-3 for 12 layers and periods of 1 h to 10 d (5e-4 up to a day), by 3e-3 for 10 and
+    1.5e-2 for 8; 16 reach 1e-4 from 6 h to 2 d. At half an hour and at a month 12 layers err by 2e-3 and 4e-3. Further
+    down it is a coarse grid: temperatures are right to 2 % of the surface's wave, the front of frost to 4 %.
 
     Notes
     -----

@@ -93,7 +93,7 @@ def saturation_vapour(xp, temperature_k):
     return pressure, pressure * a * b / (b + celsius) ** 2
 
 
-def evaporation(xp, surface_k, vapour_pa, pressure_pa, convective, density, resistance, film):
+def evaporation(xp, surface_k, vapour_pa, pressure_pa, convective, bend, density, resistance, film, frozen):
     """Return (latent heat that leaves [W m⁻²], its derivative to the surface's temperature, heat per mass [J kg⁻¹]).
 
     Parameters
@@ -103,14 +103,17 @@ def evaporation(xp, surface_k, vapour_pa, pressure_pa, convective, density, resi
         [K]
     vapour_pa, pressure_pa : array
         Of the air [Pa].
-    convective : array
-        Exchange coefficient of heat [W m⁻² K⁻¹].
+    convective, bend : array
+        Exchange coefficient of heat [W m⁻² K⁻¹], and its derivative to the surface's temperature.
     density : array
         Of the air [kg m⁻³].
     resistance : array
         Of the surface to evaporation [s/m]; very large where it never evaporates.
     film : array
         Share of the surface that is covered by free water, 0…1.
+    frozen : array of bool
+        Whether vapour is made of ice. It is not asked of `surface_k`: the heat per mass would jump by a seventh at 0 °C,
+        where two temperatures could then balance.
 
     Notes
     -----
@@ -119,12 +122,14 @@ def evaporation(xp, surface_k, vapour_pa, pressure_pa, convective, density, resi
     """
     saturation, slope = saturation_vapour(xp, surface_k)
     excess = saturation - vapour_pa
-    heat = xp.where(surface_k < ZERO_CELSIUS_K, SUBLIMATION, VAPORISATION)
+    heat = xp.where(frozen, SUBLIMATION, VAPORISATION)
     aerodynamic = density * AIR_HEAT / convective
     open_share = xp.where(excess < 0.0, 1.0, film)
-    conductance = open_share / aerodynamic + (1.0 - open_share) / (aerodynamic + resistance)
-    gain = heat * _VAPOUR_TO_AIR * density / pressure_pa * conductance
-    return gain * excess, gain * slope, heat
+    passed = aerodynamic / (aerodynamic + resistance)
+    conductance = (open_share + (1.0 - open_share) * passed) / aerodynamic
+    steeper = (open_share + (1.0 - open_share) * passed * passed) / (density * AIR_HEAT) * bend
+    gain = heat * _VAPOUR_TO_AIR * density / pressure_pa
+    return gain * conductance * excess, gain * (conductance * slope + steeper * excess), heat
 
 
 def stomata(xp, resistance, sunlight_w_m2, deficit_pa):
