@@ -14,6 +14,7 @@ ROOMS = {
     "ground": "errors, units, defaults, paths, versions, files, schema",
     "physics": "Planck's law, bands, emission, Fresnel, surfaces, sun, heat, geodesy: NumPy only",
     "atmosphere": "air: model, rays, profile, standard table, MODTRAN; lowtran/ is how the table was fitted",
+    "weather": "a station's, a typical year's or a named day's: what is missing is modelled, what is wrong refused",
     "materials": "one material, the library, mixtures, files; import, check, compare, plot",
     "trajectory": "flight logs to timed poses",
     "sensor": "radiance to counts to picture",

@@ -148,16 +148,16 @@ def diff(
 ):
     """Tell what differs, in band emissivity and in mK of a 300 K surface under a 250 K sky."""
     from thermorender.materials import compare as material_compare
-    from thermorender.materials.library import read_library
 
     limits = _band(band)
     if second and not Path(first).is_dir() and not Path(second).is_dir():
         pair = _materials(library, [first, second])
         found = [material_compare.compare(*pair, f"{first} → {second}", limits)]
+    elif second:
+        found = material_compare.diff_folders(Path(first), Path(second), limits)
     else:
         # By itself a folder lies over the shipped tables, as a scene's does: what it leaves out is as shipped.
-        pair = (read_library(Path(first)), read_library(Path(second))) if second else (_library(first), _library(None))
-        found = material_compare.diff(*pair, limits)
+        found = material_compare.diff(_library(first), _library(None), limits)
     rows = [
         (d.name, *("—" if value is None else f"{value:.4f}" for value in d.emissivity),
          "—" if d.millikelvin is None else f"{d.millikelvin:+.1f}", d.what)

@@ -16,6 +16,7 @@ from thermorender.materials.files import (
     INDEX_OF_REFRACTION_COLUMNS,
     LONGEST_WAVELENGTH_UM,
     ROUGHNESS_COLUMN,
+    SOLAR_STD_COLUMN,
     SPECTRUM_COLUMNS,
     beyond,
     csv_rows,
@@ -23,9 +24,10 @@ from thermorender.materials.files import (
     number_in_cell,
 )
 from thermorender.materials.from_samples import WANTED_RANGE_UM
-from thermorender.materials.library import DIRECTIONAL_MODELS, NAME
+from thermorender.materials.library import DIRECTIONAL_MODELS, NAME, stray
 from thermorender.materials.samples import QUANTITIES, WAVELENGTH_UNITS, ecostress_lines, is_ecostress
-from thermorender.paths import inside
+from thermorender.materials.thermal import THERMAL_COLUMNS, beneath_fault, parsed, read_thermals
+from thermorender.paths import data_folder, inside
 from thermorender.physics.fresnel import LARGEST_SLOPE
 from thermorender.units import LOWEST_KELVIN, ZERO_CELSIUS_K
 
@@ -48,7 +50,7 @@ def check(path):
     Parameters
     ----------
     path : path
-        Folder with `index.csv` and `spectra/`; or a CSV or ECOSTRESS file.
+        Folder with `index.csv`, `spectra/` and `thermal/`; or a CSV or ECOSTRESS file.
 
     Returns
     -------
@@ -71,7 +73,10 @@ def check(path):
 
 
 def _check_library(folder):
-    header, rows, findings = _table(folder, folder / "index.csv", INDEX_COLUMNS)
+    rows, findings = [], []
+    # A folder that changes nothing but thermal properties needs no index.
+    if (folder / "index.csv").exists() or not any((folder / "thermal").glob("*.csv")):
+        _, rows, findings = _table(folder, folder / "index.csv", INDEX_COLUMNS)
     seen = set()
     for row, cells in rows:
         where, name = f"index.csv, row {row}", cells["name"]
@@ -87,12 +92,37 @@ def _check_library(folder):
         findings += _check_spectrum(
             folder / "spectra" / f"{name}.csv", f"spectra/{name}.csv", cells["directional"], folder, cells["samples"]
         )
-    for stray in sorted((folder / "spectra").glob("*.csv")) if rows else []:
-        if stray.stem not in seen:
+    for table in sorted((folder / "spectra").glob("*.csv")) if rows else []:
+        if table.stem not in seen:
             findings.append(
-                Finding(False, f"spectra/{stray.name}", "no row of index.csv names it; add a row, or delete the file")
+                Finding(False, f"spectra/{table.name}", "no row of index.csv names it; add a row, or delete the file")
             )
+    return findings + _check_thermals(folder, seen)
+
+
+def _check_thermals(folder, names):
+    """Return the findings on the tables of thermal properties of a folder whose index holds `names`."""
+    shipped, own, unreadable, findings = read_thermals(data_folder("materials")), {}, set(), []
+    for path in sorted((folder / "thermal").glob("*.csv")):
+        where = f"thermal/{path.name}"
+        _, rows, found = _table(folder, path, THERMAL_COLUMNS, where)
+        thermal, faults = parsed(rows) if rows or not found else (None, [])
+        findings += found + _thermal_findings(where, faults)
+        if thermal:
+            own[path.stem] = thermal
+        else:
+            unreadable.add(path.stem)
+        if path.stem not in {*names, *shipped}:
+            findings.append(Finding(True, where, stray(path.stem, {*names, *shipped})))
+    for name, thermal in own.items():
+        # What cannot be read still is there for what lies above it.
+        if thermal.beneath not in unreadable and (fault := beneath_fault(name, shipped | own)):
+            findings.append(Finding(True, f"thermal/{name}.csv", fault))
     return findings
+
+
+def _thermal_findings(where, faults):
+    return [Finding(True, f"{where}, row {row}" if row else where, sentence) for row, sentence in faults]
 
 
 def _check_row(where, cells):
@@ -116,6 +146,8 @@ def _check_row(where, cells):
     ]
     if cells.get(ROUGHNESS_COLUMN):
         limits.append((ROUGHNESS_COLUMN, 0.0, LARGEST_SLOPE, "give the root mean square slope, 0 for a mirror"))
+    if cells.get(SOLAR_STD_COLUMN):
+        limits.append((SOLAR_STD_COLUMN, 0.0, 1.0, "give one standard deviation, or leave the cell empty"))
     for column, low, high, mend in limits:
         try:
             number_in_cell("", 0, column, cells[column], low, high, mend)
@@ -127,6 +159,11 @@ def _check_row(where, cells):
 def _check_spectrum(path, where, directional, folder=None, samples=""):
     """Return the findings on one CSV table; `directional` None tells its kind by its headings."""
     header, rows, findings = _table(folder, path, (), where)
+    if directional is None and "property" in header:
+        missing = [column for column in THERMAL_COLUMNS if column not in header]
+        lacks = f"row 1 lacks column {', '.join(missing)}; it must hold {', '.join(THERMAL_COLUMNS)}"
+        faults = [(None, lacks)] if missing else parsed(rows)[1]
+        return findings + _thermal_findings(where, faults)
     if not rows:
         if header and not findings:
             findings.append(Finding(True, where, "holds no row of data; a spectrum needs 2 at least"))

@@ -5,10 +5,11 @@ from pathlib import Path
 
 from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
-from thermorender.files import atomic_folder, check_new_folder, read_text
-from thermorender.materials.files import INDEX_COLUMNS, ROUGHNESS_COLUMN, read_table
+from thermorender.files import atomic_folder, check_new_folder, read_text, write_text
+from thermorender.materials.files import INDEX_COLUMNS, OPTIONAL_COLUMNS, read_table
 from thermorender.materials.library import read_library
 from thermorender.materials.store import store
+from thermorender.materials.thermal import PROPERTIES, read_thermals
 from thermorender.physics.planck import band_radiance, brightness_temperature
 
 # What a change of emissivity is told in, over a camera's band: a surface, and the sky it reflects.
@@ -16,8 +17,8 @@ SURFACE_K = 300.0
 SKY_K = 250.0
 
 TOLD = (
-    "title", "colour", "solar_absorptance", "temperature", "directional", "rms_slope", "samples", "source", "citation",
-    "licence", "note",
+    "title", "colour", "solar_absorptance", "solar_absorptance_std", "temperature", "directional", "rms_slope",
+    "samples", "source", "citation", "licence", "note",
 )  # fmt: skip
 
 
@@ -93,9 +94,7 @@ def compare(first, second, name, band_um=BAND_UM):
     shift = None
     if all(measured):
         shift = 1e3 * (apparent_temperature(second, band_um) - apparent_temperature(first, band_um))
-    what = [key for key in TOLD if getattr(first, key) != getattr(second, key)]
-    if not _same_spectrum(first, second):
-        what.insert(0, "spectrum")
+    what = [*_told(first, second), *_thermal_told(first.thermal, second.thermal)]
     return Difference(name, emissivity, shift, ", ".join(what))
 
 
@@ -105,16 +104,29 @@ def diff(first, second, band_um=BAND_UM):
     return [difference for difference in found if difference.what]
 
 
+def diff_folders(first, second, band_um=BAND_UM):
+    """Return the Differences between two materials folders, tables of thermal properties without a row included."""
+    folders = (first, second)
+    libraries, thermals = [read_library(folder) for folder in folders], [read_thermals(folder) for folder in folders]
+    alone = {name: _thermal_told(*(own.get(name) for own in thermals)) for name in thermals[0] | thermals[1]}
+    return diff(*libraries, band_um) + [
+        Difference(name, (None, None), None, ", ".join(what))
+        for name, what in alone.items()
+        if what and not any(name in library for library in libraries)
+    ]
+
+
 def merge(first, second, output, prefer=None):
     """Make one library of two in a new folder; return (names from the first, names from the second, conflicts).
 
     A material in only one of them is taken; one that is alike in both is taken once; one that differs between
-    them is a conflict, refused unless `prefer` says which folder wins.
+    them is a conflict, refused unless `prefer` says which folder wins. So are tables of thermal properties, each by
+    itself: those of one folder join the spectrum of the other.
 
     Parameters
     ----------
     first, second : path
-        Folders with `index.csv` and `spectra/`.
+        Folders with `index.csv`, `spectra/` and `thermal/`.
     output : path
         Folder to make; it must not exist, or be empty.
     prefer : {None, "first", "second"}
@@ -128,26 +140,55 @@ def merge(first, second, output, prefer=None):
     check_new_folder(output)
     if prefer not in (None, "first", "second"):
         raise ThermorenderError(f"--prefer={prefer!r} is not allowed; give first or second")
-    libraries = [read_library(folder) for folder in (first, second)]
-    differing = [d.name for d in diff(*libraries) if d.name in libraries[0] and d.name in libraries[1]]
+    folders = (first, second)
+    libraries, thermals = [read_library(folder) for folder in folders], [read_thermals(folder) for folder in folders]
+    differing = list(dict.fromkeys(_unlike(libraries, _told) + _unlike(thermals, _thermal_told)))
     if differing and prefer is None:
         raise ThermorenderError(
             f"{first} and {second} hold {', '.join(differing)} differently; look with `thermorender materials diff`, "
             "then say which wins with --prefer first or --prefer second"
         )
-    # By number, as both may be the same folder.
-    taken = dict.fromkeys(libraries[0], 0) | {
-        name: 1 for name in libraries[1] if name not in libraries[0] or (name in differing and prefer == "second")
-    }
+
+    def winners(one, other):
+        """Return {name: number of the folder it is taken from}; by number, as both may be the same folder."""
+        won = {name: 1 for name in other if name not in one or (name in differing and prefer == "second")}
+        return dict.fromkeys(one, 0) | won
+
+    taken, taken_thermal = winners(*libraries), winners(*thermals)
     with atomic_folder(output) as scratch:
-        for number, folder in enumerate((first, second)):
-            for _, cells in read_table(folder / "index.csv", INDEX_COLUMNS, folder):
+        for number, folder in enumerate(folders):
+            for _, cells in read_table(folder / "index.csv", INDEX_COLUMNS, folder) if libraries[number] else ():
                 if taken[cells["name"]] == number:
                     table = read_text(folder / "spectra" / f"{cells['name']}.csv")
-                    row = {key: cells[key] for key in (*INDEX_COLUMNS, ROUGHNESS_COLUMN) if key in cells}
+                    row = {key: cells[key] for key in (*INDEX_COLUMNS, *OPTIONAL_COLUMNS) if key in cells}
                     store(row, table, scratch)
-    chosen = [[name for name in taken if taken[name] == number] for number in (0, 1)]
-    return *chosen, differing
+        for name, number in taken_thermal.items():
+            write_text(scratch / "thermal" / f"{name}.csv", read_text(folders[number] / "thermal" / f"{name}.csv"))
+    both = taken_thermal | taken
+    return *([name for name in both if both[name] == number] for number in (0, 1)), differing
+
+
+def _unlike(pair, told):
+    """Return the names that both dicts hold and whose values `told` tells apart."""
+    return [name for name in pair[0] if name in pair[1] and told(pair[0][name], pair[1][name])]
+
+
+def _told(first, second):
+    """Return the words for what differs between two materials, thermal properties aside."""
+    changed = [key for key in TOLD if getattr(first, key) != getattr(second, key)]
+    return changed if _same_spectrum(first, second) else ["spectrum", *changed]
+
+
+def _thermal_told(first, second):
+    """Return the words for what differs between the thermal properties of two materials, each Thermal or None."""
+    if first is None or second is None:
+        only = "first" if second is None else "second"
+        return [] if first is second else [f"thermal properties only in the {only}"]
+
+    def content(thermal, key):
+        return thermal.values[key], thermal.uncertainty.get(key), thermal.source.get(key)
+
+    return [key for key in PROPERTIES if content(first, key) != content(second, key)]
 
 
 def _same_spectrum(first, second):

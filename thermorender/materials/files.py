@@ -21,6 +21,9 @@ INDEX_COLUMNS = (
 )  # fmt: skip
 # Only Fresnel materials need it, so a table without it is whole.
 ROUGHNESS_COLUMN = "rms_slope"
+# Only the heat balance asks for it.
+SOLAR_STD_COLUMN = "solar_absorptance_std"
+OPTIONAL_COLUMNS = (ROUGHNESS_COLUMN, SOLAR_STD_COLUMN)
 SPECTRUM_COLUMNS = ("wavelength_um", "emissivity", "emissivity_std")
 INDEX_OF_REFRACTION_COLUMNS = ("wavelength_um", "n", "k")
 ANGLE_COLUMN = re.compile(r"at_(\d+(?:\.\d+)?)")

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.materials.files import gaps, number_in_cell, read_table, read_text
+from thermorender.materials.files import SOLAR_STD_COLUMN, gaps, number_in_cell, read_table, read_text
 from thermorender.materials.library import Material, read_library
 from thermorender.materials.samples import LIBRARIES, is_ecostress, read_sample
 from thermorender.materials.store import write_material, write_refractive_index
@@ -38,6 +38,9 @@ SOLAR_RANGE_UM = (0.3, 2.5)
 # A spectrum that starts no later than this holds enough of the solar range to weigh it.
 SOLAR_START_UM = 0.42
 SUN_TEMPERATURE_K = 5778.0
+# Fewer samples tell too little about how a kind of surface differs.
+FEWEST_FOR_SPREAD = 3
+
 
 def from_samples(
     samples,
@@ -50,6 +53,7 @@ def from_samples(
     source="",
     citation="",
     licence="",
+    solar_absorptance_std=None,
 ):
     """Return the Material that is the mean over measured samples.
 
@@ -64,6 +68,8 @@ def from_samples(
         As in Material; the temperature in kelvin.
     solar_absorptance : float, optional
         If not given, one minus the reflectance weighted with sunlight, from the samples that reach into it.
+    solar_absorptance_std : float, optional
+        If not given, the standard deviation over the samples that reach into sunlight, where they are three or more.
     source, citation, licence : str, optional
         For samples of no known library; those of ECOSTRESS and SLUM know theirs.
 
@@ -98,10 +104,14 @@ def from_samples(
     std[several] = np.nanstd(tables[:, several], axis=0, ddof=1)
     remarks = [note, _coverage(grid, count), "colour and temperature are typical values, assumed"]
     if solar_absorptance is None:
-        solar_absorptance, remark = _solar_absorptance(samples, name)
+        solar_absorptance, spread, remark = _solar_absorptance(samples, name)
+        if solar_absorptance_std is None and spread is not None:
+            solar_absorptance_std, remark = spread, f"{remark}, with their standard deviation"
         remarks.append(remark)
     else:
         remarks.append("solar absorptance is assumed")
+    if solar_absorptance_std is not None and not remarks[-1].endswith("with their standard deviation"):
+        remarks[-1] += ", its standard deviation chosen"
     libraries = [key for key in LIBRARIES if any(sample.library == key for sample in samples)]
     sources = [
         f"{LIBRARIES[key][0]}: {'; '.join(sample.source for sample in samples if sample.library == key)}"
@@ -120,6 +130,7 @@ def from_samples(
         citation="; ".join(filter(None, [citation, *(LIBRARIES[key][1] for key in libraries)])),
         licence="; ".join(filter(None, [licence, *(LIBRARIES[key][2] for key in libraries)])),
         samples=len(samples),
+        solar_absorptance_std=solar_absorptance_std,
         note="; ".join(remark for remark in remarks if remark),
     )
 
@@ -199,7 +210,8 @@ def read_selection(path, folders):
     """Return the materials of a selection file, each the mean over its samples, in the file's order.
 
     The file has one row per sample; the first row of a material also holds its title, colour, temperature,
-    note and, where it cannot be measured, its solar absorptance. A sample of a table with several is written
+    note and, where it cannot be measured, its solar absorptance; a column solar_absorptance_std may give the latter's
+    standard deviation where fewer than three samples do. A sample of a table with several is written
     `LUMA_SLUM_IR.csv#A001`.
 
     Parameters
@@ -233,7 +245,9 @@ def read_selection(path, folders):
             mend = "correct the first row of the material"
             return number_in_cell(path, row, column, cells[column], low, high, mend)
 
-        solar = number("solar_absorptance", 0, 1) if cells["solar_absorptance"] else None
+        solar, solar_std = (
+            number(key, 0, 1) if cells.get(key) else None for key in ("solar_absorptance", SOLAR_STD_COLUMN)
+        )
         materials.append(
             from_samples(
                 [read_sample(*source) for source in sources],
@@ -243,6 +257,7 @@ def read_selection(path, folders):
                 solar_absorptance=solar,
                 temperature=number("temperature_k", 100, 6000),
                 note=cells["note"],
+                solar_absorptance_std=solar_std,
             )
         )
     return materials
@@ -358,7 +373,7 @@ def _coverage(grid, count):
 
 
 def _solar_absorptance(samples, name):
-    """Return one minus the reflectance weighted with a 5778 K blackbody's light, and a remark how."""
+    """Return one minus the reflectance weighted with a 5778 K blackbody's light, its spread or None, a remark how."""
     values, starts = [], []
     for sample in samples:
         if not sample.sunlight_um.size or sample.sunlight_um[-1] < SOLAR_RANGE_UM[1]:
@@ -380,4 +395,5 @@ def _solar_absorptance(samples, name):
         f"solar absorptance from {len(values)} of {len(samples)} samples, weighted with a "
         f"{SUN_TEMPERATURE_K:g} K blackbody over {max(starts):g}–{SOLAR_RANGE_UM[1]:g} µm"
     )
-    return float(np.mean(values)), remark
+    spread = float(np.std(values, ddof=1)) if len(values) >= FEWEST_FOR_SPREAD else None
+    return float(np.mean(values)), spread, remark

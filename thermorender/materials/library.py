@@ -1,12 +1,13 @@
 """Surface materials: emissivity spectra with their source, read from tables a person edits in a spreadsheet.
 
-A library is a folder with `index.csv` (one row per material) and `spectra/<name>.csv` (its measured emissivity, its
-refractive index, or its emissivity by angle). The package ships one; a scene may lay its own `materials/` folder over
-it. A material knows the wavelengths at which it was measured and refuses all others.
+A library is a folder with `index.csv` (one row per material), `spectra/<name>.csv` (its measured emissivity, its
+refractive index, or its emissivity by angle) and, where it takes part in a heat balance, `thermal/<name>.csv`. The
+package ships one; a scene may lay its own `materials/` folder over it. A material knows the wavelengths at which it was
+measured and refuses all others.
 """
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +17,14 @@ from thermorender.materials.files import (
     INDEX_COLUMNS,
     LONGEST_WAVELENGTH_UM,
     ROUGHNESS_COLUMN,
+    SOLAR_STD_COLUMN,
     number_in_cell,
     read_angles,
     read_emissivity,
     read_refractive_index,
     read_table,
 )
+from thermorender.materials.thermal import Thermal, read_thermals, stacked
 from thermorender.paths import data_folder
 from thermorender.physics.fresnel import LARGEST_SLOPE
 from thermorender.physics.planck import spectral_radiance
@@ -34,6 +37,9 @@ NAME = re.compile(r"[A-Za-z0-9_-]+")
 
 # Wavelengths computed as 1e4 / wavenumber land beside the end of a table by rounding only.
 ROUNDING_UM = 1e-9
+
+# Taken for one standard deviation of the solar absorptance where none is given: what samples of one kind differ by.
+ASSUMED_SOLAR_STD = 0.05
 
 # Four nodes a panel take Planck's law exactly over this much of a band, down to 100 K.
 LONGEST_PANEL_UM = 0.25
@@ -58,6 +64,10 @@ class Material:
         Typical sRGB colour, 0-255.
     solar_absorptance : float
         Share of sunlight (0.3-2.5 µm) absorbed [1].
+    solar_absorptance_std : float or None
+        Its standard deviation [1]; None: unknown, and `solar_uncertainty` is an assumption.
+    thermal : Thermal or None
+        Thermal properties; None where the library has no table of them. Those of a mixture are its parts'.
     temperature : float
         Typical daytime kinetic temperature [K], an assumption for where nothing better is known.
     source, citation, licence : str
@@ -95,6 +105,8 @@ class Material:
     cosines: np.ndarray | None = None
     emissivity_by_angle: np.ndarray | None = None
     gaps_um: tuple = ()
+    solar_absorptance_std: float | None = None
+    thermal: Thermal | None = None
 
     def __post_init__(self):
         for key in ("wavelength_um", "emissivity", "emissivity_std", "cosines", "emissivity_by_angle"):
@@ -108,6 +120,26 @@ class Material:
     def valid_range_um(self):
         """The shortest and longest measured wavelength [µm]."""
         return float(self.wavelength_um[0]), float(self.wavelength_um[-1])
+
+    @property
+    def solar_uncertainty(self):
+        """One standard deviation of the solar absorptance [1]: the table's, or 0.05 where it gives none."""
+        return ASSUMED_SOLAR_STD if self.solar_absorptance_std is None else self.solar_absorptance_std
+
+    def known_thermal(self):
+        """Return the thermal properties.
+
+        Raises
+        ------
+        ThermorenderError
+            The library has none of this material; the message names the file to add.
+        """
+        if self.thermal is None:
+            raise ThermorenderError(
+                f"material {self.name!r} has no thermal properties; add thermal/{self.name}.csv (columns property, "
+                "value, uncertainty, source) to a materials/ folder of the scene, or use a material that has them"
+            )
+        return self.thermal
 
     def emissivity_at(self, wavelength_um):
         """Return the hemispherical emissivity at the wavelengths asked, linear between the tabulated ones.
@@ -235,7 +267,8 @@ class Material:
             f"  emissivity    {self.emissivity[low]:.3f} at {self.wavelength_um[low]:g} µm to "
             f"{self.emissivity[high]:.3f} at {self.wavelength_um[high]:g} µm, {self._directional_words()}",
             f"  spread        {spread}",
-            f"  sunlight      absorbs {self.solar_absorptance:.2f}; sRGB colour {self.colour}",
+            f"  sunlight      absorbs {self.solar_absorptance:.2f} ± {self.solar_uncertainty:.2g}"
+            f"{' (assumed)' if self.solar_absorptance_std is None else ''}; sRGB colour {self.colour}",
             f"  temperature   {self.temperature:g} K by day, assumed where nothing better is known",
             f"  source        {self.source}",
             f"  cite          {self.citation}",
@@ -243,6 +276,10 @@ class Material:
         ]
         if self.note:
             lines.append(f"  note          {self.note}")
+        if self.thermal:
+            lines.append(f"  thermal       inertia {self.thermal.inertia:.0f} J m⁻² K⁻¹ s^-½, value ± one standard "
+                         "deviation and source:")  # fmt: skip
+            lines += [f"    {line}" for line in str(self.thermal).splitlines()]
         return "\n".join(lines)
 
     def _directional_words(self):
@@ -319,8 +356,9 @@ def load_library(directory=None):
     Parameters
     ----------
     directory : path, optional
-        Folder with `index.csv` and `spectra/`, e.g. a scene's own `materials/`. A material of the same
-        name replaces the shipped one.
+        Folder with `index.csv`, `spectra/` and `thermal/`, e.g. a scene's own `materials/`. A row and spectrum of
+        the same name replace the shipped ones, and a table of thermal properties the shipped one, each by itself; a
+        folder with nothing but `thermal/` needs no index.
 
     Returns
     -------
@@ -329,18 +367,39 @@ def load_library(directory=None):
     Raises
     ------
     ThermorenderError
-        A table is missing or holds something that cannot be right; the message names file and row.
+        A table is missing or holds something that cannot be right, or thermal properties are of no material, or what
+        lies beneath is none; the message names file and row.
     """
-    library = read_library(data_folder("materials"))
+    shipped = data_folder("materials")
+    library, where = read_library(shipped), shipped
+    thermals = {name: material.thermal for name, material in library.items() if material.thermal}
     if directory is not None:
-        library.update(read_library(Path(directory)))
+        where = Path(directory)
+        library |= read_library(where)
+        own = read_thermals(where)
+        # Its own first: faults are looked for in this order.
+        thermals = own | {name: thermal for name, thermal in thermals.items() if name not in own}
+        for name in own:
+            if name not in library:
+                raise ThermorenderError(f"{where / 'thermal' / name}.csv {stray(name, library)}")
+    for name, thermal in stacked(thermals, where).items():
+        library[name] = replace(library[name], thermal=thermal)
     return library
 
 
+def stray(name, library):
+    """Return a clause on a table of thermal properties whose name no material has."""
+    near = closest(name, library)
+    hint = f"did you mean {near[0]}? " if near else ""
+    return f"belongs to no material; {hint}name it after one, or add a row to index.csv and a spectrum"
+
+
 def read_library(directory):
-    """Return the materials of one folder by name."""
+    """Return the materials of one folder by name; thermal properties without what lies beneath, see `load_library`."""
     index = directory / "index.csv"
-    library = {}
+    thermals, library = read_thermals(directory), {}
+    if thermals and not index.exists():
+        return library
     for row, cells in read_table(index, INDEX_COLUMNS, directory):
         name = cells["name"]
         # The name becomes a file name, so it must not lead elsewhere.
@@ -352,12 +411,12 @@ def read_library(directory):
             raise ThermorenderError(
                 f"{index}, row {row}: material {name!r} is listed twice; delete one row or rename it"
             )
-        library[name] = _read_material(directory, index, row, cells)
+        library[name] = _read_material(directory, index, row, cells, thermals.get(name))
     return library
 
 
-def _read_material(directory, index, row, cells):
-    """Return the material of one row of the index together with its spectrum."""
+def _read_material(directory, index, row, cells, thermal):
+    """Return the material of one row of the index together with its spectrum and thermal properties."""
     for column in ("title", "source", "citation", "licence"):
         if not cells[column]:
             raise ThermorenderError(
@@ -379,6 +438,9 @@ def _read_material(directory, index, row, cells):
     rms_slope = 0.0
     if cells.get(ROUGHNESS_COLUMN):
         rms_slope = number(ROUGHNESS_COLUMN, 0.0, LARGEST_SLOPE, "give the root mean square slope, 0 for a mirror")
+    solar_std = None
+    if cells.get(SOLAR_STD_COLUMN):
+        solar_std = number(SOLAR_STD_COLUMN, 0.0, 1.0, "give one standard deviation, or leave the cell empty")
     path = directory / "spectra" / f"{cells['name']}.csv"
     if cells["directional"] == "fresnel":
         spectrum = read_refractive_index(path, rms_slope, directory)
@@ -398,6 +460,8 @@ def _read_material(directory, index, row, cells):
         directional=cells["directional"],
         samples=int(number("samples", 1, 1e6, "count the measured samples")),
         note=cells["note"],
+        solar_absorptance_std=solar_std,
+        thermal=thermal,
     )
 
 

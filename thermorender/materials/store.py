@@ -1,4 +1,4 @@
-"""Writing into a materials folder: index row and table, both or neither, and never over what is there unasked."""
+"""Writing into a materials folder: index row and tables, all or none, and never over what is there unasked."""
 
 import csv
 import io
@@ -13,18 +13,21 @@ from thermorender.materials.files import (
     INDEX_COLUMNS,
     INDEX_OF_REFRACTION_COLUMNS,
     ROUGHNESS_COLUMN,
+    SOLAR_STD_COLUMN,
     SPECTRUM_COLUMNS,
     read_table,
 )
 from thermorender.materials.library import NAME, read_library
+from thermorender.materials.thermal import table_text
 
 
 def write_material(material, directory, replace=False):
-    """Write a Lambertian material's spectrum and its row of `index.csv` into a folder, both or neither.
+    """Write a Lambertian material's tables and its row of `index.csv` into a folder, all or none.
 
     Parameters
     ----------
     material : Material
+        One without thermal properties leaves a table of them that is there as it is.
     directory : path
         Made if absent; other rows of its index stay as they are.
     replace : bool
@@ -39,7 +42,8 @@ def write_material(material, directory, replace=False):
     for row in zip(material.wavelength_um, material.emissivity, material.emissivity_std, strict=True):
         wavelength, emissivity, std = row
         lines.append(f"{wavelength:.9g},{emissivity:.6f},{'' if np.isnan(std) else f'{std:.5f}'}")
-    store(index_row(material), "\n".join(lines) + "\n", directory, replace)
+    thermal = table_text(material.thermal) if material.thermal else None
+    store(index_row(material), "\n".join(lines) + "\n", directory, replace, thermal)
 
 
 def write_materials(materials, directory, replace=False):
@@ -65,7 +69,8 @@ def write_refractive_index(path, material, directory, replace=False):
     rows = read_table(path, INDEX_OF_REFRACTION_COLUMNS)
     lines = [",".join(INDEX_OF_REFRACTION_COLUMNS)]
     lines += [",".join(cells[key] for key in INDEX_OF_REFRACTION_COLUMNS) for _, cells in rows]
-    store(material | {"directional": "fresnel"}, "\n".join(lines) + "\n", directory, replace)
+    row = {SOLAR_STD_COLUMN: ""} | material | {"directional": "fresnel"}
+    store(row, "\n".join(lines) + "\n", directory, replace)
 
 
 def index_row(material):
@@ -84,13 +89,15 @@ def index_row(material):
         "citation": material.citation,
         "licence": material.licence,
         "note": material.note,
+        SOLAR_STD_COLUMN: "" if material.solar_absorptance_std is None else f"{material.solar_absorptance_std:.2g}",
     } | ({ROUGHNESS_COLUMN: f"{material.rms_slope:g}"} if material.directional == "fresnel" else {})
 
 
-def store(row, spectrum, directory, replace=False):
-    """Write a material's index row (dict) and the text of its spectrum table into a folder, both or neither.
+def store(row, spectrum, directory, replace=False, thermal=None):
+    """Write a material's index row (dict) and the texts of its tables into a folder, all or none.
 
-    It is read back from a scratch folder first, so nothing is written that the library would refuse.
+    `thermal` None writes no table of thermal properties. It is read back from a scratch folder first, so nothing is
+    written that the library would refuse.
     """
     directory, name = Path(directory), str(row["name"])
     if not NAME.fullmatch(name):
@@ -98,14 +105,15 @@ def store(row, spectrum, directory, replace=False):
     index = directory / "index.csv"
     _refuse_existing(directory, name, replace)
     rows = {cells["name"]: cells for _, cells in read_table(index, INDEX_COLUMNS)} if index.is_file() else {}
+    tables = {f"spectra/{name}.csv": spectrum} | ({f"thermal/{name}.csv": thermal} if thermal else {})
     with tempfile.TemporaryDirectory() as scratch:
         try:
-            _write_both(Path(scratch), _index_text([row]), name, spectrum)
+            _write_all(Path(scratch), tables | {"index.csv": _index_text([row])})
             read_library(Path(scratch))
         except ThermorenderError as error:
             raise ThermorenderError(str(error).replace(scratch, str(directory))) from None
     rows[name] = rows.get(name, {}) | row
-    _write_both(directory, _index_text(rows.values()), name, spectrum)
+    _write_all(directory, tables | {"index.csv": _index_text(rows.values())})
 
 
 def _refuse_existing(directory, name, replace):
@@ -115,19 +123,22 @@ def _refuse_existing(directory, name, replace):
         raise ThermorenderError(f"{directory} already holds material {name!r}; choose another name, or add --replace")
 
 
-def _write_both(directory, index, name, spectrum):
-    """Replace the table and the index of a folder; a failure of the second undoes the first."""
-    table = directory / "spectra" / f"{name}.csv"
-    before = table.read_bytes() if table.exists() else None
-    write_text(table, spectrum)
+def _write_all(directory, texts):
+    """Replace files of a folder, {path in it: text}; a failure undoes those that were written."""
+    paths = [directory / name for name in texts]
+    before = {path: path.read_bytes() if path.exists() else None for path in paths}
+    written = []
     try:
-        write_text(directory / "index.csv", index)
+        for path, text in zip(paths, texts.values(), strict=True):
+            write_text(path, text)
+            written.append(path)
     except BaseException:
-        if before is None:
-            table.unlink()
-        else:
-            with atomic(table) as part:
-                part.write_bytes(before)
+        for path in written:
+            if (old := before[path]) is None:
+                path.unlink()
+            else:
+                with atomic(path) as part:
+                    part.write_bytes(old)
         raise
 
 

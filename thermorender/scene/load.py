@@ -329,6 +329,8 @@ class Scene:
             state.update(material.name.encode() + material.wavelength_um.tobytes() + material.emissivity.tobytes())
             for table in (material.cosines, material.emissivity_by_angle):
                 state.update(b"" if table is None else table.tobytes())
+            layers = material.thermal.layers if material.thermal else ()
+            state.update(repr((material.solar_absorptance, [layer.values for layer in layers])).encode())
         for tracked in self.tracked_objects:
             state.update(repr((tracked.item, tracked.lift_m)).encode() + tracked.time_s.tobytes())
             for name, values in tracked.columns.items():

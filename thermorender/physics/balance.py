@@ -1,0 +1,236 @@
+"""Heat balance of surfaces: sun, sky, air, vapour and what lies beneath, marched through time.
+
+A surface without thickness lies on a column of layers. In each stage of a step the column's answer to heat from above
+is linear, so that the surface's temperature alone has to be found, by Newton. NumPy and Dr.Jit arrays alike, through
+the library `xp`; all fields broadcast over the columns.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from thermorender.physics import exchange
+from thermorender.physics.conduction import filled, top_response
+from thermorender.units import ZERO_CELSIUS_K
+
+STEFAN_BOLTZMANN = 5.670374419e-8  # W m⁻² K⁻⁴, CODATA 2018
+FUSION = 3.337e5  # J kg⁻¹
+WATER_HEAT = 4186.0  # J kg⁻¹ K⁻¹
+# Both stages of Alexander's two-stage scheme, which is L-stable and of second order: SIAM J. Numer. Anal. 14 (1977)
+# 1006, theorem 5.
+_GAMMA = 1.0 - np.sqrt(0.5)
+_NEWTON = 6
+_LARGEST_STEP_K = 20.0
+# Of its own water, what snow holds against gravity: Anderson, NOAA Technical Report NWS 19 (1976).
+RETENTION = 0.05
+
+
+class Ground(NamedTuple):
+    """What takes part in the balance of a column: arrays over the columns, or lists over its layers.
+
+    Attributes
+    ----------
+    emissivity : array
+        Broadband hemispherical [1].
+    log_wind, log_heat, height_m : array
+        As by `exchange.convection`.
+    resistance : array
+        To evaporation when moist [s/m]; leaves: of the stomata in full sun.
+    wetness : array
+        Moisture available to evaporation, 0…1; the resistance is divided by it.
+    leaves : array
+        1 where stomata evaporate, 0 elsewhere.
+    held : array
+        Free water that stays on it [kg m⁻²].
+    melting : array
+        1 where the surface is snow or ice, 0 elsewhere.
+    capacity, conductance : list
+        As of conduction.Layers.
+    water : list or None
+        Freezable water of the layers [kg m⁻²]; None where nothing freezes or melts.
+    sun_share : list or None
+        Share of the absorbed sunlight that each layer takes; None where all of it is the surface's.
+    """
+
+    emissivity: Any
+    log_wind: Any
+    log_heat: Any
+    height_m: Any
+    resistance: Any
+    wetness: Any
+    leaves: Any
+    held: Any
+    melting: Any
+    capacity: list
+    conductance: list
+    water: list | None = None
+    sun_share: list | None = None
+
+
+class Forcing(NamedTuple):
+    """What acts on the columns at one instant.
+
+    Attributes
+    ----------
+    absorbed : array
+        Sunlight absorbed [W m⁻²].
+    longwave : array
+        Long-wave that arrives [W m⁻²].
+    sunlight : array
+        On a level plane in the open [W m⁻²], for the stomata.
+    air_k, vapour_pa, wind_m_s, pressure_pa : array
+        Of the air; the wind as it blows over this surface.
+    rain_kg_m2_s : array
+    below_k : array
+        Temperature of the air beneath the column where there is some [K].
+    """
+
+    absorbed: Any
+    longwave: Any
+    sunlight: Any
+    air_k: Any
+    vapour_pa: Any
+    wind_m_s: Any
+    pressure_pa: Any
+    rain_kg_m2_s: Any
+    below_k: Any
+
+
+class State(NamedTuple):
+    """Of the columns at one instant.
+
+    Attributes
+    ----------
+    surface_k : array
+        [K]
+    layers_k : list of arrays
+        [K]
+    film : array
+        Free water on the surface [kg m⁻²].
+    liquid : list of arrays or None
+        Of the layers' freezable water what is liquid [kg m⁻²].
+    """
+
+    surface_k: Any
+    layers_k: list
+    film: Any
+    liquid: list | None
+
+
+class Fluxes(NamedTuple):
+    """Into the surface, mean over a step [W m⁻²], and what evaporated [kg m⁻² s⁻¹]."""
+
+    net: Any
+    into_ground: Any
+    evaporated: Any
+
+
+def at_rest(xp, temperatures_k, ground):
+    """Return the State of columns with given temperatures of their layers, dry, snow frozen and the rest molten.
+
+    Soil below freezing is frozen.
+    """
+    liquid = None
+    if ground.water is not None:
+        liquid = [
+            xp.where((t < ZERO_CELSIUS_K) | (ground.melting > 0.5), 0.0 * w, w)
+            for t, w in zip(temperatures_k, ground.water, strict=True)
+        ]
+    return State(temperatures_k[0], list(temperatures_k), 0.0 * temperatures_k[0], liquid)
+
+
+def step(xp, state, ground, first, second, seconds):
+    """Return (State, Fluxes) one time step later.
+
+    Parameters
+    ----------
+    xp : module
+        NumPy or Dr.Jit, with `where`.
+    state : State
+    ground : Ground
+    first, second : Forcing
+        At `stage_times` of the step.
+    seconds : float or array
+        Length of the step [s].
+    """
+    stage = _GAMMA * seconds
+    early, flux, lost = _stage(xp, state, state.layers_k, state.surface_k, ground, first, stage)
+    ahead = (1.0 - _GAMMA) / _GAMMA
+    known = [t + ahead * (y - t) for t, y in zip(state.layers_k, early[1], strict=True)]
+    late, flux_2, lost_2 = _stage(xp, state, known, early[0], ground, second, stage)
+    flux = (1.0 - _GAMMA) * flux + _GAMMA * flux_2
+    lost = (1.0 - _GAMMA) * lost + _GAMMA * lost_2
+    rain = (1.0 - _GAMMA) * first.rain_kg_m2_s + _GAMMA * second.rain_kg_m2_s
+    film = xp.minimum(xp.maximum(state.film + seconds * (rain - lost), 0.0), ground.held)
+    layers, liquid, surface = late[1], state.liquid, late[0]
+    if ground.water is not None:
+        layers, liquid = _melted(xp, layers, liquid, ground)
+    return State(surface, layers, film, liquid), Fluxes(flux, flux, lost)
+
+
+def stage_times(seconds):
+    """Return when a step's two stages lie after its beginning [s]."""
+    return _GAMMA * seconds, seconds
+
+
+def _stage(xp, state, known, guess, ground, forcing, seconds):
+    """((surface, layers), heat into the ground, evaporation) after one implicit stage."""
+    heating = None
+    surface_sun = forcing.absorbed
+    if ground.sun_share is not None:
+        heating = [share * forcing.absorbed for share in ground.sun_share]
+        surface_sun = forcing.absorbed - sum(heating)
+    alpha, beta, pivots, sums = top_response(
+        known, ground.capacity, ground.conductance, forcing.below_k, seconds, heating
+    )
+    # From the surface to the column's heart: through the skin and the first half layer.
+    series = 1.0 / (beta + 1.0 / ground.conductance[0])
+    density = exchange.air_density(forcing.pressure_pa, forcing.air_k)
+    saturation, _ = exchange.saturation_vapour(xp, forcing.air_k)
+    closed = exchange.stomata(xp, ground.resistance, forcing.sunlight, saturation - forcing.vapour_pa)
+    resistance = xp.where(ground.leaves > 0.5, closed, ground.resistance) / xp.maximum(ground.wetness, 1e-6)
+    wet = xp.minimum(state.film / xp.maximum(ground.held, 1e-3), 1.0)
+    rain = WATER_HEAT * forcing.rain_kg_m2_s
+    gained = surface_sun + ground.emissivity * forcing.longwave
+    t = guess
+    for _ in range(_NEWTON):
+        h, bend = exchange.convection(
+            xp, t, forcing.air_k, forcing.wind_m_s, density, ground.log_wind, ground.log_heat, ground.height_m
+        )
+        latent, slope, heat = exchange.evaporation(
+            xp, t, forcing.vapour_pa, forcing.pressure_pa, h, density, resistance, wet
+        )
+        cube = ground.emissivity * STEFAN_BOLTZMANN * t**3
+        warmer = t - forcing.air_k
+        flux = gained - cube * t - (h + rain) * warmer - latent
+        # The exchange weakens where a surface cools below the air: its share of the slope is bounded, so that the
+        # step keeps its direction.
+        rate = 4.0 * cube + xp.maximum(h + bend * warmer, 0.25 * h) + rain + slope + series
+        move = (flux - series * (t - alpha)) / rate
+        t = t + xp.minimum(xp.maximum(move, -_LARGEST_STEP_K), _LARGEST_STEP_K)
+    # Melting snow stays at the melting point: the rest of the heat goes into its first layer, where it melts.
+    cap = xp.where(ground.melting > 0.5, ZERO_CELSIUS_K, 1e4)
+    t = xp.minimum(t, cap)
+    h, _ = exchange.convection(
+        xp, t, forcing.air_k, forcing.wind_m_s, density, ground.log_wind, ground.log_heat, ground.height_m
+    )
+    latent, _, heat = exchange.evaporation(
+        xp, t, forcing.vapour_pa, forcing.pressure_pa, h, density, resistance, wet
+    )
+    flux = gained - ground.emissivity * STEFAN_BOLTZMANN * t**4 - (h + rain) * (t - forcing.air_k) - latent
+    into = xp.where(t < cap, series * (t - alpha), flux)
+    return (t, filled(alpha + beta * into, ground.conductance, pivots, sums)), into, latent / heat
+
+
+def _melted(xp, layers, liquid, ground):
+    """(temperatures, liquid water) of layers after what is warmer than ice has molten and what is colder has frozen."""
+    warm, wet = [], []
+    for t, now, water, capacity in zip(layers, liquid, ground.water, ground.capacity, strict=True):
+        # Snow melts as long as it is there; what it cannot hold runs off.
+        ice = xp.where(ground.melting > 0.5, 1e9, water - now)
+        room = xp.where(ground.melting > 0.5, RETENTION * water, water)
+        molten = capacity * (t - ZERO_CELSIUS_K) / FUSION
+        molten = xp.minimum(xp.maximum(molten, -now), ice)
+        warm.append(t - molten * FUSION / capacity)
+        wet.append(xp.minimum(now + molten, room))
+    return warm, wet

@@ -1,0 +1,150 @@
+"""Heat and vapour between a surface and the air above it: turbulence with its stability, evaporation and dew.
+
+The functions take NumPy or Dr.Jit arrays, through the library `xp`, and have no branches: they run for every texel of a
+terrain at once.
+"""
+
+import numpy as np
+
+from thermorender.units import ZERO_CELSIUS_K
+
+GRAVITY = 9.80665  # m s⁻²
+KARMAN = 0.4
+AIR_HEAT = 1005.0  # J kg⁻¹ K⁻¹
+AIR_GAS = 287.05  # J kg⁻¹ K⁻¹
+VAPORISATION, SUBLIMATION = 2.46e6, 2.83e6  # J kg⁻¹
+_VAPOUR_TO_AIR = 0.622
+# Calm air still exchanges so much: Jordan, CRREL Special Report 91-16 (1991), takes 2 W m⁻² K⁻¹ over snow.
+CALM_W_M2_K = 2.0
+_CALMEST_M_S = 0.1
+# Height at which the wind no longer knows what lies beneath it [m].
+BLENDING_M = 60.0
+
+
+def wind_factor(height_m, roughness_m, station_height_m, station_roughness_m):
+    """Return what a station's wind is multiplied with to have that over another land [1].
+
+    Both blow alike at 60 m in neutral air: Wieringa, Q. J. R. Meteorol. Soc. 112 (1986) 867, eq. 2.
+    """
+    roughness_m = np.asarray(roughness_m, dtype=np.float64)
+    up = np.log(BLENDING_M / station_roughness_m) / np.log(station_height_m / station_roughness_m)
+    return up * np.log(height_m / roughness_m) / np.log(BLENDING_M / roughness_m)
+
+
+def air_density(pressure_pa, air_k):
+    """Return the density of dry air [kg m⁻³]; moist air is up to 1 % lighter."""
+    return pressure_pa / (AIR_GAS * air_k)
+
+
+def convection(xp, surface_k, air_k, wind_m_s, density, log_wind, log_heat, height_m):
+    """Return (exchange coefficient h [W m⁻² K⁻¹], its derivative to the surface's temperature).
+
+    Parameters
+    ----------
+    xp : module
+        NumPy or Dr.Jit.
+    surface_k, air_k : array
+        [K]
+    wind_m_s : array
+        [m/s]
+    density : array
+        Of the air [kg m⁻³].
+    log_wind : array
+        ln(z/z₀), height of the wind over the roughness length.
+    log_heat : array
+        ln(z/z₀ₕ), height of the air's temperature over the roughness length for heat.
+    height_m : array
+        Of both above the displacement plane [m].
+
+    Notes
+    -----
+    ρ c κ² U f / (ln(z/z₀) ln(z/z₀ₕ)), Garratt, The Atmospheric Boundary Layer (1992), eq. 3.52, and a part for calm
+    air. Unstable: f of the bulk Richardson number by Louis, Tiedtke & Geleyn, "A short history of the PBL
+    parameterization at ECMWF" (1982), b = c = 5. Stable: ψ of Holtslag & De Bruin, J. Appl. Meteorol. 27 (1988) 689,
+    eq. 12, whose long tail keeps a cold surface coupled to the air, at the z/L that Fairall et al., J. Geophys. Res.
+    101 (1996) 3747, eq. 15ff, give for the Richardson number.
+    """
+    wind = xp.maximum(wind_m_s, _CALMEST_M_S)
+    slope = GRAVITY * height_m / (0.5 * (surface_k + air_k) * wind * wind)
+    richardson = slope * (air_k - surface_k)
+    stable, unstable = xp.maximum(richardson, 0.0), xp.maximum(-richardson, 1e-9)
+    neutral = AIR_HEAT * density * KARMAN**2 / (log_wind * log_heat) * wind
+    damped = 1.0 / (1.0 + 10.0 * stable)
+    falls = 10.0 * damped * damped
+    free = 75.0 * KARMAN**2 / (log_wind * log_heat) * xp.sqrt(xp.exp(log_wind) * unstable)
+    lifted = 15.0 / (1.0 + free)
+    warm = richardson < 0.0
+    factor = xp.where(warm, 1.0 + lifted * unstable, damped)
+    bend = xp.where(warm, lifted * (1.0 - 0.5 * free / (1.0 + free)), falls)
+    return neutral * factor + CALM_W_M2_K, neutral * bend * slope
+
+
+def saturation_vapour(xp, temperature_k):
+    """Return (saturation vapour pressure [Pa], its derivative [Pa/K]) over water, below 0 °C over ice.
+
+    Magnus form with the coefficients of Alduchov & Eskridge, J. Appl. Meteorol. 35 (1996) 601, eqs 21 and 23;
+    0.4 % over −40…50 °C.
+    """
+    celsius = temperature_k - ZERO_CELSIUS_K
+    ice = celsius < 0.0
+    a, b = xp.where(ice, 22.587, 17.625), xp.where(ice, 273.86, 243.04)
+    celsius = xp.maximum(celsius, -150.0)
+    pressure = xp.where(ice, 611.21, 610.94) * xp.exp(a * celsius / (b + celsius))
+    return pressure, pressure * a * b / (b + celsius) ** 2
+
+
+def evaporation(xp, surface_k, vapour_pa, pressure_pa, convective, density, resistance, film):
+    """Return (latent heat that leaves [W m⁻²], its derivative to the surface's temperature, heat per mass [J kg⁻¹]).
+
+    Parameters
+    ----------
+    xp : module
+    surface_k : array
+        [K]
+    vapour_pa, pressure_pa : array
+        Of the air [Pa].
+    convective : array
+        Exchange coefficient of heat [W m⁻² K⁻¹].
+    density : array
+        Of the air [kg m⁻³].
+    resistance : array
+        Of the surface to evaporation [s/m]; very large where it never evaporates.
+    film : array
+        Share of the surface that is covered by free water, 0…1.
+
+    Notes
+    -----
+    Bulk transfer with resistances in series, vapour carried as heat is: Monteith & Unsworth, Principles of
+    Environmental Physics (4th ed. 2013), ch. 13. Dew has no resistance but the air's.
+    """
+    saturation, slope = saturation_vapour(xp, surface_k)
+    excess = saturation - vapour_pa
+    heat = xp.where(surface_k < ZERO_CELSIUS_K, SUBLIMATION, VAPORISATION)
+    aerodynamic = density * AIR_HEAT / convective
+    open_share = xp.where(excess < 0.0, 1.0, film)
+    conductance = open_share / aerodynamic + (1.0 - open_share) / (aerodynamic + resistance)
+    gain = heat * _VAPOUR_TO_AIR * density / pressure_pa * conductance
+    return gain * excess, gain * slope, heat
+
+
+def stomata(xp, resistance, sunlight_w_m2, deficit_pa):
+    """Return the surface resistance of leaves [s/m] in given light and dryness of the air.
+
+    Parameters
+    ----------
+    xp : module
+    resistance : array
+        In full sun and moist air [s/m].
+    sunlight_w_m2 : array
+        On a level plane [W m⁻²].
+    deficit_pa : array
+        Saturation deficit of the air [Pa].
+
+    Notes
+    -----
+    Light: IFS documentation CY41R2, part IV, eq. 8.11. Dryness: Leuning, Plant Cell Environ. 18 (1995) 339, whose
+    conductance halves at 1500 Pa; counted from the 1000 Pa at which minimum resistances are stated.
+    """
+    light = (0.004 * sunlight_w_m2 + 0.05) / (0.81 * (0.004 * sunlight_w_m2 + 1.0))
+    dry = (1.0 + xp.maximum(deficit_pa, 0.0) / 1500.0) / (1.0 + 1000.0 / 1500.0)
+    return resistance * xp.maximum(dry, 0.7) / xp.minimum(light, 1.0)

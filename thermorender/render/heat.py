@@ -1,0 +1,370 @@
+"""Temperatures of a terrain's texels from its heat balance, marched on the device under sun, shadow and surroundings.
+
+Every texel is a column of its own: its material on what lies beneath, at its place on the mesh. The sun is looked for
+by a ray from each at both stages of every step; what the sky does not fill of its hemisphere is filled by the rays that
+the scene's light is solved with, which bring reflected sunlight and the surroundings' long-wave. That light is one per
+face and is solved every half hour, between columns that stand for the faces, at their middles.
+
+A march begins two days before the first instant asked, from columns in the open that are settled by then. Texels are
+marched in blocks, each together with all faces, so that memory stays bounded whatever the size of the texture.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.materials.mixture import Mixture
+from thermorender.physics import balance
+from thermorender.physics.balance import STEFAN_BOLTZMANN, Forcing, Ground, State
+from thermorender.physics.srgb import linear_from_bytes
+from thermorender.physics.sun import direction
+from thermorender.render.geometry import Geometry
+from thermorender.render.light import cache
+from thermorender.render.variant import activate
+from thermorender.scene import columns as open_ground
+from thermorender.scene.load import Scene
+from thermorender.scene.surface import fill, nearest_valid
+
+Progress = Callable[[str, float], object]
+
+# Marched before the first instant asked for, with steps that become shorter towards each instant [s]: light that
+# changed an hour ago is told apart to minutes, of light a day ago the mean matters.
+_BEFORE_S = 48 * 3600.0
+_STEPS_S = ((3600.0, 300.0), (24 * 3600.0, 900.0), (np.inf, 1800.0))
+# The light between faces is solved anew so often [s], with so many rays a face, and so many reflections.
+_LIGHT_S, _RAYS, _REFLECTIONS = 1800.0, 64, 4
+# Texels marched at a time: some 300 bytes each.
+_AT_ONCE = 1 << 22
+# Brightness of a texel over that of its class tells so much darker or lighter ground, at most.
+_BRIGHTEST = 2.0
+_LUMINANCE = (0.2126, 0.7152, 0.0722)  # Rec. ITU-R BT.709-6, item 3.2
+_WHAT = "marching the heat balance"
+
+
+class _Library:
+    """What the physics needs of an array library, of Dr.Jit."""
+
+    where, maximum, minimum, exp, sqrt = dr.select, dr.maximum, dr.minimum, dr.exp, dr.sqrt
+
+
+def solved(
+    scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry | None = None, progress: Progress | None = None
+) -> list[Scene]:
+    """Return the scene with its terrain's temperatures at each of some instants, from its heat balance.
+
+    Parameters
+    ----------
+    scene : Scene
+        With weather and source "balance".
+    times : sequence of datetime64
+        UTC, inside the weather.
+    geometry : Geometry, optional
+        Of the scene's surfaces, where it is there already.
+    progress : callable, optional
+        Called with (what, share done).
+
+    Raises
+    ------
+    ThermorenderError
+        A material without thermal properties, or an instant outside the weather.
+
+    Notes
+    -----
+    Objects keep the temperatures that the scene file gives them; they throw shadows and radiate. A mixed material is
+    the mean of its parts' emissions.
+    """
+    asked = sorted(set(times))
+    geometry = geometry or Geometry(activate(), scene.surfaces)
+    tell = progress or (lambda what, share: None)
+    tell(_WHAT, 0.0)
+    parts = [_parts(material) for material in scene.materials]
+    terrain = scene.surfaces[: scene.terrain_count]
+    kinds = np.unique(np.concatenate([np.unique(surface.material) for surface in terrain]))
+    most = max(len(parts[kind]) for kind in kinds)
+    found, share_done = 0.0, 1.0 / most
+    for number in range(most):
+        of = [part[min(number, len(part) - 1)][0] for part in parts]
+        weight = np.array([part[number][1] if number < len(part) else 0.0 for part in parts])
+        march = _March(scene, geometry, of, kinds, asked)
+        told = lambda share, n=number: tell(_WHAT, (n + share) * share_done)  # noqa: E731
+        kelvin = march.run(told)
+        if most == 1:
+            found = kelvin
+        else:
+            # Of what texels of a mixture show, the fourth powers add up.
+            found = found + weight[march.material] * kelvin.astype(np.float64) ** 4
+    kelvin = found if most == 1 else found**0.25
+    tell(_WHAT, 1.0)
+    borders = geometry.texel_start[1 : scene.terrain_count]
+    made = {at: scene.heated(at, np.split(values, borders)) for at, values in zip(asked, kelvin, strict=True)}
+    return [made[at] for at in times]
+
+
+def _parts(material):
+    return material.parts if isinstance(material, Mixture) else ((material, 1.0),)
+
+
+@dataclass(frozen=True, eq=False)
+class _Places:
+    """Where columns stand: Dr.Jit arrays, an entry each."""
+
+    point: Any  # a little above the face
+    face: Any
+    kind: Any
+    absorbs: Any  # factor on what the material does not reflect
+
+
+class _March:
+    """One march of all texels, whose materials are `materials` by number."""
+
+    def __init__(self, scene, geometry, materials, kinds, asked):
+        self.scene, self.geometry, self.mi, self.asked = scene, geometry, geometry.mi, asked
+        self.weather, self.inside_k = scene.weather, scene.spec.weather.inside_c + 273.15
+        terrain = scene.surfaces[: scene.terrain_count]
+        self.faces = int(geometry.face_start[scene.terrain_count])
+        self.texels = int(geometry.texel_start[scene.terrain_count])
+        self.material = np.concatenate([surface.material.ravel() for surface in terrain])
+        self.row = np.zeros(256, dtype=np.uint32)
+        self.row[kinds] = np.arange(len(kinds))
+        snow = float(self.weather.at(asked[0]).snow_m)
+        self.columns = open_ground.columns(
+            [materials[kind] for kind in kinds], self.weather, snow, open_ground.STATION_ROUGHNESS_M
+        )
+        self.start = max(asked[0] - np.timedelta64(int(_BEFORE_S), "s"), self.weather.time[0])
+        self.state, self.settled_k = open_ground.settled(self.columns, self.weather, self.start, self.inside_k)
+        self.transport, _ = cache.traced(geometry, _RAYS)
+        sky = self.transport.sky.sum(axis=1)
+        self.sky, self.background = sky, self.transport.background
+        self.reflectance, self.emissivity = self._of_faces()
+
+    def _of_faces(self):
+        """(reflectance of sunlight, emissivity) of every face of the scene, by the material at its middle."""
+        geometry, mi = self.geometry, self.mi
+        found = next(iter(geometry.points_in_faces([(1.0 / 3.0, 1.0 / 3.0)])))
+        number = np.array(geometry.nearest(*found))
+        material = np.concatenate([surface.material.ravel() for surface in geometry.surfaces])[number]
+        temperature = np.concatenate([surface.temperature.ravel() for surface in geometry.surfaces])[number]
+        self.face_material, self.face_kelvin = material, temperature.astype(np.float64)
+        self.face_texel = number
+        of = self.scene.materials
+        reflects = np.array([1.0 - each.solar_absorptance for each in of])[material]
+        emits = np.array([open_ground.broadband(each) for each in of])[material]
+        del mi
+        return reflects, emits
+
+    def run(self, tell):
+        """Return the kelvin of all texels at each instant asked, (n, T) float32."""
+        found = np.empty((len(self.asked), self.texels), dtype=np.float32)
+        geometry, mi = self.geometry, self.mi
+        covers = np.array(geometry.face_of_texel())[: self.texels]
+        absorbs = self._brightness()
+        blocks = range(0, self.texels, _AT_ONCE)
+        for first in blocks:
+            part = slice(first, min(first + _AT_ONCE, self.texels))
+            places = self._places(part, covers[part], absorbs[part])
+            told = lambda share, f=first: tell((f + share * _AT_ONCE) / (len(blocks) * _AT_ONCE))  # noqa: E731
+            for index, kelvin in enumerate(self._marched(places, told)):
+                found[index, part] = kelvin[self.faces :]
+        # Texels that no face covers only blend into their neighbours.
+        for number, surface in enumerate(self.scene.surfaces[: self.scene.terrain_count]):
+            part = slice(*geometry.texel_start[number : number + 2])
+            valid = (covers[part] < geometry.face_count).reshape(surface.material.shape)
+            if not valid.all() and valid.any():
+                near = nearest_valid(valid)
+                for values in found[:, part]:
+                    values[:] = fill(values.reshape(valid.shape), near).ravel()
+        del mi
+        return found
+
+    def _brightness(self):
+        """Factor on the reflectance of each texel, (T,) float32: its luminance over the mean of its class, or 1."""
+        if not self.scene.spec.temperature.brightness:
+            return np.ones(self.texels, dtype=np.float32)
+        colour = np.concatenate([s.colour.reshape(-1, 3) for s in self.scene.surfaces[: self.scene.terrain_count]])
+        light = linear_from_bytes(colour) @ np.array(_LUMINANCE, dtype=np.float32)
+        mean = np.bincount(self.material, light) / np.maximum(np.bincount(self.material), 1)
+        ratio = light / np.maximum(mean[self.material], 1e-4)
+        return np.clip(ratio, 1.0 / _BRIGHTEST, _BRIGHTEST).astype(np.float32)
+
+    def _places(self, part, covers, brightness):
+        """The _Places of all faces of the terrain, and then of a block of texels."""
+        geometry, mi = self.geometry, self.mi
+        corner = np.concatenate([s.vertices[s.faces] for s in geometry.surfaces[: self.scene.terrain_count]])
+        middle = corner.mean(axis=1)
+        face = np.minimum(covers, self.faces - 1)
+        spot = np.empty((len(face), 3), dtype=np.float32)
+        for number, surface in enumerate(self.scene.surfaces[: self.scene.terrain_count]):
+            first, last = geometry.texel_start[number : number + 2]
+            low, high = max(first, part.start), min(last, part.stop)
+            if low >= high:
+                continue
+            here = slice(low - part.start, high - part.start)
+            own = face[here] - geometry.face_start[number]
+            rows, columns = surface.material.shape
+            index = np.arange(low - first, high - first)
+            at = np.column_stack([index % columns + 0.5, index // columns + 0.5])
+            spot[here] = _on_faces(surface, own, at, (columns, rows))
+        edge = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+        normal = edge / np.maximum(np.linalg.norm(edge, axis=1, keepdims=True), 1e-300)
+        self.normal = mi.Vector3f(*(mi.Float(np.ascontiguousarray(c)) for c in normal.T.astype(np.float32)))
+        faces = np.arange(self.faces, dtype=np.uint32)
+        point = np.concatenate([middle.astype(np.float32), spot])
+        number = np.concatenate([faces, face.astype(np.uint32)])
+        point += (normal * (64.0 * 2.0**-24 * (1.0 + geometry.reach))).astype(np.float32)[number]
+        kind = self.row[np.concatenate([self.face_material[: self.faces], self.material[part]])]
+        absorbs = np.concatenate([np.ones(self.faces, np.float32), brightness])
+        return _Places(
+            mi.Point3f(*(mi.Float(np.ascontiguousarray(c)) for c in point.T)), mi.UInt32(number),
+            mi.UInt32(kind), mi.Float(absorbs),
+        )  # fmt: skip
+
+    def _marched(self, places, tell):
+        """Yield the surface temperatures of all columns, (C,) float32 [K], at each instant asked for."""
+        mi, table = self.mi, self.columns.ground
+        row = lambda values: dr.gather(mi.Float, mi.Float(np.asarray(values, np.float32)), places.kind)  # noqa: E731
+        rows = lambda values: None if values is None else [row(each) for each in values]  # noqa: E731
+        ground = Ground(**{
+            name: rows(values) if isinstance(values, list) or values is None else row(values)
+            for name, values in table._asdict().items()
+        })  # fmt: skip
+        own = row(1.0 - self.columns.absorptance) * places.absorbs
+        absorptance = dr.clip(1.0 - own, 0.02, 0.98)
+        wind, indoors = row(self.columns.wind_factor), row(self.columns.indoors) > 0.5
+        begin = self.state
+        state = State(
+            row(begin.surface_k), rows(begin.layers_k), row(begin.film), rows(begin.liquid) if begin.liquid else None
+        )
+        normal = dr.gather(mi.Vector3f, self.normal, places.face)
+        dr.eval(state, own)
+        light = None
+        steps = _steps(self.start, self.asked)
+        for number, (at, seconds) in enumerate(steps):
+            if light is None or at >= light.until:
+                light = self._light(at, state.surface_k, places, normal)
+            stages = []
+            for offset in balance.stage_times(seconds):
+                stages.append(self._forcing(at + offset, light, places, normal, absorptance, wind, indoors))
+            state, _ = balance.step(_Library, state, ground, *stages, dr.opaque(mi.Float, seconds))
+            dr.eval(state)
+            tell((number + 1) / len(steps))
+            instant = self.start + np.timedelta64(round(at + seconds), "s")
+            if instant in self.asked:
+                yield np.array(state.surface_k)
+
+    def _sun(self, instant):
+        azimuth, elevation = self.weather.sun(instant)
+        return direction(float(elevation), float(azimuth))
+
+    def _lit(self, places, normal, towards):
+        """Cosine of the sun's rays on each column, 0 in shadow."""
+        mi = self.mi
+        sun = mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in towards))
+        cosine = dr.dot(normal, sun)
+        ray = mi.Ray3f(places.point, dr.select(cosine > 0.0, sun, mi.Vector3f(0.0, 0.0, 1.0)))
+        seen = ~self.geometry.caster.ray_test(ray, coherent=True, active=cosine > 0.0)
+        return dr.select((cosine > 0.0) & seen, cosine, 0.0)
+
+    def _forcing(self, at_s, light, places, normal, absorptance, wind, indoors):
+        mi = self.mi
+        instant = self.start + np.timedelta64(round(1000.0 * at_s), "ms")
+        found = self.weather.at(instant)
+        towards = self._sun(instant)
+        one = lambda value: dr.opaque(mi.Float, float(value))  # noqa: E731
+        gathered = lambda values: dr.gather(mi.Float, values, places.face)  # noqa: E731
+        sine = max(towards[2], 0.0)
+        level = found.direct_w_m2 * sine + found.diffuse_w_m2
+        sunlight = one(found.diffuse_w_m2) * gathered(light.sky) + one(level) * gathered(light.reflected)
+        if towards[2] > 0.0 and found.direct_w_m2 > 0.0:
+            sunlight += one(found.direct_w_m2) * self._lit(places, normal, towards)
+        return Forcing(
+            absorbed=absorptance * sunlight,
+            longwave=one(found.longwave_w_m2) * gathered(light.sky) + gathered(light.surroundings),
+            sunlight=one(level),
+            air_k=one(found.air_k),
+            vapour_pa=one(found.vapour_pa),
+            wind_m_s=one(found.wind_m_s) * wind,
+            pressure_pa=one(found.pressure_pa),
+            rain_kg_m2_s=one(found.rain_mm_h / 3600.0),
+            below_k=dr.select(indoors, one(self.inside_k), one(found.air_k)),
+        )
+
+    def _light(self, at_s, surface_k, places, normal):
+        """The _Light between the faces from `at_s` on."""
+        mi, operator = self.mi, self.transport.operator
+        middle = self.start + np.timedelta64(round(1000.0 * (at_s + 0.5 * _LIGHT_S)), "ms")
+        middle = min(middle, self.weather.time[-1])
+        found, towards = self.weather.at(middle), self._sun(middle)
+        level = float(found.direct_w_m2 * max(towards[2], 0.0) + found.diffuse_w_m2)
+        reflected = np.zeros(len(self.sky))
+        rho = self.reflectance
+        if level > 1.0:
+            here = dr.arange(mi.UInt32, self.faces)
+            first = _Places(dr.gather(mi.Point3f, places.point, here), here, None, None)
+            own = self.sky * found.diffuse_w_m2
+            lit = np.array(self._lit(first, dr.gather(mi.Vector3f, normal, here), towards))
+            own[: self.faces] += found.direct_w_m2 * lit
+            beyond = self.background * float(self.mean(rho)) * level
+            for _ in range(_REFLECTIONS):
+                reflected = operator @ (rho * (own + reflected)) + beyond
+        kelvin = self.face_kelvin.copy()
+        kelvin[: self.faces] = np.array(surface_k)[: self.faces]
+        e, emitted = self.emissivity, STEFAN_BOLTZMANN * kelvin**4
+        beyond = self.background * float(self.mean(emitted))
+        arrives = np.zeros(len(self.sky))
+        for _ in range(2):
+            around = operator @ (e * emitted + (1.0 - e) * (self.sky * found.longwave_w_m2 + arrives)) + beyond
+            arrives = around
+        upload = lambda values: mi.Float(values[: self.faces].astype(np.float32))  # noqa: E731
+        until = _LIGHT_S * (np.floor(at_s / _LIGHT_S + 1e-9) + 1.0)
+        return _Light(until, upload(self.sky), upload(reflected / max(level, 1.0)), upload(around))
+
+    def mean(self, values):
+        """Mean over the terrain's area."""
+        share = self.geometry.share[: self.faces]
+        return values[: self.faces] @ share / share.sum()
+
+
+@dataclass(frozen=True, eq=False)
+class _Light:
+    """Light on the terrain's faces, Dr.Jit arrays (F,): share of the sky, reflected sunlight per level sunlight,
+    long-wave of the surroundings [W m⁻²]; and until when it holds [s]."""
+
+    until: float
+    sky: Any
+    reflected: Any
+    surroundings: Any
+
+
+def _steps(start, asked):
+    """[(beginning, length)] of the steps from `start` to the last instant asked for [s], an end at each of these."""
+    ends = [float((at - start) / np.timedelta64(1, "s")) for at in asked]
+    steps, at = [], 0.0
+    for end in ends:
+        while at < end - 1e-6:
+            left = end - at
+            reach, length = next((reach, length) for reach, length in _STEPS_S if left <= reach + 1e-6)
+            inner = max((r for r, _ in _STEPS_S if r < left - 1e-6), default=0.0)
+            count = max(1, int(np.ceil((left - inner) / length - 1e-9)))
+            size = (left - inner) / count
+            steps += [(at + k * size, size) for k in range(count)]
+            at = end - inner
+    return steps
+
+
+def _on_faces(surface, face, at, size):
+    """Points (n, 3) of faces (n,) whose map positions are `at` (n, 2) [texels]."""
+    corner, texel = surface.vertices[surface.faces], surface.uv.astype(np.float64) * size
+    edge, change = corner[:, 1:] - corner[:, :1], texel[:, 1:] - texel[:, :1]
+    area = np.linalg.det(change)
+    flat = np.abs(area) < 1e-12
+    change[flat] = np.eye(2)
+    # Rows of the inverse take a map position to barycentric numbers, and these to the point.
+    to_point = np.einsum("fij,fjk->fik", np.linalg.inv(change), edge)
+    to_point[flat] = 0.0
+    offset = np.where(flat[:, None], corner.mean(axis=1), corner[:, 0])
+    base = np.where(flat[:, None], 0.0, texel[:, 0])
+    return offset[face] + np.einsum("ni,nij->nj", at - base[face], to_point[face])

@@ -1,0 +1,253 @@
+"""Columns of ground beneath surfaces: what a material's thermal table makes of the heat balance, in the open.
+
+A column is one material on what lies beneath it. Here they are put together from tables and marched as level, open
+ground, which is what a weather station stands on and what a terrain's march begins with.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.errors import ThermorenderError
+from thermorender.materials.library import Material
+from thermorender.physics import balance, exchange
+from thermorender.physics.balance import Forcing, Ground, State
+from thermorender.physics.conduction import LAYERS, Slab, layered
+from thermorender.units import utc_text
+from thermorender.weather.series import Conditions, Weather
+
+# Roughness length of the open grass over which wind is measured: WMO-No. 8 (2018), volume I, 5.9.2 [m].
+STATION_ROUGHNESS_M = 0.03
+# Films of still indoor air and of moving air under a sheet: ISO 6946:2017, table 7 [W m⁻² K⁻¹].
+_FILMS = {"inside": 1.0 / 0.13, "outside": 1.0 / 0.04}
+# Water that stays on leaves and on hard ground, and what bare soil holds before it resists evaporation: FAO Irrigation
+# and Drainage Paper 56 (1998), table 19, loams: 8 mm [kg m⁻²].
+_HELD, _HELD_BY_SOIL = 0.5, 8.0
+# Sunlight that water, snow and ice let in; the rest, near infrared, stays at the surface: Paulson & Simpson, J. Phys.
+# Oceanogr. 7 (1977) 952, table 2, about.
+_LET_IN = 0.45
+# Heights of wind and air above a rough cover, in roughness lengths at least.
+_ABOVE = 5.0
+_TEMPERATURE_K = 290.0
+# Of a march in the open: steps, days that are repeated at most before it, and the change between them that ends it.
+STEP_S = 900.0
+_MOST_DAYS, _SETTLED_K = 15, 0.1
+_DAY = np.timedelta64(86400, "s")
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Columns of some materials under a weather.
+
+    Attributes
+    ----------
+    ground : balance.Ground
+        Arrays (M,), and lists of L arrays (M,).
+    absorptance : (M,) float64
+        Of sunlight.
+    wind_factor : (M,)
+        Wind over the material, of the station's.
+    indoors : (M,) bool
+        Whether indoor air lies below; elsewhere it is outdoor air, or nothing that matters.
+    node_m : (M, L)
+        Depth of the layers' temperatures [m].
+    """
+
+    ground: Ground
+    absorptance: NDArray[np.float64]
+    wind_factor: NDArray[np.float64]
+    indoors: NDArray[np.bool_]
+    node_m: NDArray[np.float64]
+
+
+def columns(
+    materials: "list[Material]", weather: Weather, snow_m: float = 0.0, station_roughness_m: float | None = None,
+    layers: int = LAYERS,
+) -> Columns:  # fmt: skip
+    """Return the Columns of materials.
+
+    Parameters
+    ----------
+    materials : sequence of Material
+        Each with thermal properties.
+    weather : Weather
+        For the heights of its sensors.
+    snow_m : float
+        Depth of a material that is snow [m], where its table gives none.
+    station_roughness_m : float, optional
+        Of the land around the station; None: it stands on the material itself.
+    layers : int
+
+    Raises
+    ------
+    ThermorenderError
+        A material without thermal properties.
+    """
+    made = [_column(material, weather, snow_m, station_roughness_m, layers) for material in materials]
+    stacked: dict[str, Any] = {}
+    for name in Ground._fields:
+        values = np.array([getattr(each[0], name) for each in made], dtype=np.float64)
+        stacked[name] = list(values.T) if values.ndim == 2 else values
+    # Leave out what no material needs.
+    if not sum(map(np.sum, stacked["water"])):
+        stacked["water"] = None
+    if not sum(map(np.sum, stacked["sun_share"])):
+        stacked["sun_share"] = None
+    rest = zip(*(each[1:] for each in made), strict=True)
+    absorptance, wind, indoors, node = (np.array(values) for values in rest)
+    return Columns(Ground(**stacked), absorptance, wind, indoors, node)
+
+
+def _column(material, weather, snow_m, station_roughness_m, layers):
+    """(Ground of one column, absorptance, factor on the wind, whether indoor air lies below, depth of nodes)."""
+    thermal = material.known_thermal
+    chain = thermal.layers
+    slabs = []
+    for each in chain:
+        thickness = each.thickness_m
+        if each.cover == "snow" and snow_m:
+            thickness = snow_m
+        slabs.append(
+            Slab(np.inf if thickness is None else thickness, each.conductivity_w_m_k, each.heat_capacity_j_m3_k,
+                 each.water_share)
+        )  # fmt: skip
+    end = chain[-1].beneath
+    skin = thermal.skin_conductance_w_m2_k or np.inf
+    cut = layered(slabs, skin, _FILMS.get(end), layers)
+    rough = thermal.roughness_m
+    if station_roughness_m is None:
+        wind_m, air_m, factor = weather.wind_height_m, weather.air_height_m, 1.0
+    else:
+        wind_m, air_m = (max(z, _ABOVE * rough) for z in (weather.wind_height_m, weather.air_height_m))
+        factor = exchange.wind_factor(wind_m, rough, weather.wind_height_m, station_roughness_m)
+    log_wind = np.log(wind_m / rough)
+    # The wind at the height of the air's temperature tells the stability.
+    stability_m = air_m * (log_wind / np.log(air_m / rough)) ** 2
+    evaporates = thermal.surface_resistance_s_m is not None
+    soil = thermal.cover == "bare" and evaporates and chain[-1].thickness_m is None and thermal.surface_resistance_s_m
+    share = np.zeros(layers)
+    if thermal.attenuation_1_m:
+        reached = np.exp(-thermal.attenuation_1_m * cut.edge_m)
+        share = _LET_IN * (reached[:-1] - reached[1:])
+        # What reaches the bottom stays there.
+        share[-1] += _LET_IN * reached[-1]
+    ground = Ground(
+        emissivity=broadband(material),
+        log_wind=log_wind,
+        log_heat=np.log(air_m / rough) + thermal.heat_roughness_ratio,
+        height_m=stability_m,
+        resistance=thermal.surface_resistance_s_m if evaporates else 1e9,
+        wetness=thermal.wetness,
+        leaves=float(thermal.cover == "leaves"),
+        held=_HELD_BY_SOIL if soil else _HELD,
+        melting=float(thermal.melting_k is not None and thermal.cover == "snow"),
+        capacity=cut.capacity,
+        conductance=cut.conductance,
+        water=cut.water,
+        sun_share=share,
+    )
+    return ground, material.solar_absorptance, factor, end == "inside", cut.node_m
+
+
+def broadband(material: Material) -> float:
+    """Return the hemispherical emissivity over what is measured of 8–14 µm, weighted with Planck's law at 290 K.
+
+    Half of a surface's emission lies beyond its spectra; the same is taken there.
+    """
+    low, high = material.valid_range_um
+    band = max(low, 8.0), min(high, 14.0)
+    return float(material.band_emissivity(*band, _TEMPERATURE_K)) if band[0] < band[1] else float(
+        material.emissivity.mean()
+    )
+
+
+def forcing(
+    found: Conditions, columns: Columns, sun_sine: Any, inside_k: float, shortwave: Any = None
+) -> Forcing:  # fmt: skip
+    """Return the Forcing of level, open ground under Conditions of one instant.
+
+    Parameters
+    ----------
+    found : Conditions
+    columns : Columns
+    sun_sine : float
+        Sine of the sun's elevation.
+    inside_k : float
+        Air inside buildings [K].
+    shortwave : float, optional
+        Absorbed sunlight where it is measured [W m⁻²]; else what the absorptance makes of the sun.
+    """
+    level = found.direct_w_m2 * np.maximum(sun_sine, 0.0) + found.diffuse_w_m2
+    return Forcing(
+        absorbed=columns.absorptance * level if shortwave is None else shortwave,
+        longwave=found.longwave_w_m2,
+        sunlight=level,
+        air_k=found.air_k,
+        vapour_pa=found.vapour_pa,
+        wind_m_s=found.wind_m_s * columns.wind_factor,
+        pressure_pa=found.pressure_pa,
+        rain_kg_m2_s=found.rain_mm_h / 3600.0,
+        below_k=np.where(columns.indoors, inside_k, found.air_k),
+    )
+
+
+def march(
+    columns: Columns, weather: Weather, state: State, start: np.datetime64, stop: np.datetime64, inside_k: float = 293.15,
+    step_s: float = STEP_S,
+) -> "tuple[State, list[NDArray[Any]]]":  # fmt: skip
+    """Return (State, [surface temperatures (M,) after each step]) of columns in the open, marched from start to stop.
+
+    Steps are `step_s` long, or a little less so that they fill the time evenly.
+    """
+    span = float((stop - start) / np.timedelta64(1, "s"))
+    count = max(1, int(np.ceil(span / step_s - 1e-9)))
+    length = span / count
+    offset = np.add.outer(np.arange(count) * length, balance.stage_times(length))
+    instant = start + offset.astype("timedelta64[s]")
+    found = weather.at(instant)
+    sine = np.sin(np.radians(weather.sun(instant)[1]))
+    seen = []
+    for number in range(count):
+        stages = [
+            forcing(Conditions(*(values[number, k] for values in found)), columns, sine[number, k], inside_k)
+            for k in (0, 1)
+        ]
+        state, _ = balance.step(np, state, columns.ground, *stages, length)
+        seen.append(state.surface_k)
+    return state, seen
+
+
+def settled(
+    columns: Columns, weather: Weather, at: np.datetime64, inside_k: float = 293.15
+) -> "tuple[State, float]":
+    """Return (State of columns in the open at an instant, change of its surfaces over the last repeated day [K]).
+
+    The first day of the weather is repeated until two days in a row differ by less than 0.1 K, each beginning with the
+    mean of the last in the depth; from there the weather goes on to `at`.
+    """
+    first = weather.time[0]
+    day = min(first + _DAY, weather.time[-1])
+    if at < first:
+        raise ThermorenderError(f"{utc_text(at)} lies before the weather, which begins at {utc_text(first)}")
+    mean = float(weather.at(first + np.arange(24) * ((day - first) // 24)).air_k.mean())
+    count = len(columns.absorptance)
+    state = balance.at_rest(np, [np.full(count, mean)] * len(columns.ground.capacity), columns.ground)
+    before, change = np.full(count, np.inf), np.inf
+    for _ in range(_MOST_DAYS):
+        state, seen = march(columns, weather, state, first, day, inside_k, 2.0 * STEP_S)
+        change = float(np.abs(state.surface_k - before).max())
+        if change < _SETTLED_K:
+            break
+        before = state.surface_k
+        # In a periodic state no heat passes in the mean: the depth has the surface's mean.
+        mean = np.mean(seen, axis=0)
+        deep = np.minimum(columns.node_m.T / 0.5, 1.0)
+        free = ~columns.indoors & (columns.ground.conductance[-1] == 0.0)
+        layers = [np.where(free, t + d * (mean - t), t) for t, d in zip(state.layers_k, deep, strict=True)]
+        state = state._replace(layers_k=layers)
+    if at > first:
+        # The day that was repeated is the first one: it begins anew from where it ended.
+        state, _ = march(columns, weather, state, first, at, inside_k, 2.0 * STEP_S)
+    return state, change

@@ -1,0 +1,178 @@
+"""Columns of weather: which names there are, in which units, and which values can be right."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.physics import humidity
+from thermorender.units import ZERO_CELSIUS_K
+
+
+class Column(NamedTuple):
+    """A column's quantity, and how its numbers become the quantity's unit: (number + before) · scale + after."""
+
+    quantity: str
+    scale: float = 1.0
+    after: float = 0.0
+    before: float = 0.0
+
+
+# A share, cloud cover and rain per interval have units of their own; ppfd is light for photosynthesis.
+COLUMNS = {
+    "air_k": Column("air_k"),
+    "air_c": Column("air_k", after=ZERO_CELSIUS_K),
+    "air_f": Column("air_k", 5.0 / 9.0, before=459.67),
+    "rh_percent": Column("rh", 0.01),
+    "rh": Column("rh"),
+    "vapour_pressure_pa": Column("vapour_pa"),
+    "vapour_pressure_hpa": Column("vapour_pa", 100.0),
+    "vapour_pressure_kpa": Column("vapour_pa", 1000.0),
+    "vpd_pa": Column("deficit_pa"),
+    "vpd_hpa": Column("deficit_pa", 100.0),
+    "vpd_kpa": Column("deficit_pa", 1000.0),
+    "dew_point_k": Column("dew_point_k"),
+    "dew_point_c": Column("dew_point_k", after=ZERO_CELSIUS_K),
+    "dew_point_f": Column("dew_point_k", 5.0 / 9.0, before=459.67),
+    "wind_m_s": Column("wind_m_s"),
+    "wind_km_h": Column("wind_m_s", 1.0 / 3.6),
+    "wind_knots": Column("wind_m_s", 1852.0 / 3600.0),
+    "wind_mph": Column("wind_m_s", 0.44704),
+    "sw_down_w_m2": Column("global_w_m2"),
+    "sw_direct_normal_w_m2": Column("direct_w_m2"),
+    "sw_diffuse_w_m2": Column("diffuse_w_m2"),
+    # 2.05 µmol of photosynthetic photons to a joule of sunlight, ± 5 %: Meek and others, Agron. J. 76 (1984) 939.
+    "ppfd_umol_m2_s": Column("ppfd_w_m2", 1.0 / 2.05),
+    "lw_down_w_m2": Column("longwave_w_m2"),
+    "cloud": Column("cloud"),
+    "cloud_percent": Column("cloud", 0.01),
+    "cloud_oktas": Column("cloud", 1.0 / 8.0),
+    "cloud_tenths": Column("cloud", 0.1),
+    "rain_mm": Column("rain_mm"),
+    "rain_mm_h": Column("rain_mm_h"),
+    "pressure_pa": Column("pressure_pa"),
+    "pressure_hpa": Column("pressure_pa", 100.0),
+    "pressure_kpa": Column("pressure_pa", 1000.0),
+    "snow_depth_m": Column("snow_m"),
+    "snow_depth_cm": Column("snow_m", 0.01),
+}
+# What loggers write where nothing was measured.
+MISSING_TEXTS = {"", "na", "n/a", "nan", "null", "none", "-", "m", "--"}
+MISSING_NUMBERS = (-999.0, -999.9, -6999.0, -9999.0, -9999.9, -99999.0, -999999.0, 9999.0, 9999.9, 99999.0, 999999.0)
+
+# Lowest and highest value of a quantity, and what a value beyond them may be.
+_RANGES = {
+    "air_k": (180.0, 333.0, "air of 180…333 K (−93…60 °C); a column's name tells its unit: air_c, air_k or air_f"),
+    "dew_point_k": (150.0, 313.0, "a dew point of 150…313 K; the name tells the unit: dew_point_c, _k or _f"),
+    "rh": (0.0, 1.15, "a relative humidity of 0…115 % in rh_percent, or of 0…1.15 in rh"),
+    "vapour_pa": (0.0, 7000.0, "a vapour pressure of 0…7000 Pa; the name tells the unit: _pa, _hpa or _kpa"),
+    "deficit_pa": (-100.0, 15000.0, "a deficit of 0…15000 Pa; the name tells the unit: _pa, _hpa or _kpa"),
+    "wind_m_s": (0.0, 80.0, "a wind of 0…80 m/s; write nothing where it was not measured"),
+    "global_w_m2": (-30.0, 1800.0, "a short-wave irradiance of 0…1800 W/m² (−30 at night is a sensor's offset)"),
+    "direct_w_m2": (-30.0, 1420.0, "direct sun of 0…1420 W/m², that above the air"),
+    "diffuse_w_m2": (-30.0, 1200.0, "diffuse short-wave of 0…1200 W/m²"),
+    "ppfd_w_m2": (-30.0, 1800.0, "photons of 0…3700 µmol m⁻² s⁻¹"),
+    "longwave_w_m2": (60.0, 600.0, "long-wave down of 60…600 W/m², the sky's own and not the balance with the ground's"),
+    "cloud": (0.0, 1.0, "a share of the sky: cloud 0…1, cloud_percent 0…100, cloud_oktas 0…8 or cloud_tenths 0…10"),
+    "rain_mm": (0.0, 400.0, "rain of 0…400 mm in an interval"),
+    "rain_mm_h": (0.0, 2500.0, "rain of 0…2500 mm/h"),
+    "pressure_pa": (30e3, 110e3, "a pressure of 30000…110000 Pa; the name tells the unit: _pa, _hpa or _kpa"),
+    "snow_m": (-0.1, 20.0, "snow of 0…20 m; write snow_depth_cm if the numbers are centimetres"),
+}
+# Pressure from the standard atmosphere's: weather makes 9 % less and 5 % more, cold and warm air a part of the height.
+_PRESSURE_SHARES = (0.86, 1.10)
+
+
+def check_values(where, column, values, rows):
+    """Refuse numbers of a column that its quantity cannot have; NaN passes.
+
+    Parameters
+    ----------
+    where : str
+        File, for messages.
+    column : str
+        Of `COLUMNS`.
+    values, rows : (N,)
+        In the quantity's unit; rows of the file.
+
+    Raises
+    ------
+    ThermorenderError
+    """
+    quantity, scale, after, before = COLUMNS[column]
+    low, high, allowed = _RANGES[quantity]
+    with np.errstate(invalid="ignore"):
+        bad = (values < low) | (values > high)
+    if bad.any():
+        k = int(np.argmax(bad))
+        raise ThermorenderError(
+            f"{where}, row {rows[k]}: {column}={(values[k] - after) / scale - before:.6g} is not allowed; give {allowed}"
+        )
+    most = np.nanmax(values, initial=-np.inf)
+    if quantity == "rh" and scale == 0.01 and 0.0 < most <= 0.0101:
+        raise ThermorenderError(
+            f"{where}: {column} is {100.0 * most:g} at most, drier than any air; it looks like a share of one, so "
+            "rename the column to rh"
+        )
+
+
+def check_range(where, quantity, values):
+    """Refuse numbers (N,) that a quantity of ours cannot have, in its unit."""
+    low, high, allowed = _RANGES[quantity]
+    bad = (values < low) | (values > high)
+    if bad.any():
+        raise ThermorenderError(
+            f"{where}: {quantity}={values[np.argmax(bad)]:.6g} in hour {np.argmax(bad) + 1} is not allowed; give {allowed}"
+        )
+
+
+def check_light(where, column, values, clear):
+    """Refuse sunlight that is never above 5 W m⁻² where a clear sky gives 300: not W m⁻². NaN passes."""
+    if np.nanmax(clear) > 300.0 and 0.0 < np.nanmax(values) < 5.0:
+        raise ThermorenderError(
+            f"{where}: {column} is {np.nanmax(values):g} W/m² at most where a clear sky gives {np.nanmax(clear):.0f}; it "
+            "looks like MJ or kW, so give W/m²"
+        )
+
+
+def check_pressure(where, column, values, altitude_m):
+    """Refuse a pressure that air at this altitude does not have. NaN passes."""
+    shares = np.nanmedian(values) / humidity.standard_pressure(altitude_m)
+    low, high = _PRESSURE_SHARES
+    if not low <= shares <= high:
+        raise ThermorenderError(
+            f"{where}: {column} has the median {np.nanmedian(values):.0f} Pa, but air at {altitude_m:g} m has about "
+            f"{humidity.standard_pressure(altitude_m):.0f} Pa; give the pressure of the station, not of sea level, its "
+            "unit as the name says, and the station's altitude"
+        )
+
+
+def vapour_of(where, values, air_k, notes):
+    """Return the vapour pressure (N,) [Pa], at most saturated, of the first form of humidity there is; None without.
+
+    Parameters
+    ----------
+    values : dict
+        Quantities by name; a form of humidity is vapour_pa, dew_point_k, rh or deficit_pa, in this order.
+    """
+    saturated = humidity.saturation_pressure(air_k)
+    forms = {
+        "vapour_pa": lambda value: value,
+        "dew_point_k": humidity.saturation_pressure,
+        "rh": lambda value: value * saturated,
+        "deficit_pa": lambda value: saturated - value,
+    }
+    form = next((name for name in forms if name in values), None)
+    if form is None:
+        return None
+    vapour = forms[form](values[form])
+    share = vapour / saturated
+    if np.nanmedian(share) < 0.02 or np.nanmedian(share) > 1.3:
+        raise ThermorenderError(
+            f"{where}: humidity ({form}) makes a median of {100.0 * np.nanmedian(share):.2g} % of saturation at the air's "
+            "temperature, which no station has; check the units that the columns' names tell"
+        )
+    above = int(np.sum(share > 1.0))
+    if above:
+        notes.append(f"{above} values of humidity above saturation over water are taken as saturated.")
+    return np.clip(vapour, 1.0, saturated)

@@ -1,0 +1,141 @@
+"""From what was measured to a whole Weather: sun, sky, vapour and pressure that are missing are modelled, and said."""
+
+import numpy as np
+
+from thermorender.physics import humidity, sky, sun
+from thermorender.weather.series import Weather
+
+# Below this the sun tells nothing of clouds: hills, haze and the clear sky's model weigh too much [deg].
+_LOWEST_FOR_CLOUD_DEG = 10.0
+# Over so long the light is averaged before it is compared with a clear sky's [h].
+_CLOUD_WINDOW_H = 3.0
+# Below this the sky is dark [deg]: what a sensor reads is its offset.
+_DARK_DEG = -6.0
+_WIND_M_S = 2.5
+
+
+def complete(time, place, given, notes=(), wind_m_s=None, snow_depth_m=0.0, **heights):
+    """Return the Weather of a series in which quantities may be missing.
+
+    Parameters
+    ----------
+    time : (N,) datetime64[s]
+    place : (latitude_deg, longitude_deg, altitude_m)
+    given : dict of (N,) arrays without NaN
+        air_k, and any of vapour_pa, wind_m_s, global_w_m2, direct_w_m2, diffuse_w_m2, longwave_w_m2, cloud (share of
+        the sky, 0 … 1), rain_mm_h, pressure_pa, snow_m.
+    notes : sequence of str
+        What is said already.
+    wind_m_s : float, optional
+        Wind where none is given; 2.5 m/s if left out.
+    snow_depth_m : float
+        Snow where none is given.
+    heights
+        air_height_m, wind_height_m.
+
+    Notes
+    -----
+    Short-wave: split by Erbs where only the global is known; `sky.clear_sky` with `sky.clouded` where nothing is. Cloud
+    for the long-wave: given, else 1 − global over clear-sky global, by day, and linear over the night. Held against
+    seven sites with measured long-wave this errs by 10 to 30 W m⁻² (mean absolute; 19 on average, bias +2), where
+    Brutsaert (1975) and Dilley and O'Brien (1998) for the clear sky err by 22 and 20.
+    Vapour: saturated at the day's lowest air temperature, FAO Irrigation and Drainage Paper 56 (1998), eq. 48.
+    """
+    latitude_deg, longitude_deg, altitude_m = place
+    notes = list(notes)
+    count, air = len(time), given["air_k"]
+    rest = {}
+
+    def take(name, value, note):
+        if name not in given:
+            notes.append(note)
+        rest[name] = given[name] if name in given else np.broadcast_to(np.asarray(value, np.float64), (count,))
+
+    take("pressure_pa", humidity.standard_pressure(altitude_m), "Pressure is missing: that of the standard atmosphere.")
+    lowest = _daily_lowest(time, air, longitude_deg)
+    take("vapour_pa", humidity.saturation_pressure(lowest),
+         "Humidity is missing: the air is saturated at each day's lowest temperature.")  # fmt: skip
+    constant = _WIND_M_S if wind_m_s is None else wind_m_s
+    take("wind_m_s", constant, f"Wind is missing: {constant:g} m/s throughout.")
+    take("rain_mm_h", 0.0, "Rain is missing: none falls.")
+    take("snow_m", snow_depth_m, f"Snow on the ground is missing: {snow_depth_m:g} m throughout.")
+
+    elevation = sun.position_at(time, latitude_deg, longitude_deg)[1]
+    water = humidity.precipitable_water(rest["vapour_pa"], air)
+    clear = sky.clear_sky(
+        elevation, rest["pressure_pa"], water, sky.standard_aerosol(altitude_m), sun.eccentricity(time)
+    )
+    limit = sky.clearest_direct(elevation, rest["pressure_pa"], water, sun.eccentricity(time))
+    direct, diffuse = _sunlight(given, elevation, sun.eccentricity(time), clear, limit, notes)
+    if "longwave_w_m2" in given:
+        rest["longwave_w_m2"] = given["longwave_w_m2"]
+    else:
+        cloud = _cloud(time, given, direct, diffuse, elevation, clear, notes)
+        rest["longwave_w_m2"] = sky.longwave(air, rest["vapour_pa"], cloud)
+    return Weather(
+        time=time, air_k=air, direct_w_m2=direct, diffuse_w_m2=diffuse, latitude_deg=latitude_deg,
+        longitude_deg=longitude_deg, altitude_m=altitude_m, notes=tuple(notes), **rest, **heights,
+    )  # fmt: skip
+
+
+def _daily_lowest(time, air, longitude_deg):
+    """The lowest air temperature of each instant's day by mean solar time."""
+    local = time + np.timedelta64(int(240.0 * ((longitude_deg + 180.0) % 360.0 - 180.0)), "s")
+    _, day = np.unique(local.astype("datetime64[D]"), return_inverse=True)
+    lowest = np.full(day.max() + 1, np.inf)
+    np.minimum.at(lowest, day, air)
+    return lowest[day]
+
+
+def _sunlight(given, elevation, distance, clear, limit, notes):
+    """(Direct, diffuse) from what is given of global, direct and diffuse, or from a model where nothing is."""
+    height = np.sin(np.radians(np.maximum(elevation, 0.0)))
+    if "direct_w_m2" in given and "diffuse_w_m2" in given:
+        direct, diffuse = given["direct_w_m2"], given["diffuse_w_m2"]
+    elif "global_w_m2" in given:
+        total = given["global_w_m2"]
+        if "direct_w_m2" in given:
+            direct = np.minimum(given["direct_w_m2"], total / np.maximum(height, 1e-9))
+            notes.append("Diffuse light is missing: global less direct light.")
+        elif "diffuse_w_m2" in given:
+            direct = np.maximum(total - given["diffuse_w_m2"], 0.0) / np.maximum(height, 1e-9)
+            direct = np.minimum(direct, limit)
+            notes.append("Direct light is missing: global less diffuse light.")
+        else:
+            direct, _ = sky.split_global(total, elevation, distance, limit)
+            notes.append("Direct and diffuse light are missing: the global light is split by Erbs' correlation.")
+        direct = np.where(height > 0.0, direct, 0.0)
+        diffuse = total - direct * height
+    elif "cloud" in given:
+        direct, diffuse = sky.clouded(*clear, elevation, given["cloud"])
+        notes.append("Short-wave is missing: a clear sky's, dimmed by the clouds.")
+    else:
+        direct, diffuse = clear
+        notes.append("Short-wave and clouds are missing: a clear sky's sun.")
+    return np.where(elevation > 0.0, direct, 0.0), np.where(elevation > _DARK_DEG, diffuse, 0.0)
+
+
+def _cloud(time, given, direct, diffuse, elevation, clear, notes):
+    """Share of the sky under clouds (N,) for the long-wave."""
+    if "cloud" in given:
+        notes.append("Long-wave is missing: modelled from air, vapour and clouds.")
+        return given["cloud"]
+    if not {"global_w_m2", "direct_w_m2", "diffuse_w_m2"} & set(given):
+        notes.append("Long-wave is missing: modelled from air and vapour for a clear sky.")
+        return np.zeros(len(time))
+    day = elevation > _LOWEST_FOR_CLOUD_DEG
+    if not day.any():
+        notes.append("Long-wave is missing, and no sun to tell the clouds: modelled for a sky half under clouds.")
+        return np.full(len(time), 0.5)
+    notes.append("Long-wave is missing: modelled from air, vapour and what the sun lacks of a clear sky's light.")
+    height = np.sin(np.radians(elevation))
+    hour = (time - time[0]).astype(np.float64) / 3600.0
+    first = np.searchsorted(hour, hour - 0.5 * _CLOUD_WINDOW_H)
+    last = np.searchsorted(hour, hour + 0.5 * _CLOUD_WINDOW_H, side="right")
+
+    def windowed(values):
+        sums = np.concatenate([[0.0], np.cumsum(np.where(day, values, 0.0))])
+        return (sums[last] - sums[first])[day]
+
+    share = windowed(direct * height + diffuse) / windowed(clear[0] * height + clear[1])
+    return np.interp(hour, hour[day], np.clip(1.0 - share, 0.0, 1.0))

@@ -1,0 +1,54 @@
+"""The Weather a scene file declares: a station's file, a typical year's, or a named day."""
+
+from thermorender.errors import ThermorenderError
+from thermorender.weather.epw import read_epw
+from thermorender.weather.named_day import named_day
+from thermorender.weather.series import instant
+from thermorender.weather.station import read_station
+
+# Of a named day, where the file does not say.
+_HUMIDITY, _WIND_M_S, _CLOUD = 0.6, 3.0, 0.0
+
+
+def declared_weather(spec, latitude_deg, longitude_deg, altitude_m, time=None):
+    """Return the Weather of the table [weather].
+
+    Parameters
+    ----------
+    spec : object
+        With the keys of the table as attributes: time, file, epw, air_low_c, air_high_c, humidity, wind_m_s, cloud,
+        snow_depth_m; None where a key is not given. One of file, epw and air_high_c is.
+    latitude_deg, longitude_deg, altitude_m : float
+        Of the scene: a station's file does not hold its place. A typical year keeps that of its header.
+    time : datetime64, datetime or str, optional
+        Instant to use instead of the table's. It chooses the date of a named day and the year of a typical one; a
+        station's file must hold it.
+
+    Raises
+    ------
+    ThermorenderError
+        A file or value that cannot be used, or a time outside the file; the sentence begins with [weather].
+    """
+    place = latitude_deg, longitude_deg, altitude_m
+    snow = spec.snow_depth_m or 0.0
+    try:
+        when = instant(spec.time if time is None else time)
+        if spec.file is not None:
+            found = read_station(spec.file, *place, wind_m_s=spec.wind_m_s, snow_depth_m=snow)
+        elif spec.epw is not None:
+            found = read_epw(spec.epw, when, snow_depth_m=snow)
+        else:
+            given = {"air_low_c": spec.air_low_c, "air_high_c": spec.air_high_c}
+            missing = [name for name, value in given.items() if value is None]
+            if missing:
+                raise ThermorenderError(f"{missing[0]} is missing; a named day needs air_low_c and air_high_c")
+            humidity, wind, cloud = (
+                chosen if value is None else value
+                for value, chosen in ((spec.humidity, _HUMIDITY), (spec.wind_m_s, _WIND_M_S), (spec.cloud, _CLOUD))
+            )
+            found = named_day(when, place, **given, humidity_low=humidity, wind_m_s=wind, cloud=cloud,
+                              snow_depth_m=snow)  # fmt: skip
+        found.at(when)
+    except ThermorenderError as error:
+        raise ThermorenderError(f"[weather] {error}") from None
+    return found

@@ -1,0 +1,141 @@
+"""The Weather of a place: what the air and the sky did, as a series of instants."""
+
+from dataclasses import dataclass, fields
+from datetime import datetime, timezone
+from typing import NamedTuple
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.physics import sun
+
+
+class Conditions(NamedTuple):
+    """The weather at some instants: arrays of their shape, units as in `Weather`."""
+
+    air_k: np.ndarray
+    vapour_pa: np.ndarray
+    wind_m_s: np.ndarray
+    direct_w_m2: np.ndarray
+    diffuse_w_m2: np.ndarray
+    longwave_w_m2: np.ndarray
+    rain_mm_h: np.ndarray
+    pressure_pa: np.ndarray
+    snow_m: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Weather:
+    """What drives a surface's temperature, (N,) float64 each at N ≥ 2 instants.
+
+    Attributes
+    ----------
+    time : (N,) datetime64[s]
+        UTC, rising; the middles of averaging intervals.
+    air_k, vapour_pa, wind_m_s : (N,)
+        Air temperature, vapour pressure, wind speed.
+    direct_w_m2, diffuse_w_m2, longwave_w_m2 : (N,)
+        Sun on a plane that faces it; the sky's short-wave and broadband long-wave on a level plane.
+    rain_mm_h, pressure_pa, snow_m : (N,)
+        Rate of precipitation as water, air pressure, depth of snow on the ground.
+    latitude_deg, longitude_deg, altitude_m : float
+        North and east positive; above sea level.
+    air_height_m, wind_height_m : float
+        Of the sensors above the ground (above a canopy's displacement height).
+    notes : tuple of str
+        What was missing or mended, and how: one sentence each.
+    """
+
+    time: np.ndarray
+    air_k: np.ndarray
+    vapour_pa: np.ndarray
+    wind_m_s: np.ndarray
+    direct_w_m2: np.ndarray
+    diffuse_w_m2: np.ndarray
+    longwave_w_m2: np.ndarray
+    rain_mm_h: np.ndarray
+    pressure_pa: np.ndarray
+    snow_m: np.ndarray
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+    air_height_m: float = 2.0
+    wind_height_m: float = 10.0
+    notes: tuple = ()
+
+    def __post_init__(self):
+        """Refuse series that do not rise, differ in length or have holes."""
+        object.__setattr__(self, "time", np.asarray(self.time, "datetime64[s]"))
+        if self.time.ndim != 1 or self.time.size < 2 or not (np.diff(self.time) > np.timedelta64(0, "s")).all():
+            raise ThermorenderError("time of a Weather does not rise; give two instants at least, each after the last")
+        for name in Conditions._fields:
+            values = np.asarray(getattr(self, name), np.float64)
+            if values.shape != self.time.shape or not np.isfinite(values).all():
+                raise ThermorenderError(
+                    f"{name} of a Weather has the shape {values.shape} or values that are not finite; give "
+                    f"{self.time.size} finite numbers, one for each instant"
+                )
+            object.__setattr__(self, name, values)
+
+    def at(self, time):
+        """Return the Conditions at instants (datetime64, UTC) of any shape, linear between those of the series.
+
+        Raises
+        ------
+        ThermorenderError
+            An instant before the series' first or after its last.
+        """
+        time = np.asarray(time, "datetime64[s]")
+        outside = (time < self.time[0]) | (time > self.time[-1]) | np.isnat(time)
+        if outside.any():
+            raise ThermorenderError(
+                f"time={time[outside].flat[0]}Z is outside the weather, which runs from {self.time[0]}Z to "
+                f"{self.time[-1]}Z; ask for a time within it, or give the weather of that time"
+            )
+        second = (self.time - self.time[0]).astype(np.float64)
+        asked = (time - self.time[0]).astype(np.float64)
+        return Conditions(*(np.interp(asked, second, getattr(self, name)) for name in Conditions._fields))
+
+    def sun(self, time):
+        """Return the sun's (azimuth clockwise from north, elevation) [deg] at instants; see `sun.position_at`."""
+        return sun.position_at(time, self.latitude_deg, self.longitude_deg)
+
+    def __repr__(self):
+        """Tell period, place, ranges and notes, a line each."""
+        lines = [
+            f"Weather of {self.latitude_deg:.3f}°, {self.longitude_deg:.3f}°, {self.altitude_m:.0f} m, "
+            f"{self.time[0]}Z to {self.time[-1]}Z, {self.time.size} instants"
+        ]
+        for item in fields(self):
+            if item.name in Conditions._fields:
+                values = getattr(self, item.name)
+                lines.append(f"  {item.name}: {values.min():.5g} … {values.max():.5g}")
+        return "\n".join([*lines, *(f"  {note}" for note in self.notes)])
+
+
+def instant(value, name="time"):
+    """Return a datetime64[s] in UTC of a datetime or an ISO text, which must tell their zone; datetime64 is UTC.
+
+    Parameters
+    ----------
+    value : datetime, str or datetime64
+    name : str
+        What the value is called where the user wrote it.
+
+    Raises
+    ------
+    ThermorenderError
+        No time, or one without zone.
+    """
+    example = "give date and time with their zone, such as 2018-07-28T14:30Z or 2018-07-28T16:30+02:00"
+    if isinstance(value, np.datetime64) and not np.isnat(value):
+        return value.astype("datetime64[s]")
+    try:
+        # Python 3.10 reads no zone letter.
+        parsed = datetime.fromisoformat(value.strip().replace("Z", "+00:00")) if isinstance(value, str) else value
+        offset = parsed.utcoffset()
+    except (ValueError, AttributeError):
+        raise ThermorenderError(f"{name}={value!r} is no time; {example}") from None
+    if offset is None:
+        raise ThermorenderError(f"{name}={str(value)!r} does not tell its zone; {example}")
+    return np.datetime64(parsed.astimezone(timezone.utc).replace(tzinfo=None), "s")

@@ -1,0 +1,285 @@
+"""A station's CSV as Weather: columns named with their units, times with their zone, gaps and faults mended or refused.
+
+Rows are counted as a spreadsheet shows them: the header is row 1.
+"""
+
+import csv
+import io
+from datetime import datetime, timezone
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError, shortened
+from thermorender.files import read_text
+from thermorender.physics import humidity, sky, sun
+from thermorender.schema import closest
+from thermorender.weather.clock import check_clock
+from thermorender.weather.columns import (
+    COLUMNS,
+    MISSING_NUMBERS,
+    MISSING_TEXTS,
+    check_light,
+    check_pressure,
+    check_values,
+    vapour_of,
+)
+from thermorender.weather.complete import complete
+from thermorender.weather.gaps import filled, without_offset
+from thermorender.weather.series import instant
+
+_TIMES = ("time_utc", "time", "time_local")
+_LIGHT = ("global_w_m2", "direct_w_m2", "diffuse_w_m2")
+
+
+def read_station(
+    path, latitude_deg, longitude_deg, altitude_m, *, utc_offset_h=None, names=None, during=None, longest_gap_h=3.0,
+    wind_m_s=None, snow_depth_m=0.0, air_height_m=2.0, wind_height_m=10.0,
+):  # fmt: skip
+    """Return the Weather of a station's table.
+
+    Parameters
+    ----------
+    path : path
+        CSV in UTF-8 with a row of names: a time, the air temperature, and what else of `columns.COLUMNS` there is. Times
+        are the middles of averaging intervals: `time_utc`, `time` with a zone in each cell, or `time_local`.
+    latitude_deg, longitude_deg, altitude_m : float
+        Of the station.
+    utc_offset_h : float, optional
+        Of `time_local`, eastward positive, without summer time.
+    names : dict, optional
+        {column of the file: name of ours} for columns called otherwise.
+    during : (start, end), optional
+        Instants that the rows to read lie between, as `series.instant` takes them.
+    longest_gap_h : float
+        Gaps up to so long are interpolated.
+    wind_m_s, snow_depth_m : float
+        Where the file has none.
+    air_height_m, wind_height_m : float
+        Of the sensors.
+
+    Notes
+    -----
+    What is missing is modelled by `complete`; the Weather's notes tell all that was.
+
+    Raises
+    ------
+    ThermorenderError
+        A file that is no such table; times that do not rise; a value that cannot be, a gap too long, a clock that is
+        off; the sentence names file, row and column.
+    """
+    place = latitude_deg, longitude_deg, altitude_m
+    header, cells, rows = _read(path, names or {})
+    _refuse_near_misses(path, header)
+    time = _times(path, header, cells, rows, utc_offset_h)
+    keep = _within(path, time, during)
+    time, rows, cells = time[keep], rows[keep], [cells[k] for k in np.flatnonzero(keep)]
+    step_s = _check_rising(path, time, rows)
+    notes = []
+    values, column_of = {}, {}
+    for name, column in COLUMNS.items():
+        if name in header:
+            numbers = _numbers(path, name, [row[header.index(name)] for row in cells], rows, notes)
+            if np.isnan(numbers).all():
+                notes.append(f"Column {name} is empty.")
+                continue
+            if column.quantity in values:
+                raise ThermorenderError(
+                    f"{path}: columns {column_of[column.quantity]} and {name} tell the same; leave one of them out"
+                )
+            numbers = (numbers + column.before) * column.scale + column.after
+            check_values(path, name, numbers, rows)
+            values[column.quantity], column_of[column.quantity] = numbers, name
+    if "air_k" not in values:
+        raise ThermorenderError(f"{path} has no air temperature; add a column air_c, air_k or air_f")
+    if "ppfd_w_m2" in values:
+        photons = values.pop("ppfd_w_m2")
+        if not set(_LIGHT) & set(values):
+            values["global_w_m2"], column_of["global_w_m2"] = photons, "ppfd_umol_m2_s"
+            notes.append("Short-wave is missing: photosynthetic light over 2.05 µmol/J, ± 5 %.")
+    if set(_LIGHT) & set(values) in ({"direct_w_m2"}, {"diffuse_w_m2"}):
+        raise ThermorenderError(f"{path} has direct or diffuse light only; add sw_down_w_m2, or leave the column out")
+    if "pressure_pa" in values:
+        check_pressure(path, column_of["pressure_pa"], values["pressure_pa"], altitude_m)
+    _note_missing_rows(path, time, rows, step_s, longest_gap_h, notes)
+    clear = sum(_clear(time, place))
+    for quantity in list(values):
+        if quantity in _LIGHT:
+            check_light(path, column_of[quantity], values[quantity], clear)
+            values[quantity] = without_offset(column_of[quantity], values[quantity], notes)
+        values[quantity] = filled(
+            path, column_of[quantity], quantity, values[quantity], time, step_s, longest_gap_h, notes
+        )
+    vapour = vapour_of(path, values, values["air_k"], notes)
+    given = {name: values[name] for name in values if name not in ("vapour_pa", "dew_point_k", "rh", "deficit_pa")}
+    if vapour is not None:
+        given["vapour_pa"] = vapour
+    if "rain_mm" in given:
+        rain = given.pop("rain_mm") * 3600.0 / step_s
+        given.setdefault("rain_mm_h", rain)
+    if "snow_m" in given:
+        given["snow_m"] = np.maximum(given["snow_m"], 0.0)
+    found = complete(time, place, given, notes, wind_m_s, snow_depth_m, air_height_m=air_height_m,
+                     wind_height_m=wind_height_m)  # fmt: skip
+    if set(_LIGHT) & set(given):
+        height = np.sin(np.radians(np.maximum(found.sun(time)[1], 0.0)))
+        light = given.get("global_w_m2", found.direct_w_m2 * height + given.get("diffuse_w_m2", 0.0))
+        note = check_clock(path, time, light, latitude_deg, longitude_deg, step_s)
+        if note:
+            object.__setattr__(found, "notes", (*found.notes, note))
+    return found
+
+
+# The file
+
+
+def _read(path, names):
+    """(Header in our names, rows of cells, their numbers)."""
+    lines, numbers = [], []
+    try:
+        for number, line in enumerate(csv.reader(io.StringIO(read_text(path, "CSV UTF-8")), strict=True), start=1):
+            if any(cell.strip() for cell in line):
+                lines.append([cell.strip() for cell in line])
+                numbers.append(number)
+    except csv.Error as error:
+        raise ThermorenderError(f"{path}, row {len(lines) + 1}: is not CSV ({error}); mend the quotation marks") from None
+    if len(lines) < 3:
+        raise ThermorenderError(f"{path} holds {max(len(lines) - 1, 0)} rows below a row of names; give two at least")
+    if ";" in lines[0][0] and len(lines[0]) == 1:
+        raise ThermorenderError(f"{path} is separated by semicolons; save it comma-separated with a point as decimal mark")
+    unknown = [name for name in names if name not in lines[0]]
+    if unknown:
+        raise ThermorenderError(f"{path} has no column {unknown[0]!r}; row 1 names {shortened(', '.join(lines[0]))}")
+    header = [names.get(name, "" if name in names.values() else name) for name in lines[0]]
+    twice = [name for name in header if name and header.count(name) > 1]
+    if twice:
+        raise ThermorenderError(f"{path}, row 1 names column {twice[0]!r} twice; leave one of them out")
+    for number, line in zip(numbers, lines, strict=True):
+        if len(line) != len(header):
+            raise ThermorenderError(f"{path}, row {number}: {len(line)} cells where row 1 names {len(header)} columns")
+    return header, lines[1:], np.array(numbers[1:])
+
+
+def _refuse_near_misses(path, header):
+    """Refuse a misspelt name of ours, or one in another unit, where nothing else tells its quantity."""
+    given = {COLUMNS[name].quantity for name in header if name in COLUMNS}
+    ours = [name for name, column in COLUMNS.items() if column.quantity not in given and len(name) > 4]
+    for name in header:
+        if name and name not in COLUMNS and name not in _TIMES:
+            near = closest(name, ours, cutoff=0.84)
+            # What ends as one of ours, such as roof_air_c, is of another place; sw_up is not sw_down.
+            if near and not name.endswith(f"_{near[0]}") and "_up_" not in name:
+                raise ThermorenderError(
+                    f"{path}: column {name!r} is not known; did you mean {near[0]!r}? rename it, or take it out"
+                )
+
+
+def _numbers(path, name, texts, rows, notes):
+    """Numbers of a column (N,), NaN where the cell says that there is none."""
+    found = np.full(len(texts), np.nan)
+    marked = 0
+    for k, text in enumerate(texts):
+        if text.lower() in MISSING_TEXTS:
+            continue
+        try:
+            value = float(text)
+        except ValueError:
+            raise ThermorenderError(
+                f"{path}, row {rows[k]}: {name}={shortened(repr(text))} is not a number; write it with a point as decimal "
+                "mark and without unit, or leave the cell empty"
+            ) from None
+        if value in MISSING_NUMBERS:
+            marked += 1
+        elif np.isfinite(value):
+            found[k] = value
+    if marked:
+        notes.append(f"{marked} values of {name} such as -9999 stand for missing ones.")
+    return found
+
+
+# Time
+
+
+def _times(path, header, cells, rows, utc_offset_h):
+    """Instants (N,) in UTC."""
+    column = next((name for name in _TIMES if name in header), None)
+    if column is None:
+        raise ThermorenderError(
+            f"{path} has no time; name a column time_utc, time (each with Z or an offset) or time_local (with the zone)"
+        )
+    if column == "time_local" and utc_offset_h is None:
+        raise ThermorenderError(
+            f"{path}: time_local does not tell its zone; write times in UTC as time_utc, or with an offset as time"
+        )
+    k = header.index(column)
+    found = []
+    for number, line in zip(rows, cells, strict=True):
+        text = line[k].replace("Z", "+00:00")
+        try:
+            moment = datetime.fromisoformat(text)
+        except ValueError:
+            raise ThermorenderError(
+                f"{path}, row {number}: {column}={line[k]!r} is no time; write it as 2018-07-28T14:30Z"
+            ) from None
+        if column == "time_utc" and moment.tzinfo is None:
+            moment = moment.replace(tzinfo=timezone.utc)
+        if (moment.tzinfo is None) != (column == "time_local"):
+            told = "tells a zone in time_local; name the column time" if moment.tzinfo else "does not tell its zone"
+            raise ThermorenderError(
+                f"{path}, row {number}: {column}={line[k]!r} {told}; write 2018-07-28T14:30Z or 2018-07-28T16:30+02:00"
+            )
+        if column == "time_utc" and moment.utcoffset():
+            raise ThermorenderError(f"{path}, row {number}: time_utc={line[k]!r} is not UTC; name the column time")
+        found.append(moment.replace(tzinfo=timezone.utc) if column == "time_local" else moment)
+    time = np.array([int(moment.timestamp()) for moment in found]).astype("datetime64[s]")
+    return time - np.timedelta64(round(3600 * utc_offset_h), "s") if column == "time_local" else time
+
+
+def _within(path, time, during):
+    """Which rows (N,) lie in the period asked for."""
+    if during is None:
+        return np.ones(len(time), bool)
+    start, end = (instant(value, "during") for value in during)
+    keep = (time >= start) & (time <= end)
+    if keep.sum() < 2:
+        raise ThermorenderError(f"{path} has {keep.sum()} rows from {start}Z to {end}Z; ask for a period of two at least")
+    return keep
+
+
+def _check_rising(path, time, rows):
+    """The step of the series [s], after refusing times that do not rise."""
+    step = np.diff(time).astype(np.int64)
+    wrong = step <= 0
+    if wrong.any():
+        k = int(np.argmax(wrong))
+        what = "the same time" if step[k] == 0 else f"a time {-step[k] / 3600.0:g} h before"
+        hint = "; an hour that comes twice is the end of summer time, so write UTC" if -step[k] <= 3600 else ""
+        raise ThermorenderError(
+            f"{path}, row {rows[k + 1]}: {time[k + 1]}Z has {what} row {rows[k]}; times must rise{hint}"
+        )
+    return float(np.median(step))
+
+
+def _note_missing_rows(path, time, rows, step_s, longest_gap_h, notes):
+    """Refuse rows that are missing for long, and tell of the others."""
+    step = np.diff(time).astype(np.float64)
+    long = step - step_s > 3600.0 * longest_gap_h
+    if long.any():
+        k = int(np.argmax(long))
+        raise ThermorenderError(
+            f"{path}: nothing from {time[k]}Z (row {rows[k]}) to {time[k + 1]}Z, longer than the {longest_gap_h:g} h that "
+            "are interpolated; fill the gap, or keep the rows before or after it"
+        )
+    short = step > 1.5 * step_s
+    if short.any():
+        notes.append(
+            f"{short.sum()} gaps of missing rows, {(step[short].max() - step_s) / 3600.0:.2g} h at most, are interpolated."
+        )
+
+
+def _clear(time, place):
+    """(Direct on a level plane, diffuse) of a clear sky, for what light there could be."""
+    elevation = sun.position_at(time, *place[:2])[1]
+    direct, diffuse = sky.clear_sky(
+        elevation, humidity.standard_pressure(place[2]), 1.0, sky.standard_aerosol(place[2]), sun.eccentricity(time)
+    )
+    return direct * np.sin(np.radians(np.maximum(elevation, 0.0))), diffuse
