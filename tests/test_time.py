@@ -104,6 +104,30 @@ def path():
     return tr.Trajectory(np.array([10.0, 160.0]), ends, np.array([[0.0, 1.0, 0.0, 0.0]] * 2))
 
 
+# --- weather itself -----------------------------------------------------------------------------------------------
+
+
+def test_the_table_is_read_as_weather(scene, monkeypatch):
+    monkeypatch.delitem(sys.modules, "thermorender.weather.declared")
+    weather = scene.weather
+    # The named day's own limits and place, five days before and one after.
+    assert 283.15 <= weather.air_k.min() < 283.3 and 295.0 < weather.air_k.max() <= 295.15 + 1e-6
+    assert weather.longitude_deg == scene.frame.longitude_deg and weather.altitude_m == scene.altitude_m
+    assert weather.time[0] <= NOON - np.timedelta64(4, "D") and weather.time[-1] >= NOON + 600 * MINUTE
+    assert scene.weather_notes == weather.notes and len(scene.digest()) == 32
+    dawn = scene.at("2018-01-05T06:00Z")
+    assert dawn.weather.time[0] < dawn.time < dawn.weather.time[-1] and dawn.weather_digest() != scene.weather_digest()
+
+
+def test_an_instant_outside_its_file_is_refused(tmp_path, monkeypatch):
+    monkeypatch.delitem(sys.modules, "thermorender.weather.declared")
+    table = '[weather]\ntime = 2018-07-28T14:30:00Z\nfile = "station.csv"\nwind_m_s = 3\n'
+    folder = write(tmp_path / "tiny", table)
+    rows = [f"2018-07-28T{hour:02d}:00Z,18,60,2,200,300" for hour in range(12)]
+    head = "time,air_c,rh_percent,wind_m_s,global_w_m2,longwave_w_m2"
+    (folder / "station.csv").write_text("\n".join([head, *rows]))
+
+
 # --- instants -----------------------------------------------------------------------------------------------------
 
 
