@@ -123,9 +123,17 @@ def test_an_instant_outside_its_file_is_refused(tmp_path, monkeypatch):
     monkeypatch.delitem(sys.modules, "thermorender.weather.declared")
     table = '[weather]\ntime = 2018-07-28T14:30:00Z\nfile = "station.csv"\nwind_m_s = 3\n'
     folder = write(tmp_path / "tiny", table)
-    rows = [f"2018-07-28T{hour:02d}:00Z,18,60,2,200,300" for hour in range(12)]
-    head = "time,air_c,rh_percent,wind_m_s,global_w_m2,longwave_w_m2"
-    (folder / "station.csv").write_text("\n".join([head, *rows]))
+    rows = [f"2018-07-{27 + hour // 24}T{hour % 24:02d}:00:00Z,{18 + hour % 24 / 4},60" for hour in range(36)]
+    (folder / "station.csv").write_text("\n".join(["time_utc,air_c,rh_percent", *rows]) + "\n")
+    with pytest.raises(ThermorenderError) as error:
+        _ = tr.load_scene(folder).weather
+    for words in (str(folder / "scene.toml"), "[weather] time=2018-07-28T14:30:00Z is outside the weather", "give the"):
+        assert words in str(error.value)
+    scene = tr.load_scene(folder).at("2018-07-28T09:00Z")
+    assert scene.weather.wind_m_s.max() == 3.0 and scene.weather_notes
+    lines = (folder / "station.csv").read_text()
+    (folder / "station.csv").write_text(lines.replace(",60\n", ",61\n", 1))
+    assert tr.load_scene(folder).at("2018-07-28T09:00Z").digest() != scene.digest()
 
 
 # --- instants -----------------------------------------------------------------------------------------------------

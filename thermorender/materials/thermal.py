@@ -12,6 +12,7 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 from thermorender.materials.files import number_in_cell, read_table
 from thermorender.schema import closest
+from thermorender.units import ZERO_CELSIUS_K
 
 THERMAL_COLUMNS = ("property", "value", "uncertainty", "source")
 CHOSEN = "chosen:"
@@ -33,7 +34,7 @@ NUMBERS = {
     "wetness": (0.0, 1.0, _SHARE),
     "water_share": (0.0, 1.0, _SHARE),
     "attenuation_1_m": (0.01, 1e4, "give 1/m, or leave it empty for an opaque layer"),
-    "melting_k": (150.0, 3700.0, "values are kelvin, add 273.15 to °C, or leave it empty"),
+    "melting_k": (150.0, 3700.0, f"values are kelvin, add {ZERO_CELSIUS_K} to °C, or leave it empty"),
 }
 OPTIONAL = ("thickness_m", "beneath", "skin_conductance_w_m2_k", "surface_resistance_s_m", "attenuation_1_m",
             "melting_k")  # fmt: skip
@@ -239,7 +240,7 @@ def _contradictions(values, given):
         yield (f"conductivity_w_m_k={conductivity:g} is that of a metal, at density_kg_m3={density:g}; divide it by "
                "1000 if it is in mW m⁻¹ K⁻¹, or correct the density")  # fmt: skip
     if values.get("cover") == "snow" and "melting_k" not in given:
-        yield "melting_k is missing of a snow cover; write 273.15 for snow or ice"
+        yield f"melting_k is missing of a snow cover; write {ZERO_CELSIUS_K} for snow or ice"
 
 
 def table_text(thermal):

@@ -16,8 +16,8 @@ _AEROSOL_SCALE_M = 2000.0
 # Ångström's exponent, which carries the depth at 0.5 µm to 0.38 µm.
 _ANGSTROM = 1.3
 _OZONE_CM = 0.3
-# Beyond this air mass (4° of elevation) Bird's Rayleigh extinction would fall; it grows instead by so much per air mass,
-# as Kasten's does there, Solar Energy 56 (1996) 239, doi:10.1016/0038-092X(95)00114-7.
+# Beyond this air mass (4° of elevation) Bird's Rayleigh extinction would fall; it grows instead by so much per air
+# mass, as Kasten's does there, Solar Energy 56 (1996) 239, doi:10.1016/0038-092X(95)00114-7.
 _RAYLEIGH_MASS, _RAYLEIGH_BEYOND = 14.0, 0.013
 
 

@@ -102,7 +102,7 @@ def columns(
 
 def _column(material, weather, snow_m, station_roughness_m, layers):
     """(Ground of one column, absorptance, factor on the wind, whether indoor air lies below, depth of nodes)."""
-    thermal = material.known_thermal
+    thermal = material.known_thermal()
     chain = thermal.layers
     slabs = []
     for each in chain:

@@ -72,15 +72,19 @@ _RANGES = {
     "direct_w_m2": (-30.0, 1420.0, "direct sun of 0…1420 W/m², that above the air"),
     "diffuse_w_m2": (-30.0, 1200.0, "diffuse short-wave of 0…1200 W/m²"),
     "ppfd_w_m2": (-30.0, 1800.0, "photons of 0…3700 µmol m⁻² s⁻¹"),
-    "longwave_w_m2": (60.0, 600.0, "long-wave down of 60…600 W/m², the sky's own and not the balance with the ground's"),
+    "longwave_w_m2": (
+        60.0,
+        600.0,
+        "long-wave down of 60…600 W/m², the sky's own and not the balance with the ground's",
+    ),
     "cloud": (0.0, 1.0, "a share of the sky: cloud 0…1, cloud_percent 0…100, cloud_oktas 0…8 or cloud_tenths 0…10"),
     "rain_mm": (0.0, 400.0, "rain of 0…400 mm in an interval"),
     "rain_mm_h": (0.0, 2500.0, "rain of 0…2500 mm/h"),
     "pressure_pa": (30e3, 110e3, "a pressure of 30000…110000 Pa; the name tells the unit: _pa, _hpa or _kpa"),
     "snow_m": (-0.1, 20.0, "snow of 0…20 m; write snow_depth_cm if the numbers are centimetres"),
 }
-# Pressure from the standard atmosphere's: weather makes 9 % less and 5 % more, cold and warm air a part of the height.
-_PRESSURE_SHARES = (0.86, 1.10)
+# Median pressure over the standard atmosphere's: a season's weather and cold air below, warm air above.
+_PRESSURE_SHARES = (0.86, 1.06)
 
 
 def check_values(where, column, values, rows):
@@ -106,7 +110,8 @@ def check_values(where, column, values, rows):
     if bad.any():
         k = int(np.argmax(bad))
         raise ThermorenderError(
-            f"{where}, row {rows[k]}: {column}={(values[k] - after) / scale - before:.6g} is not allowed; give {allowed}"
+            f"{where}, row {rows[k]}: {column}={(values[k] - after) / scale - before:.6g} is not allowed; "
+            f"give {allowed}"
         )
     most = np.nanmax(values, initial=-np.inf)
     if quantity == "rh" and scale == 0.01 and 0.0 < most <= 0.0101:
@@ -121,17 +126,17 @@ def check_range(where, quantity, values):
     low, high, allowed = _RANGES[quantity]
     bad = (values < low) | (values > high)
     if bad.any():
-        raise ThermorenderError(
-            f"{where}: {quantity}={values[np.argmax(bad)]:.6g} in hour {np.argmax(bad) + 1} is not allowed; give {allowed}"
-        )
+        k = int(np.argmax(bad))
+        raise ThermorenderError(f"{where}: {quantity}={values[k]:.6g} in hour {k + 1} is not allowed; give {allowed}")
 
 
-def check_light(where, column, values, clear):
-    """Refuse sunlight that is never above 5 W m⁻² where a clear sky gives 300: not W m⁻². NaN passes."""
-    if np.nanmax(clear) > 300.0 and 0.0 < np.nanmax(values) < 5.0:
+def check_light(where, column, values, elevation_deg):
+    """Refuse sunlight that is never above 5 W m⁻² though the sun comes to 20° and more: not W m⁻². NaN passes."""
+    most = np.nanmax(values)
+    if elevation_deg.max() > 20.0 and 0.0 < most < 5.0:
         raise ThermorenderError(
-            f"{where}: {column} is {np.nanmax(values):g} W/m² at most where a clear sky gives {np.nanmax(clear):.0f}; it "
-            "looks like MJ or kW, so give W/m²"
+            f"{where}: {column} is {most:g} W/m² at most where the sun comes to {elevation_deg.max():.0f}°; it looks "
+            "like MJ or kW, so give W/m²"
         )
 
 
@@ -169,8 +174,8 @@ def vapour_of(where, values, air_k, notes):
     share = vapour / saturated
     if np.nanmedian(share) < 0.02 or np.nanmedian(share) > 1.3:
         raise ThermorenderError(
-            f"{where}: humidity ({form}) makes a median of {100.0 * np.nanmedian(share):.2g} % of saturation at the air's "
-            "temperature, which no station has; check the units that the columns' names tell"
+            f"{where}: humidity ({form}) makes a median of {100.0 * np.nanmedian(share):.2g} % of saturation at the "
+            "air's temperature, which no station has; check the units that the columns' names tell"
         )
     above = int(np.sum(share > 1.0))
     if above:

@@ -20,8 +20,8 @@ from thermorender.weather.columns import check_pressure, check_range, vapour_of
 from thermorender.weather.complete import complete
 from thermorender.weather.gaps import filled, without_offset
 
-# Our quantity: (column, scale, added after, values from which it is missing, whether it is of the hour's end). EnergyPlus
-# documentation, Auxiliary Programs, "EnergyPlus Weather File (EPW) Data Dictionary"; rows have no names there.
+# Our quantity: (column, scale, added after, values from which it is missing, whether it is of the hour's end).
+# EnergyPlus documentation, Auxiliary Programs, "EnergyPlus Weather File (EPW) Data Dictionary"; columns have no names.
 _EPW = {
     "air_k": (6, 1.0, ZERO_CELSIUS_K, 99.9, True),
     "dew_point_k": (7, 1.0, ZERO_CELSIUS_K, 99.9, True),
@@ -87,7 +87,7 @@ def read_epw(path, year, snow_depth_m=0.0):
     for name, (column, scale, after, missing, at_end) in table.items():
         if column is None:
             continue
-        numbers = _numbers(path, rows, column) * 1.0
+        numbers = _numbers(path, rows, column)
         numbers[(numbers >= missing) | (numbers <= _BELOW)] = np.nan
         if np.isnan(numbers).all():
             continue
@@ -122,7 +122,7 @@ def _epw(path, lines):
     short = [k for k, row in enumerate(rows) if len(row) < 34]
     if short:
         raise ThermorenderError(
-            f"{path}, row {start + 2 + short[0]}: {len(rows[short[0]])} cells; an EPW row has 35, so give the whole file"
+            f"{path}, row {start + 2 + short[0]}: {len(rows[short[0]])} cells; an EPW row has 35, so give all of it"
         )
     stamps = [tuple(int(_number(path, "date", text)) for text in row[1:4]) for row in rows]
     return _place(path, latitude, longitude, altitude), zone_h, _EPW, stamps, rows
@@ -133,8 +133,8 @@ def _tmy3(path, lines):
     header = [cell.strip() for cell in lines[1]] if len(lines) > 1 else []
     if len(lines) < 3 or header[:2] != ["Date (MM/DD/YYYY)", "Time (HH:MM)"] or len(lines[0]) < 7:
         raise ThermorenderError(
-            f"{path} is neither an EPW file, which begins with LOCATION, nor a TMY3 table, whose second line begins with "
-            "Date (MM/DD/YYYY); give one of these"
+            f"{path} is neither an EPW file, which begins with LOCATION, nor a TMY3 table, whose second line begins "
+            "with Date (MM/DD/YYYY); give one of these"
         )
     zone_h, latitude, longitude, altitude = (_number(path, "line 1", text) for text in lines[0][3:7])
     rows = lines[2:]
@@ -144,7 +144,9 @@ def _tmy3(path, lines):
             month, day, _ = row[0].split("/")
             stamps.append((int(month), int(day), int(row[1].split(":")[0])))
         except (ValueError, IndexError):
-            raise ThermorenderError(f"{path}, row {number}: {row[:2]} are no date and hour of TMY3; mend the row") from None
+            raise ThermorenderError(
+                f"{path}, row {number}: {row[:2]} are no date and hour of TMY3; mend the row"
+            ) from None
         if len(row) < len(header):
             raise ThermorenderError(f"{path}, row {number}: {len(row)} cells where row 2 names {len(header)} columns")
     named = {
@@ -156,8 +158,8 @@ def _tmy3(path, lines):
 def _place(path, latitude, longitude, altitude):
     if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and -500.0 <= altitude <= 9000.0):
         raise ThermorenderError(
-            f"{path}: latitude {latitude:g}, longitude {longitude:g}, elevation {altitude:g} m of the header are no place; "
-            "mend its first line"
+            f"{path}: latitude {latitude:g}, longitude {longitude:g}, elevation {altitude:g} m of the header are no "
+            "place; mend its first line"
         )
     return latitude, longitude, altitude
 
@@ -171,7 +173,9 @@ def _number(path, where, text):
 
 def _numbers(path, rows, column):
     """Numbers (N,) of a column; empty cells are missing."""
-    return np.array([_number(path, f"column {column + 1}", row[column] if row[column].strip() else "nan") for row in rows])
+    return np.array(
+        [_number(path, f"column {column + 1}", row[column] if row[column].strip() else "nan") for row in rows]
+    )
 
 
 def _calendar(path, stamps, year):
@@ -194,6 +198,8 @@ def _calendar(path, stamps, year):
     dates = np.array([date for date, _ in found])
     if (np.diff(dates) > day).any():
         k = int(np.argmax(np.diff(dates) > day))
-        raise ThermorenderError(f"{path}: the days between {dates[k]} and {dates[k + 1]} are missing; give days in turn")
+        raise ThermorenderError(
+            f"{path}: the days between {dates[k]} and {dates[k + 1]} are missing; give days in turn"
+        )
     local = dates.astype("datetime64[s]")[:, None] + np.timedelta64(1800, "s") * (2 * np.arange(24) + 1)
     return local.ravel(), (np.array([row for _, row in found])[:, None] + np.arange(24)).ravel()

@@ -12,7 +12,9 @@ def without_offset(column, values, notes):
     """Return short-wave (N,) with the negative offset of a sensor at night taken as 0, and told."""
     below = values < 0.0
     if below.any():
-        notes.append(f"{below.sum()} negative values of {column}, down to {np.nanmin(values):.2g} W/m², are taken as 0.")
+        notes.append(
+            f"{below.sum()} negative values of {column}, down to {np.nanmin(values):.2g} W/m², are taken as 0."
+        )
     return np.where(below, 0.0, values)
 
 

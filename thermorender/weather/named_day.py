@@ -50,7 +50,11 @@ def named_day(
         raise ThermorenderError(
             f"air_low_c={air_low_c:g}, air_high_c={air_high_c:g} are not allowed; give −90…60 °C, the lower first"
         )
-    checks = ("humidity", humidity_low, 0.01, 1.0), ("cloud", cloud, 0.0, 1.0), ("snow_depth_m", snow_depth_m, 0.0, 20.0)
+    checks = (
+        ("humidity", humidity_low, 0.01, 1.0),
+        ("cloud", cloud, 0.0, 1.0),
+        ("snow_depth_m", snow_depth_m, 0.0, 20.0),
+    )
     for name, value, low, high in checks:
         if not low <= value <= high:
             raise ThermorenderError(f"{name}={value:g} is not allowed; give {low:g}…{high:g}")

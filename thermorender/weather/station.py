@@ -5,13 +5,14 @@ Rows are counted as a spreadsheet shows them: the header is row 1.
 
 import csv
 import io
+from dataclasses import replace
 from datetime import datetime, timezone
 
 import numpy as np
 
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.files import read_text
-from thermorender.physics import humidity, sky, sun
+from thermorender.physics import sun
 from thermorender.schema import closest
 from thermorender.weather.clock import check_clock
 from thermorender.weather.columns import (
@@ -40,8 +41,8 @@ def read_station(
     Parameters
     ----------
     path : path
-        CSV in UTF-8 with a row of names: a time, the air temperature, and what else of `columns.COLUMNS` there is. Times
-        are the middles of averaging intervals: `time_utc`, `time` with a zone in each cell, or `time_local`.
+        CSV in UTF-8 with a row of names: a time, the air temperature, and what else of `columns.COLUMNS` there is.
+        Times are the middles of averaging intervals: `time_utc`, `time` with a zone in each cell, or `time_local`.
     latitude_deg, longitude_deg, altitude_m : float
         Of the station.
     utc_offset_h : float, optional
@@ -101,10 +102,10 @@ def read_station(
     if "pressure_pa" in values:
         check_pressure(path, column_of["pressure_pa"], values["pressure_pa"], altitude_m)
     _note_missing_rows(path, time, rows, step_s, longest_gap_h, notes)
-    clear = sum(_clear(time, place))
+    elevation = sun.position_at(time, latitude_deg, longitude_deg)[1]
     for quantity in list(values):
         if quantity in _LIGHT:
-            check_light(path, column_of[quantity], values[quantity], clear)
+            check_light(path, column_of[quantity], values[quantity], elevation)
             values[quantity] = without_offset(column_of[quantity], values[quantity], notes)
         values[quantity] = filled(
             path, column_of[quantity], quantity, values[quantity], time, step_s, longest_gap_h, notes
@@ -121,11 +122,11 @@ def read_station(
     found = complete(time, place, given, notes, wind_m_s, snow_depth_m, air_height_m=air_height_m,
                      wind_height_m=wind_height_m)  # fmt: skip
     if set(_LIGHT) & set(given):
-        height = np.sin(np.radians(np.maximum(found.sun(time)[1], 0.0)))
+        height = np.sin(np.radians(np.maximum(elevation, 0.0)))
         light = given.get("global_w_m2", found.direct_w_m2 * height + given.get("diffuse_w_m2", 0.0))
         note = check_clock(path, time, light, latitude_deg, longitude_deg, step_s)
         if note:
-            object.__setattr__(found, "notes", (*found.notes, note))
+            found = replace(found, notes=(*found.notes, note))
     return found
 
 
@@ -141,11 +142,15 @@ def _read(path, names):
                 lines.append([cell.strip() for cell in line])
                 numbers.append(number)
     except csv.Error as error:
-        raise ThermorenderError(f"{path}, row {len(lines) + 1}: is not CSV ({error}); mend the quotation marks") from None
+        raise ThermorenderError(
+            f"{path}, row {len(lines) + 1}: is not CSV ({error}); mend the quotation marks"
+        ) from None
     if len(lines) < 3:
         raise ThermorenderError(f"{path} holds {max(len(lines) - 1, 0)} rows below a row of names; give two at least")
     if ";" in lines[0][0] and len(lines[0]) == 1:
-        raise ThermorenderError(f"{path} is separated by semicolons; save it comma-separated with a point as decimal mark")
+        raise ThermorenderError(
+            f"{path} is separated by semicolons; save it comma-separated with a point as decimal mark"
+        )
     unknown = [name for name in names if name not in lines[0]]
     if unknown:
         raise ThermorenderError(f"{path} has no column {unknown[0]!r}; row 1 names {shortened(', '.join(lines[0]))}")
@@ -184,8 +189,8 @@ def _numbers(path, name, texts, rows, notes):
             value = float(text)
         except ValueError:
             raise ThermorenderError(
-                f"{path}, row {rows[k]}: {name}={shortened(repr(text))} is not a number; write it with a point as decimal "
-                "mark and without unit, or leave the cell empty"
+                f"{path}, row {rows[k]}: {name}={shortened(repr(text))} is not a number; write it with a point as "
+                "decimal mark and without unit, or leave the cell empty"
             ) from None
         if value in MISSING_NUMBERS:
             marked += 1
@@ -241,7 +246,9 @@ def _within(path, time, during):
     start, end = (instant(value, "during") for value in during)
     keep = (time >= start) & (time <= end)
     if keep.sum() < 2:
-        raise ThermorenderError(f"{path} has {keep.sum()} rows from {start}Z to {end}Z; ask for a period of two at least")
+        raise ThermorenderError(
+            f"{path} has {keep.sum()} rows from {start}Z to {end}Z; ask for a period of two at least"
+        )
     return keep
 
 
@@ -266,20 +273,12 @@ def _note_missing_rows(path, time, rows, step_s, longest_gap_h, notes):
     if long.any():
         k = int(np.argmax(long))
         raise ThermorenderError(
-            f"{path}: nothing from {time[k]}Z (row {rows[k]}) to {time[k + 1]}Z, longer than the {longest_gap_h:g} h that "
-            "are interpolated; fill the gap, or keep the rows before or after it"
+            f"{path}: nothing from {time[k]}Z (row {rows[k]}) to {time[k + 1]}Z, longer than the {longest_gap_h:g} h "
+            "that are interpolated; fill the gap, or keep the rows before or after it"
         )
     short = step > 1.5 * step_s
     if short.any():
         notes.append(
-            f"{short.sum()} gaps of missing rows, {(step[short].max() - step_s) / 3600.0:.2g} h at most, are interpolated."
+            f"{short.sum()} gaps of missing rows, {(step[short].max() - step_s) / 3600.0:.2g} h at most, are "
+            "interpolated."
         )
-
-
-def _clear(time, place):
-    """(Direct on a level plane, diffuse) of a clear sky, for what light there could be."""
-    elevation = sun.position_at(time, *place[:2])[1]
-    direct, diffuse = sky.clear_sky(
-        elevation, humidity.standard_pressure(place[2]), 1.0, sky.standard_aerosol(place[2]), sun.eccentricity(time)
-    )
-    return direct * np.sin(np.radians(np.maximum(elevation, 0.0))), diffuse
