@@ -4,6 +4,7 @@ A column is one material on what lies beneath it. Here they are put together fro
 ground, which is what a weather station stands on and what a terrain's march begins with.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,6 +31,10 @@ _NEVER_S_M = 1e9
 # Sunlight that water, snow and ice let in; the rest, near infrared, stays at the surface: Paulson & Simpson, J. Phys.
 # Oceanogr. 7 (1977) 952, table 2, about.
 _LET_IN = 0.45
+# Water is stirred by wind and waves down to some metres, but for a skin: Henderson-Sellers, Appl. Math. Model. 9 (1985)
+# 441, has 1e-5 to 1e-3 m² s⁻¹ near the surface, fading within some metres; Saunders, J. Atmos. Sci. 24 (1967) 269, a
+# skin of about a millimetre.
+_MIXED_M2_S, _MIXED_M, _CALM_M2_S, _COOL_SKIN_M = 1e-4, 4.0, 1e-6, 1e-3
 # Heights of wind and air above a rough cover, in roughness lengths at least.
 _ABOVE = 5.0
 _TEMPERATURE_K = 290.0
@@ -65,7 +70,7 @@ class Columns:
 
 
 def columns(
-    materials: "list[Material]", weather: Weather, snow_m: float = 0.0, station_roughness_m: float | None = None,
+    materials: "Sequence[Material]", weather: Weather, snow_m: float = 0.0, station_roughness_m: float | None = None,
     layers: int = LAYERS,
 ) -> Columns:  # fmt: skip
     """Return the Columns of materials.
@@ -108,15 +113,21 @@ def _column(material, weather, snow_m, station_roughness_m, layers):
     chain = thermal.layers
     slabs = []
     for each in chain:
-        thickness = each.thickness_m
-        if each.cover == "snow" and snow_m:
-            thickness = snow_m
-        slabs.append(
-            Slab(np.inf if thickness is None else thickness, each.conductivity_w_m_k, each.heat_capacity_j_m3_k,
-                 each.water_share)
-        )  # fmt: skip
+        thickness, conductivity, water = each.thickness_m, each.conductivity_w_m_k, each.water_share
+        if each.cover == "snow":
+            water = each.density_kg_m3 / 1000.0
+            thickness = snow_m or thickness
+        elif each.cover == "water":
+            capacity, depth = each.heat_capacity_j_m3_k, np.inf if thickness is None else thickness
+            slabs.append(Slab(min(depth, _MIXED_M), _MIXED_M2_S * capacity, capacity, water))
+            if depth <= _MIXED_M:
+                continue
+            thickness, conductivity = depth - _MIXED_M, _CALM_M2_S * capacity
+        slabs.append(Slab(np.inf if thickness is None else thickness, conductivity, each.heat_capacity_j_m3_k, water))
     end = chain[-1].beneath
     skin = thermal.skin_conductance_w_m2_k or np.inf
+    if thermal.cover == "water":
+        skin = thermal.conductivity_w_m_k / _COOL_SKIN_M
     cut = layered(slabs, skin, _FILMS.get(end), layers)
     rough = thermal.roughness_m
     if station_roughness_m is None:
