@@ -15,7 +15,6 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from thermorender.materials.mixture import Mixture
 from thermorender.physics import balance
@@ -28,6 +27,7 @@ from thermorender.render.variant import activate
 from thermorender.scene import columns as open_ground
 from thermorender.scene.load import Scene
 from thermorender.scene.surface import fill, nearest_valid
+from thermorender.units import ZERO_CELSIUS_K
 
 Progress = Callable[[str, float], object]
 
@@ -35,7 +35,7 @@ Progress = Callable[[str, float], object]
 # changed an hour ago is told apart to minutes, of light a day ago the mean matters.
 _BEFORE_S = 48 * 3600.0
 _STEPS_S = ((3600.0, 300.0), (24 * 3600.0, 900.0), (np.inf, 1800.0))
-# The light between faces is solved anew so often [s], with so many rays a face, and so many reflections.
+# The light between faces is solved anew so often [s], with so many rays a face, and so many reflections at first.
 _LIGHT_S, _RAYS, _REFLECTIONS = 1800.0, 64, 4
 # Texels marched at a time: some 300 bytes each.
 _AT_ONCE = 1 << 22
@@ -123,7 +123,7 @@ class _March:
 
     def __init__(self, scene, geometry, materials, kinds, asked):
         self.scene, self.geometry, self.mi, self.asked = scene, geometry, geometry.mi, asked
-        self.weather, self.inside_k = scene.weather, scene.spec.weather.inside_c + 273.15
+        self.weather, self.inside_k = scene.weather, scene.spec.weather.inside_c + ZERO_CELSIUS_K
         terrain = scene.surfaces[: scene.terrain_count]
         self.faces = int(geometry.face_start[scene.terrain_count])
         self.texels = int(geometry.texel_start[scene.terrain_count])
@@ -136,30 +136,30 @@ class _March:
         )
         self.start = max(asked[0] - np.timedelta64(int(_BEFORE_S), "s"), self.weather.time[0])
         self.state, self.settled_k = open_ground.settled(self.columns, self.weather, self.start, self.inside_k)
-        self.transport, _ = cache.traced(geometry, _RAYS)
-        sky = self.transport.sky.sum(axis=1)
-        self.sky, self.background = sky, self.transport.background
+        transport, _ = cache.traced(geometry, _RAYS)
+        self.operator = transport.operator.astype(np.float32)
+        self.sky = transport.sky.sum(axis=1).astype(np.float32)
+        self.background = transport.background.astype(np.float32)
         self.reflectance, self.emissivity = self._of_faces()
 
     def _of_faces(self):
         """(reflectance of sunlight, emissivity) of every face of the scene, by the material at its middle."""
-        geometry, mi = self.geometry, self.mi
+        geometry = self.geometry
         found = next(iter(geometry.points_in_faces([(1.0 / 3.0, 1.0 / 3.0)])))
         number = np.array(geometry.nearest(*found))
         material = np.concatenate([surface.material.ravel() for surface in geometry.surfaces])[number]
         temperature = np.concatenate([surface.temperature.ravel() for surface in geometry.surfaces])[number]
-        self.face_material, self.face_kelvin = material, temperature.astype(np.float64)
+        self.face_material, self.face_kelvin = material, temperature.astype(np.float32)
         self.face_texel = number
         of = self.scene.materials
-        reflects = np.array([1.0 - each.solar_absorptance for each in of])[material]
-        emits = np.array([open_ground.broadband(each) for each in of])[material]
-        del mi
+        reflects = np.array([1.0 - each.solar_absorptance for each in of], np.float32)[material]
+        emits = np.array([open_ground.broadband(each) for each in of], np.float32)[material]
         return reflects, emits
 
     def run(self, tell):
         """Return the kelvin of all texels at each instant asked, (n, T) float32."""
         found = np.empty((len(self.asked), self.texels), dtype=np.float32)
-        geometry, mi = self.geometry, self.mi
+        geometry = self.geometry
         covers = np.array(geometry.face_of_texel())[: self.texels]
         absorbs = self._brightness()
         blocks = range(0, self.texels, _AT_ONCE)
@@ -177,7 +177,6 @@ class _March:
                 near = nearest_valid(valid)
                 for values in found[:, part]:
                     values[:] = fill(values.reshape(valid.shape), near).ravel()
-        del mi
         return found
 
     def _brightness(self):
@@ -241,7 +240,7 @@ class _March:
         normal = dr.gather(mi.Vector3f, self.normal, places.face)
         _evaluate(state)
         dr.eval(own)
-        light = None
+        light, self.arrives = None, None
         steps = _steps(self.start, self.asked)
         for number, (at, seconds) in enumerate(steps):
             if light is None or at >= light.until:
@@ -294,34 +293,36 @@ class _March:
         )
 
     def _light(self, at_s, surface_k, places, normal):
-        """The _Light between the faces from `at_s` on."""
-        mi, operator = self.mi, self.transport.operator
+        """The _Light between the faces from `at_s` on.
+
+        What arrived from other faces before is the first guess of what does now: one more reflection is followed each
+        time, and so all of them in the end.
+        """
+        mi = self.mi
         middle = self.start + np.timedelta64(round(1000.0 * (at_s + 0.5 * _LIGHT_S)), "ms")
         middle = min(middle, self.weather.time[-1])
         found, towards = self.weather.at(middle), self._sun(middle)
         level = float(found.direct_w_m2 * max(towards[2], 0.0) + found.diffuse_w_m2)
-        reflected = np.zeros(len(self.sky))
-        rho = self.reflectance
-        if level > 1.0:
+        own = self.sky * np.float32(found.diffuse_w_m2 / max(level, 1.0))
+        if towards[2] > 0.0 and found.direct_w_m2 > 0.0:
             here = dr.arange(mi.UInt32, self.faces)
             first = _Places(dr.gather(mi.Point3f, places.point, here), here, None, None)
-            own = self.sky * found.diffuse_w_m2
             lit = np.array(self._lit(first, dr.gather(mi.Vector3f, normal, here), towards))
-            own[: self.faces] += found.direct_w_m2 * lit
-            beyond = self.background * float(self.mean(rho)) * level
-            for _ in range(_REFLECTIONS):
-                reflected = operator @ (rho * (own + reflected)) + beyond
+            own[: self.faces] += np.float32(found.direct_w_m2 / max(level, 1.0)) * lit
         kelvin = self.face_kelvin.copy()
         kelvin[: self.faces] = np.array(surface_k)[: self.faces]
-        e, emitted = self.emissivity, STEFAN_BOLTZMANN * kelvin**4
-        beyond = self.background * float(self.mean(emitted))
-        arrives = np.zeros(len(self.sky))
-        for _ in range(2):
-            around = operator @ (e * emitted + (1.0 - e) * (self.sky * found.longwave_w_m2 + arrives)) + beyond
-            arrives = around
-        upload = lambda values: mi.Float(values[: self.faces].astype(np.float32))  # noqa: E731
+        emitted = self.emissivity * np.float32(STEFAN_BOLTZMANN) * kelvin**4
+        sky = self.sky * np.float32(found.longwave_w_m2)
+        for _ in range(1 if self.arrives is not None else _REFLECTIONS):
+            before = np.zeros((len(sky), 2), np.float32) if self.arrives is None else self.arrives
+            leaves = np.column_stack([
+                self.reflectance * (own + before[:, 0]), emitted + (1.0 - self.emissivity) * (sky + before[:, 1])
+            ])  # fmt: skip
+            beyond = np.float32([self.mean(leaves[:, 0]), self.mean(leaves[:, 1])])
+            self.arrives = self.operator @ leaves + self.background[:, None] * beyond
+        upload = lambda values: mi.Float(np.ascontiguousarray(values[: self.faces]))  # noqa: E731
         until = _LIGHT_S * (np.floor(at_s / _LIGHT_S + 1e-9) + 1.0)
-        return _Light(until, upload(self.sky), upload(reflected / max(level, 1.0)), upload(around))
+        return _Light(until, upload(self.sky), upload(self.arrives[:, 0]), upload(self.arrives[:, 1]))
 
     def mean(self, values):
         """Mean over the terrain's area."""
