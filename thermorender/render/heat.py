@@ -25,6 +25,7 @@ from thermorender.render.geometry import Geometry
 from thermorender.render.light import cache
 from thermorender.render.variant import activate
 from thermorender.scene import columns as open_ground
+from thermorender.scene.hidden import Hidden
 from thermorender.scene.load import Scene
 from thermorender.scene.surface import fill, nearest_valid
 from thermorender.units import ZERO_CELSIUS_K
@@ -52,8 +53,9 @@ class _Library:
 
 
 def solved(
-    scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry | None = None, progress: Progress | None = None
-) -> list[Scene]:
+    scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry | None = None, progress: Progress | None = None,
+    hidden: Hidden | None = None,
+) -> list[Scene]:  # fmt: skip
     """Return the scene with its terrain's temperatures at each of some instants, from its heat balance.
 
     Parameters
@@ -66,6 +68,8 @@ def solved(
         Of the scene's surfaces, where it is there already.
     progress : callable, optional
         Called with (what, share done).
+    hidden : Hidden, optional
+        How the texels stray from their materials, for a truth that is to differ from what its tables tell.
 
     Raises
     ------
@@ -89,7 +93,7 @@ def solved(
     for number in range(most):
         of = [part[min(number, len(part) - 1)][0] for part in parts]
         weight = np.array([part[number][1] if number < len(part) else 0.0 for part in parts])
-        march = _March(scene, geometry, of, kinds, asked)
+        march = _March(scene, geometry, of, kinds, asked, hidden)
         told = lambda share, n=number: tell(_WHAT, (n + share) * share_done)  # noqa: E731
         kelvin = march.run(told)
         if most == 1:
@@ -115,19 +119,21 @@ class _Places:
     point: Any  # a little above the face
     face: Any
     kind: Any
-    absorbs: Any  # factor on what the material does not reflect
+    reflects: Any  # factor on what the material reflects of sunlight
+    varied: Any = None  # factors on wetness, exchange and inertia, or none
 
 
 class _March:
     """One march of all texels, whose materials are `materials` by number."""
 
-    def __init__(self, scene, geometry, materials, kinds, asked):
+    def __init__(self, scene, geometry, materials, kinds, asked, hidden):
         self.scene, self.geometry, self.mi, self.asked = scene, geometry, geometry.mi, asked
         self.weather, self.inside_k = scene.weather, scene.spec.weather.inside_c + ZERO_CELSIUS_K
         terrain = scene.surfaces[: scene.terrain_count]
         self.faces = int(geometry.face_start[scene.terrain_count])
         self.texels = int(geometry.texel_start[scene.terrain_count])
         self.material = np.concatenate([surface.material.ravel() for surface in terrain])
+        self.hidden = hidden and hidden.columns(self.texels)
         self.row = np.zeros(256, dtype=np.uint32)
         self.row[kinds] = np.arange(len(kinds))
         snow = float(self.weather.at(asked[0]).snow_m)
@@ -161,11 +167,13 @@ class _March:
         found = np.empty((len(self.asked), self.texels), dtype=np.float32)
         geometry = self.geometry
         covers = np.array(geometry.face_of_texel())[: self.texels]
-        absorbs = self._brightness()
+        reflects = self._brightness()
+        if self.hidden is not None:
+            reflects = reflects * self.hidden[0]
         blocks = range(0, self.texels, _AT_ONCE)
         for first in blocks:
             part = slice(first, min(first + _AT_ONCE, self.texels))
-            places = self._places(part, covers[part], absorbs[part])
+            places = self._places(part, covers[part], reflects[part])
             told = lambda share, f=first: tell((f + share * _AT_ONCE) / (len(blocks) * _AT_ONCE))  # noqa: E731
             for index, kelvin in enumerate(self._marched(places, told)):
                 found[index, part] = kelvin[self.faces :]
@@ -189,7 +197,7 @@ class _March:
         ratio = light / np.maximum(mean[self.material], 1e-4)
         return np.clip(ratio, 1.0 / _BRIGHTEST, _BRIGHTEST).astype(np.float32)
 
-    def _places(self, part, covers, brightness):
+    def _places(self, part, covers, reflects):
         """The _Places of all faces of the terrain, and then of a block of texels."""
         geometry, mi = self.geometry, self.mi
         corner = np.concatenate([s.vertices[s.faces] for s in geometry.surfaces[: self.scene.terrain_count]])
@@ -215,10 +223,17 @@ class _March:
         number = np.concatenate([faces, face.astype(np.uint32)])
         point += (normal * (64.0 * 2.0**-24 * (1.0 + geometry.reach))).astype(np.float32)[number]
         kind = self.row[np.concatenate([self.face_material[: self.faces], self.material[part]])]
-        absorbs = np.concatenate([np.ones(self.faces, np.float32), brightness])
+        varied = None
+        before = np.ones(self.faces, np.float32)
+        if self.hidden is not None:
+            # A face strays as the texel at its middle.
+            near = self.face_texel[: self.faces]
+            before = self.hidden[0][near]
+            varied = [mi.Float(np.concatenate([each[near], each[part]])) for each in self.hidden[1:]]
+        reflects = np.concatenate([before, reflects])
         return _Places(
             mi.Point3f(*(mi.Float(np.ascontiguousarray(c)) for c in point.T)), mi.UInt32(number),
-            mi.UInt32(kind), mi.Float(absorbs),
+            mi.UInt32(kind), mi.Float(reflects), varied,
         )  # fmt: skip
 
     def _marched(self, places, tell):
@@ -230,7 +245,9 @@ class _March:
             name: rows(values) if isinstance(values, list) or values is None else row(values)
             for name, values in table._asdict().items()
         })  # fmt: skip
-        own = row(1.0 - self.columns.absorptance) * places.absorbs
+        if places.varied:
+            ground = _varied(ground, *places.varied)
+        own = row(1.0 - self.columns.absorptance) * places.reflects
         absorptance = dr.clip(1.0 - own, 0.02, 0.98)
         wind, indoors = row(self.columns.wind_factor), row(self.columns.indoors) > 0.5
         begin = self.state
@@ -339,6 +356,16 @@ class _Light:
     sky: Any
     reflected: Any
     surroundings: Any
+
+
+def _varied(ground, wetness, exchange, inertia):
+    """Ground of columns whose wetness, turbulent exchange and thermal inertia are the tables' times these factors."""
+    return ground._replace(
+        wetness=dr.minimum(ground.wetness * wetness, 1.0),
+        log_heat=ground.log_heat / exchange,
+        capacity=[each * inertia for each in ground.capacity],
+        conductance=[each * inertia for each in ground.conductance],
+    )
 
 
 def _evaluate(state):

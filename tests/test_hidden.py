@@ -1,0 +1,109 @@
+"""How a terrain's texels stray from their tables: on the device as in columns in the open; refused if no field."""
+
+import numpy as np
+import pytest
+from scenes import write_terrain
+
+from thermorender.errors import ThermorenderError
+from thermorender.scene import columns as open_ground
+from thermorender.scene.hidden import Hidden
+from thermorender.scene.load import load_scene
+
+WEATHER = """[weather]
+time = 2018-07-28T12:00:00Z
+air_low_c = 12.0
+air_high_c = 24.0
+humidity = 0.7
+wind_m_s = 2.5
+cloud = 0.1
+"""
+AT = np.datetime64("2018-07-28T12:00:00")
+NAMES = ("reflectance", "wetness", "exchange", "inertia")
+FACTORS = {"reflectance": 1.4, "wetness": 2.0, "exchange": 0.7, "inertia": 1.5}
+
+
+@pytest.fixture(scope="module")
+def level(tmp_path_factory):
+    """A level terrain: grass in the west, sand in the east, so large that its edge is out of sight."""
+    classes = np.repeat([[1] * 16 + [2] * 16], 32, axis=0)
+    folder = write_terrain(tmp_path_factory.mktemp("level") / "scene", classes=classes, extra=WEATHER)
+    text = (folder / "scene.toml").read_text()
+    text = text.replace('source = "raster"\nraster = "temperature.tif"', 'source = "balance"')
+    (folder / "scene.toml").write_text(text.replace('[truth]\ntemperature = "temperature.tif"', ""))
+    return load_scene(folder)
+
+
+def fields(shape, **factors):
+    one = np.ones(shape, np.float32)
+    return Hidden(**{name: one * np.float32(factors.get(name, 1.0)) for name in NAMES})
+
+
+def test_texels_stray_as_columns_in_the_open_do(level):
+    """Each factor moves both materials as it moves a column of them that is marched by NumPy, to 0.02 K.
+
+    The two marches differ in their steps, which moves all alike, and in single precision (5 mK, test_heat_device.py).
+    """
+    from thermorender.render.heat import solved
+
+    names = [material.name for material in level.materials]
+    columns = open_ground.columns(level.materials, level.weather, station_roughness_m=open_ground.STATION_ROUGHNESS_M)
+    start = AT - np.timedelta64(48, "h")
+    begin, _ = open_ground.settled(columns, level.weather, start)
+
+    def in_the_open(own):
+        return open_ground.march(own, level.weather, begin, start, AT)[0].surface_k
+
+    def on_the_device(hidden):
+        (terrain,) = solved(level, [AT], hidden=hidden)[0].surfaces
+        return np.array([np.median(terrain.temperature[terrain.material == k]) for k in range(len(names))])
+
+    shape = level.surfaces[0].material.shape
+    plain, table = on_the_device(None), in_the_open(columns)
+    assert (on_the_device(fields(shape)) == plain).all()
+    for name, factor in FACTORS.items():
+        ground, absorptance = columns.ground, columns.absorptance
+        if name == "reflectance":
+            absorptance = 1.0 - factor * (1.0 - absorptance)
+        elif name == "wetness":
+            ground = ground._replace(wetness=np.minimum(factor * ground.wetness, 1.0))
+        elif name == "exchange":
+            ground = ground._replace(log_heat=ground.log_heat / factor)
+        else:
+            ground = ground._replace(
+                capacity=[factor * c for c in ground.capacity], conductance=[factor * c for c in ground.conductance]
+            )
+        own = open_ground.Columns(ground, absorptance, columns.wind_factor, columns.indoors, columns.node_m)
+        expected = in_the_open(own) - table
+        found = on_the_device(fields(shape, **{name: factor})) - plain
+        print(name, expected, found)
+        assert np.abs(expected).max() > 0.4, "the factor is felt"
+        assert found == pytest.approx(expected, abs=0.02)
+
+
+def test_only_the_texels_that_stray_move(level):
+    from thermorender.render.heat import solved
+
+    wet = np.ones(level.surfaces[0].material.shape, np.float32)
+    wet[:8, :8] = 3.0
+    one = np.ones_like(wet)
+    plain, moved = (
+        solved(level, [AT], hidden=hidden)[0].surfaces[0].temperature
+        for hidden in (None, Hidden(one, wet, one, one))
+    )
+    assert (plain - moved)[:8, :8].min() > 0.5
+    # Their colder long-wave reaches nobody: level ground does not see itself.
+    assert np.abs(plain - moved)[10:].max() < 0.01
+
+
+@pytest.mark.parametrize(
+    ("field", "words"),
+    [
+        (np.ones((3, 3)), "hidden.inertia has 9 texels and the terrain 1024; give one factor for each"),
+        (np.zeros((32, 32)), "hidden.inertia holds a factor that is not above 0; 1 leaves a texel as it is"),
+        (np.full((32, 32), np.nan), "hidden.inertia holds a factor that is not above 0"),
+    ],
+)
+def test_what_is_no_field_is_refused(field, words):
+    one = np.ones((32, 32))
+    with pytest.raises(ThermorenderError, match=words):
+        Hidden(one, one, one, field).columns(1024)

@@ -1,0 +1,47 @@
+"""What no table and no station tells of a terrain's texels: how each strays from its material."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.errors import ThermorenderError
+
+
+@dataclass(frozen=True, eq=False)
+class Hidden:
+    """Factors on what the tables give, per texel of the terrain: 1 is the table itself.
+
+    Attributes
+    ----------
+    reflectance : (H, W) array
+        On the reflectance of sunlight; the absorptance that is left stays within 0.02…0.98.
+    wetness : (H, W) array
+        On the moisture available to evaporation, up to 1.
+    exchange : (H, W) array
+        On the turbulent exchange with the air, where it is neutral.
+    inertia : (H, W) array
+        On the thermal inertia √(kρc): of all layers' capacities and conductances.
+    """
+
+    reflectance: NDArray[np.float32]
+    wetness: NDArray[np.float32]
+    exchange: NDArray[np.float32]
+    inertia: NDArray[np.float32]
+
+    def columns(self, texels: int) -> NDArray[np.float32]:
+        """Return (4, texels) float32: the factors in the order above, row by row of the terrain.
+
+        Raises
+        ------
+        ThermorenderError
+            A field of another size, or a factor that is not a positive number.
+        """
+        for name, values in vars(self).items():
+            if np.size(values) != texels:
+                raise ThermorenderError(
+                    f"hidden.{name} has {np.size(values)} texels and the terrain {texels}; give one factor for each"
+                )
+            if not (np.isfinite(values).all() and np.min(values) > 0.0):
+                raise ThermorenderError(f"hidden.{name} holds a factor that is not above 0; 1 leaves a texel as it is")
+        return np.array([np.ravel(values) for values in vars(self).values()], dtype=np.float32)
