@@ -31,9 +31,8 @@ def test_both_array_libraries_agree(name):
         begin = balance.at_rest(xp, [convert(np.full(len(wind), start_k))] * len(column.capacity), own)
         seen, state = [], begin
         for number in range(192):
-            stages = [
-                sunny(900.0 * number + offset, **(weather | {"wind_m_s": wind})) for offset in balance.stage_times(900.0)
-            ]
+            times = (900.0 * number + offset for offset in balance.stage_times(900.0))
+            stages = [sunny(t, **(weather | {"wind_m_s": wind})) for t in times]
             if xp is _Library:
                 stages = [balance.Forcing(*(single(value) for value in stage)) for stage in stages]
             state, _ = balance.step(xp, state, own, *stages, 900.0)
