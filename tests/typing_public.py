@@ -22,6 +22,8 @@ def frames() -> None:
     assert_type(scene.ground(np.zeros(3), np.zeros(3)), NDArray[np.float64])
     assert_type(scene.digest(), str)
     assert_type(scene.with_air("midlatitude-summer", aerosol="rural-23km"), tr.Scene)
+    assert_type(scene.at("2018-07-28T14:30Z"), tr.Scene)
+    assert_type(scene.at(np.datetime64("2018-07-28T14:30")).warmed, bool)
     renderer = tr.Renderer(scene, quality="high", rays=16, progress=lambda what, share: print(what, f"{share:.0%}"))
     pose = tr.pose(0, -120, 120 + scene.ground(0, -120), pitch_deg=-45)
     assert_type(pose, NDArray[np.float64])
@@ -38,6 +40,7 @@ def frames() -> None:
     assert_type(renderer.radiance(pose, 1.0), NDArray[np.float32])
     assert_type(renderer.visible(pose, time_s=1.0), tuple[NDArray[np.uint8], NDArray[np.bool_]])
 
+    scene.at(14.5)  # type: ignore[arg-type]
     tr.load_scene(7)  # type: ignore[arg-type]
     tr.Renderer("heath")  # type: ignore[arg-type]
     tr.Renderer(scene, quality="best")  # type: ignore[arg-type]

@@ -336,7 +336,8 @@ def day(
             loaded, _pose(loaded, pose, numbers, local_up), output, step_min, wanted, display_settings, settings, tell,
             device, quality=quality, rays=rays, tolerance_mk=tolerance_mk, seed=seed,
         )  # fmt: skip
-    typer.echo(f"{len(rows)} frames from {rows[0]['time_utc']} to {rows[-1]['time_utc']}, day.csv and day.png in {output}")
+    first, last = rows[0]["time_utc"], rows[-1]["time_utc"]
+    typer.echo(f"{len(rows)} frames from {first} to {last}, with day.csv and day.png in {output}")
 
 
 @app.command()

@@ -60,7 +60,8 @@ def at_time(name, time, read=lambda scene, text: instant("--time", text)):
         return scene
     scene = scene.at(read(scene, time))
     if not scene.balanced:
-        typer.echo(f"note: temperatures of source {scene.spec.temperature.source!r} do not change with --time", err=True)
+        source = scene.spec.temperature.source
+        typer.echo(f"note: temperatures of source {source!r} do not change with --time", err=True)
     return scene
 
 

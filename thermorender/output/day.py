@@ -140,12 +140,16 @@ def _times(scene, step_min):
 def _frames(scene, pose, times, tell, device, settings):
     """Give (index, Frame, solved Scene) of each instant, light traced once."""
     # It brings Mitsuba.
+    from thermorender.render.geometry import Geometry
+    from thermorender.render.plan import checked
     from thermorender.render.renderer import Renderer
     from thermorender.render.variant import activate
 
-    activate(device)
+    # Before the march, so that a wrong setting is told at once.
+    checked(**{name: value for name, value in settings.items() if name != "seed"})
+    geometry = Geometry(activate(device), scene.surfaces)
     baked, seed = None, settings.get("seed", 0)
-    for index, solved in enumerate(solved_in_parts(scene, times, tell)):
+    for index, solved in enumerate(solved_in_parts(scene, times, geometry, tell)):
         if baked is None:
             renderer = Renderer(solved, device=device, progress=tell, **settings)
             baked = renderer.baked

@@ -17,6 +17,7 @@ from thermorender.units import utc_text
 if TYPE_CHECKING:
     # They bring Mitsuba, which whoever has a renderer has loaded.
     from thermorender.render.baked import Progress
+    from thermorender.render.geometry import Geometry
     from thermorender.render.renderer import Renderer
 
 # Temperatures of a flight are those of the nearest of instants so far apart [s]: at 3 K an hour 25 mK from its own.
@@ -26,13 +27,14 @@ TOGETHER = 32
 
 
 def solved_in_parts(
-    scene: Scene, times: "Sequence[np.datetime64] | NDArray[Any]", progress: "Progress | None" = None
-) -> Iterator[Scene]:
+    scene: Scene, times: "Sequence[np.datetime64] | NDArray[Any]", geometry: "Geometry",
+    progress: "Progress | None" = None,
+) -> Iterator[Scene]:  # fmt: skip
     """Give the scene at each instant of a rising sequence, its temperatures solved; few are in memory at once."""
     from thermorender.render.heat import solved
 
     for first in range(0, len(times), TOGETHER):
-        yield from solved(scene, list(times[first : first + TOGETHER]), None, progress)
+        yield from solved(scene, list(times[first : first + TOGETHER]), geometry, progress)
 
 
 class TimedRenderer:

@@ -36,6 +36,8 @@ class Ground(NamedTuple):
         To evaporation when moist [s/m]; leaves: of the stomata in full sun.
     wetness : array
         Moisture available to evaporation, 0…1; the resistance is divided by it.
+    open_water : array
+        Share of the surface that always is free water, 0…1.
     leaves : array
         1 where stomata evaporate, 0 elsewhere.
     held : array
@@ -56,6 +58,7 @@ class Ground(NamedTuple):
     height_m: Any
     resistance: Any
     wetness: Any
+    open_water: Any
     leaves: Any
     held: Any
     melting: Any
@@ -206,7 +209,7 @@ def _stage(xp, state, known, guess, ground, forcing, seconds):
     saturation, _ = exchange.saturation_vapour(xp, forcing.air_k)
     closed = exchange.stomata(xp, ground.resistance, forcing.sunlight, saturation - forcing.vapour_pa)
     resistance = xp.where(ground.leaves > 0.5, closed, ground.resistance) / xp.maximum(ground.wetness, 1e-6)
-    wet = xp.minimum(state.film / xp.maximum(ground.held, 1e-3), 1.0)
+    wet = xp.maximum(xp.minimum(state.film / xp.maximum(ground.held, 1e-3), 1.0), ground.open_water)
     rain = WATER_HEAT * forcing.rain_kg_m2_s
     gained = surface_sun + ground.emissivity * forcing.longwave
     t, frozen = guess, guess < ZERO_CELSIUS_K

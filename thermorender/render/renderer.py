@@ -320,6 +320,7 @@ def _warmed(scene: Scene, like: "Renderer | None", geometry: Geometry, progress:
     # Only here: no other scene needs it.
     from thermorender.render.heat import solved
 
+    assert scene.time is not None
     return solved(scene, [scene.time], geometry, progress)[0]
 
 

@@ -4,6 +4,7 @@ A column is one material on what lies beneath it. Here they are put together fro
 ground, which is what a weather station stands on and what a terrain's march begins with.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,9 +26,15 @@ _FILMS = {"inside": 1.0 / 0.13, "outside": 1.0 / 0.04}
 # Water that stays on leaves and on hard ground, and what bare soil holds before it resists evaporation: FAO Irrigation
 # and Drainage Paper 56 (1998), table 19, loams: 8 mm [kg m⁻²].
 _HELD, _HELD_BY_SOIL = 0.5, 8.0
+# Resistance of what does not evaporate [s/m].
+_NEVER_S_M = 1e9
 # Sunlight that water, snow and ice let in; the rest, near infrared, stays at the surface: Paulson & Simpson, J. Phys.
 # Oceanogr. 7 (1977) 952, table 2, about.
 _LET_IN = 0.45
+# Water is stirred by wind and waves down to some metres, but for a skin: Henderson-Sellers, Appl. Math. Model. 9 (1985)
+# 441, has 1e-5 to 1e-3 m² s⁻¹ near the surface, fading within some metres; Saunders, J. Atmos. Sci. 24 (1967) 269, a
+# skin of about a millimetre.
+_MIXED_M2_S, _MIXED_M, _CALM_M2_S, _COOL_SKIN_M = 1e-4, 4.0, 1e-6, 1e-3
 # Heights of wind and air above a rough cover, in roughness lengths at least.
 _ABOVE = 5.0
 _TEMPERATURE_K = 290.0
@@ -63,7 +70,7 @@ class Columns:
 
 
 def columns(
-    materials: "list[Material]", weather: Weather, snow_m: float = 0.0, station_roughness_m: float | None = None,
+    materials: "Sequence[Material]", weather: Weather, snow_m: float = 0.0, station_roughness_m: float | None = None,
     layers: int = LAYERS,
 ) -> Columns:  # fmt: skip
     """Return the Columns of materials.
@@ -106,15 +113,21 @@ def _column(material, weather, snow_m, station_roughness_m, layers):
     chain = thermal.layers
     slabs = []
     for each in chain:
-        thickness = each.thickness_m
-        if each.cover == "snow" and snow_m:
-            thickness = snow_m
-        slabs.append(
-            Slab(np.inf if thickness is None else thickness, each.conductivity_w_m_k, each.heat_capacity_j_m3_k,
-                 each.water_share)
-        )  # fmt: skip
+        thickness, conductivity, water = each.thickness_m, each.conductivity_w_m_k, each.water_share
+        if each.cover == "snow":
+            water = each.density_kg_m3 / 1000.0
+            thickness = snow_m or thickness
+        elif each.cover == "water":
+            capacity, depth = each.heat_capacity_j_m3_k, np.inf if thickness is None else thickness
+            slabs.append(Slab(min(depth, _MIXED_M), _MIXED_M2_S * capacity, capacity, water))
+            if depth <= _MIXED_M:
+                continue
+            thickness, conductivity = depth - _MIXED_M, _CALM_M2_S * capacity
+        slabs.append(Slab(np.inf if thickness is None else thickness, conductivity, each.heat_capacity_j_m3_k, water))
     end = chain[-1].beneath
     skin = thermal.skin_conductance_w_m2_k or np.inf
+    if thermal.cover == "water":
+        skin = thermal.conductivity_w_m_k / _COOL_SKIN_M
     cut = layered(slabs, skin, _FILMS.get(end), layers)
     rough = thermal.roughness_m
     if station_roughness_m is None:
@@ -125,8 +138,10 @@ def _column(material, weather, snow_m, station_roughness_m, layers):
     log_wind = np.log(wind_m / rough)
     # The wind at the height of the air's temperature tells the stability.
     stability_m = air_m * (log_wind / np.log(air_m / rough)) ** 2
-    evaporates = thermal.surface_resistance_s_m is not None
-    soil = thermal.cover == "bare" and evaporates and chain[-1].thickness_m is None and thermal.surface_resistance_s_m
+    resistance = thermal.surface_resistance_s_m
+    # Without resistance it is free water, as far as there is some.
+    free = thermal.wetness if resistance == 0.0 else 0.0
+    soil = thermal.cover == "bare" and bool(resistance) and thermal.thickness_m is None
     share = np.zeros(layers)
     if thermal.attenuation_1_m:
         reached = np.exp(-thermal.attenuation_1_m * cut.edge_m)
@@ -138,8 +153,9 @@ def _column(material, weather, snow_m, station_roughness_m, layers):
         log_wind=log_wind,
         log_heat=np.log(air_m / rough) + thermal.heat_roughness_ratio,
         height_m=stability_m,
-        resistance=thermal.surface_resistance_s_m if evaporates else 1e9,
+        resistance=resistance or _NEVER_S_M,
         wetness=thermal.wetness,
+        open_water=free,
         leaves=float(thermal.cover == "leaves"),
         held=_HELD_BY_SOIL if soil else _HELD,
         melting=float(thermal.melting_k is not None and thermal.cover == "snow"),

@@ -187,16 +187,11 @@ class Scene:
             )
         from thermorender.weather.declared import declared_weather
 
-        found = declared_weather(
-            self.spec.weather, self.frame.latitude_deg, self.frame.longitude_deg, self.altitude_m
-        )
-        first, last = found.time[0], found.time[-1]
-        if not first <= self.time <= last:
-            raise ThermorenderError(
-                f"{self.where}: time={utc_text(self.time)} lies outside of its weather, {utc_text(first)} to "
-                f"{utc_text(last)}; give a time inside, or weather of that day"
-            )
-        return found
+        place = self.frame.latitude_deg, self.frame.longitude_deg, self.altitude_m
+        try:
+            return declared_weather(self.spec.weather, *place)
+        except ThermorenderError as error:
+            raise ThermorenderError(f"{self.where}: {error}") from None
 
     @property
     def weather_notes(self) -> tuple[str, ...]:

@@ -234,15 +234,18 @@ class WeatherSpec:
     humidity: float | None = key(share, None)
     wind_m_s: float | None = key(number(0.0, 60.0), None)
     cloud: float | None = key(number(0.0, 1.0), None)
-    snow_depth_m: float = key(number(0.0, 30.0), 0.0)
+    snow_depth_m: float = key(number(0.0, 20.0), 0.0)
     inside_c: float = key(number(-60.0, 60.0), 20.0)
 
     def check(self, where, given):
         """Refuse none or two kinds of weather, and a named day that is not whole."""
         kind = where.exactly_one(given, ("file", "epw", "air_high_c"), "station, weather year or named day")
+        # A station may have no wind of its own.
+        also = {"wind_m_s": ("air_high_c", "file")}
         for name in ("air_low_c", "humidity", "wind_m_s", "cloud"):
-            if kind != "air_high_c" and name in given:
-                where.of(name).refuse(given[name], f"it with air_high_c only, not with {kind}")
+            kinds = also.get(name, ("air_high_c",))
+            if kind not in kinds and name in given:
+                where.of(name).refuse(given[name], f"it with {' or '.join(kinds)} only, not with {kind}")
             if kind == "air_high_c" and name not in given:
                 raise where.error(f"{where.key}.{name} is missing; a named day needs it{unit_of(name, ' in ')}")
         if kind == "air_high_c" and self.air_low_c > self.air_high_c:

@@ -1,0 +1,539 @@
+"""The hour of a scene: [weather], instants with their zone, temperatures that follow a flight, and a day of one view.
+
+The weather and the heat balance stand in here for their own modules, which have tests of their own: the air swings by a
+sine over the day, and a texel is so many kelvins warmer than the air as its material's number says.
+"""
+
+import csv
+import json
+import sys
+from collections import namedtuple
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta, timezone
+from types import ModuleType
+
+import numpy as np
+import pytest
+import trimesh
+
+import thermorender as tr
+from scenes import write_mesh, write_terrain
+from thermorender.errors import ThermorenderError
+from thermorender.output import timed
+from thermorender.output.day import day, instant_of, solar_midnight
+from thermorender.output.flight import fly
+from thermorender.render import reference
+from thermorender.render.plan import make_plan
+from thermorender.scene.spec import TemperatureSpec
+from thermorender.units import instant, utc_text
+from thermorender.validate.comparison import compare
+
+DAY = """
+[weather]
+time = 2018-07-28T14:30:00Z
+air_low_c = 10
+air_high_c = 22
+humidity = 0.6
+wind_m_s = 3
+cloud = 0.2
+"""
+NOON = np.datetime64("2018-07-28T14:30:00")
+MINUTE = np.timedelta64(60, "s")
+Conditions = namedtuple("Conditions", ["air_k", "direct_w_m2"])
+
+
+@dataclass(frozen=True)
+class StandIn:
+    """Weather of five days before an instant to one after."""
+
+    time: np.ndarray
+    longitude_deg: float
+    notes: tuple = ("the sky's long-wave was modelled",)
+
+    def at(self, time):
+        hour = (np.asarray(time, "datetime64[s]").astype(np.int64) % 86400) / 3600.0
+        return Conditions(289.15 + 6.0 * np.sin(2.0 * np.pi * (hour - 9.0) / 24.0), 500.0 * np.ones_like(hour))
+
+    def sun(self, time):
+        hour = (np.asarray(time, "datetime64[s]").astype(np.int64) % 86400) / 3600.0
+        return 15.0 * hour, 50.0 * np.sin(2.0 * np.pi * (hour - 6.0) / 24.0)
+
+
+@pytest.fixture(autouse=True)
+def marches(monkeypatch):
+    """The instants of each march of the heat balance; weather and balance are stand-ins."""
+    done = []
+
+    def declared_weather(spec, latitude_deg, longitude_deg, altitude_m):
+        return StandIn(spec.time + np.timedelta64(3600, "s") * np.arange(-120, 25), longitude_deg)
+
+    def solved(scene, times, geometry=None, progress=None):
+        assert scene.balanced and all(isinstance(time, np.datetime64) for time in times)
+        done.append(list(times))
+        if progress:
+            progress("marching the heat balance", 1.0)
+        return [
+            scene.heated(time, [scene.weather.at(time).air_k + 2.0 * s.material for s in scene.surfaces[:1]])
+            for time in times
+        ]
+
+    for name, function in (("weather.declared", declared_weather), ("render.heat", solved)):
+        module = ModuleType(f"thermorender.{name}")
+        setattr(module, function.__name__, function)
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+    return done
+
+
+def write(folder, extra=DAY, source='source = "balance"', **options):
+    write_terrain(folder, extra=extra, **options)
+    path = folder / "scene.toml"
+    text = path.read_text().replace('source = "raster"\nraster = "temperature.tif"', source, 1)
+    path.write_text(text.replace('[truth]\ntemperature = "temperature.tif"\n', ""))
+    return folder
+
+
+@pytest.fixture
+def scene(tmp_path):
+    return tr.load_scene(write(tmp_path / "tiny"))
+
+
+@pytest.fixture
+def path():
+    """Two minutes and a half over the scene, from 10 s on."""
+    ends = np.array([[-1.0, 0.0, 12.0], [1.0, 0.0, 12.0]])
+    return tr.Trajectory(np.array([10.0, 160.0]), ends, np.array([[0.0, 1.0, 0.0, 0.0]] * 2))
+
+
+# --- weather itself -----------------------------------------------------------------------------------------------
+
+
+def test_the_table_is_read_as_weather(scene, monkeypatch):
+    monkeypatch.delitem(sys.modules, "thermorender.weather.declared")
+    weather = scene.weather
+    # The named day's own limits and place, five days before and one after.
+    assert 283.15 <= weather.air_k.min() < 283.3 and 295.0 < weather.air_k.max() <= 295.15 + 1e-6
+    assert weather.longitude_deg == scene.frame.longitude_deg and weather.altitude_m == scene.altitude_m
+    assert weather.time[0] <= NOON - np.timedelta64(4, "D") and weather.time[-1] >= NOON + 600 * MINUTE
+    assert scene.weather_notes == weather.notes and len(scene.digest()) == 32
+    dawn = scene.at("2018-01-05T06:00Z")
+    assert dawn.weather.time[0] < dawn.time < dawn.weather.time[-1] and dawn.weather_digest() != scene.weather_digest()
+
+
+def test_an_instant_outside_its_file_is_refused(tmp_path, monkeypatch):
+    monkeypatch.delitem(sys.modules, "thermorender.weather.declared")
+    table = '[weather]\ntime = 2018-07-28T14:30:00Z\nfile = "station.csv"\nwind_m_s = 3\n'
+    folder = write(tmp_path / "tiny", table)
+    rows = [f"2018-07-{27 + hour // 24}T{hour % 24:02d}:00:00Z,{18 + hour % 24 / 4},60" for hour in range(36)]
+    (folder / "station.csv").write_text("\n".join(["time_utc,air_c,rh_percent", *rows]) + "\n")
+    with pytest.raises(ThermorenderError) as error:
+        _ = tr.load_scene(folder).weather
+    for words in (str(folder / "scene.toml"), "[weather] time=2018-07-28T14:30:00Z is outside the weather", "give the"):
+        assert words in str(error.value)
+    scene = tr.load_scene(folder).at("2018-07-28T09:00Z")
+    assert scene.weather.wind_m_s.max() == 3.0 and scene.weather_notes
+    lines = (folder / "station.csv").read_text()
+    (folder / "station.csv").write_text(lines.replace(",60\n", ",61\n", 1))
+    assert tr.load_scene(folder).at("2018-07-28T09:00Z").digest() != scene.digest()
+
+
+# --- instants -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        "2018-07-28T14:30Z", "2018-07-28T14:30:00Z", "2018-07-28 16:30+02:00", "2018-07-28T04:30:00-1000",
+        NOON, datetime(2018, 7, 28, 20, 15, tzinfo=timezone(timedelta(hours=5, minutes=45))),
+    ],
+)  # fmt: skip
+def test_an_instant_is_utc(value):
+    assert instant("time", value) == NOON and instant("time", value).dtype == "datetime64[s]"
+    assert utc_text(instant("time", value)) == "2018-07-28T14:30:00Z"
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        ("2018-07-28T14:30", "time=2018-07-28T14:30 has no zone; add Z where it is UTC"),
+        (datetime(2018, 7, 28), "has no zone"),
+        ("2018-07-28", "is no instant; give date, T, hour and minute with their zone"),
+        ("2018-02-30T12:00Z", "is no instant"),
+        ("2018-07-28T14:30:00.5Z", "is no instant"),
+        ("2018-07-28T14:30+15:00", "has an offset that no clock has"),
+        ("noon", "time=noon is no instant"),
+        (np.datetime64("NaT"), "is no instant"),
+        (5, "time=5 is no instant"),
+    ],
+)
+def test_what_is_no_instant_is_refused(value, told):
+    with pytest.raises(ThermorenderError) as error:
+        instant("time", value)
+    assert told in str(error.value)
+
+
+# --- scene files --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (("time = 2018-07-28T14:30:00Z\n", ""), "key 'time' is missing in weather"),
+        (("T14:30:00Z", "T14:30:00"), "weather.time=2018-07-28T14:30:00 has no zone; add Z"),
+        (("2018-07-28T14:30:00Z", '"2018-07-28T14:30"'), "weather.time=2018-07-28T14:30 has no zone"),
+        (("2018-07-28T14:30:00Z", "2018-07-28"), "weather.time=2018-07-28 is no instant"),
+        (("air_high_c = 22\n", ""), "weather needs exactly one of file, epw, air_high_c"),
+        (("air_high_c = 22", 'air_high_c = 22\nfile = "scene.toml"'), "file and air_high_c are given"),
+        (
+            ("air_high_c = 22", 'file = "scene.toml"'),
+            "weather.air_low_c=10 is not allowed; give it with air_high_c only",
+        ),
+        (("cloud = 0.2", ""), "weather.cloud is missing; a named day needs it"),
+        (("wind_m_s = 3", ""), "weather.wind_m_s is missing; a named day needs it in m/s"),
+        (("wind_m_s = 3", "wind_m_s = -1"), "weather.wind_m_s=-1 is not allowed; give a number 0…60 m/s"),
+        (("humidity = 0.6", "humidity = 60"), "weather.humidity=60 is not allowed; give a number above 0 and up to 1"),
+        (("air_low_c = 10", "air_low_c = 25"), "weather.air_low_c=25 is not allowed; give what is not above"),
+        (("cloud = 0.2", "clouds = 0.2"), "unknown key 'clouds' in weather; did you mean 'cloud'?"),
+        (("[weather]", "[weathers]"), "unknown key 'weathers'"),
+    ],
+)
+def test_a_weather_that_does_not_hold_together_is_refused(tmp_path, change, told):
+    assert DAY.count(change[0]) == 1
+    with pytest.raises(ThermorenderError) as error:
+        tr.load_scene(write(tmp_path / "tiny", DAY.replace(*change)))
+    assert told in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("source", "extra", "told"),
+    [
+        (
+            'source = "balance"',
+            "",
+            "temperature.source='balance' needs the weather; add [weather] with time and one of",
+        ),
+        ('source = "constant"\nvalue = 300\nbrightness = true', DAY, "temperature.brightness=True is not allowed"),
+        ('source = "balance"\nbrightness = 1', DAY, "temperature.brightness=1 is not allowed; give one of false, true"),
+        ('source = "balances"', DAY, "give one of constant, raster, material, learned, balance"),
+    ],
+)
+def test_a_balance_without_its_needs_is_refused(tmp_path, source, extra, told):
+    with pytest.raises(ThermorenderError) as error:
+        tr.load_scene(write(tmp_path / "tiny", extra, source))
+    assert told in str(error.value)
+
+
+def test_a_sun_at_odds_with_the_hour_is_refused(tmp_path):
+    folder = write(tmp_path / "tiny", DAY + "[sun]\nelevation_deg = 30\nazimuth_deg = 0\n")
+    text = (folder / "scene.toml").read_text()
+    text = text.replace("[sky]\ntemperature = 260.0", '[atmosphere]\nstandard = "midlatitude-summer"')
+    (folder / "scene.toml").write_text(text)
+    with pytest.raises(ThermorenderError, match=r"\[sun\] stands where weather.time puts it"):
+        tr.load_scene(folder)
+
+
+def test_a_mesh_needs_a_place(tmp_path):
+    folder = write_mesh(tmp_path / "m", trimesh.creation.box((2, 2, 2)), extra=DAY)
+    text = (folder / "scene.toml").read_text().replace('source = "constant"\nvalue = 300.0', 'source = "balance"')
+    (folder / "scene.toml").write_text(text)
+    with pytest.raises(ThermorenderError, match=r"needs a place, which a mesh does not have; add \[frame\]"):
+        tr.load_scene(folder)
+    with open(folder / "scene.toml", "a") as file:
+        file.write("[frame]\nlatitude_deg = 50\nlongitude_deg = 10\nheight_m = 300\n")
+    scene = tr.load_scene(folder)
+    assert scene.weather.longitude_deg == 10.0 and scene.altitude_m == 300.0
+
+
+# --- scenes -------------------------------------------------------------------------------------------------------
+
+
+def test_a_scene_waits_for_its_temperatures(scene, marches):
+    assert scene.time == NOON and scene.balanced and not scene.warmed and not marches
+    assert np.isnan(scene.surfaces[0].temperature).all()
+    assert "balance, to be solved for 2018-07-28T14:30:00Z" in str(scene)
+    unsolved = (lambda: make_plan(scene), lambda: scene.surroundings_temperature,
+                lambda: reference.render(scene, tr.pose(0, 0, 12, pitch_deg=-90), samples=1))  # fmt: skip
+    for ask in unsolved:
+        with pytest.raises(ThermorenderError, match=r"are not solved yet; take Renderer\(scene\).scene"):
+            ask()
+    told = []
+    renderer = tr.Renderer(scene, rays=4, samples=1, progress=lambda what, share: told.append(what))
+    assert marches == [[NOON]] and told[0] == "marching the heat balance"
+    solved = renderer.scene
+    assert solved.warmed and not scene.warmed
+    expected = scene.weather.at(NOON).air_k + 2.0 * scene.surfaces[0].material
+    np.testing.assert_allclose(solved.surfaces[0].temperature, expected, atol=2e-5)
+    assert f"{expected.min():.1f}–{expected.max():.1f} K at 2018-07-28T14:30:00Z" in str(solved)
+    frame = renderer.frame(tr.pose(0, 0, 12, pitch_deg=-90))
+    assert frame.time == NOON and np.isfinite(frame.apparent_temperature).all()
+    kinetic = frame.truth["kinetic_temperature"]
+    assert expected.min() - 1e-3 <= kinetic.min() and kinetic.max() <= expected.max() + 1e-3
+
+
+def test_a_wrong_setting_is_told_before_the_march(scene, marches):
+    with pytest.raises(ThermorenderError, match="rays=0 is not allowed"):
+        tr.Renderer(scene, rays=0)
+    assert not marches
+
+
+def test_the_same_scene_is_marched_once(scene, marches):
+    first = tr.Renderer(scene, rays=4, samples=1)
+    small = replace(scene, camera=replace(scene.camera, width=64, height=64))
+    for other in (scene, small):
+        assert tr.Renderer(other, rays=4, samples=1, like=first).baked.texels is first.baked.texels
+    assert len(marches) == 1
+    later = tr.Renderer(scene.at(NOON + 60 * MINUTE), rays=4, samples=1, like=first)
+    assert len(marches) == 2 and later.scene.time == NOON + 60 * MINUTE
+
+
+def test_a_scene_at_another_instant(scene):
+    later = scene.at("2018-07-28T20:00+02:00")
+    assert later.time == np.datetime64("2018-07-28T18:00:00") == later.spec.weather.time and not later.warmed
+    assert scene.at(NOON) is scene
+    digests = [
+        one.digest() for one in (scene, later, scene.with_temperature(TemperatureSpec("balance", brightness=True)))
+    ]
+    assert len(set(digests)) == 3 and tr.load_scene(scene.spec.folder).digest() == digests[0]
+    windy = replace(scene, spec=replace(scene.spec, weather=replace(scene.spec.weather, inside_c=21.0)))
+    assert windy.digest() != digests[0]
+
+
+def test_a_truth_raster_is_of_the_scenes_own_instant(tmp_path):
+    scene = tr.load_scene(write_terrain(tmp_path / "tiny", extra=DAY))
+    assert scene.truth_temperature_spec.source == "raster"
+    assert scene.at(NOON).spec.truth_temperature is not None
+    with pytest.raises(ThermorenderError, match="has no truth.temperature"):
+        _ = scene.at(NOON + MINUTE).truth_temperature_spec
+
+
+def test_little_weather_before_the_instant_is_told(scene):
+    assert scene.weather_notes == ("the sky's long-wave was modelled",)
+    scene.__dict__["weather"] = StandIn(NOON + 60 * MINUTE * np.arange(-13, 25), 21.0)
+    assert "the weather begins 13.0 h before 2018-07-28T14:30:00Z" in scene.weather_notes[1]
+
+
+def test_a_scene_without_an_hour_refuses_one(tmp_path, call):
+    folder = write_terrain(tmp_path / "tiny")
+    with pytest.raises(ThermorenderError, match="needs temperature.source='balance' with \\[weather\\]"):
+        tr.load_scene(folder).at(NOON)
+    for verb in ("plan", "render", "fly", "compare", "bench", "day"):
+        output = [] if verb in ("plan", "bench") else ["-o", tmp_path / verb]
+        status, _, errors = call(verb, folder, "--time", "2018-07-28T14:30Z", *output)
+        assert status == 2 and "needs temperature.source='balance'" in errors, (verb, errors)
+        assert not (tmp_path / verb).exists()
+        status, _, errors = call(verb, folder, "--time", "2018-07-28T14:30", *output)
+        assert status == 2 and "--time=2018-07-28T14:30 has no zone" in errors
+
+
+def test_the_sun_stands_where_the_instant_puts_it(tmp_path):
+    folder = write(tmp_path / "tiny")
+    scene = tr.load_scene(folder).with_air("midlatitude-summer").with_temperature(TemperatureSpec("balance"))
+    found = tr.Renderer(scene, rays=4, samples=1).scene.spec.sun
+    assert (found.azimuth_deg, found.elevation_deg) == pytest.approx([float(x) for x in scene.weather.sun(NOON)])
+    night = scene.at("2018-07-28T01:00Z")
+    assert tr.Renderer(night, rays=4, samples=1).scene.spec.sun is None
+
+
+# --- flights ------------------------------------------------------------------------------------------------------
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+def test_a_flight_takes_its_temperatures_at_its_own_time(scene, path, marches, tmp_path):
+    renderer = tr.Renderer(scene, rays=4, samples=1)
+    fly(renderer, path, tmp_path / "f", rate_hz=0.1, products=("counts",))
+    # One march for the renderer, one for all the rest of the flight.
+    assert [len(times) for times in marches] == [1, 3]
+    lines = [json.loads(line) for line in (tmp_path / "f/frames.jsonl").read_text().splitlines()]
+    assert len(lines) == 16 and [line["time_s"] for line in lines[:2]] == [10.0, 20.0]
+    assert lines[0]["time"] == "2018-07-28T14:30:00.000Z" and lines[15]["time"] == "2018-07-28T14:32:30.000Z"
+    steps = [line["temperature"]["time"] for line in lines]
+    # The nearest minute, that of equal distance the even one, as Python rounds.
+    assert steps == [f"2018-07-28T14:3{round(k / 6)}:00Z" for k in range(16)]
+    air = [float(scene.weather.at(NOON + k * MINUTE).air_k) for k in range(3)]
+    changes = {line["temperature"]["time"][14:16]: line["temperature"]["change_mk"] for line in lines}
+    assert changes["30"] is None and changes["31"] == pytest.approx(1e3 * abs(air[0] - air[1]), abs=0.1)
+    assert changes["32"] == pytest.approx(1e3 * abs(air[1] - air[2]), abs=0.1)
+    flown = json.loads((tmp_path / "f/flight.json").read_text())
+    assert flown["time"] == "2018-07-28T14:30:00.000Z" and flown["temperature_step_s"] == 60.0
+    assert flown["weather"]["source"] == "named day" and flown["weather"]["notes"] == list(scene.weather.notes)
+    # A frame is that of the scene at its step's instant.
+    follower = timed.TimedRenderer(renderer, *path.span_s)
+    alone = tr.Renderer(scene.at(NOON + 2 * MINUTE), rays=4, samples=1).radiance(path.pose(130.0))
+    np.testing.assert_allclose(follower.at(130.0).radiance(path.pose(130.0)), alone, rtol=2e-6)
+    assert np.abs(alone / renderer.radiance(path.pose(130.0)) - 1.0).max() > 1e-5
+
+
+def test_light_is_traced_once_for_a_flight(scene, path, tmp_path, monkeypatch):
+    from thermorender.render.light import cache
+
+    traced, known = [], cache.traced
+    monkeypatch.setattr(cache, "traced", lambda *given: traced.append(1) or known(*given))
+    fly(tr.Renderer(scene, rays=4, samples=1), path, tmp_path / "f", rate_hz=0.05, products=("counts",))
+    assert len(traced) == 1
+
+
+@pytest.mark.parametrize("done", [3, 7, 12])
+def test_a_resume_over_steps_gives_the_same_bytes(scene, path, tmp_path, done, monkeypatch):
+    monkeypatch.setattr(timed, "TOGETHER", 1)
+    flight = {"rate_hz": 0.1, "products": ("counts", "display")}
+    fly(tr.Renderer(scene, rays=4, samples=1), path, tmp_path / "whole", **flight)
+
+    def stop(finished, total):
+        if finished == done:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fly(tr.Renderer(scene, rays=4, samples=1), path, tmp_path / "part", progress=stop, **flight)
+    (tmp_path / "part/sensor_even.npz").unlink(missing_ok=True)
+    fly(tr.Renderer(scene, rays=4, samples=1), path, tmp_path / "part", resume=True, **flight)
+    assert contents(tmp_path / "part") == contents(tmp_path / "whole")
+    other = tr.Renderer(scene.at(NOON + MINUTE), rays=4, samples=1)
+    with pytest.raises(ThermorenderError, match="was flown with scene_digest="):
+        fly(other, path, tmp_path / "part", resume=True, **flight)
+
+
+def test_part_of_a_flight_is_at_the_same_instants(scene, path, tmp_path):
+    renderer = tr.Renderer(scene, rays=4, samples=1)
+    fly(renderer, path, tmp_path / "f", rate_hz=0.05, products=("counts",), start_s=110.0, stop_s=130.0)
+    lines = [json.loads(line) for line in (tmp_path / "f/frames.jsonl").read_text().splitlines()]
+    assert [line["time"] for line in lines] == ["2018-07-28T14:31:40.000Z", "2018-07-28T14:32:00.000Z"]
+
+
+def test_a_flight_beyond_its_weather_is_refused(scene, path, tmp_path):
+    renderer = tr.Renderer(scene, rays=4, samples=1)
+    long = tr.Trajectory(path.time_s * 1000.0, path.position, path.quaternion)
+    with pytest.raises(ThermorenderError, match="after its weather, which ends at 2018-07-29T14:30:00Z"):
+        fly(renderer, long, tmp_path / "f", rate_hz=0.001, products=("counts",))
+    assert not (tmp_path / "f").exists()
+
+
+def test_a_scene_without_an_hour_flies_as_before(tmp_path, path, marches):
+    renderer = tr.Renderer(tr.load_scene(write_terrain(tmp_path / "tiny")), rays=4, samples=1)
+    fly(renderer, path, tmp_path / "f", rate_hz=0.02, products=("counts",))
+    lines = [json.loads(line) for line in (tmp_path / "f/frames.jsonl").read_text().splitlines()]
+    assert all(line["time"] is None and "temperature" not in line for line in lines) and not marches
+    assert "weather" not in json.loads((tmp_path / "f/flight.json").read_text())
+
+
+# --- a day --------------------------------------------------------------------------------------------------------
+
+
+def test_the_local_solar_day():
+    # Date line, and 15° an hour.
+    for longitude, begins in (
+        (0.0, "28T00:00:00"),
+        (21.0, "27T22:36:00"),
+        (-120.0, "28T08:00:00"),
+        (180.0, "28T12:00:00"),
+    ):
+        assert solar_midnight(NOON, longitude) == np.datetime64(f"2018-07-{begins}")
+
+
+def test_a_day_of_one_view(scene, marches, tmp_path):
+    import cv2
+
+    pose = tr.pose(0, 0, 12, pitch_deg=-90)
+    rows = day(scene, pose, tmp_path / "d", 180, ("exr", "counts", "display", "video"), rays=4, samples=1)
+    folder, first = tmp_path / "d", solar_midnight(NOON, scene.frame.longitude_deg)
+    assert [len(times) for times in marches] == [8] and marches[0][0] == first
+    names = set(contents(folder))
+    assert {"day.csv", "day.png", "day.mp4", "day.json", "frames.jsonl", "frame_000007.png"} <= names
+    assert not any(".part" in name for name in names)
+    with open(folder / "day.csv", newline="") as file:
+        table = list(csv.DictReader(file))
+    assert (
+        [float(row["solar_hour"]) for row in table]
+        == [3.0 * k for k in range(8)]
+        == [row["solar_hour"] for row in rows]
+    )
+    for k, row in enumerate(table):
+        assert row["time_utc"] == utc_text(first + k * 180 * MINUTE)
+        air = float(scene.weather.at(first + k * 180 * MINUTE).air_k)
+        assert float(row["air_k"]) == pytest.approx(air, abs=6e-4)
+        grass, sand = (float(row[f"{name}_mean_k"]) for name in ("grass_green", "sand_quartz"))
+        assert sorted([grass, sand]) == pytest.approx([air, air + 2.0], abs=2e-3)
+        assert float(row["grass_green_min_k"]) <= grass <= float(row["grass_green_max_k"])
+    alone = tr.Renderer(scene.at(first + 540 * MINUTE), rays=4, samples=1).frame(pose, index=3)
+    mean = float(alone.apparent_temperature.mean(dtype=np.float64))
+    assert float(table[3]["apparent_mean_k"]) == pytest.approx(mean, abs=2e-3)
+    lines = [json.loads(line) for line in (folder / "frames.jsonl").read_text().splitlines()]
+    assert [line["time"] for line in lines] == [row["time_utc"] for row in table]
+    # One scale: the same count has the same level in every frame.
+    level = {}
+    for k in range(8):
+        counts = cv2.imread(str(folder / f"frame_{k:06d}_counts.png"), cv2.IMREAD_UNCHANGED)
+        shown = cv2.imread(str(folder / f"frame_{k:06d}.png"), cv2.IMREAD_UNCHANGED)
+        for count, seen in np.unique(np.stack([counts.ravel(), shown.ravel()]), axis=1).T.tolist():
+            assert level.setdefault(count, seen) == seen
+    levels = np.array([level[count] for count in sorted(level)])
+    assert (np.diff(levels) >= 0).all() and levels[0] == 0 and levels[-1] == 255
+    assert cv2.VideoCapture(str(folder / "day.mp4")).get(cv2.CAP_PROP_FRAME_COUNT) == 8
+    assert cv2.imread(str(folder / "day.png")).std() > 5.0
+
+
+def test_a_day_that_is_stopped_leaves_nothing(scene, tmp_path):
+    def stop(what, share):
+        if what == "frame 2 of 4":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        day(scene, tr.pose(0, 0, 12, pitch_deg=-90), tmp_path / "d", 360, ("counts",), progress=stop, rays=4, samples=1)
+    assert [path.name for path in tmp_path.iterdir()] == ["tiny"]
+
+
+def test_days_that_cannot_be_are_refused(scene, tmp_path, marches):
+    pose = tr.pose(0, 0, 12, pitch_deg=-90)
+    for step in (0, 1, 7, 721, 1440):
+        with pytest.raises(ThermorenderError, match=f"step_min={step} is not allowed; give minutes from 5 to 720"):
+            day(scene, pose, tmp_path / "d", step)
+    constant = scene.with_temperature(TemperatureSpec("constant", value=300.0))
+    with pytest.raises(ThermorenderError, match="a day needs temperature.source='balance'"):
+        day(constant, pose, tmp_path / "d")
+    scene.__dict__["weather"] = StandIn(NOON + 60 * MINUTE * np.arange(-3, 4), 21.0)
+    with pytest.raises(ThermorenderError, match="is not all inside its weather, 2018-07-28T11:30:00Z to"):
+        day(scene, pose, tmp_path / "d")
+    assert not marches and not (tmp_path / "d").exists()
+
+
+def test_a_date_is_that_of_the_place(scene):
+    noon = instant_of(scene, "2018-07-29")
+    assert solar_midnight(noon, scene.frame.longitude_deg) == noon - 720 * MINUTE
+    assert instant_of(scene, "2018-07-29T01:00+02:00") == np.datetime64("2018-07-28T23:00")
+    with pytest.raises(ThermorenderError, match="--time=2018-02-30"):
+        instant_of(scene, "2018-02-30")
+
+
+# --- command line -------------------------------------------------------------------------------------------------
+
+
+def test_verbs_at_an_instant(tmp_path, call, marches):
+    folder = write(tmp_path / "tiny")
+    fast = ("--rays", "4", "--time", "2018-07-28T18:00+02:00")
+    asked = np.datetime64("2018-07-28T16:00")
+    status, output, errors = call("plan", folder, *fast)
+    assert status == 0 and "K at 2018-07-28T16:00:00Z" in output, errors
+    assert "weather: the sky's long-wave was modelled" in output
+    frame = ("--pose", "0,0,12,0,-90,0", "--products", "counts,display")
+    status, output, errors = call("render", folder, "-o", tmp_path / "r", *fast, *frame)
+    assert status == 0, errors
+    told = json.loads((tmp_path / "r/frame_000000.json").read_text())
+    assert told["time"] == "2018-07-28T16:00:00Z" and told["weather"]["source"] == "named day"
+    assert len(told["weather"]["digest"]) == 32 and marches == [[asked], [asked]]
+    status, output, errors = call("day", folder, "-o", tmp_path / "d", "--step-min", "720", "--rays", "4", *frame,
+                                  "--time", "2018-07-27")  # fmt: skip
+    assert status == 0 and "2 frames from 2018-07-26T22:" in output, errors
+    assert (tmp_path / "d/day.png").is_file()
+
+
+def test_an_hour_that_changes_nothing_is_said(tmp_path, call):
+    folder = write_terrain(tmp_path / "tiny", extra=DAY)
+    status, output, errors = call("plan", folder, "--time", "2018-07-28T18:00Z")
+    assert status == 0 and "note: temperatures of source 'raster' do not change with --time" in errors
+
+
+def test_a_balance_is_the_truth_of_a_comparison_without_a_raster(scene, path, tmp_path):
+    found = compare(scene, path, tmp_path / "c", ("fok-1to1",), rate_hz=0.01, rays=4, samples=1)
+    assert found["time"] == "2018-07-28T14:30:00Z" and found["weather"]["source"] == "named day"
+    assert found["errors"]["fok-1to1 3D"]["pixels"] > 0
