@@ -18,7 +18,7 @@ HOT_WIND = {"wind_m_s": 1e4, "pressure_pa": 1e7}
 def ground(layers, **changed):
     """Ground of one column that neither radiates nor evaporates."""
     own = {
-        "emissivity": 0.0, "log_wind": 5.0, "log_heat": 7.0, "height_m": 2.0, "resistance": 1e30, "wetness": 1.0,
+        "emissivity": 0.0, "log_wind": 5.0, "log_heat": 7.0, "height_m": 2.0, "resistance": 1e30, "wetness": 1.0, "open_water": 0.0,
         "leaves": 0.0, "held": 0.0, "melting": 0.0, "capacity": list(layers.capacity),
         "conductance": list(layers.conductance),
     }  # fmt: skip
@@ -438,7 +438,7 @@ def test_newton_finds_the_temperature_from_afar(monkeypatch):
     column = balance.Ground(
         emissivity=rng.choice([1e-3, 0.5, 0.95, 1.0], many), log_wind=np.log(2.0 / rough),
         log_heat=np.log(2.0 / rough) + rng.uniform(0.0, 7.0, many), height_m=2.0,
-        resistance=10.0 ** rng.uniform(0.0, 4.0, many), wetness=rng.uniform(0.0, 1.0, many), leaves=0.0,
+        resistance=10.0 ** rng.uniform(0.0, 4.0, many), wetness=rng.uniform(0.0, 1.0, many), open_water=0.0, leaves=0.0,
         held=rng.choice([0.0, 0.2, 1e3], many), melting=0.0, capacity=pick("capacity"),
         conductance=pick("conductance"),
     )  # fmt: skip

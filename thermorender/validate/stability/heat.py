@@ -34,7 +34,7 @@ def column(cuts, **changed):
     """Return the balance.Ground of columns (C,) cut into layers, dry unless changed."""
     own = {
         "emissivity": 0.95, "log_wind": np.log(10.0 / 0.01), "log_heat": np.log(2.0 / 0.001), "height_m": 2.0,
-        "resistance": 1e9, "wetness": 1.0, "leaves": 0.0, "held": 0.0, "melting": 0.0,
+        "resistance": 1e9, "wetness": 1.0, "open_water": 0.0, "leaves": 0.0, "held": 0.0, "melting": 0.0,
         "capacity": list(np.array([cut.capacity for cut in cuts]).T),
         "conductance": list(np.array([cut.conductance for cut in cuts]).T),
     }  # fmt: skip
