@@ -18,7 +18,8 @@ HOT_WIND = {"wind_m_s": 1e4, "pressure_pa": 1e7}
 def ground(layers, **changed):
     """Ground of one column that neither radiates nor evaporates."""
     own = {
-        "emissivity": 0.0, "log_wind": 5.0, "log_heat": 7.0, "height_m": 2.0, "resistance": 1e30, "wetness": 1.0, "open_water": 0.0,
+        "emissivity": 0.0, "log_wind": 5.0, "log_heat": 7.0, "height_m": 2.0,
+        "resistance": 1e30, "wetness": 1.0, "open_water": 0.0,
         "leaves": 0.0, "held": 0.0, "melting": 0.0, "capacity": list(layers.capacity),
         "conductance": list(layers.conductance),
     }  # fmt: skip
