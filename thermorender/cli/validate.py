@@ -117,3 +117,21 @@ def validate_sensor(
     with progress() as tell:
         run(output, at_time(scene, time), device=device, progress=tell)
     typer.echo(f"table, numbers and figures in {output}")
+
+
+@app.command("stability")
+def validate_stability(
+    groups: Annotated[list[str] | None, typer.Argument(help="Some of air, heat, light, sensor; default: all.")] = None,
+    output: Out = Path("out/validation"),
+):
+    """Cases at the edge, each with expected value, tolerance in kelvin and verdict; status 1 where one fails."""
+    from thermorender.validate import stability as study
+
+    with progress() as tell, files.output_folder(output) as folder:
+        result = study.run(groups or (), progress=tell)
+        files.write_json(folder / "stability.json", result)
+        study.table(folder / "stability.md", result)
+    table(study.HEADER, study.rows(result))
+    typer.echo(f"{result['failed']} of {len(result['cases'])} cases fail; numbers and table in {output}")
+    if result["failed"]:
+        raise typer.Exit(1)

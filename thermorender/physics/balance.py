@@ -7,8 +7,6 @@ the library `xp`; all fields broadcast over the columns.
 
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from thermorender.physics import exchange
 from thermorender.physics.conduction import filled, top_response
 from thermorender.units import ZERO_CELSIUS_K
