@@ -23,7 +23,10 @@ def ground(layers, **changed):
         "leaves": 0.0, "held": 0.0, "melting": 0.0, "capacity": list(layers.capacity),
         "conductance": list(layers.conductance),
     }  # fmt: skip
-    return balance.Ground(**(own | changed))
+    own |= changed
+    if own.get("water"):
+        own.setdefault("room", [(balance.RETENTION if own["melting"] else 1.0) * water for water in own["water"]])
+    return balance.Ground(**own)
 
 
 def forcing(**changed):

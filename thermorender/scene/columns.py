@@ -5,7 +5,7 @@ ground, which is what a weather station stands on and what a terrain's march beg
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -99,7 +99,7 @@ def columns(
         stacked[name] = list(values.T) if values.ndim == 2 else values
     # Leave out what no material needs.
     if not sum(map(np.sum, stacked["water"])):
-        stacked["water"] = None
+        stacked["water"] = stacked["room"] = None
     if not sum(map(np.sum, stacked["sun_share"])):
         stacked["sun_share"] = None
     rest = zip(*(each[1:] for each in made), strict=True)
@@ -111,7 +111,7 @@ def _column(material, weather, snow_m, station_roughness_m, layers):
     """(Ground of one column, absorptance, factor on the wind, whether indoor air lies below, depth of nodes)."""
     thermal = material.known_thermal()
     chain = thermal.layers
-    slabs = []
+    slabs, snowy = [], []
     for each in chain:
         thickness, conductivity, water = each.thickness_m, each.conductivity_w_m_k, each.water_share
         if each.cover == "snow":
@@ -120,15 +120,21 @@ def _column(material, weather, snow_m, station_roughness_m, layers):
         elif each.cover == "water":
             capacity, depth = each.heat_capacity_j_m3_k, np.inf if thickness is None else thickness
             slabs.append(Slab(min(depth, _MIXED_M), _MIXED_M2_S * capacity, capacity, water))
+            snowy.append(False)
             if depth <= _MIXED_M:
                 continue
             thickness, conductivity = depth - _MIXED_M, _CALM_M2_S * capacity
         slabs.append(Slab(np.inf if thickness is None else thickness, conductivity, each.heat_capacity_j_m3_k, water))
+        snowy.append(each.cover == "snow")
     end = chain[-1].beneath
     skin = thermal.skin_conductance_w_m2_k or np.inf
     if thermal.cover == "water":
         skin = thermal.conductivity_w_m_k / _COOL_SKIN_M
     cut = layered(slabs, skin, _FILMS.get(end), layers)
+    # What the layers hold when it is liquid.
+    kept = [balance.RETENTION if snow else 1.0 for snow in snowy]
+    held = [replace(slab, water=share * slab.water) for slab, share in zip(slabs, kept, strict=True)]
+    room = layered(held, skin, _FILMS.get(end), layers).water
     rough = thermal.roughness_m
     if station_roughness_m is None:
         wind_m, air_m, factor = weather.wind_height_m, weather.air_height_m, 1.0
@@ -162,6 +168,7 @@ def _column(material, weather, snow_m, station_roughness_m, layers):
         capacity=cut.capacity,
         conductance=cut.conductance,
         water=cut.water,
+        room=room,
         sun_share=share,
     )
     return ground, material.solar_absorptance, factor, end == "inside", cut.node_m
