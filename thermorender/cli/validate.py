@@ -133,7 +133,7 @@ def validate_heat(
     with progress() as tell, files.output_folder(output) as folder:
         result = study.run(sites or data_folder("validation") / study.SITES, data, progress=tell)
         if not result["sites"]:
-            raise ThermorenderError(f"--data={data} holds none of the tables {', '.join(result['missing'])}; give theirs")
+            raise ThermorenderError(f"--data={data} holds no table of the sites; give the folder that does")
         figure(folder / "heat.png", result)
         study.page(folder / "heat.md", result)
         files.write_json(

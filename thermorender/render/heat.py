@@ -39,7 +39,7 @@ _STEPS_S = ((3600.0, 300.0), (24 * 3600.0, 900.0), (np.inf, 1800.0))
 # The light between faces is solved anew so often [s], with so many rays a face, and so many reflections at first.
 _LIGHT_S, _RAYS, _REFLECTIONS = 1800.0, 64, 4
 # How long each texel has its own sun, before which those of a face and material share one [s].
-_OWN_S = 2 * 3600.0
+_OWN_S = 4 * 3600.0
 # Texels marched at a time: some 300 bytes each.
 _AT_ONCE = 1 << 22
 # Brightness of a texel over that of its class tells so much darker or lighter ground, at most.
@@ -245,7 +245,7 @@ class _March:
     def _marched(self, texels, covers, reflects, tell):
         """Yield the surface temperatures of all faces and of some texels, (C,) float32 [K], at each instant asked for.
 
-        Texels of one face and material are one column until two hours before the first instant, where nothing else
+        Texels of one face and material are one column until four hours before the first instant, where nothing else
         tells them apart; from there each has its own sun.
         """
         mi, own = self.mi, None

@@ -16,7 +16,7 @@ from thermorender.materials.library import Material
 from thermorender.physics import balance, exchange
 from thermorender.physics.balance import Forcing, Ground, State
 from thermorender.physics.conduction import LAYERS, Slab, layered
-from thermorender.units import utc_text
+from thermorender.units import ZERO_CELSIUS_K, utc_text
 from thermorender.weather.series import Conditions, Weather
 
 # Roughness length of the open grass over which wind is measured: WMO-No. 8 (2018), volume I, 5.9.2 [m].
@@ -26,6 +26,8 @@ _FILMS = {"inside": 1.0 / 0.13, "outside": 1.0 / 0.04}
 # Water that stays on leaves and on hard ground, and what bare soil holds before it resists evaporation: FAO Irrigation
 # and Drainage Paper 56 (1998), table 19, loams: 8 mm [kg m⁻²].
 _HELD, _HELD_BY_SOIL = 0.5, 8.0
+# Air inside buildings [K], where nothing else is said.
+INSIDE_K = 20.0 + ZERO_CELSIUS_K
 # Resistance of what does not evaporate [s/m].
 _NEVER_S_M = 1e9
 # Sunlight that water, snow and ice let in; the rest, near infrared, stays at the surface: Paulson & Simpson, J. Phys.
@@ -217,8 +219,8 @@ def forcing(
 
 
 def march(
-    columns: Columns, weather: Weather, state: State, start: np.datetime64, stop: np.datetime64, inside_k: float = 293.15,
-    step_s: float = STEP_S,
+    columns: Columns, weather: Weather, state: State, start: np.datetime64, stop: np.datetime64,
+    inside_k: float = INSIDE_K, step_s: float = STEP_S,
 ) -> "tuple[State, list[NDArray[Any]]]":  # fmt: skip
     """Return (State, [surface temperatures (M,) after each step]) of columns in the open, marched from start to stop.
 
@@ -243,7 +245,7 @@ def march(
 
 
 def settled(
-    columns: Columns, weather: Weather, at: np.datetime64, inside_k: float = 293.15
+    columns: Columns, weather: Weather, at: np.datetime64, inside_k: float = INSIDE_K
 ) -> "tuple[State, float]":
     """Return (State of columns in the open at an instant, change of its surfaces over the last repeated day [K]).
 

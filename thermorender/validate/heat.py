@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from thermorender.physics import heat as force_restore
+from thermorender.units import ZERO_CELSIUS_K
 from thermorender.validate.sites import measured, modelled, read_sites
 
 METHODS = ("balance", "one fitted", "force–restore", "sinusoid", "air")
@@ -172,7 +173,7 @@ def _force_restored(found, name):
             single(wet), single(weather.air_k[row]), weather.vapour_pa[row], single(inertia), single(deep),
         )  # fmt: skip
         if name.startswith("snow"):
-            now = np.minimum(now, np.float32(273.15))
+            now = np.minimum(now, np.float32(ZERO_CELSIUS_K))
         seen.append(float(now[0]))
     return np.array(seen)
 
@@ -219,8 +220,8 @@ def page(path, result):
     """Write the study as a page of Markdown."""
     from thermorender.files import write_text
 
-    lines = ["# The heat balance against measured surface temperatures", "",
-             "Errors in kelvin of the model minus the measurement, by day (sun above 3°) and by night (below −3°).", ""]  # fmt: skip
+    lines = ["# The heat balance against measured surface temperatures", ""]
+    lines += ["Errors [K] of the model minus the measurement, by day (sun above 3°) and by night (below −3°).", ""]
     lines += ["| " + " | ".join(HEADER) + " |", "|" + "---|" * len(HEADER)]
     lines += ["| " + " | ".join(row) + " |" for row in rows(result)]
     lines += ["", "| site | what | starts from | scored from | rows | notes |", "|---|---|---|---|---|---|"]
@@ -228,7 +229,8 @@ def page(path, result):
         offset = " Its mean error is taken off." if site["without_offset"] else ""
         lines.append(f"| {name} | {site['title']}: {', '.join(site['cover'])}.{offset} | {site['start']} | "
                      f"{site['scored_from']}Z | {site['scored']} | {' '.join(site['notes'])} |")  # fmt: skip
-    lines += ["", "| layers | step [s] | run time of three sites [s] | error against 24 layers at 60 s [K] |", "|---|---|---|---|"]
+    lines += ["", "| layers | step [s] | run time of three sites [s] | error against 24 layers at 60 s [K] |"]
+    lines += ["|---|---|---|---|"]
     lines += [f"| {c['layers']} | {c['step_s']:g} | {c['seconds']:.2f} | {c['error_k']:.3f} |" for c in result["cost"]]
     if result["missing"]:
         lines += ["", f"Left out, as their tables were not there: {', '.join(result['missing'])}."]

@@ -284,7 +284,7 @@ class _Drive:
                     own = None
                     if absorbed is not None:
                         own = np.interp(second[row] + offset[k, stage], second, absorbed[: len(second)])
-                    stages.append(open_ground.forcing(now, columns, sine[k, stage], 293.15, own))
+                    stages.append(open_ground.forcing(now, columns, sine[k, stage], open_ground.INSIDE_K, own))
                 state, _ = balance.step(np, state, columns.ground, *stages, length)
             seen.append(shown(state))
         self.state = state
@@ -302,9 +302,8 @@ class _Drive:
         count = min(np.searchsorted(weather.time, weather.time[0] + np.timedelta64(_DAY_S, "s")) + 1, len(weather.time))
         wide = len(columns.absorptance)
         mean = np.full(wide, weather.air_k[:count].mean())
+        mean = np.where(columns.ground.melting > 0.5, np.minimum(mean, ZERO_CELSIUS_K), mean)
         state = balance.at_rest(np, [mean] * len(columns.ground.capacity), columns.ground)
-        if wide and columns.ground.melting.any():
-            state = balance.at_rest(np, [np.minimum(mean, ZERO_CELSIUS_K)] * len(columns.ground.capacity), columns.ground)
         before = np.full(wide, np.inf)
         for _ in range(15):
             seen = self.march(state, step_s, count)

@@ -32,8 +32,8 @@ def figure(path, result):
             axes.plot(hour, values, color=colour, lw=1.6 if label in ("measured", "balance") else 0.9, label=label)
         score = site["scores"]["balance"]
         night = f" / {score['night']['mae']:.2f}" if np.isfinite(score["night"]["mae"]) else ""
-        axes.set(title=f"{site['title']}\nMAE {score['day']['mae']:.2f}{night} K", xlabel=f"hours since {time[part][0]}Z",
-                 ylabel="°C")  # fmt: skip
+        axes.set(title=f"{site['title']}\nMAE {score['day']['mae']:.2f}{night} K", ylabel="°C")
+        axes.set_xlabel(f"hours since {time[part][0]}Z")
         axes.title.set_fontsize(9)
         axes.grid(alpha=0.3)
         if name == next(iter(sites)):

@@ -218,7 +218,8 @@ def _balanced(act, **changed):
 def energy():
     """Heat that went in and heat that is there, of soil that freezes and thaws: what rounding leaves."""
     cut = layered([Slab(np.inf, 1.5, 2.2e6, 0.3)])
-    ground = column([cut], water=[np.array([w]) for w in cut.water], room=[np.array([w]) for w in cut.water], resistance=100.0)
+    water = [np.array([each]) for each in cut.water]
+    ground = column([cut], water=water, room=water, resistance=100.0)
     state = balance.at_rest(np, [np.array([271.0])] * len(ground.capacity), ground)
 
     def heat(state):
