@@ -23,7 +23,8 @@ HOUR = np.timedelta64(3600, "s")
 def scene_of(folder, **terrain):
     folder = write_terrain(folder, extra=WEATHER, **terrain)
     text = (folder / "scene.toml").read_text()
-    text = text.replace("grass_green", "granite").replace('source = "raster"\nraster = "temperature.tif"', 'source = "balance"')
+    text = text.replace('source = "raster"\nraster = "temperature.tif"', 'source = "balance"')
+    text = text.replace("grass_green", "granite")
     (folder / "scene.toml").write_text(text.replace('[truth]\ntemperature = "temperature.tif"', ""))
     return load_scene(folder)
 

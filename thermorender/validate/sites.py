@@ -12,8 +12,8 @@ from thermorender.physics import balance
 from thermorender.physics.balance import STEFAN_BOLTZMANN, State
 from thermorender.scene import columns as open_ground
 from thermorender.schema import Where, choice, flag, key, mapping, number, read, read_toml, tables, text
-from thermorender.units import ZERO_CELSIUS_K
-from thermorender.weather.series import Conditions, Weather, instant
+from thermorender.units import ZERO_CELSIUS_K, instant
+from thermorender.weather.series import Conditions, Weather
 from thermorender.weather.station import read_station
 
 # What drives the model before the first row, where a site starts by repeating its first day.
@@ -92,7 +92,7 @@ class Site:
     radiation: tuple | None = key(_two(text), None)
     soil: tuple = key(_pairs(number(0.0, 30.0), text), ())
     start: str = key(choice("settle", "repeat"), "settle")
-    during: tuple | None = key(_two(lambda value, where: instant(value)), None)
+    during: tuple | None = key(_two(lambda value, where: instant(where.key, value)), None)
     scored_after_h: float = key(number(0.0, 1e5), 0.0)
     names: dict = key(mapping(text), {})
     longest_gap_h: float = key(number(0.0, 1000.0), 3.0)
