@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from thermorender.defaults import BAND_UM
 from thermorender.materials.library import grey
 from thermorender.physics.band import emitted_radiance
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, brightness_temperature
 from thermorender.physics.surface import kinetic_temperature, reflected_radiance
 from thermorender.validate.stability.cases import Found, case
 
-BAND = (7.5, 13.5)
 # Some ulp of radiance: what its integral may err by in the 64 terms of its sum.
 ROUNDING = 64.0 * np.finfo(float).eps
 
@@ -18,9 +18,9 @@ ROUNDING = 64.0 * np.finfo(float).eps
 @case("light", "Planck's law and back, {:g} K", (2.0, 10.0, 100.0, 300.0, 3000.0, 10000.0))
 def there_and_back(kelvin):
     """An error of radiance δL/L is one of T δL / (dL/dT), here for its rounding."""
-    radiance = band_radiance(kelvin, *BAND)
-    allowed = ROUNDING * radiance / band_radiance_derivative(kelvin, *BAND)
-    return Found(float(brightness_temperature(radiance, *BAND)), kelvin, float(allowed))
+    radiance = band_radiance(kelvin, *BAND_UM)
+    allowed = ROUNDING * radiance / band_radiance_derivative(kelvin, *BAND_UM)
+    return Found(float(brightness_temperature(radiance, *BAND_UM)), kelvin, float(allowed))
 
 
 @case("light", "all wavelengths against Stefan and Boltzmann, {:g} K", (10.0, 300.0, 10000.0))
@@ -37,8 +37,8 @@ def inversion(emissivity):
     def same(wavelength_um):
         return np.full(np.shape(wavelength_um), emissivity)
 
-    seen = emitted_radiance(same, 300.0, *BAND) + reflected_radiance(same, 250.0, *BAND)
-    return Found(float(kinetic_temperature(seen, same, 250.0, BAND, (200.0, 400.0))), 300.0, 1e-3 / emissivity)
+    seen = emitted_radiance(same, 300.0, *BAND_UM) + reflected_radiance(same, 250.0, *BAND_UM)
+    return Found(float(kinetic_temperature(seen, same, 250.0, BAND_UM, (200.0, 400.0))), 300.0, 1e-3 / emissivity)
 
 
 @case("light", "closed cavity of 300 K, emissivity {:g}", (0.9, 0.1, 0.001))
@@ -59,7 +59,7 @@ def open_cavity(emissivity):
     from thermorender.validate.cavity import measure
 
     found = measure("open", 0.1, emissivity, 64, "cpu")["mean_mk"]
-    black, sky = band_radiance(300.0, *BAND), band_radiance(250.0, *BAND)
+    black, sky = band_radiance(300.0, *BAND_UM), band_radiance(250.0, *BAND_UM)
 
     def wall(s):
         received = ((1 - s) * emissivity * black + s * sky) / (1 - (1 - emissivity) * (1 - s))
@@ -67,7 +67,7 @@ def open_cavity(emissivity):
 
     rays = 64 * 5120 * 0.9
     noise = 4.0 * np.sqrt(0.1 * 0.9 / rays) * abs(wall(0.1005) - wall(0.0995)) / 1e-3
-    return Found(1e-3 * found, 0.0, float(noise / band_radiance_derivative(300.0, *BAND)) + 1e-3)
+    return Found(1e-3 * found, 0.0, float(noise / band_radiance_derivative(300.0, *BAND_UM)) + 1e-3)
 
 
 @case("light", "terrain {:g} km from the origin, straight down", (5.0, 50.0))
@@ -90,7 +90,7 @@ def far_away(kilometres):
         here = replace(scene, surfaces=(moved,), materials=black, camera=camera)
         image = Renderer(here, rays=64, device="cpu").radiance(pose(away, away, 120.0, pitch_deg=-90.0))
         images.append(image.astype(np.float64))
-    error = np.sqrt(((images[1] - images[0]) ** 2).mean()) / band_radiance_derivative(300.0, *BAND)
+    error = np.sqrt(((images[1] - images[0]) ** 2).mean()) / band_radiance_derivative(300.0, *BAND_UM)
     contrast = np.sqrt((np.diff(surface.temperature.astype(np.float64), axis=1) ** 2).mean())
     shift = 2.0 * float(np.spacing(np.float32(1e3 * kilometres))) / surface.texel_m
     return Found(float(error), 0.0, float(shift * contrast))
