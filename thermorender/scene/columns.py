@@ -4,7 +4,7 @@ A column is one material on what lies beneath it. Here they are put together fro
 ground, which is what a weather station stands on and what a terrain's march begins with.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -43,6 +43,8 @@ _TEMPERATURE_K = 290.0
 # Of a march in the open: steps, days that are repeated at most before it, and the change between them that ends it.
 STEP_S = 900.0
 _MOST_DAYS, _SETTLED_K = 15, 0.1
+# Above this depth a few days settle the ground by themselves [m].
+_SOON_M = 0.5
 _DAY = np.timedelta64(86400, "s")
 
 
@@ -257,22 +259,49 @@ def settled(
     if at < first:
         raise ThermorenderError(f"{utc_text(at)} lies before the weather, which begins at {utc_text(first)}")
     mean = float(weather.at(first + np.arange(24) * ((day - first) // 24)).air_k.mean())
-    count = len(columns.absorptance)
-    state = balance.at_rest(np, [np.full(count, mean)] * len(columns.ground.capacity), columns.ground)
-    before, change = np.full(count, np.inf), np.inf
-    for _ in range(_MOST_DAYS):
-        state, seen = march(columns, weather, state, first, day, inside_k, 2.0 * STEP_S)
-        change = float(np.abs(state.surface_k - before).max())
-        if change < _SETTLED_K:
-            break
-        before = state.surface_k
-        # In a periodic state no heat passes in the mean: the depth has the surface's mean.
-        mean = np.mean(seen, axis=0)
-        deep = np.minimum(columns.node_m.T / 0.5, 1.0)
-        free = ~columns.indoors & (columns.ground.conductance[-1] == 0.0)
-        layers = [np.where(free, t + d * (mean - t), t) for t, d in zip(state.layers_k, deep, strict=True)]
-        state = state._replace(layers_k=layers)
+    state, change = settle(
+        columns, mean, lambda state: march(columns, weather, state, first, day, inside_k, 2.0 * STEP_S)
+    )
     if at > first:
         # The day that was repeated is the first one: it begins anew from where it ended.
         state, _ = march(columns, weather, state, first, at, inside_k, 2.0 * STEP_S)
+    return state, change
+
+
+def settle(
+    columns: Columns, mean_k: float, day: "Callable[[State], tuple[State, Any]]"
+) -> "tuple[State, float]":
+    """Return (State, change of its surfaces over the last day [K]) of columns that have had a day over and over.
+
+    Parameters
+    ----------
+    columns : Columns
+    mean_k : float
+        Temperature to begin with, in all depths; snow begins frozen [K].
+    day : callable
+        Marches a State through the day; returns it and the surface temperatures on the way.
+    """
+    count, ground = len(columns.absorptance), columns.ground
+    begin = np.where(ground.melting > 0.5, min(mean_k, ZERO_CELSIUS_K), mean_k)
+    state = balance.at_rest(np, [begin] * len(ground.capacity), ground)
+    # In a periodic state no heat passes in the mean: the depth has the surface's mean, where no sun reaches it.
+    free = ~columns.indoors & (ground.conductance[-1] == 0.0) & (ground.melting < 0.5)
+    if ground.sun_share is not None:
+        free &= sum(ground.sun_share) == 0.0
+    deep = np.minimum(columns.node_m.T / _SOON_M, 1.0)
+    before, change, mean, moved = np.full(count, np.inf), np.inf, None, None
+    for _ in range(_MOST_DAYS):
+        state, seen = day(state)
+        change = float(np.abs(state.surface_k - before).max())
+        if change < _SETTLED_K:
+            break
+        before, mean_before, mean = state.surface_k, mean, np.mean(seen, axis=0)
+        layers = [np.where(free, t + d * (mean - t), t) for t, d in zip(state.layers_k, deep, strict=True)]
+        # What nears its end by a steady ratio a day, as deep water does, is put there.
+        last, moved = moved, None if mean_before is None else mean - mean_before
+        if last is not None:
+            ratio = np.clip(moved / np.where(np.abs(last) > 1e-6, last, np.inf), 0.0, 0.9)
+            layers = [t + ratio / (1.0 - ratio) * moved for t in layers]
+            moved = None
+        state = state._replace(layers_k=layers)
     return state, change

@@ -9,7 +9,7 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
 from thermorender.physics import balance
-from thermorender.physics.balance import STEFAN_BOLTZMANN, State
+from thermorender.physics.balance import STEFAN_BOLTZMANN
 from thermorender.scene import columns as open_ground
 from thermorender.schema import Where, choice, flag, key, mapping, number, read, read_toml, tables, text
 from thermorender.units import ZERO_CELSIUS_K, instant
@@ -298,24 +298,14 @@ class _Drive:
         day = self.found.weather.time[0] + np.timedelta64(_DAY_S, "s")
         if self.found.weather.time[-1] < day:
             return _Drive(_closed(self.found, day), self.columns).settled(step_s)
-        weather, columns = self.found.weather, self.columns
-        count = min(np.searchsorted(weather.time, weather.time[0] + np.timedelta64(_DAY_S, "s")) + 1, len(weather.time))
-        wide = len(columns.absorptance)
-        mean = np.full(wide, weather.air_k[:count].mean())
-        mean = np.where(columns.ground.melting > 0.5, np.minimum(mean, ZERO_CELSIUS_K), mean)
-        state = balance.at_rest(np, [mean] * len(columns.ground.capacity), columns.ground)
-        before = np.full(wide, np.inf)
-        for _ in range(15):
+        weather = self.found.weather
+        count = min(np.searchsorted(weather.time, day) + 1, len(weather.time))
+
+        def again(state):
             seen = self.march(state, step_s, count)
-            state = self.state
-            if np.abs(seen[-1] - before).max() < 0.1:
-                break
-            before, mean = seen[-1], seen.mean(axis=0)
-            free = (columns.ground.conductance[-1] == 0.0) & (columns.ground.melting < 0.5)
-            deep = np.minimum(columns.node_m.T / 0.5, 1.0)
-            layers = [np.where(free, t + d * (mean - t), t) for t, d in zip(state.layers_k, deep, strict=True)]
-            state = State(state.surface_k, layers, state.film, state.liquid)
-        return state
+            return self.state, seen
+
+        return open_ground.settle(self.columns, weather.air_k[:count].mean(), again)[0]
 
 
 def _closed(found, day):

@@ -1,0 +1,135 @@
+"""Sites with measured surface temperature: their file, what is read of them, the figures that the project states."""
+
+import json
+
+import numpy as np
+import pytest
+from conftest import shared_data
+
+from thermorender.errors import ThermorenderError
+from thermorender.materials.library import load_library
+from thermorender.paths import data_folder
+from thermorender.physics.balance import STEFAN_BOLTZMANN
+from thermorender.scene import columns as open_ground
+from thermorender.validate import heat
+from thermorender.validate.sites import measured, modelled, read_sites
+
+SITES = data_folder("validation") / heat.SITES
+HEAD = """[[site]]
+name = "made"
+title = "Made"
+file = "made.csv"
+latitude_deg = 50.0
+longitude_deg = 10.0
+altitude_m = 300.0
+"""
+
+
+def site_of(folder, text, rows=49, step_min=30, **columns):
+    """A Site of a file made for it: a clear day over a column of numbers."""
+    time = np.datetime64("2020-06-20T00:00", "s") + np.arange(rows) * np.timedelta64(60 * step_min, "s")
+    own = {"air_c": np.full(rows, 15.0), "rh_percent": np.full(rows, 60.0), "wind_m_s": np.full(rows, 3.0),
+           "lw_down_w_m2": np.full(rows, 330.0), **columns}  # fmt: skip
+    lines = [",".join(["time_utc", *own])]
+    lines += [",".join([f"{at}Z", *(f"{values[k]:.6f}" for values in own.values())]) for k, at in enumerate(time)]
+    (folder / "made.csv").write_text("\n".join(lines) + "\n")
+    (folder / "sites.toml").write_text(HEAD + text)
+    return read_sites(folder / "sites.toml")[0]
+
+
+def test_sites_of_the_project_name_materials_with_thermal_properties():
+    library = load_library()
+    sites = read_sites(SITES)
+    assert len({site.name for site in sites}) == len(sites) >= 11
+    for site in sites:
+        assert all(library[name].thermal for name, _ in site.cover)
+
+
+def test_upwelling_longwave_becomes_a_temperature(tmp_path):
+    """ε σ T⁴ + (1 − ε) L is the very T."""
+    kelvin, emissivity = 300.0, 0.95
+    up = np.full(49, emissivity * STEFAN_BOLTZMANN * kelvin**4 + (1.0 - emissivity) * 330.0)
+    site = site_of(tmp_path, 'cover = [["asphalt", 1.0]]\nlongwave_up = "up"\nemissivity = 0.95\n', up=up)
+    assert measured(site, tmp_path).observed_k == pytest.approx(np.full(49, kelvin), abs=1e-4)
+
+
+def test_a_column_that_is_its_own_measurement_scores_nothing(tmp_path):
+    text = 'cover = [["asphalt", 0.5], ["soil_loam", 0.5]]\nsurface = "surface_c"\n'
+    site = site_of(tmp_path, text, surface_c=np.zeros(49))
+    own = modelled(measured(site, tmp_path))
+    site = site_of(tmp_path, text, surface_c=own - 273.15)
+    study = heat.run(tmp_path / "sites.toml", tmp_path)
+    assert study["sites"]["made"]["scores"]["balance"]["day"]["rms"] < 1e-5
+    assert study["sites"]["made"]["scores"]["air"]["day"]["rms"] > 1.0
+    assert study["missing"] == []
+
+
+def test_a_mixed_cover_lies_between_its_parts(tmp_path):
+    parts = [
+        modelled(measured(site_of(tmp_path, f'cover = {cover}\nsurface = "air_c"\n'), tmp_path))
+        for cover in ('[["asphalt", 1.0]]', '[["grass_green", 1.0]]', '[["asphalt", 0.3], ["grass_green", 0.7]]')
+    ]
+    assert (np.minimum(*parts[:2]) < parts[2]).all() and (parts[2] < np.maximum(*parts[:2])).all()
+
+
+def test_measured_soil_is_where_the_model_starts(tmp_path):
+    soil = 'soil = [[0.05, "a_c"], [1.0, "b_c"]]\n'
+    text = 'cover = [["soil_loam", 1.0]]\nsurface = "air_c"\n' + soil
+    warm, cold = (
+        modelled(measured(site_of(tmp_path, text, a_c=np.full(49, t), b_c=np.full(49, t)), tmp_path))
+        for t in (25.0, 5.0)
+    )
+    assert warm[0] - cold[0] == pytest.approx(20.0)
+    assert (warm > cold).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('cover = [["asphalt", 1.0]]\n', "needs exactly one of longwave_up, surface, water"),
+        ('cover = [["asphalt", 0.7]]\nsurface = "air_c"\n', "shares that add up to 1, not to 0.7"),
+        ('cover = ["asphalt"]\nsurface = "air_c"\n', "a list of pairs"),
+    ],
+)
+def test_a_site_that_cannot_be_is_refused(tmp_path, text, words):
+    with pytest.raises(ThermorenderError, match=words):
+        site_of(tmp_path, text)
+
+
+def test_what_a_table_lacks_is_told(tmp_path):
+    site = site_of(tmp_path, 'cover = [["asphalt", 1.0]]\nsurface = "ground_c"\n')
+    with pytest.raises(ThermorenderError, match=r"made.csv has no column 'ground_c'; it has time_utc, air_c"):
+        measured(site, tmp_path)
+    with pytest.raises(ThermorenderError, match="made.csv does not exist; give the folder that holds made.csv"):
+        measured(site, tmp_path / "elsewhere")
+    site = site_of(tmp_path, 'cover = [["asfalt", 1.0]]\nsurface = "air_c"\n')
+    with pytest.raises(ThermorenderError, match="site 'made': cover 'asfalt' is no material"):
+        modelled(measured(site, tmp_path))
+
+
+def test_a_day_repeated_settles():
+    """Columns of all kinds end a repeated day where they began it, to 0.1 K."""
+    from thermorender.weather.named_day import named_day
+
+    at = np.datetime64("2018-07-28T12:00:00")
+    weather = named_day(at, (52.0, 21.0, 100.0), air_low_c=12.0, air_high_c=24.0, humidity_low=0.8, wind_m_s=2.5,
+                        cloud=0.1)  # fmt: skip
+    library = load_library()
+    names = ("asphalt", "grass_green", "sand_quartz", "conifer", "granite", "roof_slate", "water", "aluminium_sheet")
+    columns = open_ground.columns([library[name] for name in names], weather, 0.0, 0.03)
+    state, change = open_ground.settled(columns, weather, weather.time[0])
+    later, _ = open_ground.march(columns, weather, state, weather.time[0], weather.time[0] + np.timedelta64(1, "D"))
+    print(change, later.surface_k - state.surface_k)
+    assert np.abs(later.surface_k - state.surface_k).max() < 0.15
+
+
+@pytest.mark.parametrize("name", ["grass", "desert", "square", "lake"])
+def test_stated_figures_are_those_of_the_code(name):
+    """Against `validation/heat/heat.json`, to its rounding and that of other processors' arithmetic."""
+    stated = json.loads((SITES.parent / "heat.json").read_text())["sites"][name]["scores"]["balance"]
+    site = next(site for site in read_sites(SITES) if site.name == name)
+    shared_data(f"weather/{site.file}")
+    found = measured(site, shared_data("weather"))
+    scores = heat._scores(found, modelled(found))
+    for part in ("day", "night"):
+        assert scores[part]["mae"] == pytest.approx(stated[part]["mae"], abs=2e-3, nan_ok=True)
