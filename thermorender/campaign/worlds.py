@@ -1,4 +1,4 @@
-"""True temperatures of procedural scenes: the heat balance of a land whose properties are drawn, not those of the tables.
+"""True temperatures of procedural scenes: the heat balance of a land whose properties are drawn, not the tables'.
 
 Whoever predicts a scene knows the tables' values and the station's weather. Its truth strays from them: per scene the
 thermal properties and the absorptance of every material, the law of convection and the air inside are drawn from their
@@ -54,31 +54,28 @@ def write(scene, directory, overwrite=False, temperature_every=2, progress=None)
     refuse_every(scene, temperature_every)
     with atomic_folder(directory, overwrite) as draft:
         write_declared(scene, draft)
-        temperature = true_temperature(load_scene(draft), scene.seed, scene.hidden, progress)
+        temperature = true_temperature(load_scene(draft), scene, progress)
         write_temperature(scene, draft, temperature, temperature_every)
     return Path(directory)
 
 
-def true_temperature(scene, seed, hidden, progress=None):
+def true_temperature(loaded, scene, progress=None):
     """Return the true temperature of a scene's terrain, (H, W) float32 [K], at its own time.
 
     Parameters
     ----------
-    scene : Scene
-        Of one terrain surface, with temperature.source="balance".
-    seed : int
-        Of the landscape: the draws belong to it.
-    hidden : Hidden
-        Of the landscape's texels.
+    loaded : Scene
+        Of the declared scene's files, with temperature.source="balance".
+    scene : SyntheticScene
     """
     from thermorender.render.heat import solved
 
-    true, exchange = drawn(scene, seed)
-    hidden = replace(hidden, exchange=np.float32(exchange) * hidden.exchange)
-    return solved(true, [scene.time], progress=progress, hidden=hidden)[0].surfaces[0].temperature
+    true, exchange = drawn(loaded, scene.kind, scene.seed)
+    hidden = replace(scene.hidden, exchange=np.float32(exchange) * scene.hidden.exchange)
+    return solved(true, [loaded.time], progress=progress, hidden=hidden)[0].surfaces[0].temperature
 
 
-def drawn(scene, seed):
+def drawn(scene, kind, seed):
     """Return (the scene with materials and air inside drawn from their uncertainty, factor on the convection).
 
     Positive numbers are log-normal with their standard deviation, shares at most 1, all within the limits of a table;
@@ -90,16 +87,16 @@ def drawn(scene, seed):
     def varied(name, thermal):
         if name not in beneath:
             below = varied(thermal.beneath, thermal.below) if thermal.below else None
-            beneath[name] = replace(_strayed(thermal, stream(seed, f"truth of {name}")), below=below)
+            beneath[name] = replace(_strayed(thermal, stream(seed, f"truth of {kind}: {name}")), below=below)
         return beneath[name]
 
     materials = []
     for material in scene.materials:
         thermal = varied(material.name, material.known_thermal())
-        normal = stream(seed, f"true absorptance of {material.name}").standard_normal()
+        normal = stream(seed, f"true absorptance of {kind}: {material.name}").standard_normal()
         absorptance = np.clip(material.solar_absorptance + material.solar_uncertainty * normal, 0.02, 0.98)
         materials.append(replace(material, thermal=thermal, solar_absorptance=float(absorptance)))
-    law = stream(seed, "truth of the scene")
+    law = stream(seed, f"truth of {kind}")
     exchange = float(np.exp(law.normal(-0.5 * CONVECTION_SPREAD**2, CONVECTION_SPREAD)))
     weather = scene.spec.weather
     weather = replace(weather, inside_c=weather.inside_c + float(law.normal(0.0, INSIDE_SPREAD_K)))
