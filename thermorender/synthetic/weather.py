@@ -19,13 +19,13 @@ _CLOUD_BASE_M = 1500.0
 PHOTOGRAPH_DEG = 10.0
 
 # Daily mean air in the lowlands of central Europe, 48–54° N near 21° E: middle of the year's course [°C], half its
-# range [K], and its coldest day of the year; within 1 K those of Warsaw's months (−2 … 19.5 °C, 1991–2020).
-_MEAN_C, _SEASON_K, _COLDEST_DAY = 8.7, 10.7, 20
+# range [K], the coldest day of the year, and the altitude [m]: about those of Warsaw's months, 1991–2020.
+_MEAN_C, _SEASON_K, _COLDEST_DAY, _LOWLAND_M = 8.7, 10.7, 15, 100.0
 # Between days of a month: standard deviation in winter and in summer [K].
 _STRAYS_K = 4.5, 3.0
 
 
-def drawn_weather(seed, altitude_m=100.0):
+def drawn_weather(seed, altitude_m=_LOWLAND_M):
     """Return a WeatherSpec drawn from a seed: date, hour, season with snow, cloud, wind and air.
 
     Parameters
@@ -50,7 +50,7 @@ def drawn_weather(seed, altitude_m=100.0):
     of_year = (time.astype("M8[D]") - time.astype("M8[Y]").astype("M8[D]")).astype(int)
     summer = 0.5 - 0.5 * np.cos(2.0 * np.pi * (of_year - _COLDEST_DAY) / 365.25)
     strays = _STRAYS_K[0] + summer * (_STRAYS_K[1] - _STRAYS_K[0])
-    mean = _MEAN_C + _SEASON_K * (2.0 * summer - 1.0) - 1e3 * _LAPSE_K_M * altitude_m / 1e3 + g.normal(0.0, strays)
+    mean = _MEAN_C + _SEASON_K * (2.0 * summer - 1.0) - _LAPSE_K_M * (altitude_m - _LOWLAND_M) + g.normal(0.0, strays)
     cloud = float(g.beta(0.6, 0.5))
     range_k = (6.0 + 7.0 * summer) * (1.0 - cloud * 2.0 / 3.0) * np.exp(g.normal(0.0, 0.2))
     humidity = g.uniform(0.75, 0.98)
