@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from scenes import write_terrain
 
+from scenes import write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.scene import columns as open_ground
 from thermorender.scene.hidden import Hidden

@@ -1,7 +1,6 @@
 """Weather: a station's file, a typical year's, a named day; what is missing modelled, what is wrong told."""
 
 import re
-from datetime import datetime, timedelta, timezone
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,7 +14,7 @@ from thermorender.weather.columns import COLUMNS
 from thermorender.weather.declared import declared_weather
 from thermorender.weather.epw import read_epw
 from thermorender.weather.named_day import daily_course, named_day
-from thermorender.weather.series import Weather, instant
+from thermorender.weather.series import Weather
 from thermorender.weather.station import read_station
 
 PLACE = 47.0, 11.0, 600.0
@@ -79,23 +78,6 @@ def test_weather_refuses_holes_and_times_that_stand(tmp_path):
         Weather(**{**arrays, "wind_m_s": np.where(np.arange(72) == 3, np.nan, 1.0)})
     with pytest.raises(ThermorenderError, match="does not rise"):
         Weather(**{**arrays, "time": np.r_[weather.time[:1], weather.time[:-1]]})
-
-
-@pytest.mark.parametrize("value", ["2018-07-28T14:30Z", "2018-07-28T16:30+02:00",
-                                   datetime(2018, 7, 28, 15, 30, tzinfo=timezone(timedelta(hours=1))),
-                                   np.datetime64("2018-07-28T14:30")])  # fmt: skip
-def test_instants_in_utc(value):
-    assert instant(value) == np.datetime64("2018-07-28T14:30:00")
-
-
-@pytest.mark.parametrize(
-    ("value", "words"),
-    [("2018-07-28T14:30", "does not tell its zone"), ("noon", "is no time"), (12, "is no time"), (None, "is no time"),
-     (datetime(2018, 7, 28), "does not tell its zone")],
-)  # fmt: skip
-def test_instants_without_zone(value, words):
-    with pytest.raises(ThermorenderError, match=f"time=.*{words}; give date and time with their zone"):
-        instant(value)
 
 
 # --- a station ----------------------------------------------------------------------------------------------
@@ -542,7 +524,7 @@ def test_weather_of_a_scene(tmp_path):
         declared("2018-08-21T12:00Z", file=tmp_path / "s.csv")
     with pytest.raises(ThermorenderError, match=r"^\[weather\] air_low_c is missing"):
         declared(air_high_c=22.0)
-    with pytest.raises(ThermorenderError, match=r"^\[weather\] time='2018-07-21' is no|does not tell its zone"):
+        with pytest.raises(ThermorenderError, match=r"^\[weather\] time=2018-07-21 is no instant"):
         declared("2018-07-21", air_low_c=9.0, air_high_c=22.0)
 
 

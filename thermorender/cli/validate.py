@@ -117,3 +117,46 @@ def validate_sensor(
     with progress() as tell:
         run(output, at_time(scene, time), device=device, progress=tell)
     typer.echo(f"table, numbers and figures in {output}")
+
+
+@app.command("heat")
+def validate_heat(
+    data: Annotated[Path, typer.Option(help="Folder with the measured tables that the sites name.")],
+    sites: Annotated[Path | None, typer.Option(help="File of sites; default: the shipped one.")] = None,
+    output: Out = Path("out/validation"),
+):
+    """The heat balance against measured surface temperatures, beside simpler methods, and error against run time."""
+    from thermorender.paths import data_folder
+    from thermorender.validate import heat as study
+    from thermorender.validate.figures.heat import figure
+
+    with progress() as tell, files.output_folder(output) as folder:
+        result = study.run(sites or data_folder("validation") / study.SITES, data, progress=tell)
+        if not result["sites"]:
+            raise ThermorenderError(f"--data={data} holds no table of the sites; give the folder that does")
+        figure(folder / "heat.png", result)
+        study.page(folder / "heat.md", result)
+        files.write_json(
+            folder / "heat.json",
+            result | {"sites": {n: {k: v for k, v in s.items() if k != "series"} for n, s in result["sites"].items()}},
+        )
+    table(study.HEADER, study.rows(result))
+    typer.echo(f"table, numbers and figure in {output}")
+
+
+@app.command("stability")
+def validate_stability(
+    groups: Annotated[list[str] | None, typer.Argument(help="Some of air, heat, light, sensor; default: all.")] = None,
+    output: Out = Path("out/validation"),
+):
+    """Cases at the edge, each with expected value, tolerance in kelvin and verdict; status 1 where one fails."""
+    from thermorender.validate import stability as study
+
+    with progress() as tell, files.output_folder(output) as folder:
+        result = study.run(groups or (), progress=tell)
+        files.write_json(folder / "stability.json", result)
+        study.table(folder / "stability.md", result)
+    table(study.HEADER, study.rows(result))
+    typer.echo(f"{result['failed']} of {len(result['cases'])} cases fail; numbers and table in {output}")
+    if result["failed"]:
+        raise typer.Exit(1)

@@ -7,8 +7,6 @@ the library `xp`; all fields broadcast over the columns.
 
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from thermorender.physics import exchange
 from thermorender.physics.conduction import filled, top_response
 from thermorender.units import ZERO_CELSIUS_K
@@ -23,6 +21,7 @@ _NEWTON = 6
 _LARGEST_STEP_K = 20.0
 # Of its own water, what snow holds against gravity: Anderson, NOAA Technical Report NWS 19 (1976).
 RETENTION = 0.05
+_ENDLESS = 1e9  # kg m⁻²
 
 
 class Ground(NamedTuple):
@@ -50,6 +49,9 @@ class Ground(NamedTuple):
         As of conduction.Layers.
     water : list or None
         Freezable water of the layers [kg m⁻²]; None where nothing freezes or melts.
+    room : list or None
+        How much of it a layer holds when it is liquid [kg m⁻²]: all of it in soil and water, little in snow, whose rest
+        runs off and whose ice is as good as endless.
     sun_share : list or None
         Share of the absorbed sunlight that each layer takes; None where all of it is the surface's.
     """
@@ -67,6 +69,7 @@ class Ground(NamedTuple):
     capacity: list
     conductance: list
     water: list | None = None
+    room: list | None = None
     sun_share: list | None = None
 
 
@@ -155,8 +158,8 @@ def at_rest(xp, temperatures_k, ground):
     liquid = None
     if ground.water is not None:
         liquid = [
-            xp.where((t < ZERO_CELSIUS_K) | (ground.melting > 0.5), 0.0 * w, w)
-            for t, w in zip(temperatures_k, ground.water, strict=True)
+            xp.where((t < ZERO_CELSIUS_K) | (room < 0.5 * water), 0.0 * water, water)
+            for t, water, room in zip(temperatures_k, ground.water, ground.room, strict=True)
         ]
     return State(temperatures_k[0], list(temperatures_k), 0.0 * temperatures_k[0], liquid)
 
@@ -254,10 +257,9 @@ def _stage(xp, state, known, guess, ground, forcing, seconds):
 def _melted(xp, layers, liquid, ground):
     """(temperatures, liquid water, what melted of all [kg m⁻²]) after warm ice has molten and cold water frozen."""
     warm, wet, total = [], [], 0.0
-    for t, now, water, capacity in zip(layers, liquid, ground.water, ground.capacity, strict=True):
+    for t, now, water, room, capacity in zip(layers, liquid, ground.water, ground.room, ground.capacity, strict=True):
         # Snow melts as long as it is there; what it cannot hold runs off.
-        ice = xp.where(ground.melting > 0.5, 1e9, water - now)
-        room = xp.where(ground.melting > 0.5, RETENTION * water, water)
+        ice = xp.where(room < 0.5 * water, _ENDLESS, water - now)
         molten = capacity * (t - ZERO_CELSIUS_K) / FUSION
         molten = xp.minimum(xp.maximum(molten, -now), ice)
         warm.append(t - molten * FUSION / capacity)

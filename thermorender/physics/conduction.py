@@ -70,7 +70,7 @@ def damping_depth(conductivity, capacity, period_s=86400.0):
 
 @cache
 def ladder(count=LAYERS):
-    """Return (nodes (count,), borders (count + 1,)) of a half-space's layers [s^½], as depth × √(capacity/conductivity).
+    """Return (nodes (count,), borders (count + 1,)) of a half-space's layers [s^½]: depth × √(capacity/conductivity).
 
     A homogeneous half-space cut so answers heat at its surface as the uncut one does: its impedance, temperature over
     flux, 1/(I √(iω)), errs by 1e-3 for 12 layers and periods of 1 h to 10 d (5e-4 up to a day), by 3e-3 for 10 and
@@ -79,8 +79,8 @@ def ladder(count=LAYERS):
 
     Notes
     -----
-    1/√s = (2/π) ∫ eˣ / (s + e²ˣ) dx, by the trapezoidal rule: poles and residues of a rational function, whose ladder of
-    resistances and capacities follows by Lanczos' process. The idea is that of Ingerman, Druskin & Knizhnerman,
+    1/√s = (2/π) ∫ eˣ / (s + e²ˣ) dx, by the trapezoidal rule: poles and residues of a rational function, whose ladder
+    of resistances and capacities follows by Lanczos' process. The idea is that of Ingerman, Druskin & Knizhnerman,
     "Optimal finite difference grids and rational approximations of the square root", Comm. Pure Appl. Math. 53 (2000)
     1039. Faster poles than the first act as a resistance, slower ones than the last as a capacity.
     """

@@ -112,8 +112,8 @@ def evaporation(xp, surface_k, vapour_pa, pressure_pa, convective, bend, density
     film : array
         Share of the surface that is covered by free water, 0…1.
     frozen : array of bool
-        Whether vapour is made of ice. It is not asked of `surface_k`: the heat per mass would jump by a seventh at 0 °C,
-        where two temperatures could then balance.
+        Whether vapour is made of ice. It is not asked of `surface_k`: the heat per mass would jump by a seventh at
+        0 °C, where two temperatures could then balance.
 
     Notes
     -----

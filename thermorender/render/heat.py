@@ -15,7 +15,6 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from thermorender.materials.mixture import Mixture
 from thermorender.physics import balance
@@ -29,6 +28,7 @@ from thermorender.scene import columns as open_ground
 from thermorender.scene.hidden import Hidden
 from thermorender.scene.load import Scene
 from thermorender.scene.surface import fill, nearest_valid
+from thermorender.units import ZERO_CELSIUS_K
 
 Progress = Callable[[str, float], object]
 
@@ -36,8 +36,10 @@ Progress = Callable[[str, float], object]
 # changed an hour ago is told apart to minutes, of light a day ago the mean matters.
 _BEFORE_S = 48 * 3600.0
 _STEPS_S = ((3600.0, 300.0), (24 * 3600.0, 900.0), (np.inf, 1800.0))
-# The light between faces is solved anew so often [s], with so many rays a face, and so many reflections.
+# The light between faces is solved anew so often [s], with so many rays a face, and so many reflections at first.
 _LIGHT_S, _RAYS, _REFLECTIONS = 1800.0, 64, 4
+# How long each texel has its own sun, before which those of a face and material share one [s].
+_OWN_S = 4 * 3600.0
 # Texels marched at a time: some 300 bytes each.
 _AT_ONCE = 1 << 22
 # Brightness of a texel over that of its class tells so much darker or lighter ground, at most.
@@ -113,14 +115,16 @@ def _parts(material):
 
 
 @dataclass(frozen=True, eq=False)
-class _Places:
-    """Where columns stand: Dr.Jit arrays, an entry each."""
+class _Columns:
+    """Columns at places of the terrain: Dr.Jit arrays, an entry each."""
 
     point: Any  # a little above the face
+    normal: Any
     face: Any
-    kind: Any
-    reflects: Any  # factor on what the material reflects of sunlight
-    varied: Any = None  # factors on wetness, exchange and inertia, or none
+    ground: Ground
+    absorptance: Any
+    wind_factor: Any
+    indoors: Any
 
 
 class _March:
@@ -128,7 +132,7 @@ class _March:
 
     def __init__(self, scene, geometry, materials, kinds, asked, hidden):
         self.scene, self.geometry, self.mi, self.asked = scene, geometry, geometry.mi, asked
-        self.weather, self.inside_k = scene.weather, scene.spec.weather.inside_c + 273.15
+        self.weather, self.inside_k = scene.weather, scene.spec.weather.inside_c + ZERO_CELSIUS_K
         terrain = scene.surfaces[: scene.terrain_count]
         self.faces = int(geometry.face_start[scene.terrain_count])
         self.texels = int(geometry.texel_start[scene.terrain_count])
@@ -142,41 +146,40 @@ class _March:
         )
         self.start = max(asked[0] - np.timedelta64(int(_BEFORE_S), "s"), self.weather.time[0])
         self.state, self.settled_k = open_ground.settled(self.columns, self.weather, self.start, self.inside_k)
-        self.transport, _ = cache.traced(geometry, _RAYS)
-        sky = self.transport.sky.sum(axis=1)
-        self.sky, self.background = sky, self.transport.background
+        transport, _ = cache.traced(geometry, _RAYS)
+        self.operator = transport.operator.astype(np.float32)
+        self.sky = transport.sky.sum(axis=1).astype(np.float32)
+        self.background = transport.background.astype(np.float32)
         self.reflectance, self.emissivity = self._of_faces()
 
     def _of_faces(self):
         """(reflectance of sunlight, emissivity) of every face of the scene, by the material at its middle."""
-        geometry, mi = self.geometry, self.mi
+        geometry = self.geometry
         found = next(iter(geometry.points_in_faces([(1.0 / 3.0, 1.0 / 3.0)])))
         number = np.array(geometry.nearest(*found))
         material = np.concatenate([surface.material.ravel() for surface in geometry.surfaces])[number]
         temperature = np.concatenate([surface.temperature.ravel() for surface in geometry.surfaces])[number]
-        self.face_material, self.face_kelvin = material, temperature.astype(np.float64)
+        self.face_material, self.face_kelvin = material, temperature.astype(np.float32)
         self.face_texel = number
         of = self.scene.materials
-        reflects = np.array([1.0 - each.solar_absorptance for each in of])[material]
-        emits = np.array([open_ground.broadband(each) for each in of])[material]
-        del mi
+        reflects = np.array([1.0 - each.solar_absorptance for each in of], np.float32)[material]
+        emits = np.array([open_ground.broadband(each) for each in of], np.float32)[material]
         return reflects, emits
 
     def run(self, tell):
         """Return the kelvin of all texels at each instant asked, (n, T) float32."""
         found = np.empty((len(self.asked), self.texels), dtype=np.float32)
-        geometry, mi = self.geometry, self.mi
+        geometry = self.geometry
         covers = np.array(geometry.face_of_texel())[: self.texels]
         reflects = self._brightness()
         if self.hidden is not None:
             reflects = reflects * self.hidden[0]
         blocks = range(0, self.texels, _AT_ONCE)
         for first in blocks:
-            part = slice(first, min(first + _AT_ONCE, self.texels))
-            places = self._places(part, covers[part], reflects[part])
+            texels = np.arange(first, min(first + _AT_ONCE, self.texels))
             told = lambda share, f=first: tell((f + share * _AT_ONCE) / (len(blocks) * _AT_ONCE))  # noqa: E731
-            for index, kelvin in enumerate(self._marched(places, told)):
-                found[index, part] = kelvin[self.faces :]
+            for index, kelvin in enumerate(self._marched(texels, covers, reflects, told)):
+                found[index, texels] = kelvin[self.faces :]
         # Texels that no face covers only blend into their neighbours.
         for number, surface in enumerate(self.scene.surfaces[: self.scene.terrain_count]):
             part = slice(*geometry.texel_start[number : number + 2])
@@ -185,7 +188,6 @@ class _March:
                 near = nearest_valid(valid)
                 for values in found[:, part]:
                     values[:] = fill(values.reshape(valid.shape), near).ravel()
-        del mi
         return found
 
     def _brightness(self):
@@ -198,147 +200,154 @@ class _March:
         ratio = light / np.maximum(mean[self.material], 1e-4)
         return np.clip(ratio, 1.0 / _BRIGHTEST, _BRIGHTEST).astype(np.float32)
 
-    def _places(self, part, covers, reflects):
-        """The _Places of all faces of the terrain, and then of a block of texels."""
+    def _columns(self, texels, covers, reflects):
+        """The _Columns of all faces of the terrain, and then of some texels, by their numbers."""
         geometry, mi = self.geometry, self.mi
         corner = np.concatenate([s.vertices[s.faces] for s in geometry.surfaces[: self.scene.terrain_count]])
-        middle = corner.mean(axis=1)
-        face = np.minimum(covers, self.faces - 1)
-        spot = np.empty((len(face), 3), dtype=np.float32)
+        face = np.minimum(covers[texels], self.faces - 1)
+        spot = np.empty((len(texels), 3), dtype=np.float32)
         for number, surface in enumerate(self.scene.surfaces[: self.scene.terrain_count]):
             first, last = geometry.texel_start[number : number + 2]
-            low, high = max(first, part.start), min(last, part.stop)
-            if low >= high:
-                continue
-            here = slice(low - part.start, high - part.start)
-            own = face[here] - geometry.face_start[number]
+            here = slice(*np.searchsorted(texels, [first, last]))
             rows, columns = surface.material.shape
-            index = np.arange(low - first, high - first)
-            at = np.column_stack([index % columns + 0.5, index // columns + 0.5])
-            spot[here] = _on_faces(surface, own, at, (columns, rows))
+            row, column = np.divmod(texels[here] - first, columns)
+            at = np.column_stack([column + 0.5, row + 0.5])
+            spot[here] = _on_faces(surface, face[here] - geometry.face_start[number], at, (columns, rows))
         edge = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-        normal = edge / np.maximum(np.linalg.norm(edge, axis=1, keepdims=True), 1e-300)
-        self.normal = mi.Vector3f(*(mi.Float(np.ascontiguousarray(c)) for c in normal.T.astype(np.float32)))
-        faces = np.arange(self.faces, dtype=np.uint32)
-        point = np.concatenate([middle.astype(np.float32), spot])
-        number = np.concatenate([faces, face.astype(np.uint32)])
-        point += (normal * (64.0 * 2.0**-24 * (1.0 + geometry.reach))).astype(np.float32)[number]
-        kind = self.row[np.concatenate([self.face_material[: self.faces], self.material[part]])]
-        varied = None
-        before = np.ones(self.faces, np.float32)
-        if self.hidden is not None:
-            # A face strays as the texel at its middle.
-            near = self.face_texel[: self.faces]
-            before = self.hidden[0][near]
-            varied = [mi.Float(np.concatenate([each[near], each[part]])) for each in self.hidden[1:]]
-        reflects = np.concatenate([before, reflects])
-        return _Places(
-            mi.Point3f(*(mi.Float(np.ascontiguousarray(c)) for c in point.T)), mi.UInt32(number),
-            mi.UInt32(kind), mi.Float(reflects), varied,
-        )  # fmt: skip
-
-    def _marched(self, places, tell):
-        """Yield the surface temperatures of all columns, (C,) float32 [K], at each instant asked for."""
-        mi, table = self.mi, self.columns.ground
-        row = lambda values: dr.gather(mi.Float, mi.Float(np.asarray(values, np.float32)), places.kind)  # noqa: E731
+        normal = (edge / np.maximum(np.linalg.norm(edge, axis=1, keepdims=True), 1e-300)).astype(np.float32)
+        point = np.concatenate([corner.mean(axis=1).astype(np.float32), spot])
+        face = np.concatenate([np.arange(self.faces, dtype=np.uint32), face.astype(np.uint32)])
+        point += np.float32(64.0 * 2.0**-24 * (1.0 + geometry.reach)) * normal[face]
+        kind = mi.UInt32(self.row[np.concatenate([self.face_material[: self.faces], self.material[texels]])])
+        row = lambda values: dr.gather(mi.Float, mi.Float(np.asarray(values, np.float32)), kind)  # noqa: E731
         rows = lambda values: None if values is None else [row(each) for each in values]  # noqa: E731
         ground = Ground(**{
             name: rows(values) if isinstance(values, list) or values is None else row(values)
-            for name, values in table._asdict().items()
+            for name, values in self.columns.ground._asdict().items()
         })  # fmt: skip
-        if places.varied:
-            ground = _varied(ground, *places.varied)
-        own = row(1.0 - self.columns.absorptance) * places.reflects
-        absorptance = dr.clip(1.0 - own, 0.02, 0.98)
-        wind, indoors = row(self.columns.wind_factor), row(self.columns.indoors) > 0.5
+        # A face strays as the texel at its middle.
+        column = np.concatenate([self.face_texel[: self.faces], texels])
+        if self.hidden is not None:
+            ground = _varied(ground, *(mi.Float(np.ascontiguousarray(each[column])) for each in self.hidden[1:]))
+        reflected = row(1.0 - self.columns.absorptance) * mi.Float(np.ascontiguousarray(reflects[column]))
         begin = self.state
-        state = State(
-            row(begin.surface_k), rows(begin.layers_k), row(begin.film), rows(begin.liquid) if begin.liquid else None
-        )
-        normal = dr.gather(mi.Vector3f, self.normal, places.face)
+        state = State(row(begin.surface_k), rows(begin.layers_k), row(begin.film), rows(begin.liquid))
+        absorptance = dr.clip(1.0 - reflected, 0.02, 0.98)
         _evaluate(state)
-        dr.eval(own)
-        light = None
+        dr.eval(absorptance)
+        upload = lambda values: (mi.Float(np.ascontiguousarray(axis)) for axis in values.T)  # noqa: E731
+        normal = dr.gather(mi.Vector3f, mi.Vector3f(*upload(normal)), mi.UInt32(face))
+        return _Columns(
+            mi.Point3f(*upload(point)), normal, mi.UInt32(face), ground, absorptance, row(self.columns.wind_factor),
+            row(self.columns.indoors) > 0.5,
+        ), state  # fmt: skip
+
+    def _marched(self, texels, covers, reflects, tell):
+        """Yield the surface temperatures of all faces and of some texels, (C,) float32 [K], at each instant asked for.
+
+        Texels of one face and material are one column until four hours before the first instant, where nothing else
+        tells them apart; from there each has its own sun.
+        """
+        mi, own = self.mi, None
         steps = _steps(self.start, self.asked)
+        first_s = float((self.asked[0] - self.start) / np.timedelta64(1, "s"))
+        if self.hidden is None and not self.scene.spec.temperature.brightness:
+            key = covers[texels].astype(np.int64) * 256 + self.material[texels]
+            _, some, own = np.unique(key, return_index=True, return_inverse=True)
+            order = np.argsort(some)
+            rank = np.empty_like(order)
+            rank[order] = np.arange(len(order))
+            own = rank[own]
+            columns, state = self._columns(texels[some[order]], covers, reflects)
+        else:
+            columns, state = self._columns(texels, covers, reflects)
+        light, self.arrives = None, None
         for number, (at, seconds) in enumerate(steps):
+            if own is not None and at >= first_s - _OWN_S - 1e-6:
+                index = mi.UInt32(np.concatenate([np.arange(self.faces), self.faces + own]).astype(np.uint32))
+                each = lambda values, index=index: values and [dr.gather(mi.Float, v, index) for v in values]  # noqa: E731
+                state = State(*each([state.surface_k]), each(state.layers_k), *each([state.film]), each(state.liquid))
+                columns, _ = self._columns(texels, covers, reflects)
+                _evaluate(state)
+                own = None
             if light is None or at >= light.until:
-                light = self._light(at, state.surface_k, places, normal)
-            stages = []
-            for offset in balance.stage_times(seconds):
-                stages.append(self._forcing(at + offset, light, places, normal, absorptance, wind, indoors))
-            state, _ = balance.step(_Library, state, ground, *stages, dr.opaque(mi.Float, seconds))
+                light = self._light(at, state.surface_k, columns)
+            stages = [self._forcing(at + offset, light, columns) for offset in balance.stage_times(seconds)]
+            state, _ = balance.step(_Library, state, columns.ground, *stages, dr.opaque(mi.Float, seconds))
             _evaluate(state)
             tell((number + 1) / len(steps))
-            instant = self.start + np.timedelta64(round(at + seconds), "s")
-            if instant in self.asked:
+            if self.start + np.timedelta64(round(at + seconds), "s") in self.asked:
                 yield np.array(state.surface_k)
 
     def _sun(self, instant):
         azimuth, elevation = self.weather.sun(instant)
         return direction(float(elevation), float(azimuth))
 
-    def _lit(self, places, normal, towards):
-        """Cosine of the sun's rays on each column, 0 in shadow."""
+    def _lit(self, point, normal, towards):
+        """Cosine of the sun's rays at points of the terrain, 0 in shadow."""
         mi = self.mi
         sun = mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in towards))
         cosine = dr.dot(normal, sun)
-        ray = mi.Ray3f(places.point, dr.select(cosine > 0.0, sun, mi.Vector3f(0.0, 0.0, 1.0)))
+        ray = mi.Ray3f(point, dr.select(cosine > 0.0, sun, mi.Vector3f(0.0, 0.0, 1.0)))
         seen = ~self.geometry.caster.ray_test(ray, coherent=True, active=cosine > 0.0)
         return dr.select((cosine > 0.0) & seen, cosine, 0.0)
 
-    def _forcing(self, at_s, light, places, normal, absorptance, wind, indoors):
+    def _forcing(self, at_s, light, columns):
+        """The Forcing of columns at an instant [s after the start]."""
         mi = self.mi
         instant = self.start + np.timedelta64(round(1000.0 * at_s), "ms")
         found = self.weather.at(instant)
         towards = self._sun(instant)
         one = lambda value: dr.opaque(mi.Float, float(value))  # noqa: E731
-        gathered = lambda values: dr.gather(mi.Float, values, places.face)  # noqa: E731
+        gathered = lambda values: dr.gather(mi.Float, values, columns.face)  # noqa: E731
         sine = max(towards[2], 0.0)
         level = found.direct_w_m2 * sine + found.diffuse_w_m2
         sunlight = one(found.diffuse_w_m2) * gathered(light.sky) + one(level) * gathered(light.reflected)
         if towards[2] > 0.0 and found.direct_w_m2 > 0.0:
-            sunlight += one(found.direct_w_m2) * self._lit(places, normal, towards)
+            sunlight += one(found.direct_w_m2) * self._lit(columns.point, columns.normal, towards)
         return Forcing(
-            absorbed=absorptance * sunlight,
+            absorbed=columns.absorptance * sunlight,
             longwave=one(found.longwave_w_m2) * gathered(light.sky) + gathered(light.surroundings),
             sunlight=one(level),
             air_k=one(found.air_k),
             vapour_pa=one(found.vapour_pa),
-            wind_m_s=one(found.wind_m_s) * wind,
+            wind_m_s=one(found.wind_m_s) * columns.wind_factor,
             pressure_pa=one(found.pressure_pa),
             rain_kg_m2_s=one(found.rain_mm_h / 3600.0),
-            below_k=dr.select(indoors, one(self.inside_k), one(found.air_k)),
+            below_k=dr.select(columns.indoors, one(self.inside_k), one(found.air_k)),
         )
 
-    def _light(self, at_s, surface_k, places, normal):
-        """The _Light between the faces from `at_s` on."""
-        mi, operator = self.mi, self.transport.operator
+    def _light(self, at_s, surface_k, columns):
+        """The _Light between the faces from `at_s` on.
+
+        What arrived from other faces before is the first guess of what does now: one more reflection is followed each
+        time, and so all of them in the end.
+        """
+        mi = self.mi
         middle = self.start + np.timedelta64(round(1000.0 * (at_s + 0.5 * _LIGHT_S)), "ms")
         middle = min(middle, self.weather.time[-1])
         found, towards = self.weather.at(middle), self._sun(middle)
         level = float(found.direct_w_m2 * max(towards[2], 0.0) + found.diffuse_w_m2)
-        reflected = np.zeros(len(self.sky))
-        rho = self.reflectance
-        if level > 1.0:
+        own = self.sky * np.float32(found.diffuse_w_m2 / max(level, 1.0))
+        if towards[2] > 0.0 and found.direct_w_m2 > 0.0:
             here = dr.arange(mi.UInt32, self.faces)
-            first = _Places(dr.gather(mi.Point3f, places.point, here), here, None, None)
-            own = self.sky * found.diffuse_w_m2
-            lit = np.array(self._lit(first, dr.gather(mi.Vector3f, normal, here), towards))
-            own[: self.faces] += found.direct_w_m2 * lit
-            beyond = self.background * float(self.mean(rho)) * level
-            for _ in range(_REFLECTIONS):
-                reflected = operator @ (rho * (own + reflected)) + beyond
+            at = dr.gather(mi.Point3f, columns.point, here), dr.gather(mi.Vector3f, columns.normal, here)
+            lit = np.array(self._lit(*at, towards))
+            own[: self.faces] += np.float32(found.direct_w_m2 / max(level, 1.0)) * lit
         kelvin = self.face_kelvin.copy()
         kelvin[: self.faces] = np.array(surface_k)[: self.faces]
-        e, emitted = self.emissivity, STEFAN_BOLTZMANN * kelvin**4
-        beyond = self.background * float(self.mean(emitted))
-        arrives = np.zeros(len(self.sky))
-        for _ in range(2):
-            around = operator @ (e * emitted + (1.0 - e) * (self.sky * found.longwave_w_m2 + arrives)) + beyond
-            arrives = around
-        upload = lambda values: mi.Float(values[: self.faces].astype(np.float32))  # noqa: E731
+        emitted = self.emissivity * np.float32(STEFAN_BOLTZMANN) * kelvin**4
+        sky = self.sky * np.float32(found.longwave_w_m2)
+        for _ in range(1 if self.arrives is not None else _REFLECTIONS):
+            before = np.zeros((len(sky), 2), np.float32) if self.arrives is None else self.arrives
+            leaves = np.column_stack([
+                self.reflectance * (own + before[:, 0]), emitted + (1.0 - self.emissivity) * (sky + before[:, 1])
+            ])  # fmt: skip
+            beyond = np.float32([self.mean(leaves[:, 0]), self.mean(leaves[:, 1])])
+            self.arrives = self.operator @ leaves + self.background[:, None] * beyond
+        upload = lambda values: mi.Float(np.ascontiguousarray(values[: self.faces]))  # noqa: E731
         until = _LIGHT_S * (np.floor(at_s / _LIGHT_S + 1e-9) + 1.0)
-        return _Light(until, upload(self.sky), upload(reflected / max(level, 1.0)), upload(around))
+        return _Light(until, upload(self.sky), upload(self.arrives[:, 0]), upload(self.arrives[:, 1]))
 
     def mean(self, values):
         """Mean over the terrain's area."""

@@ -4,7 +4,8 @@ A column is one material on what lies beneath it. Here they are put together fro
 ground, which is what a weather station stands on and what a terrain's march begins with.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from thermorender.materials.library import Material
 from thermorender.physics import balance, exchange
 from thermorender.physics.balance import Forcing, Ground, State
 from thermorender.physics.conduction import LAYERS, Slab, layered
-from thermorender.units import utc_text
+from thermorender.units import ZERO_CELSIUS_K, utc_text
 from thermorender.weather.series import Conditions, Weather
 
 # Roughness length of the open grass over which wind is measured: WMO-No. 8 (2018), volume I, 5.9.2 [m].
@@ -25,11 +26,17 @@ _FILMS = {"inside": 1.0 / 0.13, "outside": 1.0 / 0.04}
 # Water that stays on leaves and on hard ground, and what bare soil holds before it resists evaporation: FAO Irrigation
 # and Drainage Paper 56 (1998), table 19, loams: 8 mm [kg m⁻²].
 _HELD, _HELD_BY_SOIL = 0.5, 8.0
+# Air inside buildings [K], where nothing else is said.
+INSIDE_K = 20.0 + ZERO_CELSIUS_K
 # Resistance of what does not evaporate [s/m].
 _NEVER_S_M = 1e9
 # Sunlight that water, snow and ice let in; the rest, near infrared, stays at the surface: Paulson & Simpson, J. Phys.
 # Oceanogr. 7 (1977) 952, table 2, about.
 _LET_IN = 0.45
+# Water is stirred by wind and waves down to some metres, but for a skin: Henderson-Sellers, Appl. Math. Model. 9 (1985)
+# 441, has 1e-5 to 1e-3 m² s⁻¹ near the surface, fading within some metres; Saunders, J. Atmos. Sci. 24 (1967) 269, a
+# skin of about a millimetre.
+_MIXED_M2_S, _MIXED_M, _CALM_M2_S, _COOL_SKIN_M = 1e-4, 4.0, 1e-6, 1e-3
 # Heights of wind and air above a rough cover, in roughness lengths at least.
 _ABOVE = 5.0
 _TEMPERATURE_K = 290.0
@@ -65,7 +72,7 @@ class Columns:
 
 
 def columns(
-    materials: "list[Material]", weather: Weather, snow_m: float = 0.0, station_roughness_m: float | None = None,
+    materials: "Sequence[Material]", weather: Weather, snow_m: float = 0.0, station_roughness_m: float | None = None,
     layers: int = LAYERS,
 ) -> Columns:  # fmt: skip
     """Return the Columns of materials.
@@ -94,7 +101,7 @@ def columns(
         stacked[name] = list(values.T) if values.ndim == 2 else values
     # Leave out what no material needs.
     if not sum(map(np.sum, stacked["water"])):
-        stacked["water"] = None
+        stacked["water"] = stacked["room"] = None
     if not sum(map(np.sum, stacked["sun_share"])):
         stacked["sun_share"] = None
     rest = zip(*(each[1:] for each in made), strict=True)
@@ -106,18 +113,30 @@ def _column(material, weather, snow_m, station_roughness_m, layers):
     """(Ground of one column, absorptance, factor on the wind, whether indoor air lies below, depth of nodes)."""
     thermal = material.known_thermal()
     chain = thermal.layers
-    slabs = []
+    slabs, snowy = [], []
     for each in chain:
-        thickness = each.thickness_m
-        if each.cover == "snow" and snow_m:
-            thickness = snow_m
-        slabs.append(
-            Slab(np.inf if thickness is None else thickness, each.conductivity_w_m_k, each.heat_capacity_j_m3_k,
-                 each.water_share)
-        )  # fmt: skip
+        thickness, conductivity, water = each.thickness_m, each.conductivity_w_m_k, each.water_share
+        if each.cover == "snow":
+            water = each.density_kg_m3 / 1000.0
+            thickness = snow_m or thickness
+        elif each.cover == "water":
+            capacity, depth = each.heat_capacity_j_m3_k, np.inf if thickness is None else thickness
+            slabs.append(Slab(min(depth, _MIXED_M), _MIXED_M2_S * capacity, capacity, water))
+            snowy.append(False)
+            if depth <= _MIXED_M:
+                continue
+            thickness, conductivity = depth - _MIXED_M, _CALM_M2_S * capacity
+        slabs.append(Slab(np.inf if thickness is None else thickness, conductivity, each.heat_capacity_j_m3_k, water))
+        snowy.append(each.cover == "snow")
     end = chain[-1].beneath
     skin = thermal.skin_conductance_w_m2_k or np.inf
+    if thermal.cover == "water":
+        skin = thermal.conductivity_w_m_k / _COOL_SKIN_M
     cut = layered(slabs, skin, _FILMS.get(end), layers)
+    # What the layers hold when it is liquid.
+    kept = [balance.RETENTION if snow else 1.0 for snow in snowy]
+    held = [replace(slab, water=share * slab.water) for slab, share in zip(slabs, kept, strict=True)]
+    room = layered(held, skin, _FILMS.get(end), layers).water
     rough = thermal.roughness_m
     if station_roughness_m is None:
         wind_m, air_m, factor = weather.wind_height_m, weather.air_height_m, 1.0
@@ -151,6 +170,7 @@ def _column(material, weather, snow_m, station_roughness_m, layers):
         capacity=cut.capacity,
         conductance=cut.conductance,
         water=cut.water,
+        room=room,
         sun_share=share,
     )
     return ground, material.solar_absorptance, factor, end == "inside", cut.node_m
@@ -199,8 +219,8 @@ def forcing(
 
 
 def march(
-    columns: Columns, weather: Weather, state: State, start: np.datetime64, stop: np.datetime64, inside_k: float = 293.15,
-    step_s: float = STEP_S,
+    columns: Columns, weather: Weather, state: State, start: np.datetime64, stop: np.datetime64,
+    inside_k: float = INSIDE_K, step_s: float = STEP_S,
 ) -> "tuple[State, list[NDArray[Any]]]":  # fmt: skip
     """Return (State, [surface temperatures (M,) after each step]) of columns in the open, marched from start to stop.
 
@@ -225,7 +245,7 @@ def march(
 
 
 def settled(
-    columns: Columns, weather: Weather, at: np.datetime64, inside_k: float = 293.15
+    columns: Columns, weather: Weather, at: np.datetime64, inside_k: float = INSIDE_K
 ) -> "tuple[State, float]":
     """Return (State of columns in the open at an instant, change of its surfaces over the last repeated day [K]).
 

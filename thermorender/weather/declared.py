@@ -1,9 +1,9 @@
 """The Weather a scene file declares: a station's file, a typical year's, or a named day."""
 
 from thermorender.errors import ThermorenderError
+from thermorender.units import instant
 from thermorender.weather.epw import read_epw
 from thermorender.weather.named_day import named_day
-from thermorender.weather.series import instant
 from thermorender.weather.station import read_station
 
 # Of a named day, where the file does not say.
@@ -32,7 +32,7 @@ def declared_weather(spec, latitude_deg, longitude_deg, altitude_m, time=None):
     place = latitude_deg, longitude_deg, altitude_m
     snow = spec.snow_depth_m or 0.0
     try:
-        when = instant(spec.time if time is None else time)
+        when = instant("time", spec.time if time is None else time)
         if spec.file is not None:
             found = read_station(spec.file, *place, wind_m_s=spec.wind_m_s, snow_depth_m=snow)
         elif spec.epw is not None:

@@ -1,7 +1,6 @@
 """The Weather of a place: what the air and the sky did, as a series of instants."""
 
 from dataclasses import dataclass, fields
-from datetime import datetime, timezone
 from typing import NamedTuple
 
 import numpy as np
@@ -112,30 +111,3 @@ class Weather:
                 lines.append(f"  {item.name}: {values.min():.5g} … {values.max():.5g}")
         return "\n".join([*lines, *(f"  {note}" for note in self.notes)])
 
-
-def instant(value, name="time"):
-    """Return a datetime64[s] in UTC of a datetime or an ISO text, which must tell their zone; datetime64 is UTC.
-
-    Parameters
-    ----------
-    value : datetime, str or datetime64
-    name : str
-        What the value is called where the user wrote it.
-
-    Raises
-    ------
-    ThermorenderError
-        No time, or one without zone.
-    """
-    example = "give date and time with their zone, such as 2018-07-28T14:30Z or 2018-07-28T16:30+02:00"
-    if isinstance(value, np.datetime64) and not np.isnat(value):
-        return value.astype("datetime64[s]")
-    try:
-        # Python 3.10 reads no zone letter.
-        parsed = datetime.fromisoformat(value.strip().replace("Z", "+00:00")) if isinstance(value, str) else value
-        offset = parsed.utcoffset()
-    except (ValueError, AttributeError):
-        raise ThermorenderError(f"{name}={value!r} is no time; {example}") from None
-    if offset is None:
-        raise ThermorenderError(f"{name}={str(value)!r} does not tell its zone; {example}")
-    return np.datetime64(parsed.astimezone(timezone.utc).replace(tzinfo=None), "s")

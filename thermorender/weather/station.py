@@ -14,6 +14,7 @@ from thermorender.errors import ThermorenderError, shortened
 from thermorender.files import read_text
 from thermorender.physics import sun
 from thermorender.schema import closest
+from thermorender.units import instant
 from thermorender.weather.clock import check_clock
 from thermorender.weather.columns import (
     COLUMNS,
@@ -26,7 +27,6 @@ from thermorender.weather.columns import (
 )
 from thermorender.weather.complete import complete
 from thermorender.weather.gaps import filled, without_offset
-from thermorender.weather.series import instant
 
 _TIMES = ("time_utc", "time", "time_local")
 _LIGHT = ("global_w_m2", "direct_w_m2", "diffuse_w_m2")
@@ -50,7 +50,7 @@ def read_station(
     names : dict, optional
         {column of the file: name of ours} for columns called otherwise.
     during : (start, end), optional
-        Instants that the rows to read lie between, as `series.instant` takes them.
+        Instants that the rows to read lie between, as `units.instant` takes them.
     longest_gap_h : float
         Gaps up to so long are interpolated.
     wind_m_s, snow_depth_m : float
@@ -243,7 +243,7 @@ def _within(path, time, during):
     """Which rows (N,) lie in the period asked for."""
     if during is None:
         return np.ones(len(time), bool)
-    start, end = (instant(value, "during") for value in during)
+    start, end = (instant("during", value) for value in during)
     keep = (time >= start) & (time <= end)
     if keep.sum() < 2:
         raise ThermorenderError(

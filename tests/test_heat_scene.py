@@ -1,0 +1,119 @@
+"""A terrain's temperatures from its heat balance: sun, shadow, surroundings, groups, blocks, instants."""
+
+import numpy as np
+import pytest
+
+from scenes import write_terrain
+from thermorender.render import heat
+from thermorender.scene import columns as open_ground
+from thermorender.scene.load import load_scene
+
+WEATHER = """[weather]
+time = 2018-07-28T12:00:00Z
+air_low_c = 12.0
+air_high_c = 24.0
+humidity = 0.7
+wind_m_s = 2.5
+cloud = 0.1
+"""
+AT = np.datetime64("2018-07-28T12:00:00")
+HOUR = np.timedelta64(3600, "s")
+
+
+def scene_of(folder, **terrain):
+    folder = write_terrain(folder, extra=WEATHER, **terrain)
+    text = (folder / "scene.toml").read_text()
+    text = text.replace('source = "raster"\nraster = "temperature.tif"', 'source = "balance"')
+    text = text.replace("grass_green", "granite")
+    (folder / "scene.toml").write_text(text.replace('[truth]\ntemperature = "temperature.tif"', ""))
+    return load_scene(folder)
+
+
+@pytest.fixture(scope="module")
+def walled(tmp_path_factory):
+    """Granite in the west and sand in the east, with a wall 6 m high across both, from west to east."""
+    height = np.zeros((32, 32))
+    height[14:16] = 6.0
+    classes = np.repeat([[1] * 32 + [2] * 32], 64, axis=0)
+    return scene_of(tmp_path_factory.mktemp("walled") / "scene", height=height, classes=classes)
+
+
+@pytest.fixture(scope="module")
+def day(walled):
+    times = [AT + k * HOUR for k in range(-4, 9)]
+    return times, [scene.surfaces[0].temperature for scene in heat.solved(walled, times)]
+
+
+def test_shade_is_north_of_a_wall_at_noon_and_colder(walled, day):
+    times, kelvin = day
+    noon = kelvin[times.index(AT)]
+    size = noon.shape[0] // 32
+    sand = slice(24 * size, 30 * size)
+    shaded, lit = noon[11 * size : 13 * size, sand], noon[18 * size : 26 * size, sand]
+    # Sand loses some 600 W/m² of sun: by 10 K and more at its thermal inertia.
+    assert lit.mean() - shaded.mean() > 8.0
+
+
+def test_thermal_crossover_is_when_the_column_has_it(walled, day):
+    """Sand, warmer by day, becomes colder than granite within 20 minutes of when columns in the open do."""
+    times, kelvin = day
+    size = kelvin[0].shape[0] // 32
+    rows, west, east = slice(24 * size, 30 * size), slice(4 * size, 12 * size), slice(20 * size, 28 * size)
+    contrast = np.array([values[rows, east].mean() - values[rows, west].mean() for values in kelvin])
+    columns = open_ground.columns(walled.materials, walled.weather, 0.0, open_ground.STATION_ROUGHNESS_M)
+    start = times[0] - 48 * HOUR
+    state, _ = open_ground.settled(columns, walled.weather, start)
+    names = [material.name for material in walled.materials]
+    pair = np.array([names.index(name) for name in (walled.materials[1].name, walled.materials[0].name)])
+    alone = []
+    for at in times:
+        state, _ = open_ground.march(columns, walled.weather, state, start, at)
+        alone.append(float(np.subtract(*state.surface_k[pair])))
+        start = at
+
+    def crossing(values):
+        later = int(np.flatnonzero(np.asarray(values) < 0.0)[0])
+        before, after = values[later - 1], values[later]
+        return later - 1 + before / (before - after)
+
+    assert contrast.max() > 3.0 and contrast.min() < 0.0
+    assert crossing(contrast) == pytest.approx(crossing(alone), abs=20.0 / 60.0)
+
+
+def test_columns_that_are_shared_differ_little(walled, monkeypatch):
+    """Texels of one face and material share a column until four hours before: 0.1 K in the root mean square at most."""
+    shared = heat.solved(walled, [AT])[0].surfaces[0].temperature
+    monkeypatch.setattr(heat, "_OWN_S", 1e9)
+    each = heat.solved(walled, [AT])[0].surfaces[0].temperature
+    difference = shared - each
+    print("rms", np.sqrt(np.mean(difference**2)), "worst", np.abs(difference).max())
+    assert 0.0 < np.sqrt(np.mean(difference**2)) < 0.1
+
+
+def test_blocks_do_not_show(walled, monkeypatch):
+    whole = heat.solved(walled, [AT])[0].surfaces[0].temperature
+    monkeypatch.setattr(heat, "_AT_ONCE", whole.size // 3)
+    parts = heat.solved(walled, [AT])[0].surfaces[0].temperature
+    # Texels that share a column stand elsewhere in it where a block ends.
+    assert np.abs(parts - whole).mean() < 0.02
+
+
+def test_an_instant_is_the_same_alone_and_among_others(walled, day):
+    times, kelvin = day
+    late = times[-1]
+    alone = heat.solved(walled, [late])[0].surfaces[0].temperature
+    # Marched from another start, two days before the instant instead of before the first: a day later nothing is left.
+    assert np.sqrt(np.mean((alone - kelvin[-1]) ** 2)) < 0.1
+
+
+def test_scene_without_balance_imports_none_of_it():
+    import subprocess
+    import sys
+
+    code = (
+        "import sys; from thermorender.render.renderer import Renderer; from thermorender.scene.load import load_scene;"
+        "load_scene('heath'); print([name for name in sys.modules if name in ('thermorender.render.heat',"
+        "'thermorender.scene.columns', 'thermorender.physics.balance', 'thermorender.weather.station')])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

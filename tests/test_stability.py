@@ -1,0 +1,115 @@
+"""Stability cases hold, can fail, and are told on one page."""
+
+import json
+
+import numpy as np
+import pytest
+
+from thermorender.errors import ThermorenderError
+from thermorender.physics import balance, exchange
+from thermorender.validate import stability
+from thermorender.validate.stability import cases, heat
+from thermorender.validate.stability.cases import Found
+
+
+def test_light_sensor_and_air_hold_and_are_written(tmp_path, call):
+    status, output, _ = call("validate", "stability", "light", "sensor", "air", "-o", tmp_path)
+    assert status == 0 and "0 of " in output and "FAILS" not in output
+    result = json.loads((tmp_path / "stability.json").read_text("utf-8"))
+    assert result["failed"] == 0 and {case["group"] for case in result["cases"]} == {"light", "sensor", "air"}
+    page = (tmp_path / "stability.md").read_text("utf-8")
+    assert page.count("holds |") == len(result["cases"]) and "## sensor" in page
+
+
+@pytest.fixture
+def anew():
+    """Days that are kept for several cases are marched again, now and afterwards."""
+    kept = (heat.everything, heat.fine, heat.stepped, heat.answer_error)
+    for each in kept:
+        each.cache_clear()
+    yield
+    for each in kept:
+        each.cache_clear()
+
+
+def heat_cases(*words):
+    """The heat cases whose name holds one of some words, as {name: what `judged` tells}."""
+    return {
+        name: stability.judged(job)
+        for group, name, job in cases.CASES
+        if group == "heat" and any(word in name for word in words)
+    }
+
+
+def test_heat_holds(anew):
+    found = heat_cases("")
+    assert len(found) > 40 and [name for name, each in found.items() if not each["passed"]] == []
+
+
+def backward_euler(patch):
+    """Both stages as one implicit step each, of first order."""
+    patch.setattr(balance, "_GAMMA", 1.0)
+
+
+def unstable(patch):
+    """A diagonal below a quarter, with which the two stages amplify what is stiff."""
+    patch.setattr(balance, "_GAMMA", 0.2)
+
+
+def shackled(patch):
+    """Newton in strides so short that the root is out of reach."""
+    patch.setattr(balance, "_LARGEST_STEP_K", 0.1)
+
+
+def lost_ice(patch):
+    """Ice that melts for a tenth of its heat."""
+    melted = balance._melted
+
+    def cheap(xp, layers, liquid, ground):
+        warm, wet, total = melted(xp, layers, liquid, ground)
+        return warm, [0.9 * each for each in wet], total
+
+    patch.setattr(balance, "_melted", cheap)
+
+
+def no_floor(patch):
+    """Air that takes nothing when it is calm."""
+    patch.setattr(exchange, "_CALMEST_M_S", 0.0)
+
+
+@pytest.mark.parametrize(
+    ("broken", "case"),
+    [
+        (backward_euler, "steps of 15 min, wind"), (unstable, "one hour after"), (shackled, "in balance"),
+        (lost_ice, "energy of a day"), (no_floor, "calm, dry ground"),
+    ],
+)  # fmt: skip
+def test_broken_heat_is_seen(monkeypatch, anew, broken, case):
+    broken(monkeypatch)
+    with np.errstate(all="ignore"):
+        found = heat_cases(case)
+    assert found and not all(each["passed"] for each in found.values())
+
+
+def raises():
+    raise ZeroDivisionError("by nothing")
+
+
+@pytest.mark.parametrize(
+    ("job", "passed"),
+    [(lambda: Found(300.0005, 300.0, 1e-3), True), (lambda: Found(300.002, 300.0, 1e-3), False),
+     (lambda: Found(np.nan, 300.0, 1e-3), False), (lambda: Found(300.0, 300.0, np.inf), False), (raises, False)],
+)  # fmt: skip
+def test_verdicts(job, passed, tmp_path, monkeypatch, call):
+    monkeypatch.setattr(cases, "CASES", [("light", "made up", job)])
+    monkeypatch.setattr(stability, "CASES", cases.CASES)
+    status, output, _ = call("validate", "stability", "-o", tmp_path)
+    assert status == (0 if passed else 1) and ("FAILS" in output) != passed
+    json.loads((tmp_path / "stability.json").read_text("utf-8"))
+    if job is raises:
+        assert "ZeroDivisionError: by nothing" in output
+
+
+def test_an_unknown_group_is_named():
+    with pytest.raises(ThermorenderError, match="group 'heats' is unknown; give some of air, heat, light, sensor"):
+        stability.run(["heats"])

@@ -1,0 +1,327 @@
+"""Measured places: weather and the surface temperature that it made, read as a file of sites declares them."""
+
+import csv
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.materials.library import load_library
+from thermorender.physics import balance
+from thermorender.physics.balance import STEFAN_BOLTZMANN, State
+from thermorender.scene import columns as open_ground
+from thermorender.schema import Where, choice, flag, key, mapping, number, read, read_toml, tables, text
+from thermorender.units import ZERO_CELSIUS_K, instant
+from thermorender.weather.series import Conditions, Weather
+from thermorender.weather.station import read_station
+
+# What drives the model before the first row, where a site starts by repeating its first day.
+_DAY_S = 86400
+
+
+def _pairs(read_first, read_second):
+    def read_pairs(value, where):
+        if not isinstance(value, list) or not value or not all(isinstance(v, list) and len(v) == 2 for v in value):
+            where.refuse(value, "a list of pairs")
+        return tuple((read_first(a, where), read_second(b, where)) for a, b in value)
+
+    return read_pairs
+
+
+def _two(read_one):
+    def read_two(value, where):
+        if not isinstance(value, list) or len(value) != 2:
+            where.refuse(value, "a list of two")
+        return tuple(read_one(one, where) for one in value)
+
+    return read_two
+
+
+@dataclass(frozen=True, kw_only=True)
+class Site:
+    """A place: see the head of `validation/heat/sites.toml`.
+
+    Attributes
+    ----------
+    canopy_m : float or None
+        Height of what stands there, a tenth of which is the roughness length of all its cover: Garratt, The Atmospheric
+        Boundary Layer (1992), section 4.1; None: the tables' own.
+    wetness : float or None
+        Moisture available to evaporation, as a class tells it; None: the tables' own.
+    depth_m : float or None
+        Of water.
+    longwave_up, surface, water : str or None
+        Column of what was measured: up-welling long-wave [W m⁻²], an infrared surface temperature [°C], or that of the
+        water's uppermost layer [°C].
+    emissivity : float or None
+        Broadband, for what up-welling long-wave tells; that of the cover where None.
+    shortwave_up : str or None
+        Column of the reflected sunlight, where it drives the model in place of the table's absorptance.
+    radiation : tuple of two str or None
+        Columns whose sum is absorbed sunlight and long-wave down.
+    soil : tuple of (depth [m], column [°C])
+        Measured temperatures beneath, at the first row, that the model starts with.
+    start : str
+        "settle": in balance with the first day; "repeat": that day, of one-day files, is also what is scored.
+    without_offset : bool
+        Scores are also given without the mean error.
+    aim_k : (2,) tuple or None
+        Mean absolute error aimed at by day and by night [K].
+    """
+
+    name: str = key(text)
+    title: str = key(text)
+    file: str = key(text)
+    latitude_deg: float = key(number(-90.0, 90.0))
+    longitude_deg: float = key(number(-180.0, 180.0))
+    altitude_m: float = key(number(-500.0, 9000.0))
+    air_height_m: float = key(number(0.1, 200.0), 2.0)
+    wind_height_m: float = key(number(0.1, 200.0), 10.0)
+    wind_m_s: float | None = key(number(0.0, 60.0), None)
+    snow_depth_m: float = key(number(0.0, 30.0), 0.0)
+    canopy_m: float | None = key(number(0.0, 100.0, above=True), None)
+    wetness: float | None = key(number(0.0, 1.0), None)
+    depth_m: float | None = key(number(0.1, 200.0), None)
+    cover: tuple = key(_pairs(text, number(0.0, 1.0, above=True)))
+    longwave_up: str | None = key(text, None)
+    surface: str | None = key(text, None)
+    water: str | None = key(text, None)
+    emissivity: float | None = key(number(0.5, 1.0), None)
+    shortwave_up: str | None = key(text, None)
+    radiation: tuple | None = key(_two(text), None)
+    soil: tuple = key(_pairs(number(0.0, 30.0), text), ())
+    start: str = key(choice("settle", "repeat"), "settle")
+    during: tuple | None = key(_two(lambda value, where: instant(where.key, value)), None)
+    scored_after_h: float = key(number(0.0, 1e5), 0.0)
+    names: dict = key(mapping(text), {})
+    longest_gap_h: float = key(number(0.0, 1000.0), 3.0)
+    without_offset: bool = key(flag, False)
+    aim_k: tuple | None = key(number(0.0, 100.0, count=2), None)
+
+    def check(self, where, given):
+        """Refuse none or two measurements, and shares that are no whole."""
+        where.exactly_one(given, ("longwave_up", "surface", "water"))
+        total = sum(share for _, share in self.cover)
+        if abs(total - 1.0) > 1e-6:
+            where.of("cover").refuse(given["cover"], f"shares that add up to 1, not to {total:g}")
+
+
+@dataclass(frozen=True)
+class _File:
+    sites: tuple = key(tables(Site), name="site")
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """A site with its weather and what was measured there.
+
+    Attributes
+    ----------
+    site : Site
+    weather : Weather
+    absorbed : (N,) float64 or None
+        Sunlight absorbed where it is measured [W m⁻²].
+    observed_k : (N,) float64
+        Surface temperature [K]; NaN where there is none.
+    begin_k : (depths [m], temperatures [K]) or None
+        Beneath the surface at the first row.
+    scored : (N,) bool
+    """
+
+    site: Site
+    weather: Weather
+    absorbed: np.ndarray | None
+    observed_k: np.ndarray
+    begin_k: tuple | None
+    scored: np.ndarray
+
+    @property
+    def elevation_deg(self):
+        """Of the sun at each instant, (N,)."""
+        return self.weather.sun(self.weather.time)[1]
+
+
+def read_sites(path):
+    """Return the Sites of a file; see `validation/heat/sites.toml`."""
+    path = Path(path)
+    return read(_File, read_toml(path), Where(path, top="the file")).sites
+
+
+def measured(site, folder):
+    """Return the Measured of a site whose table lies in `folder`.
+
+    Raises
+    ------
+    ThermorenderError
+        A table that is missing or has no such column.
+    """
+    path = Path(folder) / site.file
+    if not path.is_file():
+        raise ThermorenderError(f"{path} does not exist; give the folder that holds {site.file} with --data")
+    weather = read_station(
+        path, site.latitude_deg, site.longitude_deg, site.altitude_m, names=dict(site.names), during=site.during,
+        longest_gap_h=site.longest_gap_h, wind_m_s=site.wind_m_s, snow_depth_m=site.snow_depth_m,
+        air_height_m=site.air_height_m, wind_height_m=site.wind_height_m,
+    )  # fmt: skip
+    column = _columns(path, weather.time)
+    absorbed = None
+    if site.shortwave_up:
+        level = weather.direct_w_m2 * np.maximum(np.sin(np.radians(weather.sun(weather.time)[1])), 0.0)
+        up = _whole(column(site.shortwave_up), weather.time)
+        absorbed = np.maximum(level + weather.diffuse_w_m2 - np.maximum(up, 0.0), 0.0)
+    if site.radiation:
+        total = sum(_whole(column(name), weather.time) for name in site.radiation)
+        absorbed, weather = np.zeros(len(total)), replace(weather, longwave_w_m2=total)
+    if site.longwave_up:
+        e = site.emissivity or sum(share * open_ground.broadband(m) for m, share in _materials(site))
+        emitted = column(site.longwave_up) - (1.0 - e) * weather.longwave_w_m2
+        observed = (emitted / (e * STEFAN_BOLTZMANN)) ** 0.25
+    else:
+        observed = column(site.surface or site.water) + ZERO_CELSIUS_K
+    begin = None
+    if site.soil:
+        begin = np.array([depth for depth, _ in site.soil]), np.array(
+            [column(name)[0] + ZERO_CELSIUS_K for _, name in site.soil]
+        )
+    after = (weather.time - weather.time[0]) / np.timedelta64(3600, "s") >= site.scored_after_h
+    return Measured(site, weather, absorbed, observed, begin, after & np.isfinite(observed))
+
+
+def _materials(site):
+    library = load_library()
+    for name, _ in site.cover:
+        if name not in library:
+            raise ThermorenderError(f"site {site.name!r}: cover {name!r} is no material of the library")
+    return [(library[name], share) for name, share in site.cover]
+
+
+def _columns(path, time):
+    """A function from a column's name to its numbers at the instants `time`; NaN where a cell is empty."""
+    with open(path, newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    row_of = {np.datetime64(row["time_utc"].rstrip("Z"), "s"): row for row in rows}
+
+    def column(name):
+        if name not in rows[0]:
+            raise ThermorenderError(f"{path} has no column {name!r}; it has {', '.join(rows[0])}")
+        cells = (row_of.get(at, {}).get(name) for at in time)
+        return np.array([float(cell) if cell else np.nan for cell in cells])
+
+    return column
+
+
+def _whole(values, time):
+    """Values with their holes bridged in time."""
+    second, known = (time - time[0]).astype(float), np.isfinite(values)
+    return np.interp(second, second[known], values[known])
+
+
+def modelled(found, step_s=None, layers=None, edit=None):
+    """Return the temperature that the heat balance gives the surface of a Measured at each of its instants, (N,) [K].
+
+    Of a mixed cover the mean of the fourth powers, weighted with share and emissivity; of water that of its first layer
+    where that was measured.
+
+    Parameters
+    ----------
+    found : Measured
+    step_s : float, optional
+        Longest step [s].
+    layers : int, optional
+    edit : callable, optional
+        Called with each Material before it is used, returns the one to use.
+    """
+    site, weather = found.site, found.weather
+    materials = _materials(site)
+    rough = site.canopy_m and 0.1 * site.canopy_m
+    own = {"roughness_m": rough, "wetness": site.wetness, "thickness_m": site.depth_m}
+    own = {name: value for name, value in own.items() if value is not None}
+    materials = [(replace(m, thermal=replace(m.known_thermal(), **own)), share) for m, share in materials]
+    if edit:
+        materials = [(edit(m), share) for m, share in materials]
+    more = {} if layers is None else {"layers": layers}
+    made = open_ground.columns([m for m, _ in materials], weather, site.snow_depth_m, **more)
+    step_s = step_s or open_ground.STEP_S
+    series = _Drive(found, made)
+    if found.begin_k is not None:
+        depth, kelvin = found.begin_k
+        known = np.isfinite(kelvin)
+        state = balance.at_rest(np, list(np.interp(made.node_m.T, depth[known], kelvin[known])), made.ground)
+        kelvin = series.march(state, step_s)
+    else:
+        state = series.settled(2.0 * step_s)
+        kelvin = series.march(state, step_s)
+    share = np.array([share for _, share in materials]) * made.ground.emissivity
+    return (kelvin**4 @ (share / share.sum())) ** 0.25
+
+
+class _Drive:
+    """Marches the columns of a Measured under its weather, row to row."""
+
+    def __init__(self, found, columns):
+        self.found, self.columns = found, columns
+        self.first_layer = found.site.water is not None
+
+    def march(self, state, step_s, count=None):
+        """Temperatures (N, M) at each row, or the first `count` of them."""
+        weather, columns = self.found.weather, self.columns
+        time, absorbed = weather.time[:count], self.found.absorbed
+        second = (time - time[0]).astype(float)
+        shown = lambda state: state.layers_k[0] if self.first_layer else state.surface_k  # noqa: E731
+        seen = [shown(state)]
+        for row in range(len(time) - 1):
+            span = second[row + 1] - second[row]
+            steps = max(1, int(np.ceil(span / step_s - 1e-9)))
+            length = span / steps
+            offset = np.add.outer(np.arange(steps) * length, balance.stage_times(length))
+            at = time[row] + np.round(offset).astype("timedelta64[s]")
+            conditions, sine = weather.at(at), np.sin(np.radians(weather.sun(at)[1]))
+            for k in range(steps):
+                stages = []
+                for stage in (0, 1):
+                    now = Conditions(*(values[k, stage] for values in conditions))
+                    own = None
+                    if absorbed is not None:
+                        own = np.interp(second[row] + offset[k, stage], second, absorbed[: len(second)])
+                    stages.append(open_ground.forcing(now, columns, sine[k, stage], open_ground.INSIDE_K, own))
+                state, _ = balance.step(np, state, columns.ground, *stages, length)
+            seen.append(shown(state))
+        self.state = state
+        return np.array(seen)
+
+    def settled(self, step_s):
+        """The State at the first row of columns that have had the first day over and over.
+
+        A file of less than a day goes on to the day after in a straight line.
+        """
+        day = self.found.weather.time[0] + np.timedelta64(_DAY_S, "s")
+        if self.found.weather.time[-1] < day:
+            return _Drive(_closed(self.found, day), self.columns).settled(step_s)
+        weather, columns = self.found.weather, self.columns
+        count = min(np.searchsorted(weather.time, weather.time[0] + np.timedelta64(_DAY_S, "s")) + 1, len(weather.time))
+        wide = len(columns.absorptance)
+        mean = np.full(wide, weather.air_k[:count].mean())
+        mean = np.where(columns.ground.melting > 0.5, np.minimum(mean, ZERO_CELSIUS_K), mean)
+        state = balance.at_rest(np, [mean] * len(columns.ground.capacity), columns.ground)
+        before = np.full(wide, np.inf)
+        for _ in range(15):
+            seen = self.march(state, step_s, count)
+            state = self.state
+            if np.abs(seen[-1] - before).max() < 0.1:
+                break
+            before, mean = seen[-1], seen.mean(axis=0)
+            free = (columns.ground.conductance[-1] == 0.0) & (columns.ground.melting < 0.5)
+            deep = np.minimum(columns.node_m.T / 0.5, 1.0)
+            layers = [np.where(free, t + d * (mean - t), t) for t, d in zip(state.layers_k, deep, strict=True)]
+            state = State(state.surface_k, layers, state.film, state.liquid)
+        return state
+
+
+def _closed(found, day):
+    """A Measured whose first row comes again a day later."""
+    weather = found.weather
+    again = lambda values: np.append(values, values[0])  # noqa: E731
+    series = {name: again(getattr(weather, name)) for name in Conditions._fields}
+    absorbed = None if found.absorbed is None else again(found.absorbed)
+    return replace(found, weather=replace(weather, time=np.append(weather.time, day), **series), absorbed=absorbed)
