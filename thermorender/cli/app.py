@@ -150,13 +150,31 @@ def make_scene(
     size_m: Annotated[float | None, typer.Option(help="Side of the square [m].")] = None,
     texel_m: Annotated[float | None, typer.Option(help="Side of an orthophoto texel [m].")] = None,
     post_m: Annotated[float | None, typer.Option(help="Distance of elevation posts [m].")] = None,
+    time: Annotated[
+        str | None, typer.Option(help="Date and hour with their zone, 2018-07-28T14:30Z. Default: the kind's own.")
+    ] = None,
+    air_low_c: Annotated[float | None, typer.Option(help="The day's lowest air temperature [°C].")] = None,
+    air_high_c: Annotated[float | None, typer.Option(help="The day's highest air temperature [°C].")] = None,
+    humidity: Annotated[float | None, typer.Option(help="Relative, 0…1, at the lowest air temperature.")] = None,
+    wind_m_s: Annotated[float | None, typer.Option(help="Wind at 10 m [m/s].")] = None,
+    cloud: Annotated[float | None, typer.Option(help="Share of the sky, 0…1.")] = None,
+    snow_depth_m: Annotated[float | None, typer.Option(help="Snow on the ground [m].")] = None,
+    weather_seed: Annotated[
+        int | None,
+        typer.Option(help="Draws date, hour, snow, cloud, wind and air from a seed; what is given stays as given."),
+    ] = None,
 ):
-    """Make a procedural scene with known temperatures from a seed."""
-    from thermorender.synthetic import worlds as synthetic
+    """Make a procedural scene from a seed, under a weather, with known temperatures."""
+    from thermorender.campaign import worlds
+    from thermorender.synthetic.worlds import make, weather_of
 
+    weather = weather_of(
+        kind, weather_seed, time=time, air_low_c=air_low_c, air_high_c=air_high_c, humidity=humidity,
+        wind_m_s=wind_m_s, cloud=cloud, snow_depth_m=snow_depth_m,
+    )  # fmt: skip
     with progress() as tell:
         tell("making the landscape", 0.0)
-        folder = synthetic.write(synthetic.make(kind, seed, size_m, texel_m, post_m), output)
+        folder = worlds.write(make(kind, seed, size_m, texel_m, post_m, weather=weather), output, progress=tell)
     typer.echo(str(folder))
 
 

@@ -1,36 +1,12 @@
-"""Heat balance of a surface: sun, sky, air, evaporation and what lies beneath, one implicit step in time."""
+"""Force–restore: one implicit step of a surface over a single restoring layer; `balance` has columns of layers."""
 
 import numpy as np
 
-from thermorender.physics import sun
+from thermorender.physics.balance import STEFAN_BOLTZMANN
 from thermorender.units import ZERO_CELSIUS_K
 
-STEFAN_BOLTZMANN = 5.670374419e-8  # W m⁻² K⁻⁴, CODATA 2018
 _DAY_S = 86400.0
 _PSYCHROMETER_PA_K = 66.0  # near sea level: Allen et al., FAO paper 56 (1998), table 2.2
-# A march has at least so many steps, and none longer [h].
-_FEWEST_STEPS, _LONGEST_STEP_H = 8, 1.2
-
-
-def march_hours(latitude_deg, declination_deg, solar_hour):
-    """Return the rising hours (n,) between which a surface's temperature is marched, the last being `solar_hour`.
-
-    Parameters
-    ----------
-    latitude_deg, declination_deg : float
-        Of the site and of the sun [deg].
-    solar_hour : float
-        Apparent solar time [h]; also negative or past 24, for the same sun on another day.
-
-    Notes
-    -----
-    A march begins at the last sunrise, of the day before if the hour is earlier than this day's; where the sun does
-    not rise, one day before. A day forgets where it began: force–restore alone by e^(−2π).
-    """
-    rise = sun.sunrise(latitude_deg, declination_deg)
-    start = solar_hour - 24.0 if rise is None else rise + 24.0 * np.floor((solar_hour - rise) / 24.0)
-    steps = max(_FEWEST_STEPS, int(np.ceil((solar_hour - start) / _LONGEST_STEP_H)))
-    return np.linspace(start, solar_hour, steps + 1)
 
 
 def saturation_vapour(temperature):

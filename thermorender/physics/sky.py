@@ -6,7 +6,7 @@ level plane. Arguments broadcast.
 
 import numpy as np
 
-from thermorender.physics.heat import STEFAN_BOLTZMANN
+from thermorender.physics.balance import STEFAN_BOLTZMANN
 from thermorender.physics.humidity import precipitable_water
 
 SOLAR_CONSTANT_W_M2 = 1361.0  # IAU 2015 resolution B3

@@ -1,4 +1,4 @@
-"""The sun: where it stands, when it rises, its light on the ground, and its own long-wave infrared above the air."""
+"""The sun: where it stands, when it rises, and its own long-wave infrared above the air."""
 
 import numpy as np
 
@@ -27,28 +27,6 @@ def direction(elevation_deg, azimuth_deg):
     """Return the unit vector (3,) towards the sun in East-North-Up axes; azimuth from north, eastward positive."""
     elevation, azimuth = np.radians([elevation_deg, azimuth_deg])
     return np.array([np.cos(elevation) * np.sin(azimuth), np.cos(elevation) * np.cos(azimuth), np.sin(elevation)])
-
-
-def position(latitude_deg, declination_deg, solar_hour):
-    """Return the sun's (azimuth clockwise from north, elevation) [deg].
-
-    Parameters
-    ----------
-    latitude_deg, declination_deg : float
-        Of the site and of the sun [deg].
-    solar_hour : float
-        Apparent solar time [h]; 12 is the culmination.
-
-    Notes
-    -----
-    Iqbal, An Introduction to Solar Radiation (1983), eqs 1.5.1 and 1.5.2.
-    """
-    lat, dec = np.radians(latitude_deg), np.radians(declination_deg)
-    angle = np.radians(15.0 * (solar_hour - 12.0))
-    up = np.sin(lat) * np.sin(dec) + np.cos(lat) * np.cos(dec) * np.cos(angle)
-    east = -np.cos(dec) * np.sin(angle)
-    north = np.cos(lat) * np.sin(dec) - np.sin(lat) * np.cos(dec) * np.cos(angle)
-    return float(np.degrees(np.arctan2(east, north)) % 360.0), float(np.degrees(np.arcsin(np.clip(up, -1.0, 1.0))))
 
 
 def position_at(time, latitude_deg, longitude_deg):
@@ -129,18 +107,3 @@ def sunrise(latitude_deg, declination_deg):
     if abs(cosine) > 1.0:
         return None
     return 12.0 - np.degrees(np.arccos(cosine)) / 15.0
-
-
-def clear_sky(elevation_deg):
-    """Return (direct on a plane facing the sun, diffuse on a level plane) irradiance [W m⁻²].
-
-    Notes
-    -----
-    Direct: 1353 · 0.7^(m^0.678), Meinel & Meinel, Applied Solar Energy (1976), with air mass m = 1/sin(e).
-    Diffuse: a tenth of the direct, as usual for clear skies.
-    """
-    if elevation_deg <= LOWEST_DEG:
-        return 0.0, 0.0
-    mass = 1.0 / np.sin(np.radians(elevation_deg))
-    direct = 1353.0 * 0.7 ** (mass**0.678)
-    return direct, 0.1 * direct

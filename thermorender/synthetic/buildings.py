@@ -74,7 +74,7 @@ class Window:
             part *= 1.0 - cover
 
 
-def house(window, fine, generator, u, v, half_u, half_v, wall_m, roof, pitch_deg=40.0, hip=False, warm=294.5):
+def house(window, fine, generator, u, v, half_u, half_v, wall_m, roof, pitch_deg=40.0, hip=False):
     """Build a house with its ridge along u; returns its cover in the window.
 
     Parameters
@@ -91,8 +91,6 @@ def house(window, fine, generator, u, v, half_u, half_v, wall_m, roof, pitch_deg
         Of a pitched roof [deg].
     hip : bool
         Slope the gable ends too.
-    warm : float
-        Temperature beneath the roof [K].
     """
     c = window.canvas
     material, colour, pitched = roof
@@ -138,7 +136,6 @@ def house(window, fine, generator, u, v, half_u, half_v, wall_m, roof, pitch_deg
     top[shown] = height[shown]
     window.view(c.albedo)[shown] = tone[shown]
     window.view(c.material)[shown] = c.value(material)
-    window.view(c.interior)[shown] = warm
     window.view(c.wetness)[shown] = 0.0
     ground[body] = np.median(ground[body])
     return body
@@ -159,10 +156,9 @@ def panels(window, u, v, columns, rows, lean_v, size=(1.04, 1.72)):
     window.view(c.albedo)[field & frame] = linear(96, 104, 122)
     window.view(c.material)[field] = c.value("glass")
     window.view(c.top)[field] += np.float32(0.12)
-    window.view(c.interior)[field] = np.nan
 
 
-def greenhouse(window, fine, u, v, half_u, half_v, spans, warm=304.0):
+def greenhouse(window, fine, u, v, half_u, half_v, spans):
     """Build a greenhouse of several glazed spans along v."""
     c = window.canvas
     inside = np.minimum(half_u - np.abs(window.u - u), half_v - np.abs(window.v - v))
@@ -184,7 +180,6 @@ def greenhouse(window, fine, u, v, half_u, half_v, spans, warm=304.0):
     window.view(c.top)[body] = height[body]
     window.view(c.albedo)[body] = tone[body]
     window.view(c.material)[body] = c.value("glass")
-    window.view(c.interior)[body] = warm
 
 
 def clutter(window, generator, width, low, high, free):

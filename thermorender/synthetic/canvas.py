@@ -19,8 +19,8 @@ class Canvas:
         Linear colour as it looks lying level in full sun.
     material : (N, N) uint8
         Class value; `names` tells the material.
-    wetness, interior : (N, N) float32
-        Added moisture (0…1) and known temperature beneath the surface [K] (NaN: unknown).
+    wetness : (N, N) float32
+        Added moisture, 0…1.
     """
 
     def __init__(self, seed, size_m, texel_m):
@@ -35,7 +35,6 @@ class Canvas:
         self.albedo = np.zeros((*self.shape, 3), np.float32)
         self.material = np.zeros(self.shape, np.uint8)
         self.wetness = np.zeros(self.shape, np.float32)
-        self.interior = np.full(self.shape, np.nan, np.float32)
         self.names = {}
 
     @property
@@ -50,6 +49,10 @@ class Canvas:
                 return value
         self.names[len(self.names) + 1] = name
         return len(self.names)
+
+    def among(self, names):
+        """Return whether each texel is of one of some materials, (N, N) bool."""
+        return np.isin(self.material, [value for value, known in self.names.items() if known in names])
 
     def stream(self, name):
         """Return the scene's generator of that name."""
@@ -172,7 +175,6 @@ class Canvas:
         top[higher] = (piece * np.float32(height_m))[higher]
         self.albedo[a:r1, b:c1][higher] = (shade[..., None] * np.asarray(colour, np.float32))[higher]
         self.material[a:r1, b:c1][higher] = material
-        self.interior[a:r1, b:c1][higher] = np.nan
 
 
 def spline(points, spacing_m=2.0):

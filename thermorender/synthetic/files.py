@@ -1,92 +1,92 @@
-"""A synthetic scene as files: GeoTIFFs, scene.toml and flight.csv, all of them or none."""
-
-from pathlib import Path
+"""A synthetic scene as files: GeoTIFFs, scene.toml and flight.csv; declared first, then with its temperatures."""
 
 import numpy as np
 
 from thermorender import defaults
 from thermorender.errors import ThermorenderError
-from thermorender.files import atomic_folder, write_text
+from thermorender.files import write_text
 from thermorender.schema import toml_text
+from thermorender.units import utc_text
 
 TEMPERATURE_STEP_K = 0.02  # of the stored raster: 6 mK root mean square, below any microbolometer's noise
 _TEMPERATURE_BASE_K = 200.0
 
 
-def write_scene(scene, directory, overwrite=False, temperature_every=2):
-    """Return the folder written, a Path; see `synthetic.write`."""
-    if temperature_every < 1 or len(scene.temperature) % temperature_every:
+_PACKED = {"compress": "deflate", "zlevel": 9}
+
+
+def write_declared(scene, folder):
+    """Write a SyntheticScene into a folder, its temperature that of a heat balance under its weather."""
+    texel = scene.texel_m
+    picture = np.ascontiguousarray(scene.orthophoto.transpose(2, 0, 1))
+    jpeg = {"compress": "jpeg", "photometric": "ycbcr", "jpeg_quality": 86}
+    _raster(scene, folder / "elevation.tif", scene.elevation[None], scene.post_m, predictor=3, **_PACKED)
+    _raster(scene, folder / "classes.tif", scene.classes[None], texel, **_PACKED)
+    _raster(scene, folder / "orthophoto.tif", picture, texel, **jpeg)
+    write_text(folder / "scene.toml", scene_toml(scene, known=False))
+    write_text(folder / "flight.csv", flight_csv(scene.flight))
+
+
+def write_temperature(scene, folder, temperature, every):
+    """Add the true temperature (N, N) [K] to a scene's folder, and make it what the scene shows.
+
+    Parameters
+    ----------
+    every : int
+        Texels to a side of one texel of the stored raster, which is their mean.
+    """
+    side = len(temperature) // every
+    mean = temperature.astype(np.float64).reshape(side, every, side, every).mean(axis=(1, 3))
+    counts = np.clip(np.round((mean - _TEMPERATURE_BASE_K) / TEMPERATURE_STEP_K), 0, 65535).astype(np.uint16)
+    scale = TEMPERATURE_STEP_K, _TEMPERATURE_BASE_K
+    _raster(scene, folder / "temperature.tif", counts[None], scene.texel_m * every, scale, predictor=2, **_PACKED)
+    write_text(folder / "scene.toml", scene_toml(scene))
+
+
+def refuse_every(scene, every):
+    """Raise unless the stored temperature's texels divide the scene's."""
+    if every < 1 or len(scene.classes) % every:
         raise ThermorenderError(
-            f"temperature_every={temperature_every} does not divide the {len(scene.temperature)} texels "
-            "of the scene's side; choose a divisor such as 1"
+            f"temperature_every={every} does not divide the {len(scene.classes)} texels of the scene's side; choose a "
+            "divisor such as 1"
         )
-    with atomic_folder(directory, overwrite) as draft:
-        _rasters(scene, draft, temperature_every)
-        write_text(draft / "scene.toml", scene_toml(scene))
-        write_text(draft / "flight.csv", flight_csv(scene.flight))
-    return Path(directory)
 
 
-def _rasters(scene, folder, every):
-    """Write the four GeoTIFFs."""
+def _raster(scene, path, bands, texel_m, scale=None, **options):
+    """Write (bands, h, w) as a GeoTIFF whose upper left corner is the scene's."""
     import rasterio
 
-    def profile(texel, **more):
-        return {
-            "driver": "GTiff",
-            "crs": f"EPSG:{scene.epsg}",
-            "transform": rasterio.Affine(texel, 0.0, scene.corner[0], 0.0, -texel, scene.corner[1]),
-            "tiled": True,
-            "blockxsize": 512,
-            "blockysize": 512,
-            **more,
-        }
-
-    def save(name, bands, options, scale=None):
-        count, height, width = bands.shape
-        with rasterio.open(
-            folder / name, "w", width=width, height=height, count=count, dtype=bands.dtype, **options
-        ) as file:
-            file.write(bands)
-            if scale is not None:
-                file.scales, file.offsets = (scale[0],), (scale[1],)
-                file.units = ("K",)
-
-    packed = {"compress": "deflate", "zlevel": 9}
-    save("elevation.tif", scene.elevation[None], profile(scene.post_m, predictor=3, **packed))
-    save("classes.tif", scene.classes[None], profile(scene.texel_m, **packed))
-    save(
-        "orthophoto.tif",
-        np.ascontiguousarray(scene.orthophoto.transpose(2, 0, 1)),
-        profile(scene.texel_m, compress="jpeg", photometric="ycbcr", jpeg_quality=86),
-    )
-    side = len(scene.temperature) // every
-    mean = scene.temperature.astype(np.float64).reshape(side, every, side, every).mean(axis=(1, 3))
-    counts = np.round((mean - _TEMPERATURE_BASE_K) / TEMPERATURE_STEP_K)
-    save(
-        "temperature.tif",
-        np.clip(counts, 0, 65535).astype(np.uint16)[None],
-        profile(scene.texel_m * every, predictor=2, **packed),
-        (TEMPERATURE_STEP_K, _TEMPERATURE_BASE_K),
-    )
+    count, height, width = bands.shape
+    transform = rasterio.Affine(texel_m, 0.0, scene.corner[0], 0.0, -texel_m, scene.corner[1])
+    with rasterio.open(
+        path, "w", driver="GTiff", width=width, height=height, count=count, dtype=bands.dtype, transform=transform,
+        crs=f"EPSG:{scene.epsg}", tiled=True, blockxsize=512, blockysize=512, **options,
+    ) as file:  # fmt: skip
+        file.write(bands)
+        if scale is not None:
+            file.scales, file.offsets = (scale[0],), (scale[1],)
+            file.units = ("K",)
 
 
-def scene_toml(scene):
-    """Return the text of a scene's scene.toml."""
+def scene_toml(scene, known=True):
+    """Return the text of a scene's scene.toml, whose temperature is known, or to be solved by a heat balance."""
+    raster = {"source": "raster", "raster": "temperature.tif"}
+    weather = {key: value for key, value in vars(scene.weather).items() if value is not None}
     values = {
         "title": scene.title,
         "terrain": {"elevation": "elevation.tif", "orthophoto": "orthophoto.tif", "height_reference": "ellipsoid"},
-        "temperature": {"source": "raster", "raster": "temperature.tif"},
+        "temperature": raster if known else {"source": "balance"},
+        "weather": weather | {"time": utc_text(scene.weather.time)},
         "emissivity": {"source": "classes", "raster": "classes.tif", "classes": scene.class_names},
         "sky": {"temperature": round(scene.sky_temperature, 1)},
         "camera": {"model": defaults.CAMERA},
-        "truth": {"temperature": "temperature.tif"},
+        "truth": {"temperature": "temperature.tif"} if known else None,
         "object": [{key: _rounded(value) for key, value in item.items()} for item in scene.objects],
     }
     return toml_text(
         values,
         f"Made by thermorender.synthetic.worlds: kind {scene.kind}, seed {scene.seed}, {scene.size_m:g} m.\n"
-        f"Sun at azimuth {scene.sun[0]:.1f}°, elevation {scene.sun[1]:.1f}°.",
+        f"Photographed with the sun at azimuth {scene.sun[0]:.1f}°, elevation {scene.sun[1]:.1f}°.",
     )
 
 

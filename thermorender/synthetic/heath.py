@@ -2,17 +2,20 @@
 
 import numpy as np
 
+from thermorender.scene.spec import WeatherSpec
 from thermorender.synthetic.canvas import crowns, plant, planted_rows, ruts, scatter, spline
-from thermorender.synthetic.heat import Weather
 from thermorender.synthetic.light import linear
 from thermorender.synthetic.noise import smoothstep
 
-WEATHER = Weather(52.2, 4.0, 14.2, 283.5, 295.5, 260.0, 1050.0, 2.2)
+LATITUDE_DEG = 52.2
+WEATHER = WeatherSpec(
+    time=np.datetime64("2018-09-12T12:44:00"), air_low_c=10.3, air_high_c=22.3, humidity=0.84, wind_m_s=3.0, cloud=0.0
+)
 MARKER = (4.0, 6.0)  # east, north [m]
 
 
 def heath(canvas):
-    """Paint a heath on the canvas and return (weather, objects, flight)."""
+    """Paint a heath on the canvas and return (objects, flight)."""
     c, s = canvas, canvas.size
     c.ground += 112.0 + 1.9 * c.fractal("hills", 190.0, 3) + 0.45 * c.fractal("humps", 45.0, 4)
     edge = 8.0 * c.fractal("edge", 55.0, 6, 0.55)
@@ -55,7 +58,7 @@ def heath(canvas):
     _tracks(c, track, sand)
     _trees(c, pines, south, track, sand)
     _clearing(c)
-    return WEATHER, _objects(c, track), _flight(c)
+    return _objects(c, track), _flight(c)
 
 
 def _moor(c):
@@ -118,7 +121,6 @@ def _pool(c):
         field *= 1.0 - water
     deep = linear(42, 46, 36) + smoothstep(8.5, 4.0, r)[..., None] * (linear(30, 34, 32) - linear(42, 46, 36))
     c.paint(water, deep * np.exp(0.06 * c.fractal("film", 6.0, 4))[..., None], "water")
-    c.interior[water > 0.5] = 288.6
 
 
 def _fields(c, south, edge):
@@ -340,6 +342,7 @@ def _objects(c, track):
         "size": [2.0, 2.0, 0.1],
         "position": [*MARKER, 0.05],
         "temperature": 330.0,
+        "heated": True,
         "material": "paint_black",
         "colour": [44, 42, 40],
     }

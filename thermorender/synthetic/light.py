@@ -109,7 +109,7 @@ def linear(red, green, blue):
     return srgb.decoded(np.array([red, green, blue], np.float32) / 255.0)
 
 
-def photograph(albedo, visible, cosine, view, elevation_deg, seed, blur_texels=0.55, noise=1.1):
+def photograph(albedo, visible, cosine, view, elevation_deg, seed, blur_texels=0.55, noise=1.1, cloud=0.0):
     """Return the orthophoto of a lit surface, (H, W, 3) uint8 sRGB.
 
     Parameters
@@ -124,6 +124,8 @@ def photograph(albedo, visible, cosine, view, elevation_deg, seed, blur_texels=0
         Of the sensor noise.
     blur_texels, noise : float
         Lens blur (Gaussian σ) [texels] and sensor noise [8-bit steps].
+    cloud : float
+        Share of the sky whose clouds scatter the sun's light, 0…1; the exposure makes up for what they keep.
     """
     import cv2
 
@@ -133,6 +135,7 @@ def photograph(albedo, visible, cosine, view, elevation_deg, seed, blur_texels=0
     level = np.float32(np.sin(np.radians(max(elevation_deg, LOWEST_DEG))))
     direct = visible * (cosine / level) ** np.float32(0.75)
     ambient = view * np.float32(0.92) + np.float32(0.08)
+    direct = np.float32(1.0 - cloud) * direct + np.float32(cloud) * ambient
     shape = albedo.shape[:2]
     generator = stream(seed, "photograph")
     grain = generator.standard_normal(shape, dtype=np.float32)

@@ -4,17 +4,20 @@ import heapq
 
 import numpy as np
 
+from thermorender.scene.spec import WeatherSpec
 from thermorender.synthetic.canvas import crowns, plant, scatter, spline
-from thermorender.synthetic.heat import Weather
 from thermorender.synthetic.light import linear
 from thermorender.synthetic.noise import fractal_noise, ridged_noise, smoothstep, warp
 
-WEATHER = Weather(49.2, 2.0, 13.6, 270.0, 279.5, 255.0, 430.0, 2.6)
+LATITUDE_DEG = 49.2
+WEATHER = WeatherSpec(
+    time=np.datetime64("2018-09-17T12:06:00"), air_low_c=-3.2, air_high_c=6.3, humidity=0.89, wind_m_s=3.6, cloud=0.0
+)
 _FOOT_M = 1380.0  # of the valley [m]
 
 
 def ridge(canvas):
-    """Paint a mountain ridge on the canvas and return (weather, objects, flight)."""
+    """Paint a mountain ridge on the canvas and return (objects, flight)."""
     c = canvas
     ground, drainage = _mountain(c)
     c.ground += ground
@@ -28,7 +31,7 @@ def ridge(canvas):
     _water(c, lake, drainage)
     _trail(c)
     _wood(c, height, slope, lake)
-    return WEATHER, _objects(c, slope, lake), _flight(c)
+    return _objects(c, slope, lake), _flight(c)
 
 
 def _smooth(field, sigma):
@@ -268,7 +271,6 @@ def _water(c, lake, drainage):
     c.relief *= 1.0 - mask
     c.wetness *= 1.0 - mask
     c.paint(mask, tone * ripple, "water")
-    c.interior[c.material == c.value("water")] = 280.4
 
 
 def _trail(c):
@@ -345,6 +347,7 @@ def _objects(c, slope, lake):
         "size": [1.6, 1.6, 0.1],
         "position": [round(east + min(14.0, 0.1 * c.size), 1), north - 6.0, 0.1],
         "temperature": 620.0,
+        "heated": True,
         "material": "soil_dark",
         "colour": [70, 54, 46],
     }

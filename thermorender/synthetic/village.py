@@ -2,13 +2,16 @@
 
 import numpy as np
 
+from thermorender.scene.spec import WeatherSpec
 from thermorender.synthetic.buildings import ROOFS, Window, car, clutter, greenhouse, house, panels, street
 from thermorender.synthetic.canvas import crowns, plant, scatter, spline
-from thermorender.synthetic.heat import Weather
 from thermorender.synthetic.light import linear
 from thermorender.synthetic.noise import smoothstep
 
-WEATHER = Weather(51.9, 8.0, 13.9, 285.5, 297.0, 262.0, 1150.0, 2.0)
+LATITUDE_DEG = 51.9
+WEATHER = WeatherSpec(
+    time=np.datetime64("2018-09-02T12:30:00"), air_low_c=12.4, air_high_c=23.9, humidity=0.80, wind_m_s=2.8, cloud=0.0
+)
 _LAWNS = [(118, 132, 74), (108, 126, 66), (136, 140, 86), (126, 132, 82)]
 _CARS = [
     ((188, 190, 194), "paint_metallic", 301.0),
@@ -20,7 +23,7 @@ _CARS = [
 
 
 def village(canvas):
-    """Paint a village on the canvas and return (weather, objects, flight)."""
+    """Paint a village on the canvas and return (objects, flight)."""
     c, s = canvas, canvas.size
     c.ground += 134.0 + 1.5 * c.fractal("hills", 210.0, 2) + 0.12 * c.fractal("humps", 25.0, 4)
     roads = c.stream("roads")
@@ -59,7 +62,7 @@ def village(canvas):
     _pond(c, pond)
     _parked(c, g, main, objects)
     _green(c, taken, (trees, conifers, shrubs))
-    return WEATHER, objects, _flight(c, main)
+    return objects, _flight(c, main)
 
 
 def _land(c, fine, soft):
@@ -202,7 +205,7 @@ def _house(window, g, width, set_back, fine, objects):
     half_u, half_v = min(0.5 * width - 5.2, g.uniform(5.0, 6.6)), g.uniform(4.0, 4.9)
     roof = ROOFS[g.integers(len(ROOFS) - 1)] if g.uniform() < 0.9 else ROOFS[-1]
     wall, pitch = g.uniform(3.0, 5.6), g.uniform(32.0, 44.0)
-    warm = g.uniform(292.5, 299.0)
+    g.uniform()  # No longer used; without it all houses that follow would be others.
     hip = g.uniform() < 0.3
     turned = g.uniform() < 0.4
     frame = window
@@ -212,13 +215,11 @@ def _house(window, g, width, set_back, fine, objects):
         frame = Window(c, east, north, window.heading + 90.0, 16.0)
         u0 = v0 = 0.0
         half_u, half_v = half_u * 1.05, half_v * 0.95
-    house(frame, fine, g, u0, v0, half_u, half_v, wall, roof, pitch, hip, warm)
+    house(frame, fine, g, u0, v0, half_u, half_v, wall, roof, pitch, hip)
     if g.uniform() < 0.35 and roof[2]:
         east, north = frame.position(u0 + g.choice([-0.4, 0.4]) * half_u, v0 + 0.75 * half_v)
         wing = Window(c, east, north, frame.heading + 90.0, 14.0)
-        house(
-            wing, fine, g, 0.0, 0.0, 0.6 * half_v + 1.0, 0.40 * half_u, wall - 0.3, roof, pitch, False, warm
-        )
+        house(wing, fine, g, 0.0, 0.0, 0.6 * half_v + 1.0, 0.40 * half_u, wall - 0.3, roof, pitch)
     # Panels go on the slope that looks most to the south.
     facing = np.cos(np.radians(frame.heading - 180.0))
     if roof[2] and not hip and abs(facing) > 0.45 and g.uniform() < 0.5:
@@ -237,13 +238,12 @@ def _house(window, g, width, set_back, fine, objects):
             3.2,
             2.6,
             ROOFS[-1],
-            warm=291.0,
         )
     if g.uniform() < 0.55:
         u, v = g.uniform(-0.3, 0.3) * width, set_back + g.uniform(14.0, 19.0)
         if not (window.view(c.top)[(np.abs(window.u - u) < 2.5) & (np.abs(window.v - v) < 2.5)] > 1.2).any():
             shed = ("roof_shingle", (124, 104, 84), True)
-            house(window, fine, g, u, v, g.uniform(1.4, 2.4), g.uniform(1.1, 1.7), 2.0, shed, 22.0, warm=290.0)
+            house(window, fine, g, u, v, g.uniform(1.4, 2.4), g.uniform(1.1, 1.7), 2.0, shed, 22.0)
     if g.uniform() < 0.5 and len(objects) < 4 * 9:
         colour, material, temperature = _CARS[g.integers(len(_CARS))]
         for u in ((0.5 * width - 2.9), -(0.5 * width - 2.9)):
@@ -294,7 +294,7 @@ def _greenhouse(c, g, fine, taken, at):
     window.paint(lane, linear(164, 154, 138) * np.exp(0.1 * soft)[..., None], "soil_loam")
     greenhouse(window, fine, -11.0, 0.0, 9.6, 13.0, 3)
     hall = ("roof_rubber", (128, 126, 122), False)
-    house(window, fine, g, 15.0, 4.0, 8.0, 10.0, 5.5, hall, warm=295.0)
+    house(window, fine, g, 15.0, 4.0, 8.0, 10.0, 5.5, hall)
     panels(window, 15.0, 7.5, 12, 2, 0.9)
     panels(window, 15.0, 1.0, 12, 2, 0.9)
     window.view(taken)[window.box(2.0, 0.0, 26.0, 18.0) > 0.5] = True
@@ -320,7 +320,6 @@ def _pond(c, centre):
     c.paint(
         water, (tone + 0.5 * weed * (linear(92, 110, 56) - tone)) * np.exp(0.05 * grain)[..., None], "water"
     )
-    c.interior[water > 0.5] = 290.2
 
 
 def _parked(c, g, main, objects):

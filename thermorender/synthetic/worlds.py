@@ -1,28 +1,63 @@
-"""Procedural scenes with known temperature: `make` grows one from a seed, `write` makes it a scene folder.
+"""Procedural scenes: `make` grows a land from a seed, under a weather; `thermorender.campaign.worlds` warms it.
 
-The true temperature comes from a surface energy balance (`procedural.heat`) on materials, relief, shadows and
-moisture; the orthophoto is a photograph of the same land. Neither is computed from the other.
+A land is declared here: relief, materials, what strays from them unseen, a photograph, a flight. Its temperature is
+solved from that by the heat balance of every scene; the orthophoto is a photograph of the same land. Neither is
+computed from the other.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
+from thermorender import units
 from thermorender.errors import ThermorenderError
+from thermorender.physics.sun import position_at
+from thermorender.scene.hidden import Hidden
+from thermorender.scene.spec import WeatherSpec
+from thermorender.synthetic import heath, ridge, village
 from thermorender.synthetic.canvas import Canvas
-from thermorender.synthetic.files import write_scene
-from thermorender.synthetic.heat import surface_temperature
-from thermorender.synthetic.heath import heath
-from thermorender.synthetic.light import incidence, normals, photograph
-from thermorender.synthetic.ridge import ridge
-from thermorender.synthetic.village import village
+from thermorender.synthetic.hidden import hidden_fields
+from thermorender.synthetic.light import incidence, normals, photograph, sky_view, sun_visibility
+from thermorender.synthetic.snow import lay_snow
+from thermorender.synthetic.weather import (
+    LONGITUDE_DEG,
+    conditions,
+    drawn_weather,
+    follows,
+    sky_temperature,
+    sun_of_photograph,
+)
 
-# Kind: layout function, default size, texel and post spacing [m], and what it shows.
+
+class Kind(NamedTuple):
+    """A kind of landscape: its layout, its own size, texel and post spacing [m], its place and weather, its title."""
+
+    layout: Callable
+    size_m: float
+    texel_m: float
+    post_m: float
+    latitude_deg: float
+    altitude_m: float
+    weather: WeatherSpec
+    title: str
+
+
 KINDS = {
-    "heath": (heath, 400.0, 0.25, 1.0, "Heath with sand, tracks, pine forest and fields"),
-    "village": (village, 320.0, 0.2, 0.5, "Village street with houses, gardens, a nursery and a pond"),
-    "ridge": (ridge, 1600.0, 1.0, 4.0, "Mountain ridge with rock, snow, alpine grass, spruces and a lake"),
-}
+    "heath": Kind(
+        heath.heath, 400.0, 0.25, 1.0, heath.LATITUDE_DEG, 112.0, heath.WEATHER,
+        "Heath with sand, tracks, pine forest and fields",
+    ),
+    "village": Kind(
+        village.village, 320.0, 0.2, 0.5, village.LATITUDE_DEG, 134.0, village.WEATHER,
+        "Village street with houses, gardens, a nursery and a pond",
+    ),
+    "ridge": Kind(
+        ridge.ridge, 1600.0, 1.0, 4.0, ridge.LATITUDE_DEG, 1550.0, ridge.WEATHER,
+        "Mountain ridge with rock, snow, alpine grass, spruces and a lake",
+    ),
+}  # fmt: skip
 
 # Largest raster a scene may have: more does not fit an ordinary machine's memory while it is painted.
 _MOST_TEXELS = 8000
@@ -32,7 +67,7 @@ _MOST_SIZES = 16
 
 @dataclass(frozen=True)
 class SyntheticScene:
-    """A procedural scene: rasters on one extent, row 0 in the north.
+    """A procedural scene, declared: rasters on one extent, row 0 in the north.
 
     Attributes
     ----------
@@ -48,10 +83,12 @@ class SyntheticScene:
         Material of each texel; 0 stands for none and does not occur.
     class_names : dict of int to str
         Material of each value of `classes`.
-    temperature : (N, N) float32
-        True kinetic surface temperature [K].
+    hidden : Hidden
+        How each texel strays from its material, which only the truth knows.
+    weather : WeatherSpec
+        A named day, and the instant at which the scene is shown.
     sky_temperature : float
-        Of the blackbody sky under which the land warmed [K].
+        Of the blackbody that shines as the sky does in a camera's band [K].
     latitude_deg, longitude_deg : float
         Of the centre [deg].
     epsg : int
@@ -59,7 +96,7 @@ class SyntheticScene:
     corner : (2,) tuple of float
         Map easting and northing of the north-west corner [m].
     sun : (2,) tuple of float
-        Azimuth and elevation of the sun [deg].
+        Azimuth and elevation of the sun in the orthophoto [deg].
     objects : tuple of dict
         In the form of a scene file's [[object]] tables.
     flight : dict of str to (K,) float64
@@ -76,7 +113,8 @@ class SyntheticScene:
     orthophoto: np.ndarray
     classes: np.ndarray
     class_names: dict
-    temperature: np.ndarray
+    hidden: Hidden
+    weather: WeatherSpec
     sky_temperature: float
     latitude_deg: float
     longitude_deg: float
@@ -87,7 +125,34 @@ class SyntheticScene:
     flight: dict
 
 
-def make(kind, seed=0, size_m=None, texel_m=None, post_m=None):
+def weather_of(kind, weather_seed=None, **given):
+    """Return the WeatherSpec of a kind's own day, or one drawn from a seed, with what is given in its place.
+
+    Parameters
+    ----------
+    kind : str
+        One of `KINDS`; the land's altitude makes a drawn weather colder.
+    weather_seed : int, optional
+        As by `synthetic.weather.drawn_weather`.
+    **given
+        Keys of a named day's WeatherSpec; None for what is not given. `time` as by `thermorender.units.instant`.
+
+    Raises
+    ------
+    ThermorenderError
+        The kind is unknown, the seed out of range, or the time is none.
+    """
+    known = _kind(kind)
+    if weather_seed is not None:
+        _check_seed("weather_seed", weather_seed)
+    weather = known.weather if weather_seed is None else drawn_weather(weather_seed, known.altitude_m)
+    given = {key: value for key, value in given.items() if value is not None}
+    if "time" in given:
+        given["time"] = units.instant("time", given["time"])
+    return replace(weather, **given)
+
+
+def make(kind, seed=0, size_m=None, texel_m=None, post_m=None, time=None, weather=None):
     """Return a procedural scene; the same arguments give the same scene.
 
     Parameters
@@ -101,48 +166,56 @@ def make(kind, seed=0, size_m=None, texel_m=None, post_m=None):
     texel_m, post_m : float, optional
         Side of an orthophoto texel and of an elevation cell [m]; both must divide the size, and a cell is not
         smaller than a texel.
+    time : str or datetime64, optional
+        Instant at which it is shown, UTC or with a zone, in place of the weather's.
+    weather : WeatherSpec, optional
+        A named day; by default the kind's own: a clear one in September, early in the afternoon.
+
+    Notes
+    -----
+    Land, materials and what they hide belong to the kind and the seed; the weather adds snow where it says so, moves
+    the objects' temperatures, and lights the photograph. By night, and while the sun is below 10°, that is taken at
+    noon of the day, as orthophotos are taken by day; clouds soften its shadows.
 
     Raises
     ------
     ThermorenderError
-        The kind is unknown, the seed or the size out of range, or the sizes do not fit each other.
+        The kind is unknown, the seed or the size out of range, the sizes do not fit each other, or no such weather.
     """
-    if kind not in KINDS:
-        raise ThermorenderError(f"kind={kind!r} is not a synthetic scene; choose one of {', '.join(KINDS)}")
-    layout, default_size, default_texel, default_post, title = KINDS[kind]
-    size = float(default_size if size_m is None else size_m)
-    texel = float(default_texel if texel_m is None else texel_m)
-    post = float(default_post if post_m is None else post_m)
+    known = _kind(kind)
+    size = float(known.size_m if size_m is None else size_m)
+    texel = float(known.texel_m if texel_m is None else texel_m)
+    post = float(known.post_m if post_m is None else post_m)
     _check(seed, size, texel, post)
-    if size > _MOST_SIZES * default_size:
+    if size > _MOST_SIZES * known.size_m:
         raise ThermorenderError(
-            f"size_m={size:g} is more than the {_MOST_SIZES * default_size:g} m that a {kind} may have; give less"
+            f"size_m={size:g} is more than the {_MOST_SIZES * known.size_m:g} m that a {kind} may have; give less"
         )
+    weather = weather or known.weather
+    if weather.air_high_c is None:
+        raise ThermorenderError("the weather of a synthetic scene has no air_high_c; give a named day")
+    if time is not None:
+        weather = replace(weather, time=units.instant("time", time))
+    latitude = known.latitude_deg
+    # Refused before the landscape is made, which takes a while.
+    now, usual = (_air_and_sun(day, latitude, known.altitude_m) for day in (weather, known.weather))
 
     canvas = Canvas(seed, size, texel)
-    weather, objects, flight = layout(canvas)
-    temperature, light = surface_temperature(
-        canvas.surface,
-        texel,
-        canvas.material,
-        canvas.names,
-        weather,
-        seed,
-        wetness=canvas.wetness,
-        interior=canvas.interior,
-        # Grains and leaf tips share their heat with their neighbours; their light they do not.
-        relief=0.6 * canvas.relief,
-    )
-    sun = weather.sun(weather.solar_hour)
-    cosine = incidence(normals(canvas.surface + canvas.relief, texel, steepest=1.3), *sun)
-    picture = photograph(canvas.albedo, light["visible"], cosine, light["view"], sun[1], seed)
-    elevation = _posts(canvas.surface, size, post)
-    longitude = 21.0  # the central meridian of zone 34: grid north is true north
-    corner = _corner(weather.latitude_deg, longitude, size)
+    objects, flight = known.layout(canvas)
+    lay_snow(canvas, weather.snow_depth_m, weather.air_low_c)
+    hidden = hidden_fields(canvas)
+    sun = sun_of_photograph(weather.time, latitude)
+    surface = canvas.surface
+    cosine = incidence(normals(surface + canvas.relief, texel, steepest=1.3), *sun)
+    view = sky_view(surface, texel, reach_m=max(40.0, 0.25 * size))
+    visible = sun_visibility(surface, texel, *sun)
+    picture = photograph(canvas.albedo, visible, cosine, view, sun[1], seed, cloud=weather.cloud)
+    elevation = _posts(surface, size, post)
+    altitude = float(np.round(np.median(elevation)))
     return SyntheticScene(
         kind=kind,
         seed=int(seed),
-        title=title,
+        title=known.title,
         size_m=size,
         texel_m=texel,
         post_m=post,
@@ -150,46 +223,36 @@ def make(kind, seed=0, size_m=None, texel_m=None, post_m=None):
         orthophoto=picture,
         classes=canvas.material,
         class_names=dict(canvas.names),
-        temperature=temperature,
-        sky_temperature=weather.sky_temperature,
-        latitude_deg=weather.latitude_deg,
-        longitude_deg=longitude,
+        hidden=hidden,
+        weather=weather,
+        sky_temperature=sky_temperature(weather, conditions(weather, latitude, altitude), altitude),
+        latitude_deg=latitude,
+        longitude_deg=LONGITUDE_DEG,
         epsg=32634,
-        corner=corner,
+        corner=_corner(latitude, LONGITUDE_DEG, size),
         sun=sun,
-        objects=tuple(objects),
+        objects=tuple(follows(objects, now, usual)),
         flight=_flight_table(flight, elevation, size, post),
     )
 
 
-def write(scene, directory, overwrite=False, temperature_every=2):
-    """Return the folder written for a scene: rasters, scene.toml and flight.csv.
+def _kind(name):
+    """Return the Kind of a name, or refuse it."""
+    if name not in KINDS:
+        raise ThermorenderError(f"kind={name!r} is not a synthetic scene; choose one of {', '.join(KINDS)}")
+    return KINDS[name]
 
-    The folder is built beside its path under a temporary name and then renamed, so it is never half there.
 
-    Parameters
-    ----------
-    scene : SyntheticScene
-    directory : path
-        Folder to make.
-    overwrite : bool
-        Replace a folder that already holds something.
-    temperature_every : int
-        Orthophoto texels to a side of one texel of the stored temperature, which is their mean.
-
-    Raises
-    ------
-    ThermorenderError
-        The folder exists and is not empty, and `overwrite` is false, or `temperature_every` does not divide
-        the grid.
-    """
-    return write_scene(scene, directory, overwrite, temperature_every)
+def _air_and_sun(weather, latitude, altitude):
+    """Return (kelvin of the air, sunlight on level ground [W m⁻²]) of a WeatherSpec at its instant."""
+    found = conditions(weather, latitude, altitude)
+    height = np.sin(np.radians(position_at(weather.time, latitude, LONGITUDE_DEG)[1]))
+    return float(found.air_k), float(found.direct_w_m2 * max(height, 0.0) + found.diffuse_w_m2)
 
 
 def _check(seed, size, texel, post):
     """Refuse sizes that do not fit each other."""
-    if not 0 <= seed < 2**64 or int(seed) != seed:
-        raise ThermorenderError(f"seed={seed!r} must be a whole number of at least 0 and less than 2⁶⁴")
+    _check_seed("seed", seed)
     for name, value in (("size_m", size), ("texel_m", texel), ("post_m", post)):
         if not (np.isfinite(value) and value > 0.0):
             raise ThermorenderError(f"{name}={value:g} must be a length in metres above 0")
@@ -207,6 +270,11 @@ def _check(seed, size, texel, post):
             f"size_m={size:g} at texel_m={texel:g} makes {round(size / texel)} texels a side; "
             f"64 to {_MOST_TEXELS} are allowed"
         )
+
+
+def _check_seed(name, seed):
+    if not 0 <= seed < 2**64 or int(seed) != seed:
+        raise ThermorenderError(f"{name}={seed!r} must be a whole number of at least 0 and less than 2⁶⁴")
 
 
 def _posts(surface, size, post):
