@@ -10,17 +10,17 @@ differs by at t is taken for a Gaussian process over instants and weathers of th
 - what the balance gets wrong and these properties do not tell, of variance w²;
 - the map's own error, of variance e², which the truth does not share.
 
-The last two are correlated between t₀ and t by ρ = exp(−½ Σ (Δ/reach)²) over hour of day, day, sunshine, air
-temperature and wind (`REACH`), whose reaches are chosen: no measurement gives them. The linear estimate of least
-variance (kriging; Rasmussen & Williams, Gaussian Processes for Machine Learning, 2006, eq. 2.25) is then, texel by
-texel,
+w is correlated between t₀ and t by ρ = exp(−½ Σ (Δ/reach)²) over hour of day, day, sunshine, air temperature and wind
+(`REACH`), whose reaches are chosen: no measurement gives them. The map's error is kept as if it were of the surface,
+but only over a quarter of these reaches, ρ¹⁶: so that the map is itself at t₀ and goes over into the linear estimate of
+least variance (kriging; Rasmussen & Williams, Gaussian Processes for Machine Learning, 2006, eq. 2.25). With
+C = Σ Sₖ(t) Sₖ(t₀), D = Σ Sₖ(t₀)² and A = Σ Sₖ(t)², texel by texel,
 
-    T(t) = T_balance(t) + g d,    g = (Σ Sₖ(t) Sₖ(t₀) + ρ (w² + e²)) / (Σ Sₖ(t₀)² + w² + e²),
+    T(t) = T_balance(t) + g d,    g = (C + ρ w² + ρ¹⁶ e²) / (D + w² + e²),
 
-which is the map itself at t₀ (g = 1), and far from it what its differences tell of the properties. Its error against
-the truth has the variance g² (Σ Sₖ(t₀)² + w² + e²) − 2 g (Σ Sₖ(t) Sₖ(t₀) + ρ w²) + Σ Sₖ(t)² + w²: e² at t₀, and without
-a map to lean on (g = 0) the balance's own, Σ Sₖ(t)² + w². Per material, w² is at least `BALANCE_ERROR_K`² and otherwise
-what the differences have beyond the rest.
+whose error against the truth has the variance g² (D + w² + e²) − 2 g (C + ρ w²) + A + w²: e² at t₀, and without a map
+to lean on (g = 0) the balance's own, A + w². Where the differences of a material's texels are larger than all this
+tells, its properties are taken for as much less certain: C, D and A grow in one ratio, told by the median of d².
 
 Nothing is carried where the map had no temperature of its own, where snow lay or melted at one of the instants only, or
 where rain had fallen before one of them only: the balance stands alone, and the texel is UNMOVED.
@@ -44,7 +44,7 @@ from thermorender.scene.surface import FALLBACK, UNMOVED
 from thermorender.scene.temperature import map_error_k, trained
 from thermorender.units import ZERO_CELSIUS_K, utc_text
 
-# What a balance with the right properties is wrong by at least, one standard deviation [K]: chosen.
+# What a balance with the right properties is wrong by, one standard deviation w [K]: chosen.
 BALANCE_ERROR_K = 0.5
 # Differences of two instants at which what no property explains has lost 40 % of its correlation, all chosen: hours of
 # the day, days of the year, level sunshine of the last hours [W m⁻²], air [K], wind [m/s].
@@ -54,10 +54,12 @@ _RECENT = np.arange(-6, 1) * np.timedelta64(1800, "s")
 _WET_H, _WET_MM = 6, 0.1
 # Snow this near to its melting point may melt [K].
 _MELTS_K = 0.05
-# A standard deviation from which on a texel is flagged [K].
+# A standard deviation above which a texel is flagged, unless the map's own error is larger [K]: chosen.
 MOST_STD_K = 5.0
 # The square of a normal variable has its median here.
 _MEDIAN_OF_SQUARE = 0.4549
+# Of the exponent of ρ, where the map's own error is concerned: a quarter of the reaches.
+_OF_ERROR = 16.0
 
 Progress = Callable[[str, float], object]
 
@@ -202,26 +204,28 @@ class Carried:
         given = np.concatenate([values.ravel() for values in scene.mapped]).astype(np.float64)
         self.difference = np.where(self.failed, 0.0, given - before.kelvin)
         self.error = map_error_k(scene.spec.temperature) ** 2
-        self.own = _product(before, before)
         self.snow = np.array([_is_snow(each) for each in scene.materials])[material]
-        rest = np.full(len(scene.materials), BALANCE_ERROR_K**2)
+        own, ratio = _product(before, before), np.ones(len(scene.materials))
         for number in np.unique(material[~self.failed]):
             of = (material == number) & ~self.failed
             seen = float(np.median(self.difference[of] ** 2)) / _MEDIAN_OF_SQUARE
-            rest[number] = max(rest[number], seen - float(np.median(self.own[of])) - self.error)
-        self.rest = rest[material]
+            told = max(float(np.median(own[of])), BALANCE_ERROR_K**2)
+            ratio[number] = max(1.0, (seen - BALANCE_ERROR_K**2 - self.error) / told)
+        self.ratio = ratio[material]
+        self.own = self.ratio * own
 
     def to(self, at: np.datetime64, after: Expected) -> Moved:
         """Return the map Moved to an instant, with what the balance expects there."""
-        kelvin, shared, spread = after.kelvin, _product(self.before, after), _product(after, after)
+        kelvin, rest = after.kelvin, BALANCE_ERROR_K**2
+        shared, spread = self.ratio * _product(self.before, after), self.ratio * _product(after, after)
         correlation = _correlation(self.there, self.here, at)
-        whole = np.maximum(self.own + self.rest + self.error, 1e-12)
-        gain = (shared + correlation * (self.rest + self.error)) / whole
+        whole = self.own + rest + self.error
+        gain = (shared + correlation * rest + correlation**_OF_ERROR * self.error) / whole
         alone = self.failed | self._ground_changes(at, kelvin)
         gain[alone] = 0.0
-        variance = gain**2 * whole - 2.0 * gain * (shared + correlation * self.rest) + spread + self.rest
+        variance = gain**2 * whole - 2.0 * gain * (shared + correlation * rest) + spread + rest
         std = np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
-        unmoved = alone | (std > MOST_STD_K)
+        unmoved = alone | (std > max(MOST_STD_K, self.error**0.5))
         values = kelvin + gain * self.difference
         # Snow cannot be warmer.
         values = np.where(self.snow, np.minimum(values, np.maximum(kelvin, ZERO_CELSIUS_K)), values)
