@@ -147,8 +147,11 @@ def test_at_the_trained_instant_the_map_is_itself(scene, tools):
     assert hole.sum() == 16
     np.testing.assert_array_equal(surface.temperature[~hole], scene.mapped[0][~hole])
     np.testing.assert_array_equal((surface.flags & UNMOVED) > 0, hole)
-    # The error assumed where nobody states one.
-    np.testing.assert_allclose(found.std_k[0][~hole], 2.0, atol=1e-5)
+    # At least the error assumed where nobody states one.
+    assert found.std_k[0][~hole].min() > 2.0 - 1e-5
+    for number in (0, 1):
+        own = found.std_k[0][(surface.material == number) & ~hole]
+        assert np.ptp(own) < 1e-4
     report = found.scene.moved_report
     assert report["trained"] == "2018-07-15T12:36:00Z" and report["correlation"] == 1.0
     assert report["share_unmoved"] == round(16 / 1024, 5) and found.scene.warmed
@@ -259,7 +262,8 @@ def test_refusals(tmp_path, call, tools):
     weather = TABLES[TABLES.index("[weather]") :]
     folder = written(tmp_path / "tiny", extra=weather)
     plain = (folder / "scene.toml").read_text()
-    learned = plain.replace('source = "raster"\nraster = "temperature.tif"', 'source = "learned"\nmodel = "fok-9to1"', 1)
+    raster = 'source = "raster"\nraster = "temperature.tif"'
+    learned = plain.replace(raster, 'source = "learned"\nmodel = "fok-9to1"', 1)
     (folder / "scene.toml").write_text(learned)
     words = (r"time=2018-07-15T18:00:00Z cannot be had of learned map 'fok-9to1', which does not say when and in what "
              r"weather it was trained; add \[temperature.trained\]")  # fmt: skip
@@ -278,7 +282,7 @@ def test_refusals(tmp_path, call, tools):
          "temperature.trained=.* is not allowed; give it with source='learned' or 'raster' only, not 'constant'"),
         (plain.replace('source = "raster"', 'source = "raster"\nmap_error_k = -1', 1), "map_error_k=-1 is not allowed"),
         (plain.replace("[sky]\ntemperature = 260.0", '[atmosphere]\nstandard = "midlatitude-summer"') + of_map
-         + "[sun]\nelevation_deg = 40\nazimuth_deg = 180\n", "stands where weather.time puts it with temperature.train"),
+         + "[sun]\nelevation_deg = 40\nazimuth_deg = 180\n", "stands where weather.time puts it with temp"),
     )  # fmt: skip
     for text, match in cases:
         (folder / "scene.toml").write_text(text)

@@ -20,7 +20,8 @@ C = Σ Sₖ(t) Sₖ(t₀), D = Σ Sₖ(t₀)² and A = Σ Sₖ(t)², texel by te
 
 whose error against the truth has the variance g² (D + w² + e²) − 2 g (C + ρ w²) + A + w²: e² at t₀, and without a map
 to lean on (g = 0) the balance's own, A + w². Where the differences of a material's texels are larger than all this
-tells, its properties are taken for as much less certain: C, D and A grow in one ratio, told by the median of d².
+tells, neither its properties nor the map is to be believed more than the other: C, D, A and e² grow in one ratio, told
+by the median of d².
 
 Nothing is carried where the map had no temperature of its own, where snow lay or melted at one of the instants only, or
 where rain had fallen before one of them only: the balance stands alone, and the texel is UNMOVED.
@@ -209,8 +210,8 @@ class Carried:
         for number in np.unique(material[~self.failed]):
             of = (material == number) & ~self.failed
             seen = float(np.median(self.difference[of] ** 2)) / _MEDIAN_OF_SQUARE
-            told = max(float(np.median(own[of])), BALANCE_ERROR_K**2)
-            ratio[number] = max(1.0, (seen - BALANCE_ERROR_K**2 - self.error) / told)
+            told = max(float(np.median(own[of])) + self.error, 1e-12)
+            ratio[number] = max(1.0, (seen - BALANCE_ERROR_K**2) / told)
         self.ratio = ratio[material]
         self.own = self.ratio * own
 
@@ -219,13 +220,15 @@ class Carried:
         kelvin, rest = after.kelvin, BALANCE_ERROR_K**2
         shared, spread = self.ratio * _product(self.before, after), self.ratio * _product(after, after)
         correlation = _correlation(self.there, self.here, at)
-        whole = self.own + rest + self.error
-        gain = (shared + correlation * rest + correlation**_OF_ERROR * self.error) / whole
+        error = self.ratio * self.error
+        whole = self.own + rest + error
+        gain = (shared + correlation * rest + correlation**_OF_ERROR * error) / whole
         alone = self.failed | self._ground_changes(at, kelvin)
         gain[alone] = 0.0
         variance = gain**2 * whole - 2.0 * gain * (shared + correlation * rest) + spread + rest
         std = np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
-        unmoved = alone | (std > max(MOST_STD_K, self.error**0.5))
+        # At the trained instant the map's own error is what there is, to rounding.
+        unmoved = alone | (std > np.maximum(MOST_STD_K, 1.001 * np.sqrt(error)))
         values = kelvin + gain * self.difference
         # Snow cannot be warmer.
         values = np.where(self.snow, np.minimum(values, np.maximum(kelvin, ZERO_CELSIUS_K)), values)

@@ -240,8 +240,8 @@ class Scene:
         if self.spec.temperature.source == "learned" and not self.marched:
             raise ThermorenderError(
                 f"{self.where}: time={utc_text(asked)} cannot be had of learned map {self.spec.temperature.model!r}, "
-                "which does not say when and in what weather it was trained; add [temperature.trained] with the keys of "
-                "[weather], or leave the time out"
+                "which does not say when and in what weather it was trained; add [temperature.trained] with the keys "
+                "of [weather], or leave the time out"
             )
         spec = replace(self.spec, weather=replace(self.spec.weather, time=asked), truth_temperature=None)
         scene = replace(self, spec=spec, time=asked)
