@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from scenes import write_terrain
-from thermorender.render import heat
+from thermorender.render.heat import march as heat
 from thermorender.scene import columns as open_ground
 from thermorender.scene.load import load_scene
 
@@ -112,7 +112,7 @@ def test_scene_without_balance_imports_none_of_it():
 
     code = (
         "import sys; from thermorender.render.renderer import Renderer; from thermorender.scene.load import load_scene;"
-        "load_scene('heath'); print([name for name in sys.modules if name in ('thermorender.render.heat',"
+        "load_scene('heath'); print([name for name in sys.modules if name in ('thermorender.render.heat.march',"
         "'thermorender.scene.columns', 'thermorender.physics.balance', 'thermorender.weather.station')])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -68,7 +68,7 @@ def true_temperature(loaded, scene, progress=None):
         Of the declared scene's files, with temperature.source="balance".
     scene : SyntheticScene
     """
-    from thermorender.render.heat import solved
+    from thermorender.render.heat.march import solved
 
     true, exchange = drawn(loaded, scene.kind, scene.seed)
     hidden = replace(scene.hidden, exchange=np.float32(exchange) * scene.hidden.exchange)

@@ -567,15 +567,16 @@ def _pose(scene, text, numbers, local_up):
 def _scene(name, temperature, range_c, air=None, time=None, *read_time):
     from thermorender.scene.spec import TemperatureSpec
 
-    loaded = at_time(name, time, *read_time)
+    source = None
     if temperature:
-        loaded = loaded.with_temperature(TemperatureSpec(source="learned", model=temperature, range_c=_range(range_c)))
+        source = TemperatureSpec(source="learned", model=temperature, range_c=_range(range_c))
     elif range_c:
         needed = f"add --temperature {defaults.TEMPERATURE_MAP}"
         raise ThermorenderError(f"--range-c={range_c!r} needs a learned map; {needed}")
+    loaded = at_time(name, time, *read_time, temperature=source)
     if air is not None:
         loaded = loaded.with_air(*parse_air(air))
-    for note in loaded.weather_notes if loaded.balanced else ():
+    for note in loaded.weather_notes if loaded.marched else ():
         typer.echo(f"weather: {note}")
     for model, report in loaded.report.items():
         typer.echo(

@@ -48,18 +48,20 @@ def progress():
         yield tell
 
 
-def at_time(name, time, read=lambda scene, text: instant("--time", text)):
+def at_time(name, time, read=lambda scene, text: instant("--time", text), temperature=None):
     """Return the Scene of a folder or name at the instant of an option --time, or at its own for None.
 
-    `read` makes an instant of the scene and the text.
+    `read` makes an instant of the scene and the text; `temperature` is a TemperatureSpec in place of the scene's own.
     """
     from thermorender.scene.load import load_scene
 
     scene = load_scene(name)
+    if temperature:
+        scene = scene.with_temperature(temperature)
     if time is None:
         return scene
     scene = scene.at(read(scene, time))
-    if not scene.balanced:
+    if not scene.marched:
         source = scene.spec.temperature.source
         typer.echo(f"note: temperatures of source {source!r} do not change with --time", err=True)
     return scene

@@ -44,10 +44,9 @@ def validate_emissivity(
     """Errors of a learned emissivity map on procedural scenes, beside simpler methods."""
     from thermorender.validate import emissivity as study
 
-    if not all(part.isdigit() for part in split(seeds)) or not split(seeds):
-        raise ThermorenderError(f"--seeds={seeds!r} is not allowed; give whole numbers such as 201,202")
+    numbers = _seeds(seeds)
     with progress() as tell, files.output_folder(output) as folder:
-        result = study.evaluate(model, [int(part) for part in split(seeds)], progress=tell)
+        result = study.evaluate(model, numbers, progress=tell)
         files.write_json(folder / "emissivity.json", result)
         study.write_confusion(result, folder / "emissivity_confusion.csv")
     table(study.HEADER, study.rows(result))
@@ -70,6 +69,24 @@ def validate_air(
         result = study.run(at_time(scene, time), parse_air(air), device=device, progress=tell)
         files.write_json(folder / "air.json", result)
         figure(folder / "air.png", result)
+    table(study.HEADER, study.rows(result))
+    typer.echo(f"numbers and figure in {output}")
+
+
+@app.command("moved")
+def validate_moved(
+    output: Out = Path("out/validation"),
+    seeds: Annotated[str, typer.Option(help="Comma-separated seeds of procedural scenes.")] = "301",
+    device: Device = "auto",
+):
+    """Errors of maps moved to another hour and weather, beside the map unmoved, offset, and the heat balance alone."""
+    from thermorender.validate import moved as study
+    from thermorender.validate.figures.moved import figure
+
+    with progress() as tell, files.output_folder(output) as folder:
+        result = study.run(seeds=_seeds(seeds), progress=tell, device=device)
+        files.write_json(folder / "moved.json", result)
+        figure(folder / "moved.png", result)
     table(study.HEADER, study.rows(result))
     typer.echo(f"numbers and figure in {output}")
 
@@ -160,3 +177,10 @@ def validate_stability(
     typer.echo(f"{result['failed']} of {len(result['cases'])} cases fail; numbers and table in {output}")
     if result["failed"]:
         raise typer.Exit(1)
+
+
+def _seeds(text):
+    """The whole numbers of an option --seeds."""
+    if not all(part.isdigit() for part in split(text)) or not split(text):
+        raise ThermorenderError(f"--seeds={text!r} is not allowed; give whole numbers such as 201,202")
+    return [int(part) for part in split(text)]

@@ -35,6 +35,11 @@ class Correlation:
     sky_temperature : float
         Isotropic sky its thermal images were taken under [K].
     source : str
+    trained : dict or None
+        When and in what weather its thermal images were taken: keys and values of a scene's [weather], a named day's.
+        None where that is not known: the map cannot be moved to another hour unless the scene says it.
+    error_k : float or None
+        One standard deviation of its own error [K]; None: unknown.
     """
 
     name: str
@@ -44,6 +49,8 @@ class Correlation:
     texel_m: float
     sky_temperature: float
     source: str
+    trained: dict | None = None
+    error_k: float | None = None
 
     def intensity(self, rgb, texel_m=None):
         """Return intensity, (h, w) float64, of an sRGB image, (h, w, 3) uint8.

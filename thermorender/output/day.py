@@ -115,10 +115,10 @@ def day(
 
 def _times(scene, step_min):
     """The instants of the day's frames."""
-    if not scene.balanced:
+    if not scene.marched:
         raise ThermorenderError(
-            f"{scene.where}: a day needs temperature.source='balance', which makes temperatures of an hour, not "
-            f"{scene.spec.temperature.source!r}; set it and add [weather]"
+            f"{scene.where}: a day needs temperature.source='balance', or a map with [temperature.trained], which make "
+            f"temperatures of an hour, not {scene.spec.temperature.source!r}; set one and add [weather]"
         )
     if not (5 <= step_min <= 720 and _DAY_MIN % step_min == 0):
         raise ThermorenderError(

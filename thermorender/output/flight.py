@@ -119,7 +119,7 @@ def fly(
         "first_time_s": float(times[0]),
         "last_time_s": float(times[-1]),
         "time": None if start is None else utc_text(start),
-        **({"temperature_step_s": STEP_S} if renderer.scene.balanced else {}),
+        **({"temperature_step_s": STEP_S} if renderer.scene.marched else {}),
         **weather_of(renderer.scene),
         # Between frames too: the sensor remembers what it saw there.
         "path_digest": _digest(poses, trajectory.time_s, trajectory.position, trajectory.quaternion),

@@ -23,13 +23,17 @@ def record(frame):
 
 
 def weather_of(scene):
-    """Return which weather made a scene's temperatures, as plain values; {} where they are of no heat balance."""
-    if not scene.balanced:
+    """Return which weather made a scene's temperatures, as plain values, and how a map was moved to it.
+
+    {} where they are of no heat balance.
+    """
+    if not scene.marched:
         return {}
     spec = scene.spec.weather
     file = spec.file or spec.epw
     named = "named day" if file is None else file.name
-    return {"weather": {"source": named, "digest": scene.weather_digest(), "notes": list(scene.weather_notes)}}
+    told = {"weather": {"source": named, "digest": scene.weather_digest(), "notes": list(scene.weather_notes)}}
+    return told | ({"moved": scene.moved_report} if scene.moved_report else {})
 
 
 def made_by():

@@ -317,11 +317,25 @@ def _warmed(scene: Scene, like: "Renderer | None", geometry: Geometry, progress:
         names = (item.name for item in fields(Scene) if item.name != "camera")
         if all(getattr(scene, name) is getattr(like._asked, name) for name in names):
             return replace(like.scene, camera=scene.camera)
-    # Only here: no other scene needs it.
-    from thermorender.render.heat import solved
-
     assert scene.time is not None
-    return solved(scene, [scene.time], geometry, progress)[0]
+    return warmed(scene, [scene.time], geometry, progress)[0]
+
+
+def warmed(
+    scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry | None = None, progress: Progress | None = None
+) -> list[Scene]:
+    """Return the scene at each of some instants: its heat balance solved, or its map moved by it.
+
+    Parameters and errors are those of `heat.solved` and `moved.moved`.
+    """
+    # Only here: no other scene needs them.
+    if scene.mapped is None:
+        from thermorender.render.heat.march import solved
+
+        return solved(scene, times, geometry, progress)
+    from thermorender.render.heat.moved import moved
+
+    return [each.scene for each in moved(scene, times, geometry, progress)]
 
 
 def _checked_seed(seed: int) -> int:

@@ -39,11 +39,12 @@ from thermorender.scene.surface import (
     MOST_MATERIALS,
     SURFACE,
     UNKNOWN,
+    UNMOVED,
     Surface,
     fill,
     nearest_valid,
 )
-from thermorender.scene.temperature import Texels, resolve
+from thermorender.scene.temperature import Texels, resolve, trained
 from thermorender.scene.tracks import TrackedObject, read_track
 from thermorender.sensor.camera import Camera, load_camera
 from thermorender.units import instant, utc_text
@@ -87,6 +88,11 @@ class Scene:
         What the learned emissivity map has to tell; empty without one.
     time : datetime64[s] or None
         The instant that is asked for, UTC; None for a scene without [weather].
+    mapped : tuple of (h, w) float32 arrays, or None
+        Temperatures of a map at the instant it was trained for, of each of the terrain's surfaces [K], where a heat
+        balance moves them to `time`; None elsewhere.
+    moved_report : dict
+        What moving them told; empty until it is done.
     """
 
     spec: SceneSpec
@@ -101,6 +107,8 @@ class Scene:
     report: dict[str, Any] = field(default_factory=dict)
     emissivity_report: dict[str, Any] = field(default_factory=dict)
     time: "np.datetime64 | None" = None
+    mapped: "tuple[NDArray[np.float32], ...] | None" = None
+    moved_report: dict[str, Any] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -156,17 +164,22 @@ class Scene:
         return self.spec.temperature.source == "balance"
 
     @property
+    def marched(self) -> bool:
+        """Whether the terrain's temperatures follow the weather: a heat balance's own, or a map's that it moves."""
+        return self.balanced or self.mapped is not None
+
+    @property
     def warmed(self) -> bool:
         """Whether the terrain's temperatures are there: those of a balance are NaN until they are solved."""
         terrain = self.surfaces[: self.terrain_count]
-        return not self.balanced or all(np.isfinite(surface.temperature).all() for surface in terrain)
+        return not self.marched or all(np.isfinite(surface.temperature).all() for surface in terrain)
 
     def refuse_unwarmed(self) -> None:
         """Raise unless the terrain's temperatures are there."""
         if not self.warmed:
             raise ThermorenderError(
-                f"{self.where}: the temperatures of source='balance' are not solved yet; take Renderer(scene).scene, "
-                "whose are"
+                f"{self.where}: the temperatures of {self._marched_words()} are not solved yet; take "
+                "Renderer(scene).scene, whose are"
             )
 
     @cached_property
@@ -224,9 +237,15 @@ class Scene:
             )
         if asked == self.time:
             return self
+        if self.spec.temperature.source == "learned" and not self.marched:
+            raise ThermorenderError(
+                f"{self.where}: time={utc_text(asked)} cannot be had of learned map {self.spec.temperature.model!r}, "
+                "which does not say when and in what weather it was trained; add [temperature.trained] with the keys "
+                "of [weather], or leave the time out"
+            )
         spec = replace(self.spec, weather=replace(self.spec.weather, time=asked), truth_temperature=None)
         scene = replace(self, spec=spec, time=asked)
-        return scene.with_temperature(spec.temperature) if self.balanced else scene
+        return scene.with_temperature(spec.temperature) if self.marched else scene
 
     def heated(self, time: np.datetime64, temperatures: "Sequence[ArrayLike]") -> "Scene":
         """Return this scene at an instant of its weather, as its heat balance found it.
@@ -278,8 +297,9 @@ class Scene:
                 f"with_temperature was given a {type(spec).__name__}; give a TemperatureSpec, for kelvins of one's own "
                 "TemperatureSpec(source='raster', raster=path) with the path of a GeoTIFF"
             )
-        if spec.source == "balance":
-            self._refuse_balance()
+        moves = self.spec.weather is not None and trained(spec) is not None
+        if spec.source == "balance" or moves:
+            self._refuse_balance("source='balance'" if not moves else "trained")
         report: dict[str, Any] = {}
         surfaces = list(self.surfaces)
         for index, surface in enumerate(surfaces[: self.terrain_count]):
@@ -287,17 +307,26 @@ class Scene:
                 surface.colour, surface.material, self.materials, self.grid, surface.texel_m, self.where, report
             )
             temperature, flags = resolve(spec, texels)
-            known = surface.flags & ~np.uint8(FALLBACK)
+            known = surface.flags & ~np.uint8(FALLBACK | UNMOVED)
             surfaces[index] = replace(surface, temperature=temperature, flags=known | flags)
-        own = replace(self.spec, temperature=spec)
-        if spec.source == "balance":
+        own, mapped = replace(self.spec, temperature=spec), None
+        if moves:
+            ground = surfaces[: self.terrain_count]
+            mapped = tuple(surface.temperature for surface in ground)
+            surfaces[: self.terrain_count] = [
+                replace(surface, temperature=np.full_like(surface.temperature, np.nan)) for surface in ground
+            ]
+        if spec.source == "balance" or moves:
             # The sun stands where it does at the instant that is solved.
             own = replace(own, sun=None)
-        return replace(self, spec=own, surfaces=tuple(surfaces), report=report)
+        return replace(self, spec=own, surfaces=tuple(surfaces), report=report, mapped=mapped, moved_report={})
 
-    def _refuse_balance(self) -> None:
+    def _marched_words(self) -> str:
+        return "source='balance'" if self.balanced else "a map that is moved to another time"
+
+    def _refuse_balance(self, key: str) -> None:
         """Raise where a heat balance has no weather or no place."""
-        why = f"{self.where}: temperature.source='balance' "
+        why = f"{self.where}: temperature.{key} "
         if self.spec.weather is None:
             raise ThermorenderError(f"{why}needs the weather; add [weather] with time and one of file, epw, air_high_c")
         if self.frame is None:
@@ -344,8 +373,10 @@ class Scene:
             for item in fields(self.air):
                 if isinstance(value := getattr(self.air, item.name), np.ndarray):
                     state.update(value.tobytes())
-        if self.balanced:
+        if self.marched:
             state.update(repr((self.time, spec.temperature, spec.weather)).encode() + self.weather_digest().encode())
+        for values in self.mapped or ():
+            state.update(values.tobytes())
         return state.hexdigest()
 
     def weather_digest(self) -> str:
@@ -377,7 +408,7 @@ class Scene:
         if not self.warmed:
             return f"to be solved for {utc_text(self.time)}"
         terrain = np.concatenate([s.temperature.ravel() for s in self.surfaces[: self.terrain_count]])
-        return f"{terrain.min():.1f}–{terrain.max():.1f} K" + (f" at {utc_text(self.time)}" if self.balanced else "")
+        return f"{terrain.min():.1f}–{terrain.max():.1f} K" + (f" at {utc_text(self.time)}" if self.marched else "")
 
     def _sky_words(self) -> str:
         if self.air is None:

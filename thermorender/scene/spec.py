@@ -126,7 +126,9 @@ class TemperatureSpec:
     """Where the kinetic temperature of each texel comes from.
 
     `range_c` is of intensities 0 and 1 of a learned map; `brightness` lets the orthophoto's set the short-wave
-    absorptance inside a material for the heat balance.
+    absorptance inside a material for the heat balance. `trained` is the instant and the weather that a learned map's or
+    a raster's temperatures are of, in place of what the map's own file says, and `map_error_k` one standard deviation
+    of their error: what a heat balance needs to move them to the time of [weather].
     """
 
     source: str = key(choice("constant", "raster", "material", "learned", "balance"))
@@ -136,14 +138,20 @@ class TemperatureSpec:
     range_c: tuple[float, float] | None = key(number(count=2, ordered=True), None)
     materials: dict = key(mapping(kelvin), {})
     brightness: bool = key(flag, False)
+    trained: "WeatherSpec | None" = key(lambda value, where: read(WeatherSpec, value, where), None)
+    map_error_k: float | None = key(number(0.0, 50.0), None)
 
     def check(self, where, given):
-        """Refuse a source without what it needs, and a brightness that it would pass over."""
+        """Refuse a source without what it needs, and what it would pass over."""
         needs = {"constant": ["value"], "raster": ["raster"], "learned": ["model"], "material": ["materials"],
                  "balance": []}  # fmt: skip
         _needed(where, self, needs)
         if "brightness" in given and self.source != "balance":
             where.of("brightness").refuse(given["brightness"], f"it with source='balance' only, not {self.source!r}")
+        for name in ("trained", "map_error_k"):
+            if name in given and self.source not in ("learned", "raster"):
+                only = f"it with source='learned' or 'raster' only, not {self.source!r}"
+                where.of(name).refuse(given[name], only)
 
 
 @dataclass(frozen=True)
@@ -284,8 +292,10 @@ class SceneSpec:
         where.exactly_one(given, ("sky", "atmosphere"), "a sky of one temperature and no air, or air with its sky")
         if self.sun and not self.atmosphere:
             raise where.error("[sun] shines through the air; add [atmosphere] or leave [sun] out")
-        if self.sun and self.temperature.source == "balance":
-            raise where.error("[sun] stands where weather.time puts it with temperature.source='balance'; leave it out")
+        moved = self.temperature.trained and self.weather
+        if self.sun and (moved or self.temperature.source == "balance"):
+            why = "temperature.trained" if moved else "temperature.source='balance'"
+            raise where.error(f"[sun] stands where weather.time puts it with {why}; leave it out")
         names = [item.name for item in self.objects]
         for name in names:
             if names.count(name) > 1:

@@ -14,6 +14,7 @@ FALLBACK = 4  # no temperature could be had here: the nearest one, or the materi
 SATURATED = 8  # the sensor's range is exceeded
 BACKGROUND = 16  # no surface is hit but the ray points below the horizon: the black background beyond the terrain
 UNKNOWN = 32  # a learned emissivity map does not know this material: the scene's fallback stands in
+UNMOVED = 64  # a map could not be moved to this instant: the heat balance stands in, or the map tells little
 
 # Pixels of a raster or a texture, 23 170²: what reading needs of them at once, up to 30 bytes each, fits into 16 GB.
 MOST_TEXELS = 2**29

@@ -7,8 +7,13 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 from thermorender.materials.mixture import Mixture
 from thermorender.scene.raster import grid_of, onto, read_band
+from thermorender.scene.spec import WeatherSpec
 from thermorender.scene.surface import FALLBACK, fill, nearest_valid, scene_kelvin
+from thermorender.schema import Where, read
 from thermorender.units import ZERO_CELSIUS_K
+
+# Of a map's own error where nobody states it [K]: chosen, about what calibrated cameras are specified to.
+ASSUMED_ERROR_K = 2.0
 
 
 @dataclass(frozen=True)
@@ -47,6 +52,32 @@ def resolve(spec, texels):
     """
     temperature, flags = SOURCES[spec.source](spec, texels)
     return temperature.astype(np.float32), flags
+
+
+def trained(spec):
+    """Return the WeatherSpec that a source's temperatures are of; None where neither it nor its map says one.
+
+    Raises
+    ------
+    ThermorenderError
+        What the map says of its training is not allowed.
+    """
+    if spec.trained or spec.source != "learned":
+        return spec.trained
+    from thermorender.learned.correlation import load_model
+
+    told = load_model(spec.model).trained
+    return told and read(WeatherSpec, told, Where(f"learned map {spec.model!r}", top="trained"))
+
+
+def map_error_k(spec):
+    """Return one standard deviation of a map's own error [K]: the source's, the map's, or `ASSUMED_ERROR_K`."""
+    error = spec.map_error_k
+    if error is None and spec.source == "learned":
+        from thermorender.learned.correlation import load_model
+
+        error = load_model(spec.model).error_k
+    return ASSUMED_ERROR_K if error is None else error
 
 
 def raster_temperature(path, texels):

@@ -1,0 +1,82 @@
+"""A material one standard deviation away from its table, in one of the properties that its warmth depends on.
+
+Each property takes together what a surface's temperature cannot tell apart. What is positive moves by a factor, the
+exponential of its logarithm's standard deviation.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from thermorender.materials.mixture import Mixture
+
+# No surface of a scene absorbs all sunlight, or none: beyond it a step is taken the other way.
+_MOST_ABSORPTANCE = 0.97
+
+
+def shifted(material, name):
+    """Return a Material with one of `PROPERTIES` moved by one standard deviation of its table; a mixture's parts each.
+
+    Parameters
+    ----------
+    material : Material
+        With thermal properties.
+    name : str
+        "absorptance": of sunlight, upwards, or downwards where there is no room.
+        "inertia": conductivity and heat capacity of all layers up alike, and the skin's conductance.
+        "wetness": down, by what wetness and surface resistance are uncertain, of which only the ratio matters.
+        "exchange": momentum roughness length up and heat_roughness_ratio down, each by 1/√2 of its own, so that both
+        make what they would by chance.
+
+    Raises
+    ------
+    ThermorenderError
+        A material without thermal properties.
+    """
+    if isinstance(material, Mixture):
+        return replace(material, parts=tuple((shifted(part, name), share) for part, share in material.parts))
+    return PROPERTIES[name](material, material.known_thermal())
+
+
+def _absorptance(material, thermal):
+    step = material.solar_uncertainty
+    room = material.solar_absorptance + step <= _MOST_ABSORPTANCE
+    return replace(material, solar_absorptance=material.solar_absorptance + (step if room else -step))
+
+
+def _inertia(material, thermal):
+    return replace(material, thermal=_slower(thermal))
+
+
+def _slower(thermal):
+    parts = ("conductivity_w_m_k", "density_kg_m3", "specific_heat_j_kg_k")
+    # Of the inertia, √(kρc), half the logarithms' sum.
+    factor = np.exp(0.5 * np.sqrt(sum(_of_logarithm(thermal, part) ** 2 for part in parts)))
+    skin = thermal.skin_conductance_w_m2_k
+    return replace(
+        thermal,
+        conductivity_w_m_k=thermal.conductivity_w_m_k * factor,
+        specific_heat_j_kg_k=thermal.specific_heat_j_kg_k * factor,
+        skin_conductance_w_m2_k=skin and skin * np.exp(_of_logarithm(thermal, "skin_conductance_w_m2_k")),
+        below=thermal.below and _slower(thermal.below),
+    )
+
+
+def _wetness(material, thermal):
+    both = np.hypot(_of_logarithm(thermal, "wetness"), _of_logarithm(thermal, "surface_resistance_s_m"))
+    return replace(material, thermal=replace(thermal, wetness=thermal.wetness * float(np.exp(-both))))
+
+
+def _exchange(material, thermal):
+    rough = thermal.roughness_m * float(np.exp(0.5**0.5 * _of_logarithm(thermal, "roughness_m")))
+    ratio = thermal.heat_roughness_ratio - 0.5**0.5 * thermal.uncertainty.get("heat_roughness_ratio", 0.0)
+    return replace(material, thermal=replace(thermal, roughness_m=rough, heat_roughness_ratio=max(ratio, 0.0)))
+
+
+def _of_logarithm(thermal, key):
+    """Standard deviation of a property's logarithm where it is log-normal; 0 where there is no value."""
+    value = getattr(thermal, key)
+    return float(np.sqrt(np.log1p((thermal.uncertainty.get(key, 0.0) / value) ** 2))) if value else 0.0
+
+
+PROPERTIES = {"absorptance": _absorptance, "inertia": _inertia, "wetness": _wetness, "exchange": _exchange}

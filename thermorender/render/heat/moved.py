@@ -1,0 +1,315 @@
+"""A map's temperatures moved from the instant it was trained for to another hour and weather, by heat balance.
+
+At the trained instant t₀ a texel of the map differs from its heat balance by d = T_map(t₀) − T_balance(t₀). What it
+differs by at t is taken for a Gaussian process over instants and weathers of three independent parts:
+
+- its material is not quite what the table says: Σₖ Sₖ(t) pₖ, with pₖ ~ N(0, 1) for each property of
+  `materials.shifted.PROPERTIES` in its own standard deviations, and Sₖ(t) [K] what one of these changes in a march of
+  the balance. Sunlight absorbed lately, shadow, wind, and the column's memory of them are all in S: an asphalt too
+  warm by day for its absorptance is hardly too warm at night, and one too warm for its inertia is then too cold.
+- what the balance gets wrong and these properties do not tell, of variance w²;
+- the map's own error, of variance e², which the truth does not share.
+
+w is correlated between t₀ and t by ρ = exp(−½ Σ (Δ/reach)²) over hour of day, day, sunshine, air temperature and wind
+(`REACH`), whose reaches are chosen: no measurement gives them. The map's error is kept as if it were of the surface,
+but only over a quarter of these reaches, ρ¹⁶: so that the map is itself at t₀ and goes over into the linear estimate of
+least variance (kriging; Rasmussen & Williams, Gaussian Processes for Machine Learning, 2006, eq. 2.25). With
+C = Σ Sₖ(t) Sₖ(t₀), D = Σ Sₖ(t₀)² and A = Σ Sₖ(t)², texel by texel,
+
+    T(t) = T_balance(t) + g d,    g = (C + ρ w² + ρ¹⁶ e²) / (D + w² + e²),
+
+whose error against the truth has the variance g² (D + w² + e²) − 2 g (C + ρ w²) + A + w²: e² at t₀, and without a map
+to lean on (g = 0) the balance's own, A + w². Where the differences of a material's texels are larger than all this
+tells, neither its properties nor the map is to be believed more than the other: C, D, A and e² grow in one ratio, told
+by the median of d².
+
+Nothing is carried where the map had no temperature of its own, where snow lay or melted at one of the instants only, or
+where rain had fallen before one of them only: the balance stands alone, and the texel is UNMOVED.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.errors import ThermorenderError
+from thermorender.materials.shifted import PROPERTIES, shifted
+from thermorender.render.geometry import Geometry
+from thermorender.render.heat.march import solved
+from thermorender.render.variant import activate
+from thermorender.scene.load import Scene
+from thermorender.scene.spec import TemperatureSpec
+from thermorender.scene.surface import FALLBACK, UNMOVED
+from thermorender.scene.temperature import map_error_k, trained
+from thermorender.units import ZERO_CELSIUS_K, utc_text
+
+# What a balance with the right properties is wrong by, one standard deviation w [K]: chosen.
+BALANCE_ERROR_K = 0.5
+# Differences of two instants at which what no property explains has lost 40 % of its correlation, all chosen: hours of
+# the day, days of the year, level sunshine of the last hours [W m⁻²], air [K], wind [m/s].
+REACH = {"hour": 4.0, "day": 45.0, "sun": 300.0, "air": 10.0, "wind": 3.0}
+_RECENT = np.arange(-6, 1) * np.timedelta64(1800, "s")
+# Rain so long before an instant leaves a surface wet [h], from so much on [mm].
+_WET_H, _WET_MM = 6, 0.1
+# Snow this near to its melting point may melt [K].
+_MELTS_K = 0.05
+# A standard deviation above which a texel is flagged, unless the map's own error is larger [K]: chosen.
+MOST_STD_K = 5.0
+# The square of a normal variable has its median here.
+_MEDIAN_OF_SQUARE = 0.4549
+# Of the exponent of ρ, where the map's own error is concerned: a quarter of the reaches.
+_OF_ERROR = 16.0
+
+Progress = Callable[[str, float], object]
+
+
+@dataclass(frozen=True)
+class Moved:
+    """A map moved to one instant.
+
+    Attributes
+    ----------
+    scene : Scene
+        With the moved temperatures; UNMOVED in its flags, and what a user should know in its `moved_report`.
+    std_k : tuple of (h, w) float32 arrays
+        One standard deviation of the temperatures of each of the terrain's surfaces [K].
+    """
+
+    scene: Scene
+    std_k: tuple[NDArray[np.float32], ...]
+
+
+def moved(
+    scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry | None = None, progress: Progress | None = None
+) -> list[Moved]:
+    """Return a scene whose map gives temperatures of one instant, moved to each of some instants of its weather.
+
+    Parameters
+    ----------
+    scene : Scene
+        With `mapped`: [weather], and a map that was trained at a known instant.
+    times : sequence of datetime64
+        UTC, inside the weather.
+    geometry, progress
+        As of `heat.solved`.
+
+    Raises
+    ------
+    ThermorenderError
+        A material without thermal properties, an instant outside the weather, or trained outside its own.
+
+    Notes
+    -----
+    Takes a march of the balance, and one for each property, under each of the two weathers, and memory of 12 bytes per
+    texel and instant.
+    """
+    here, there = balances(scene)
+    geometry = geometry or Geometry(activate(), scene.surfaces)
+    asked = sorted(set(times))
+    told = [None if progress is None else lambda what, share, n=n: progress(what, 0.5 * (n + share)) for n in (0, 1)]
+    before = expected(there, [there.time], geometry, told[0])[0]
+    found = {}
+    if there.time in asked and here.weather_digest() == there.weather_digest():
+        # The same to the last bit.
+        found[there.time] = before
+    others = [at for at in asked if at not in found]
+    found.update(zip(others, expected(here, others, geometry, told[1]), strict=True))
+    carried = Carried(scene, there, here, before)
+    made = {at: carried.to(at, found[at]) for at in asked}
+    return [made[at] for at in times]
+
+
+def balances(scene: Scene) -> tuple[Scene, Scene]:
+    """Return (the scene as its heat balance has it, the same at the trained instant and weather), both to be solved.
+
+    Raises
+    ------
+    ThermorenderError
+        The scene has no map that could be moved, or the weather it was trained in cannot be read.
+    """
+    if scene.mapped is None:
+        raise ThermorenderError(
+            f"{scene.where} has no map that could be moved; add [weather], and [temperature.trained] with when and in "
+            "what weather its temperatures were taken"
+        )
+    here = scene.with_temperature(TemperatureSpec(source="balance"))
+    _keep_weather(scene, here)
+    weather = trained(scene.spec.temperature)
+    there = replace(here, spec=replace(here.spec, weather=weather), time=weather.time)
+    try:
+        there.weather  # noqa: B018 - read here, so that its faults are told as those of the training
+    except ThermorenderError as error:
+        raise ThermorenderError(str(error).replace("[weather]", "[temperature.trained]", 1)) from None
+    return here, there
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What the heat balance expects of the terrain's texels at an instant.
+
+    Attributes
+    ----------
+    kelvin : (T,) float32
+    changes : (P, T) float16
+        What one standard deviation of each of `PROPERTIES` changes [K], to 0.05 %.
+    """
+
+    kelvin: NDArray[np.float32]
+    changes: NDArray[np.float16]
+
+
+def expected(
+    scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry, progress: Progress | None = None
+) -> list[Expected]:
+    """Return what the heat balance of a scene expects at each of some instants, with as many marches as P and one."""
+    if not len(times):
+        return []
+    count = len(PROPERTIES) + 1
+
+    def marched(of: Scene, number: int) -> list[NDArray[np.float32]]:
+        tell = None if progress is None else lambda what, share: progress(what, (number + share) / count)
+        return [_kelvin(each) for each in solved(of, times, geometry, tell)]
+
+    kelvin = marched(scene, 0)
+    changes = [np.empty((len(PROPERTIES), len(values)), dtype=np.float16) for values in kelvin]
+    for number, name in enumerate(PROPERTIES):
+        other = replace(scene, materials=tuple(shifted(material, name) for material in scene.materials))
+        _keep_weather(scene, other)
+        for change, values, own in zip(changes, marched(other, number + 1), kelvin, strict=True):
+            change[number] = values - own
+    return [Expected(*each) for each in zip(kelvin, changes, strict=True)]
+
+
+class Carried:
+    """How a map's texels differ from the balance at the trained instant, ready to be carried to others.
+
+    Parameters
+    ----------
+    scene : Scene
+        With the map.
+    there, here : Scene
+        Of `balances`.
+    before : Expected
+        At the trained instant.
+    """
+
+    def __init__(self, scene: Scene, there: Scene, here: Scene, before: Expected) -> None:
+        self.scene, self.there, self.here, self.before = scene, there, here, before
+        terrain = scene.surfaces[: scene.terrain_count]
+        self.shape = [surface.material.shape for surface in terrain]
+        material = np.concatenate([surface.material.ravel() for surface in terrain])
+        self.failed = np.concatenate([surface.flags.ravel() & FALLBACK for surface in terrain]) > 0
+        assert scene.mapped is not None
+        given = np.concatenate([values.ravel() for values in scene.mapped]).astype(np.float64)
+        self.difference = np.where(self.failed, 0.0, given - before.kelvin)
+        self.error = map_error_k(scene.spec.temperature) ** 2
+        self.snow = np.array([_is_snow(each) for each in scene.materials])[material]
+        own, ratio = _product(before, before), np.ones(len(scene.materials))
+        for number in np.unique(material[~self.failed]):
+            of = (material == number) & ~self.failed
+            seen = float(np.median(self.difference[of] ** 2)) / _MEDIAN_OF_SQUARE
+            told = max(float(np.median(own[of])) + self.error, 1e-12)
+            ratio[number] = max(1.0, (seen - BALANCE_ERROR_K**2) / told)
+        self.ratio = ratio[material]
+        self.own = self.ratio * own
+
+    def to(self, at: np.datetime64, after: Expected) -> Moved:
+        """Return the map Moved to an instant, with what the balance expects there."""
+        kelvin, rest = after.kelvin, BALANCE_ERROR_K**2
+        shared, spread = self.ratio * _product(self.before, after), self.ratio * _product(after, after)
+        correlation = _correlation(self.there, self.here, at)
+        error = self.ratio * self.error
+        whole = self.own + rest + error
+        gain = (shared + correlation * rest + correlation**_OF_ERROR * error) / whole
+        alone = self.failed | self._ground_changes(at, kelvin)
+        gain[alone] = 0.0
+        variance = gain**2 * whole - 2.0 * gain * (shared + correlation * rest) + spread + rest
+        std = np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
+        # At the trained instant the map's own error is what there is, to rounding.
+        unmoved = alone | (std > np.maximum(MOST_STD_K, 1.001 * np.sqrt(error)))
+        values = kelvin + gain * self.difference
+        # Snow cannot be warmer.
+        values = np.where(self.snow, np.minimum(values, np.maximum(kelvin, ZERO_CELSIUS_K)), values)
+        told = self.scene.heated(at, self._split(values))
+        surfaces = list(told.surfaces)
+        for number, mask in enumerate(self._split(unmoved)):
+            flags = (surfaces[number].flags & ~np.uint8(UNMOVED)) | np.where(mask, np.uint8(UNMOVED), np.uint8(0))
+            surfaces[number] = replace(surfaces[number], flags=flags)
+        report = {
+            "trained": utc_text(self.there.time),
+            "mean_absolute_difference_k": round(float(np.abs(self.difference[~self.failed]).mean()), 3)
+            if not self.failed.all() else None,
+            "mean_uncertainty_k": round(float(std.mean(dtype=np.float64)), 3),
+            "share_unmoved": round(float(unmoved.mean()), 5),
+            "correlation": round(correlation, 3),
+        }  # fmt: skip
+        made = replace(told, surfaces=tuple(surfaces), moved_report=report)
+        _keep_weather(told, made)
+        return Moved(made, tuple(self._split(std)))
+
+    def _split(self, flat: NDArray[Any]) -> list[NDArray[Any]]:
+        """An array over all texels as one of each surface."""
+        pieces = np.split(flat, np.cumsum([np.prod(shape) for shape in self.shape])[:-1])
+        return [piece.reshape(shape) for piece, shape in zip(pieces, self.shape, strict=True)]
+
+    def _ground_changes(self, at: np.datetime64, kelvin: NDArray[Any]) -> NDArray[np.bool_]:
+        """Where the ground is white, wet or melting at one of the instants only."""
+        both = (self.there.weather, self.there.time), (self.here.weather, at)
+        white = [bool(weather.at(instant).snow_m > 0.0) for weather, instant in both]
+        wet = [_wet(*each) for each in both]
+        if white[0] != white[1] or wet[0] != wet[1]:
+            return np.ones(len(kelvin), dtype=bool)
+        melts = [values > ZERO_CELSIUS_K - _MELTS_K for values in (self.before.kelvin, kelvin)]
+        return self.snow & (melts[0] != melts[1])
+
+
+def _product(one: Expected, other: Expected) -> NDArray[np.float64]:
+    """Σ S(t) S(t′) over the properties, (T,) [K²]."""
+    total = np.zeros(len(one.kelvin))
+    for first, second in zip(one.changes, other.changes, strict=True):
+        total += first.astype(np.float64) * second
+    return total
+
+
+def _keep_weather(known: Scene, other: Scene) -> None:
+    """Let a scene that differs in neither weather nor time share what was read."""
+    other.__dict__["weather"] = known.weather
+
+
+def _kelvin(scene: Scene) -> NDArray[np.float32]:
+    return np.concatenate([surface.temperature.ravel() for surface in scene.surfaces[: scene.terrain_count]])
+
+
+def _is_snow(material: Any) -> bool:
+    parts = getattr(material, "parts", None) or ((material, 1.0),)
+    return any(part.thermal is not None and part.thermal.cover == "snow" for part, _ in parts)
+
+
+def _wet(weather: Any, at: np.datetime64) -> bool:
+    """Whether rain has fallen in the hours before an instant, as far as the weather reaches back."""
+    hours = at - np.arange(_WET_H) * np.timedelta64(3600, "s")
+    return float(weather.at(np.maximum(hours, weather.time[0])).rain_mm_h.sum()) > _WET_MM
+
+
+def _correlation(there: Scene, here: Scene, at: np.datetime64) -> float:
+    """ρ between the trained instant and another, of what no property of the materials explains."""
+    both = []
+    for weather, instant in ((there.weather, there.time), (here.weather, at)):
+        recent = np.maximum(instant + _RECENT, weather.time[0])
+        seen = weather.at(recent)
+        sine = np.sin(np.radians(np.maximum(weather.sun(recent)[1], 0.0)))
+        both.append({
+            "sun": float((seen.direct_w_m2 * sine + seen.diffuse_w_m2).mean()),
+            "air": float(seen.air_k[-1]),
+            "wind": float(seen.wind_m_s.mean()),
+        })  # fmt: skip
+    hours = float((at - there.time) / np.timedelta64(1, "h"))
+    # The nearest way round the clock, and round the year.
+    away = {
+        "hour": abs((hours + 12.0) % 24.0 - 12.0),
+        "day": abs((hours / 24.0 + 182.6) % 365.25 - 182.6),
+        **{name: both[0][name] - both[1][name] for name in both[0]},
+    }
+    return float(np.exp(-0.5 * sum((away[name] / reach) ** 2 for name, reach in REACH.items())))
