@@ -77,7 +77,7 @@ def marches(monkeypatch):
             for time in times
         ]
 
-    for name, function in (("weather.declared", declared_weather), ("render.heat", solved)):
+    for name, function in (("weather.declared", declared_weather), ("render.heat.march", solved)):
         module = ModuleType(f"thermorender.{name}")
         setattr(module, function.__name__, function)
         monkeypatch.setitem(sys.modules, module.__name__, module)

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from thermorender import defaults
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import Material
 from thermorender.render.geometry import Geometry
@@ -27,7 +28,7 @@ from thermorender.scene.surface import FILLED, UNMOVED
 from thermorender.synthetic import worlds
 
 # Kinds with sides of the square, of a texel and of a post [m].
-SIZES = {"heath": (64.0, 0.5, 2.0), "village": (64.0, 0.5, 1.0), "ridge": (256.0, 2.0, 8.0)}
+SIZES = dict(zip(defaults.SCENES, ((64.0, 0.5, 2.0), (64.0, 0.5, 1.0), (256.0, 2.0, 8.0)), strict=True))
 _SUMMER = {"air_low_c": 11.0, "air_high_c": 23.0, "humidity": 0.7, "wind_m_s": 3.0, "cloud": 0.1}
 _SPRING = {"air_low_c": 1.0, "air_high_c": 11.0, "humidity": 0.8, "wind_m_s": 4.0, "cloud": 0.3}
 _OVERCAST = {"air_low_c": 13.0, "air_high_c": 18.0, "humidity": 0.85, "wind_m_s": 5.0, "cloud": 1.0}
