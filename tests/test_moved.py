@@ -191,12 +191,13 @@ def test_an_absorptance_that_is_off_is_found_at_other_hours(scene, tools):
 
 
 def test_uncertainty_grows_with_the_distance(scene, tools):
-    _, moved = tools
-    known = mapped(scene, scene.mapped[0], 0.3)
+    heat, moved = tools
+    # As far from the balance as what is stated explains, and a good map: a poor one gains from the balance at once.
+    expected = heat.solved(scene.with_temperature(TemperatureSpec("balance")), [TRAINED])[0].surfaces[0].temperature
+    known = mapped(scene, expected + 0.5, 0.3)
     hours = moved.moved(known, [TRAINED + step * np.timedelta64(60, "s") for step in (0, 30, 60, 120)])
-    days = [
-        moved.moved(known.at(TRAINED + days * 24 * HOUR), [TRAINED + days * 24 * HOUR])[0] for days in (30, 60)
-    ]
+    later = TRAINED + 60 * 24 * HOUR
+    days = [moved.moved(known.at(later), [later])[0]]
     windy = replace(known.spec.weather, wind_m_s=8.0)
     other = moved.moved(replace(known, spec=replace(known.spec, weather=windy)), [TRAINED])[0]
     for rising in (hours, [hours[0], *days]):

@@ -24,7 +24,8 @@ tells, neither its properties nor the map is to be believed more than the other:
 by the median of d².
 
 Nothing is carried where the map had no temperature of its own, where snow lay or melted at one of the instants only, or
-where rain had fallen before one of them only: the balance stands alone, and the texel is UNMOVED.
+where rain had fallen before one of them only: the balance stands alone, and the texel is UNMOVED. Snow
+stays at or below its melting point, also where the map has it warmer.
 """
 
 from collections.abc import Callable, Sequence

@@ -32,6 +32,7 @@ def figure(path, result):
         title = f"{name}: share of errors within 1 σ · 2 σ below"
         axis.set(yscale="log", ylabel="mean absolute error [K]", title=title)
         axis.grid(True, axis="y", which="both", lw=0.3, color="0.85")
+        axis.set_ylim(top=2.5 * axis.get_ylim()[1])
         axis.set_axisbelow(True)
     axes[0, 0].legend(fontsize=8, ncols=5)
     with files.atomic(path) as part:
