@@ -55,7 +55,8 @@ def scene(tmp_path_factory):
 @pytest.fixture(scope="module")
 def tools():
     """The modules that bring Mitsuba, once they are wanted."""
-    from thermorender.render import heat, moved
+    from thermorender.render.heat import march as heat
+    from thermorender.render.heat import moved
 
     return heat, moved
 
