@@ -382,8 +382,8 @@ def test_an_afternoon_is_ordered_as_land_is(truth):
         assert found["asphalt"] > found["grass_green"] + 2.0
         assert found["grass_green"] > found["conifer"] + 0.5
         assert found["water"] < found["grass_green"]
-        # Trees follow the air, in the mean of sunlit and shaded crowns.
-        assert found["conifer"] == pytest.approx(air, abs=4.0)
+        # Trees follow the air: transpiring and half in shade 2 K below it, and two of the 1.5 K that draws move
+        assert found["conifer"] == pytest.approx(air, abs=5.0)
 
 
 def test_thin_roofs_and_stone_change_places_at_night(truth):

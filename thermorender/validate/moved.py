@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from thermorender import defaults
+from thermorender.campaign.worlds import write
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import Material
 from thermorender.render.geometry import Geometry
@@ -162,7 +163,7 @@ def _summary(values):
 
 def _loaded(kind, seed, size):
     with tempfile.TemporaryDirectory() as folder:
-        return load_scene(worlds.write(worlds.make(kind, seed, *size), Path(folder) / f"{kind}_{seed}"))
+        return load_scene(write(worlds.make(kind, seed, *size), Path(folder) / f"{kind}_{seed}"))
 
 
 def _instant(scene, case):

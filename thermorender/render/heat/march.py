@@ -40,6 +40,8 @@ _STEPS_S = ((3600.0, 300.0), (24 * 3600.0, 900.0), (np.inf, 1800.0))
 _LIGHT_S, _RAYS, _REFLECTIONS = 1800.0, 64, 4
 # How long each texel has its own sun, before which those of a face and material share one [s].
 _OWN_S = 4 * 3600.0
+# Of the air, by height: ICAO standard atmosphere, Doc 7488.
+_LAPSE_K_M = np.float32(-0.0065)
 # Texels marched at a time: some 300 bytes each.
 _AT_ONCE = 1 << 22
 # Brightness of a texel over that of its class tells so much darker or lighter ground, at most.
@@ -125,6 +127,7 @@ class _Columns:
     absorptance: Any
     wind_factor: Any
     indoors: Any
+    cooler: Any  # the air there over that of the weather [K]
 
 
 class _March:
@@ -233,13 +236,14 @@ class _March:
         begin = self.state
         state = State(row(begin.surface_k), rows(begin.layers_k), row(begin.film), rows(begin.liquid))
         absorptance = dr.clip(1.0 - reflected, 0.02, 0.98)
+        cooler = _LAPSE_K_M * (point[:, 2] + np.float32(self.scene.altitude_m - self.weather.altitude_m))
         _evaluate(state)
         dr.eval(absorptance)
         upload = lambda values: (mi.Float(np.ascontiguousarray(axis)) for axis in values.T)  # noqa: E731
         normal = dr.gather(mi.Vector3f, mi.Vector3f(*upload(normal)), mi.UInt32(face))
         return _Columns(
             mi.Point3f(*upload(point)), normal, mi.UInt32(face), ground, absorptance, row(self.columns.wind_factor),
-            row(self.columns.indoors) > 0.5,
+            row(self.columns.indoors) > 0.5, mi.Float(cooler),
         ), state  # fmt: skip
 
     def _marched(self, texels, covers, reflects, tell):
@@ -308,13 +312,14 @@ class _March:
         return Forcing(
             absorbed=columns.absorptance * sunlight,
             longwave=one(found.longwave_w_m2) * gathered(light.sky) + gathered(light.surroundings),
-            sunlight=one(level),
-            air_k=one(found.air_k),
+            # Stomata of leaves open in the light that these leaves have.
+            sunlight=sunlight,
+            air_k=one(found.air_k) + columns.cooler,
             vapour_pa=one(found.vapour_pa),
             wind_m_s=one(found.wind_m_s) * columns.wind_factor,
             pressure_pa=one(found.pressure_pa),
             rain_kg_m2_s=one(found.rain_mm_h / 3600.0),
-            below_k=dr.select(columns.indoors, one(self.inside_k), one(found.air_k)),
+            below_k=dr.select(columns.indoors, one(self.inside_k), one(found.air_k) + columns.cooler),
         )
 
     def _light(self, at_s, surface_k, columns):
