@@ -1,9 +1,13 @@
 """A terrain's temperatures from its heat balance: sun, shadow, surroundings, groups, blocks, instants."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from scenes import write_terrain
+from thermorender.materials.library import load_library
+from thermorender.materials.mixture import mix
 from thermorender.render.heat import march as heat
 from thermorender.scene import columns as open_ground
 from thermorender.scene.load import load_scene
@@ -104,6 +108,35 @@ def test_an_instant_is_the_same_alone_and_among_others(walled, day):
     alone = heat.solved(walled, [late])[0].surfaces[0].temperature
     # Marched from another start, two days before the instant instead of before the first: a day later nothing is left.
     assert np.sqrt(np.mean((alone - kelvin[-1]) ** 2)) < 0.1
+
+
+def test_weathers_first_instant_can_be_asked_for(walled):
+    """The state a march begins with is what is there then; instants behind it keep their places."""
+    first = walled.weather.time[0]
+    begin, later = (scene.surfaces[0].temperature for scene in heat.solved(walled, [first, first + HOUR]))
+    alone = heat.solved(walled, [first + HOUR])[0].surfaces[0].temperature
+    assert np.abs(later - alone).max() < 1e-3
+    # It begins at noon in the open, where an hour changes next to nothing; shadows come with the march.
+    assert np.isfinite(begin).all() and np.median(np.abs(begin - later)) < 2.0
+
+
+def test_a_mixture_shows_what_its_parts_emit(walled):
+    """Polished metal emits next to nothing: ε T⁴ of the parts add up to that of the mix, not T⁴."""
+    library = load_library()
+    parts = [(library[name], share) for name, share in (("aluminium_polished", 0.75), ("asphalt", 0.25))]
+    terrain = walled.surfaces[0]
+    night = np.datetime64("2018-07-28T02:00:00")
+
+    def kelvin(material):
+        surface = replace(terrain, material=np.zeros_like(terrain.material))
+        scene = replace(walled, materials=(material,), surfaces=(surface,))
+        # The open, far from the wall, where nothing else than what lies there tells.
+        return float(heat.solved(scene, [night])[0].surfaces[0].temperature[-6:].mean())
+
+    emits = np.array([share * open_ground.broadband(material) for material, share in parts])
+    expected = (emits @ np.array([kelvin(material) for material, _ in parts]) ** 4 / emits.sum()) ** 0.25
+    # Each part alone has another wall: 0.2 K.
+    assert kelvin(mix(parts)) == pytest.approx(expected, abs=0.2)
 
 
 def test_scene_without_balance_imports_none_of_it():

@@ -96,14 +96,14 @@ def solved(
     found, share_done = 0.0, 1.0 / most
     for number in range(most):
         of = [part[min(number, len(part) - 1)][0] for part in parts]
-        weight = np.array([part[number][1] if number < len(part) else 0.0 for part in parts])
+        weight = np.array([_emits(part, number) for part in parts])
         march = _March(scene, geometry, of, kinds, asked, hidden)
         told = lambda share, n=number: tell(_WHAT, (n + share) * share_done)  # noqa: E731
         kelvin = march.run(told)
         if most == 1:
             found = kelvin
         else:
-            # Of what texels of a mixture show, the fourth powers add up.
+            # Of what texels of a mixture emit, the parts add up.
             found = found + weight[march.material] * kelvin.astype(np.float64) ** 4
     kelvin = found if most == 1 else found**0.25
     tell(_WHAT, 1.0)
@@ -114,6 +114,12 @@ def solved(
 
 def _parts(material):
     return material.parts if isinstance(material, Mixture) else ((material, 1.0),)
+
+
+def _emits(parts, number):
+    """Share of a mixture's emission that is its part's at one temperature: of little emissivity there is little."""
+    emissivity = [share * open_ground.broadband(material) for material, share in parts]
+    return emissivity[number] / sum(emissivity) if number < len(parts) else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,7 +261,7 @@ class _March:
         mi, own = self.mi, None
         steps = _steps(self.start, self.asked)
         first_s = float((self.asked[0] - self.start) / np.timedelta64(1, "s"))
-        if self.hidden is None and not self.scene.spec.temperature.brightness:
+        if first_s and self.hidden is None and not self.scene.spec.temperature.brightness:
             key = covers[texels].astype(np.int64) * 256 + self.material[texels]
             _, some, own = np.unique(key, return_index=True, return_inverse=True)
             order = np.argsort(some)
@@ -266,6 +272,8 @@ class _March:
         else:
             columns, state = self._columns(texels, covers, reflects)
         light, self.arrives = None, None
+        if not first_s:
+            yield np.array(state.surface_k)
         for number, (at, seconds) in enumerate(steps):
             if own is not None and at >= first_s - _OWN_S - 1e-6:
                 index = mi.UInt32(np.concatenate([np.arange(self.faces), self.faces + own]).astype(np.uint32))
