@@ -99,13 +99,10 @@ def solved(
         weight = np.array([_emits(part, number) for part in parts])
         march = _March(scene, geometry, of, kinds, asked, hidden)
         told = lambda share, n=number: tell(_WHAT, (n + share) * share_done)  # noqa: E731
-        kelvin = march.run(told)
-        if most == 1:
-            found = kelvin
-        else:
-            # Of what texels of a mixture emit, the parts add up.
-            found = found + weight[march.material] * kelvin.astype(np.float64) ** 4
-    kelvin = found if most == 1 else found**0.25
+        # Of what texels of a mixture emit, the parts add up; few have as many parts as the one that has most.
+        kelvin = march.run(told, weight[march.material] > 0.0)
+        found = kelvin if most == 1 else found + weight[march.material] * kelvin.astype(np.float64) ** 4
+    kelvin = march.covered(found if most == 1 else found**0.25)
     tell(_WHAT, 1.0)
     borders = geometry.texel_start[1 : scene.terrain_count]
     made = {at: scene.heated(at, np.split(values, borders)) for at, values in zip(asked, kelvin, strict=True)}
@@ -147,6 +144,7 @@ class _March:
         self.texels = int(geometry.texel_start[scene.terrain_count])
         self.material = np.concatenate([surface.material.ravel() for surface in terrain])
         self.hidden = hidden and hidden.columns(self.texels)
+        self.covers = np.array(geometry.face_of_texel())[: self.texels]
         self.row = np.zeros(256, dtype=np.uint32)
         self.row[kinds] = np.arange(len(kinds))
         snow = float(self.weather.at(asked[0]).snow_m)
@@ -175,24 +173,28 @@ class _March:
         emits = np.array([open_ground.broadband(each) for each in of], np.float32)[material]
         return reflects, emits
 
-    def run(self, tell):
-        """Return the kelvin of all texels at each instant asked, (n, T) float32."""
-        found = np.empty((len(self.asked), self.texels), dtype=np.float32)
-        geometry = self.geometry
-        covers = np.array(geometry.face_of_texel())[: self.texels]
+    def run(self, tell, wanted):
+        """Return the kelvin of all texels at each instant asked, (n, T) float32; 0 where they are not `wanted`."""
+        found = np.zeros((len(self.asked), self.texels), dtype=np.float32)
         reflects = self._brightness()
         if self.hidden is not None:
             reflects = reflects * self.hidden[0]
-        blocks = range(0, self.texels, _AT_ONCE)
-        for first in blocks:
-            texels = np.arange(first, min(first + _AT_ONCE, self.texels))
-            told = lambda share, f=first: tell((f + share * _AT_ONCE) / (len(blocks) * _AT_ONCE))  # noqa: E731
-            for index, kelvin in enumerate(self._marched(texels, covers, reflects, told)):
+        every = np.flatnonzero(wanted)
+        blocks = [every[first : first + _AT_ONCE] for first in range(0, len(every), _AT_ONCE)]
+        for number, texels in enumerate(blocks):
+            told = lambda share, n=number: tell((n + share) / len(blocks))  # noqa: E731
+            for index, kelvin in enumerate(self._marched(texels, reflects, told)):
                 found[index, texels] = kelvin[self.faces :]
-        # Texels that no face covers only blend into their neighbours.
+        return found
+
+    def covered(self, found):
+        """Return kelvin of all texels, (n, T), with those that no face covers filled from the nearest that one does.
+
+        They only blend into their neighbours.
+        """
         for number, surface in enumerate(self.scene.surfaces[: self.scene.terrain_count]):
-            part = slice(*geometry.texel_start[number : number + 2])
-            valid = (covers[part] < geometry.face_count).reshape(surface.material.shape)
+            part = slice(*self.geometry.texel_start[number : number + 2])
+            valid = (self.covers[part] < self.geometry.face_count).reshape(surface.material.shape)
             if not valid.all() and valid.any():
                 near = nearest_valid(valid)
                 for values in found[:, part]:
@@ -209,11 +211,11 @@ class _March:
         ratio = light / np.maximum(mean[self.material], 1e-4)
         return np.clip(ratio, 1.0 / _BRIGHTEST, _BRIGHTEST).astype(np.float32)
 
-    def _columns(self, texels, covers, reflects):
+    def _columns(self, texels, reflects):
         """The _Columns of all faces of the terrain, and then of some texels, by their numbers."""
         geometry, mi = self.geometry, self.mi
         corner = np.concatenate([s.vertices[s.faces] for s in geometry.surfaces[: self.scene.terrain_count]])
-        face = np.minimum(covers[texels], self.faces - 1)
+        face = np.minimum(self.covers[texels], self.faces - 1)
         spot = np.empty((len(texels), 3), dtype=np.float32)
         for number, surface in enumerate(self.scene.surfaces[: self.scene.terrain_count]):
             first, last = geometry.texel_start[number : number + 2]
@@ -252,7 +254,7 @@ class _March:
             row(self.columns.indoors) > 0.5, mi.Float(cooler),
         ), state  # fmt: skip
 
-    def _marched(self, texels, covers, reflects, tell):
+    def _marched(self, texels, reflects, tell):
         """Yield the surface temperatures of all faces and of some texels, (C,) float32 [K], at each instant asked for.
 
         Texels of one face and material are one column until four hours before the first instant, where nothing else
@@ -262,15 +264,15 @@ class _March:
         steps = _steps(self.start, self.asked)
         first_s = float((self.asked[0] - self.start) / np.timedelta64(1, "s"))
         if first_s and self.hidden is None and not self.scene.spec.temperature.brightness:
-            key = covers[texels].astype(np.int64) * 256 + self.material[texels]
+            key = self.covers[texels].astype(np.int64) * 256 + self.material[texels]
             _, some, own = np.unique(key, return_index=True, return_inverse=True)
             order = np.argsort(some)
             rank = np.empty_like(order)
             rank[order] = np.arange(len(order))
             own = rank[own]
-            columns, state = self._columns(texels[some[order]], covers, reflects)
+            columns, state = self._columns(texels[some[order]], reflects)
         else:
-            columns, state = self._columns(texels, covers, reflects)
+            columns, state = self._columns(texels, reflects)
         light, self.arrives = None, None
         if not first_s:
             yield np.array(state.surface_k)
@@ -279,7 +281,7 @@ class _March:
                 index = mi.UInt32(np.concatenate([np.arange(self.faces), self.faces + own]).astype(np.uint32))
                 each = lambda values, index=index: values and [dr.gather(mi.Float, v, index) for v in values]  # noqa: E731
                 state = State(*each([state.surface_k]), each(state.layers_k), *each([state.film]), each(state.liquid))
-                columns, _ = self._columns(texels, covers, reflects)
+                columns, _ = self._columns(texels, reflects)
                 _evaluate(state)
                 own = None
             if light is None or at >= light.until:
