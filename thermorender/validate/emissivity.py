@@ -2,8 +2,8 @@
 
 Beside the map stand three simpler methods: the colour nearest to the scene's own mean colour of each material (told the
 truth it needs), the scene's commonest material everywhere, and the fallback everywhere. Errors are of the band's
-emissivity and, with the scene's true temperatures and sky, of apparent temperature seen from straight above through
-no air, the sky reflected whole.
+emissivity and, with the scene's sky and each texel at the typical temperature of its true material, of apparent
+temperature seen from straight above through no air, the sky reflected whole.
 """
 
 import time
@@ -83,7 +83,8 @@ def evaluate(model="procedural", seeds=(201, 202), fallback="soil_loam", confide
             METHODS[3]: _pure(np.full(truth.shape, np.bincount(truth.ravel()).argmax())),
             METHODS[4]: _pure(np.full(truth.shape, stand_in)),
         }
-        judge = _Judge(list(library.values()), scene.temperature, scene.sky_temperature)
+        warm = np.array([library[name].temperature for name in names], dtype=np.float32)
+        judge = _Judge(list(library.values()), warm[truth], scene.sky_temperature)
         found = {}
         for method, (index, share) in guesses.items():
             errors = judge(truth, index, share)
