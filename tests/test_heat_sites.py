@@ -96,6 +96,14 @@ def test_a_site_that_cannot_be_is_refused(tmp_path, text, words):
         site_of(tmp_path, text)
 
 
+def test_sensors_inside_the_cover_are_refused(tmp_path):
+    """Where the logarithm of height over roughness is nothing or less, heat would flow the wrong way."""
+    text = 'cover = [["conifer", 1.0]]\nsurface = "surface_c"\nair_height_m = 0.5\nwind_height_m = 2.0\n'
+    found = measured(site_of(tmp_path, text, surface_c=np.zeros(49)), tmp_path)
+    with pytest.raises(ThermorenderError, match="air_height_m=0.5, wind_height_m=2 are too low over conifer"):
+        modelled(found)
+
+
 def test_what_a_table_lacks_is_told(tmp_path):
     site = site_of(tmp_path, 'cover = [["asphalt", 1.0]]\nsurface = "ground_c"\n')
     with pytest.raises(ThermorenderError, match=r"made.csv has no column 'ground_c'; it has time_utc, air_c"):

@@ -192,7 +192,9 @@ def test_clouds_warm_the_sky(tmp_path):
         ({"time_utc": None}, "has no time; name a column time_utc"),
         ({"time_utc": ["soon"] * 72}, "row 2: time_utc='soon' is no time"),
         ({"time_utc": lambda t: t[::-1]}, r"row 3: .* has a time 1 h before row 2; times must rise"),
-        ({"time_utc": lambda t: np.r_[t[:5], t[4:-1]]}, r"row 7: .* the same time row 6; .*end of summer time"),
+        ({"time_utc": lambda t: np.r_[t[:5], t[4:-1]]}, r"row 7: .* the same time as row 6; .*end of summer time"),
+        ({"time_utc": lambda t: t[0] + 24 * (t - t[0])}, "rows are 24 h apart; give steps of 3 h"),
+        ({"sw_down_w_m2": [0.0] * 72}, "sw_down_w_m2 is 0 W/m² at most .* or was not measured"),
     ],
 )
 def test_a_bad_file_gets_one_sentence(tmp_path, changes, words):
@@ -404,12 +406,40 @@ def test_a_typical_year_on_another_year(tmp_path):
     ("changes", "words"),
     [({6: 99.9}, "no air temperature"), ({6: "x"}, "'x' in column 7 is not a number"), ({3: 5}, "hours 1 to 24, each"),
      ({21: 120}, "wind_m_s=120 in hour 1 is not allowed"), ({9: 101325}, "pressure has the median"),
-     ({1: 7, 2: 20}, "7/20 comes twice")],
+     ({1: 7, 2: 20}, "7/20 comes twice"), ({1: 13}, "row 9: 13/20 is no date"), ({2: "nan"}, "row 9: 7/nan is no date"),
+     ({13: 0, 14: 0, 15: 0}, "global_w_m2 is 0 W/m² at most")],
 )  # fmt: skip
 def test_a_bad_epw_file_gets_one_sentence(tmp_path, changes, words):
     with pytest.raises(ThermorenderError, match=words) as error:
         read_epw(write_epw(tmp_path / "a.epw", changes=changes), 2018)
     assert "\n" not in str(error.value)
+
+
+def test_a_gap_of_an_epw_file_is_told_by_its_own_date(tmp_path):
+    lines = write_epw(tmp_path / "a.epw", days=2).read_text().splitlines()
+    for k in range(12, 18):
+        cells = lines[k].split(",")
+        cells[6] = "99.9"
+        lines[k] = ",".join(cells)
+    (tmp_path / "a.epw").write_text("\n".join(lines))
+    with pytest.raises(ThermorenderError, match="air_k is missing from 2018-07-20"):
+        read_epw(tmp_path / "a.epw", 2018)
+
+
+def test_an_epw_file_without_a_zone_is_refused(tmp_path):
+    path = write_epw(tmp_path / "a.epw")
+    path.write_text(path.read_text().replace("47.0,11.0,1.0,", "47.0,11.0,nan,"))
+    with pytest.raises(ThermorenderError, match="zone nan h of the header is none"):
+        read_epw(path, 2018)
+
+
+def test_a_weather_year_of_elsewhere_is_told(tmp_path):
+    values = {"epw": write_epw(tmp_path / "a.epw"), "time": "2018-07-20T12:00Z"}
+    typical = SimpleNamespace(**{**dict.fromkeys(KEYS), **values})
+    near, far = (declared_weather(typical, latitude, 11.0, 600.0) for latitude in (47.3, -34.0))
+    assert not any("away" in note for note in near.notes)
+    # 81° of a meridian of 40 008 km.
+    assert any("900" in note and "km away" in note for note in far.notes)
 
 
 def test_an_epw_file_in_a_wrong_zone_is_told_by_the_sun(tmp_path):

@@ -94,7 +94,7 @@ def columns(
     Raises
     ------
     ThermorenderError
-        A material without thermal properties.
+        A material without thermal properties; a station on a material that reaches up to its sensors.
     """
     made = [_column(material, weather, snow_m, station_roughness_m, layers) for material in materials]
     stacked: dict[str, Any] = {}
@@ -142,6 +142,11 @@ def _column(material, weather, snow_m, station_roughness_m, layers):
     rough = thermal.roughness_m
     if station_roughness_m is None:
         wind_m, air_m, factor = weather.wind_height_m, weather.air_height_m, 1.0
+        if min(wind_m, air_m) < _ABOVE * rough:
+            raise ThermorenderError(
+                f"air_height_m={air_m:g}, wind_height_m={wind_m:g} are too low over {material.name}, whose roughness "
+                f"length is {rough:g} m; give heights above the displacement plane of {_ABOVE * rough:g} m at least"
+            )
     else:
         wind_m, air_m = (max(z, _ABOVE * rough) for z in (weather.wind_height_m, weather.air_height_m))
         factor = exchange.wind_factor(wind_m, rough, weather.wind_height_m, station_roughness_m)

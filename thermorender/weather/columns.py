@@ -131,12 +131,15 @@ def check_range(where, quantity, values):
 
 
 def check_light(where, column, values, elevation_deg):
-    """Refuse sunlight that is never above 5 W m⁻² though the sun comes to 20° and more: not W m⁻². NaN passes."""
+    """Refuse a day's sunlight that is never above 5 W m⁻² though the sun comes to 20° and more. NaN passes.
+
+    Direct light may be nothing all day.
+    """
     most = np.nanmax(values)
-    if elevation_deg.max() > 20.0 and 0.0 < most < 5.0:
+    if elevation_deg.max() > 20.0 and most < 5.0 and not ("direct" in column and most <= 0.0):
         raise ThermorenderError(
             f"{where}: {column} is {most:g} W/m² at most where the sun comes to {elevation_deg.max():.0f}°; it looks "
-            "like MJ or kW, so give W/m²"
+            "like MJ or kW, or was not measured, so give W/m² or leave it out"
         )
 
 

@@ -1,5 +1,9 @@
 """The Weather a scene file declares: a station's file, a typical year's, or a named day."""
 
+from dataclasses import replace
+
+import numpy as np
+
 from thermorender.errors import ThermorenderError
 from thermorender.units import instant
 from thermorender.weather.epw import read_epw
@@ -8,6 +12,9 @@ from thermorender.weather.station import read_station
 
 # Of a named day, where the file does not say.
 _HUMIDITY, _WIND_M_S, _CLOUD = 0.6, 3.0, 0.0
+
+# Within it the sun is the same to a degree, and so, mostly, is the weather.
+_FAR_KM, _RADIUS_KM = 100.0, 6371.0
 
 
 def declared_weather(spec, latitude_deg, longitude_deg, altitude_m, time=None):
@@ -37,6 +44,10 @@ def declared_weather(spec, latitude_deg, longitude_deg, altitude_m, time=None):
             found = read_station(spec.file, *place, wind_m_s=spec.wind_m_s, snow_depth_m=snow)
         elif spec.epw is not None:
             found = read_epw(spec.epw, when, snow_depth_m=snow)
+            away_km = _away_km(found.latitude_deg, found.longitude_deg, latitude_deg, longitude_deg)
+            if away_km > _FAR_KM:
+                told = f"Its place is {away_km:.0f} km away from the scene: sun and weather are those of there."
+                found = replace(found, notes=(*found.notes, told))
         else:
             given = {"air_low_c": spec.air_low_c, "air_high_c": spec.air_high_c}
             missing = [name for name, value in given.items() if value is None]
@@ -52,3 +63,11 @@ def declared_weather(spec, latitude_deg, longitude_deg, altitude_m, time=None):
     except ThermorenderError as error:
         raise ThermorenderError(f"[weather] {error}") from None
     return found
+
+
+def _away_km(latitude_deg, longitude_deg, other_latitude_deg, other_longitude_deg):
+    """Distance of two places on a sphere [km], by the haversine."""
+    one, other = np.radians(latitude_deg), np.radians(other_latitude_deg)
+    turn = np.radians(longitude_deg - other_longitude_deg)
+    square = np.sin(0.5 * (one - other)) ** 2 + np.cos(one) * np.cos(other) * np.sin(0.5 * turn) ** 2
+    return 2.0 * _RADIUS_KM * np.arcsin(np.sqrt(np.minimum(square, 1.0)))

@@ -8,15 +8,17 @@ of the calendar; 29 February repeats the 28th where the file has none, and is le
 """
 
 import csv
+import datetime
 import io
 
 import numpy as np
 
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.files import read_text
+from thermorender.physics import sun
 from thermorender.units import ZERO_CELSIUS_K
 from thermorender.weather.clock import check_clock
-from thermorender.weather.columns import check_pressure, check_range, vapour_of
+from thermorender.weather.columns import check_light, check_pressure, check_range, vapour_of
 from thermorender.weather.complete import complete
 from thermorender.weather.gaps import filled, without_offset
 
@@ -77,13 +79,17 @@ def read_epw(path, year, snow_depth_m=0.0):
     lines = [line for line in csv.reader(io.StringIO(read_text(path, "the text it was"))) if line]
     epw = bool(lines) and lines[0][0].strip().upper() == "LOCATION"
     place, zone_h, table, stamps, rows = _epw(path, lines) if epw else _tmy3(path, lines)
+    if not abs(zone_h) <= 14.0:
+        raise ThermorenderError(f"{path}: zone {zone_h:g} h of the header is none; give −12…14 h from UTC")
     if isinstance(year, np.datetime64):
         year = int(str((year + np.timedelta64(round(zone_h * 60), "m")).astype("datetime64[Y]")))
     local, source = _calendar(path, stamps, year)
     time = (local - np.timedelta64(round(zone_h * 3600), "s")).astype("datetime64[s]")
     notes = [f"A typical year: its months, of different years, are taken as one and laid on {year}."]
     given = {}
-    hours = np.datetime64("2001-01-01", "s") + np.timedelta64(3600, "s") * np.arange(len(stamps))
+    # For messages: dates of the file, as far as its days follow each other.
+    begin = np.datetime64(f"{year:04d}-{stamps[0][0]:02d}-01", "s") + np.timedelta64(stamps[0][1] - 1, "D")
+    hours = begin + np.timedelta64(3600, "s") * np.arange(len(stamps))
     for name, (column, scale, after, missing, at_end) in table.items():
         if column is None:
             continue
@@ -95,6 +101,8 @@ def read_epw(path, year, snow_depth_m=0.0):
         if name in ("global_w_m2", "direct_w_m2", "diffuse_w_m2"):
             numbers = without_offset(name, numbers, notes)
         check_range(path, name, numbers)
+        if name == "global_w_m2":
+            check_light(path, name, numbers[source], sun.position_at(time, *place[:2])[1])
         # From the ends of hours to their middles; a whole year goes on with itself.
         before = np.concatenate([numbers[-1:] if len(numbers) >= 8760 else numbers[:1], numbers[:-1]])
         given[name] = (0.5 * (numbers + before) if at_end else numbers)[source]
@@ -124,7 +132,7 @@ def _epw(path, lines):
         raise ThermorenderError(
             f"{path}, row {start + 2 + short[0]}: {len(rows[short[0]])} cells; an EPW row has 35, so give all of it"
         )
-    stamps = [tuple(int(_number(path, "date", text)) for text in row[1:4]) for row in rows]
+    stamps = [_stamp(path, number, row[1:4]) for number, row in enumerate(rows, start=start + 2)]
     return _place(path, latitude, longitude, altitude), zone_h, _EPW, stamps, rows
 
 
@@ -142,7 +150,7 @@ def _tmy3(path, lines):
     for number, row in enumerate(rows, start=3):
         try:
             month, day, _ = row[0].split("/")
-            stamps.append((int(month), int(day), int(row[1].split(":")[0])))
+            stamps.append(_stamp(path, number, (month, day, row[1].split(":")[0])))
         except (ValueError, IndexError):
             raise ThermorenderError(
                 f"{path}, row {number}: {row[:2]} are no date and hour of TMY3; mend the row"
@@ -153,6 +161,19 @@ def _tmy3(path, lines):
         name: (header.index(entry[0]) if entry[0] in header else None, *entry[1:]) for name, entry in _TMY3.items()
     }
     return _place(path, latitude, longitude, altitude), zone_h, named, stamps, rows
+
+
+def _stamp(path, number, texts):
+    """(Month, day, hour 1…24) of a row."""
+    try:
+        month, day, hour = (int(text) for text in texts)
+        # A leap year has all days there are.
+        datetime.date(2000, month, day)
+    except ValueError:
+        raise ThermorenderError(
+            f"{path}, row {number}: {'/'.join(map(str, texts[:2]))} is no date, or {texts[2]} no hour; mend the row"
+        ) from None
+    return month, day, hour
 
 
 def _place(path, latitude, longitude, altitude):

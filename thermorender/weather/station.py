@@ -29,6 +29,7 @@ from thermorender.weather.complete import complete
 from thermorender.weather.gaps import filled, without_offset
 
 _TIMES = ("time_utc", "time", "time_local")
+_LONGEST_STEP_S = 3 * 3600.0
 _LIGHT = ("global_w_m2", "direct_w_m2", "diffuse_w_m2")
 
 
@@ -75,6 +76,10 @@ def read_station(
     keep = _within(path, time, during)
     time, rows, cells = time[keep], rows[keep], [cells[k] for k in np.flatnonzero(keep)]
     step_s = _check_rising(path, time, rows)
+    if step_s > _LONGEST_STEP_S:
+        raise ThermorenderError(
+            f"{path}: rows are {step_s / 3600.0:g} h apart; give steps of 3 h at most, as the sun moves on between them"
+        )
     notes = []
     values, column_of = {}, {}
     for name, column in COLUMNS.items():
@@ -258,7 +263,7 @@ def _check_rising(path, time, rows):
     wrong = step <= 0
     if wrong.any():
         k = int(np.argmax(wrong))
-        what = "the same time" if step[k] == 0 else f"a time {-step[k] / 3600.0:g} h before"
+        what = "the same time as" if step[k] == 0 else f"a time {-step[k] / 3600.0:g} h before"
         hint = "; an hour that comes twice is the end of summer time, so write UTC" if -step[k] <= 3600 else ""
         raise ThermorenderError(
             f"{path}, row {rows[k + 1]}: {time[k + 1]}Z has {what} row {rows[k]}; times must rise{hint}"
