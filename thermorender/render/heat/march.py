@@ -17,7 +17,7 @@ import drjit as dr
 import numpy as np
 
 from thermorender.materials.mixture import Mixture
-from thermorender.physics import balance
+from thermorender.physics import balance, exchange
 from thermorender.physics.balance import STEFAN_BOLTZMANN, Forcing, Ground, State
 from thermorender.physics.srgb import linear_from_bytes
 from thermorender.physics.sun import direction
@@ -41,7 +41,7 @@ _LIGHT_S, _RAYS, _REFLECTIONS = 1800.0, 64, 4
 # How long each texel has its own sun, before which those of a face and material share one [s].
 _OWN_S = 4 * 3600.0
 # Of the air, by height: ICAO standard atmosphere, Doc 7488.
-_LAPSE_K_M = np.float32(-0.0065)
+_LAPSE_K_M, _PRESSURE_EXPONENT = np.float32(-0.0065), 5.25588
 # Texels marched at a time: some 300 bytes each.
 _AT_ONCE = 1 << 22
 # Brightness of a texel over that of its class tells so much darker or lighter ground, at most.
@@ -319,17 +319,21 @@ class _March:
         sunlight = one(found.diffuse_w_m2) * gathered(light.sky) + one(level) * gathered(light.reflected)
         if towards[2] > 0.0 and found.direct_w_m2 > 0.0:
             sunlight += one(found.direct_w_m2) * self._lit(columns.point, columns.normal, towards)
+        air = one(found.air_k) + columns.cooler
+        # With height the air keeps its relative humidity, and its pressure is that of the standard atmosphere's lapse.
+        saturation, below = (exchange.saturation_vapour(_Library, each)[0] for each in (air, one(found.air_k)))
+        thinner = dr.exp(_PRESSURE_EXPONENT * dr.log(air / one(found.air_k)))
         return Forcing(
             absorbed=columns.absorptance * sunlight,
             longwave=one(found.longwave_w_m2) * gathered(light.sky) + gathered(light.surroundings),
             # Stomata of leaves open in the light that these leaves have.
             sunlight=sunlight,
-            air_k=one(found.air_k) + columns.cooler,
-            vapour_pa=one(found.vapour_pa),
+            air_k=air,
+            vapour_pa=one(found.vapour_pa) * (saturation / below),
             wind_m_s=one(found.wind_m_s) * columns.wind_factor,
-            pressure_pa=one(found.pressure_pa),
+            pressure_pa=one(found.pressure_pa) * thinner,
             rain_kg_m2_s=one(found.rain_mm_h / 3600.0),
-            below_k=dr.select(columns.indoors, one(self.inside_k), one(found.air_k) + columns.cooler),
+            below_k=dr.select(columns.indoors, one(self.inside_k), air),
         )
 
     def _light(self, at_s, surface_k, columns):
