@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from scenes import write_terrain
+from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
 from thermorender.materials.mixture import mix
 from thermorender.physics import humidity
@@ -172,3 +173,27 @@ def test_scene_without_balance_imports_none_of_it():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_ground_that_is_bare_under_snow_is_told(tmp_path):
+    scene = scene_of(tmp_path / "snow")
+    assert not any("snow lies" in note for note in scene.weather_notes)
+    path = scene.spec.folder / "scene.toml"
+    path.write_text(path.read_text().replace("cloud = 0.1\n", "cloud = 0.1\nsnow_depth_m = 0.3\n"))
+    told = load_scene(path.parent).weather_notes
+    assert any("snow lies 0.3 m deep by the weather, but no material of the scene is snow" in note for note in told)
+
+
+def test_terrain_that_looks_down_is_refused(walled):
+    from dataclasses import replace
+
+    (surface,) = walled.surfaces
+    turned = replace(walled, surfaces=(replace(surface, faces=surface.faces[:, ::-1].copy(), uv=surface.uv[:, ::-1]),))
+    with pytest.raises(ThermorenderError, match="most of the terrain's faces look down.*counter-clockwise"):
+        heat.solved(turned, [AT])
+
+
+def test_ground_that_does_not_settle_is_told(walled, monkeypatch):
+    monkeypatch.setattr(open_ground, "_MOST_DAYS", 1)
+    (scene,) = heat.solved(walled, [AT])
+    assert any("did not settle before" in note for note in scene.weather_notes)

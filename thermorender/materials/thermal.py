@@ -30,7 +30,7 @@ NUMBERS = {
     "skin_conductance_w_m2_k": (0.1, 1000.0, "give W m⁻² K⁻¹, or leave it empty for a surface that touches its layer"),
     "roughness_m": (1e-7, 10.0, "give the momentum roughness length in metres, about a tenth of the height"),
     "heat_roughness_ratio": (0.0, 30.0, "give ln(z0/z0h)"),
-    "surface_resistance_s_m": (0.0, 1e5, "give s/m, 0 for free water, or leave it empty for what never evaporates"),
+    "surface_resistance_s_m": (0.0, 1e5, "give s/m, 0 for free water, or leave it empty for what is dry by itself"),
     "wetness": (0.0, 1.0, _SHARE),
     "water_share": (0.0, 1.0, _SHARE),
     "attenuation_1_m": (0.01, 1e4, "give 1/m, or leave it empty for an opaque layer"),
@@ -67,7 +67,7 @@ class Thermal:
         ln(z0/z0h), often written kB⁻¹ [1].
     surface_resistance_s_m : float or None
         To evaporation where moist [s/m]; of leaves the least of the whole canopy, in full sun and well watered; 0 of
-        free water; None: it never evaporates.
+        free water; None: nothing of its own does, only rain and dew on it.
     wetness : float
         Usual moisture available to evaporation, 0…1.
     water_share : float

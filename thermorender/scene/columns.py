@@ -42,9 +42,11 @@ _ABOVE = 5.0
 _TEMPERATURE_K = 290.0
 # Of a march in the open: steps, days that are repeated at most before it, and the change between them that ends it.
 STEP_S = 900.0
-_MOST_DAYS, _SETTLED_K = 15, 0.1
+_MOST_DAYS, SETTLED_K = 15, 0.1
 # Above this depth a few days settle the ground by themselves [m].
 _SOON_M = 0.5
+# What lies longer before an instant, its ground has forgotten but for the depth, where a settled day stands for it.
+_LOOK_BACK = np.timedelta64(14 * 86400, "s")
 _DAY = np.timedelta64(86400, "s")
 
 
@@ -256,13 +258,15 @@ def settled(
 ) -> "tuple[State, float]":
     """Return (State of columns in the open at an instant, change of its surfaces over the last repeated day [K]).
 
-    The first day of the weather is repeated until two days in a row differ by less than 0.1 K, each beginning with the
-    mean of the last in the depth; from there the weather goes on to `at`.
+    The first day of the last two weeks of weather before `at` is repeated until two days in a row differ by less than
+    0.1 K, each beginning with the mean of the last in the depth; from there the weather goes on to `at`.
     """
-    first = weather.time[0]
+    if at < weather.time[0]:
+        raise ThermorenderError(
+            f"{utc_text(at)} lies before the weather, which begins at {utc_text(weather.time[0])}"
+        )
+    first = max(weather.time[0], at - _LOOK_BACK)
     day = min(first + _DAY, weather.time[-1])
-    if at < first:
-        raise ThermorenderError(f"{utc_text(at)} lies before the weather, which begins at {utc_text(first)}")
     mean = float(weather.at(first + np.arange(24) * ((day - first) // 24)).air_k.mean())
     state, change = settle(
         columns, mean, lambda state: march(columns, weather, state, first, day, inside_k, 2.0 * STEP_S)
@@ -298,7 +302,7 @@ def settle(
     for _ in range(_MOST_DAYS):
         state, seen = day(state)
         change = float(np.abs(state.surface_k - before).max())
-        if change < _SETTLED_K:
+        if change < SETTLED_K:
             break
         before, mean_before, mean = state.surface_k, mean, np.mean(seen, axis=0)
         layers = [np.where(free, t + d * (mean - t), t) for t, d in zip(state.layers_k, deep, strict=True)]

@@ -210,8 +210,19 @@ class Scene:
     def weather_notes(self) -> tuple[str, ...]:
         """What the weather lacked and how it was filled, and how little of it lies before `time`, in sentences."""
         before_h = (self.time - self.weather.time[0]) / np.timedelta64(3600, "s")
-        short = f"the weather begins {before_h:.1f} h before {utc_text(self.time)}: less than a day leaves the ground "
-        return (*self.weather.notes, *([short + "near the state it was started in"] if before_h < 24.0 else []))
+        notes = list(self.weather.notes)
+        if before_h < 24.0:
+            notes.append(
+                f"the weather begins {before_h:.1f} h before {utc_text(self.time)}: less than a day leaves the ground "
+                "near the state it was started in"
+            )
+        snow = float(self.weather.at(self.time).snow_m)
+        if snow > 0.0 and not any(each.thermal and each.thermal.cover == "snow" for each in self.materials):
+            notes.append(
+                f"snow lies {snow:g} m deep by the weather, but no material of the scene is snow: its ground is taken "
+                "as bare; map the material snow where it lies"
+            )
+        return tuple(notes)
 
     def at(self, time: "str | np.datetime64") -> "Scene":
         """Return this scene asked for at another instant; the temperatures of a heat balance are then to be solved.

@@ -10,12 +10,13 @@ marched in blocks, each together with all faces, so that memory stays bounded wh
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
 import numpy as np
 
+from thermorender.errors import ThermorenderError
 from thermorender.materials.mixture import Mixture
 from thermorender.physics import balance, exchange
 from thermorender.physics.balance import STEFAN_BOLTZMANN, Forcing, Ground, State
@@ -28,7 +29,7 @@ from thermorender.scene import columns as open_ground
 from thermorender.scene.hidden import Hidden
 from thermorender.scene.load import Scene
 from thermorender.scene.surface import fill, nearest_valid
-from thermorender.units import ZERO_CELSIUS_K
+from thermorender.units import ZERO_CELSIUS_K, utc_text
 
 Progress = Callable[[str, float], object]
 
@@ -106,6 +107,11 @@ def solved(
     tell(_WHAT, 1.0)
     borders = geometry.texel_start[1 : scene.terrain_count]
     made = {at: scene.heated(at, np.split(values, borders)) for at, values in zip(asked, kelvin, strict=True)}
+    if march.settled_k >= open_ground.SETTLED_K:
+        note = f"the ground did not settle before {utc_text(march.start)}: two equal days differed by "
+        notes = (*scene.weather.notes, f"{note}{march.settled_k:.1f} K")
+        for each in made.values():
+            each.__dict__["weather"] = replace(scene.weather, notes=notes)
     return [made[at] for at in times]
 
 
@@ -144,6 +150,7 @@ class _March:
         self.texels = int(geometry.texel_start[scene.terrain_count])
         self.material = np.concatenate([surface.material.ravel() for surface in terrain])
         self.hidden = hidden and hidden.columns(self.texels)
+        _refuse_turned(scene, geometry)
         self.covers = np.array(geometry.face_of_texel())[: self.texels]
         self.row = np.zeros(256, dtype=np.uint32)
         self.row[kinds] = np.arange(len(kinds))
@@ -383,6 +390,18 @@ class _Light:
     sky: Any
     reflected: Any
     surroundings: Any
+
+
+def _refuse_turned(scene, geometry):
+    """Raise where more of the terrain looks down than up: the sun would shine on its underside."""
+    terrain = geometry.surfaces[: scene.terrain_count]
+    corner = np.concatenate([surface.vertices[surface.faces] for surface in terrain])
+    up = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])[:, 2].sum()
+    if up < 0.0:
+        raise ThermorenderError(
+            f"{scene.where}: most of the terrain's faces look down, and the sun would shine on their undersides; "
+            "reverse the order of their corners, counter-clockwise seen from above"
+        )
 
 
 def _varied(ground, wetness, exchange, inertia):
