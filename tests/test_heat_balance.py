@@ -279,7 +279,9 @@ def test_snow_melts_at_the_melting_point_and_with_the_heat_it_is_given():
         assert state.surface_k == ZERO_CELSIUS_K
         # Snow gives up to 0.2 W/m² to the ground below it, or takes it.
         assert balance.FUSION * fluxes.molten == pytest.approx(fluxes.into_ground, rel=1e-3, abs=0.5)
-        assert max(state.layers_k) <= ZERO_CELSIUS_K + 1e-9
+        # The dry ground below may be a microkelvin warmer.
+        snow = [kelvin for kelvin, water in zip(state.layers_k, column.water, strict=True) if water > 0.0]
+        assert max(snow) <= ZERO_CELSIUS_K + 1e-9
         room = balance.RETENTION * np.array(column.water)
         assert (np.array(state.liquid) <= room + 1e-9).all()
     assert noon and sum(fluxes.molten for *_, fluxes in noon) > 0.0

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +13,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.render.light import cache
 from thermorender.render.reference import squared_error
+from thermorender.scene.load import Scene
 from thermorender.sensor.camera import load_camera
 from thermorender.validate import (
     air,
@@ -254,11 +254,11 @@ def test_air_s_channels_err_by_less_than_planned(tmp_path, monkeypatch):
     [
         (["convergence", "ridge", "--quick"], convergence, "convergence", (["ridge"], "OUT", "quick", False, "auto")),
         (["convergence", "--overwrite"], convergence, "convergence",
-         (("heath", "village", "ridge"), "OUT", "full", True, "auto")),
+         (["heath", "village", "ridge"], "OUT", "full", True, "auto")),
         (["growth", "--device", "cpu"], growth, "run", ("OUT", "cpu")),
         (["sensor", "village"], sensor, "sensor", ("OUT", "village", "auto")),
         (["footage", "a.tif", "b", "--base", "tau2-640", "--scale", "0.04,1", "--name", "x"], sensor_statistics,
-         "compare", ([Path("a.tif"), Path("b")], "OUT", "tau2-640", (0.04, 1.0), "heath", "x", "auto")),
+         "compare", (["a.tif", "b"], "OUT", "tau2-640", (0.04, 1.0), "heath", "x", "auto")),
         (["emissivity", "--seeds", "7, 8"], emissivity, "evaluate", ("procedural", [7, 8])),
     ],
 )  # fmt: skip
@@ -276,6 +276,9 @@ def test_verbs_hand_on_what_was_asked(tmp_path, monkeypatch, verb, module, funct
     done = CliRunner().invoke(cli.app, ["validate", *verb, "-o", str(tmp_path)], catch_exceptions=False)
     assert done.exit_code == 0 and str(tmp_path) in "".join(done.output.split())
     told = tuple(item for item in asked if not callable(item))
+    # Of scenes and files the name.
+    told = tuple([getattr(one, "name", one) for one in item] if isinstance(item, list) else item for item in told)
+    told = tuple(item.name if isinstance(item, Scene) else item for item in told)
     assert told == tuple(tmp_path if item == "OUT" else item for item in expected)
 
 
