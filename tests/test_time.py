@@ -39,7 +39,7 @@ cloud = 0.2
 """
 NOON = np.datetime64("2018-07-28T14:30:00")
 MINUTE = np.timedelta64(60, "s")
-Conditions = namedtuple("Conditions", ["air_k", "direct_w_m2"])
+Conditions = namedtuple("Conditions", ["air_k", "direct_w_m2", "snow_m"])
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,8 @@ class StandIn:
 
     def at(self, time):
         hour = (np.asarray(time, "datetime64[s]").astype(np.int64) % 86400) / 3600.0
-        return Conditions(289.15 + 6.0 * np.sin(2.0 * np.pi * (hour - 9.0) / 24.0), 500.0 * np.ones_like(hour))
+        air_k = 289.15 + 6.0 * np.sin(2.0 * np.pi * (hour - 9.0) / 24.0)
+        return Conditions(air_k, 500.0 * np.ones_like(hour), np.zeros_like(hour))
 
     def sun(self, time):
         hour = (np.asarray(time, "datetime64[s]").astype(np.int64) % 86400) / 3600.0
