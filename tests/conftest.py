@@ -42,6 +42,12 @@ def call(monkeypatch, capfd):
     return run
 
 
+@pytest.fixture
+def run(call):
+    """Run `thermorender materials …`; return (status, output, errors)."""
+    return lambda *arguments: call("materials", *arguments)
+
+
 def shared_data(path):
     """Path of a file or folder of the real data sets, or a skip that says where it was looked for."""
     for folder in (HERE / "data", _unpacked(), DATA):

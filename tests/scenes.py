@@ -57,6 +57,14 @@ temperature = "temperature.tif"
     return folder
 
 
+def write_balance(folder, extra, source='source = "balance"', **terrain):
+    """Write a terrain scene of another temperature source, `extra` with its [weather], without truth; its folder."""
+    path = write_terrain(folder, extra=extra, **terrain) / "scene.toml"
+    text = path.read_text(encoding="utf-8").replace('source = "raster"\nraster = "temperature.tif"', source, 1)
+    path.write_text(text.replace('[truth]\ntemperature = "temperature.tif"\n', ""), encoding="utf-8")
+    return folder
+
+
 def write_mesh(folder, mesh, temperature=300.0, emissivity=0.9, sky=250.0, extra=""):
     """Write a scene of one grey mesh (a trimesh object) and return its folder."""
     folder.mkdir(parents=True, exist_ok=True)

@@ -5,7 +5,7 @@ import pytest
 from scipy.special import erf, erfc
 
 from thermorender.physics import balance, exchange
-from thermorender.physics.conduction import LAYERS, Slab, damping_depth, ladder, layered
+from thermorender.physics.conduction import LAYERS, Slab, ladder, layered
 from thermorender.units import ZERO_CELSIUS_K
 
 DAY = 86400.0
@@ -108,8 +108,8 @@ def test_ladder_scales_with_the_material():
 
 def test_damping_depth():
     """Sixty layers over ten damping depths: a daily wave falls and lags by e^(−x/d), x/d, to a thousandth of d."""
-    deep = damping_depth(SOIL.conductivity, SOIL.capacity)
-    assert deep == pytest.approx(np.sqrt(2.0 / (2.0 * np.pi / DAY) * SOIL.conductivity / SOIL.capacity))
+    # Carslaw & Jaeger, Conduction of Heat in Solids (1959), 2.6.
+    deep = np.sqrt(DAY * SOIL.conductivity / (np.pi * SOIL.capacity))
     cut = layered([Slab(10.0 * deep, SOIL.conductivity, SOIL.capacity)], count=60)
     below = cut.conductance[1:]
     matrix = np.diag(below + 2j * np.pi / DAY * cut.capacity)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scenes import write_terrain
+from scenes import write_balance
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
 from thermorender.materials.mixture import mix
@@ -27,11 +27,8 @@ HOUR = np.timedelta64(3600, "s")
 
 
 def scene_of(folder, **terrain):
-    folder = write_terrain(folder, extra=WEATHER, **terrain)
-    text = (folder / "scene.toml").read_text()
-    text = text.replace('source = "raster"\nraster = "temperature.tif"', 'source = "balance"')
-    text = text.replace("grass_green", "granite")
-    (folder / "scene.toml").write_text(text.replace('[truth]\ntemperature = "temperature.tif"', ""))
+    path = write_balance(folder, WEATHER, **terrain) / "scene.toml"
+    path.write_text(path.read_text().replace("grass_green", "granite"))
     return load_scene(folder)
 
 

@@ -106,7 +106,7 @@ def test_sensors_inside_the_cover_are_refused(tmp_path):
 
 def test_what_a_table_lacks_is_told(tmp_path):
     site = site_of(tmp_path, 'cover = [["asphalt", 1.0]]\nsurface = "ground_c"\n')
-    with pytest.raises(ThermorenderError, match=r"made.csv has no column 'ground_c'; it has time_utc, air_c"):
+    with pytest.raises(ThermorenderError, match=r"made.csv has no column 'ground_c'; row 1 names time_utc, air_c"):
         measured(site, tmp_path)
     with pytest.raises(ThermorenderError, match="made.csv does not exist; give the folder that holds made.csv"):
         measured(site, tmp_path / "elsewhere")
@@ -141,3 +141,18 @@ def test_stated_figures_are_those_of_the_code(name):
     scores = heat._scores(found, modelled(found))
     for part in ("day", "night"):
         assert scores[part]["mae"] == pytest.approx(stated[part]["mae"], abs=2e-3, nan_ok=True)
+
+
+def test_what_was_measured_is_read_as_the_weather_is(tmp_path):
+    """−9999 is no temperature, and times may tell their offset."""
+    surface = np.full(49, 20.0)
+    surface[7] = -9999.0
+    site = site_of(tmp_path, 'cover = [["asphalt", 1.0]]\nsurface = "surface_c"\n', surface_c=surface)
+    found = measured(site, tmp_path)
+    assert np.flatnonzero(~found.scored).tolist() == [7] and found.observed_k[8] == pytest.approx(293.15)
+    path = tmp_path / "made.csv"
+    text = path.read_text().replace("time_utc", "time").replace("Z,", "+02:00,")
+    path.write_text(text)
+    east = measured(site, tmp_path)
+    assert (found.weather.time - east.weather.time == np.timedelta64(2, "h")).all()
+    assert np.array_equal(east.observed_k, found.observed_k, equal_nan=True)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scenes import write_terrain
+from scenes import write_balance
 from thermorender.errors import ThermorenderError
 from thermorender.scene import columns as open_ground
 from thermorender.scene.hidden import Hidden
@@ -26,10 +26,7 @@ FACTORS = {"reflectance": 1.4, "wetness": 2.0, "exchange": 0.7, "inertia": 1.5}
 def level(tmp_path_factory):
     """A level terrain: grass in the west, sand in the east, so large that its edge is out of sight."""
     classes = np.repeat([[1] * 16 + [2] * 16], 32, axis=0)
-    folder = write_terrain(tmp_path_factory.mktemp("level") / "scene", classes=classes, extra=WEATHER)
-    text = (folder / "scene.toml").read_text()
-    text = text.replace('source = "raster"\nraster = "temperature.tif"', 'source = "balance"')
-    (folder / "scene.toml").write_text(text.replace('[truth]\ntemperature = "temperature.tif"', ""))
+    folder = write_balance(tmp_path_factory.mktemp("level") / "scene", WEATHER, classes=classes)
     return load_scene(folder)
 
 

@@ -2,13 +2,11 @@
 
 import csv
 import struct
-import sys
 
 import numpy as np
 import pytest
 from conftest import shared_data
 
-from thermorender.cli import app as cli
 from thermorender.errors import ThermorenderError
 from thermorender.materials.check import check
 from thermorender.materials.compare import apparent_temperature
@@ -24,20 +22,6 @@ ROW = {
 }  # fmt: skip
 WAVELENGTH = np.round(np.arange(7.0, 14.01, 0.1), 2)
 SPECTRUM = "wavelength_um,emissivity,emissivity_std\n" + "".join(f"{w},0.2,\n" for w in WAVELENGTH)
-
-
-@pytest.fixture
-def run(monkeypatch, capsys):
-    """Run `thermorender materials …`; return (status, what it printed, what it complained)."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["thermorender", "materials", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
-        printed = capsys.readouterr()
-        return stop.value.code, printed.out, printed.err
-
-    return call
 
 
 def library(folder, rows=(ROW,), spectrum=SPECTRUM):

@@ -157,8 +157,6 @@ def test_longwave_among_other_published_laws(air, vapour):
 def test_saturation(celsius, over, pascal):
     found = humidity.saturation_pressure(celsius + 273.15, over)
     assert found == pytest.approx(pascal, rel=4e-3)
-    assert humidity.dew_point(found, over) == pytest.approx(celsius + 273.15, abs=1e-9)
-    assert humidity.relative_humidity(0.5 * found, celsius + 273.15) == pytest.approx(0.5, rel=1e-6) or over == "ice"
 
 
 @pytest.mark.parametrize(

@@ -2,12 +2,10 @@
 
 import csv
 import shutil
-import sys
 
 import numpy as np
 import pytest
 
-from thermorender.cli import app as cli
 from thermorender.errors import ThermorenderError
 from thermorender.files import write_text
 from thermorender.materials import store as store_module
@@ -75,20 +73,6 @@ def edited(**cells):
         if value is not None:
             lines.append(",".join([key, *([value, "0.1", "handbook"] if isinstance(value, str) else value)]))
     return "\n".join(lines) + "\n"
-
-
-@pytest.fixture
-def run(monkeypatch, capsys):
-    """Run `thermorender materials …`; return (status, what it printed, what it complained)."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["thermorender", "materials", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
-        printed = capsys.readouterr()
-        return stop.value.code, printed.out, printed.err
-
-    return call
 
 
 # --- what ships -------------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ import pytest
 import trimesh
 
 import thermorender as tr
-from scenes import write_mesh, write_terrain
+from scenes import write_balance, write_mesh, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.output import timed
 from thermorender.output.day import day, instant_of, solar_midnight
@@ -85,12 +85,8 @@ def marches(monkeypatch):
     return done
 
 
-def write(folder, extra=DAY, source='source = "balance"', **options):
-    write_terrain(folder, extra=extra, **options)
-    path = folder / "scene.toml"
-    text = path.read_text().replace('source = "raster"\nraster = "temperature.tif"', source, 1)
-    path.write_text(text.replace('[truth]\ntemperature = "temperature.tif"\n', ""))
-    return folder
+def write(folder, extra=DAY, *source, **options):
+    return write_balance(folder, extra, *source, **options)
 
 
 @pytest.fixture

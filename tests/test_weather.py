@@ -277,7 +277,8 @@ def test_afternoon_clouds_are_no_clock(tmp_path):
         return sunlight(time)[0] * np.where(hour > 14.0, 0.3, 1.0)
 
     for days in (1, 3, 20):
-        read_station(station(tmp_path / "s.csv", {"sw_down_w_m2": dimmed}, days=days), *PLACE)
+        weather = read_station(station(tmp_path / "s.csv", {"sw_down_w_m2": dimmed}, days=days), *PLACE)
+        assert not any("after the sun" in note or "before the sun" in note for note in weather.notes)
 
 
 def test_other_ways_to_tell_time_and_columns(tmp_path):

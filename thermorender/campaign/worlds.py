@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from thermorender.files import atomic_folder
-from thermorender.materials.thermal import NUMBERS
+from thermorender.materials.shifted import strayed
 from thermorender.scene.load import load_scene
 from thermorender.synthetic.files import refuse_every, write_declared, write_temperature
 from thermorender.synthetic.noise import stream
@@ -22,8 +22,6 @@ from thermorender.synthetic.noise import stream
 CONVECTION_SPREAD = 0.2
 # Of the air inside buildings [K]. Chosen: heated rooms lie within 16…24 °C.
 INSIDE_SPREAD_K = 2.0
-# What keeps its value: constants of nature.
-_KNOWN = ("melting_k",)
 
 
 def write(scene, directory, overwrite=False, temperature_every=2, progress=None):
@@ -87,7 +85,7 @@ def drawn(scene, kind, seed):
     def varied(name, thermal):
         if name not in beneath:
             below = varied(thermal.beneath, thermal.below) if thermal.below else None
-            beneath[name] = replace(_strayed(thermal, stream(seed, f"truth of {kind}: {name}")), below=below)
+            beneath[name] = replace(strayed(thermal, stream(seed, f"truth of {kind}: {name}")), below=below)
         return beneath[name]
 
     materials = []
@@ -102,15 +100,3 @@ def drawn(scene, kind, seed):
     weather = replace(weather, inside_c=weather.inside_c + float(law.normal(0.0, INSIDE_SPREAD_K)))
     return replace(scene, materials=tuple(materials), spec=replace(scene.spec, weather=weather)), exchange
 
-
-def _strayed(thermal, generator):
-    """A Thermal whose numbers are drawn."""
-    values = {}
-    for key, (low, high, _) in NUMBERS.items():
-        # One number for each property, used or not: properties do not share their fate.
-        normal = generator.standard_normal()
-        value, spread = getattr(thermal, key), thermal.uncertainty.get(key, 0.0)
-        if value and spread and key not in _KNOWN:
-            width = np.sqrt(np.log1p((spread / value) ** 2))
-            values[key] = float(np.clip(value * np.exp(width * normal - 0.5 * width**2), low, high))
-    return replace(thermal, **values)

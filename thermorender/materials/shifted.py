@@ -1,4 +1,4 @@
-"""A material one standard deviation away from its table, in one of the properties that its warmth depends on.
+"""Materials away from their tables by what these are uncertain: one property by one standard deviation, or all drawn.
 
 Each property takes together what a surface's temperature cannot tell apart. What is positive moves by a factor, the
 exponential of its logarithm's standard deviation.
@@ -9,9 +9,12 @@ from dataclasses import replace
 import numpy as np
 
 from thermorender.materials.mixture import Mixture
+from thermorender.materials.thermal import NUMBERS
 
 # No surface of a scene absorbs all sunlight, or none: beyond it a step is taken the other way.
 _MOST_ABSORPTANCE = 0.97
+# What keeps its value: constants of nature.
+_KNOWN = ("melting_k",)
 
 
 def shifted(material, name):
@@ -36,6 +39,29 @@ def shifted(material, name):
     if isinstance(material, Mixture):
         return replace(material, parts=tuple((shifted(part, name), share) for part, share in material.parts))
     return PROPERTIES[name](material, material.known_thermal())
+
+
+def strayed(thermal, generator, scale=1.0):
+    """Return a Thermal whose numbers are drawn from their uncertainty, of what lies beneath its own.
+
+    Positive numbers are log-normal with their standard deviation and the table's value for mean, all within the limits
+    of a table; zero stays zero.
+
+    Parameters
+    ----------
+    thermal : Thermal
+    generator : numpy.random.Generator
+    scale : float
+        On the standard deviations of the logarithms.
+    """
+    values = {}
+    for key, (low, high, _) in NUMBERS.items():
+        # One number for each property, used or not: properties do not share their fate.
+        normal, width = generator.standard_normal(), scale * _of_logarithm(thermal, key)
+        if width and key not in _KNOWN:
+            value = getattr(thermal, key) * np.exp(width * normal - 0.5 * width**2)
+            values[key] = float(np.clip(value, low, high))
+    return replace(thermal, **values)
 
 
 def _absorptance(material, thermal):

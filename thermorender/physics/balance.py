@@ -151,7 +151,7 @@ class Fluxes(NamedTuple):
 
 
 def at_rest(xp, temperatures_k, ground):
-    """Return the State of columns with given temperatures of their layers, dry, snow frozen and the rest molten.
+    """Return the State of columns with given temperatures of their layers [K], dry, snow frozen and the rest molten.
 
     Soil below freezing is frozen.
     """

@@ -63,11 +63,6 @@ class Layers:
     water: np.ndarray
 
 
-def damping_depth(conductivity, capacity, period_s=86400.0):
-    """Return the depth at which a periodic wave has fallen to 1/e [m]: √(k P / (π c)), Carslaw & Jaeger (1959) 2.6."""
-    return np.sqrt(conductivity * period_s / (np.pi * capacity))
-
-
 @cache
 def ladder(count=LAYERS):
     """Return (nodes (count,), borders (count + 1,)) of a half-space's layers [s^½]: depth × √(capacity/conductivity).
@@ -192,7 +187,7 @@ def top_response(before, capacity, conductance, below_k, seconds, heating=None):
 
 
 def filled(top_k, conductance, pivots, sums):
-    """Return the temperatures of all layers, a list, once the first one's is known."""
+    """Return the temperatures of all layers [K], a list, once the first one's is known; see `top_response`."""
     found = [top_k]
     for i in range(1, len(pivots)):
         found.append((sums[i] + conductance[i] * found[-1]) / pivots[i])

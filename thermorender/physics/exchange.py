@@ -6,6 +6,7 @@ terrain at once.
 
 import numpy as np
 
+from thermorender.physics.humidity import MAGNUS
 from thermorender.units import ZERO_CELSIUS_K
 
 GRAVITY = 9.80665  # m s⁻²
@@ -87,9 +88,9 @@ def saturation_vapour(xp, temperature_k):
     """
     celsius = temperature_k - ZERO_CELSIUS_K
     ice = celsius < 0.0
-    a, b = xp.where(ice, 22.587, 17.625), xp.where(ice, 273.86, 243.04)
+    scale, a, b = (xp.where(ice, *pair) for pair in zip(MAGNUS["ice"], MAGNUS["water"], strict=True))
     celsius = xp.maximum(celsius, -150.0)
-    pressure = xp.where(ice, 611.21, 610.94) * xp.exp(a * celsius / (b + celsius))
+    pressure = scale * xp.exp(a * celsius / (b + celsius))
     return pressure, pressure * a * b / (b + celsius) ** 2
 
 

@@ -6,9 +6,9 @@ from thermorender.units import ZERO_CELSIUS_K
 
 # Alduchov and Eskridge, J. Appl. Meteorol. 35 (1996) 601, doi:10.1175/1520-0450(1996)035<0601:IMFAOS>2.0.CO;2,
 # eqs 21 and 23: pressure at 0 °C [Pa], factor, offset [K].
-_MAGNUS = {"water": (610.94, 17.625, 243.04), "ice": (611.21, 22.587, 273.86)}
+MAGNUS = {"water": (610.94, 17.625, 243.04), "ice": (611.21, 22.587, 273.86)}
 # The standard atmosphere's troposphere: pressure [Pa], temperature [K] at sea level, lapse [K/m], exponent.
-_SEA_PA, _SEA_K, _LAPSE_K_M, _EXPONENT = 101325.0, 288.15, 0.0065, 5.255880
+_SEA_PA, _SEA_K, LAPSE_K_M, PRESSURE_EXPONENT = 101325.0, 288.15, 0.0065, 5.255880
 
 
 def saturation_pressure(temperature, over="water"):
@@ -17,26 +17,14 @@ def saturation_pressure(temperature, over="water"):
     Magnus' form, within 0.4 % over −40 … 50 °C (water) and −80 … 0 °C (ice): Alduchov and Eskridge (1996). Meteorology
     states relative humidity and dew point over water below freezing too.
     """
-    pressure, factor, offset = _MAGNUS[over]
+    pressure, factor, offset = MAGNUS[over]
     celsius = temperature - ZERO_CELSIUS_K
     return pressure * np.exp(factor * celsius / (celsius + offset))
 
 
-def dew_point(vapour_pa, over="water"):
-    """Return the dew point (over ice: the frost point) [K] of air with a vapour pressure [Pa] above 0."""
-    pressure, factor, offset = _MAGNUS[over]
-    ratio = np.log(np.asarray(vapour_pa) / pressure)
-    return offset * ratio / (factor - ratio) + ZERO_CELSIUS_K
-
-
-def relative_humidity(vapour_pa, temperature):
-    """Return the share, 0 … 1, of the vapour that saturated air over water holds."""
-    return vapour_pa / saturation_pressure(temperature)
-
-
 def standard_pressure(altitude_m):
     """Return the pressure [Pa] at an altitude [m], −5 … 11 km, in the ICAO standard atmosphere (Doc 7488)."""
-    return _SEA_PA * (1.0 - _LAPSE_K_M / _SEA_K * np.asarray(altitude_m, np.float64)) ** _EXPONENT
+    return _SEA_PA * (1.0 - LAPSE_K_M / _SEA_K * np.asarray(altitude_m, np.float64)) ** PRESSURE_EXPONENT
 
 
 def precipitable_water(vapour_pa, temperature):

@@ -88,7 +88,7 @@ def columns(
     weather : Weather
         For the heights of its sensors.
     snow_m : float
-        Depth of a material that is snow [m], where its table gives none.
+        Depth of a material that is snow [m], in place of its table's; 0: the table's.
     station_roughness_m : float, optional
         Of the land around the station; None: it stands on the material itself.
     layers : int
@@ -230,24 +230,30 @@ def forcing(
 def march(
     columns: Columns, weather: Weather, state: State, start: np.datetime64, stop: np.datetime64,
     inside_k: float = INSIDE_K, step_s: float = STEP_S,
+    shortwave: "Callable[[NDArray[np.datetime64]], NDArray[np.float64]] | None" = None,
 ) -> "tuple[State, list[NDArray[Any]]]":  # fmt: skip
     """Return (State, [surface temperatures (M,) after each step]) of columns in the open, marched from start to stop.
 
-    Steps are `step_s` long, or a little less so that they fill the time evenly.
+    Steps are `step_s` long, or a little less so that they fill the time evenly. `shortwave` gives the absorbed sunlight
+    [W m⁻²] at instants, where it is measured.
     """
     span = float((stop - start) / np.timedelta64(1, "s"))
     count = max(1, int(np.ceil(span / step_s - 1e-9)))
     length = span / count
     offset = np.add.outer(np.arange(count) * length, balance.stage_times(length))
-    instant = start + offset.astype("timedelta64[s]")
+    instant = start + np.round(offset).astype("timedelta64[s]")
     found = weather.at(instant)
     sine = np.sin(np.radians(weather.sun(instant)[1]))
+    absorbed = None if shortwave is None else shortwave(instant)
     seen = []
     for number in range(count):
         stages = [
-            forcing(Conditions(*(values[number, k] for values in found)), columns, sine[number, k], inside_k)
+            forcing(
+                Conditions(*(values[number, k] for values in found)), columns, sine[number, k], inside_k,
+                None if absorbed is None else absorbed[number, k],
+            )
             for k in (0, 1)
-        ]
+        ]  # fmt: skip
         state, _ = balance.step(np, state, columns.ground, *stages, length)
         seen.append(state.surface_k)
     return state, seen

@@ -4,15 +4,16 @@ import numpy as np
 
 from thermorender import defaults
 from thermorender.physics import sun
+from thermorender.physics.humidity import LAPSE_K_M
 from thermorender.scene.spec import WeatherSpec
 from thermorender.synthetic.noise import stream
 from thermorender.weather.declared import declared_weather
 
 # All kinds lie on the central meridian of UTM zone 34, where grid north is true north [deg].
 LONGITUDE_DEG = 21.0
-# Air of the US Standard Atmosphere 1976 at sea level [K], its lapse [K/m] and water vapour [Pa] with its scale height
+# Air of the US Standard Atmosphere 1976 at sea level [K], and its water vapour [Pa] with its scale height
 # [m]: Anderson et al., AFGL-TR-86-0110 (1986), table 1f.
-_STANDARD_K, _LAPSE_K_M, _STANDARD_VAPOUR_PA, _VAPOUR_SCALE_M = 288.2, 0.0065, 785.0, 2200.0
+_STANDARD_K, _STANDARD_VAPOUR_PA, _VAPOUR_SCALE_M = 288.2, 785.0, 2200.0
 # Base of clouds above the ground [m].
 _CLOUD_BASE_M = 1500.0
 # An orthophoto is taken by day, with the sun at least so high [deg].
@@ -50,7 +51,7 @@ def drawn_weather(seed, altitude_m=_LOWLAND_M):
     of_year = (time.astype("M8[D]") - time.astype("M8[Y]").astype("M8[D]")).astype(int)
     summer = 0.5 - 0.5 * np.cos(2.0 * np.pi * (of_year - _COLDEST_DAY) / 365.25)
     strays = _STRAYS_K[0] + summer * (_STRAYS_K[1] - _STRAYS_K[0])
-    mean = _MEAN_C + _SEASON_K * (2.0 * summer - 1.0) - _LAPSE_K_M * (altitude_m - _LOWLAND_M) + g.normal(0.0, strays)
+    mean = _MEAN_C + _SEASON_K * (2.0 * summer - 1.0) - LAPSE_K_M * (altitude_m - _LOWLAND_M) + g.normal(0.0, strays)
     cloud = float(g.beta(0.6, 0.5))
     range_k = (6.0 + 7.0 * summer) * (1.0 - cloud * 2.0 / 3.0) * np.exp(g.normal(0.0, 0.2))
     humidity = g.uniform(0.75, 0.98)
@@ -91,7 +92,7 @@ def sky_temperature(weather, found, altitude_m):
     """
     from thermorender.atmosphere.model import Atmosphere
 
-    usual = _STANDARD_K - _LAPSE_K_M * altitude_m
+    usual = _STANDARD_K - LAPSE_K_M * altitude_m
     usual_pa = _STANDARD_VAPOUR_PA * np.exp(-altitude_m / _VAPOUR_SCALE_M)
     air = Atmosphere.standard(
         temperature_offset_k=float(np.clip(found.air_k - usual, -40.0, 40.0)),

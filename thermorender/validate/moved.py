@@ -19,6 +19,7 @@ from thermorender import defaults
 from thermorender.campaign.worlds import write
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import Material
+from thermorender.materials.shifted import strayed
 from thermorender.render.geometry import Geometry
 from thermorender.render.heat.march import solved
 from thermorender.render.heat.moved import Carried, balances, expected
@@ -221,16 +222,8 @@ def _drawn(material: Material, rng, scale):
 
 
 def _drawn_thermal(thermal, rng, scale):
-    changes = {}
-    for name, std in thermal.uncertainty.items():
-        value = getattr(thermal, name)
-        if name == "melting_k" or not value or not std:
-            continue
-        # What is positive is log-normal, with the table's value for median.
-        drawn = value * np.exp(scale * np.sqrt(np.log1p((std / value) ** 2)) * rng.normal())
-        changes[name] = float(min(drawn, 1.0) if name in ("wetness", "water_share") else drawn)
     below = thermal.below and _drawn_thermal(thermal.below, rng, scale)
-    return replace(thermal, **changes, below=below)
+    return replace(strayed(thermal, rng, scale), below=below)
 
 
 def _picture(truth, rng):

@@ -1,6 +1,5 @@
 """Measured places: weather and the surface temperature that it made, read as a file of sites declares them."""
 
-import csv
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from thermorender.scene import columns as open_ground
 from thermorender.schema import Where, choice, flag, key, mapping, number, read, read_toml, tables, text
 from thermorender.units import ZERO_CELSIUS_K, instant
 from thermorender.weather.series import Conditions, Weather
-from thermorender.weather.station import read_station
+from thermorender.weather.station import read_columns, read_station
 
 # What drives the model before the first row, where a site starts by repeating its first day.
 _DAY_S = 86400
@@ -164,7 +163,10 @@ def measured(site, folder):
         longest_gap_h=site.longest_gap_h, wind_m_s=site.wind_m_s, snow_depth_m=site.snow_depth_m,
         air_height_m=site.air_height_m, wind_height_m=site.wind_height_m,
     )  # fmt: skip
-    column = _columns(path, weather.time)
+    named = [site.longwave_up, site.surface, site.water, site.shortwave_up, *(site.radiation or ())]
+    named = [name for name in [*named, *(name for _, name in site.soil)] if name]
+    _, numbers = read_columns(path, named, during=site.during)
+    column = numbers.__getitem__
     absorbed = None
     if site.shortwave_up:
         level = weather.direct_w_m2 * np.maximum(np.sin(np.radians(weather.sun(weather.time)[1])), 0.0)
@@ -194,21 +196,6 @@ def _materials(site):
         if name not in library:
             raise ThermorenderError(f"site {site.name!r}: cover {name!r} is no material of the library")
     return [(library[name], share) for name, share in site.cover]
-
-
-def _columns(path, time):
-    """A function from a column's name to its numbers at the instants `time`; NaN where a cell is empty."""
-    with open(path, newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    row_of = {np.datetime64(row["time_utc"].rstrip("Z"), "s"): row for row in rows}
-
-    def column(name):
-        if name not in rows[0]:
-            raise ThermorenderError(f"{path} has no column {name!r}; it has {', '.join(rows[0])}")
-        cells = (row_of.get(at, {}).get(name) for at in time)
-        return np.array([float(cell) if cell else np.nan for cell in cells])
-
-    return column
 
 
 def _whole(values, time):
@@ -270,22 +257,11 @@ class _Drive:
         second = (time - time[0]).astype(float)
         shown = lambda state: state.layers_k[0] if self.first_layer else state.surface_k  # noqa: E731
         seen = [shown(state)]
-        for row in range(len(time) - 1):
-            span = second[row + 1] - second[row]
-            steps = max(1, int(np.ceil(span / step_s - 1e-9)))
-            length = span / steps
-            offset = np.add.outer(np.arange(steps) * length, balance.stage_times(length))
-            at = time[row] + np.round(offset).astype("timedelta64[s]")
-            conditions, sine = weather.at(at), np.sin(np.radians(weather.sun(at)[1]))
-            for k in range(steps):
-                stages = []
-                for stage in (0, 1):
-                    now = Conditions(*(values[k, stage] for values in conditions))
-                    own = None
-                    if absorbed is not None:
-                        own = np.interp(second[row] + offset[k, stage], second, absorbed[: len(second)])
-                    stages.append(open_ground.forcing(now, columns, sine[k, stage], open_ground.INSIDE_K, own))
-                state, _ = balance.step(np, state, columns.ground, *stages, length)
+        light = None
+        if absorbed is not None:
+            light = lambda at: np.interp((at - time[0]) / np.timedelta64(1, "s"), second, absorbed[: len(second)])  # noqa: E731
+        for begin, end in zip(time[:-1], time[1:], strict=True):
+            state, _ = open_ground.march(columns, weather, state, begin, end, step_s=step_s, shortwave=light)
             seen.append(shown(state))
         self.state = state
         return np.array(seen)

@@ -135,6 +135,36 @@ def read_station(
     return found
 
 
+def read_columns(path, columns, *, during=None, utc_offset_h=None):
+    """Return (instants (N,) datetime64[s] UTC, {column: numbers (N,)}) of a station's table, NaN where there is none.
+
+    What `read_station` does not take into its Weather, such as what was measured beside it; the rows are the same.
+
+    Parameters
+    ----------
+    path : path
+    columns : sequence of str
+        Names as the file has them.
+    during, utc_offset_h
+        As of `read_station`.
+
+    Raises
+    ------
+    ThermorenderError
+        A file that is no such table, no such column, or a cell that is no number.
+    """
+    header, cells, rows = _read(path, {})
+    time = _times(path, header, cells, rows, utc_offset_h)
+    keep = np.flatnonzero(_within(path, time, during))
+    for name in columns:
+        if name not in header:
+            raise ThermorenderError(f"{path} has no column {name!r}; row 1 names {shortened(', '.join(header))}")
+    found = {
+        name: _numbers(path, name, [cells[k][header.index(name)] for k in keep], rows[keep], []) for name in columns
+    }
+    return time[keep], found
+
+
 # The file
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.materials.mixture import Mixture
-from thermorender.physics import balance, exchange
+from thermorender.physics import balance, exchange, humidity
 from thermorender.physics.balance import STEFAN_BOLTZMANN, Forcing, Ground, State
 from thermorender.physics.srgb import linear_from_bytes
 from thermorender.physics.sun import direction
@@ -41,8 +41,6 @@ _STEPS_S = ((3600.0, 300.0), (24 * 3600.0, 900.0), (np.inf, 1800.0))
 _LIGHT_S, _RAYS, _REFLECTIONS = 1800.0, 64, 4
 # How long each texel has its own sun, before which those of a face and material share one [s].
 _OWN_S = 4 * 3600.0
-# Of the air, by height: ICAO standard atmosphere, Doc 7488.
-_LAPSE_K_M, _PRESSURE_EXPONENT = np.float32(-0.0065), 5.25588
 # Texels marched at a time: some 300 bytes each.
 _AT_ONCE = 1 << 22
 # Brightness of a texel over that of its class tells so much darker or lighter ground, at most.
@@ -95,13 +93,13 @@ def solved(
     kinds = np.unique(np.concatenate([np.unique(surface.material) for surface in terrain]))
     most = max(len(parts[kind]) for kind in kinds)
     found, share_done = 0.0, 1.0 / most
+    march = _March(scene, geometry, asked, hidden)
     for number in range(most):
-        of = [part[min(number, len(part) - 1)][0] for part in parts]
+        of = {kind: parts[kind][min(number, len(parts[kind]) - 1)][0] for kind in kinds}
         weight = np.array([_emits(part, number) for part in parts])
-        march = _March(scene, geometry, of, kinds, asked, hidden)
         told = lambda share, n=number: tell(_WHAT, (n + share) * share_done)  # noqa: E731
         # Of what texels of a mixture emit, the parts add up; few have as many parts as the one that has most.
-        kelvin = march.run(told, weight[march.material] > 0.0)
+        kelvin = march.run(of, weight[march.material] > 0.0, told)
         found = kelvin if most == 1 else found + weight[march.material] * kelvin.astype(np.float64) ** 4
     kelvin = march.covered(found if most == 1 else found**0.25)
     tell(_WHAT, 1.0)
@@ -140,9 +138,9 @@ class _Columns:
 
 
 class _March:
-    """One march of all texels, whose materials are `materials` by number."""
+    """Marches of a terrain's texels: its faces and the light between them, which all share."""
 
-    def __init__(self, scene, geometry, materials, kinds, asked, hidden):
+    def __init__(self, scene, geometry, asked, hidden):
         self.scene, self.geometry, self.mi, self.asked = scene, geometry, geometry.mi, asked
         self.weather, self.inside_k = scene.weather, scene.spec.weather.inside_c + ZERO_CELSIUS_K
         terrain = scene.surfaces[: scene.terrain_count]
@@ -150,16 +148,20 @@ class _March:
         self.texels = int(geometry.texel_start[scene.terrain_count])
         self.material = np.concatenate([surface.material.ravel() for surface in terrain])
         self.hidden = hidden and hidden.columns(self.texels)
-        _refuse_turned(scene, geometry)
+        corner = np.concatenate([surface.vertices[surface.faces] for surface in terrain])
+        across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+        if across[:, 2].sum() < 0.0:
+            raise ThermorenderError(
+                f"{scene.where}: most of the terrain's faces look down, and the sun would shine on their undersides; "
+                "reverse the order of their corners, counter-clockwise seen from above"
+            )
+        self.middle = corner.mean(axis=1).astype(np.float32)
+        self.normal = (across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)).astype(np.float32)
         self.covers = np.array(geometry.face_of_texel())[: self.texels]
-        self.row = np.zeros(256, dtype=np.uint32)
-        self.row[kinds] = np.arange(len(kinds))
-        snow = float(self.weather.at(asked[0]).snow_m)
-        self.columns = open_ground.columns(
-            [materials[kind] for kind in kinds], self.weather, snow, open_ground.STATION_ROUGHNESS_M
-        )
+        self.reflects = self._brightness() * (1.0 if self.hidden is None else self.hidden[0])
         self.start = max(asked[0] - np.timedelta64(int(_BEFORE_S), "s"), self.weather.time[0])
-        self.state, self.settled_k = open_ground.settled(self.columns, self.weather, self.start, self.inside_k)
+        # Change of the ground over the last of the days that it settles in [K], the most of all runs.
+        self.settled_k = 0.0
         transport, _ = cache.traced(geometry, _RAYS)
         self.operator = transport.operator.astype(np.float32)
         self.sky = transport.sky.sum(axis=1).astype(np.float32)
@@ -180,17 +182,25 @@ class _March:
         emits = np.array([open_ground.broadband(each) for each in of], np.float32)[material]
         return reflects, emits
 
-    def run(self, tell, wanted):
-        """Return the kelvin of all texels at each instant asked, (n, T) float32; 0 where they are not `wanted`."""
+    def run(self, materials, wanted, tell):
+        """Return the kelvin of all texels at each instant asked, (n, T) float32; 0 where they are not `wanted`.
+
+        `materials` has the Material of each number on the terrain.
+        """
+        self.row = np.zeros(256, dtype=np.uint32)
+        self.row[list(materials)] = np.arange(len(materials))
+        snow = float(self.weather.at(self.asked[0]).snow_m)
+        self.columns = open_ground.columns(
+            list(materials.values()), self.weather, snow, open_ground.STATION_ROUGHNESS_M
+        )
+        self.state, change = open_ground.settled(self.columns, self.weather, self.start, self.inside_k)
+        self.settled_k = max(self.settled_k, change)
         found = np.zeros((len(self.asked), self.texels), dtype=np.float32)
-        reflects = self._brightness()
-        if self.hidden is not None:
-            reflects = reflects * self.hidden[0]
         every = np.flatnonzero(wanted)
         blocks = [every[first : first + _AT_ONCE] for first in range(0, len(every), _AT_ONCE)]
         for number, texels in enumerate(blocks):
             told = lambda share, n=number: tell((n + share) / len(blocks))  # noqa: E731
-            for index, kelvin in enumerate(self._marched(texels, reflects, told)):
+            for index, kelvin in enumerate(self._marched(texels, told)):
                 found[index, texels] = kelvin[self.faces :]
         return found
 
@@ -218,10 +228,9 @@ class _March:
         ratio = light / np.maximum(mean[self.material], 1e-4)
         return np.clip(ratio, 1.0 / _BRIGHTEST, _BRIGHTEST).astype(np.float32)
 
-    def _columns(self, texels, reflects):
+    def _columns(self, texels):
         """The _Columns of all faces of the terrain, and then of some texels, by their numbers."""
         geometry, mi = self.geometry, self.mi
-        corner = np.concatenate([s.vertices[s.faces] for s in geometry.surfaces[: self.scene.terrain_count]])
         face = np.minimum(self.covers[texels], self.faces - 1)
         spot = np.empty((len(texels), 3), dtype=np.float32)
         for number, surface in enumerate(self.scene.surfaces[: self.scene.terrain_count]):
@@ -231,11 +240,9 @@ class _March:
             row, column = np.divmod(texels[here] - first, columns)
             at = np.column_stack([column + 0.5, row + 0.5])
             spot[here] = _on_faces(surface, face[here] - geometry.face_start[number], at, (columns, rows))
-        edge = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-        normal = (edge / np.maximum(np.linalg.norm(edge, axis=1, keepdims=True), 1e-300)).astype(np.float32)
-        point = np.concatenate([corner.mean(axis=1).astype(np.float32), spot])
+        point = np.concatenate([self.middle, spot])
         face = np.concatenate([np.arange(self.faces, dtype=np.uint32), face.astype(np.uint32)])
-        point += np.float32(64.0 * 2.0**-24 * (1.0 + geometry.reach)) * normal[face]
+        point += np.float32(64.0 * 2.0**-24 * (1.0 + geometry.reach)) * self.normal[face]
         kind = mi.UInt32(self.row[np.concatenate([self.face_material[: self.faces], self.material[texels]])])
         row = lambda values: dr.gather(mi.Float, mi.Float(np.asarray(values, np.float32)), kind)  # noqa: E731
         rows = lambda values: None if values is None else [row(each) for each in values]  # noqa: E731
@@ -247,21 +254,22 @@ class _March:
         column = np.concatenate([self.face_texel[: self.faces], texels])
         if self.hidden is not None:
             ground = _varied(ground, *(mi.Float(np.ascontiguousarray(each[column])) for each in self.hidden[1:]))
-        reflected = row(1.0 - self.columns.absorptance) * mi.Float(np.ascontiguousarray(reflects[column]))
+        reflected = row(1.0 - self.columns.absorptance) * mi.Float(np.ascontiguousarray(self.reflects[column]))
         begin = self.state
         state = State(row(begin.surface_k), rows(begin.layers_k), row(begin.film), rows(begin.liquid))
         absorptance = dr.clip(1.0 - reflected, 0.02, 0.98)
-        cooler = _LAPSE_K_M * (point[:, 2] + np.float32(self.scene.altitude_m - self.weather.altitude_m))
+        above_m = point[:, 2] + np.float32(self.scene.altitude_m - self.weather.altitude_m)
+        cooler = np.float32(-humidity.LAPSE_K_M) * above_m
         _evaluate(state)
         dr.eval(absorptance)
         upload = lambda values: (mi.Float(np.ascontiguousarray(axis)) for axis in values.T)  # noqa: E731
-        normal = dr.gather(mi.Vector3f, mi.Vector3f(*upload(normal)), mi.UInt32(face))
+        normal = dr.gather(mi.Vector3f, mi.Vector3f(*upload(self.normal)), mi.UInt32(face))
         return _Columns(
             mi.Point3f(*upload(point)), normal, mi.UInt32(face), ground, absorptance, row(self.columns.wind_factor),
             row(self.columns.indoors) > 0.5, mi.Float(cooler),
         ), state  # fmt: skip
 
-    def _marched(self, texels, reflects, tell):
+    def _marched(self, texels, tell):
         """Yield the surface temperatures of all faces and of some texels, (C,) float32 [K], at each instant asked for.
 
         Texels of one face and material are one column until four hours before the first instant, where nothing else
@@ -277,9 +285,9 @@ class _March:
             rank = np.empty_like(order)
             rank[order] = np.arange(len(order))
             own = rank[own]
-            columns, state = self._columns(texels[some[order]], reflects)
+            columns, state = self._columns(texels[some[order]])
         else:
-            columns, state = self._columns(texels, reflects)
+            columns, state = self._columns(texels)
         light, self.arrives = None, None
         if not first_s:
             yield np.array(state.surface_k)
@@ -288,7 +296,7 @@ class _March:
                 index = mi.UInt32(np.concatenate([np.arange(self.faces), self.faces + own]).astype(np.uint32))
                 each = lambda values, index=index: values and [dr.gather(mi.Float, v, index) for v in values]  # noqa: E731
                 state = State(*each([state.surface_k]), each(state.layers_k), *each([state.film]), each(state.liquid))
-                columns, _ = self._columns(texels, reflects)
+                columns, _ = self._columns(texels)
                 _evaluate(state)
                 own = None
             if light is None or at >= light.until:
@@ -329,7 +337,7 @@ class _March:
         air = one(found.air_k) + columns.cooler
         # With height the air keeps its relative humidity, and its pressure is that of the standard atmosphere's lapse.
         saturation, below = (exchange.saturation_vapour(_Library, each)[0] for each in (air, one(found.air_k)))
-        thinner = dr.exp(_PRESSURE_EXPONENT * dr.log(air / one(found.air_k)))
+        thinner = dr.exp(humidity.PRESSURE_EXPONENT * dr.log(air / one(found.air_k)))
         return Forcing(
             absorbed=columns.absorptance * sunlight,
             longwave=one(found.longwave_w_m2) * gathered(light.sky) + gathered(light.surroundings),
@@ -390,18 +398,6 @@ class _Light:
     sky: Any
     reflected: Any
     surroundings: Any
-
-
-def _refuse_turned(scene, geometry):
-    """Raise where more of the terrain looks down than up: the sun would shine on its underside."""
-    terrain = geometry.surfaces[: scene.terrain_count]
-    corner = np.concatenate([surface.vertices[surface.faces] for surface in terrain])
-    up = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])[:, 2].sum()
-    if up < 0.0:
-        raise ThermorenderError(
-            f"{scene.where}: most of the terrain's faces look down, and the sun would shine on their undersides; "
-            "reverse the order of their corners, counter-clockwise seen from above"
-        )
 
 
 def _varied(ground, wetness, exchange, inertia):

@@ -189,6 +189,7 @@ def wet(climate):
 
 @case("heat", "metal of emissivity 0.001, calm night")
 def bare_metal():
+    """Where a surface that hardly radiates ends: the balance of its fluxes [K]."""
     return _balanced(air(wind_m_s=0.0), resistance=1e9, emissivity=1e-3)
 
 
