@@ -380,6 +380,39 @@ def test_neutral_exchange_is_that_of_the_logarithmic_profile():
     np.testing.assert_allclose(found - exchange.CALM_W_M2_K, density * 1005.0 * friction * per_kelvin, rtol=1e-6)
 
 
+def test_stable_air_damps_by_its_richardson_number():
+    """Ri = 0.1 halves what turbulence gives in neutral air; what it takes from the air grows with cold without end."""
+    wind, height, air = 2.0, 2.0, 280.0
+    # Ri = g z (T_air − T) / (T̄ U²), solved for the surface.
+    share = 0.1 * wind**2 / (exchange.GRAVITY * height)
+    surface = air * (1.0 - 0.5 * share) / (1.0 + 0.5 * share)
+    logs = np.log(2.0 / 0.01), np.log(2.0 / 0.001)
+    h, neutral = (
+        exchange.convection(np, t, air, wind, 1.2, *logs, height)[0] - exchange.CALM_W_M2_K for t in (surface, air)
+    )
+    assert h / neutral == pytest.approx(0.5, rel=1e-9)
+    colder = np.linspace(air, air - 40.0, 400)
+    taken = exchange.convection(np, colder, air, wind, 1.2, *logs, height)[0] * (air - colder)
+    assert (np.diff(taken) > 0.0).all()
+
+
+def test_stomata_close_in_the_dark_and_in_dry_air():
+    """The light law's 0.81/0.05 in the dark and 1 in full sun (IFS, eq. 8.11); Leuning's (1 + D/D₀), D₀ 1500 Pa."""
+    assert exchange.stomata(np, 60.0, 0.0, 1000.0) / 60.0 == pytest.approx(16.2)
+    assert exchange.stomata(np, 60.0, 1000.0, 1000.0) / 60.0 == pytest.approx(0.81 * 5.0 / 4.05)
+    dry = exchange.stomata(np, 60.0, 1000.0, 4000.0) / exchange.stomata(np, 60.0, 1000.0, 1000.0)
+    assert dry == pytest.approx((1500.0 + 4000.0) / (1500.0 + 1000.0))
+
+
+def test_wind_over_another_land_is_that_of_two_logarithmic_profiles():
+    """5 m/s at 10 m over grass of 0.03 m: both profiles meet at 60 m, where neither knows what lies beneath."""
+    friction = [0.4 * 5.0 / np.log(10.0 / 0.03), None]
+    aloft = friction[0] / 0.4 * np.log(60.0 / 0.03)
+    friction[1] = 0.4 * aloft / np.log(60.0 / 0.5)
+    assert 5.0 * exchange.wind_factor(20.0, 0.5, 10.0, 0.03) == pytest.approx(friction[1] / 0.4 * np.log(20.0 / 0.5))
+    assert exchange.wind_factor(10.0, 0.03, 10.0, 0.03) == pytest.approx(1.0)
+
+
 def test_free_convection_does_not_know_the_wind():
     """Far into the unstable the law's limit is ρ c √(g z₀ ΔT/T)/5, whatever wind, height and roughness for heat."""
     kelvin = np.array([300.0, 310.0, 330.0])

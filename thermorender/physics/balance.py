@@ -83,7 +83,7 @@ class Forcing(NamedTuple):
     longwave : array
         Long-wave that arrives [W m⁻²].
     sunlight : array
-        On a level plane in the open [W m⁻²], for the stomata.
+        On the surface [W m⁻²], for the stomata; of a level one in the open that of the sky and the sun.
     air_k, vapour_pa, wind_m_s, pressure_pa : array
         Of the air; the wind as it blows over this surface.
     rain_kg_m2_s : array

@@ -55,15 +55,16 @@ def convection(xp, surface_k, air_k, wind_m_s, density, log_wind, log_heat, heig
     log_heat : array
         ln(z/z₀ₕ), height of the air's temperature over the roughness length for heat.
     height_m : array
-        Of both above the displacement plane [m].
+        Above the displacement plane, of the air's temperature, for the Richardson number: that of the wind where they
+        are measured at one height [m].
 
     Notes
     -----
     ρ c κ² U f / (ln(z/z₀) ln(z/z₀ₕ)), Garratt, The Atmospheric Boundary Layer (1992), eq. 3.52, and a part for calm
     air. Unstable: f of the bulk Richardson number by Louis, Tiedtke & Geleyn, "A short history of the PBL
-    parameterization at ECMWF" (1982), b = c = 5. Stable: ψ of Holtslag & De Bruin, J. Appl. Meteorol. 27 (1988) 689,
-    eq. 12, whose long tail keeps a cold surface coupled to the air, at the z/L that Fairall et al., J. Geophys. Res.
-    101 (1996) 3747, eq. 15ff, give for the Richardson number.
+    parameterization at ECMWF" (1982), b = c = 5. Stable: f = 1 / (1 + 10 Ri), the long tail of Brown et al.,
+    Boundary-Layer Meteorol. 128 (2008) 117, with which the heat that a surface takes from the air never falls as it
+    cools, so that it stays coupled in a calm night and has one temperature only.
     """
     wind = xp.maximum(wind_m_s, _CALMEST_M_S)
     slope = GRAVITY * height_m / (0.5 * (surface_k + air_k) * wind * wind)
@@ -142,7 +143,7 @@ def stomata(xp, resistance, sunlight_w_m2, deficit_pa):
     resistance : array
         In full sun and moist air [s/m].
     sunlight_w_m2 : array
-        On a level plane [W m⁻²].
+        On the leaves [W m⁻²].
     deficit_pa : array
         Saturation deficit of the air [Pa].
 
