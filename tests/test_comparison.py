@@ -8,7 +8,7 @@ import pytest
 import thermorender as tr
 from scenes import write_terrain
 from thermorender.errors import ThermorenderError
-from thermorender.learned.correlation import load_model
+from thermorender.learned.temperature_map import Inputs, load_model
 from thermorender.physics.planck import brightness_temperature
 from thermorender.validate.comparison import ErrorSums, compare
 
@@ -31,7 +31,7 @@ def test_a_scene_the_map_describes_exactly(tmp_path):
     """Where the truth is the map's own apparent temperature on a black, flat ground, its errors vanish."""
     model = load_model("fok-1to1")
     colour = np.full((32, 32, 3), (150, 110, 90), np.uint8)
-    kinetic = brightness_temperature(model.radiance(model.intensity(colour)), *model.band_um)
+    kinetic = brightness_temperature(model.radiance(Inputs(colour)), *model.band_um)
     folder = write_terrain(tmp_path / "s", height=np.zeros((16, 16)), colour=colour, temperature=kinetic)
     text = (folder / "scene.toml").read_text()
     start, end = text.index("[emissivity]"), text.index("[sky]")

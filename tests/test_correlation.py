@@ -7,9 +7,13 @@ import pytest
 
 from thermorender.errors import ThermorenderError
 from thermorender.learned.apply import kinetic_from_map
-from thermorender.learned.correlation import MODELS, load_model
+from thermorender.learned.temperature_map import MODELS, Inputs, load_model
 from thermorender.materials.library import grey, load_library
 from thermorender.physics.planck import band_radiance, brightness_temperature
+
+
+def intensity(model, rgb, texel_m=None):
+    return model.intensity(model.radiance(Inputs(rgb, texel_m)))
 
 
 def picture(height=40, width=30):
@@ -17,35 +21,34 @@ def picture(height=40, width=30):
 
 
 def test_published_coefficients():
-    assert MODELS["fok-1to1"].kernel.ravel().tolist() == [1.750, 0.236, -1.033]
+    assert MODELS["fok-1to1"].predictor.kernel.ravel().tolist() == [1.750, 0.236, -1.033]
     # Equation 9, row by row of the neighbourhood.
-    red, green, blue = np.moveaxis(MODELS["fok-9to1"].kernel, -1, 0)
+    red, green, blue = np.moveaxis(MODELS["fok-9to1"].predictor.kernel, -1, 0)
     assert red.ravel().tolist() == [0.680, -0.089, 0.853, -0.299, -0.973, -0.317, 0.991, -0.071, 1.112]
     assert green.ravel().tolist() == [0.789, -0.157, 0.511, -0.302, -0.872, -0.451, 0.544, -0.235, 0.329]
     assert blue.ravel().tolist() == [-1.314, 0.322, -1.201, 0.671, 1.873, 0.842, -1.380, 0.382, -1.279]
-    np.testing.assert_allclose(MODELS["fok-9to1"].kernel.sum(axis=(0, 1)), [1.887, 0.156, -1.084], atol=1e-12)
+    np.testing.assert_allclose(MODELS["fok-9to1"].predictor.kernel.sum(axis=(0, 1)), [1.887, 0.156, -1.084], atol=1e-12)
 
 
 def test_one_to_one_spans_the_published_range():
     model = load_model("fok-1to1")
     extremes = np.array([[[255, 255, 0], [0, 0, 255]]], dtype=np.uint8)
-    intensity = model.intensity(extremes)[0]
-    np.testing.assert_allclose(intensity, [1.986, -1.033], atol=1e-12)
-    celsius = brightness_temperature(model.radiance(intensity), *model.band_um) - 273.15
+    np.testing.assert_allclose(intensity(model, extremes)[0], [1.986, -1.033], atol=1e-12)
+    celsius = brightness_temperature(model.radiance(Inputs(extremes))[0], *model.band_um) - 273.15
     np.testing.assert_allclose(celsius, [33.0, 2.4], atol=0.05)
 
 
 def test_nine_to_one_is_equation_six():
     rgb = picture()
     model = load_model("fok-9to1")
-    found = model.intensity(rgb)
+    found = intensity(model, rgb)
     image = rgb / 255.0
     expected = np.zeros((38, 28))
     for i in range(38):
         for j in range(28):
             for k in range(3):
                 for m in range(3):
-                    expected[i, j] += model.kernel[k, m] @ image[i + k, j + m]
+                    expected[i, j] += model.predictor.kernel[k, m] @ image[i + k, j + m]
     np.testing.assert_allclose(found[1:-1, 1:-1], expected, atol=1e-12)
     assert found.shape == (40, 30)
 
@@ -53,23 +56,23 @@ def test_nine_to_one_is_equation_six():
 def test_own_ground_sampling_distance_changes_nothing():
     rgb = picture()
     for model in MODELS.values():
-        np.testing.assert_allclose(model.intensity(rgb, model.texel_m), model.intensity(rgb), atol=1e-12)
+        np.testing.assert_allclose(intensity(model, rgb, model.texel_m), intensity(model, rgb), atol=1e-12)
 
 
 def test_neighbourhood_is_laid_out_in_metres():
     model = load_model("fok-9to1")
     rgb = np.repeat(np.repeat(picture(12, 12), 4, axis=0), 4, axis=1)
-    fine = model.intensity(rgb, model.texel_m / 4)
+    fine = intensity(model, rgb, model.texel_m / 4)
     # The middles of the fine picture's blocks see whole blocks only, like the coarse picture's pixels.
     block = fine.reshape(12, 4, 12, 4)[:, 1:3, :, 1:3].mean(axis=(1, 3))
-    coarse = model.intensity(rgb[::4, ::4])
+    coarse = intensity(model, rgb[::4, ::4])
     assert np.corrcoef(block[2:-2, 2:-2].ravel(), coarse[2:-2, 2:-2].ravel())[0, 1] > 0.97
     # Applied texel by texel the same picture gives something else.
-    assert np.abs(model.intensity(rgb)[8:-8, 8:-8] - fine[8:-8, 8:-8]).max() > 0.5
+    assert np.abs(intensity(model, rgb)[8:-8, 8:-8] - fine[8:-8, 8:-8]).max() > 0.5
     for texel_m in (0.02, 0.1, 0.5, 6.0):
         flat = np.full((30, 30, 3), 128, np.uint8)
         np.testing.assert_allclose(
-            model.intensity(flat, texel_m), 128 / 255 * model.kernel.sum(), atol=1e-9
+            intensity(model, flat, texel_m), 128 / 255 * model.predictor.kernel.sum(), atol=1e-9
         )
 
 
@@ -78,19 +81,21 @@ def test_a_tap_sees_its_whole_area():
     stripes = np.zeros((32, 32, 3), np.uint8)
     stripes[:, ::2] = 255
     model = load_model("fok-1to1")
-    averaged = model.intensity(stripes, model.texel_m / 4)[8:-8, 8:-8]
-    assert averaged.std() < 0.2 * model.intensity(stripes)[8:-8, 8:-8].std()
+    averaged = intensity(model, stripes, model.texel_m / 4)[8:-8, 8:-8]
+    assert averaged.std() < 0.2 * intensity(model, stripes)[8:-8, 8:-8].std()
 
 
 def test_intensity_is_linear_in_band_radiance():
     model = load_model("fok-1to1", (10.0, 30.0))
     ends = band_radiance(np.array([283.15, 303.15]), *model.band_um)
-    np.testing.assert_allclose(model.radiance(np.array([0.0, 1.0])), ends)
-    middle = brightness_temperature(model.radiance(0.5), *model.band_um) - 273.15
+    np.testing.assert_allclose(model.intensity(ends), [0.0, 1.0], atol=1e-12)
+    # A grey of 0.5: its intensity is half the sum of the weights.
+    half = model.radiance(Inputs(np.full((1, 1, 3), 128, np.uint8)))
+    np.testing.assert_allclose(half, ends[0] + (ends[1] - ends[0]) * 0.953 * 128 / 255, atol=1e-12)
+    middle = brightness_temperature(ends.mean(), *model.band_um) - 273.15
     assert 20.2 < middle < 20.8
-    assert brightness_temperature(load_model("fok-1to1").radiance(0.5), *model.band_um) - 273.15 - 19.0 == (
-        pytest.approx(0.13, abs=0.01)
-    )
+    published = band_radiance(np.array([287.15, 297.15]), *model.band_um).mean()
+    assert brightness_temperature(published, *model.band_um) - 273.15 - 19.0 == pytest.approx(0.13, abs=0.01)
 
 
 def test_kinetic_temperatures_and_their_flags():
@@ -99,8 +104,8 @@ def test_kinetic_temperatures_and_their_flags():
     materials = (library["grass_green"], library["brass"], grey("dark", 1.0))
     rgb = np.full((3, 4, 3), 120, np.uint8)
     material = np.repeat(np.arange(3, dtype=np.uint8)[:, None], 4, axis=1)
-    temperature, trusted, outside = kinetic_from_map(model, rgb, material, materials, 0.157)
-    apparent = brightness_temperature(model.radiance(model.intensity(rgb)), *model.band_um)
+    temperature, trusted, outside = kinetic_from_map(model, Inputs(rgb, 0.157), material, materials)
+    apparent = brightness_temperature(model.radiance(Inputs(rgb)), *model.band_um)
     assert trusted[0].all() and not trusted[1].any() and trusted[2].all()
     assert (temperature[1] == library["brass"].temperature).all()
     np.testing.assert_allclose(temperature[2], apparent[2], atol=1e-3)
@@ -109,9 +114,9 @@ def test_kinetic_temperatures_and_their_flags():
     assert outside == 0.0
     blue = np.zeros((3, 4, 3), np.uint8)
     blue[..., 2] = 255
-    assert kinetic_from_map(model, blue, material, materials, 0.157)[2] == 1.0
+    assert kinetic_from_map(model, Inputs(blue, 0.157), material, materials)[2] == 1.0
     yellow = 255 - blue
-    assert kinetic_from_map(model, yellow, material, materials, 0.157)[2] == 1.0
+    assert kinetic_from_map(model, Inputs(yellow, 0.157), material, materials)[2] == 1.0
 
 
 def test_what_is_not_trusted_gets_its_materials_temperature():
@@ -120,7 +125,7 @@ def test_what_is_not_trusted_gets_its_materials_temperature():
     # 9 °C and 33 °C apparent; under a sky of 255 K the dull surface is then at about 25 °C and 70 °C.
     rgb = np.array([[[0, 0, 124], [255, 255, 0]]] * 2, np.uint8)
     material = np.array([[0, 0], [1, 1]], np.uint8)
-    temperature, trusted, _ = kinetic_from_map(model, rgb, material, (shiny, dull), model.texel_m)
+    temperature, trusted, _ = kinetic_from_map(model, Inputs(rgb, model.texel_m), material, (shiny, dull))
     assert trusted.tolist() == [[False, False], [True, False]]
     assert temperature[~trusted].tolist() == [311.0, 311.0, 312.0]
     assert 290.0 < temperature[1, 0] < 305.0
@@ -128,8 +133,9 @@ def test_what_is_not_trusted_gets_its_materials_temperature():
 
 def test_neighbourhood_in_metres_reaches_the_temperatures():
     model, rgb, black = load_model("fok-9to1"), picture(12, 12), grey("black", 1.0)
-    temperature, trusted, _ = kinetic_from_map(model, rgb, np.zeros((12, 12), np.uint8), (black,), model.texel_m / 4)
-    expected = brightness_temperature(model.radiance(model.intensity(rgb, model.texel_m / 4)), *model.band_um)
+    material = np.zeros((12, 12), np.uint8)
+    temperature, trusted, _ = kinetic_from_map(model, Inputs(rgb, model.texel_m / 4), material, (black,))
+    expected = brightness_temperature(model.radiance(Inputs(rgb, model.texel_m / 4)), *model.band_um)
     np.testing.assert_allclose(temperature[trusted], expected[trusted], atol=1e-3)
     assert trusted.mean() > 0.5
 

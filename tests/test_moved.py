@@ -10,7 +10,7 @@ import pytest
 import thermorender as tr
 from scenes import write_raster, write_terrain
 from thermorender.errors import ThermorenderError
-from thermorender.learned import correlation
+from thermorender.learned import temperature_map
 from thermorender.materials.library import load_library
 from thermorender.materials.mixture import mix
 from thermorender.materials.shifted import PROPERTIES, shifted
@@ -241,8 +241,8 @@ def test_frames_flags_and_records_tell(scene, tmp_path, call):
 
 def test_a_learned_map_that_says_when_it_was_trained(tmp_path, monkeypatch):
     told = {"time": "2018-07-15T12:36Z", **DAY}
-    known = replace(correlation.MODELS["fok-1to1"], name="mine", trained=told, error_k=1.5)
-    monkeypatch.setitem(correlation.MODELS, "mine", known)
+    known = replace(temperature_map.MODELS["fok-1to1"], name="mine", trained=told, error_k=1.5)
+    monkeypatch.setitem(temperature_map.MODELS, "mine", known)
     folder = written(tmp_path / "tiny", extra=TABLES.partition("[weather]")[1] + TABLES.partition("[weather]")[2])
     text = (folder / "scene.toml").read_text()
     text = text.replace('source = "raster"\nraster = "temperature.tif"', 'source = "learned"\nmodel = "mine"', 1)
@@ -254,7 +254,7 @@ def test_a_learned_map_that_says_when_it_was_trained(tmp_path, monkeypatch):
     # The scene's word goes before the map's.
     other = replace(own, trained=WeatherSpec(time=TRAINED + HOUR, **DAY), map_error_k=0.5)
     assert trained(other).time == TRAINED + HOUR and map_error_k(other) == 0.5
-    monkeypatch.setitem(correlation.MODELS, "mine", replace(known, trained=told | {"wind": 3.0}))
+    monkeypatch.setitem(temperature_map.MODELS, "mine", replace(known, trained=told | {"wind": 3.0}))
     with pytest.raises(ThermorenderError, match="learned map 'mine': unknown key 'wind' in trained; did you mean"):
         tr.load_scene(folder)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from thermorender import defaults
-from thermorender.learned.correlation import MODELS
+from thermorender.learned.temperature_map import MODELS
 from thermorender.paths import data_folder
 from thermorender.sensor.camera import load_camera
 from thermorender.synthetic.worlds import KINDS
@@ -55,7 +55,7 @@ def writers(value):
         (defaults.CAMERA, {"defaults.py"}),
         # Where they are made, and where they are named.
         *((name, {"defaults.py", "synthetic/worlds.py"}) for name in defaults.SCENES),
-        *((name, {"defaults.py", "learned/correlation.py"}) for name in defaults.TEMPERATURE_MAPS),
+        *((name, {"defaults.py", "learned/temperature_map.py"}) for name in defaults.TEMPERATURE_MAPS),
         (0.04045, {"physics/srgb.py"}),
         (0.0031308, {"physics/srgb.py"}),
     ],

@@ -8,7 +8,7 @@ import pytest
 
 import thermorender as tr
 from scenes import write_terrain
-from thermorender.learned.correlation import MODELS
+from thermorender.learned.temperature_map import Inputs, load_model
 from thermorender.materials.library import load_library
 
 PAGE = (Path(__file__).resolve().parents[1] / "docs" / "architecture.md").read_text(encoding="utf-8")
@@ -50,12 +50,10 @@ def test_a_camera_is_added(run):
 
 
 def test_a_learned_map_is_added(run):
-    try:
-        found = run("learned map")
-    finally:
-        mine = MODELS.pop("green-is-cool")
+    found = run("learned map")
+    mine = load_model(found["scene_folder"] / "green.npz")
     # The map is applied texel by texel; a grey scene's intensity is the kernel's sum times its brightness.
-    grey = np.full((4, 4, 3), 128, np.uint8)
+    grey = mine.radiance(Inputs(np.full((4, 4, 3), 128, np.uint8)))
     np.testing.assert_allclose(mine.intensity(grey), 0.5 * 128 / 255, atol=1e-12)
     share = found["scene"].report["green-is-cool"]["share_fallback"]
     assert 0.0 <= share < 0.5

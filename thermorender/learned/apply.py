@@ -13,7 +13,7 @@ LOWEST_EMISSIVITY = 0.5
 BELIEVED_MARGIN = 2.0
 
 
-def kinetic_from_map(model, rgb, material, materials, texel_m):
+def kinetic_from_map(model, inputs, material, materials):
     """Return (temperature (h, w) float64 [K], trusted (h, w) bool, share of intensities outside 0…1).
 
     The map gives *apparent* temperature under the sky it was trained under; the reflection of that sky is taken
@@ -22,22 +22,20 @@ def kinetic_from_map(model, rgb, material, materials, texel_m):
 
     Parameters
     ----------
-    model : Correlation
-    rgb : (h, w, 3) uint8
+    model : TemperatureMap
+    inputs : Inputs
     material : (h, w) uint8
         Index into `materials`.
     materials : sequence of Material
-    texel_m : float
-        Side of a texel [m].
     """
-    intensity = model.intensity(rgb, texel_m)
-    apparent = model.radiance(intensity)
-    temperature = np.empty(intensity.shape)
+    apparent = model.radiance(inputs)
+    intensity = model.intensity(apparent)
+    temperature = np.empty(apparent.shape)
     low, high = model.range_k
     margin = BELIEVED_MARGIN * (high - low)
     believed = (max(low - margin, 100.0), high + margin)
     middle = 0.5 * (low + high)
-    trusted = np.zeros(intensity.shape, dtype=bool)
+    trusted = np.zeros(apparent.shape, dtype=bool)
     for index in np.unique(material):
         here = material == index
         own = materials[index]

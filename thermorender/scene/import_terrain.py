@@ -57,7 +57,7 @@ def import_terrain(elevation, orthophoto, folder, max_vertices=DEFAULT_VERTICES,
     ThermorenderError
         A missing or unreadable file, no CRS, no overlap, nothing valid, or a folder in use; nothing is written.
     """
-    from thermorender.learned.correlation import load_model
+    from thermorender.learned.temperature_map import load_model
     from thermorender.materials.library import find, load_library
 
     load_model(model)

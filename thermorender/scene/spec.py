@@ -73,11 +73,13 @@ def camera_model(value, where):
 
 
 def temperature_map(value, where):
-    """Read the name of a learned map of temperatures."""
-    from thermorender.learned.correlation import load_model
+    """Read the name of a shipped learned map of temperatures, or a file of one."""
+    from thermorender.learned.temperature_map import load_model
 
+    name = str(file_inside(value, where)) if text(value, where).endswith(".npz") else value
     try:
-        return load_model(text(value, where)).name
+        load_model(name)
+        return name
     except ThermorenderError as error:
         raise ThermorenderError(f"{where}: {error}") from None
 

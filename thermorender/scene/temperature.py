@@ -64,7 +64,7 @@ def trained(spec):
     """
     if spec.trained or spec.source != "learned":
         return spec.trained
-    from thermorender.learned.correlation import load_model
+    from thermorender.learned.temperature_map import load_model
 
     told = load_model(spec.model).trained
     return told and read(WeatherSpec, told, Where(f"learned map {spec.model!r}", top="trained"))
@@ -74,7 +74,7 @@ def map_error_k(spec):
     """Return one standard deviation of a map's own error [K]: the source's, the map's, or `ASSUMED_ERROR_K`."""
     error = spec.map_error_k
     if error is None and spec.source == "learned":
-        from thermorender.learned.correlation import load_model
+        from thermorender.learned.temperature_map import load_model
 
         error = load_model(spec.model).error_k
     return ASSUMED_ERROR_K if error is None else error
@@ -131,15 +131,14 @@ def _material(spec, texels):
 
 def _learned(spec, texels):
     from thermorender.learned.apply import kinetic_from_map
-    from thermorender.learned.correlation import load_model
+    from thermorender.learned.temperature_map import Inputs, load_model
 
     if spec.range_c:
         scene_kelvin("range_c [K]", ZERO_CELSIUS_K + np.array(spec.range_c))
     model = load_model(spec.model, spec.range_c)
-    values, trusted, outside = kinetic_from_map(
-        model, texels.colour, texels.material, texels.materials, texels.texel_m
-    )
-    texels.report[spec.model] = {
+    inputs = Inputs(texels.colour, texels.texel_m)
+    values, trusted, outside = kinetic_from_map(model, inputs, texels.material, texels.materials)
+    texels.report[model.name] = {
         "share_outside_0_1": outside,
         "share_fallback": float(1.0 - trusted.mean()),
         "texel_m": texels.texel_m,

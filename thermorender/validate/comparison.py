@@ -14,7 +14,7 @@ import numpy as np
 from thermorender import defaults, files
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
-from thermorender.learned.correlation import load_model
+from thermorender.learned.temperature_map import Inputs, load_model
 from thermorender.output.record import weather_of
 from thermorender.render.renderer import Renderer
 from thermorender.scene.spec import TemperatureSpec
@@ -130,7 +130,7 @@ def compare(scene, trajectory, folder, models, rate_hz=1.0, range_c=None, progre
                 seen = method.renderer.frame(pose, time_s, index).apparent_temperature
             else:
                 model = method.model
-                seen = apparent_temperature(model.radiance(model.intensity(visible)), model.band_um)
+                seen = apparent_temperature(model.radiance(Inputs(visible)), model.band_um)
             error = np.where(known, seen - frame.apparent_temperature, np.nan)
             method.errors.add(error[known])
             pictures[method.name] = seen, error

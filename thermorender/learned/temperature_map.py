@@ -1,0 +1,267 @@
+"""A learned map from a photograph to apparent temperature: what every method shares, and its file.
+
+A method is a *predictor*: from what is known of each pixel it gives an intensity, linear in band radiance, 0 and 1
+standing for two temperatures; or, where it is told the air's temperature, kelvin above that. Around it the map says for
+which band, camera, ground sampling distance, sky, hour and weather it was trained, and from what.
+
+A map is one file: arrays and a JSON text in NumPy's .npz, nothing that runs.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from thermorender import files
+from thermorender.defaults import BAND_UM, CAMERA
+from thermorender.errors import ThermorenderError
+from thermorender.learned import correlation
+from thermorender.physics.planck import band_radiance
+from thermorender.schema import did_you_mean
+from thermorender.units import ZERO_CELSIUS_K
+
+FORMAT = 1
+# An image may be so many times finer or coarser than what the map was trained at, at each end of its range, without a
+# warning.
+TEXEL_MARGIN = 1.25
+# Kinds of predictors: {name in the file: (module, class)}; a module is imported when a map of it is read.
+PREDICTORS = {
+    "correlation": ("thermorender.learned.correlation", "Correlation"),
+    "palette": ("thermorender.learned.palette", "Palette"),
+    "trees": ("thermorender.learned.trees", "Trees"),
+    "linear": ("thermorender.learned.linear", "Linear"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Inputs:
+    """What a map may know of a picture.
+
+    Attributes
+    ----------
+    rgb : (h, w, 3) uint8
+        sRGB.
+    texel_m : float or None
+        Ground sampling distance [m]; None takes the picture for one of the map's own.
+    terrain : dict of str to (h, w) float32
+        What a terrain knows per pixel and a photograph does not, as by `thermorender.render.relief`; NaN where there
+        is no terrain.
+    conditions : dict of str to float
+        Hour and weather in numbers, as by `thermorender.scene.conditions`.
+    """
+
+    rgb: np.ndarray
+    texel_m: float | None = None
+    terrain: Mapping[str, np.ndarray] = field(default_factory=dict)
+    conditions: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class TemperatureMap:
+    """A trained map from a photograph to apparent temperature.
+
+    Attributes
+    ----------
+    name : str
+    method : str
+        Of `thermorender train`.
+    predictor : object
+        With `predict(inputs, texel_m)`, (h, w) float64; `needs`, the names of Inputs' fields without which it cannot
+        work; `above_air`, whether it gives kelvin above the air instead of intensity; `header()` and `arrays()`, what
+        its class's `of(header, arrays)` makes it from.
+    range_k : (2,) tuple of float
+        Temperatures of intensity 0 and 1 [K].
+    band_um : (2,) tuple of float
+        Of the camera it was trained with [µm].
+    texel_m : float
+        Ground sampling distance it is applied at [m].
+    texel_range_m : (2,) tuple of float
+        Finest and coarsest it was trained at [m].
+    camera : str
+    sky_temperature : float
+        Isotropic sky its thermal pictures were taken under, a mean where they were several [K].
+    source : str
+    trained : dict or None
+        When and in what weather its pictures were taken, where that was one: keys and values of a scene's [weather], a
+        named day's. None otherwise: it cannot be moved to another hour unless the scene says it.
+    error_k : float or None
+        One standard deviation of its own error [K]; None: unknown.
+    about : dict
+        Data set, split with its audit, conditions, settings, versions.
+    """
+
+    name: str
+    method: str
+    predictor: Any
+    range_k: tuple
+    band_um: tuple
+    texel_m: float
+    texel_range_m: tuple
+    camera: str
+    sky_temperature: float
+    source: str
+    trained: dict | None = None
+    error_k: float | None = None
+    about: dict = field(default_factory=dict)
+
+    @property
+    def needs(self):
+        """Names of the fields of Inputs, besides rgb, without which this map cannot work."""
+        return self.predictor.needs
+
+    def radiance(self, inputs):
+        """Return apparent band radiance, (h, w) float64 [W m⁻² sr⁻¹]; never clipped, so where it is negative no
+        temperature exists.
+
+        Parameters
+        ----------
+        inputs : Inputs
+            An image at another ground sampling distance is brought to the map's, and the result back.
+
+        Raises
+        ------
+        ThermorenderError
+            Something that the map needs is missing.
+        """
+        for name in self.needs:
+            if not getattr(inputs, name):
+                raise ThermorenderError(
+                    f"learned map {self.name!r} needs {_WORDS[name]}, which a picture alone does not have; give it "
+                    "with a scene that has [weather], or take a map that sees colour only"
+                )
+        found = self.predictor.predict(inputs, self.texel_m)
+        if self.predictor.above_air:
+            return band_radiance(np.maximum(found + inputs.conditions["air_k"], 1.0), *self.band_um)
+        cold, warm = band_radiance(np.array(self.range_k), *self.band_um)
+        return cold + found * (warm - cold)
+
+    def intensity(self, radiance):
+        """Return intensities of band radiances [W m⁻² sr⁻¹]: 0 and 1 at the ends of the map's range."""
+        cold, warm = band_radiance(np.array(self.range_k), *self.band_um)
+        return (radiance - cold) / (warm - cold)
+
+    def texel_warning(self, texel_m):
+        """Return a sentence where a ground sampling distance [m] lies outside the range trained on, else None."""
+        low, high = self.texel_range_m
+        if texel_m is None or low / TEXEL_MARGIN <= texel_m <= high * TEXEL_MARGIN:
+            return None
+        return (
+            f"learned map {self.name!r} was trained at {low:.3g}–{high:.3g} m a pixel and meets {texel_m:.3g} m: its "
+            "texture is another there"
+        )
+
+    def ranged(self, range_c):
+        """Return this map with other temperatures for intensity 0 and 1 (coldest, warmest) [°C].
+
+        Raises
+        ------
+        ThermorenderError
+            The first is not below the second, or the map gives temperatures of its own.
+        """
+        low, high = (float(limit) for limit in range_c)
+        if not -ZERO_CELSIUS_K < low < high:
+            raise ThermorenderError(
+                f"range_c=({low:g}, {high:g}) is not a range; give coldest and warmest in °C, coldest first"
+            )
+        if self.predictor.above_air:
+            raise ThermorenderError(f"range_c=({low:g}, {high:g}) does not belong to learned map {self.name!r}, which "
+                                    "gives kelvin above the air; leave it out")  # fmt: skip
+        return replace(self, range_k=(low + ZERO_CELSIUS_K, high + ZERO_CELSIUS_K))
+
+    def __str__(self):
+        low, high = (limit - ZERO_CELSIUS_K for limit in self.range_k)
+        trained = "–".join(f"{limit:.3g}" for limit in self.texel_range_m)
+        lines = [
+            f"{self.name}: {self.method} → apparent temperature, {self.band_um[0]:g}–{self.band_um[1]:g} µm",
+            f"  range         {low:.1f}…{high:.1f} °C for intensity 0…1",
+            f"  texel         {self.texel_m:.3g} m, trained at {trained}",
+            f"  needs         {', '.join(_WORDS[name] for name in self.needs) or 'colour only'}",
+            f"  source        {self.source}",
+        ]
+        return "\n".join(lines)
+
+
+_WORDS = {"terrain": "the terrain's relief", "conditions": "hour and weather"}
+_PLAIN = ("name", "method", "range_k", "band_um", "texel_m", "texel_range_m", "camera", "sky_temperature", "source",
+          "trained", "error_k", "about")  # fmt: skip
+
+
+def save_map(model, path):
+    """Write a TemperatureMap as one file, .npz."""
+    predictor = model.predictor
+    kind = next(kind for kind, (_, name) in PREDICTORS.items() if type(predictor).__name__ == name)
+    header = {"format": FORMAT, "predictor": kind, **{name: getattr(model, name) for name in _PLAIN}}
+    header["of_predictor"] = predictor.header()
+    with files.atomic(path) as part:
+        np.savez_compressed(part, header=np.array(json.dumps(header)), **predictor.arrays())
+
+
+def load_map(path):
+    """Return the TemperatureMap of a file.
+
+    Raises
+    ------
+    ThermorenderError
+        No file, or one that is no map of this format.
+    """
+    import importlib
+    import zipfile
+
+    path = Path(path)
+    try:
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as kept:
+            arrays = dict(kept)
+        header = json.loads(str(arrays.pop("header")))
+        if header.pop("format") != FORMAT:
+            raise ValueError("another format")
+        module, name = PREDICTORS[header.pop("predictor")]
+        predictor = getattr(importlib.import_module(module), name).of(header.pop("of_predictor"), arrays)
+        header = {key: tuple(value) if isinstance(value, list) else value for key, value in header.items()}
+        return TemperatureMap(predictor=predictor, **header)
+    except OSError as error:
+        raise ThermorenderError(f"learned map {path} cannot be read: {error.strerror}; give a .npz of a map") from None
+    except (ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile):
+        raise ThermorenderError(
+            f"{path} is no learned map of format {FORMAT}; make one with `thermorender train`"
+        ) from None
+
+
+_FOK = {
+    "range_k": (ZERO_CELSIUS_K + 14.0, ZERO_CELSIUS_K + 24.0),
+    "band_um": BAND_UM,
+    # 120 m, the campaign's greatest height, times 17 µm over 13 mm.
+    "texel_m": 120.0 * 17e-6 / 13e-3,
+    # "From altitudes up to 120 metres": the lowest is not published, half of it assumed.
+    "texel_range_m": (60.0 * 17e-6 / 13e-3, 120.0 * 17e-6 / 13e-3),
+    "camera": CAMERA,
+    # The publication states no sky; assumed that of a clear mid-latitude summer day in this band.
+    "sky_temperature": 255.0,
+    "source": "Generation of artificial infrared camera images for visual navigation simulation, eq. 9",
+}
+MODELS = {
+    "fok-1to1": TemperatureMap("fok-1to1", "correlation-1to1", correlation.PUBLISHED_1TO1, **_FOK),
+    "fok-9to1": TemperatureMap("fok-9to1", "correlation-9to1", correlation.PUBLISHED_9TO1, **_FOK),
+}
+
+
+def load_model(name, range_c=None):
+    """Return the learned map of this name or file, its temperature range replaced by `range_c` [°C] where given.
+
+    Raises
+    ------
+    ThermorenderError
+        An unknown name, a file that is none, or a range whose first value is not below its second.
+    """
+    if str(name).endswith(".npz"):
+        model = load_map(name)
+    elif name in MODELS:
+        model = MODELS[name]
+    else:
+        hint = did_you_mean(name, MODELS)
+        raise ThermorenderError(
+            f"learned map {name!r} is unknown; {hint}known are {', '.join(MODELS)}, and files ending in .npz"
+        )
+    return model if range_c is None else model.ranged(range_c)
