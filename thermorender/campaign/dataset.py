@@ -17,6 +17,7 @@ import json
 import os
 import re
 import tarfile
+import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -423,14 +424,18 @@ def packed(visible, thermal, valid=None, truth=None):
         found["valid.png"] = png(np.where(valid, 255, 0).astype(np.uint8))
     if truth:
         kept = io.BytesIO()
-        np.savez_compressed(kept, **{name: _rounded(np.asarray(values)) for name, values in truth.items()})
+        # NumPy's own .npz at a third of its writer's time, for some per cent more bytes.
+        with zipfile.ZipFile(kept, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+            for name, values in truth.items():
+                with archive.open(f"{name}.npy", "w") as member:
+                    np.lib.format.write_array(member, _rounded(np.asarray(values)), allow_pickle=False)
         found["truth.npz"] = kept.getvalue()
     return found
 
 
 def _rounded(values):
     """Floats in single precision with the last 7 bits of their mantissa 0, which compress to half; others as they are."""
-    if values.dtype.kind != "f":
+    if values.dtype.kind != "f" or values.itemsize < 4:
         return values
     bits = np.ascontiguousarray(values, np.float32).view(np.uint32)
     finite = np.isfinite(values)

@@ -73,28 +73,30 @@ def true_temperature(loaded, scene, progress=None):
     return solved(true, [loaded.time], progress=progress, hidden=hidden)[0].surfaces[0].temperature
 
 
-def drawn(scene, kind, seed):
+def drawn(scene, kind, seed, again=0):
     """Return (the scene with materials and air inside drawn from their uncertainty, factor on the convection).
+
+    Another `again` is another draw for the same land.
 
     Positive numbers are log-normal with their standard deviation, shares at most 1, all within the limits of a table;
     absorptance of sunlight is normal within 0.02…0.98; zero stays zero. A material that lies beneath another is drawn
     once.
     """
-    beneath = {}
+    beneath, what = {}, f"{kind}{f' {again}' if again else ''}"
 
     def varied(name, thermal):
         if name not in beneath:
             below = varied(thermal.beneath, thermal.below) if thermal.below else None
-            beneath[name] = replace(strayed(thermal, stream(seed, f"truth of {kind}: {name}")), below=below)
+            beneath[name] = replace(strayed(thermal, stream(seed, f"truth of {what}: {name}")), below=below)
         return beneath[name]
 
     materials = []
     for material in scene.materials:
         thermal = varied(material.name, material.known_thermal())
-        normal = stream(seed, f"true absorptance of {kind}: {material.name}").standard_normal()
+        normal = stream(seed, f"true absorptance of {what}: {material.name}").standard_normal()
         absorptance = np.clip(material.solar_absorptance + material.solar_uncertainty * normal, 0.02, 0.98)
         materials.append(replace(material, thermal=thermal, solar_absorptance=float(absorptance)))
-    law = stream(seed, f"truth of {kind}")
+    law = stream(seed, f"truth of {what}")
     exchange = float(np.exp(law.normal(-0.5 * CONVECTION_SPREAD**2, CONVECTION_SPREAD)))
     weather = scene.spec.weather
     weather = replace(weather, inside_c=weather.inside_c + float(law.normal(0.0, INSIDE_SPREAD_K)))

@@ -202,6 +202,16 @@ class Renderer:
         found, _ = Tracer(layers, self._camera_rays(camera), nothing, self.plan).image(_VISIBLE_EDGE)
         return bytes_from_linear(np.moveaxis(found[:3], 0, -1)), found[3] > 0.999
 
+    def texels(self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None) -> NDArray[np.int64]:
+        """Return the number of the terrain's texel that each pixel's middle shows, (H, W) int64; −1 for anything else.
+
+        Texels are counted row by row over the terrain's surfaces.
+        """
+        view = self._view(pose, time_s, objects)
+        valid, number, *_ = truth.pixel_middles(self.baked.device.layers(view.pose, view.placements), view.rays)
+        terrain = int(self._geometry.texel_start[self.scene.terrain_count])
+        return np.where(valid & (number < terrain), number.astype(np.int64), -1)
+
     def rays(self, pose: ArrayLike) -> list[Sequence[Any]]:
         """Return the slopes of all rays that a frame from `pose` casts into the static scene, [(x/z, y/z), …]."""
         view = self._view(pose)

@@ -32,37 +32,8 @@ def truth(baked, rays, pose, placements):
     """
     scene, camera, layers = baked.scene, rays.camera, baked.device.layers(pose, placements)
     warm = [placement.temperature for placement in placements]
-    mi = layers[0].geometry.mi
-    slope = rays.slopes(0.5, 0.5)
-    valid, distance, texel, first = mi.Bool(False), mi.Float(np.inf), mi.UInt32(0), 0
-    by_angle, cosine = directional(scene.materials), mi.Float(0.0)
-    for layer in layers:
-        geometry = layer.geometry
-        ray = view_ray(mi, *layer.view, *slope)
-        hit = geometry.cast(ray, coherent=True)
-        column, row = geometry.map_position(geometry.record(hit.face, hit.valid), ray.o + hit.distance * ray.d)
-        nearer = hit.distance < distance
-        found = first + geometry.nearest(hit.surface, column, row, hit.valid)
-        texel, distance = dr.select(nearer, found, texel), dr.minimum(distance, hit.distance)
-        if by_angle:
-            slant = dr.abs(dr.dot(mi.Vector3f(*geometry.normals.at(hit.face, hit.valid)), ray.d))
-            cosine = dr.select(nearer, slant, cosine)
-        valid |= nearer
-        first += int(geometry.texel_start[-1])
-    ray = view_ray(mi, *layers[0].view, *slope)
-    position = ray.o + distance * ray.d
-    # The direction is unit length, so depth along the axis is the distance over the slope's length.
-    depth = distance / dr.sqrt(1.0 + slope[0] * slope[0] + slope[1] * slope[1])
-    found = [mi.UInt32(valid), texel, mi.UInt32(ray.d.z >= 0.0), cosine, depth, *position]
-    # One evaluation for all: each by itself would cast the rays again.
-    dr.eval(found)
-    images = []
-    for values in found:
-        flat = np.empty(camera.height * camera.width, np.array(values).dtype)
-        flat[rays.order] = np.array(values)
-        images.append(flat.reshape(camera.height, camera.width))
-    valid, number, up, cosine, depth, *position = images
-    valid, up = valid > 0, up > 0
+    by_angle = directional(scene.materials)
+    valid, number, up, cosine, depth, position = pixel_middles(layers, rays, bool(by_angle))
     dynamic = [surface for tracked in scene.tracked_objects for surface in tracked.surfaces]
     flags, material = (
         np.concatenate([getattr(surface, which).ravel() for surface in (*scene.surfaces, *dynamic)])[number]
@@ -89,6 +60,63 @@ def truth(baked, rays, pose, placements):
         "position": np.where(valid[..., None], np.stack(position, axis=-1), np.nan).astype(np.float32),
         "mask": np.where(valid, flags, np.where(up, 0, BACKGROUND)).astype(np.uint8),
     }
+
+
+def pixel_middles(layers, rays, by_angle=False):
+    """Return what the middles of pixels show, as images (H, W): valid, texel, up, cosine, depth, position.
+
+    Parameters
+    ----------
+    layers : sequence of Layer
+        Of a view: the static scene's and those of dynamic objects.
+    rays : CameraRays
+    by_angle : bool
+        Whether the cosine between normal and view is asked for.
+
+    Returns
+    -------
+    valid : bool
+        Whether something is hit.
+    texel : uint32
+        Its number over all surfaces of the layers.
+    up : bool
+        Whether the ray does not point below the horizon.
+    cosine, depth : float32
+        Of the angle at the surface; along the optical axis [m], infinity where nothing is hit.
+    position : list of three float32
+        In the local frame [m].
+    """
+    mi = layers[0].geometry.mi
+    slope = rays.slopes(0.5, 0.5)
+    valid, distance, texel, first = mi.Bool(False), mi.Float(np.inf), mi.UInt32(0), 0
+    cosine = mi.Float(0.0)
+    for layer in layers:
+        geometry = layer.geometry
+        ray = view_ray(mi, *layer.view, *slope)
+        hit = geometry.cast(ray, coherent=True)
+        column, row = geometry.map_position(geometry.record(hit.face, hit.valid), ray.o + hit.distance * ray.d)
+        nearer = hit.distance < distance
+        found = first + geometry.nearest(hit.surface, column, row, hit.valid)
+        texel, distance = dr.select(nearer, found, texel), dr.minimum(distance, hit.distance)
+        if by_angle:
+            slant = dr.abs(dr.dot(mi.Vector3f(*geometry.normals.at(hit.face, hit.valid)), ray.d))
+            cosine = dr.select(nearer, slant, cosine)
+        valid |= nearer
+        first += int(geometry.texel_start[-1])
+    ray = view_ray(mi, *layers[0].view, *slope)
+    position = ray.o + distance * ray.d
+    # The direction is unit length, so depth along the axis is the distance over the slope's length.
+    depth = distance / dr.sqrt(1.0 + slope[0] * slope[0] + slope[1] * slope[1])
+    found = [mi.UInt32(valid), texel, mi.UInt32(ray.d.z >= 0.0), cosine, depth, *position]
+    # One evaluation for all: each by itself would cast the rays again.
+    dr.eval(found)
+    images = []
+    for values in found:
+        flat = np.empty(rays.camera.height * rays.camera.width, np.array(values).dtype)
+        flat[rays.order] = np.array(values)
+        images.append(flat.reshape(rays.camera.height, rays.camera.width))
+    valid, number, up, cosine, depth, *position = images
+    return valid > 0, number, up > 0, cosine, depth, position
 
 
 def targets(baked, camera, pose, placements):

@@ -26,8 +26,11 @@ _SEEN = 0.6
 _STRENGTH = 0.25
 
 
-def hidden_fields(canvas):
+def hidden_fields(canvas, again=0):
     """Tint the canvas with what is seen of moisture, and return its Hidden.
+
+    With `again` above 0 the Hidden is another draw that the same photograph allows: what is seen of moisture stays,
+    the rest is drawn anew.
 
     Notes
     -----
@@ -45,7 +48,14 @@ def hidden_fields(canvas):
     rough = rougher * c.grain("roughness", max(1.2, 3.0 * c.texel))
 
     soil, grass = c.among(_SOILS), c.among(_GRASSES)
-    seen = np.float32(_SEEN) * moisture + np.float32(np.sqrt(1.0 - _SEEN**2)) * unseen
+    rest = np.float32(np.sqrt(1.0 - _SEEN**2))
+    seen = np.float32(_SEEN) * moisture + rest * unseen
+    if again:
+        # Given what is seen, moisture has this mean and the variance that the rest explains.
+        moisture = np.float32(_SEEN) * seen + rest * wetter * c.fractal(f"moisture {again}", 48.0, 4, 0.6)
+        denser, rougher = np.exp(c.stream(f"hidden {again}").normal(0.0, _STRENGTH, 2)).astype(np.float32)
+        cover = denser * c.fractal(f"cover {again}", 9.0, 3, 0.6)
+        rough = rougher * c.grain(f"roughness {again}", max(1.2, 3.0 * c.texel))
     for mask, tint in ((soil, _SOIL), (grass, _GRASS)):
         c.albedo[mask] *= np.exp(seen[mask][:, None] * tint)
 

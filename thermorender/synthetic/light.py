@@ -152,3 +152,25 @@ def photograph(albedo, visible, cosine, view, elevation_deg, seed, blur_texels=0
         value = 255.0 * srgb.encoded(value) + np.float32(noise) * grain
         picture[..., channel] = np.clip(value + 0.5, 0, 255).astype(np.uint8)
     return picture
+
+
+def sky_colour(sine, cloud=0.0):
+    """Return the linear sRGB colour of the day's sky, (..., 3) float32.
+
+    Parameters
+    ----------
+    sine : (...) array
+        Of the elevation above the horizon, 0…1.
+    cloud : float
+        Share of the sky under clouds, 0…1, spread evenly: no single clouds are drawn.
+
+    Notes
+    -----
+    Blue overhead and white towards the horizon, where the path through the air is long; grey under clouds, whose
+    zenith is three times as bright as their horizon (Moon & Spencer, 1942, the CIE's overcast sky). Colours chosen.
+    """
+    high = np.clip(np.asarray(sine, np.float32), 0.0, 1.0)[..., None]
+    zenith, horizon = linear(92, 138, 200), linear(206, 219, 232)
+    clear = zenith + (horizon - zenith) * np.exp(-4.0 * high)
+    overcast = linear(214, 216, 220) * (1.0 + 2.0 * high) / 3.0
+    return ((1.0 - cloud) * clear + cloud * overcast).astype(np.float32)

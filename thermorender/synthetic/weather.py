@@ -3,9 +3,10 @@
 import numpy as np
 
 from thermorender import defaults
+from thermorender.atmosphere.declared import declared_air
 from thermorender.physics import sun
 from thermorender.physics.humidity import LAPSE_K_M
-from thermorender.scene.spec import WeatherSpec
+from thermorender.scene.spec import AtmosphereSpec, WeatherSpec
 from thermorender.synthetic.noise import stream
 from thermorender.weather.declared import declared_weather
 
@@ -74,6 +75,23 @@ def conditions(weather, latitude_deg, altitude_m):
     return declared_weather(weather, latitude_deg, LONGITUDE_DEG, altitude_m).at(weather.time)
 
 
+def atmosphere(weather, found, altitude_m):
+    """Return the AtmosphereSpec of a synthetic scene's air: arguments as of `sky_temperature`.
+
+    The US Standard Atmosphere, moved to the air's temperature and vapour at the ground, with clouds whose base lies
+    1500 m above it.
+    """
+    usual = _STANDARD_K - LAPSE_K_M * altitude_m
+    usual_pa = _STANDARD_VAPOUR_PA * np.exp(-altitude_m / _VAPOUR_SCALE_M)
+    return AtmosphereSpec(
+        standard="us-1976",
+        temperature_offset_k=float(np.clip(found.air_k - usual, -40.0, 40.0)),
+        humidity_factor=float(np.clip(found.vapour_pa / usual_pa, 0.0, 5.0)),
+        cloud_fraction=weather.cloud,
+        cloud_base_m=altitude_m + _CLOUD_BASE_M,
+    )
+
+
 def sky_temperature(weather, found, altitude_m):
     """Return the temperature [K] of the blackbody that shines as the sky does in the shipped camera's band.
 
@@ -86,20 +104,10 @@ def sky_temperature(weather, found, altitude_m):
 
     Notes
     -----
-    The US Standard Atmosphere, moved to the air's temperature and vapour at the ground, with clouds whose base lies
-    1500 m above it; flux-weighted mean over the hemisphere. The heat balance knows the sky by its broadband long-wave,
+    Flux-weighted mean over the hemisphere under the air of `atmosphere`. The heat balance knows the sky by its broadband long-wave,
     20 K warmer under a clear sky than that of the band, which lies in the air's window.
     """
-    from thermorender.atmosphere.model import Atmosphere
-
-    usual = _STANDARD_K - LAPSE_K_M * altitude_m
-    usual_pa = _STANDARD_VAPOUR_PA * np.exp(-altitude_m / _VAPOUR_SCALE_M)
-    air = Atmosphere.standard(
-        temperature_offset_k=float(np.clip(found.air_k - usual, -40.0, 40.0)),
-        humidity_factor=float(np.clip(found.vapour_pa / usual_pa, 0.0, 5.0)),
-        cloud_fraction=weather.cloud,
-        cloud_base_m=altitude_m + _CLOUD_BASE_M,
-    ).in_band(*defaults.BAND_UM)
+    air = declared_air(atmosphere(weather, found, altitude_m), defaults.BAND_UM, "synthetic scene")
     cosine, weight = np.polynomial.legendre.leggauss(6)
     cosine = 0.5 * (cosine + 1.0)
     radiance = (weight * cosine) @ air.sky_radiance(np.full(len(cosine), altitude_m), cosine).sum(axis=-1)

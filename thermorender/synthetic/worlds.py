@@ -152,7 +152,7 @@ def weather_of(kind, weather_seed=None, **given):
     return replace(weather, **given)
 
 
-def make(kind, seed=0, size_m=None, texel_m=None, post_m=None, time=None, weather=None):
+def make(kind, seed=0, size_m=None, texel_m=None, post_m=None, time=None, weather=None, again=0):
     """Return a procedural scene; the same arguments give the same scene.
 
     Parameters
@@ -170,6 +170,8 @@ def make(kind, seed=0, size_m=None, texel_m=None, post_m=None, time=None, weathe
         Instant at which it is shown, UTC or with a zone, in place of the weather's.
     weather : WeatherSpec, optional
         A named day; by default the kind's own: a clear one in September, early in the afternoon.
+    again : int
+        Above 0: another draw of the hidden fields for the same photograph.
 
     Notes
     -----
@@ -203,7 +205,7 @@ def make(kind, seed=0, size_m=None, texel_m=None, post_m=None, time=None, weathe
     canvas = Canvas(seed, size, texel)
     objects, flight = known.layout(canvas)
     lay_snow(canvas, weather.snow_depth_m, weather.air_low_c)
-    hidden = hidden_fields(canvas)
+    hidden = hidden_fields(canvas, again)
     sun = sun_of_photograph(weather.time, latitude)
     surface = canvas.surface
     cosine = incidence(normals(surface + canvas.relief, texel, steepest=1.3), *sun)

@@ -23,6 +23,7 @@ from thermorender.physics.balance import STEFAN_BOLTZMANN, Forcing, Ground, Stat
 from thermorender.physics.srgb import linear_from_bytes
 from thermorender.physics.sun import direction
 from thermorender.render.geometry import Geometry
+from thermorender.render.heat.places import sun_cosine, texel_points
 from thermorender.render.light import cache
 from thermorender.render.variant import activate
 from thermorender.scene import columns as open_ground
@@ -232,15 +233,7 @@ class _March:
         """The _Columns of all faces of the terrain, and then of some texels, by their numbers."""
         geometry, mi = self.geometry, self.mi
         face = np.minimum(self.covers[texels], self.faces - 1)
-        spot = np.empty((len(texels), 3), dtype=np.float32)
-        for number, surface in enumerate(self.scene.surfaces[: self.scene.terrain_count]):
-            first, last = geometry.texel_start[number : number + 2]
-            here = slice(*np.searchsorted(texels, [first, last]))
-            rows, columns = surface.material.shape
-            row, column = np.divmod(texels[here] - first, columns)
-            at = np.column_stack([column + 0.5, row + 0.5])
-            spot[here] = _on_faces(surface, face[here] - geometry.face_start[number], at, (columns, rows))
-        point = np.concatenate([self.middle, spot])
+        point = np.concatenate([self.middle, texel_points(geometry, texels, face)])
         face = np.concatenate([np.arange(self.faces, dtype=np.uint32), face.astype(np.uint32)])
         point += np.float32(64.0 * 2.0**-24 * (1.0 + geometry.reach)) * self.normal[face]
         kind = mi.UInt32(self.row[np.concatenate([self.face_material[: self.faces], self.material[texels]])])
@@ -312,15 +305,6 @@ class _March:
         azimuth, elevation = self.weather.sun(instant)
         return direction(float(elevation), float(azimuth))
 
-    def _lit(self, point, normal, towards):
-        """Cosine of the sun's rays at points of the terrain, 0 in shadow."""
-        mi = self.mi
-        sun = mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in towards))
-        cosine = dr.dot(normal, sun)
-        ray = mi.Ray3f(point, dr.select(cosine > 0.0, sun, mi.Vector3f(0.0, 0.0, 1.0)))
-        seen = ~self.geometry.caster.ray_test(ray, coherent=True, active=cosine > 0.0)
-        return dr.select((cosine > 0.0) & seen, cosine, 0.0)
-
     def _forcing(self, at_s, light, columns):
         """The Forcing of columns at an instant [s after the start]."""
         mi = self.mi
@@ -333,7 +317,7 @@ class _March:
         level = found.direct_w_m2 * sine + found.diffuse_w_m2
         sunlight = one(found.diffuse_w_m2) * gathered(light.sky) + one(level) * gathered(light.reflected)
         if towards[2] > 0.0 and found.direct_w_m2 > 0.0:
-            sunlight += one(found.direct_w_m2) * self._lit(columns.point, columns.normal, towards)
+            sunlight += one(found.direct_w_m2) * sun_cosine(self.geometry, columns.point, columns.normal, towards)
         air = one(found.air_k) + columns.cooler
         # With height the air keeps its relative humidity, and its pressure is that of the standard atmosphere's lapse.
         saturation, below = (exchange.saturation_vapour(_Library, each)[0] for each in (air, one(found.air_k)))
@@ -366,7 +350,7 @@ class _March:
         if towards[2] > 0.0 and found.direct_w_m2 > 0.0:
             here = dr.arange(mi.UInt32, self.faces)
             at = dr.gather(mi.Point3f, columns.point, here), dr.gather(mi.Vector3f, columns.normal, here)
-            lit = np.array(self._lit(*at, towards))
+            lit = np.array(sun_cosine(self.geometry, *at, towards))
             own[: self.faces] += np.float32(found.direct_w_m2 / max(level, 1.0)) * lit
         kelvin = self.face_kelvin.copy()
         kelvin[: self.faces] = np.array(surface_k)[: self.faces]
@@ -429,18 +413,3 @@ def _steps(start, asked):
             steps += [(at + k * size, size) for k in range(count)]
             at = end - inner
     return steps
-
-
-def _on_faces(surface, face, at, size):
-    """Points (n, 3) of faces (n,) whose map positions are `at` (n, 2) [texels]."""
-    corner, texel = surface.vertices[surface.faces], surface.uv.astype(np.float64) * size
-    edge, change = corner[:, 1:] - corner[:, :1], texel[:, 1:] - texel[:, :1]
-    area = np.linalg.det(change)
-    flat = np.abs(area) < 1e-12
-    change[flat] = np.eye(2)
-    # Rows of the inverse take a map position to barycentric numbers, and these to the point.
-    to_point = np.einsum("fij,fjk->fik", np.linalg.inv(change), edge)
-    to_point[flat] = 0.0
-    offset = np.where(flat[:, None], corner.mean(axis=1), corner[:, 0])
-    base = np.where(flat[:, None], 0.0, texel[:, 0])
-    return offset[face] + np.einsum("ni,nij->nj", at - base[face], to_point[face])

@@ -1,0 +1,60 @@
+"""Places on a terrain: where its texels lie in space, and how the sun shines there."""
+
+import drjit as dr
+import numpy as np
+
+
+def texel_points(geometry, texels, face):
+    """Return the middles of texels in space, (n, 3) float32 [m].
+
+    Parameters
+    ----------
+    geometry : Geometry
+    texels : (n,) int array
+        Numbers of texels over all surfaces, rising.
+    face : (n,) int array
+        The face that covers each.
+    """
+    spot = np.empty((len(texels), 3), dtype=np.float32)
+    for number, surface in enumerate(geometry.surfaces):
+        first, last = geometry.texel_start[number : number + 2]
+        here = slice(*np.searchsorted(texels, [first, last]))
+        rows, columns = surface.material.shape
+        row, column = np.divmod(texels[here] - first, columns)
+        at = np.column_stack([column + 0.5, row + 0.5])
+        spot[here] = _on_faces(surface, face[here] - geometry.face_start[number], at, (columns, rows))
+    return spot
+
+
+def sun_cosine(geometry, point, normal, towards):
+    """Return the cosine of the sun's rays at points, 0 in shadow, Float.
+
+    Parameters
+    ----------
+    geometry : Geometry
+    point, normal : mi.Point3f, mi.Vector3f
+        Points a little above the surface.
+    towards : (3,) floats
+        Direction to the sun.
+    """
+    mi = geometry.mi
+    sun = mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in towards))
+    cosine = dr.dot(normal, sun)
+    ray = mi.Ray3f(point, dr.select(cosine > 0.0, sun, mi.Vector3f(0.0, 0.0, 1.0)))
+    seen = ~geometry.caster.ray_test(ray, coherent=True, active=cosine > 0.0)
+    return dr.select((cosine > 0.0) & seen, cosine, 0.0)
+
+
+def _on_faces(surface, face, at, size):
+    """Points (n, 3) of faces (n,) whose map positions are `at` (n, 2) [texels]."""
+    corner, texel = surface.vertices[surface.faces], surface.uv.astype(np.float64) * size
+    edge, change = corner[:, 1:] - corner[:, :1], texel[:, 1:] - texel[:, :1]
+    area = np.linalg.det(change)
+    flat = np.abs(area) < 1e-12
+    change[flat] = np.eye(2)
+    # Rows of the inverse take a map position to barycentric numbers, and these to the point.
+    to_point = np.einsum("fij,fjk->fik", np.linalg.inv(change), edge)
+    to_point[flat] = 0.0
+    offset = np.where(flat[:, None], corner.mean(axis=1), corner[:, 0])
+    base = np.where(flat[:, None], 0.0, texel[:, 0])
+    return offset[face] + np.einsum("ni,nij->nj", at - base[face], to_point[face])

@@ -1,0 +1,56 @@
+"""Hour and weather in numbers, for maps that learn from many campaigns.
+
+Beside what a station measures stands what the heat balance makes of it: how much warmer than the air a few typical
+materials are there, lying level in the open and in shade. That brings what the ground remembers of the hours before
+into a few numbers, from tables and the station's weather alone.
+"""
+
+import numpy as np
+
+from thermorender.materials.library import find, load_library
+from thermorender.physics.sun import solar_hour
+from thermorender.scene import columns as open_ground
+from thermorender.units import ZERO_CELSIUS_K
+
+TYPICAL = ("grass_green", "soil_loam", "sand_quartz", "asphalt", "granite", "conifer", "roof_tile_clay", "water", "snow")
+_HOUR, _DAY = np.timedelta64(3600, "s"), np.timedelta64(86400, "s")
+
+
+def conditions(weather, time, inside_c=20.0):
+    """Return {name: float} of an instant (datetime64, UTC) of a Weather.
+
+    Returns
+    -------
+    dict
+        air_k, vapour_pa, wind_m_s, direct_w_m2, diffuse_w_m2, longwave_w_m2, snow_m as at the instant; air_day_k, the
+        air's mean over the day before above what it is now; rain_day_mm; sun_elevation_deg; solar_hour; day, of the
+        year; and for each of `TYPICAL` materials open_NAME and shade_NAME: its temperature above the air's [K], level
+        in the open, or without direct sun for a day.
+    """
+    now = weather.at(time)
+    azimuth, elevation = map(float, weather.sun(time))
+    before = max(time - _DAY, weather.time[0])
+    past = before + (time - before) * np.arange(25) // 24
+    found = {name: float(getattr(now, name)) for name in
+             ("air_k", "vapour_pa", "wind_m_s", "direct_w_m2", "diffuse_w_m2", "longwave_w_m2", "snow_m")}  # fmt: skip
+    found["air_day_k"] = float(weather.at(past).air_k.mean() - now.air_k)
+    found["rain_day_mm"] = float(weather.at(past).rain_mm_h.mean() * ((time - before) / _HOUR))
+    found["sun_elevation_deg"] = elevation
+    found["solar_hour"] = float(solar_hour(time, weather.longitude_deg))
+    found["day"] = float((time.astype("M8[D]") - time.astype("M8[Y]").astype("M8[D]")).astype(int))
+    library = load_library(None)
+    materials = [find(library, name, "typical materials") for name in TYPICAL]
+    made = open_ground.columns(materials, weather, found["snow_m"], open_ground.STATION_ROUGHNESS_M)
+    inside_k = inside_c + ZERO_CELSIUS_K
+    start, _ = open_ground.settled(made, weather, before, inside_k)
+
+    def shaded(instants):
+        return np.multiply.outer(weather.at(instants).diffuse_w_m2, made.absorptance)
+
+    for where, shortwave in (("open", None), ("shade", shaded)):
+        state = start
+        if time > before:
+            state, _ = open_ground.march(made, weather, start, before, time, inside_k, shortwave=shortwave)
+        for name, kelvin in zip(TYPICAL, state.surface_k, strict=True):
+            found[f"{where}_{name}"] = float(kelvin - now.air_k)
+    return found
