@@ -14,7 +14,7 @@ from thermorender.validate.metrics import rms_mk
 from thermorender.versions import versions
 
 TOLERANCES_MK = (2000.0, 200.0, 50.0, 20.0, 5.0)
-FINEST_MK = 0.5
+FINEST_MK = 1.0
 HEADER = ("height [m]", "view", "asked [mK]", "nodes", "channels", "planned [mK]", "error [mK]", "frame [ms]",
           "÷ without air")  # fmt: skip
 
