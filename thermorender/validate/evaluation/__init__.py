@@ -76,7 +76,8 @@ def evaluate(dataset, models, folder, oracle=None, foreign=None, split=None, par
     maps = _maps(models, oracle)
     began, levels = time.perf_counter(), Levels(dataset.scale)
     views = _Views(scored, levels)
-    audit = _audit(train, scored) if part != "train" else None
+    # What was left out by `limit` was trained on all the same.
+    audit = _audit(dataset.of("train"), scored) if part != "train" and train.entries else None
     training = read_training_part(train, levels, lambda share: tell("reading the training part", share))
     bounds = training.bounds_k or maps[0].model.range_k
     others = [Foreign(name, place, scored.entries) for name, place in (foreign or {}).items()]
@@ -175,15 +176,16 @@ def _score(view, number, tallies, bounds):
     alike = similarity.Similarity(similarity.eight_bit(view.true, bounds), known)
     edges = edge_class(np.where(known, view.true, np.nan))[known]
     material = view.pair.truth.get("material", np.full(known.shape, NO_MATERIAL, np.uint8))[known]
+    both = material.astype(np.intp) * len(EDGES) + edges
     for tally in tallies:
         guess = tally.method.guess(view)
         if guess is None:
             continue
         error = guess[known].astype(np.float64) - view.true[known]
-        materials = sums.rows_by(error, material, 256)
-        tally.rows[number] = materials.sum(axis=0)
-        tally.materials += materials
-        tally.edges += sums.rows_by(error, edges, len(EDGES))
+        found = sums.rows_by(error, both, 256 * len(EDGES)).reshape(256, len(EDGES), sums.WIDTH)
+        tally.rows[number] = found.sum(axis=(0, 1))
+        tally.materials += found.sum(axis=1)
+        tally.edges += found.sum(axis=0)
         tally.pairs += 1
         # The floor is an error, and its picture no guess.
         if tally.method.kind != "floor":

@@ -19,8 +19,9 @@ def picture(path, view, guesses, share):
         Quantile of the first method's error at which this view lies.
     """
     pyplot = _pyplot()
-    count = len(guesses)
-    figure, axes = pyplot.subplots(count + 1, 2, figsize=(11, 4.2 * (count + 1)), layout="constrained", squeeze=False)
+    lines, (height, width) = len(guesses) + 1, view.true.shape
+    size = 11.0, (0.6 + 4.6 * height / width) * lines
+    figure, axes = pyplot.subplots(lines, 2, figsize=size, layout="constrained", squeeze=False)
     true = np.where(view.known, view.true, np.nan) - ZERO_CELSIUS_K
     errors = {name: np.where(view.known, guess - view.true, np.nan) for name, guess in guesses.items()}
     low, high = np.nanpercentile(true, [1, 99])
@@ -55,7 +56,7 @@ def against_time(path, result):
         Of `thermorender.validate.evaluation.evaluate`.
     """
     pyplot = _pyplot()
-    figure, axis = pyplot.subplots(figsize=(8, 5), layout="constrained")
+    figure, axis = pyplot.subplots(figsize=(10, 5), layout="constrained")
     for number, (label, found) in enumerate(result["methods"].items()):
         if found["mae_k"] is None:
             continue
@@ -67,9 +68,11 @@ def against_time(path, result):
         axis.errorbar(found["seconds_per_mpixel"], found["mae_k"], bars, fmt="o", color=f"C{number % 10}", capsize=3,
                       label=label)  # fmt: skip
     axis.set(xscale="log", xlabel="inference [s per megapixel]", ylabel="mean absolute error [K]")
+    fastest, slowest = axis.get_xlim()
+    axis.set_xlim(fastest / 2.0, slowest * 2.0)
     axis.set_ylim(bottom=0.0)
     axis.grid(True, which="both", lw=0.3, color="0.85")
-    axis.legend(fontsize=7)
+    figure.legend(fontsize=7, loc="outside right upper")
     _save(figure, path)
 
 
