@@ -1,0 +1,42 @@
+"""What a learned map is given of a pair of a data set: the one place where that is decided.
+
+Training, evaluation and whoever else runs a map over a data set ask here, so that all of them show it the same.
+"""
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.learned.temperature_map import Inputs
+
+# Material number in truth where there is none.
+NO_MATERIAL = 255
+
+
+def inputs_of(pair, card, material=False):
+    """Return the Inputs of a Pair: its picture, ground sampling distance, relief, hour and weather.
+
+    Parameters
+    ----------
+    pair : Pair
+    card : dict
+        Of its data set; `card["terrain"]` names the planes of truth that a terrain knows without any thermal picture.
+    material : bool
+        Adds the plane "material": numbers into `card["materials"]`, NaN where there is none. For oracles only, which
+        are allowed to see what no map can know.
+
+    Raises
+    ------
+    ThermorenderError
+        The pair lacks a plane that the card names, or the materials.
+    """
+    names = [*card.get("terrain", ()), *(["material"] if material else ())]
+    for name in names:
+        if name not in pair.truth:
+            raise ThermorenderError(
+                f"pair {pair.entry.key!r} has no plane {name!r}; leave out the maps that need it, or make the data set "
+                "anew with it"
+            )
+    terrain = {name: pair.truth[name].astype(np.float32) for name in names}
+    if material:
+        terrain["material"][pair.truth["material"] == NO_MATERIAL] = np.nan
+    return Inputs(pair.visible, pair.entry.texel_m, terrain, pair.entry.conditions)

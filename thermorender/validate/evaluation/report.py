@@ -1,0 +1,127 @@
+"""Tables of an evaluation: a page of Markdown, and rows for the terminal."""
+
+from thermorender import files
+
+# Mean error, mean absolute error and standard deviation [K], and training, of the published methods: "Generation of
+# artificial infrared camera images for visual navigation simulation", tables 7 and 2.
+PUBLISHED = {
+    "correlation 1-to-1": {"me_k": -0.46, "mae_k": 1.84, "sd_k": 2.23, "training": "less than a minute on a PC"},
+    "correlation 9-to-1": {"me_k": -0.4, "mae_k": 1.78, "sd_k": 2.16, "training": "less than a minute on a PC"},
+    "pix2pix": {"me_k": -0.086, "mae_k": 0.73, "sd_k": 0.99, "training": "200 epochs of 175 s"},
+    "pix2pix-b25": {"me_k": 0.20, "mae_k": 1.6, "sd_k": 2.1, "training": "300 epochs of 115 s"},
+    "pix2pixHD": {"me_k": 0.11, "mae_k": 0.69, "sd_k": 0.96, "training": "200 epochs of 790 s"},
+}
+CAVEAT = (
+    "Published for 502 test crops of another campaign, split after four were cut from each picture. Their temperatures "
+    "are arbitrary, as the publication says: the bounds of intensity were taken for 14 and 24 °C."
+)
+FLOOR = (
+    "Floor: the mean difference of two independent draws of the hidden state over √2, which is the mean absolute error "
+    "of the best map there can be where the law of these draws is Gaussian."
+)
+HEADER = ("method", "knows besides the picture", "pairs", "ME [K]", "MAE [K]", "95 % of MAE", "SD [K]", "RMSE [K]",
+          "PSNR [dB]", "SSIM")  # fmt: skip
+_TITLES = {
+    "hour": "Local solar hour", "kind": "Kind of land", "view": "View", "weather": "Weather", "season": "Season",
+    "material": "Material", "surface": "Man-made and natural", "edges": "Edges",
+}  # fmt: skip
+
+
+def rows(result):
+    """Return the methods as rows of text under `HEADER`."""
+    return [
+        (label, found["knows"] or "–", str(found["pairs"]), _signed(found["me_k"]), _number(found["mae_k"]),
+         _interval(found["interval_95"]["mae_k"]), _number(found["sd_k"]), _number(found["rmse_k"]),
+         _number(found["psnr_db"], 1), _number(found["ssim"], 3))
+        if found["mae_k"] is not None
+        else (label, found["knows"] or "–", str(found["pairs"]), "not available", *[""] * 6)
+        for label, found in result["methods"].items()
+    ]  # fmt: skip
+
+
+def published_rows():
+    """Return the published methods as rows of text under the same header."""
+    return [
+        (f"published: {name}", "–", "502", f"{told['me_k']:+g}", f"{told['mae_k']:g}", "", f"{told['sd_k']:g}",
+         *[""] * 3)
+        for name, told in PUBLISHED.items()
+    ]  # fmt: skip
+
+
+def lines_before(result):
+    """Return what has to be read before the numbers: notes and the audit's verdict, in sentences."""
+    audit = result["audit"]["lines"] if result["audit"] else ["no audit for leaks between the parts was made"]
+    return [*(f"note: {note}" for note in result["notes"]), *audit]
+
+
+def cost_rows(result):
+    """Return (method, s per megapixel, training s, peak memory MiB, MAE) of the maps, the fastest first."""
+    maps = {label: found for label, found in result["methods"].items() if found.get("seconds_per_mpixel") is not None}
+    order = sorted(maps, key=lambda label: maps[label]["seconds_per_mpixel"])
+    return [
+        (label, f"{maps[label]['seconds_per_mpixel']:.3g}", _number(maps[label]["training_s"], 1),
+         _number(maps[label]["peak_memory_mib"], 0), _number(maps[label]["mae_k"]))
+        for label in order
+    ]  # fmt: skip
+
+
+def write(path, result):
+    """Write a result as a page of Markdown."""
+    low, high = result["bounds_k"]
+    sources = ", ".join(f"{number} {name}" for name, number in result["parts"].items())
+    lines = [
+        f"# Evaluation on {result['dataset']['title'] or result['dataset']['folder']}", "",
+        f"{result['pairs']} pairs of part {result['part']} ({result['split']} split: {sources}"
+        f"{'' if result['limit'] is None else '; every so many, by --limit'}), "
+        f"{result['training_pairs']} training pairs read for the constant and the means. Errors are apparent "
+        "temperature given less the true one; ME mean, MAE mean absolute, SD standard deviation, over all pixels. "
+        f"Intervals: 95 %, percentile bootstrap over {result['drawn']}, seed {result['seed']}. PSNR and SSIM on 8 bits "
+        f"between {low:.2f} and {high:.2f} K, PSNR of the mean square over all pixels.", "",
+        *(f"- {line}" for line in lines_before(result)), "",
+        *_table(HEADER, [*rows(result), *published_rows()], 2), "",
+        CAVEAT, "", FLOOR, "",
+        "## Cost", "",
+        *_table(("map", "inference [s/megapixel]", "training [s]", "peak memory [MiB]", "MAE [K]"), cost_rows(result)),
+        "", f"Peak memory is that of the whole process. Published training: {_published_training()}.",
+    ]  # fmt: skip
+    methods = {label: found for label, found in result["methods"].items() if found["mae_k"] is not None}
+    for grouping, title in _TITLES.items():
+        names = sorted({name for found in methods.values() for name in found["groups"].get(grouping, {})})
+        if not names:
+            continue
+        body = []
+        for name in names:
+            own = [found["groups"].get(grouping, {}).get(name) for found in methods.values()]
+            most = max(each["pixels"] for each in own if each)
+            body.append((name, f"{most / 1e6:.3g}", *map(_both, own)))
+        lines += ["", f"## {title}", "", *_table((title.lower(), "megapixels", *methods), body)]
+    lines += ["", "Cells of the groups: MAE (ME) [K]."]
+    files.write_text(path, "\n".join(lines) + "\n")
+
+
+def _published_training():
+    return "; ".join(f"{name} {told['training']}" for name, told in PUBLISHED.items())
+
+
+def _table(header, body, left=1):
+    """Lines of a Markdown table, the first columns to the left."""
+    return [
+        f"| {' | '.join(header)} |", "|---" * left + "|--:" * (len(header) - left) + "|",
+        *(f"| {' | '.join(line)} |" for line in body),
+    ]  # fmt: skip
+
+
+def _both(found):
+    return "" if not found or found["mae_k"] is None else f"{found['mae_k']:.2f} ({found['me_k']:+.2f})"
+
+
+def _number(value, digits=2):
+    return "" if value is None else f"{value:.{digits}f}"
+
+
+def _signed(value):
+    return "" if value is None else f"{value:+.2f}"
+
+
+def _interval(ends):
+    return "" if ends is None else f"{ends[0]:.2f}…{ends[1]:.2f}"

@@ -1,0 +1,100 @@
+"""What the training part tells without any method: its mean, that of each material, and the bounds of its values."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from thermorender.campaign.map_inputs import NO_MATERIAL
+from thermorender.frame import apparent_temperature
+from thermorender.units import ZERO_CELSIUS_K
+
+
+class Levels:
+    """Radiance and apparent temperature of the values of thermal pictures, looked up: they are whole numbers.
+
+    Parameters
+    ----------
+    scale : ThermalScale
+    """
+
+    def __init__(self, scale):
+        self.scale, self._tables = scale, {}
+
+    def _table(self, values):
+        kind = values.dtype
+        if kind not in self._tables:
+            radiance = self.scale.radiance(np.arange(np.iinfo(kind).max + 1))
+            self._tables[kind] = radiance, apparent_temperature(radiance, self.scale.band_um)
+        return self._tables[kind]
+
+    def radiance(self, values):
+        """Return band radiance [W m⁻² sr⁻¹], float64."""
+        return self._table(values)[0][values]
+
+    def temperature(self, values):
+        """Return apparent temperature [K], float32."""
+        return self._table(values)[1][values]
+
+
+@dataclass(frozen=True)
+class TrainingPart:
+    """What is known of the training part.
+
+    Attributes
+    ----------
+    pairs : int
+        How many were read.
+    mean_k : float or None
+        Apparent temperature of the mean radiance [K]; None where there is no pair.
+    material_k : dict of str to float
+        The same per material [K]; those that occur.
+    bounds_k : (2,) tuple of float or None
+        Of the 8-bit scale [K]: 1.5 interquartile ranges beyond the quartiles of all values; for pictures of unknown
+        scale the temperatures that these are taken for.
+    """
+
+    pairs: int
+    mean_k: float | None
+    material_k: dict
+    bounds_k: tuple | None
+
+
+def read_training_part(dataset, levels, progress=lambda share: None):
+    """Return the TrainingPart of a Dataset, read pair by pair."""
+    materials = dataset.card.get("materials", [])
+    counts = np.zeros(65536, np.int64)
+    total, amount = np.zeros(256), np.zeros(256)
+    for number, entry in enumerate(dataset.entries):
+        progress(number / len(dataset))
+        pair = dataset.pair(entry, truth=bool(materials))
+        values = pair.thermal[pair.valid]
+        counts += np.bincount(values, minlength=len(counts))
+        if "material" in pair.truth:
+            where = pair.truth["material"][pair.valid]
+            total += np.bincount(where, levels.radiance(values), 256)
+            amount += np.bincount(where, minlength=256)
+    bounds = None
+    if dataset.scale.unit == "intensity":
+        bounds = tuple(ZERO_CELSIUS_K + limit for limit in dataset.scale.range_c)
+    if not counts.any():
+        return TrainingPart(len(dataset), None, {}, bounds)
+    band, value = dataset.scale.band_um, np.arange(len(counts), dtype=np.uint16)
+    mean = (levels.radiance(value) * counts).sum() / counts.sum()
+    if bounds is None:
+        low, high = value_bounds(counts)
+        bounds = tuple(map(float, apparent_temperature(dataset.scale.radiance([low, high]), band)))
+    seen = [number for number in range(min(len(materials), NO_MATERIAL)) if amount[number]]
+    warm = apparent_temperature(np.array([total[number] / amount[number] for number in seen]), band)
+    own = {materials[number]: float(kelvin) for number, kelvin in zip(seen, warm, strict=True)}
+    return TrainingPart(len(dataset), float(apparent_temperature(mean, band)), own, bounds)
+
+
+def value_bounds(counts):
+    """Return the quartiles of values less and plus 1.5 times their distance, from how often each value occurs.
+
+    The bounds of the published normalisation; where most pixels have one value, one step to each side.
+    """
+    below = np.cumsum(counts)
+    first, third = (int(np.searchsorted(below, share * below[-1])) for share in (0.25, 0.75))
+    margin = max(1.5 * (third - first), 1.0)
+    return max(first - margin, 0.0), third + margin

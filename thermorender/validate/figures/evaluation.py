@@ -1,0 +1,114 @@
+"""Figures of what `thermorender.validate.evaluation` finds."""
+
+import numpy as np
+
+from thermorender import files
+from thermorender.units import ZERO_CELSIUS_K
+
+
+def picture(path, view, guesses, share):
+    """Draw a view: visible and true picture, and below them what each method gives and its error.
+
+    Parameters
+    ----------
+    path : path
+    view : View
+    guesses : dict of str to (H, W) array
+        Apparent temperatures [K].
+    share : float
+        Quantile of the first method's error at which this view lies.
+    """
+    pyplot = _pyplot()
+    lines, (height, width) = len(guesses) + 1, view.true.shape
+    size = 11.0, (0.6 + 4.6 * height / width) * lines
+    figure, axes = pyplot.subplots(lines, 2, figsize=size, layout="constrained", squeeze=False)
+    true = np.where(view.known, view.true, np.nan) - ZERO_CELSIUS_K
+    errors = {name: np.where(view.known, guess - view.true, np.nan) for name, guess in guesses.items()}
+    low, high = np.nanpercentile(true, [1, 99])
+    every = np.abs(np.concatenate([error[np.isfinite(error)] for error in errors.values()]))
+    limit = float(np.percentile(every, 98)) if every.any() else 1.0
+    axes[0, 0].imshow(view.pair.visible)
+    axes[0, 0].set_title(f"{view.pair.entry.key}: visible")
+    shown = axes[0, 1].imshow(true, cmap="inferno", vmin=low, vmax=high)
+    axes[0, 1].set_title(f"true; quantile {share:g} of the first map's error")
+    figure.colorbar(shown, ax=axes[0, 1], label="apparent temperature [°C]", shrink=0.8)
+    for (name, guess), (left, right) in zip(guesses.items(), axes[1:], strict=True):
+        shown = left.imshow(guess - ZERO_CELSIUS_K, cmap="inferno", vmin=low, vmax=high)
+        left.set_title(name)
+        figure.colorbar(shown, ax=left, label="apparent temperature [°C]", shrink=0.8)
+        shown = right.imshow(errors[name], cmap="RdBu_r", vmin=-limit, vmax=limit)
+        figure.colorbar(shown, ax=right, label="error [K]", shrink=0.8)
+        finite = errors[name][np.isfinite(errors[name])]
+        if finite.size:
+            right.set_title(f"error: ME {finite.mean():+.2f}, MAE {np.abs(finite).mean():.2f} K")
+    for axis in axes.ravel():
+        axis.set_axis_off()
+    _save(figure, path)
+
+
+def against_time(path, result):
+    """Draw mean absolute error against inference time of the maps, with the simple methods as lines.
+
+    Parameters
+    ----------
+    path : path
+    result : dict
+        Of `thermorender.validate.evaluation.evaluate`.
+    """
+    pyplot = _pyplot()
+    figure, axis = pyplot.subplots(figsize=(10, 5), layout="constrained")
+    for number, (label, found) in enumerate(result["methods"].items()):
+        if found["mae_k"] is None:
+            continue
+        if found.get("seconds_per_mpixel") is None:
+            axis.axhline(found["mae_k"], color=f"C{number % 10}", lw=1, ls=":", label=label)
+            continue
+        ends = found["interval_95"]["mae_k"] or (found["mae_k"],) * 2
+        bars = np.abs(np.array(ends) - found["mae_k"])[:, None]
+        axis.errorbar(found["seconds_per_mpixel"], found["mae_k"], bars, fmt="o", color=f"C{number % 10}", capsize=3,
+                      label=label)  # fmt: skip
+    axis.set(xscale="log", xlabel="inference [s per megapixel]", ylabel="mean absolute error [K]")
+    fastest, slowest = axis.get_xlim()
+    axis.set_xlim(fastest / 2.0, slowest * 2.0)
+    axis.set_ylim(bottom=0.0)
+    axis.grid(True, which="both", lw=0.3, color="0.85")
+    figure.legend(fontsize=7, loc="outside right upper")
+    _save(figure, path)
+
+
+def against_share(path, curves):
+    """Draw mean absolute error against the share of the training part.
+
+    Parameters
+    ----------
+    path : path
+    curves : dict of str to list of (share, mean absolute error [K])
+        By method.
+    """
+    pyplot = _pyplot()
+    figure, axis = pyplot.subplots(figsize=(8, 5), layout="constrained")
+    for name, curve in curves.items():
+        share, error = np.array(sorted(curve)).T
+        axis.plot(share, error, "o-", label=name)
+    axis.set(xscale="log", xlabel="share of the training part", ylabel="mean absolute error [K]")
+    axis.set_ylim(bottom=0.0)
+    axis.grid(True, which="both", lw=0.3, color="0.85")
+    axis.legend(fontsize=8)
+    _save(figure, path)
+
+
+def _pyplot():
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    return pyplot
+
+
+def _save(figure, path):
+    from matplotlib import pyplot
+
+    with files.atomic(path) as part:
+        figure.savefig(part, dpi=80)
+    pyplot.close(figure)
