@@ -35,6 +35,8 @@ from thermorender.versions import versions
 FORMAT = 1
 PARTS = ("train", "validation", "test")
 UNITS = ("radiance", "kelvin", "intensity")
+# A temporary shard that nobody wrote to for so long is left of a killed process [s].
+_ABANDONED_S = 3600.0
 _KEY = re.compile(r"[A-Za-z0-9_-]{1,120}")
 
 
@@ -96,6 +98,8 @@ class Entry:
         Latitude and longitude [deg].
     time : str or None
         UTC.
+    sky_temperature : float or None
+        Of the blackbody that shines as the sky did in the camera's band [K].
     conditions : dict of str to float
         Hour and weather in numbers, as by `thermorender.scene.conditions`; empty where unknown.
     labels : dict of str to str
@@ -115,6 +119,7 @@ class Entry:
     texel_m: float | None = None
     place: tuple | None = None
     time: str | None = None
+    sky_temperature: float | None = None
     conditions: dict = field(default_factory=dict)
     labels: dict = field(default_factory=dict)
     shard: str = ""
@@ -339,7 +344,8 @@ class Writer:
                         "same settings, or give another folder"
                     )
             self.done = {entry.shard for entry in before.entries}
-            files.remove_parts(self.folder / "shards")
+            # Not what another process may be writing.
+            files.remove_parts(self.folder / "shards", older_s=_ABANDONED_S)
             self._cut_short()
         elif any(self.folder.iterdir()):
             raise ThermorenderError(f"{self.folder} is not empty and holds no data set; give a new folder")
@@ -434,7 +440,7 @@ def packed(visible, thermal, valid=None, truth=None):
 
 
 def _rounded(values):
-    """Floats in single precision with the last 7 bits of their mantissa 0, which compress to half; others as they are."""
+    """Floats in single precision with the last 7 bits of their mantissa 0, which compress better; others as they are."""
     if values.dtype.kind != "f" or values.itemsize < 4:
         return values
     bits = np.ascontiguousarray(values, np.float32).view(np.uint32)

@@ -30,7 +30,7 @@ from thermorender.sensor.readout import radiance_from_counts
 from thermorender.synthetic.files import write_declared
 from thermorender.synthetic.light import sky_colour
 from thermorender.synthetic.noise import stream
-from thermorender.synthetic.weather import atmosphere
+from thermorender.synthetic.weather import atmosphere, sky_temperature
 from thermorender.synthetic.worlds import KINDS, make, weather_of
 from thermorender.trajectory.path import pose
 from thermorender.units import utc_text
@@ -158,7 +158,8 @@ def _pairs(world, hours, views, camera, materials, tell):
     known, order = None, 0
     for hour, (land, time) in enumerate(zip(lands, times, strict=True)):
         tell("rendering", (hour + 0.5) / hours)
-        air = atmosphere(land.weather, scene.weather.at(time), scene.altitude_m)
+        above = land.weather, scene.weather.at(time), scene.altitude_m
+        air = atmosphere(*above)
         renderers = []
         for source in (truths[0][hour], predicted[hour], *(each[hour] for each in truths[1:])):
             source = _under(source, air, land.orthophoto)
@@ -174,7 +175,7 @@ def _pairs(world, hours, views, camera, materials, tell):
             key = f"{world.name}-{hour}-{view}"
             yield replace(
                 entry, key=key, part=world.part, parent=key, sequence=world.name, order=order, place=place,
-                time=utc_text(time), conditions=told, labels={**labels, "view": name},
+                time=utc_text(time), sky_temperature=round(sky_temperature(*above), 2), conditions=told, labels={**labels, "view": name},
             ), contents  # fmt: skip
             order += 1
 
@@ -221,7 +222,8 @@ def _view(world, hour, view, scene):
     g = stream(world.seed, f"view {hour} {view}")
     half = 0.5 * _sizes(world.kind)[0]
     least, most = np.log(HEIGHTS_M[world.kind])
-    height, yaw, pitch = float(np.exp(g.uniform(least, most))), float(g.uniform(0.0, 360.0)), float(g.uniform(low, high))
+    height = float(np.exp(g.uniform(least, most)))
+    yaw, pitch = float(g.uniform(0.0, 360.0)), float(g.uniform(low, high))
     east, north = g.uniform(-0.4, 0.4, 2) * half
     if name == "oblique":
         # Looking across the land, from beyond its middle.

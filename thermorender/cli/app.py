@@ -9,7 +9,7 @@ import typer
 
 from thermorender import defaults, files
 from thermorender.cli.camera import fit_camera
-from thermorender.cli.maps import evaluate
+from thermorender.cli.maps import dataset, evaluate, translate
 from thermorender.cli.materials import app as materials
 from thermorender.cli.terminal import Time, at_time, output_option, progress, split, table
 from thermorender.cli.terminal import air as parse_air
@@ -28,7 +28,9 @@ app = typer.Typer(
 app.add_typer(validate, name="validate")
 app.add_typer(materials, name="materials")
 app.command("fit-camera")(fit_camera)
+app.command()(dataset)
 app.command()(evaluate)
+app.command()(translate)
 train = typer.Typer(help="Train learned maps.", no_args_is_help=True)
 app.add_typer(train, name="train")
 

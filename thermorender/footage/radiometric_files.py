@@ -35,10 +35,14 @@ def write_tlinear(path, temperature, step_k=TLINEAR_STEP_K):
     -----
     The TIFF carries GDAL's scale, offset and unit, so GDAL, rasterio and QGIS show kelvin; others see the counts.
     """
+    counts = np.rint(np.nan_to_num(np.asarray(temperature, np.float64), nan=0.0) / step_k)
+    write_tlinear_counts(path, np.clip(counts, 0, 65535).astype(np.uint16), step_k)
+
+
+def write_tlinear_counts(path, counts, step_k=TLINEAR_STEP_K):
+    """Write counts, (H, W) uint16 of `step_k` kelvin each, as `write_tlinear` does."""
     import rasterio
 
-    counts = np.rint(np.nan_to_num(np.asarray(temperature, np.float64), nan=0.0) / step_k)
-    counts = np.clip(counts, 0, 65535).astype(np.uint16)
     height, width = counts.shape
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)

@@ -4,6 +4,7 @@ The two published maps carry the coefficients of the method's authors (Students'
 Technology, "Generation of artificial infrared camera images for visual navigation simulation", equation 9).
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,10 +45,17 @@ class Correlation:
             cv2.filter2D(image[..., c], cv2.CV_64F, kernel[..., c], borderType=cv2.BORDER_REPLICATE) for c in range(3)
         )
 
-    def inner(self, image):
-        """Return an image without the border that the published form leaves out: (h − k + 1, w − k + 1)."""
-        ring = len(self.kernel) // 2
+    def inner(self, image, spacing=1.0):
+        """Return an image without the border that the published form leaves out: (h − k + 1, w − k + 1).
+
+        `spacing` is as for `reach`.
+        """
+        ring = self.reach(spacing)
         return image[ring : image.shape[0] - ring, ring : image.shape[1] - ring]
+
+    def reach(self, spacing=1.0):
+        """Return how many pixels from a pixel its neighbourhood ends, where its taps lie `spacing` pixels apart."""
+        return math.ceil(len(self.kernel) // 2 * spacing + 0.5 * max(spacing - 1.0, 0.0) + 1.0) - 1
 
     def _kernel_at(self, spacing):
         """Kernel whose taps lie `spacing` texels apart: bilinear between texels, averaged over a tap's area."""

@@ -71,7 +71,8 @@ class TemperatureMap:
     predictor : object
         With `predict(inputs, texel_m)`, (h, w) float64; `needs`, the names of Inputs' fields without which it cannot
         work; `above_air`, whether it gives kelvin above the air instead of intensity; `header()` and `arrays()`, what
-        its class's `of(header, arrays)` makes it from.
+        its class's `of(header, arrays)` makes it from; and, where a pixel depends on those around it only,
+        `reach(spacing)`, how far, taps lying `spacing` pixels apart: large pictures are then translated in strips.
     range_k : (2,) tuple of float
         Temperatures of intensity 0 and 1 [K].
     band_um : (2,) tuple of float

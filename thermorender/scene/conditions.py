@@ -12,7 +12,9 @@ from thermorender.physics.sun import solar_hour
 from thermorender.scene import columns as open_ground
 from thermorender.units import ZERO_CELSIUS_K
 
-TYPICAL = ("grass_green", "soil_loam", "sand_quartz", "asphalt", "granite", "conifer", "roof_tile_clay", "water", "snow")
+TYPICAL = (
+    "grass_green", "soil_loam", "sand_quartz", "asphalt", "granite", "conifer", "roof_tile_clay", "water", "snow",
+)  # fmt: skip
 _HOUR, _DAY = np.timedelta64(3600, "s"), np.timedelta64(86400, "s")
 
 
@@ -28,7 +30,7 @@ def conditions(weather, time, inside_c=20.0):
         in the open, or without direct sun for a day.
     """
     now = weather.at(time)
-    azimuth, elevation = map(float, weather.sun(time))
+    elevation = float(weather.sun(time)[1])
     before = max(time - _DAY, weather.time[0])
     past = before + (time - before) * np.arange(25) // 24
     found = {name: float(getattr(now, name)) for name in

@@ -1,0 +1,180 @@
+"""A learned temperature map trained on a data set: what the method is given, and what the map says of itself."""
+
+import time
+
+import numpy as np
+
+from thermorender import files
+from thermorender.campaign.audit import audit
+from thermorender.campaign.bounds import value_bounds
+from thermorender.campaign.map_inputs import inputs_of
+from thermorender.errors import ThermorenderError
+from thermorender.learned.temperature_map import Inputs, TemperatureMap
+from thermorender.learned.training import Example, Task, method
+from thermorender.physics.planck import band_radiance, brightness_temperature
+from thermorender.units import ZERO_CELSIUS_K
+from thermorender.versions import versions
+
+# Sky assumed where a data set does not say: that of a clear mid-latitude summer day in the band [K].
+ASSUMED_SKY_K = 255.0
+# Pairs of the validation part that tell a map's own error, evenly spaced.
+_TOLD_BY = 60
+# Kept of the conditions trained under: least and most of each.
+_RANGES = ("air_k", "wind_m_s", "snow_m", "sun_elevation_deg", "solar_hour", "day")
+
+
+def train_map(
+    name, method_name, dataset, options=None, seed=0, progress=None, parts=("train", "validation"), material=False,
+    audited=True,
+):  # fmt: skip
+    """Return the TemperatureMap of a method, trained on some parts of a Dataset.
+
+    Parameters
+    ----------
+    name : str
+    method_name : str
+        As by `learned.training.method`.
+    dataset : Dataset
+    options : dict, optional
+        Of the method, in place of its defaults.
+    seed : int
+    progress : callable, optional
+        Called with (what, share done).
+    parts : sequence of str
+        The published correlations were fitted on training and validation.
+    material : bool
+        Shows the method the true material of each pixel: an oracle, which is no map.
+    audited : bool
+        Looks for leaks between training and test, which the map then tells.
+
+    Raises
+    ------
+    ThermorenderError
+        An unknown method or option, a data set without pairs to train on, or what the method needs is missing.
+
+    Notes
+    -----
+    Intensity is that of equation 2 of the published method: 0 and 1 are 1.5 interquartile ranges below and above the
+    quartiles of the training pictures' values. Saturated pixels are left out.
+    """
+    how, tell = method(method_name), progress or (lambda what, share: None)
+    options = checked_options(method_name, how.options, options or {})
+    pairs = dataset.of(*parts)
+    if not len(pairs):
+        raise ThermorenderError(f"{dataset.folder} has no pairs in {' or '.join(parts)}; give a split that has some")
+    if how.plus and not (dataset.card.get("terrain") and all(entry.conditions for entry in pairs.entries)):
+        raise ThermorenderError(
+            f"method {method_name!r} needs the terrain's relief, hour and weather, which {dataset.folder} does not "
+            f"hold; take {method_name.rstrip('+') if method_name != 'correlation+' else 'correlation-9to1'}"
+        )
+    tell("looking at the values", 0.0)
+    scale, (low, high) = dataset.scale, value_bounds(dataset.of("train") if len(dataset.of("train")) else pairs)
+    range_k = tuple(float(brightness_temperature(scale.radiance(value), *scale.band_um)) for value in (low, high))
+    if scale.unit == "intensity":
+        range_k = tuple(limit + ZERO_CELSIUS_K for limit in scale.range_c)
+    cold, warm = band_radiance(np.array(range_k), *scale.band_um)
+    first = pairs.pair(pairs.entries[0], truth=False).thermal
+    values = np.arange(np.iinfo(first.dtype).max + 1)
+    radiance = scale.radiance(values)
+    usable = np.ones(values.size, bool)
+    saturated = _saturated(dataset.card, values)
+    usable &= ~saturated
+
+    def examples():
+        for entry in pairs.entries:
+            pair = pairs.pair(entry, truth=how.plus)
+            if how.plus:
+                inputs = inputs_of(pair, dataset.card, material)
+            else:
+                inputs = Inputs(pair.visible, entry.texel_m, {}, entry.conditions)
+            yield Example(inputs, pair.thermal, pair.valid & usable[pair.thermal])
+
+    with np.errstate(invalid="ignore"):
+        kelvin = brightness_temperature(np.maximum(radiance, 1e-6), *scale.band_um)
+    started = time.perf_counter()
+    task = Task(examples, len(pairs), (radiance - cold) / (warm - cold), kelvin, seed, tell, options)
+    predictor = how.fit(task)
+    seconds = time.perf_counter() - started
+    sampling = np.array([entry.texel_m for entry in pairs.entries if entry.texel_m] or [1.0])
+    skies = [entry.sky_temperature for entry in pairs.entries if entry.sky_temperature]
+    made = TemperatureMap(
+        name=name, method=method_name, predictor=predictor, range_k=range_k, band_um=scale.band_um,
+        texel_m=float(np.exp(np.median(np.log(sampling)))), texel_range_m=(float(sampling.min()), float(sampling.max())),
+        camera=dataset.card.get("camera", "unknown"),
+        sky_temperature=float(np.mean(skies)) if skies else ASSUMED_SKY_K,
+        source=f"{method_name} on {len(pairs)} pairs of {dataset.card['name']}",
+    )  # fmt: skip
+    about = {
+        "dataset": {key: dataset.card.get(key) for key in ("name", "origin", "licence", "camera")},
+        "sky_assumed": not skies, "pairs": {part: len(dataset.of(part)) for part in ("train", "validation", "test")},
+        "trained_on": list(parts), "sequences": len({entry.sequence for entry in pairs.entries}),
+        "conditions": _ranges(pairs.entries), "bounds": [float(low), float(high)], "unit": scale.unit,
+        "options": options, "seed": seed, "training_s": round(seconds, 2), "versions": versions(),
+    }  # fmt: skip
+    if audited and len(dataset.of("test")):
+        about["audit"] = audit(dataset, progress=tell).summary()
+    return _with_error(made, about, dataset, material)
+
+
+def _with_error(model, about, dataset, material):
+    """The map with its own error, of some validation pairs, and what it tells about itself."""
+    from dataclasses import replace
+
+    model = replace(model, about=about)
+    held = dataset.of("validation")
+    if not len(held):
+        return model
+    squares, count = 0.0, 0
+    for index in np.unique(np.linspace(0, len(held) - 1, min(_TOLD_BY, len(held))).astype(int)):
+        pair = held.pair(held.entries[index])
+        inputs = inputs_of(pair, dataset.card, material) if model.needs else Inputs(pair.visible, pair.entry.texel_m)
+        found = brightness_temperature(np.maximum(model.radiance(inputs)[::4, ::4], 1e-6), *model.band_um)
+        known = brightness_temperature(np.maximum(pair.reference[::4, ::4], 1e-6), *model.band_um)
+        here = pair.valid[::4, ::4] & ~_saturated(dataset.card, pair.thermal[::4, ::4])
+        squares += float(((found - known)[here] ** 2).sum())
+        count += int(here.sum())
+    return replace(model, error_k=float(np.sqrt(squares / max(count, 1))))
+
+
+def _saturated(card, values):
+    """Where values of a known camera sit at either end of its range."""
+    from thermorender.sensor.camera import load_camera
+    from thermorender.sensor.readout import saturated
+
+    if card.get("origin") != "rendered":
+        return np.zeros(np.shape(values), bool)
+    return saturated(values, load_camera(card["camera"], "camera"))
+
+
+def _ranges(entries):
+    """{condition: (least, most)} of what is kept."""
+    known = [entry.conditions for entry in entries if entry.conditions]
+    return {name: [min(each[name] for each in known), max(each[name] for each in known)] for name in _RANGES
+            if known and all(name in each for each in known)}  # fmt: skip
+
+
+def checked_options(method_name, known, given):
+    """Return a method's options with what is given in their place, of their own kind.
+
+    Raises
+    ------
+    ThermorenderError
+        The method has no such option, or the value is of another kind.
+    """
+    found = dict(known)
+    for key, value in given.items():
+        if key not in known:
+            allowed = f"it has {', '.join(known)}" if known else "it has none"
+            raise ThermorenderError(f"method {method_name!r} has no option {key!r}; {allowed}")
+        kind = type(known[key])
+        try:
+            if kind is bool:
+                found[key] = {"true": True, "false": False}[str(value).lower()]
+            else:
+                found[key] = kind(value)
+                if not np.isfinite(found[key]) or found[key] < 0:
+                    raise ValueError
+        except (ValueError, KeyError):
+            wanted = "true or false" if kind is bool else "a number from 0 up"
+            raise ThermorenderError(f"option {key}={value!r} of {method_name!r} is not allowed; give {wanted}") from None
+    return found

@@ -1,0 +1,187 @@
+"""Which pairs are for training, validation and test: by whole sequences, by place, or each crop by itself.
+
+What belongs together goes into one part: pairs are put into groups, and whole groups into parts. How many pairs a part
+then has is as near to its share as the groups allow.
+"""
+
+import csv
+import io
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+
+from thermorender import files
+from thermorender.campaign.dataset import PARTS
+from thermorender.errors import ThermorenderError
+from thermorender.physics.geodesy import ecef_from_geodetic
+
+# As published: 3511, 1003 and 502 of 5016 crops.
+SHARES = (0.7, 0.2, 0.1)
+# Side of the cells of the rule "place", and the distance within which cells belong together [m]. Chosen: several views
+# of a camera at 120 m, and about one of them.
+CELL_M, APART_M = 500.0, 100.0
+_METRES_PER_DEGREE = 111_320.0
+SUFFIXES = (".json", ".csv")
+
+
+def assign(entries, rule="sequence", shares=SHARES, seed=0, cell_m=CELL_M, apart_m=APART_M):
+    """Return {key: part} of Entries: whole groups, the largest first, each into the part that lacks most pairs.
+
+    Parameters
+    ----------
+    entries : sequence of Entry
+    rule : {"sequence", "place", "crop"}
+        What stays together: a sequence; what lies in a cell on the map, with what lies within `apart_m` of it; or
+        nothing, as published, so that crops of one picture come into several parts.
+    shares : (3,) floats
+        Of training, validation and test; a part of share 0 stays empty.
+    seed : int
+        Order of groups of one size.
+    cell_m : float
+        Side of a cell of the rule "place" [m].
+    apart_m : float
+        Least distance between parts of the rule "place" [m].
+
+    Returns
+    -------
+    dict
+        Every part whose share is above 0 has at least one group.
+
+    Raises
+    ------
+    ThermorenderError
+        An unknown rule, shares that are none, fewer groups than parts, or entries without a place.
+    """
+    if rule not in RULES:
+        raise ThermorenderError(f"split rule {rule!r} is unknown; give one of {', '.join(RULES)}")
+    shares = [float(share) for share in shares]
+    if len(shares) != len(PARTS) or not all(share >= 0.0 for share in shares) or not 0.0 < sum(shares) < math.inf:
+        raise ThermorenderError(
+            f"shares={tuple(shares)} are not shares of {', '.join(PARTS)}; give three numbers from 0 up, such as "
+            f"{SHARES}"
+        )
+    groups = {}
+    for entry, name in zip(entries, RULES[rule](entries, cell_m, apart_m), strict=True):
+        groups.setdefault(name, []).append(entry.key)
+    wanted = {part: share / sum(shares) * len(entries) for part, share in zip(PARTS, shares, strict=True) if share}
+    if len(groups) < len(wanted):
+        raise ThermorenderError(
+            f"split rule {rule!r} finds {len(groups)} groups for {len(wanted)} parts; take more pictures, another "
+            f"rule, or fewer parts by a share of 0{_SMALLER.get(rule, '')}"
+        )
+    # Sorted by key, so that the order of the entries does not count.
+    members = sorted(map(sorted, groups.values()))
+    members = [members[k] for k in np.random.default_rng(seed).permutation(len(members))]
+    members.sort(key=len, reverse=True)
+    found, empty = {}, set(wanted)
+    for left, group in zip(range(len(members), 0, -1), members, strict=True):
+        # The last groups go to the parts that have none.
+        part = max(empty if left == len(empty) else wanted, key=lambda name: (wanted[name], -PARTS.index(name)))
+        wanted[part] -= len(group)
+        empty.discard(part)
+        found |= dict.fromkeys(group, part)
+    return {entry.key: found[entry.key] for entry in entries}
+
+
+def read_split(path):
+    """Return {key: part} of a file.
+
+    Parameters
+    ----------
+    path : path
+        JSON {"train": [keys], "validation": [keys], "test": [keys]}, or CSV with a row of the names key and part.
+
+    Raises
+    ------
+    ThermorenderError
+        The file is none of these, names another part, or a key twice.
+    """
+    path = Path(path)
+    form = 'JSON {"train": [keys], …} or CSV with the columns key,part'
+    if path.suffix.lower() not in SUFFIXES:
+        raise ThermorenderError(f"{path} is no split; give {form}")
+    text = files.read_text(path, "UTF-8")
+    try:
+        if path.suffix.lower() == ".json":
+            kept = json.loads(text)
+            rows = [(key, part) for part, keys in kept.items() for key in keys]
+            usable = all(isinstance(keys, list) for keys in kept.values())
+        else:
+            rows = [(row["key"], row["part"]) for row in csv.DictReader(io.StringIO(text))]
+            usable = True
+        usable = usable and bool(rows) and all(isinstance(key, str) and key for key, _ in rows)
+    except (ValueError, KeyError, TypeError, AttributeError):
+        usable = False
+    if not usable:
+        raise ThermorenderError(f"{path} is no split; give {form}")
+    found = {}
+    for key, part in rows:
+        if part not in PARTS:
+            raise ThermorenderError(f"{path} puts {key!r} into {part!r}; give one of {', '.join(PARTS)}")
+        if found.setdefault(key, part) != part:
+            raise ThermorenderError(f"{path} puts {key!r} into {found[key]!r} and {part!r}; leave one of them")
+    return found
+
+
+def write_split(path, parts):
+    """Write {key: part} as `read_split` reads it: JSON, or CSV by the path's suffix."""
+    path = Path(path)
+    files.check_output_file(path, SUFFIXES)
+    if path.suffix.lower() == ".json":
+        files.write_json(path, {part: [key for key, own in parts.items() if own == part] for part in PARTS})
+    else:
+        files.write_text(path, "".join(f"{key},{part}\n" for key, part in [("key", "part"), *parts.items()]))
+
+
+# --- groups -----------------------------------------------------------------------------------------------------
+
+
+def _sequences(entries, cell_m, apart_m):
+    return [entry.sequence for entry in entries]
+
+
+def _crops(entries, cell_m, apart_m):
+    return [entry.key for entry in entries]
+
+
+def _places(entries, cell_m, apart_m):
+    """The group of each entry: its cell on the map, joined with cells that have an entry within `apart_m`."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    for name, length in (("cell_m", cell_m), ("apart_m", apart_m)):
+        if not 0.0 < length < math.inf:
+            raise ThermorenderError(f"{name}={length:g} is not allowed; give metres above 0")
+    position = positions(entries)
+    without = [entry.key for entry, where in zip(entries, position, strict=True) if not np.isfinite(where).all()]
+    if without:
+        raise ThermorenderError(
+            f"split rule 'place' needs a place of every pair, which {len(without)} of {len(entries)} lack, "
+            f"{without[0]} the first; give them, or take the rule 'sequence'"
+        )
+    latitude, longitude = np.array([entry.place for entry in entries], np.float64).reshape(-1, 2).T
+    row = np.floor(latitude * _METRES_PER_DEGREE / cell_m)
+    # Degrees of longitude as long as in the middle of the row of cells.
+    middle = np.radians((row + 0.5) * cell_m / _METRES_PER_DEGREE)
+    column = np.floor(longitude * _METRES_PER_DEGREE * np.cos(middle) / cell_m)
+    _, cell = np.unique(np.stack([row, column], axis=-1), axis=0, return_inverse=True)
+    cell = cell.reshape(-1)
+    near = cell[cKDTree(position).query_pairs(apart_m, output_type="ndarray")]
+    count = int(cell.max(initial=-1)) + 1
+    joined = connected_components(coo_matrix((np.ones(len(near)), near.reshape(-1, 2).T), (count, count)))[1]
+    return joined[cell].tolist()
+
+
+def positions(entries):
+    """Return where on Earth Entries lie, (n, 3) float64 [m] in Earth-centred coordinates; NaN without a place."""
+    places = [(math.nan, math.nan) if entry.place is None else entry.place for entry in entries]
+    latitude, longitude = np.array(places, np.float64).reshape(-1, 2).T
+    return ecef_from_geodetic(latitude, longitude, 0.0)
+
+
+# {name: (entries, cell_m, apart_m) → the group of each}.
+RULES = {"sequence": _sequences, "place": _places, "crop": _crops}
+_SMALLER = {"place": ", or smaller cell_m and apart_m"}

@@ -1,0 +1,399 @@
+"""Pictures and videos translated by a learned map: what a thermal camera would have seen, by colour alone.
+
+Of each picture a 16-bit TIFF of apparent temperature and an 8-bit picture are written, of each video a video and, where
+asked for, the same of its frames. The 8-bit pictures share one scale, the range of the map, so that they can be
+compared. `translate.json` tells the settings, `translated.jsonl` what is done.
+"""
+
+import hashlib
+import json
+import math
+import warnings
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from thermorender import files
+from thermorender.errors import ThermorenderError
+from thermorender.footage.radiometric_files import TLINEAR_STEP_K, write_tlinear_counts
+from thermorender.learned.temperature_map import Inputs, TemperatureMap
+from thermorender.physics.planck import band_radiance
+from thermorender.sensor.display import DisplaySettings
+from thermorender.sensor.palettes import palette as known_palette
+from thermorender.versions import versions
+
+PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")
+# Videos that are read, with the codec of those written.
+VIDEOS = {".mp4": "mp4v", ".avi": "MJPG"}
+# Several pictures in one JPEG, as drones write them, are opened at the first.
+_FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP")
+# Depths of which a photograph's are not: 16 and 32-bit grey.
+_DEEP_GREY = ("I", "I;16", "I;16B", "I;16L", "F")
+# Less opaque pixels show nothing.
+_LEAST_ALPHA = 128
+# Pictures are translated in strips of so many pixels.
+_STRIP = 1 << 21
+# An image may be so many times finer or coarser than the map: beyond, one pixel or none lies in its neighbourhood.
+_MOST_SPACING = 64.0
+# Frames that a video may lack of what its header says, which some writers only estimate.
+_MISSING_FRAMES = 0.01
+RECORD, DONE = "translate.json", "translated.jsonl"
+
+
+class UnreadableError(ThermorenderError):
+    """A file among others that cannot be translated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Translation:
+    """How pictures are translated.
+
+    Attributes
+    ----------
+    model : TemperatureMap
+    texel_m : float or None
+        Ground sampling distance of the pictures [m]; None takes them for the map's own.
+    palette : str
+        Of the 8-bit pictures.
+    inner : bool
+        Leave the border out within which edge pixels are repeated, as published; else pictures keep their size.
+
+    Raises
+    ------
+    ThermorenderError
+        The map needs more than a picture, has no border to leave out, or its texel is too different.
+    """
+
+    model: TemperatureMap
+    texel_m: float | None = None
+    palette: str = "white-hot"
+    inner: bool = False
+
+    def __post_init__(self):
+        model = self.model
+        if model.needs:
+            # Which refuses it in its own words.
+            model.radiance(Inputs(np.zeros((1, 1, 3), np.uint8)))
+        if self.texel_m is not None and not 1.0 / _MOST_SPACING <= self.texel_m / model.texel_m <= _MOST_SPACING:
+            raise ThermorenderError(
+                f"texel_m={self.texel_m:g} is too far from the {model.texel_m:.3g} m of learned map {model.name!r}; "
+                f"give {model.texel_m / _MOST_SPACING:.3g}…{model.texel_m * _MOST_SPACING:.3g} m"
+            )
+        if self.inner and not hasattr(model.predictor, "inner"):
+            raise ThermorenderError(
+                f"learned map {model.name!r} ({model.method}) has no border to leave out; leave --inner away"
+            )
+        known_palette(self.palette)
+
+    @cached_property
+    def display(self):
+        """The DisplaySettings of the 8-bit pictures."""
+        return DisplaySettings("linear", self.palette)
+
+    def counts(self, rgb, known=None):
+        """Return apparent temperature of a picture, (h, w) uint16, `TLINEAR_STEP_K` kelvin a count; 0 where unknown.
+
+        Parameters
+        ----------
+        rgb : (h, w, 3) uint8
+            sRGB.
+        known : (h, w) bool, optional
+            Where it shows something.
+        """
+        height, width = rgb.shape[:2]
+        predictor = self.model.predictor
+        # Features of other predictors may tell of the whole picture.
+        local = hasattr(predictor, "reach")
+        reach = predictor.reach(self._spacing) if local else 0
+        rows = max(_STRIP // width, 4 * reach, 1) if local else height
+        found = np.empty((height, width), np.uint16)
+        for start in range(0, height, rows):
+            stop = min(start + rows, height)
+            top = max(start - reach, 0)
+            radiance = self.model.radiance(Inputs(rgb[top : stop + reach], self.texel_m))[start - top :][: stop - start]
+            found[start:stop] = np.where(np.isfinite(radiance), np.searchsorted(self._steps, radiance), 0)
+        if known is not None:
+            found[~known] = 0
+        if self.inner:
+            found = predictor.inner(found, self._spacing)
+        return found
+
+    def picture(self, counts):
+        """Return counts as an 8-bit picture, the map's range from black to white: (h, w) grey or (h, w, 3) RGB."""
+        return self.display.shown(counts, self._ends)
+
+    def share_outside(self, counts):
+        """Return the share of known counts outside the map's range, 0 where none are known."""
+        known = counts[counts > 0]
+        return float(np.mean((known < self._ends[0]) | (known > self._ends[1]))) if known.size else 0.0
+
+    @cached_property
+    def _spacing(self):
+        return 1.0 if self.texel_m is None else self.model.texel_m / self.texel_m
+
+    @cached_property
+    def _ends(self):
+        return np.array(self.model.range_k) / TLINEAR_STEP_K
+
+    @cached_property
+    def _steps(self):
+        """Radiances at which one count ends and the next begins, (65535,) [W m⁻² sr⁻¹]."""
+        return band_radiance((np.arange(65535) + 0.5) * TLINEAR_STEP_K, *self.model.band_um)
+
+
+def translate(model, paths, output, texel_m=None, palette="white-hot", inner=False, frames=False, resume=False,
+              progress=None):  # fmt: skip
+    """Translate pictures and videos into a folder; one that cannot be read does not stop the others.
+
+    Parameters
+    ----------
+    model : TemperatureMap
+    paths : sequence of path
+        Pictures, videos, or folders of them.
+    output : path
+        Folder.
+    texel_m, palette, inner
+        As for `Translation`.
+    frames : bool
+        Write the frames of videos too.
+    resume : bool
+        Continue in a folder of the same settings: what is done is passed over.
+    progress : callable, optional
+        Called with (what, share done).
+
+    Returns
+    -------
+    dict
+        "done" and "passed over", numbers of files; "failed", {path: sentence}; "warning", a sentence or None.
+
+    Raises
+    ------
+    ThermorenderError
+        Nothing to translate, two files of one name, outputs that exist or other settings than before.
+    """
+    tell = progress or (lambda what, share: None)
+    how = Translation(model, texel_m, palette, inner)
+    sources = _sources(paths)
+    outputs = {source: _outputs(source, Path(output), frames) for source in sources}
+    _refuse_clashes(outputs, resume)
+    settings = {
+        "model": _told(model), "texel_m": texel_m, "palette": palette, "inner": inner, "frames": frames,
+        "kelvin_per_count": TLINEAR_STEP_K,
+    }  # fmt: skip
+    done, failed, passed = 0, {}, 0
+    with files.output_folder(output) as folder, files.in_use(folder):
+        before = _begin(folder, settings, resume)
+        for number, source in enumerate(sources):
+            name, size = str(source.resolve()), source.stat().st_size
+            if before.get(name) == size and all(path.exists() for path in outputs[source]):
+                passed += 1
+                continue
+
+            def told(share, number=number):
+                tell("translating", (number + share) / len(sources))
+
+            told(0.0)
+            try:
+                if source.suffix.lower() in VIDEOS:
+                    facts = _video(how, source, outputs[source], told)
+                else:
+                    facts = _picture(how, source, outputs[source])
+            except UnreadableError as error:
+                failed[source] = str(error)
+                continue
+            written = [path.name for path in outputs[source]]
+            files.append_json(folder / DONE, {"source": name, "bytes": size, "files": written, **facts})
+            done += 1
+    return {"done": done, "passed over": passed, "failed": failed, "warning": model.texel_warning(texel_m)}
+
+
+def read_picture(path):
+    """Return (sRGB (h, w, 3) uint8, where it shows something (h, w) bool or None for everywhere) of a picture's file.
+
+    Turned as its EXIF says. Grey, palettes, CMYK (without its profile) and 16-bit colour are brought to 8-bit RGB.
+
+    Raises
+    ------
+    UnreadableError
+        A damaged file, one of another kind, 16-bit grey, or too large.
+    """
+    from PIL import Image, ImageOps
+
+    try:
+        # Pillow warns of large pictures, and of what is odd but not wrong.
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with Image.open(path, formats=_FORMATS) as image:
+                mode = image.mode
+                if mode not in _DEEP_GREY:
+                    image = ImageOps.exif_transpose(image)
+                    if "A" in image.getbands() or "transparency" in image.info:
+                        rgba = np.asarray(image.convert("RGBA"))
+                        known = rgba[..., 3] >= _LEAST_ALPHA
+                        return np.ascontiguousarray(rgba[..., :3]), None if known.all() else known
+                    return np.asarray(image.convert("RGB")), None
+    except Image.DecompressionBombError:
+        raise UnreadableError(
+            f"{path} has more than {2 * Image.MAX_IMAGE_PIXELS / 1e6:.0f} million pixels; cut it into pieces"
+        ) from None
+    # Whatever is malformed inside, each format has errors of its own for it.
+    except Exception as error:
+        raise UnreadableError(
+            f"{path} cannot be read as a picture ({' '.join(str(error).split()) or type(error).__name__}); give a "
+            "whole JPEG, PNG, TIFF, BMP or WebP"
+        ) from None
+    raise UnreadableError(
+        f"{path} is grey in 16 bits or more ({mode}), as thermal cameras write; give the photograph, in colour or in "
+        "8 bits"
+    )
+
+
+# --- one file ---------------------------------------------------------------------------------------------------
+
+
+def _picture(how, source, outputs):
+    rgb, known = read_picture(source)
+    counts = how.counts(rgb, known)
+    _refuse_empty(source, counts)
+    _write_counts(how, counts, *outputs)
+    return {"shape": list(counts.shape), "share_outside_0_1": how.share_outside(counts)}
+
+
+def _video(how, source, outputs, told):
+    """Translate a video frame by frame; outputs are its file and, where frames are asked for, their folder."""
+    import cv2
+
+    reader = cv2.VideoCapture(str(source))
+    with ExitStack() as stack:
+        stack.callback(reader.release)
+        declared = int(reader.get(cv2.CAP_PROP_FRAME_COUNT))
+        rate_hz = reader.get(cv2.CAP_PROP_FPS)
+        whole, image = reader.read()
+        if not whole or not 0.0 < rate_hz < math.inf:
+            raise UnreadableError(f"{source} cannot be read as a video; give a whole MP4 or AVI")
+        part = stack.enter_context(files.atomic(outputs[0]))
+        folder = stack.enter_context(files.atomic_folder(outputs[1], overwrite=True)) if outputs[1:] else None
+        writer, number, outside = None, 0, 0.0
+        while whole:
+            counts = how.counts(np.ascontiguousarray(image[..., ::-1]))
+            _refuse_empty(source, counts)
+            shown = how.picture(counts)
+            if writer is None:
+                codec = cv2.VideoWriter_fourcc(*VIDEOS[outputs[0].suffix])
+                writer = cv2.VideoWriter(str(part), codec, rate_hz, counts.shape[::-1])
+                stack.callback(writer.release)
+                if not writer.isOpened():
+                    raise OSError(f"OpenCV has no encoder for {outputs[0].suffix}")
+            writer.write(cv2.cvtColor(shown, cv2.COLOR_GRAY2BGR if shown.ndim == 2 else cv2.COLOR_RGB2BGR))
+            if folder:
+                _write_counts(how, counts, folder / f"{number:06d}.tif", folder / f"{number:06d}.png")
+            number += 1
+            outside += how.share_outside(counts)
+            told(number / max(declared, number))
+            whole, image = reader.read()
+        if number < declared - max(1.0, _MISSING_FRAMES * declared):
+            raise UnreadableError(f"{source} breaks off after {number} of {declared} frames; give the whole video")
+    return {"shape": list(counts.shape), "frames": number, "rate_hz": rate_hz, "share_outside_0_1": outside / number}
+
+
+def _refuse_empty(source, counts):
+    if not counts.size:
+        raise UnreadableError(f"{source} is smaller than the border that --inner leaves out; translate it without")
+
+
+def _write_counts(how, counts, tiff, png):
+    import cv2
+
+    with files.atomic(tiff) as part:
+        write_tlinear_counts(part, counts)
+    shown = how.picture(counts)
+    with files.atomic(png) as part:
+        if not cv2.imwrite(str(part), np.ascontiguousarray(shown[..., ::-1] if shown.ndim == 3 else shown)):
+            raise OSError("no encoder took the image")
+
+
+# --- files and record -------------------------------------------------------------------------------------------
+
+
+def _sources(paths):
+    """The pictures and videos of paths and folders, each once."""
+    known = (*PICTURES, *VIDEOS)
+    found = []
+    for path in map(Path, paths):
+        if path.is_dir():
+            inside = sorted(each for each in path.iterdir() if each.suffix.lower() in known and each.is_file())
+            if not inside:
+                raise ThermorenderError(f"{path} holds no picture or video ({', '.join(known)}); give another folder")
+            found += inside
+        elif not path.is_file():
+            raise ThermorenderError(f"{path} does not exist; give pictures, videos or folders of them")
+        elif path.suffix.lower() not in known:
+            raise ThermorenderError(f"{path} is of unknown kind; give one of {', '.join(known)}")
+        else:
+            found.append(path)
+    return list({path.resolve(): path for path in found}.values())
+
+
+def _outputs(source, folder, frames):
+    if source.suffix.lower() in VIDEOS:
+        video = folder / f"{source.stem}{source.suffix.lower()}"
+        return (video, folder / f"{source.stem}_frames") if frames else (video,)
+    return folder / f"{source.stem}.tif", folder / f"{source.stem}.png"
+
+
+def _refuse_clashes(outputs, resume):
+    """Refuse two files that would be written as one, and outputs that are there and not from before."""
+    owner, sources = {}, {source.resolve() for source in outputs}
+    for source, written in outputs.items():
+        for path in written:
+            if path in owner:
+                raise ThermorenderError(
+                    f"{owner[path]} and {source} would both be written as {path.name}; translate them into folders of "
+                    "their own"
+                )
+            owner[path] = source
+            if path.resolve() in sources or (path.exists() and not resume):
+                raise ThermorenderError(f"{path} exists; give another folder, or --resume to continue")
+
+
+def _begin(folder, settings, resume):
+    """Write the record, or hold it against that of before; return {path: bytes} of the files that are done."""
+    path = folder / RECORD
+    # As it is read back.
+    settings = json.loads(json.dumps(settings))
+    if not path.exists():
+        files.write_json(path, settings | {"versions": versions()})
+        return {}
+    if not resume:
+        raise ThermorenderError(f"{folder} holds translations; give another folder, or --resume to continue")
+    try:
+        before = json.loads(files.read_text(path))
+        other = next((key for key in settings if before.get(key) != settings[key]), None)
+    except (ValueError, AttributeError):
+        raise ThermorenderError(f"{path} is no record of translations; give another folder") from None
+    if other:
+        raise ThermorenderError(
+            f"{path} was made with another {other}; continue with the same settings, or give another folder"
+        )
+    path = folder / DONE
+    text = files.read_text(path) if path.exists() else ""
+    whole = text[: text.rfind("\n") + 1]
+    if whole != text:
+        # Its last line was cut short by an interruption.
+        files.write_text(path, whole)
+    try:
+        return {line["source"]: line["bytes"] for line in map(json.loads, whole.splitlines())}
+    except (ValueError, KeyError, TypeError):
+        raise ThermorenderError(f"{path} is no list of translations; give another folder") from None
+
+
+def _told(model):
+    """What the record says of a map: its plain values, and a digest of what it computes with."""
+    digest = hashlib.sha256(json.dumps(model.predictor.header(), sort_keys=True).encode())
+    for name, values in sorted(model.predictor.arrays().items()):
+        digest.update(name.encode() + np.ascontiguousarray(values).tobytes())
+    plain = ("name", "method", "range_k", "band_um", "texel_m", "camera", "sky_temperature", "source")
+    return {name: getattr(model, name) for name in plain} | {"digest": digest.hexdigest()}
