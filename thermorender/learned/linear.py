@@ -1,8 +1,8 @@
 """Linear map from the 3 × 3 colours around a pixel, the terrain's relief, hour and weather to kelvin above the air.
 
 Beside these stand products of the sunlight on the ground with the pixel's colour: what a surface absorbs is sunlight
-times what it does not reflect, and colour tells that. The coefficients are those of ridge regression on standardised
-columns.
+times what it does not reflect, and colour tells that. Where the terrain knows nothing its columns are 0, and one that
+says so is 1. The coefficients are those of ridge regression on standardised columns.
 """
 
 from dataclasses import dataclass
@@ -31,15 +31,12 @@ class Linear:
         What it is told besides the picture.
     weight : (K,) float64
         Of the columns [K per unit of each].
-    mean : (K,) float64
-        Of the columns; stands in where the terrain knows nothing.
     offset : float
-        Prediction where every column has its mean [K].
+        Prediction where every column is 0 [K].
     """
 
     told: Told
     weight: np.ndarray
-    mean: np.ndarray
     offset: float
 
     above_air = True
@@ -58,9 +55,8 @@ class Linear:
         """
         image = at_texel(inputs, texel_m)
         found = np.full(image.rgb.shape[:2], self.offset)
-        for (_, column), weight, mean in zip(columns(image, self.told), self.weight, self.mean, strict=True):
-            if weight != 0.0:
-                found += weight * np.nan_to_num(column - mean)
+        for (_, column), weight in zip(columns(image, self.told), self.weight, strict=True):
+            found += weight * column
         return at_shape(found, inputs.rgb.shape[:2])
 
     def header(self):
@@ -69,21 +65,21 @@ class Linear:
 
     def arrays(self):
         """Return what the file holds of it."""
-        return {"weight": self.weight, "mean": self.mean}
+        return {"weight": self.weight}
 
     @classmethod
     def of(cls, header, arrays):
         """Return the Linear of `header` and `arrays`."""
         told = Told(tuple(header["terrain"]), tuple(header["conditions"]))
-        if arrays["weight"].shape != arrays["mean"].shape or arrays["weight"].shape != (count_of_columns(told),):
+        if arrays["weight"].shape != (count_of_columns(told),):
             raise ValueError("other columns")
-        return cls(told, arrays["weight"], arrays["mean"], float(header["offset"]))
+        return cls(told, arrays["weight"], float(header["offset"]))
 
 
 def count_of_columns(told):
     """Return how many columns `columns` gives."""
     sunlight = sum(name.startswith(_SUNLIGHT) for name in told.terrain)
-    return 3 * _SIDE**2 + len(told.terrain) + 3 * sunlight + len(told.conditions)
+    return 3 * _SIDE**2 + len(told.terrain) + 3 * sunlight + 1 + len(told.conditions)
 
 
 def columns(inputs, told):
@@ -98,11 +94,16 @@ def columns(inputs, told):
                 yield f"{name} {down - ring:+d} {across - ring:+d}", (
                     colour[down : down + height, across : across + width, number]
                 )
+    unknown = np.zeros((height, width), bool)
     for name in told.terrain:
-        yield name, inputs.terrain[name]
+        plane = np.float64(inputs.terrain[name])
+        unknown |= np.isnan(plane)
+        plane = np.nan_to_num(plane)
+        yield name, plane
         if name.startswith(_SUNLIGHT):
             for number, channel in enumerate("RGB"):
-                yield f"{name} × {channel}", inputs.terrain[name] * colour[ring:-ring, ring:-ring, number]
+                yield f"{name} × {channel}", plane * colour[ring:-ring, ring:-ring, number]
+    yield "no terrain", unknown
     for name in told.conditions:
         yield name, inputs.conditions[name]
 
@@ -111,7 +112,7 @@ def fit_linear(task):
     """Return the Linear that learns a Task.
 
     Its option `ridge` is the penalty λ: the mean squared error plus λ times the sum of the squared coefficients of
-    standardised columns is smallest. Pixels without terrain are left out.
+    standardised columns is smallest.
 
     Raises
     ------
@@ -137,11 +138,8 @@ def fit_linear(task):
         for row, (_, column) in zip(table, columns(each.inputs, told), strict=False):
             row[:] = np.ravel(column)[each.pixels] if np.ndim(column) else column
         table[size] = each.target
-        table = table[:, np.isfinite(table).all(axis=0)]
         products += table @ table.T
     count = products[-1, -1]
-    if count == 0.0:
-        raise ThermorenderError("no pixel of the pairs has every plane of the terrain; give pairs that look at terrain")
     mean = products[-1, :-1] / count
     covariance = products[:-1, :-1] / count - np.outer(mean, mean)
     scale = np.sqrt(np.maximum(np.diag(covariance)[:size], 0.0))
@@ -152,4 +150,4 @@ def fit_linear(task):
     among[np.diag_indices_from(among)] += ridge
     # The least of all solutions where columns repeat each other and nothing is penalised.
     weight[varies] = np.linalg.lstsq(among, covariance[size, :size][varies] / scale, rcond=None)[0] / scale
-    return Linear(told, weight, mean[:size].copy(), float(mean[size]))
+    return Linear(told, weight, float(mean[size] - weight @ mean[:size]))
