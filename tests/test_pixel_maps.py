@@ -104,6 +104,9 @@ def test_a_picture_is_brought_to_the_maps_texel_and_back():
     np.testing.assert_array_equal(found.terrain["x"], plane)
     assert found.texel_m == 0.5
     assert rows.at_texel(Inputs(rgb, 0.54), 0.5).rgb is rgb and rows.at_texel(Inputs(rgb), 0.5).rgb is rgb
+    # Classes stay what they are, at any ratio.
+    odd = rows.at_texel(Inputs(rgb, 0.3, {"material": np.where(plane > 900.0, 7, 2).astype(np.uint8)}), 0.5)
+    assert odd.rgb.shape == (29, 38, 3) and np.unique(odd.terrain["material"]).tolist() == [2.0, 7.0]
     # Coarser by ten: no more than fourfold enlarged.
     assert rows.at_texel(Inputs(rgb, 5.0), 0.5).rgb.shape == (192, 256, 3)
     ramp = np.add.outer(np.arange(48.0), 2.0 * np.arange(64.0))
