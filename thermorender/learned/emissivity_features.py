@@ -8,7 +8,7 @@ trained on: an orthophoto of another ground sampling distance is brought to that
 
 import numpy as np
 
-from thermorender.physics.srgb import decoded
+from thermorender.learned.features import blurred, lab, structure
 
 # Standard deviations of the windows [texels].
 WINDOWS_TEXELS = (1.5, 4.0, 10.0)
@@ -26,16 +26,6 @@ NAMES = (
 NEAR = tuple(k for k, name in enumerate(NAMES) if not name.endswith(f"{WINDOWS_TEXELS[-1]:g}") and name != "coherence")
 
 
-def lab(rgb):
-    """Return CIELAB (D65), (..., 3) float32, of sRGB bytes."""
-    import colour
-
-    # The eye of the standard needs no more than a byte per channel: each is linearised once.
-    light = decoded(np.arange(256) / 255.0)[rgb]
-    to_xyz = colour.models.RGB_COLOURSPACE_sRGB.matrix_RGB_to_XYZ
-    return colour.XYZ_to_Lab(light @ to_xyz.T).astype(np.float32)
-
-
 def features(rgb):
     """Return what describes each texel, (h, w, len(NAMES)) float32.
 
@@ -44,28 +34,15 @@ def features(rgb):
     rgb : (h, w, 3) uint8
         sRGB on the grid the map was trained on; edges are repeated outwards.
     """
-    import cv2
-
-    def mean(image, window):
-        size = 2 * int(np.ceil(3.0 * window)) + 1
-        return cv2.GaussianBlur(image, (size, size), window, borderType=cv2.BORDER_REPLICATE)
-
     # Centred, so that a spread is no small difference of large squares in single precision.
     image = lab(rgb) - np.float32((50.0, 0.0, 0.0))
     found = [image]
     spreads = []
     for window in WINDOWS_TEXELS:
-        around = mean(image, window)
-        variance = np.maximum(mean(image * image, window) - around * around, 0.0)
+        around = blurred(image, window)
+        variance = np.maximum(blurred(image * image, window) - around * around, 0.0)
         found.append(around)
         spreads += [variance[..., 0], variance[..., 1] + variance[..., 2]]
     found.append(np.log1p(np.sqrt(np.stack(spreads, axis=-1))))
-    soft = mean(image[..., 0], 0.8)
-    across = cv2.Sobel(soft, cv2.CV_32F, 1, 0, scale=0.125, borderType=cv2.BORDER_REPLICATE)
-    down = cv2.Sobel(soft, cv2.CV_32F, 0, 1, scale=0.125, borderType=cv2.BORDER_REPLICATE)
-    # Eigenvalues of the structure tensor (Förstner & Gülch 1987): their sum and the share of their difference.
-    xx, yy, xy = (mean(product, WINDOWS_TEXELS[1]) for product in (across * across, down * down, across * down))
-    total = xx + yy
-    coherence = np.sqrt((xx - yy) ** 2 + 4.0 * xy * xy) / (total + 0.05)
-    found.append(np.stack([np.log1p(np.sqrt(total)), coherence], axis=-1))
+    found.append(np.stack(structure(image[..., 0], WINDOWS_TEXELS[1]), axis=-1))
     return np.concatenate(found, axis=-1)

@@ -206,7 +206,7 @@ def load_map(path):
     Raises
     ------
     ThermorenderError
-        No file, or one that is no map of this format.
+        No file, or one that is no map of this format; or what maps of its method need is not installed.
     """
     import importlib
     import zipfile
@@ -222,6 +222,8 @@ def load_map(path):
         predictor = getattr(importlib.import_module(module), name).of(header.pop("of_predictor"), arrays)
         header = {key: tuple(value) if isinstance(value, list) else value for key, value in header.items()}
         return TemperatureMap(predictor=predictor, **header)
+    except ThermorenderError:
+        raise
     except OSError as error:
         raise ThermorenderError(f"learned map {path} cannot be read: {error.strerror}; give a .npz of a map") from None
     except (ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile):

@@ -51,6 +51,9 @@ class Task:
         Called with (what, share done).
     options : dict
         Of the method, as by `Method.options`.
+    texel_m : float or None
+        Ground sampling distance that the map will be applied at [m]; methods that see texture learn at it. None takes
+        the pictures as they are.
     """
 
     examples: Examples
@@ -60,6 +63,7 @@ class Task:
     seed: int
     progress: Callable[[str, float], object]
     options: dict
+    texel_m: float | None = None
 
 
 @dataclass(frozen=True)

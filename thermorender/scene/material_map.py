@@ -7,7 +7,7 @@ import numpy as np
 from thermorender import files
 from thermorender.errors import ThermorenderError
 from thermorender.learned.emissivity import load_map, map_materials
-from thermorender.learned.emissivity_features import lab
+from thermorender.learned.features import lab
 from thermorender.materials import library as material_tables
 from thermorender.materials.mixture import palette
 from thermorender.physics.geodesy import LocalFrame

@@ -14,7 +14,7 @@ from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic
 from thermorender.learned.emissivity import load_map, map_materials
-from thermorender.learned.emissivity_features import lab
+from thermorender.learned.features import lab
 from thermorender.materials.library import find, load_library
 from thermorender.physics.band import RadianceTable, quadrature
 from thermorender.physics.planck import spectral_radiance
