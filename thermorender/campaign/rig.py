@@ -218,9 +218,9 @@ def load_rig(path):
         if values.pop("format") != FORMAT:
             raise ValueError("another format")
         rig = Rig(**{key: tuple(value) if isinstance(value, list) else value for key, value in values.items()})
-        numbers = [*rig.visible_shape, *rig.thermal_shape, *rig.shift_px, rig.scale, rig.rotation_deg, rig.k1, rig.aspect]
-        sizes = len(rig.visible_shape), len(rig.thermal_shape), len(rig.shift_px)
-        if not np.isfinite(numbers).all() or sizes != (2, 2, 2) or min(rig.scale, rig.aspect, *numbers[:4]) <= 0:
+        positive = [*rig.visible_shape, *rig.thermal_shape, rig.scale, rig.aspect]
+        others = [*rig.shift_px, rig.rotation_deg, rig.k1]
+        if (len(positive), len(others)) != (6, 4) or min(positive) <= 0.0 or not np.isfinite(positive + others).all():
             raise ValueError("numbers that no rig has")
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         known = ", ".join(each.name for each in fields(Rig))
