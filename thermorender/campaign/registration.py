@@ -1,11 +1,5 @@
 """Calibration of a rig: the mapping from thermal to visible pictures by the directions of their gradients.
 
-What is warm may be bright or dark, so pictures are compared by the direction of their gradients without its sign: of
-the gradient g as a complex number, z = g² / (|g|² + η²), with η² the median of |g|². The square turns opposite
-directions into the same number; the denominator lets strong edges count alike. That is the normalised gradient field
-of Haber and Modersitzki, Intensity gradient based registration and fusion of multi-modal images, MICCAI 2006, written
-so that a sum of its agreement over all shifts is one Fourier transform.
-
 All frames of a rig share one mapping: their correlations are summed before a maximum is looked for. First over scale
 and rotation on a grid and over all shifts, on small pictures; then all parameters together on finer and finer pictures
 by the steps of Evangelidis and Psarakis, Parametric image alignment using enhanced correlation coefficient
@@ -17,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from thermorender.campaign.gradient_directions import best_shift, directions
 from thermorender.campaign.rig import Rig, half_diagonal, positions
 from thermorender.errors import ThermorenderError
 
@@ -214,16 +209,6 @@ def _filling(shapes):
     return float(min(np.array(shapes[0]) / np.array(shapes[1])))
 
 
-def _directions(grey):
-    """Directions of gradients without sign, (h, w) complex64 of magnitude below 1."""
-    import cv2
-
-    smooth = cv2.GaussianBlur(np.asarray(grey, np.float32), (0, 0), 1.0)
-    gradient = cv2.Sobel(smooth, cv2.CV_32F, 1, 0) + 1j * cv2.Sobel(smooth, cv2.CV_32F, 0, 1)
-    power = np.abs(gradient) ** 2
-    return (gradient**2 / (power + np.median(power) + 1e-6 * power.mean() + 1e-30)).astype(np.complex64)
-
-
 def _resized(grey, factor):
     """A picture made coarser by a factor, and its pixels to one of the original's along columns and rows."""
     import cv2
@@ -238,9 +223,9 @@ def _level(pictures, shapes, reduced, scale, factor):
     visible, thermal = [], []
     for frame in pictures:
         small, _ = _resized(frame.visible, max(scale * factor / reduced, 1.0))
-        visible.append(_directions(small))
+        visible.append(directions(small))
         small_thermal, (across, down) = _resized(frame.thermal, factor)
-        thermal.append(_directions(small_thermal))
+        thermal.append(directions(small_thermal))
     density = visible[0].shape[1] / shapes[0][1], visible[0].shape[0] / shapes[0][0]
     height, width = thermal[0].shape
     column, row = (np.arange(width) + 0.5) / across, (np.arange(height) + 0.5) / down
@@ -256,7 +241,7 @@ def _searched(pictures, shapes, reduced, start, tell):
     import cv2
 
     factor = shapes[1][1] / min(_SMALL, shapes[1][1])
-    thermal = [_directions(_resized(frame.thermal, factor)[0]) for frame in pictures]
+    thermal = [directions(_resized(frame.thermal, factor)[0]) for frame in pictures]
     shape = thermal[0].shape
     filling = _filling(shapes)
     low, high = np.log(_SCALES) + np.log(filling)
@@ -278,10 +263,10 @@ def _searched(pictures, shapes, reduced, start, tell):
             inside = cv2.warpAffine(np.ones((height, width), np.uint8), matrix, canvas[::-1], flags=flags)
             inside = cv2.erode(inside, np.ones((5, 5), np.uint8), borderValue=0) > 0
             turned = [
-                _directions(cv2.warpAffine(each, matrix, canvas[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE))
+                directions(cv2.warpAffine(each, matrix, canvas[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE))
                 for each in small
             ]
-            score, shift = _best_shift(turned, thermal, inside)
+            score, shift = best_shift(turned, thermal, inside)
             # What lies at x in the thermal picture lies at R(x + shift) in the visible one.
             shift = turn @ shift * factor
             found.append((score, np.array([log_scale, np.radians(angle), *shift, 0.0, 0.0])))
@@ -294,50 +279,6 @@ def _searched(pictures, shapes, reduced, start, tell):
         if len(begins) == 3:
             break
     return begins
-
-
-def _best_shift(visible, thermal, inside):
-    """(pooled correlation, shift (right, down) [px]) of pictures in canvases over smaller ones, at its maximum."""
-    score = _correlations(visible, thermal, inside)
-    row, column = np.unravel_index(score.argmax(), score.shape)
-    return float(score[row, column]), _signed((column, row), score.shape, thermal[0].shape)
-
-
-def _signed(at, canvas, shape):
-    """The shift (right, down) from the middle of a canvas that a place in `_correlations` stands for."""
-    rest = (np.array(canvas) - np.array(shape)) / 2.0
-    return np.array([at[0] - rest[1], at[1] - rest[0]])
-
-
-def _correlations(visible, thermal, inside):
-    """Pooled correlation for every place of the thermal pictures' corner in the canvas, (rows, columns); −1 outside.
-
-    Where pictures overlap in part, the root of that share is a factor, so that small overlaps do not win.
-    """
-    from scipy import fft
-
-    canvas, (height, width) = inside.shape, thermal[0].shape
-
-    def there(image):
-        return fft.fft2(image, canvas)
-
-    product, power, own = 0.0, np.zeros(canvas, np.float32), np.zeros((height, width), np.float32)
-    for seen, known in zip(visible, thermal, strict=True):
-        seen, known = np.where(inside, seen, 0), known - known.mean()
-        product = product + there(seen) * np.conj(there(known))
-        power += np.abs(seen) ** 2
-        own += np.abs(known) ** 2
-    window = np.conj(there(np.ones((height, width), np.float32)))
-    known_inside = there(inside.astype(np.float32))
-    seen_power = fft.ifft2(there(power) * window).real
-    known_power = fft.ifft2(known_inside * np.conj(there(own))).real
-    overlap = np.clip(fft.ifft2(known_inside * window).real / (height * width), 0.0, 1.0)
-    score = fft.ifft2(product).real / np.sqrt(np.maximum(seen_power * known_power, 1e-12)) * np.sqrt(overlap)
-    score[overlap < 0.6] = -1.0
-    # Places that would wrap around.
-    score[canvas[0] - height + 1 :] = -1.0
-    score[:, canvas[1] - width + 1 :] = -1.0
-    return score
 
 
 # --- fit --------------------------------------------------------------------------------------------------------
@@ -474,7 +415,7 @@ def _outliers(level, parameters, names, factor, columns):
     sampled, inside = _sampled(level, parameters, *np.meshgrid(x, y))
     shifts = []
     for seen, known in zip(sampled, level.thermal, strict=True):
-        shifts.append(_best_shift([seen], [known], inside)[1] * factor)
+        shifts.append(best_shift([seen], [known], inside)[1] * factor)
     shifts, own = np.array(shifts), _scores(level, parameters)
     away = np.hypot(*(shifts - np.median(shifts, axis=0)).T)
     allowed = min(max(_OUTLIER * np.median(away), 2.0 * factor), _ELSEWHERE * columns)

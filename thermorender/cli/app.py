@@ -9,6 +9,7 @@ import typer
 
 from thermorender import defaults, files
 from thermorender.cli.camera import fit_camera
+from thermorender.cli.maps import prepare
 from thermorender.cli.materials import app as materials
 from thermorender.cli.terminal import Time, at_time, output_option, progress, split, table
 from thermorender.cli.terminal import air as parse_air
@@ -27,6 +28,7 @@ app = typer.Typer(
 app.add_typer(validate, name="validate")
 app.add_typer(materials, name="materials")
 app.command("fit-camera")(fit_camera)
+app.command("prepare")(prepare)
 train = typer.Typer(help="Train learned maps.", no_args_is_help=True)
 app.add_typer(train, name="train")
 
