@@ -245,10 +245,22 @@ def _decoded(path):
         flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
         if data[-65536:].tobytes().find(b"\xff\xd9") < 0:
             raise ThermorenderError(f"{path} is a JPEG cut short; copy it anew, or leave it out")
-    image = cv2.imdecode(data, flags) if data.size else None
+    image = _quietly(cv2.imdecode, data, flags) if data.size else None
     if image is None:
         raise ThermorenderError(f"{path} is no picture that can be read; copy it anew, or leave it out")
     return image
+
+
+def _quietly(decode, *arguments):
+    """What a function of OpenCV returns, without the lines that it prints of damaged files."""
+    import cv2
+
+    before = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        return decode(*arguments)
+    finally:
+        cv2.utils.logging.setLogLevel(before)
 
 
 def _radiometric(path):

@@ -17,9 +17,9 @@ from thermorender.errors import ThermorenderError
 
 # Frames are taken evenly spread where there are more.
 MOST_FRAMES = 32
-# Columns of the small pictures of the first search.
-_SMALL = 112
-_SCALE_STEP, _ROTATIONS_DEG = 0.04, (-4.5, -3.0, -1.5, 0.0, 1.5, 3.0, 4.5)
+# Columns of the small pictures of the first search, and how many of them are enough there.
+_SMALL, _FIRST_FRAMES = 112, 16
+_SCALE_STEP, _ROTATIONS_DEG = 0.04, (-4.0, -2.0, 0.0, 2.0, 4.0)
 # Scales looked at where fields of view are not known: of that which makes both pictures cover the same.
 _SCALES = (0.25, 1.3)
 # Uncertainty of the scale by published fields of view. Chosen: they are rounded, and of lenses with distortion.
@@ -29,8 +29,14 @@ _CANVAS = 1.5
 # Frames that lie further off than this share of the columns are elsewhere.
 _ELSEWHERE = 0.05
 _OUTLIER = 3.5 * 1.4826
+# Of a picture whose gradients know of its border: three standard deviations of their blur and one more [px].
+_MARGIN = 4
+# Lower scores are those of pictures that do not show the same. Chosen: unrelated ones reach 0.06 where they fit best,
+# real pairs 0.2 to 0.5.
+_LEAST_SCORE = 0.1
 # Parameters: ln scale, rotation, shift, shift, k1, ln aspect.
 _RIGID, _DISTORTED, _RESIZED = (0, 1, 2, 3), (0, 1, 2, 3, 4), (0, 1, 2, 3, 4, 5)
+_WANTED = "give pairs of one rig with detail in both pictures, far away compared with the cameras' distance"
 _DELTA = np.array([1e-5, 1e-5, 1e-3, 1e-3, 1e-5, 1e-5])
 
 
@@ -86,7 +92,7 @@ def calibrate(frames, fields_of_view=None, resized=False, progress=None):
     Raises
     ------
     ThermorenderError
-        Frames of several sizes, or of which less than half agree on one rig.
+        Frames of several sizes, or of which half or more do not agree on one rig, or none that show the same.
     """
     tell = progress or (lambda what, share: None)
     pictures, shapes, reduced, start = _read(frames, fields_of_view, tell)
@@ -109,14 +115,19 @@ def calibrate(frames, fields_of_view=None, resized=False, progress=None):
         if number == 0 and len(pictures) > 1:
             rejected = _outliers(level, parameters, [frame.name for frame in pictures], factor, thermal_shape[1])
             used = [k for k in used if pictures[k].name not in rejected]
-            if 2 * len(used) < len(pictures):
+            if 2 * len(used) <= len(pictures):
                 raise ThermorenderError(
                     f"{len(used)} of {len(pictures)} pairs of pictures agree on how the cameras lie to each other; "
-                    "give pairs of one rig with detail in both pictures, far away compared with the cameras' distance"
+                    f"{_WANTED}"
                 )
     normals = _normals(level, parameters, free)
     judge = _level(pictures, shapes, reduced, np.exp(parameters[0]), max(thermal_shape[1] / 320.0, 1.0))
     own = _scores(judge, parameters)
+    if own[used].mean() < _LEAST_SCORE:
+        raise ThermorenderError(
+            f"pictures laid onto each other at their best have a score of {own[used].mean():.3f}, and those that show "
+            f"the same at least {_LEAST_SCORE}; {_WANTED}"
+        )
     other = _scores(judge, parameters, roll=1)[used] if len(pictures) > 1 else None
     scale = float(np.exp(parameters[0]))
     return Rig(
@@ -241,6 +252,8 @@ def _searched(pictures, shapes, reduced, start, tell):
     import cv2
 
     factor = shapes[1][1] / min(_SMALL, shapes[1][1])
+    if len(pictures) > _FIRST_FRAMES:
+        pictures = [pictures[k] for k in np.linspace(0, len(pictures) - 1, _FIRST_FRAMES).round().astype(int)]
     thermal = [directions(_resized(frame.thermal, factor)[0]) for frame in pictures]
     shape = thermal[0].shape
     filling = _filling(shapes)
@@ -273,7 +286,7 @@ def _searched(pictures, shapes, reduced, start, tell):
     found.sort(key=lambda each: -each[0])
     begins = []
     for _, each in found:
-        apart = [abs(each[0] - other[0]) > 1.5 * _SCALE_STEP or abs(each[1] - other[1]) > 0.03 for other in begins]
+        apart = [abs(each[0] - other[0]) > 1.5 * _SCALE_STEP or abs(each[1] - other[1]) > 0.04 for other in begins]
         if all(apart):
             begins.append(each)
         if len(begins) == 3:
@@ -292,13 +305,20 @@ def _sampled(level, parameters, x, y):
     height, width = level.visible[0].shape
     column = (column * level.density[0] + width / 2.0 - 0.5).astype(np.float32)
     row = (row * level.density[1] + height / 2.0 - 0.5).astype(np.float32)
-    inside = (column >= 1.0) & (row >= 1.0) & (column <= width - 2.0) & (row <= height - 2.0)
+    inside = (column >= _MARGIN) & (row >= _MARGIN) & (column < width - _MARGIN) & (row < height - _MARGIN)
     turn = np.complex64(np.exp(-2j * parameters[1]))
     found = []
     for each in level.visible:
         pairs = cv2.remap(each.view(np.float32).reshape(height, width, 2), column, row, cv2.INTER_LINEAR)
         found.append(np.ascontiguousarray(pairs).view(np.complex64)[..., 0] * turn)
     return found, inside
+
+
+def _within(shape):
+    """(h, w) bool, False along the borders, where the gradients of a picture alone are not those of the scene."""
+    within = np.zeros(shape, bool)
+    within[_MARGIN:-_MARGIN, _MARGIN:-_MARGIN] = True
+    return within
 
 
 def _moves(level, parameters, free):
@@ -309,16 +329,16 @@ def _moves(level, parameters, free):
         return np.stack(positions(parameters + change, x + dx, y + dy, level.diagonal), axis=-1)
 
     none = np.zeros(6)
-    jacobian = np.stack(
-        [(at(none, 0.5, 0.0) - at(none, -0.5, 0.0)), (at(none, 0.0, 0.5) - at(none, 0.0, -0.5))], axis=-1
-    )
-    inverse = np.linalg.inv(jacobian)
+    right, down = at(none, 0.5, 0.0) - at(none, -0.5, 0.0), at(none, 0.0, 0.5) - at(none, 0.0, -0.5)
+    determinant = right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0]
     pixel = abs(level.x[0, 1] - level.x[0, 0])
     moved = []
     for k in free:
         step = np.zeros(6)
         step[k] = _DELTA[k]
-        moved.append(np.einsum("...ij,...j->...i", inverse, (at(step) - at(-step)) / (2.0 * _DELTA[k])) / pixel)
+        u, v = np.moveaxis((at(step) - at(-step)) / (2.0 * _DELTA[k] * pixel * determinant[..., None]), -1, 0)
+        # Back to the thermal picture, by the inverse of the mapping's slope.
+        moved.append(np.stack([down[..., 1] * u - down[..., 0] * v, right[..., 0] * v - right[..., 1] * u], axis=-1))
     return np.stack(moved, axis=-2)
 
 
@@ -327,21 +347,26 @@ def _normals(level, parameters, free):
     sampled, inside = _sampled(level, parameters, level.x, level.y)
     every = slice(None, None, level.every)
     moves = _moves(level, parameters, free)
-    inside = inside[every, every]
+    inside = (inside & _within(inside.shape))[every, every]
     moves = moves[inside].astype(np.float32)
     found = []
     for seen, known in zip(sampled, level.thermal, strict=True):
         down, across = np.gradient(seen)
         across, down, value = (image[every, every][inside] for image in (across, down, seen))
         known = known[every, every][inside]
-        design = across[:, None] * moves[..., 0] + down[:, None] * moves[..., 1]
-        design[:, free.index(1)] -= 2j * value
-        design, value, known = (each - each.mean(axis=0) for each in (design, value, known))
-        conjugate = design.conj().T
+        turned = -2j * value
+        rows = []
+        # Real and imaginary parts apart: products of real matrices are several times faster.
+        for part in (np.real, np.imag):
+            design = part(across)[:, None] * moves[..., 0] + part(down)[:, None] * moves[..., 1]
+            design[:, free.index(1)] += part(turned)
+            rows.append((design - design.mean(axis=0), *(part(each) - part(each).mean() for each in (value, known))))
         found.append((
-            (conjugate @ design).real.astype(np.float64), (conjugate @ known).real.astype(np.float64),
-            (conjugate @ value).real.astype(np.float64), float(np.vdot(value, known).real),
-            float(np.vdot(value, value).real), float(np.vdot(known, known).real),
+            sum(design.T @ design for design, _, _ in rows).astype(np.float64),
+            sum(design.T @ own for design, _, own in rows).astype(np.float64),
+            sum(design.T @ own for design, own, _ in rows).astype(np.float64),
+            sum(float(seen @ own) for _, seen, own in rows), sum(float(seen @ seen) for _, seen, _ in rows),
+            sum(float(own @ own) for _, _, own in rows),
         ))  # fmt: skip
     return found
 
@@ -395,7 +420,7 @@ def _possible(level, parameters):
 def _scores(level, parameters, roll=0):
     """Correlation of each frame's directions, (frames,); with the visible ones `roll` frames on."""
     sampled, inside = _sampled(level, parameters, level.x, level.y)
-    found = []
+    inside, found = inside & _within(inside.shape), []
     for number, known in enumerate(level.thermal):
         seen, own = sampled[(number + roll) % len(sampled)][inside], known[inside]
         seen, own = seen - seen.mean(), own - own.mean()
