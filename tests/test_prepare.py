@@ -112,6 +112,10 @@ def test_crops_are_of_their_parents_and_the_same_each_time(tmp_path, call):
         assert (visible[row : row + 16, column : column + 16] == one.visible).all()
         corners |= set(places)
     assert len(corners) > 28
+    # Of each parent some crops are for training, and only those count.
+    values = np.concatenate([each.thermal.ravel() for each in found.of("train").pairs()])
+    assert found.card["bounds"]["third_quartile"] == np.percentile(values, 75)
+    assert len({entry.parent for entry in found.of("train").entries}) == 8
 
 
 def test_corners_of_crops_are_uniform():

@@ -144,6 +144,20 @@ def test_directions_do_not_know_the_sign_of_contrast():
     assert np.allclose(directions(np.tile(np.arange(40.0), (30, 1)).T)[10:30, 10:20], -0.5, atol=1e-3)
 
 
+def test_directions_turn_with_the_picture():
+    rig = Rig((200, 200), (100, 100), scale=1.0, rotation_deg=12.0, shift_px=(4.0, 2.0), k1=0.0)
+    visible = np.repeat(np.uint8(255 * land(np.random.default_rng(2), (200, 200)))[..., None], 3, axis=-1)
+    seen = warped(visible, rig)[0][..., 0].astype(np.float32)
+    parameters = registration.parameters_of(rig)
+    pictures = [registration._Frame("f", visible[..., 0].astype(np.float32), seen)]
+    level = registration._level(pictures, (rig.visible_shape, rig.thermal_shape), 1.0, 1.0, 1.0)
+    (turned,), inside = registration._sampled(level, parameters, level.x, level.y)
+    inside &= registration._within(inside.shape)
+    agreement = np.vdot(level.thermal[0][inside], turned[inside])
+    assert abs(np.degrees(np.angle(agreement))) < 1.0
+    assert registration._scores(level, parameters)[0] > 0.95
+
+
 def test_warped_is_what_the_thermal_camera_sees():
     rig = Rig((300, 400), (90, 120), scale=2.7, rotation_deg=5.0, shift_px=(60.0, -20.0), k1=0.1, aspect=1.05)
     row, column = np.mgrid[0:300, 0:400]
