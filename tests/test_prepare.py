@@ -376,6 +376,15 @@ def test_bounds_without_contrast_or_pixels_are_refused():
         bounds.bounds_of(histogram)
 
 
+def test_a_jpeg_cut_short_is_refused(tmp_path):
+    image = np.random.default_rng(0).integers(0, 255, (60, 60, 3), np.uint8)
+    cv2.imwrite(str(tmp_path / "a.jpg"), image)
+    assert pictures.read_visible(tmp_path / "a.jpg")[0].shape == (60, 60, 3)
+    (tmp_path / "a.jpg").write_bytes((tmp_path / "a.jpg").read_bytes()[:-400])
+    with pytest.raises(ThermorenderError, match="a.jpg is a JPEG cut short"):
+        pictures.read_visible(tmp_path / "a.jpg")
+
+
 def test_a_place_is_read_from_exif(tmp_path):
     from PIL import Image
 

@@ -126,6 +126,14 @@ def test_frames_of_another_size_and_none_are_refused():
         registration.calibrate(frames(2, f1=other), FIELDS)
     with pytest.raises(ThermorenderError, match="at least one pair of pictures, got none"):
         registration.calibrate([])
+    with pytest.raises(ThermorenderError, match="'f' has a side of 40 pixels; a rig needs pictures of at least 48"):
+        registration.calibrate([("f", lambda: (np.zeros((300, 400, 3), np.uint8), np.zeros((40, 60))))])
+
+
+def test_pictures_without_detail_are_refused():
+    flat = np.full((96, 128, 3), 80, np.uint8)
+    with pytest.raises(ThermorenderError, match="have a score of 0.000"):
+        registration.calibrate([("f", lambda: (flat, np.full((96, 128), np.nan)))], ((45, 37), (45, 37)))
 
 
 def test_scale_of_published_fields_of_view():

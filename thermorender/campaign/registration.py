@@ -17,6 +17,8 @@ from thermorender.errors import ThermorenderError
 
 # Frames are taken evenly spread where there are more.
 MOST_FRAMES = 32
+# Smallest side of a picture that a rig can be seen in [px].
+_LEAST_SIDE = 48
 # Columns of the small pictures of the first search, and how many of them are enough there.
 _SMALL, _FIRST_FRAMES = 112, 16
 _SCALE_STEP, _ROTATIONS_DEG = 0.04, (-4.0, -2.0, 0.0, 2.0, 4.0)
@@ -188,6 +190,11 @@ def _read(frames, fields_of_view, tell):
         visible, thermal = read()
         if shapes is None:
             shapes = tuple(visible.shape[:2]), tuple(thermal.shape)
+            side = min(*shapes[0], *shapes[1])
+            if side < _LEAST_SIDE:
+                raise ThermorenderError(
+                    f"pair {name!r} has a side of {side} pixels; a rig needs pictures of at least {_LEAST_SIDE}"
+                )
             if fields_of_view is not None:
                 start = scale_of_fields(fields_of_view, *shapes)
                 reduced = max(start * (1.0 - _FIELD_TOLERANCE), 1.0)
@@ -374,7 +381,7 @@ def _normals(level, parameters, free):
 def _pooled(normals):
     """(correlation pooled over frames, factor that the thermal directions get in a step)."""
     product, seen, known = (sum(each[k] for each in normals) for k in (3, 4, 5))
-    return product / np.sqrt(max(seen * known, 1e-12)), seen / max(product, 1e-3 * seen)
+    return product / np.sqrt(max(seen * known, 1e-12)), seen / max(product, 1e-3 * seen, 1e-12)
 
 
 def _climb(level, parameters, free, most=25):
