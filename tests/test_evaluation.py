@@ -20,7 +20,6 @@ from thermorender.learned.temperature_map import Inputs, TemperatureMap, save_ma
 from thermorender.materials.library import load_library
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.validate.evaluation import classes, evaluate, report, similarity, sums
-from thermorender.validate.evaluation.training_part import value_bounds
 from thermorender.validate.figures import evaluation as figures
 
 SHAPE = (48, 64)
@@ -186,13 +185,6 @@ def test_edges_are_two_pixels_around_a_step():
     assert (classes.edge_class(image) == 0).all(axis=0).nonzero()[0].tolist() == list(range(3, 9))
     image[:, 6:] -= 1.5
     assert classes.edge_class(image).all(), "0.75 K a pixel is none"
-
-
-def test_bounds_are_those_of_all_values():
-    values = np.random.default_rng(5).gamma(3.0, 40.0, 5001).astype(np.uint16)
-    first, third = np.percentile(values, [25, 75], method="inverted_cdf")
-    expected = max(first - 1.5 * (third - first), 0.0), third + 1.5 * (third - first)
-    assert value_bounds(np.bincount(values, minlength=65536)) == expected
 
 
 # --- the whole --------------------------------------------------------------------------------------------------

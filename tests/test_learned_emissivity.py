@@ -15,8 +15,8 @@ from thermorender.errors import ThermorenderError
 from thermorender.learned import emissivity as learned
 from thermorender.learned.emissivity import EmissivityMap, load_map, map_materials, save_map
 from thermorender.learned.emissivity_features import NAMES, NEAR, features
-from thermorender.learned.features import lab
 from thermorender.learned.emissivity_training import Labelled, train
+from thermorender.learned.features import lab
 from thermorender.materials.library import grey, load_library
 from thermorender.materials.mixture import Mixture, mix, palette
 from thermorender.physics.planck import band_radiance, brightness_temperature

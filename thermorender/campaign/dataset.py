@@ -440,7 +440,7 @@ def packed(visible, thermal, valid=None, truth=None):
 
 
 def _rounded(values):
-    """Floats in single precision with the last 7 bits of their mantissa 0, which compress better; others as they are."""
+    """Floats in single precision with the last 7 bits of their mantissa 0, to compress better; others as they are."""
     if values.dtype.kind != "f" or values.itemsize < 4:
         return values
     bits = np.ascontiguousarray(values, np.float32).view(np.uint32)

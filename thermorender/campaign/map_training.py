@@ -1,12 +1,12 @@
 """A learned temperature map trained on a data set: what the method is given, and what the map says of itself."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
-from thermorender import files
 from thermorender.campaign.audit import audit
-from thermorender.campaign.bounds import value_bounds
+from thermorender.campaign.bounds import bounds_of_dataset
 from thermorender.campaign.map_inputs import inputs_of
 from thermorender.errors import ThermorenderError
 from thermorender.learned.temperature_map import Inputs, TemperatureMap
@@ -68,7 +68,8 @@ def train_map(
             f"hold; take {method_name.rstrip('+') if method_name != 'correlation+' else 'correlation-9to1'}"
         )
     tell("looking at the values", 0.0)
-    scale, (low, high) = dataset.scale, value_bounds(dataset.of("train") if len(dataset.of("train")) else pairs)
+    bounds = bounds_of_dataset(dataset.of("train") if len(dataset.of("train")) else pairs)
+    scale, low, high = dataset.scale, bounds.low, bounds.high
     range_k = tuple(float(brightness_temperature(scale.radiance(value), *scale.band_um)) for value in (low, high))
     if scale.unit == "intensity":
         range_k = tuple(limit + ZERO_CELSIUS_K for limit in scale.range_c)
@@ -92,14 +93,16 @@ def train_map(
     with np.errstate(invalid="ignore"):
         kelvin = brightness_temperature(np.maximum(radiance, 1e-6), *scale.band_um)
     started = time.perf_counter()
-    task = Task(examples, len(pairs), (radiance - cold) / (warm - cold), kelvin, seed, tell, options)
+    sampling = np.array([entry.texel_m for entry in pairs.entries if entry.texel_m] or [1.0])
+    texel_m = float(np.exp(np.median(np.log(sampling))))
+    task = Task(examples, len(pairs), (radiance - cold) / (warm - cold), kelvin, seed, tell, options, texel_m)
     predictor = how.fit(task)
     seconds = time.perf_counter() - started
-    sampling = np.array([entry.texel_m for entry in pairs.entries if entry.texel_m] or [1.0])
     skies = [entry.sky_temperature for entry in pairs.entries if entry.sky_temperature]
     made = TemperatureMap(
         name=name, method=method_name, predictor=predictor, range_k=range_k, band_um=scale.band_um,
-        texel_m=float(np.exp(np.median(np.log(sampling)))), texel_range_m=(float(sampling.min()), float(sampling.max())),
+        texel_m=texel_m,
+        texel_range_m=(float(sampling.min()), float(sampling.max())),
         camera=dataset.card.get("camera", "unknown"),
         sky_temperature=float(np.mean(skies)) if skies else ASSUMED_SKY_K,
         source=f"{method_name} on {len(pairs)} pairs of {dataset.card['name']}",
@@ -108,7 +111,7 @@ def train_map(
         "dataset": {key: dataset.card.get(key) for key in ("name", "origin", "licence", "camera")},
         "sky_assumed": not skies, "pairs": {part: len(dataset.of(part)) for part in ("train", "validation", "test")},
         "trained_on": list(parts), "sequences": len({entry.sequence for entry in pairs.entries}),
-        "conditions": _ranges(pairs.entries), "bounds": [float(low), float(high)], "unit": scale.unit,
+        "conditions": _ranges(pairs.entries), "bounds": [low, high], "unit": scale.unit,
         "options": options, "seed": seed, "training_s": round(seconds, 2), "versions": versions(),
     }  # fmt: skip
     if audited and len(dataset.of("test")):
@@ -118,8 +121,6 @@ def train_map(
 
 def _with_error(model, about, dataset, material):
     """The map with its own error, of some validation pairs, and what it tells about itself."""
-    from dataclasses import replace
-
     model = replace(model, about=about)
     held = dataset.of("validation")
     if not len(held):
@@ -176,5 +177,7 @@ def checked_options(method_name, known, given):
                     raise ValueError
         except (ValueError, KeyError):
             wanted = "true or false" if kind is bool else "a number from 0 up"
-            raise ThermorenderError(f"option {key}={value!r} of {method_name!r} is not allowed; give {wanted}") from None
+            raise ThermorenderError(
+                f"option {key}={value!r} of {method_name!r} is not allowed; give {wanted}"
+            ) from None
     return found

@@ -175,7 +175,8 @@ def _pairs(world, hours, views, camera, materials, tell):
             key = f"{world.name}-{hour}-{view}"
             yield replace(
                 entry, key=key, part=world.part, parent=key, sequence=world.name, order=order, place=place,
-                time=utc_text(time), sky_temperature=round(sky_temperature(*above), 2), conditions=told, labels={**labels, "view": name},
+                time=utc_text(time), sky_temperature=round(sky_temperature(*above), 2), conditions=told,
+                labels={**labels, "view": name},
             ), contents  # fmt: skip
             order += 1
 

@@ -9,7 +9,7 @@ import typer
 
 from thermorender import defaults, files
 from thermorender.cli.camera import fit_camera
-from thermorender.cli.maps import dataset, evaluate, translate
+from thermorender.cli.maps import dataset, evaluate, prepare, train, translate
 from thermorender.cli.materials import app as materials
 from thermorender.cli.terminal import Time, at_time, output_option, progress, split, table
 from thermorender.cli.terminal import air as parse_air
@@ -28,11 +28,11 @@ app = typer.Typer(
 app.add_typer(validate, name="validate")
 app.add_typer(materials, name="materials")
 app.command("fit-camera")(fit_camera)
+app.command()(prepare)
 app.command()(dataset)
+app.command()(train)
 app.command()(evaluate)
 app.command()(translate)
-train = typer.Typer(help="Train learned maps.", no_args_is_help=True)
-app.add_typer(train, name="train")
 
 SCENE_NAMES = ", ".join(defaults.SCENES)
 Pose = Annotated[
@@ -446,50 +446,6 @@ def demo(
     fly(defaults.SCENE, output / "flight", rate_hz=4.0, device=device)
     compare(defaults.SCENE, output / "comparison", rate_hz=0.2, device=device)
     typer.echo(f"look at {output / 'flight' / 'flight.mp4'} and at the pictures in {output / 'comparison'}")
-
-
-@train.command("emissivity")
-def train_emissivity(
-    scenes: Annotated[
-        list[str] | None,
-        typer.Argument(help="Scenes with orthophoto and class raster; default: procedural scenes of every kind."),
-    ] = None,
-    output: Annotated[
-        Path,
-        output_option(
-            "-o",
-            "--output",
-            help="File for the map, .npz.",
-            check=lambda path: files.check_output_file(path, (".npz",)),
-        ),
-    ] = Path("emissivity.npz"),
-    labels: Annotated[
-        Path | None, typer.Option(help="GeoJSON polygons with a property 'material', in place of one scene's classes.")
-    ] = None,
-    texel_m: Annotated[float | None, typer.Option(help="Ground sampling distance to train at [m].")] = None,
-    augmentations: Annotated[
-        int | None,
-        typer.Option(help="Times each orthophoto is also taken with random exposure, balance, contrast and saturation; "
-                     "default 0, procedural 2."),
-    ] = None,
-    seed: Annotated[int, typer.Option(help="Of the training.")] = 0,
-):
-    """Train a map from colour and texture to materials."""
-    from thermorender.campaign.material_training import train_on
-    from thermorender.learned.emissivity import save_map
-
-    with progress() as tell:
-        model, confusion = train_on(scenes or (), labels, output.stem, texel_m, augmentations, seed, tell)
-        save_map(model, output)
-    typer.echo(str(model))
-    rows = [
-        (name, str(row.sum()), f"{row[k] / row.sum():.1%}" if row.sum() else "not tested")
-        for k, (name, row) in enumerate(zip(model.materials, confusion, strict=True))
-    ]
-    table(("material", "texels held out", "right"), rows)
-    if "not_tested" in model.about:
-        typer.echo(f"warning: not tested: {model.about['not_tested']}; label more of it to know", err=True)
-    typer.echo(str(output))
 
 
 @app.command("map-materials")

@@ -6,8 +6,130 @@ from typing import Annotated
 import typer
 
 from thermorender import defaults, files
+from thermorender.cli.camera import parse_scale
 from thermorender.cli.terminal import output_option, progress, split, table
 from thermorender.errors import ThermorenderError
+
+VisibleFolder = Annotated[Path, typer.Argument(help="Folder of visible pictures.")]
+ThermalFolder = Annotated[Path, typer.Argument(help="Folder of thermal pictures; may be the same.")]
+DatasetFolder = Annotated[Path, output_option("-o", "--output", help="Folder for the data set.")]
+VisiblePattern = Annotated[
+    str, typer.Option(help="Names of visible pictures, e.g. '*_rgb.jpg'; what * stands for is the pair's name.")
+]
+ThermalPattern = Annotated[str, typer.Option(help="Names of thermal pictures, e.g. '*_thermal.tif'.")]
+ValidPattern = Annotated[
+    str | None, typer.Option(help="Names of masks in the visible folder, not 0 where both show the same.")
+]
+ThermalScaleText = Annotated[
+    str | None, typer.Option("--scale", help="STEP,ZERO of 16-bit files that tell none: kelvin per count, of count 0.")
+]
+RigFile = Annotated[Path | None, typer.Option("--rig", help="Lay visible pictures onto thermal ones by this rig.json.")]
+Calibrate = Annotated[bool, typer.Option("--calibrate", help="Find the rig from the pictures, and keep it.")]
+Fields = Annotated[
+    str | None,
+    typer.Option("--fields-of-view", help="VISIBLE_H,VISIBLE_V,THERMAL_H,THERMAL_V [deg]: where --calibrate begins, "
+                 "e.g. 57.12,42.44,45,37."),
+]  # fmt: skip
+Resized = Annotated[
+    bool, typer.Option("--resized", help="Visible pictures were resized unequally along their sides: --calibrate finds "
+                       "that ratio too."),
+]  # fmt: skip
+Crops = Annotated[int, typer.Option(help="Squares cut at random from each pair; 0: whole pictures.")]
+CropSize = Annotated[int, typer.Option(help="Their side [px].")]
+Shift = Annotated[
+    float, typer.Option(help="Move each thermal picture by a random vector of this length [px]: pairs that are not "
+                        "aligned."),
+]  # fmt: skip
+DrawSeed = Annotated[int, typer.Option(help="Of crops, shifts and split.")]
+Split = Annotated[str, typer.Option(help="sequence, place or crop: what is kept together.")]
+Sequence = Annotated[
+    str | None, typer.Option(help="Regular expression whose group is a name's sequence; default: the name without its "
+                             "last digits."),
+]  # fmt: skip
+Gap = Annotated[int | None, typer.Option(help="A greater step of the numbers in names begins a new sequence.")]
+TexelM = Annotated[float | None, typer.Option(help="Ground sampling distance of the thermal pictures [m].")]
+IntensityRange = Annotated[
+    str | None, typer.Option("--range-c", help="COLD,WARM: °C of the bounds of values of unknown scale; default 14,24.")
+]
+Licence = Annotated[str | None, typer.Option(help="Of the pictures, for the card.")]
+SkipBad = Annotated[bool, typer.Option("--skip-bad", help="Leave out what cannot be used, and list it.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Continue a data set that was stopped.")]
+
+
+def prepare(
+    visible_folder: VisibleFolder,
+    thermal_folder: ThermalFolder,
+    output: DatasetFolder,
+    visible: VisiblePattern = "*",
+    thermal: ThermalPattern = "*",
+    valid: ValidPattern = None,
+    scale: ThermalScaleText = None,
+    rig: RigFile = None,
+    calibrate: Calibrate = False,
+    fields_of_view: Fields = None,
+    resized: Resized = False,
+    crops: Crops = 0,
+    crop_size: CropSize = 256,
+    shift: Shift = 0.0,
+    seed: DrawSeed = 0,
+    split: Split = "sequence",
+    sequence: Sequence = None,
+    gap: Gap = None,
+    texel_m: TexelM = None,
+    range_c: IntensityRange = None,
+    licence: Licence = None,
+    skip_bad: SkipBad = False,
+    resume: Resume = False,
+):
+    """Make a data set of folders of visible and thermal pictures, registered, cut, split and scaled."""
+    from thermorender.campaign.prepare import Cut, Source
+    from thermorender.campaign.prepare import prepare as run
+    from thermorender.trajectory import parse_numbers
+
+    warm = parse_numbers("--range-c", range_c, ("COLD", "WARM")) if range_c else None
+    source = Source(visible_folder, thermal_folder, visible, thermal, valid, parse_scale(scale), sequence, gap)
+    with progress() as tell:
+        made = run(
+            source, output, _registered(rig, calibrate, fields_of_view, resized), Cut(crops, crop_size, shift, seed),
+            split, texel_m=texel_m, range_c=warm, licence=licence, skip_bad=skip_bad, resume=resume, progress=tell,
+        )  # fmt: skip
+    for name, reason in made["left_out"].items():
+        typer.echo(f"left out: {name}: {reason}", err=True)
+    if made["grey"]:
+        typer.echo(f"warning: {made['grey']} of {made['pairs']} visible pictures are grey, which tells no colours "
+                   "apart: train with --set ridge=1e-6, or take pictures in colour", err=True)  # fmt: skip
+    if made["rig"] is not None:
+        typer.echo(str(made["rig"]))
+    bounds = made["bounds"]
+    outside = bounds.share_below + bounds.share_above
+    typer.echo(f"{made['scale'].unit}: bounds {bounds.low:g} and {bounds.high:g}, {outside:.2%} of the values outside")
+    table(("part", "pairs"), list(made["parts"].items()))
+    typer.echo(
+        f"{made['entries']} pairs of {made['pairs']} pairs of pictures in {made['sequences']} sequences, in {output}"
+    )
+
+
+def _registered(file, calibrate, fields_of_view, resized):
+    """The Rig of a file, a Calibration, or None."""
+    from thermorender.campaign.prepare import Calibration
+    from thermorender.campaign.registration.rig import load_rig
+    from thermorender.trajectory import parse_numbers
+
+    if not calibrate and (fields_of_view or resized):
+        raise ThermorenderError("--fields-of-view and --resized tell --calibrate how to begin; add --calibrate")
+    if file is not None and calibrate:
+        raise ThermorenderError(f"--rig {file} and --calibrate exclude each other; give one of them")
+    if not calibrate:
+        return load_rig(file) if file is not None else None
+    fields = None
+    if fields_of_view:
+        angles = parse_numbers(
+            "--fields-of-view", fields_of_view, ("VISIBLE_H", "VISIBLE_V", "THERMAL_H", "THERMAL_V")
+        )
+        if not all(0.0 < angle < 180.0 for angle in angles):
+            raise ThermorenderError(f"--fields-of-view={fields_of_view!r} holds no angles; give degrees in 0…180")
+        fields = (tuple(angles[:2]), tuple(angles[2:]))
+    return Calibration(fields, resized)
 
 
 def dataset(
@@ -40,6 +162,96 @@ def _turn(text):
     if len(parts) != 2 or not all(part.isdecimal() for part in parts) or not int(parts[0]) < int(parts[1]):
         raise ThermorenderError(f"--turn={text!r} is not allowed; give K,N with K from 0 to N − 1, such as 0,2")
     return int(parts[0]), int(parts[1])
+
+
+def train(
+    method: Annotated[
+        str,
+        typer.Argument(help="emissivity, or one of correlation-1to1, correlation-9to1, correlation-NxN, palette, "
+                       "trees, correlation+, trees+."),
+    ],
+    sources: Annotated[
+        list[str] | None,
+        typer.Argument(help="A data set; for emissivity, scenes with orthophoto and class raster, or none: procedural "
+                       "scenes of every kind."),
+    ] = None,
+    output: Annotated[
+        Path,
+        output_option("-o", "--output", help="File for the map, .npz.",
+                      check=lambda path: files.check_output_file(path, (".npz",))),
+    ] = Path("map.npz"),
+    of: Annotated[Path | None, typer.Option("--split", help="File of a split in place of the data set's own.")] = None,
+    setting: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="OPTION=VALUE of the method, such as intercept=true or ridge=1e-6; repeat."),
+    ] = None,
+    oracle: Annotated[
+        bool, typer.Option("--oracle", help="Show it the true material of each pixel: for evaluate --oracle only.")
+    ] = False,
+    labels: Annotated[
+        Path | None, typer.Option(help="Emissivity: GeoJSON polygons with a property 'material', in place of one "
+                                  "scene's classes."),
+    ] = None,
+    texel_m: Annotated[
+        float | None, typer.Option(help="Emissivity: ground sampling distance to train at [m].")
+    ] = None,
+    augmentations: Annotated[
+        int | None,
+        typer.Option(help="Emissivity: times each orthophoto is also taken with random exposure, balance, contrast and "
+                     "saturation; default 0, procedural 2."),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of the training.", min=0)] = 0,
+):  # fmt: skip
+    """Train a learned map: from colour to temperature on a data set, or to materials on scenes."""
+    if method == "emissivity":
+        if of or setting or oracle:
+            raise ThermorenderError("--split, --set and --oracle belong to maps of temperature; leave them out")
+        _train_emissivity(sources, output, labels, texel_m, augmentations, seed)
+        return
+    if labels is not None or texel_m is not None or augmentations is not None:
+        raise ThermorenderError(
+            f"--labels, --texel-m and --augmentations belong to `train emissivity`, not to {method!r}; leave them out"
+        )
+    from thermorender.campaign.dataset import read_dataset
+    from thermorender.campaign.map_training import train_map
+    from thermorender.campaign.splits import read_split
+    from thermorender.learned.temperature_map import save_map
+    from thermorender.learned.training import method as known
+
+    known(method)
+    if len(sources or ()) != 1:
+        raise ThermorenderError(f"train {method} was given {len(sources or ())} data sets; give one")
+    pairs = read_dataset(sources[0])
+    if of is not None:
+        pairs = pairs.split(read_split(of))
+    options = dict(_named(text, "--set", "OPTION=VALUE") for text in setting or ())
+    with progress() as tell:
+        model = train_map(output.stem, method, pairs, options, seed, tell, material=oracle)
+        save_map(model, output)
+    typer.echo(str(model))
+    for line in model.about.get("audit", {}).get("lines", ()):
+        typer.echo(line)
+    own = f", own error {model.error_k:.2f} K on validation" if model.error_k is not None else ""
+    typer.echo(f"{output}: trained in {model.about['training_s']:g} s{own}")
+
+
+def _train_emissivity(scenes, output, labels, texel_m, augmentations, seed):
+    """Train a map from colour and texture to materials, and print how well it tells them."""
+    from thermorender.campaign.material_training import train_on
+    from thermorender.learned.emissivity import save_map
+
+    with progress() as tell:
+        model, confusion = train_on(scenes or (), labels, output.stem, texel_m, augmentations, seed, tell)
+        save_map(model, output)
+    typer.echo(str(model))
+    rows = [
+        (name, str(row.sum()), f"{row[k] / row.sum():.1%}" if row.sum() else "not tested")
+        for k, (name, row) in enumerate(zip(model.materials, confusion, strict=True))
+    ]
+    table(("material", "texels held out", "right"), rows)
+    if "not_tested" in model.about:
+        typer.echo(f"warning: not tested: {model.about['not_tested']}; label more of it to know", err=True)
+    typer.echo(str(output))
 
 
 def translate(
@@ -102,7 +314,7 @@ def evaluate(
 
     if part not in PARTS:
         raise ThermorenderError(f"--part={part!r} is unknown; give {', '.join(PARTS)}")
-    folders = dict(_named(text) for text in foreign or ())
+    folders = dict(_named(text, "--foreign", "NAME=FOLDER") for text in foreign or ())
     parts = None
     if of is not None:
         from thermorender.campaign.splits import read_split
@@ -117,9 +329,9 @@ def evaluate(
     typer.echo(f"tables, numbers and pictures in {output}")
 
 
-def _named(text):
-    """(name, folder) of an option --foreign."""
-    name, found, folder = text.partition("=")
-    if not (name and found and folder):
-        raise ThermorenderError(f"--foreign={text!r} is not allowed; give NAME=FOLDER")
-    return name, folder
+def _named(text, option, form):
+    """(name, value) of a repeated option."""
+    name, found, value = text.partition("=")
+    if not (name and found and value):
+        raise ThermorenderError(f"{option}={text!r} is not allowed; give {form}")
+    return name, value

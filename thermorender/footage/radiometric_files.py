@@ -79,7 +79,7 @@ def read_temperature(path, scale=None, thermography=None):
         return read_flir_jpeg(path).temperature(thermography)
     if path.suffix.lower() not in SUFFIXES:
         raise ThermorenderError(f"{path} is of unknown kind; give one of {', '.join(SUFFIXES)}")
-    counts, declared = _read_tiff(path)
+    counts, declared, _ = read_tiff(path)
     if scale is None and declared is None:
         raise ThermorenderError(
             f"{path} does not tell what a count is; give kelvin per count and kelvin of count 0 (--scale), e.g. 0.04,0 "
@@ -89,8 +89,16 @@ def read_temperature(path, scale=None, thermography=None):
     return counts * float(step) + float(zero)
 
 
-def _read_tiff(path):
-    """((H, W) float64 values, (step, zero) in kelvin as declared or None) of a TIFF; NaN where it has no data."""
+def read_tiff(path):
+    """Return ((H, W) float64 values, (step, zero) in kelvin as declared or None, dtype in the file) of a TIFF.
+
+    NaN where it has no data.
+
+    Raises
+    ------
+    ThermorenderError
+        A file that cannot be read, or has several bands.
+    """
     import rasterio
 
     if not path.is_file():
@@ -102,7 +110,7 @@ def _read_tiff(path):
                 if file.count != 1:
                     raise ThermorenderError(f"{path} has {file.count} bands; give a TIFF of one band, the counts")
                 values = file.read(1, masked=True).astype(np.float64).filled(np.nan)
-                unit, step, zero = file.units[0], file.scales[0], file.offsets[0]
+                unit, step, zero, kind = file.units[0], file.scales[0], file.offsets[0], file.dtypes[0]
     except rasterio.errors.RasterioError as error:
         raise ThermorenderError(f"{path} cannot be read as TIFF: {error}; give a whole file") from None
-    return values, (step, zero + _UNITS[unit]) if unit in _UNITS else None
+    return values, (step, zero + _UNITS[unit]) if unit in _UNITS else None, kind

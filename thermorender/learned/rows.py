@@ -16,7 +16,7 @@ from thermorender.learned.temperature_map import Inputs
 # A picture is taken as it is where its ground sampling distance differs from the map's by less than this share.
 _SAME_TEXEL = 0.1
 # A coarser one is enlarged by no more than this: what it has no texture of would only cost memory.
-_MOST_ENLARGED = 4.0
+_MOST_ENLARGED = 2.0
 # Side of the parts that a large picture is described in [pixels].
 _TILE = 768
 # A terrain's plane that holds numbers of classes, with no order.

@@ -104,8 +104,8 @@ def sky_temperature(weather, found, altitude_m):
 
     Notes
     -----
-    Flux-weighted mean over the hemisphere under the air of `atmosphere`. The heat balance knows the sky by its broadband
-    long-wave, 20 K warmer under a clear sky than that of the band, which lies in the air's window.
+    Flux-weighted mean over the hemisphere under the air of `atmosphere`. The heat balance knows the sky by its
+    broadband long-wave, 20 K warmer under a clear sky than that of the band, which lies in the air's window.
     """
     air = declared_air(atmosphere(weather, found, altitude_m), defaults.BAND_UM, "synthetic scene")
     cosine, weight = np.polynomial.legendre.leggauss(6)

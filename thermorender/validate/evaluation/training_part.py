@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from thermorender.campaign.bounds import Histogram, bounds_of
 from thermorender.campaign.map_inputs import NO_MATERIAL
 from thermorender.frame import apparent_temperature
 from thermorender.units import ZERO_CELSIUS_K
@@ -62,13 +63,13 @@ class TrainingPart:
 def read_training_part(dataset, levels, progress=lambda share: None):
     """Return the TrainingPart of a Dataset, read pair by pair."""
     materials = dataset.card.get("materials", [])
-    counts = np.zeros(65536, np.int64)
+    histogram = Histogram()
     total, amount = np.zeros(256), np.zeros(256)
     for number, entry in enumerate(dataset.entries):
         progress(number / len(dataset))
         pair = dataset.pair(entry, truth=bool(materials))
         values = pair.thermal[pair.valid]
-        counts += np.bincount(values, minlength=len(counts))
+        histogram.add(values)
         if "material" in pair.truth:
             where = pair.truth["material"][pair.valid]
             total += np.bincount(where, levels.radiance(values), 256)
@@ -76,25 +77,16 @@ def read_training_part(dataset, levels, progress=lambda share: None):
     bounds = None
     if dataset.scale.unit == "intensity":
         bounds = tuple(ZERO_CELSIUS_K + limit for limit in dataset.scale.range_c)
+    counts = histogram.counts
     if not counts.any():
         return TrainingPart(len(dataset), None, {}, bounds)
     band, value = dataset.scale.band_um, np.arange(len(counts), dtype=np.uint16)
     mean = (levels.radiance(value) * counts).sum() / counts.sum()
     if bounds is None:
-        low, high = value_bounds(counts)
-        bounds = tuple(map(float, apparent_temperature(dataset.scale.radiance([low, high]), band)))
+        found = bounds_of(histogram)
+        bounds = tuple(map(float, apparent_temperature(dataset.scale.radiance([found.low, found.high]), band)))
     seen = [number for number in range(min(len(materials), NO_MATERIAL)) if amount[number]]
     warm = apparent_temperature(np.array([total[number] / amount[number] for number in seen]), band)
     own = {materials[number]: float(kelvin) for number, kelvin in zip(seen, warm, strict=True)}
     return TrainingPart(len(dataset), float(apparent_temperature(mean, band)), own, bounds)
 
-
-def value_bounds(counts):
-    """Return the quartiles of values less and plus 1.5 times their distance, from how often each value occurs.
-
-    The bounds of the published normalisation; where most pixels have one value, one step to each side.
-    """
-    below = np.cumsum(counts)
-    first, third = (int(np.searchsorted(below, share * below[-1])) for share in (0.25, 0.75))
-    margin = max(1.5 * (third - first), 1.0)
-    return max(first - margin, 0.0), third + margin

@@ -1,0 +1,367 @@
+"""From folders of pictures of real cameras to a data set: checked, registered, cut, split, scaled and written.
+
+All pictures are read and judged before anything is written; what cannot be used is refused by name, or left out and
+listed.
+"""
+
+import re
+from collections import Counter
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from thermorender import files
+from thermorender.campaign import bounds as value_bounds
+from thermorender.campaign import pictures
+from thermorender.campaign.cut import Cut, moved, piece
+from thermorender.campaign.dataset import PARTS, Entry, ThermalScale, Writer, packed
+from thermorender.campaign.registration import rig
+from thermorender.errors import ThermorenderError
+
+# Temperatures of intensity 0 and 1 where nothing tells them [°C]: those published with eq. 2.
+RANGE_C = (14.0, 24.0)
+# Pictures to a shard, before they are cut.
+_PER_SHARD = 64
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where the pictures are and how they are read.
+
+    Attributes
+    ----------
+    visible_folder, thermal_folder : path
+    visible, thermal : str
+        Patterns of file names; what their wildcards stand for is the name of a pair.
+    valid : str or None
+        Pattern of masks in the visible folder, non-zero where both pictures show the same.
+    scale : (2,) tuple of float, or None
+        (kelvin per count, kelvin of count 0) of 16-bit files that declare none.
+    sequence : str or None
+        Regular expression whose group is a name's sequence; None: the name without its last digits.
+    gap : int or None
+        A greater step of the last number in the names begins a new sequence.
+    """
+
+    visible_folder: Path
+    thermal_folder: Path
+    visible: str = "*"
+    thermal: str = "*"
+    valid: str | None = None
+    scale: tuple | None = None
+    sequence: str | None = None
+    gap: int | None = None
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """How to calibrate the rig of the pictures: as `thermorender.campaign.registration.fit.calibrate` takes it."""
+
+    fields_of_view: tuple | None = None
+    resized: bool = False
+
+
+def prepare(source, output, registered=None, cut=None, split="sequence", shares=(0.7, 0.2, 0.1), texel_m=None,
+            range_c=None, licence=None, skip_bad=False, resume=False, progress=None):  # fmt: skip
+    """Return what was made of folders of pictures, as a dict; the data set lies in `output`.
+
+    Parameters
+    ----------
+    source : Source
+    output : path
+    registered : Rig or Calibration, optional
+        Lays visible pictures onto thermal ones; without it they must be aligned.
+    cut : Cut, optional
+    split : str
+        Rule of `thermorender.campaign.splits.assign`.
+    shares : (3,) floats
+        Of training, validation and test.
+    texel_m : float, optional
+        Ground sampling distance of the thermal pictures [m].
+    range_c : (2,) floats, optional
+        Temperatures that intensity 0 and 1 of values of unknown scale are taken for [°C].
+    licence : str, optional
+    skip_bad : bool
+        Leave out what cannot be used, instead of refusing all.
+    resume : bool
+        Continue a data set that was begun with the same settings.
+    progress : callable, optional
+        Called with (what, share done).
+
+    Returns
+    -------
+    dict
+        pairs, entries, parts {name: count}, sequences, left_out {name: why}, grey (pairs whose visible picture has no
+        colour), bounds, rig, scale.
+
+    Raises
+    ------
+    ThermorenderError
+        Pictures that cannot be used, named one by one, or settings that contradict them; nothing is written then.
+    """
+    tell, cut, output = progress or (lambda what, share: None), cut or Cut(), Path(output)
+    _check_settings(cut, texel_m, range_c)
+    if not (resume and (output / "card.json").exists()):
+        files.check_new_folder(output)
+    pairs, alone = pictures.matched(
+        source.visible_folder, source.thermal_folder, source.visible, source.thermal, source.valid
+    )
+    sequence_of = _sequences(pairs, source)
+    keys = _keys(pairs)
+    found, left_out = _judged(pairs, source, registered, cut, tell)
+    left_out = {name: "has no partner" for name in alone} | left_out
+    if left_out and not skip_bad:
+        reasons = Counter(left_out.values())
+        told = [
+            f"{pictures.listed(name for name in left_out if left_out[name] == reason)}: {reason}"
+            for reason in list(reasons)[:4]
+        ]
+        raise ThermorenderError(
+            f"{len(left_out)} of {len(pairs) + len(alone)} names cannot be used ({'; '.join(told)}); mend or remove "
+            "them, or leave them out with --skip-bad"
+        )
+    kept = [pair for pair in pairs if pair.name in found]
+    if not kept:
+        raise ThermorenderError(f"of {len(pairs)} pairs none can be used, e.g. {next(iter(left_out.values()))}")
+    kind = _kind(found)
+    if range_c is not None and kind[0] != "intensity":
+        raise ThermorenderError("--range-c is for values of unknown scale, and these are temperatures; leave it out")
+    entries = _entries(kept, found, keys, sequence_of, cut, texel_m)
+    parts = _assigned([entry for of_pair in entries.values() for entry in of_pair], split, shares, cut.seed)
+    laid = _rig(registered, kept, source, output, resume, tell)
+
+    def pieces(pair):
+        images = _registered(pair, source, laid, cut)
+        for number, entry in enumerate(entries[pair.name]):
+            entry = replace(entry, part=parts[entry.key])
+            yield entry, *(piece(image, pair.name, cut, number) for image in images)
+
+    histogram = value_bounds.Histogram()
+    training = [pair for pair in kept if any(parts[entry.key] == PARTS[0] for entry in entries[pair.name])]
+    for number, pair in enumerate(training):
+        tell("counting thermal values", number / len(training))
+        for entry, _, thermal, valid in pieces(pair):
+            if entry.part == PARTS[0]:
+                histogram.add(thermal[valid])
+    bounds = value_bounds.bounds_of(histogram)
+    scale = ThermalScale("kelvin", pictures.STEP_K, 0.0)
+    if kind[0] == "intensity":
+        span = bounds.high - bounds.low
+        scale = ThermalScale("intensity", 1.0 / span, -bounds.low / span, tuple(range_c or RANGE_C))
+    grey = sum(found[pair.name].grey for pair in kept)
+    card = {
+        "name": output.resolve().name, "licence": licence, "texel_m": texel_m, "pairs": len(kept), "grey": grey,
+        "source": f"pictures of {Path(source.visible_folder).name} and {Path(source.thermal_folder).name}",
+        "left_out": left_out, "rig": None if laid is None else asdict(laid), "bounds": asdict(bounds),
+        "settings": {
+            "visible": source.visible, "thermal": source.thermal, "valid": source.valid, "scale": source.scale,
+            "sequence": source.sequence, "gap": source.gap, "split": split, "shares": list(shares), **asdict(cut),
+        },
+    }  # fmt: skip
+    writer = Writer(output, card, scale, resume)
+    with files.in_use(output):
+        if laid is not None and not (output / "rig.json").exists():
+            rig.save_rig(laid, output / "rig.json")
+            shown = _shown(kept, laid)
+            rig.write_overlay(output / "overlay.png", pictures.read_visible(shown.visible)[0],
+                              _temperatures(shown, source), laid)  # fmt: skip
+        if not (output / "histogram.png").exists():
+            value_bounds.figure(output / "histogram.png", histogram, bounds, scale)
+        for start in range(0, len(kept), _PER_SHARD):
+            tell("writing pairs", start / len(kept))
+            name = f"{start // _PER_SHARD:06d}"
+            if not writer.has(name):
+                group = kept[start : start + _PER_SHARD]
+                writer.shard(name, ((e, packed(v, t, m)) for pair in group for e, v, t, m in pieces(pair)))
+    return {
+        "pairs": len(kept), "entries": sum(map(len, entries.values())), "grey": grey, "left_out": left_out,
+        "parts": {part: sum(each == part for each in parts.values()) for part in PARTS},
+        "sequences": len({sequence_of[pair.name] for pair in kept}), "bounds": bounds, "rig": laid, "scale": scale,
+    }  # fmt: skip
+
+
+# --- judgement --------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What was seen of a pair: size of its thermal picture, its unit and depth, whether the visible one is grey."""
+
+    shape: tuple
+    kind: tuple
+    grey: bool
+
+
+def _check_settings(cut, texel_m, range_c):
+    if cut.crops < 0 or cut.size < pictures.LEAST_SIDE:
+        raise ThermorenderError(
+            f"--crops={cut.crops} --crop-size={cut.size} is not allowed; give a count of 0 or more and a side of at "
+            f"least {pictures.LEAST_SIDE} px"
+        )
+    if cut.seed < 0:
+        raise ThermorenderError(f"--seed={cut.seed} is not allowed; give 0 or more")
+    if not (np.isfinite(cut.shift_px) and cut.shift_px >= 0.0):
+        raise ThermorenderError(f"--shift={cut.shift_px:g} is no length; give pixels, 0 or more")
+    if texel_m is not None and not (np.isfinite(texel_m) and texel_m > 0.0):
+        raise ThermorenderError(f"--texel-m={texel_m:g} is no ground sampling distance; give metres above 0")
+    if range_c is not None and not -273.0 < range_c[0] < range_c[1]:
+        raise ThermorenderError(f"--range-c={range_c[0]:g},{range_c[1]:g} is no range; give °C, the colder first")
+
+
+def _judged(pairs, source, registered, cut, tell):
+    """({name: _Found}, {name: why it cannot be used}) of pairs."""
+    found, bad = {}, {}
+    for number, pair in enumerate(pairs):
+        tell("reading pictures", number / len(pairs))
+        try:
+            visible, grey = pictures.read_visible(pair.visible)
+            thermal = pictures.read_thermal(pair.thermal, source.scale)
+            if pair.valid is not None:
+                pictures.read_valid(pair.valid, visible.shape[:2])
+            _check_sizes(visible.shape[:2], thermal.values.shape, registered, cut)
+        except ThermorenderError as error:
+            bad[pair.name] = str(error)
+            continue
+        found[pair.name] = _Found(thermal.values.shape, (thermal.unit, thermal.values.dtype.name), grey)
+    return found, bad
+
+
+def _check_sizes(visible, thermal, registered, cut):
+    sizes = f"{visible[1]}×{visible[0]} and {thermal[1]}×{thermal[0]} pixels"
+    if registered is None and visible != thermal:
+        raise ThermorenderError(f"visible and thermal picture have {sizes}; give aligned ones, --rig or --calibrate")
+    if isinstance(registered, rig.Rig) and (visible, thermal) != (registered.visible_shape, registered.thermal_shape):
+        raise ThermorenderError(f"visible and thermal picture have {sizes}, the rig others; give another --rig")
+    if cut.crops and min(thermal) < cut.size:
+        raise ThermorenderError(f"the thermal picture is smaller than --crop-size {cut.size}; give a smaller one")
+    if cut.shift_px >= 0.5 * min(thermal):
+        raise ThermorenderError(f"--shift={cut.shift_px:g} is half the thermal picture or more; give a smaller one")
+
+
+def _kind(found):
+    """(unit, depth) of all thermal pictures."""
+    kinds = Counter(each.kind for each in found.values())
+    if len(kinds) > 1:
+        names = {kind: next(name for name, each in found.items() if each.kind == kind) for kind in kinds}
+        told = ", ".join(f"{count} of {kind[0]} in {kind[1]} (e.g. {names[kind]})" for kind, count in kinds.items())
+        raise ThermorenderError(f"thermal pictures are of several kinds: {told}; prepare each kind by itself")
+    return next(iter(kinds))
+
+
+# --- names ------------------------------------------------------------------------------------------------------
+
+
+def _keys(pairs):
+    """{name: key of a data set} of pairs."""
+    keys = {pair.name: re.sub(r"[^A-Za-z0-9_-]+", "-", pair.name)[:100] for pair in pairs}
+    twice = [key for key, count in Counter(keys.values()).items() if count > 1]
+    if twice:
+        names = [name for name, key in keys.items() if key == twice[0]]
+        raise ThermorenderError(
+            f"{pictures.listed(names)} differ in signs that no key has and are all {twice[0]!r}; rename the files"
+        )
+    return keys
+
+
+def _sequences(pairs, source):
+    """{name: its sequence} of pairs in the order of their names."""
+    try:
+        expression = re.compile(source.sequence) if source.sequence else None
+    except re.error as error:
+        raise ThermorenderError(
+            f"--sequence={source.sequence!r} is no regular expression: {error}; put the sequence in a group, as in "
+            r"'(flight\d+)_'"
+        ) from None
+    found, before = {}, {}
+    for pair in pairs:
+        number = re.search(r"(\d+)\D*$", pair.name)
+        number = int(number[1]) if number else None
+        base = re.sub(r"[_\-. ]*\d*$", "", pair.name) or "all"
+        if expression is not None:
+            match = expression.search(pair.name)
+            if match is None:
+                raise ThermorenderError(
+                    f"--sequence={source.sequence!r} does not match {pair.name!r}; give one that matches every name"
+                )
+            base = match[1] if expression.groups else match[0]
+        found[pair.name] = base
+        if source.gap is not None and number is not None:
+            last, sequence = before.get(base, (None, None))
+            if last is None or number - last > source.gap:
+                sequence = f"{base}_{number}"
+            before[base], found[pair.name] = (number, sequence), sequence
+    return found
+
+
+def _entries(pairs, found, keys, sequence_of, cut, texel_m):
+    """{name: [Entry of what is cut from it]}, their part still open."""
+    entries, orders = {}, Counter()
+    for pair in pairs:
+        sequence, key = sequence_of[pair.name], keys[pair.name]
+        shape = (cut.size, cut.size) if cut.crops else found[pair.name].shape
+        common = Entry(
+            key=key, part=PARTS[0], parent=key, sequence=sequence, order=orders[sequence], shape=shape,
+            texel_m=texel_m, place=pictures.place_of(pair.visible),
+        )  # fmt: skip
+        orders[sequence] += 1
+        entries[pair.name] = [replace(common, key=f"{key}-{number}") for number in range(cut.crops)] or [common]
+    return entries
+
+
+def _assigned(entries, rule, shares, seed):
+    """{key: part} of entries; none is left over."""
+    from thermorender.campaign import splits
+
+    parts = splits.assign(entries, rule, shares=shares, seed=seed)
+    return {entry.key: parts[entry.key] for entry in entries}
+
+
+# --- pictures ---------------------------------------------------------------------------------------------------
+
+
+def _rig(registered, pairs, source, output, resume, tell):
+    """The Rig to lay pictures by: given, of a data set that is continued, or calibrated; None without one."""
+    if not isinstance(registered, Calibration):
+        return registered
+    if resume and (output / "rig.json").exists():
+        return rig.load_rig(output / "rig.json")
+    from thermorender.campaign.registration.fit import calibrate
+
+    def reader(pair):
+        return lambda: (pictures.read_visible(pair.visible)[0], _temperatures(pair, source))
+
+    frames = [(pair.name, reader(pair)) for pair in pairs]
+    return calibrate(frames, registered.fields_of_view, registered.resized, tell)
+
+
+def _temperatures(pair, source):
+    """Values of a pair's thermal picture, (H, W) float32; NaN where it has none."""
+    thermal = pictures.read_thermal(pair.thermal, source.scale)
+    return np.where(thermal.valid, thermal.values, np.nan).astype(np.float32)
+
+
+def _shown(pairs, laid):
+    """The pair for the inspection picture: the best of those the rig was calibrated on, else the middle one."""
+    known = [pair for pair in pairs if pair.name in laid.frames and pair.name not in laid.rejected]
+    return max(known, key=lambda pair: laid.frames[pair.name]) if known else pairs[len(pairs) // 2]
+
+
+def _registered(pair, source, laid, cut):
+    """(visible (H, W, 3) uint8, thermal (H, W), valid (H, W) bool) of a pair, on the thermal pixels."""
+    visible, _ = pictures.read_visible(pair.visible)
+    thermal = pictures.read_thermal(pair.thermal, source.scale)
+    values, valid = thermal.values.copy(), thermal.valid
+    seen = None if pair.valid is None else pictures.read_valid(pair.valid, visible.shape[:2])
+    if laid is not None:
+        visible, inside = rig.warped(visible, laid)
+        if seen is not None:
+            # A pixel made of any that is not valid is none either.
+            mask = np.repeat(np.where(seen, 255, 0).astype(np.uint8)[..., None], 3, axis=-1)
+            seen = rig.warped(mask, laid)[0][..., 0] > 250
+        seen = inside if seen is None else seen & inside
+    if cut.shift_px:
+        values, valid = moved(values, valid, pair.name, cut)
+    # Something harmless where nothing is known.
+    values[~valid] = int(np.median(values[valid])) if valid.any() else 0
+    return visible, values, valid if seen is None else valid & seen
