@@ -310,6 +310,20 @@ class Atmosphere:
         both = self._along(from_m, to_m, range_m, lambda *path: np.hstack(self._sum(*path)))
         return both[..., : self.nodes], both[..., self.nodes :]
 
+    def sky_temperature(self, at_m):
+        """Return the temperature [K] of the blackbody that sends as much onto level ground as the sky, from 100 K on.
+
+        Parameters
+        ----------
+        at_m : float
+            Altitude above sea level [m].
+        """
+        cosine, weight = np.polynomial.legendre.leggauss(6)
+        cosine = 0.5 * (cosine + 1.0)
+        radiance = (weight * cosine) @ self.sky_radiance(np.full(len(cosine), at_m), cosine).sum(axis=-1)
+        kelvin = np.linspace(100.0, 330.0, 4601)
+        return float(np.interp(radiance, self.planck(kelvin).sum(axis=-1), kelvin))
+
     def sky_radiance(self, at_m, cos_zenith):
         """Return the sky's radiance at a point, (..., N) [W m⁻² sr⁻¹], clouds included.
 

@@ -13,7 +13,7 @@ LOWEST_EMISSIVITY = 0.5
 BELIEVED_MARGIN = 2.0
 
 
-def kinetic_from_map(model, inputs, material, materials):
+def kinetic_from_map(model, inputs, material, materials, sky_temperature=None):
     """Return (temperature (h, w) float64 [K], trusted (h, w) bool, share of intensities outside 0…1).
 
     The map gives *apparent* temperature under the sky it was trained under; the reflection of that sky is taken
@@ -27,7 +27,10 @@ def kinetic_from_map(model, inputs, material, materials):
     material : (h, w) uint8
         Index into `materials`.
     materials : sequence of Material
+    sky_temperature : float, optional
+        Of the sky of this hour, for a map that is told hour and weather, in place of the map's own [K].
     """
+    sky = model.sky_temperature if sky_temperature is None else sky_temperature
     apparent = model.radiance(inputs)
     intensity = model.intensity(apparent)
     temperature = np.empty(apparent.shape)
@@ -45,7 +48,7 @@ def kinetic_from_map(model, inputs, material, materials):
         temperature[here] = own.temperature
         if band_emissivity >= LOWEST_EMISSIVITY:
             kinetic = kinetic_temperature(
-                apparent[here], own.emissivity_at, model.sky_temperature, model.band_um, believed
+                apparent[here], own.emissivity_at, sky, model.band_um, believed
             )
             trusted[here] = np.isfinite(kinetic)
             temperature[here] = np.where(np.isfinite(kinetic), kinetic, own.temperature)

@@ -334,11 +334,15 @@ def _warmed(scene: Scene, like: "Renderer | None", geometry: Geometry, progress:
 def warmed(
     scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry | None = None, progress: Progress | None = None
 ) -> list[Scene]:
-    """Return the scene at each of some instants: its heat balance solved, or its map moved by it.
+    """Return the scene at each of some instants: its heat balance solved, or its map moved by it, or told the hour.
 
-    Parameters and errors are those of `heat.solved` and `moved.moved`.
+    Parameters and errors are those of `heat.solved`, `moved.moved` and `relief.mapped`.
     """
     # Only here: no other scene needs them.
+    if scene.told:
+        from thermorender.render.heat.relief import mapped
+
+        return mapped(scene, times, geometry, progress)
     if scene.mapped is None:
         from thermorender.render.heat.march import solved
 

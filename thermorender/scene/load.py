@@ -44,7 +44,7 @@ from thermorender.scene.surface import (
     fill,
     nearest_valid,
 )
-from thermorender.scene.temperature import Texels, resolve, trained
+from thermorender.scene.temperature import Texels, resolve, told, trained
 from thermorender.scene.tracks import TrackedObject, read_track
 from thermorender.sensor.camera import Camera, load_camera
 from thermorender.units import instant, utc_text
@@ -165,8 +165,14 @@ class Scene:
 
     @property
     def marched(self) -> bool:
-        """Whether the terrain's temperatures follow the weather: a heat balance's own, or a map's that it moves."""
-        return self.balanced or self.mapped is not None
+        """Whether the terrain's temperatures follow the weather: a heat balance's own, a map's that it moves, or those
+        of a map that is told hour and weather."""
+        return self.balanced or self.mapped is not None or self.told
+
+    @cached_property
+    def told(self) -> bool:
+        """Whether the terrain's temperatures are those of a learned map that is told relief, hour or weather."""
+        return told(self.spec.temperature)
 
     @property
     def warmed(self) -> bool:
@@ -309,8 +315,13 @@ class Scene:
                 "TemperatureSpec(source='raster', raster=path) with the path of a GeoTIFF"
             )
         moves = self.spec.weather is not None and trained(spec) is not None
-        if spec.source == "balance" or moves:
-            self._refuse_balance("source='balance'" if not moves else "trained")
+        if moves or spec.source == "balance" or told(spec):
+            self._refuse_balance("trained" if moves else f"model={spec.model!r}" if spec.model else "source='balance'")
+        if told(spec) and self.grid is None:
+            raise ThermorenderError(
+                f"{self.where}: temperature.model={spec.model!r} needs relief, which is that of a terrain with an "
+                "elevation raster, and this one is a mesh; take a map that sees colour only"
+            )
         report: dict[str, Any] = {}
         surfaces = list(self.surfaces)
         for index, surface in enumerate(surfaces[: self.terrain_count]):
@@ -327,12 +338,14 @@ class Scene:
             surfaces[: self.terrain_count] = [
                 replace(surface, temperature=np.full_like(surface.temperature, np.nan)) for surface in ground
             ]
-        if spec.source == "balance" or moves:
+        if moves or spec.source == "balance" or told(spec):
             # The sun stands where it does at the instant that is solved.
             own = replace(own, sun=None)
         return replace(self, spec=own, surfaces=tuple(surfaces), report=report, mapped=mapped, moved_report={})
 
     def _marched_words(self) -> str:
+        if self.told:
+            return "a learned map that is told hour and weather"
         return "source='balance'" if self.balanced else "a map that is moved to another time"
 
     def _refuse_balance(self, key: str) -> None:

@@ -130,19 +130,43 @@ def _material(spec, texels):
 
 
 def _learned(spec, texels):
-    from thermorender.learned.apply import kinetic_from_map
     from thermorender.learned.temperature_map import Inputs, load_model
 
     if spec.range_c:
         scene_kelvin("range_c [K]", ZERO_CELSIUS_K + np.array(spec.range_c))
     model = load_model(spec.model, spec.range_c)
-    inputs = Inputs(texels.colour, texels.texel_m)
-    values, trusted, outside = kinetic_from_map(model, inputs, texels.material, texels.materials)
+    if model.needs:
+        return _balance(spec, texels)
+    return from_map(model, Inputs(texels.colour, texels.texel_m), texels)
+
+
+def told(spec):
+    """Return whether a source is a learned map that must be told relief, hour or weather."""
+    from thermorender.learned.temperature_map import load_model
+
+    return spec.source == "learned" and bool(load_model(spec.model).needs)
+
+
+def from_map(model, inputs, texels, sky_temperature=None):
+    """Return (temperature (h, w) [K], flags (h, w) uint8) of texels by a learned map, and tell their report of it.
+
+    Parameters
+    ----------
+    model : TemperatureMap
+    inputs : Inputs
+    texels : Texels
+    sky_temperature : float, optional
+        As by `learned.apply.kinetic_from_map`.
+    """
+    from thermorender.learned.apply import kinetic_from_map
+
+    values, trusted, outside = kinetic_from_map(model, inputs, texels.material, texels.materials, sky_temperature)
     texels.report[model.name] = {
         "share_outside_0_1": outside,
         "share_fallback": float(1.0 - trusted.mean()),
         "texel_m": texels.texel_m,
         "trained_texel_m": model.texel_m,
+        "warning": model.texel_warning(texels.texel_m),
     }
     return values, np.where(trusted, 0, FALLBACK).astype(np.uint8)
 

@@ -108,11 +108,7 @@ def sky_temperature(weather, found, altitude_m):
     broadband long-wave, 20 K warmer under a clear sky than that of the band, which lies in the air's window.
     """
     air = declared_air(atmosphere(weather, found, altitude_m), defaults.BAND_UM, "synthetic scene")
-    cosine, weight = np.polynomial.legendre.leggauss(6)
-    cosine = 0.5 * (cosine + 1.0)
-    radiance = (weight * cosine) @ air.sky_radiance(np.full(len(cosine), altitude_m), cosine).sum(axis=-1)
-    kelvin = np.linspace(100.0, 330.0, 4601)
-    return float(np.interp(radiance, air.planck(kelvin).sum(axis=-1), kelvin))
+    return air.sky_temperature(altitude_m)
 
 
 def sun_of_photograph(time, latitude_deg):

@@ -4,15 +4,19 @@ Learned maps that are told it hold for more than one hour and relief; see `learn
 sun is looked for by rays from every texel, now and over the hours before, as the ground remembers what it absorbed.
 """
 
+from dataclasses import replace
+
 import drjit as dr
 import numpy as np
 
-from thermorender.errors import ThermorenderError
 from thermorender.physics.sun import direction
 from thermorender.render.geometry import Geometry
 from thermorender.render.heat.places import sun_cosine, texel_points
 from thermorender.render.light import cache
 from thermorender.render.variant import activate
+from thermorender.scene.conditions import conditions
+from thermorender.scene.surface import FALLBACK
+from thermorender.scene.temperature import Texels, from_map
 
 # Sunlight is averaged over the past with weights exp(−t/τ), for these τ [h], in steps of so much, back to so many τ.
 MEMORY_H = (1.0, 4.0, 16.0)
@@ -32,7 +36,7 @@ def relief(scene, time, geometry=None, progress=None):
     Parameters
     ----------
     scene : Scene
-        Of a raster terrain, with [weather].
+        Of a raster terrain, whose map is one of the ground, with [weather].
     time : datetime64
         UTC.
     geometry : Geometry, optional
@@ -50,15 +54,10 @@ def relief(scene, time, geometry=None, progress=None):
     Raises
     ------
     ThermorenderError
-        A mesh, whose map is no map of the ground, or no weather.
+        No weather.
     """
     import cv2
 
-    if scene.grid is None:
-        raise ThermorenderError(
-            f"{scene.where}: relief is that of a terrain with an elevation raster, and this one is a mesh; take a map "
-            "that sees colour only"
-        )
     geometry = geometry or Geometry(activate(), scene.surfaces)
     mi, weather, surface = geometry.mi, scene.weather, scene.surfaces[0]
     shape, texels = surface.material.shape, np.arange(surface.material.size)
@@ -99,3 +98,41 @@ def relief(scene, time, geometry=None, progress=None):
             progress("following the sun", (number + 1) / len(instants))
     found = (*normal.T, (height - around).ravel(), view, sunlight(time), *past)
     return {name: np.ascontiguousarray(values.reshape(shape)) for name, values in zip(NAMES, found, strict=True)}
+
+
+def mapped(scene, times, geometry=None, progress=None):
+    """Return a scene with its terrain's temperatures by a learned map that is told relief, hour and weather.
+
+    Parameters
+    ----------
+    scene : Scene
+        Whose `told` is true.
+    times : sequence of datetime64
+        UTC, inside the weather.
+    geometry, progress
+        As of `relief`.
+
+    Returns
+    -------
+    list of Scene
+        One per instant. What the map tells of its apparent temperatures is seen under the sky of that instant: the
+        scene's own, or that of its air.
+    """
+    from thermorender.learned.temperature_map import Inputs, load_model
+
+    geometry = geometry or Geometry(activate(), scene.surfaces)
+    spec, surface, made = scene.spec, scene.surfaces[0], {}
+    model = load_model(spec.temperature.model, spec.temperature.range_c)
+    for time in sorted(set(times)):
+        fields = relief(scene, time, geometry, progress)
+        sky = spec.sky_temperature if scene.air is None else scene.air.sky_temperature(scene.altitude_m)
+        report = {}
+        texels = Texels(surface.colour, surface.material, scene.materials, scene.grid, surface.texel_m, scene.where,
+                        report)  # fmt: skip
+        told = conditions(scene.weather, time, spec.weather.inside_c)
+        values, flags = from_map(model, Inputs(surface.colour, surface.texel_m, fields, told), texels, sky)
+        one = scene.heated(time, [values])
+        known = replace(one.surfaces[0], flags=(surface.flags & ~np.uint8(FALLBACK)) | flags)
+        made[time] = replace(one, surfaces=(known, *one.surfaces[1:]), report=report)
+        made[time].__dict__["weather"] = scene.weather
+    return [made[time] for time in times]
