@@ -77,7 +77,7 @@ def make_dataset(folder, pairs=10, test=6, truth=True, terrain=("sun",)):
     return read_dataset(folder)
 
 
-def known_errors(numbers, valid=np.s_[:, 3:]):
+def known_errors(numbers, valid=np.s_[2:, 3:]):
     return np.concatenate([known_pair(number)[2][valid].ravel() for number in numbers])
 
 
@@ -203,11 +203,15 @@ def test_errors_that_are_known(scored):
     groups = found["groups"]
     assert groups["kind"]["heath"]["me_k"] == pytest.approx(known_errors([5, 7, 9]).mean(), abs=2e-3)
     assert groups["hour"]["13–14 h"]["me_k"] == pytest.approx(known_errors([7]).mean(), abs=2e-3)
-    own = np.concatenate([known_pair(n)[2][:, 3:][known_pair(n)[3][:, 3:] == 1] for n in range(4, 10)])
+    own = np.concatenate([known_pair(n)[2][2:, 3:][known_pair(n)[3][2:, 3:] == 1] for n in range(4, 10)])
     assert groups["material"]["asphalt"]["mae_k"] == pytest.approx(np.abs(own).mean(), abs=2e-3)
     assert groups["surface"]["man-made"] == groups["material"]["asphalt"]
     assert groups["surface"]["natural"] == groups["material"]["grass_green"]
     assert sum(each["pixels"] for each in groups["edges"].values()) == error.size
+    # The first two rows are no ground.
+    sky = np.concatenate([known_pair(n)[2][:2, 3:] for n in range(4, 10)])
+    assert groups["surface"]["sky, not scored"]["pixels"] == sky.size
+    assert groups["surface"]["sky, not scored"]["me_k"] == pytest.approx(sky.mean(), abs=3e-3)
     low, high = found["interval_95"]["mae_k"]
     assert low < found["mae_k"] < high and result["drawn"] == "parents"
 
@@ -215,7 +219,7 @@ def test_errors_that_are_known(scored):
 def test_simple_methods(scored):
     _, result, _ = scored
     methods = result["methods"]
-    true = {n: known_pair(n)[1][:, 3:] for n in range(10)}
+    true = {n: known_pair(n)[1][2:, 3:] for n in range(10)}
     test = np.concatenate([true[n].ravel() for n in range(4, 10)])
     mean = np.concatenate([band_radiance(true[n], *BAND_UM).ravel() for n in range(4)]).mean()
     mean = brightness_temperature(mean, *BAND_UM)
@@ -229,7 +233,7 @@ def test_simple_methods(scored):
     assert methods[BALANCE]["sd_k"] == pytest.approx(0.0, abs=5e-3)
     # Of Gaussian draws the best map errs by √(2/π) of their deviation.
     assert methods[REDRAWN]["mae_k"] == pytest.approx(np.sqrt(2 / np.pi) * HIDDEN_K, rel=0.02)
-    grass = [known_pair(n)[3][:, 3:] == 0 for n in range(10)]
+    grass = [known_pair(n)[3][2:, 3:] == 0 for n in range(10)]
     own = band_radiance(np.concatenate([true[n][grass[n]] for n in range(4)]), *BAND_UM).mean()
     own = brightness_temperature(own, *BAND_UM) - np.concatenate([true[n][grass[n]] for n in range(4, 10)])
     assert methods["mean per material"]["groups"]["material"]["grass_green"]["mae_k"] == pytest.approx(

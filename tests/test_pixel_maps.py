@@ -107,8 +107,8 @@ def test_a_picture_is_brought_to_the_maps_texel_and_back():
     # Classes stay what they are, at any ratio.
     odd = rows.at_texel(Inputs(rgb, 0.3, {"material": np.where(plane > 900.0, 7, 2).astype(np.uint8)}), 0.5)
     assert odd.rgb.shape == (29, 38, 3) and np.unique(odd.terrain["material"]).tolist() == [2.0, 7.0]
-    # Coarser by ten: no more than fourfold enlarged.
-    assert rows.at_texel(Inputs(rgb, 5.0), 0.5).rgb.shape == (192, 256, 3)
+    # Coarser by ten: no more than twofold enlarged.
+    assert rows.at_texel(Inputs(rgb, 5.0), 0.5).rgb.shape == (96, 128, 3)
     ramp = np.add.outer(np.arange(48.0), 2.0 * np.arange(64.0))
     back = rows.at_shape(ramp, (96, 128))
     np.testing.assert_allclose(rows.at_shape(back, (48, 64)), ramp, atol=1.0)
@@ -142,6 +142,29 @@ def test_rows_are_drawn_evenly_from_what_is_valid():
     for name in ("trees", "palette"):
         with pytest.raises(ThermorenderError, match="none of 3 pairs has a valid pixel to learn from"):
             method(name).fit(task_of(name, nothing))
+
+
+def test_pixels_of_large_pictures_are_drawn_from_a_part_that_is_described_as_in_the_whole():
+    g = np.random.default_rng(11)
+    rgb = g.integers(0, 256, (420, 600, 3), dtype=np.uint8)
+    valid = np.zeros((420, 600), bool)
+    valid[300:, 400:] = True
+    large = example(Inputs(rgb), np.full((420, 600), 290.0), valid)
+    seen = set()
+    for seed in range(8):
+        (found,) = rows.drawn(replace(task_of("trees", [large]), seed=seed), rows.Told(), 200)
+        top, bottom, left, right = found.window
+        assert bottom - top == right - left == 256 and 0 <= top and bottom <= 420 and 0 <= left and right <= 600
+        row, column = np.divmod(found.pixels, 600)
+        assert valid[row, column].all() and row.min() >= top and row.max() < bottom
+        assert column.min() >= left and column.max() < right
+        seen.add(found.window)
+    assert len(seen) > 4
+    told = rows.Told()
+    ((_, whole),) = told.tiles(Inputs(rgb))
+    ((where, part),) = told.tiles(Inputs(rgb), found.window)
+    assert where == (slice(top, bottom), slice(left, right))
+    np.testing.assert_allclose(part, whole[:, top:bottom, left:right], atol=2e-3)
 
 
 def test_training_brings_pictures_to_the_maps_texel():

@@ -83,12 +83,16 @@ def bounds_of(histogram):
     return Bounds(float(low), float(high), float(first), float(third), below, above)
 
 
-def bounds_of_dataset(dataset):
-    """Return the Bounds of a Dataset's valid thermal values; errors as of `bounds_of`."""
+def bounds_of_dataset(dataset, usable):
+    """Return the Bounds of a Dataset's valid thermal values, of those that are `usable`, (65536,) bool.
+
+    Errors as of `bounds_of`.
+    """
     histogram = Histogram()
     for entry in dataset.entries:
         pair = dataset.pair(entry, truth=False)
         histogram.add(pair.thermal[pair.valid])
+    histogram.counts[~usable] = 0
     return bounds_of(histogram)
 
 

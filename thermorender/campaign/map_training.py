@@ -68,7 +68,8 @@ def train_map(
             f"hold; take {method_name.rstrip('+') if method_name != 'correlation+' else 'correlation-9to1'}"
         )
     tell("looking at the values", 0.0)
-    bounds = bounds_of_dataset(dataset.of("train") if len(dataset.of("train")) else pairs)
+    usable = ~_saturated(dataset.card, np.arange(65536))
+    bounds = bounds_of_dataset(dataset.of("train") if len(dataset.of("train")) else pairs, usable)
     scale, low, high = dataset.scale, bounds.low, bounds.high
     range_k = tuple(float(brightness_temperature(scale.radiance(value), *scale.band_um)) for value in (low, high))
     if scale.unit == "intensity":
@@ -77,9 +78,6 @@ def train_map(
     first = pairs.pair(pairs.entries[0], truth=False).thermal
     values = np.arange(np.iinfo(first.dtype).max + 1)
     radiance = scale.radiance(values)
-    usable = np.ones(values.size, bool)
-    saturated = _saturated(dataset.card, values)
-    usable &= ~saturated
 
     def examples():
         for entry in pairs.entries:
@@ -95,7 +93,11 @@ def train_map(
     started = time.perf_counter()
     sampling = np.array([entry.texel_m for entry in pairs.entries if entry.texel_m] or [1.0])
     texel_m = float(np.exp(np.median(np.log(sampling))))
-    task = Task(examples, len(pairs), (radiance - cold) / (warm - cold), kelvin, seed, tell, options, texel_m)
+    held = np.array([entry.part == "validation" for entry in pairs.entries])
+    task = Task(
+        examples, len(pairs), (radiance - cold) / (warm - cold), kelvin, seed, tell, options, texel_m,
+        held if held.any() and not held.all() else None,
+    )  # fmt: skip
     predictor = how.fit(task)
     seconds = time.perf_counter() - started
     skies = [entry.sky_temperature for entry in pairs.entries if entry.sky_temperature]

@@ -20,16 +20,20 @@ class Correlation:
         Weights of the k × k neighbourhood, first axis down the image, for R, G, B in 0…1.
     intercept : float
         0 in the published form.
+    above_air : bool
+        Whether it gives kelvin above the air instead of intensity.
     """
 
     kernel: np.ndarray
     intercept: float = 0.0
+    above_air: bool = False
 
-    needs = ()
-    above_air = False
+    @property
+    def needs(self):
+        return ("conditions",) if self.above_air else ()
 
     def predict(self, inputs, texel_m):
-        """Return intensity, (h, w) float64.
+        """Return intensity, or kelvin above the air, (h, w) float64.
 
         Notes
         -----
@@ -72,7 +76,7 @@ class Correlation:
 
     def header(self):
         """Return what the file's text says of it."""
-        return {"intercept": self.intercept}
+        return {"intercept": self.intercept, "above_air": self.above_air}
 
     def arrays(self):
         """Return what the file holds of it."""
@@ -84,7 +88,7 @@ class Correlation:
         kernel = np.asarray(arrays["kernel"], np.float64)
         if kernel.ndim != 3 or kernel.shape[0] != kernel.shape[1] or len(kernel) % 2 != 1 or kernel.shape[2] != 3:
             raise ValueError("no kernel")
-        return cls(kernel, float(header["intercept"]))
+        return cls(kernel, float(header["intercept"]), bool(header["above_air"]))
 
 
 _NINE = {

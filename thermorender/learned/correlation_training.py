@@ -8,6 +8,7 @@ coefficient.
 """
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 
@@ -33,7 +34,7 @@ def fit_correlation(task, size):
     ----------
     task : Task
         Options: intercept, bool (the published form has none); ridge, weight of the coefficients' squares beside the
-        mean square error, for standard intensities.
+        mean square error, for colours in 0…1; above_air, bool, to learn kelvin above the air instead of intensity.
     size : int
         Odd.
 
@@ -42,12 +43,13 @@ def fit_correlation(task, size):
     ThermorenderError
         Pictures smaller than the neighbourhood only, or colours that do not tell the coefficients apart.
     """
-    normal, done, table = None, 0, _Table(task.intensity)
+    above_air = task.options.get("above_air", False)
+    normal, done, table = None, 0, _Table(task.temperature if above_air else task.intensity)
     # Matrix products release the interpreter, so threads share the work.
     with ThreadPoolExecutor() as pool:
         waiting = []
         for example in task.examples():
-            waiting.append(pool.submit(_equations, example, size, table))
+            waiting.append(pool.submit(_equations, example, size, table, _air_k(example) if above_air else 0.0))
             done += 1
             if len(waiting) == _AT_ONCE:
                 normal = sum((each.result() for each in waiting), start=0.0 if normal is None else normal)
@@ -61,7 +63,18 @@ def fit_correlation(task, size):
             f"no picture has a valid neighbourhood of {size} × {size} pixels; give larger pictures, or a smaller "
             "neighbourhood"
         )
-    return solved(normal, size, task.options.get("intercept", False), task.options.get("ridge", 0.0))
+    found = solved(normal, size, task.options.get("intercept", False), task.options.get("ridge", 0.0))
+    return replace(found, above_air=above_air)
+
+
+def _air_k(example):
+    """The air's temperature of an example [K]."""
+    if "air_k" not in example.inputs.conditions:
+        raise ThermorenderError(
+            "above_air=true needs the air's temperature of every pair, and one has none; give a data set with weather, "
+            "or leave it out"
+        )
+    return example.inputs.conditions["air_k"]
 
 
 def solved(normal, size, intercept, ridge):
@@ -98,10 +111,10 @@ class _Table:
         self.bytes = ((whole >> shifts) & np.uint64(255)).astype(np.float32)
 
 
-def _equations(example, size, table):
+def _equations(example, size, table, less=0.0):
     """AᵀA and AᵀI of a picture, (n + 2, n + 2) float64, columns being n colours (row, column, channel), 1 and I.
 
-    What lies below the diagonal is not filled.
+    `less` is taken from all of I. What lies below the diagonal is not filled.
     """
     rgb, ring = example.inputs.rgb, size // 2
     rows, columns = (max(side - 2 * ring, 0) for side in rgb.shape[:2])
@@ -145,5 +158,5 @@ def _equations(example, size, table):
                     total[left:right, top : top + known] += product[:, :known]
                 if to > n + 1:
                     total[left:right, n + 1] += product[:, max(known, 0) :] @ weights[of : of + to - max(top, n + 1)]
-    total[: n + 1, n + 1] += table.zero * total[: n + 1, n]
+    total[: n + 1, n + 1] += (table.zero - less) * total[: n + 1, n]
     return total

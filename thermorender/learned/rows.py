@@ -19,6 +19,8 @@ _SAME_TEXEL = 0.1
 _MOST_ENLARGED = 2.0
 # Side of the parts that a large picture is described in [pixels].
 _TILE = 768
+# Side of the part of a picture that pixels are drawn from [pixels]: to describe a whole one takes five times as long.
+_WINDOW = 256
 # A terrain's plane that holds numbers of classes, with no order.
 CLASSES = "material"
 
@@ -103,20 +105,23 @@ class Told:
         """Names of the columns of `tiles`."""
         return (*NAMES, *self.terrain, *self.conditions)
 
-    def tiles(self, inputs):
+    def tiles(self, inputs, window=None):
         """Give ((rows, columns) slices, (len(columns), h, w) float32) of a picture, part by part.
 
         Parameters
         ----------
         inputs : Inputs
             At the map's ground sampling distance.
+        window : (4,) ints, optional
+            First and last row and column of the part that is asked for; the whole by default.
         """
         self.check(inputs)
         whole = whole_picture(inputs.rgb)
         height, width = inputs.rgb.shape[:2]
-        for top in range(0, height, _TILE):
-            for left in range(0, width, _TILE):
-                bottom, right = min(top + _TILE, height), min(left + _TILE, width)
+        first_row, last_row, first_column, last_column = window or (0, height, 0, width)
+        for top in range(first_row, last_row, _TILE):
+            for left in range(first_column, last_column, _TILE):
+                bottom, right = min(top + _TILE, last_row), min(left + _TILE, last_column)
                 up, before = max(top - HALO, 0), max(left - HALO, 0)
                 part = features(inputs.rgb[up : bottom + HALO, before : right + HALO], whole)
                 part = part[:, top - up : bottom - up, left - before : right - before]
@@ -140,6 +145,8 @@ class Drawn:
         Of the example.
     inputs : Inputs
         At the map's ground sampling distance.
+    window : (4,) ints
+        First and last row and column of the part that they lie in.
     pixels : (n,) int
         Row times width plus column, ascending.
     target : (n,) float64
@@ -148,12 +155,15 @@ class Drawn:
 
     number: int
     inputs: Inputs
+    window: tuple
     pixels: np.ndarray
     target: np.ndarray
 
 
 def drawn(task, told, most) -> Iterator[Drawn]:
     """Give the Drawn of each example of a Task: as many pixels of each, `most`, or all where it has fewer.
+
+    They are drawn from a part of the picture that is placed about one of its valid pixels at random.
 
     Raises
     ------
@@ -175,13 +185,29 @@ def drawn(task, told, most) -> Iterator[Drawn]:
             # A pixel all of whose parts are valid.
             target = at_shape(np.where(usable, target, 0.0), shape)
             usable = at_shape(usable.astype(np.float32), shape) > 0.999
-        pixels = np.flatnonzero(usable)
+        window = _window(usable, generator)
+        inside = np.zeros(shape, bool)
+        inside[window[0] : window[1], window[2] : window[3]] = True
+        pixels = np.flatnonzero(usable & inside)
         if pixels.size > most:
             pixels = np.sort(generator.choice(pixels, most, replace=False))
         empty &= pixels.size == 0
-        yield Drawn(number, inputs, pixels, target.ravel()[pixels])
+        yield Drawn(number, inputs, window, pixels, target.ravel()[pixels])
         task.progress("reading", (number + 1) / task.count)
     if empty:
         raise ThermorenderError(
             f"none of {task.count} pairs has a valid pixel to learn from; give pairs whose pictures overlap"
         )
+
+
+def _window(usable, generator):
+    """First and last row and column of a part of a picture, about a pixel of it that can be used."""
+    within = np.flatnonzero(usable)
+    if not within.size:
+        return 0, 0, 0, 0
+    at = np.divmod(within[generator.integers(within.size)], usable.shape[1])
+    found = []
+    for place, size in zip(at, usable.shape, strict=True):
+        first = int(np.clip(place - generator.integers(_WINDOW), 0, max(size - _WINDOW, 0)))
+        found += [first, min(first + _WINDOW, size)]
+    return tuple(found)

@@ -54,6 +54,8 @@ class Task:
     texel_m : float or None
         Ground sampling distance that the map will be applied at [m]; methods that see texture learn at it. None takes
         the pictures as they are.
+    held_out : (count,) bool or None
+        Examples that say when to stop and are not learned from; None leaves it to the method.
     """
 
     examples: Examples
@@ -64,6 +66,7 @@ class Task:
     progress: Callable[[str, float], object]
     options: dict
     texel_m: float | None = None
+    held_out: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -93,7 +96,8 @@ def _correlation(size):
 
         return fit_correlation(task, size)
 
-    return Method(fit, False, {"intercept": False, "ridge": 0.0}, f"linear in the {size} × {size} colours around")
+    options = {"intercept": False, "ridge": 0.0, "above_air": False}
+    return Method(fit, False, options, f"linear in the {size} × {size} colours around")
 
 
 def _later(module, name, plus, options, title):

@@ -1,7 +1,8 @@
 """Learned maps evaluated on a data set, in kelvin, beside simple methods and beside the least error there is.
 
 The error of a pixel is the apparent temperature that a method gives less the true one. Maps are judged as they are,
-never refitted. The same pairs are given to every method; a method that some pairs lack says on how many it stands.
+never refitted. Sky is no ground: where the truth tells it, its errors stand apart. The same pairs are given to every
+method; a method that some pairs lack says on how many it stands.
 
 The *floor* is what no map can go below, where the data set holds the same view with its hidden state (moisture,
 roughness, properties of the materials) drawn anew. Let T = f + a be the truth and T′ = f + b the redrawn one, f being
@@ -133,7 +134,11 @@ class _Views:
             true = apparent_temperature(pair.truth["radiance"], band)
         else:
             true = self.levels.temperature(pair.thermal)
-        return View(pair, self.dataset.card, band, true, pair.valid & np.isfinite(true))
+        known = pair.valid & np.isfinite(true)
+        sky = np.zeros_like(known)
+        if "material" in pair.truth:
+            sky = known & (pair.truth["material"] == NO_MATERIAL)
+        return View(pair, self.dataset.card, band, true, known & ~sky, sky)
 
     def __iter__(self):
         return (self[number] for number in range(len(self.dataset)))
@@ -148,6 +153,7 @@ class _Tally:
         self.rows = np.zeros((pairs, sums.WIDTH))
         self.materials = np.zeros((256, sums.WIDTH))
         self.edges = np.zeros((len(EDGES), sums.WIDTH))
+        self.sky = np.zeros(sums.WIDTH)
         self.alike = np.zeros(4)
         self.pairs = 0
 
@@ -159,6 +165,8 @@ class _Tally:
                 own = groups.setdefault(grouping, {})
                 own[name] = own.get(name, 0.0) + row
         groups["material"], groups["surface"] = material_groups(self.materials, card.get("materials", []))
+        if self.sky.any():
+            groups["surface"]["sky, not scored"] = self.sky
         groups["edges"] = dict(zip(EDGES, self.edges, strict=True))
         return {
             "kind": self.method.kind, "knows": self.method.knows, "pairs": self.pairs,
@@ -186,6 +194,9 @@ def _score(view, number, tallies, bounds):
         tally.rows[number] = found.sum(axis=(0, 1))
         tally.materials += found.sum(axis=1)
         tally.edges += found.sum(axis=0)
+        if view.sky.any():
+            off = guess[view.sky].astype(np.float64) - view.true[view.sky]
+            tally.sky += sums.rows_by(off, np.zeros(off.size, np.intp), 1)[0]
         tally.pairs += 1
         # The floor is an error, and its picture no guess.
         if tally.method.kind != "floor":

@@ -35,6 +35,8 @@ class View:
         Apparent temperature [K].
     known : (H, W) bool
         Where it is scored.
+    sky : (H, W) bool
+        Where the truth tells that there is sky.
     """
 
     pair: Pair
@@ -42,6 +44,7 @@ class View:
     band_um: tuple
     true: np.ndarray
     known: np.ndarray
+    sky: np.ndarray
 
 
 @dataclass

@@ -68,10 +68,13 @@ def read_training_part(dataset, levels, progress=lambda share: None):
     for number, entry in enumerate(dataset.entries):
         progress(number / len(dataset))
         pair = dataset.pair(entry, truth=bool(materials))
-        values = pair.thermal[pair.valid]
+        known = pair.valid
+        if "material" in pair.truth:
+            known = known & (pair.truth["material"] != NO_MATERIAL)
+        values = pair.thermal[known]
         histogram.add(values)
         if "material" in pair.truth:
-            where = pair.truth["material"][pair.valid]
+            where = pair.truth["material"][known]
             total += np.bincount(where, levels.radiance(values), 256)
             amount += np.bincount(where, minlength=256)
     bounds = None
