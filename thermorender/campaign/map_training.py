@@ -7,6 +7,7 @@ import numpy as np
 
 from thermorender.campaign.audit import audit
 from thermorender.campaign.bounds import bounds_of_dataset
+from thermorender.campaign.cut import Cut, moved
 from thermorender.campaign.map_inputs import inputs_of
 from thermorender.errors import ThermorenderError
 from thermorender.learned.temperature_map import Inputs, TemperatureMap
@@ -25,7 +26,7 @@ _RANGES = ("air_k", "wind_m_s", "snow_m", "sun_elevation_deg", "solar_hour", "da
 
 def train_map(
     name, method_name, dataset, options=None, seed=0, progress=None, parts=("train", "validation"), material=False,
-    audited=True,
+    audited=True, shift_px=0.0, share=1.0,
 ):  # fmt: skip
     """Return the TemperatureMap of a method, trained on some parts of a Dataset.
 
@@ -46,6 +47,10 @@ def train_map(
         Shows the method the true material of each pixel: an oracle, which is no map.
     audited : bool
         Looks for leaks between training and test, which the map then tells.
+    shift_px : float
+        Trains on pairs that are not aligned: each thermal picture is moved by a random vector of this length [px].
+    share : float
+        Trains on so many of the sequences, evenly spaced over the data set's order, one at least.
 
     Raises
     ------
@@ -59,7 +64,7 @@ def train_map(
     """
     how, tell = method(method_name), progress or (lambda what, share: None)
     options = checked_options(method_name, how.options, options or {})
-    pairs = dataset.of(*parts)
+    pairs, cut = _some(dataset.of(*parts), share), Cut(shift_px=shift_px, seed=seed)
     if not len(pairs):
         raise ThermorenderError(f"{dataset.folder} has no pairs in {' or '.join(parts)}; give a split that has some")
     if how.plus and not (dataset.card.get("terrain") and all(entry.conditions for entry in pairs.entries)):
@@ -86,7 +91,8 @@ def train_map(
                 inputs = inputs_of(pair, dataset.card, material)
             else:
                 inputs = Inputs(pair.visible, entry.texel_m, {}, entry.conditions)
-            yield Example(inputs, pair.thermal, pair.valid & usable[pair.thermal])
+            values, valid = moved(pair.thermal, pair.valid, entry.key, cut) if shift_px else (pair.thermal, pair.valid)
+            yield Example(inputs, values, valid & usable[values])
 
     with np.errstate(invalid="ignore"):
         kelvin = brightness_temperature(np.maximum(radiance, 1e-6), *scale.band_um)
@@ -112,13 +118,24 @@ def train_map(
     about = {
         "dataset": {key: dataset.card.get(key) for key in ("name", "origin", "licence", "camera")},
         "sky_assumed": not skies, "pairs": {part: len(dataset.of(part)) for part in ("train", "validation", "test")},
-        "trained_on": list(parts), "sequences": len({entry.sequence for entry in pairs.entries}),
+        "trained_on": list(parts), "shift_px": shift_px, "share": share,
+        "sequences": len({entry.sequence for entry in pairs.entries}),
         "conditions": _ranges(pairs.entries), "bounds": [low, high], "unit": scale.unit,
         "options": options, "seed": seed, "training_s": round(seconds, 2), "versions": versions(),
     }  # fmt: skip
     if audited and len(dataset.of("test")):
         about["audit"] = audit(dataset, progress=tell).summary()
     return _with_error(made, about, dataset, material)
+
+
+def _some(dataset, share):
+    """A data set with a share of its sequences, one at least; those of validation all stay."""
+    if share >= 1.0:
+        return dataset
+    names = list(dict.fromkeys(entry.sequence for entry in dataset.entries if entry.part != "validation"))
+    count = max(1, round(share * len(names)))
+    chosen = {names[k] for k in (np.arange(count) * len(names)) // count}
+    return dataset.having([each for each in dataset.entries if each.sequence in chosen or each.part == "validation"])
 
 
 def _with_error(model, about, dataset, material):
@@ -130,7 +147,7 @@ def _with_error(model, about, dataset, material):
     squares, count = 0.0, 0
     for index in np.unique(np.linspace(0, len(held) - 1, min(_TOLD_BY, len(held))).astype(int)):
         pair = held.pair(held.entries[index])
-        inputs = inputs_of(pair, dataset.card, material) if model.needs else Inputs(pair.visible, pair.entry.texel_m)
+        inputs = inputs_of(pair, dataset.card, material)
         found = brightness_temperature(np.maximum(model.radiance(inputs)[::4, ::4], 1e-6), *model.band_um)
         known = brightness_temperature(np.maximum(pair.reference[::4, ::4], 1e-6), *model.band_um)
         here = pair.valid[::4, ::4] & ~_saturated(dataset.card, pair.thermal[::4, ::4])

@@ -53,6 +53,35 @@ def validate_emissivity(
     typer.echo(f"numbers and confusion table in {output}")
 
 
+@app.command("maps")
+def validate_maps(
+    dataset: Annotated[Path, typer.Option(help="Folder of a data set with parts to train and to test on.")],
+    output: Out = Path("out/validation"),
+    methods: Annotated[
+        str | None, typer.Option(help="Comma-separated, as of `train`; default: correlations and palette.")
+    ] = None,
+    limit: Annotated[int, typer.Option(help="Test pairs that are scored, evenly spaced.", min=1)] = 60,
+    seed: Annotated[int, typer.Option(help="Of training and shifts.", min=0)] = 0,
+):
+    """Errors of learned temperature maps against the share of training data, and against pairs not aligned."""
+    from thermorender.campaign.dataset import read_dataset
+    from thermorender.validate import maps as study
+    from thermorender.validate.figures.evaluation import against_share, against_shift
+
+    with progress() as tell, files.output_folder(output) as folder:
+        names = split(methods) if methods else study.METHODS
+        result = study.run(read_dataset(dataset), names, limit=limit, seed=seed, progress=tell)
+        files.write_json(folder / "maps.json", result)
+        for varied, draw in (("share", against_share), ("shift_px", against_shift)):
+            curves = {}
+            for case in result["cases"]:
+                if case["varied"] == varied:
+                    curves.setdefault(case["method"], []).append((case["value"], case["mae_k"]))
+            draw(folder / f"maps_{varied}.png", curves)
+    table(study.HEADER, study.rows(result))
+    typer.echo(f"numbers and figures in {output}")
+
+
 @app.command("air")
 def validate_air(
     scene: Annotated[str, typer.Argument(help="Scene folder, or the name of a shipped one.")] = defaults.SCENE,

@@ -14,6 +14,8 @@ import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.learned.correlation import Correlation
+from thermorender.learned.rows import at_texel
+from thermorender.learned.training import Example
 
 # Terms of a sum that single precision holds exactly: 255² of them stay below 2²⁴.
 _BLOCK = 256
@@ -49,7 +51,8 @@ def fit_correlation(task, size):
     with ThreadPoolExecutor() as pool:
         waiting = []
         for example in task.examples():
-            waiting.append(pool.submit(_equations, example, size, table, _air_k(example) if above_air else 0.0))
+            less = _air_k(example) if above_air else 0.0
+            waiting.append(pool.submit(_equations, _at_texel(example, task.texel_m), size, table, less))
             done += 1
             if len(waiting) == _AT_ONCE:
                 normal = sum((each.result() for each in waiting), start=0.0 if normal is None else normal)
@@ -65,6 +68,21 @@ def fit_correlation(task, size):
         )
     found = solved(normal, size, task.options.get("intercept", False), task.options.get("ridge", 0.0))
     return replace(found, above_air=above_air)
+
+
+def _at_texel(example, texel_m):
+    """An Example at a ground sampling distance [m]; thermal values, which stand for others, are picked, not averaged."""
+    import cv2
+
+    inputs = at_texel(example.inputs, texel_m)
+    size = inputs.rgb.shape[1::-1]
+    if inputs is example.inputs:
+        return example
+    values, valid = (
+        cv2.resize(np.asarray(each), size, interpolation=cv2.INTER_NEAREST_EXACT)
+        for each in (example.values, example.valid.astype(np.uint8))
+    )
+    return Example(inputs, values, valid > 0)
 
 
 def _air_k(example):

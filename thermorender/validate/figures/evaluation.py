@@ -97,6 +97,20 @@ def against_share(path, curves):
     _save(figure, path)
 
 
+def against_shift(path, curves):
+    """Draw mean absolute error against how far the training pairs were moved; curves of (shift [px], error [K])."""
+    pyplot = _pyplot()
+    figure, axis = pyplot.subplots(figsize=(8, 5), layout="constrained")
+    for name, curve in curves.items():
+        shift, error = np.array(sorted(curve)).T
+        axis.plot(shift, error, "o-", label=name)
+    axis.set(xlabel="shift of thermal against visible pictures in training [px]", ylabel="mean absolute error [K]")
+    axis.set_ylim(bottom=0.0)
+    axis.grid(True, lw=0.3, color="0.85")
+    axis.legend(fontsize=8)
+    _save(figure, path)
+
+
 def _pyplot():
     import matplotlib
 
