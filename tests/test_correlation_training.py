@@ -7,8 +7,9 @@ from conftest import shared_data
 from thermorender.errors import ThermorenderError
 from thermorender.learned.correlation import PUBLISHED_1TO1, PUBLISHED_9TO1, Correlation
 from thermorender.learned.correlation_training import _equations, _Table, fit_correlation
+from thermorender.learned.methods import method
 from thermorender.learned.temperature_map import Inputs
-from thermorender.learned.training import Example, Task, method
+from thermorender.learned.training import Example, Task
 from thermorender.paths import data_folder
 from thermorender.scene.raster import read_colour
 
@@ -104,7 +105,7 @@ def test_ridge_shrinks_as_its_closed_form():
     a = rgb.reshape(-1, 3) / 255.0
     for ridge in (0.0, 0.01, 1.0):
         expected = np.linalg.solve(a.T @ a / len(a) + ridge * np.eye(3), a.T @ target.ravel() / len(a))
-        found = fit_correlation(task([example], table, ridge=ridge), 1)
+        found = fit_correlation(task([example], table, penalty=ridge), 1)
         np.testing.assert_allclose(found.kernel.ravel(), expected, rtol=1e-10)
 
 
@@ -130,9 +131,9 @@ def test_what_pictures_cannot_tell():
     grey = np.repeat(np.random.default_rng(4).integers(0, 256, (30, 30, 1), dtype=np.uint8), 3, axis=2)
     values, table = as_values(grey[..., 0] / 255.0)
     example = Example(Inputs(grey), values, np.ones(values.shape, bool))
-    with pytest.raises(ThermorenderError, match="tell 9 of 27 coefficients only.*grey.*ridge=1e-6"):
+    with pytest.raises(ThermorenderError, match="tell 9 of 27 coefficients only.*grey.*penalty=1e-6"):
         fit_correlation(task([example], table), 3)
-    assert np.isfinite(fit_correlation(task([example], table, ridge=1e-6), 3).kernel).all()
+    assert np.isfinite(fit_correlation(task([example], table, penalty=1e-6), 3).kernel).all()
     small = Example(Inputs(grey[:2, :2]), values[:2, :2], np.ones((2, 2), bool))
     with pytest.raises(ThermorenderError, match="no picture has a valid neighbourhood of 3 × 3 pixels"):
         fit_correlation(task([small], table), 3)

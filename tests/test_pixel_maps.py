@@ -8,8 +8,9 @@ import pytest
 
 from thermorender.errors import ThermorenderError
 from thermorender.learned import features, linear, palette, rows, trees
+from thermorender.learned.methods import method
 from thermorender.learned.temperature_map import Inputs, TemperatureMap, load_map, save_map
-from thermorender.learned.training import Example, Task, method
+from thermorender.learned.training import Example, Task
 
 # Values of a thermal picture are hundredths of a kelvin, and of its range of intensity 280 K to 300 K.
 TEMPERATURE = np.arange(40000) / 100.0
@@ -355,7 +356,7 @@ def test_linear_finds_known_coefficients(tmp_path):
     for inputs, kelvin in made:
         inputs.terrain["sky_view"][:10] = inputs.terrain["sunlight"][:10] = np.nan
         kelvin[:10] = without_terrain(inputs)[:10]
-    model = linear.fit_linear(task_of("correlation+", [example(*one) for one in made], ridge=0.0))
+    model = linear.fit_linear(task_of("correlation+", [example(*one) for one in made], penalty=0.0))
     names = [name for name, _ in linear.columns(made[0][0], model.told)]
     assert len(names) == linear.count_of_columns(model.told)
     found = dict(zip(names, model.weight, strict=True))
@@ -377,7 +378,7 @@ def test_linear_is_ridge_regression():
 
     generator = np.random.default_rng(1)
     made = [linear_example(seed, 275.0 + 4.0 * seed, generator) for seed in range(5)]
-    model = linear.fit_linear(task_of("correlation+", [example(*one) for one in made], ridge=0.1))
+    model = linear.fit_linear(task_of("correlation+", [example(*one) for one in made], penalty=0.1))
     table = np.concatenate(
         [np.stack([np.broadcast_to(c, (48, 64)).ravel() for _, c in linear.columns(inputs, model.told)], axis=-1)
          for inputs, _ in made]
@@ -399,7 +400,7 @@ def test_linear_leaves_out_what_is_constant_and_classes():
 
 def test_linear_refuses():
     inputs, kelvin = linear_example(0, 290.0, np.random.default_rng(3))
-    with pytest.raises(ThermorenderError, match="ridge=-1 is no penalty; give 0 or more"):
-        linear.fit_linear(task_of("correlation+", [example(inputs, kelvin)], ridge=-1))
+    with pytest.raises(ThermorenderError, match="penalty=-1 is not allowed; give 0 or more"):
+        linear.fit_linear(task_of("correlation+", [example(inputs, kelvin)], penalty=-1))
     with pytest.raises(ThermorenderError, match="no condition air_k"):
         linear.fit_linear(task_of("correlation+", [example(replace(inputs, conditions={"wind_m_s": 1.0}), kelvin)]))

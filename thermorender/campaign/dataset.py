@@ -101,7 +101,7 @@ class Entry:
     sky_temperature : float or None
         Of the blackbody that shines as the sky did in the camera's band [K].
     conditions : dict of str to float
-        Hour and weather in numbers, as by `thermorender.scene.conditions`; empty where unknown.
+        Hour and weather in numbers, as by `thermorender.render.heat.conditions`; empty where unknown.
     labels : dict of str to str
         Whatever else tells pairs apart: kind of land, view, weather.
     shard : str

@@ -10,8 +10,9 @@ from thermorender.campaign.bounds import bounds_of_dataset
 from thermorender.campaign.cut import Cut, moved
 from thermorender.campaign.map_inputs import inputs_of
 from thermorender.errors import ThermorenderError
+from thermorender.learned.methods import method
 from thermorender.learned.temperature_map import Inputs, TemperatureMap
-from thermorender.learned.training import Example, Task, method
+from thermorender.learned.training import Example, Task
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.units import ZERO_CELSIUS_K
 from thermorender.versions import versions

@@ -22,7 +22,7 @@ from thermorender.campaign.worlds import drawn
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
 from thermorender.physics.srgb import bytes_from_linear
-from thermorender.scene.conditions import conditions
+from thermorender.render.heat.conditions import conditions
 from thermorender.scene.load import load_scene
 from thermorender.scene.surface import BACKGROUND, SURFACE
 from thermorender.sensor.camera import load_camera
@@ -38,8 +38,8 @@ from thermorender.units import utc_text
 # Sides of a world's texels and posts in those of its kind, and how many texels a side has: a quarter of the kind's own
 # ground at 1.6 times its texel is a tenth of the work.
 COARSER, SIDE_TEXELS = 1.6, 500
-# Heights above ground by kind [m], log-uniform; views ahead are from so much lower, as land ends at its edge.
-HEIGHTS_M, AHEAD = {"heath": (30.0, 130.0), "village": (30.0, 130.0), "ridge": (120.0, 500.0)}, 0.4
+# Views ahead are from so much lower, as the land ends at its edge.
+AHEAD = 0.4
 # Views of an hour, in turn: name, lowest and highest pitch [deg].
 VIEWS = (
     ("nadir", -90.0, -80.0), ("oblique", -60.0, -35.0), ("forward", -16.0, -4.0), ("nadir", -90.0, -80.0),
@@ -222,7 +222,7 @@ def _view(world, hour, view, scene):
     name, low, high = VIEWS[view % len(VIEWS)]
     g = stream(world.seed, f"view {hour} {view}")
     half = 0.5 * _sizes(world.kind)[0]
-    least, most = np.log(HEIGHTS_M[world.kind])
+    least, most = np.log(KINDS[world.kind].heights_m)
     height = float(np.exp(g.uniform(least, most)))
     yaw, pitch = float(g.uniform(0.0, 360.0)), float(g.uniform(low, high))
     east, north = g.uniform(-0.4, 0.4, 2) * half

@@ -10,6 +10,7 @@ from thermorender.cli.camera import parse_scale
 from thermorender.cli.terminal import output_option, progress, split, table
 from thermorender.errors import ThermorenderError
 
+MAPS = ", ".join(defaults.TEMPERATURE_MAPS)
 VisibleFolder = Annotated[Path, typer.Argument(help="Folder of visible pictures.")]
 ThermalFolder = Annotated[Path, typer.Argument(help="Folder of thermal pictures; may be the same.")]
 DatasetFolder = Annotated[Path, output_option("-o", "--output", help="Folder for the data set.")]
@@ -97,7 +98,7 @@ def prepare(
         typer.echo(f"left out: {name}: {reason}", err=True)
     if made["grey"]:
         typer.echo(f"warning: {made['grey']} of {made['pairs']} visible pictures are grey, which tells no colours "
-                   "apart: train with --set ridge=1e-6, or take pictures in colour", err=True)  # fmt: skip
+                   "apart: train with --set penalty=1e-6, or take pictures in colour", err=True)  # fmt: skip
     if made["rig"] is not None:
         typer.echo(str(made["rig"]))
     bounds = made["bounds"]
@@ -183,7 +184,7 @@ def train(
     of: Annotated[Path | None, typer.Option("--split", help="File of a split in place of the data set's own.")] = None,
     setting: Annotated[
         list[str] | None,
-        typer.Option("--set", help="OPTION=VALUE of the method, such as intercept=true or ridge=1e-6; repeat."),
+        typer.Option("--set", help="OPTION=VALUE of the method, such as intercept=true or penalty=1e-6; repeat."),
     ] = None,
     oracle: Annotated[
         bool, typer.Option("--oracle", help="Show it the true material of each pixel: for evaluate --oracle only.")
@@ -215,8 +216,8 @@ def train(
     from thermorender.campaign.dataset import read_dataset
     from thermorender.campaign.map_training import train_map
     from thermorender.campaign.splits import read_split
+    from thermorender.learned.methods import method as known
     from thermorender.learned.temperature_map import save_map
-    from thermorender.learned.training import method as known
 
     known(method)
     if len(sources or ()) != 1:
@@ -255,7 +256,7 @@ def _train_emissivity(scenes, output, labels, texel_m, augmentations, seed):
 
 
 def translate(
-    model: Annotated[str, typer.Argument(help="Learned map: fok-1to1, fok-9to1, or a file ending in .npz.")],
+    model: Annotated[str, typer.Argument(help=f"Learned map: {MAPS}, or a file ending in .npz.")],
     images: Annotated[list[Path], typer.Argument(help="Pictures, videos (.mp4, .avi), or folders of them.")],
     output: Annotated[Path, output_option("-o", "--output", help="Folder for the results.")],
     texel_m: Annotated[

@@ -35,7 +35,7 @@ def fit_correlation(task, size):
     Parameters
     ----------
     task : Task
-        Options: intercept, bool (the published form has none); ridge, weight of the coefficients' squares beside the
+        Options: intercept, bool (the published form has none); penalty, weight of the coefficients' squares beside the
         mean square error, for colours in 0…1; above_air, bool, to learn kelvin above the air instead of intensity.
     size : int
         Odd.
@@ -66,12 +66,12 @@ def fit_correlation(task, size):
             f"no picture has a valid neighbourhood of {size} × {size} pixels; give larger pictures, or a smaller "
             "neighbourhood"
         )
-    found = solved(normal, size, task.options.get("intercept", False), task.options.get("ridge", 0.0))
+    found = solved(normal, size, task.options.get("intercept", False), task.options.get("penalty", 0.0))
     return replace(found, above_air=above_air)
 
 
 def _at_texel(example, texel_m):
-    """An Example at a ground sampling distance [m]; thermal values, which stand for others, are picked, not averaged."""
+    """An Example at a ground sampling distance [m]; thermal values, which stand for others, are picked, no means."""
     import cv2
 
     inputs = at_texel(example.inputs, texel_m)
@@ -110,7 +110,7 @@ def solved(normal, size, intercept, ridge):
         kept = int((values > _DEPENDENT * values[-1]).sum())
         raise ThermorenderError(
             f"the pictures tell {kept} of {len(used)} coefficients only, as where they are grey or of one colour; give "
-            "coloured pictures, or --set ridge=1e-6"
+            "coloured pictures, or --set penalty=1e-6"
         )
     found = vectors @ ((vectors.T @ right) / values)
     # Once more with what is left over, for the digits that the eigenvectors' rounding cost.

@@ -111,17 +111,17 @@ def columns(inputs, told):
 def fit_linear(task):
     """Return the Linear that learns a Task.
 
-    Its option `ridge` is the penalty λ: the mean squared error plus λ times the sum of the squared coefficients of
+    Its option `penalty` is the penalty λ: the mean squared error plus λ times the sum of the squared coefficients of
     standardised columns is smallest.
 
     Raises
     ------
     ThermorenderError
-        A negative `ridge`, examples without the air's temperature, or nothing to learn from.
+        A negative `penalty`, examples without the air's temperature, or nothing to learn from.
     """
-    ridge = float(task.options["ridge"])
-    if not 0.0 <= ridge < np.inf:
-        raise ThermorenderError(f"ridge={ridge:g} is no penalty; give 0 or more")
+    penalty = float(task.options["penalty"])
+    if not 0.0 <= penalty < np.inf:
+        raise ThermorenderError(f"penalty={penalty:g} is not allowed; give 0 or more")
     first = Told.of(next(iter(task.examples())).inputs)
     if not first.above_air:
         raise ThermorenderError(
@@ -147,7 +147,7 @@ def fit_linear(task):
     weight = np.zeros(size)
     scale = scale[varies]
     among = covariance[:size, :size][np.ix_(varies, varies)] / np.outer(scale, scale)
-    among[np.diag_indices_from(among)] += ridge
+    among[np.diag_indices_from(among)] += penalty
     # The least of all solutions where columns repeat each other and nothing is penalised.
     weight[varies] = np.linalg.lstsq(among, covariance[size, :size][varies] / scale, rcond=None)[0] / scale
     return Linear(told, weight, float(mean[size] - weight @ mean[:size]))

@@ -50,7 +50,7 @@ class Inputs:
         What a terrain knows per pixel and a photograph does not, as by `thermorender.render.relief`; NaN where there
         is no terrain.
     conditions : dict of str to float
-        Hour and weather in numbers, as by `thermorender.scene.conditions`.
+        Hour and weather in numbers, as by `thermorender.render.heat.conditions`.
     """
 
     rgb: np.ndarray

@@ -1,14 +1,11 @@
-"""Training of learned temperature maps: what every method is given, and the methods by name."""
+"""Training of learned temperature maps: what every method is given."""
 
-import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from thermorender.errors import ThermorenderError
 from thermorender.learned.temperature_map import Inputs
-from thermorender.schema import did_you_mean
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +47,7 @@ class Task:
     progress : callable
         Called with (what, share done).
     options : dict
-        Of the method, as by `Method.options`.
+        Of the method, as by `methods.Method.options`.
     texel_m : float or None
         Ground sampling distance that the map will be applied at [m]; methods that see texture learn at it. None takes
         the pictures as they are.
@@ -67,77 +64,3 @@ class Task:
     options: dict
     texel_m: float | None = None
     held_out: np.ndarray | None = None
-
-
-@dataclass(frozen=True)
-class Method:
-    """A way to learn a map.
-
-    Attributes
-    ----------
-    fit : callable
-        Task → predictor.
-    plus : bool
-        Whether it is given the terrain's relief, hour and weather.
-    options : dict of str to value
-        What may be chosen, with its default.
-    title : str
-    """
-
-    fit: Callable
-    plus: bool
-    options: dict
-    title: str
-
-
-def _correlation(size):
-    def fit(task):
-        from thermorender.learned.correlation_training import fit_correlation
-
-        return fit_correlation(task, size)
-
-    options = {"intercept": False, "ridge": 0.0, "above_air": False}
-    return Method(fit, False, options, f"linear in the {size} × {size} colours around")
-
-
-def _later(module, name, plus, options, title):
-    def fit(task):
-        import importlib
-
-        return getattr(importlib.import_module(f"thermorender.learned.{module}"), name)(task)
-
-    return Method(fit, plus, options, title)
-
-
-METHODS = {
-    "correlation-1to1": _correlation(1),
-    "correlation-9to1": _correlation(3),
-    "correlation-5x5": _correlation(5),
-    "correlation-7x7": _correlation(7),
-    "palette": _later("palette", "fit_palette", False, {"cell": 6.0, "shrinkage": 200.0}, "mean of cells of CIELAB"),
-    "trees": _later("trees", "fit_trees", False, {}, "boosted trees on colour and texture"),
-    "correlation+": _later("linear", "fit_linear", True, {"ridge": 1e-3}, "linear, with relief, sun and weather"),
-    "trees+": _later("trees", "fit_trees", True, {}, "boosted trees, with relief, sun and weather"),
-}
-_NXN = re.compile(r"correlation-(\d+)x\1")
-# Largest neighbourhood of a correlation: 3 × 15² coefficients.
-MOST_SIDE = 15
-
-
-def method(name):
-    """Return the Method of a name; correlation-NxN for any odd N up to 15.
-
-    Raises
-    ------
-    ThermorenderError
-        There is none; the message lists them.
-    """
-    if name in METHODS:
-        return METHODS[name]
-    size = _NXN.fullmatch(name)
-    if size and int(size[1]) % 2 == 1 and int(size[1]) <= MOST_SIDE:
-        return _correlation(int(size[1]))
-    raise ThermorenderError(
-        f"method {name!r} is unknown; {did_you_mean(name, METHODS)}known are {', '.join(METHODS)}, and "
-        f"correlation-NxN for odd N up to {MOST_SIDE}"
-    )

@@ -32,7 +32,8 @@ from thermorender.synthetic.weather import (
 
 
 class Kind(NamedTuple):
-    """A kind of landscape: its layout, its own size, texel and post spacing [m], its place and weather, its title."""
+    """A kind of landscape: its layout, its own size, texel and post spacing [m], its place and weather, its title, and
+    the heights above ground that it is flown at [m]."""
 
     layout: Callable
     size_m: float
@@ -42,20 +43,21 @@ class Kind(NamedTuple):
     altitude_m: float
     weather: WeatherSpec
     title: str
+    heights_m: tuple
 
 
 KINDS = {
     "heath": Kind(
         heath.heath, 400.0, 0.25, 1.0, heath.LATITUDE_DEG, 112.0, heath.WEATHER,
-        "Heath with sand, tracks, pine forest and fields",
+        "Heath with sand, tracks, pine forest and fields", (30.0, 130.0),
     ),
     "village": Kind(
         village.village, 320.0, 0.2, 0.5, village.LATITUDE_DEG, 134.0, village.WEATHER,
-        "Village street with houses, gardens, a nursery and a pond",
+        "Village street with houses, gardens, a nursery and a pond", (30.0, 130.0),
     ),
     "ridge": Kind(
         ridge.ridge, 1600.0, 1.0, 4.0, ridge.LATITUDE_DEG, 1550.0, ridge.WEATHER,
-        "Mountain ridge with rock, snow, alpine grass, spruces and a lake",
+        "Mountain ridge with rock, snow, alpine grass, spruces and a lake", (120.0, 500.0),
     ),
 }  # fmt: skip
 

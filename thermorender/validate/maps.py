@@ -11,7 +11,7 @@ from thermorender.campaign.map_inputs import NO_MATERIAL, inputs_of
 from thermorender.campaign.map_training import train_map
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
-from thermorender.learned.training import method
+from thermorender.learned.methods import method
 from thermorender.validate.bench import machine
 from thermorender.versions import versions
 

@@ -11,10 +11,10 @@ import numpy as np
 
 from thermorender.physics.sun import direction
 from thermorender.render.geometry import Geometry
+from thermorender.render.heat.conditions import conditions
 from thermorender.render.heat.places import sun_cosine, texel_points
 from thermorender.render.light import cache
 from thermorender.render.variant import activate
-from thermorender.scene.conditions import conditions
 from thermorender.scene.surface import FALLBACK
 from thermorender.scene.temperature import Texels, from_map
 

@@ -1,0 +1,82 @@
+"""The methods of learned temperature maps, by name."""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from thermorender.errors import ThermorenderError
+from thermorender.schema import did_you_mean
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to learn a map.
+
+    Attributes
+    ----------
+    fit : callable
+        Task → predictor.
+    plus : bool
+        Whether it is given the terrain's relief, hour and weather.
+    options : dict of str to value
+        What may be chosen, with its default.
+    title : str
+    """
+
+    fit: Callable
+    plus: bool
+    options: dict
+    title: str
+
+
+def _correlation(size):
+    def fit(task):
+        from thermorender.learned.correlation_training import fit_correlation
+
+        return fit_correlation(task, size)
+
+    options = {"intercept": False, "penalty": 0.0, "above_air": False}
+    return Method(fit, False, options, f"linear in the {size} × {size} colours around")
+
+
+def _later(module, name, plus, options, title):
+    def fit(task):
+        import importlib
+
+        return getattr(importlib.import_module(f"thermorender.learned.{module}"), name)(task)
+
+    return Method(fit, plus, options, title)
+
+
+METHODS = {
+    "correlation-1to1": _correlation(1),
+    "correlation-9to1": _correlation(3),
+    "correlation-5x5": _correlation(5),
+    "correlation-7x7": _correlation(7),
+    "palette": _later("palette", "fit_palette", False, {"cell": 6.0, "shrinkage": 200.0}, "mean of cells of CIELAB"),
+    "trees": _later("trees", "fit_trees", False, {}, "boosted trees on colour and texture"),
+    "correlation+": _later("linear", "fit_linear", True, {"penalty": 1e-3}, "linear, with relief, sun and weather"),
+    "trees+": _later("trees", "fit_trees", True, {}, "boosted trees, with relief, sun and weather"),
+}
+_NXN = re.compile(r"correlation-(\d+)x\1")
+# Largest neighbourhood of a correlation: 3 × 15² coefficients.
+MOST_SIDE = 15
+
+
+def method(name):
+    """Return the Method of a name; correlation-NxN for any odd N up to 15.
+
+    Raises
+    ------
+    ThermorenderError
+        There is none; the message lists them.
+    """
+    if name in METHODS:
+        return METHODS[name]
+    size = _NXN.fullmatch(name)
+    if size and int(size[1]) % 2 == 1 and int(size[1]) <= MOST_SIDE:
+        return _correlation(int(size[1]))
+    raise ThermorenderError(
+        f"method {name!r} is unknown; {did_you_mean(name, METHODS)}known are {', '.join(METHODS)}, and "
+        f"correlation-NxN for odd N up to {MOST_SIDE}"
+    )
