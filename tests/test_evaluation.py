@@ -346,7 +346,7 @@ def test_the_command(undrawn, tmp_path, call, monkeypatch):
         asked.append({entry.key: entry.part for entry in dataset.entries})
         return types.SimpleNamespace(lines=lambda: ["nothing leaks"], summary=lambda: {"siblings": 0.0})
 
-    monkeypatch.setattr(thermorender.campaign, "audit", types.SimpleNamespace(audit=audit), raising=False)
+    monkeypatch.setattr(thermorender.validate.evaluation, "audit", audit)
     splits = types.SimpleNamespace(read_split=lambda path: {"p0": "validation", "p1": "train", "p3": "validation"})
     monkeypatch.setitem(sys.modules, "thermorender.campaign.splits", splits)
     status, out, err = call(

@@ -13,9 +13,10 @@ import numpy as np
 
 from thermorender import files
 from thermorender.campaign import bounds as value_bounds
-from thermorender.campaign import pictures
+from thermorender.campaign import pictures, splits
+from thermorender.campaign.audit import audit
 from thermorender.campaign.cut import Cut, moved, piece
-from thermorender.campaign.dataset import PARTS, Entry, ThermalScale, Writer, packed
+from thermorender.campaign.dataset import PARTS, Entry, ThermalScale, Writer, packed, read_dataset
 from thermorender.campaign.registration import rig
 from thermorender.errors import ThermorenderError
 
@@ -74,7 +75,7 @@ def prepare(source, output, registered=None, cut=None, split="sequence", shares=
         Lays visible pictures onto thermal ones; without it they must be aligned.
     cut : Cut, optional
     split : str
-        Rule of `thermorender.campaign.splits.assign`.
+        Rule of `thermorender.campaign.splits.assign`, or a file as by `read_split`.
     shares : (3,) floats
         Of training, validation and test.
     texel_m : float, optional
@@ -93,7 +94,7 @@ def prepare(source, output, registered=None, cut=None, split="sequence", shares=
     -------
     dict
         pairs, entries, parts {name: count}, sequences, left_out {name: why}, grey (pairs whose visible picture has no
-        colour), bounds, rig, scale.
+        colour), bounds, rig, scale, audit (an Audit, or None without a test part).
 
     Raises
     ------
@@ -174,7 +175,13 @@ def prepare(source, output, registered=None, cut=None, split="sequence", shares=
             if not writer.has(name):
                 group = kept[start : start + _PER_SHARD]
                 writer.shard(name, ((e, packed(v, t, m)) for pair in group for e, v, t, m in pieces(pair)))
+        made = read_dataset(output)
+        found_leaks = None
+        if len(made.of("test")):
+            found_leaks = audit(made, progress=tell)
+            files.write_json(output / "audit.json", found_leaks.summary())
     return {
+        "audit": found_leaks,
         "pairs": len(kept), "entries": sum(map(len, entries.values())), "grey": grey, "left_out": left_out,
         "parts": {part: sum(each == part for each in parts.values()) for part in PARTS},
         "sequences": len({sequence_of[pair.name] for pair in kept}), "bounds": bounds, "rig": laid, "scale": scale,
@@ -310,10 +317,15 @@ def _entries(pairs, found, keys, sequence_of, cut, texel_m):
 
 
 def _assigned(entries, rule, shares, seed):
-    """{key: part} of entries; none is left over."""
-    from thermorender.campaign import splits
-
-    parts = splits.assign(entries, rule, shares=shares, seed=seed)
+    """{key: part} of entries by a rule or a file; none is left over."""
+    if Path(rule).suffix not in splits.SUFFIXES:
+        return splits.assign(entries, rule, shares=shares, seed=seed)
+    parts = splits.read_split(rule)
+    missing = [entry.key for entry in entries if entry.key not in parts]
+    if missing:
+        raise ThermorenderError(
+            f"{rule} gives no part to {pictures.listed(missing)}; name every pair, or give a rule"
+        )
     return {entry.key: parts[entry.key] for entry in entries}
 
 

@@ -42,7 +42,9 @@ Shift = Annotated[
                         "aligned."),
 ]  # fmt: skip
 DrawSeed = Annotated[int, typer.Option(help="Of crops, shifts and split.")]
-Split = Annotated[str, typer.Option(help="sequence, place or crop: what is kept together.")]
+Split = Annotated[
+    str, typer.Option(help="sequence, place or crop: what is kept together; or a file of a split, .json or .csv.")
+]
 Sequence = Annotated[
     str | None, typer.Option(help="Regular expression whose group is a name's sequence; default: the name without its "
                              "last digits."),
@@ -97,14 +99,16 @@ def prepare(
     for name, reason in made["left_out"].items():
         typer.echo(f"left out: {name}: {reason}", err=True)
     if made["grey"]:
-        typer.echo(f"warning: {made['grey']} of {made['pairs']} visible pictures are grey, which tells no colours "
-                   "apart: train with --set penalty=1e-6, or take pictures in colour", err=True)  # fmt: skip
+        typer.echo(f"warning: {made['grey']} of {made['pairs']} visible pictures are grey, so that fits are "
+                   "rank-deficient: train with --set penalty=1e-6, or take pictures in colour", err=True)  # fmt: skip
     if made["rig"] is not None:
         typer.echo(str(made["rig"]))
     bounds = made["bounds"]
     outside = bounds.share_below + bounds.share_above
     typer.echo(f"{made['scale'].unit}: bounds {bounds.low:g} and {bounds.high:g}, {outside:.2%} of the values outside")
     table(("part", "pairs"), list(made["parts"].items()))
+    for line in made["audit"].lines() if made["audit"] else ():
+        typer.echo(line)
     typer.echo(
         f"{made['entries']} pairs of {made['pairs']} pairs of pictures in {made['sequences']} sequences, in {output}"
     )
@@ -230,8 +234,8 @@ def train(
         model = train_map(output.stem, method, pairs, options, seed, tell, material=oracle)
         save_map(model, output)
     typer.echo(str(model))
-    for line in model.about.get("audit", {}).get("lines", ()):
-        typer.echo(line)
+    if "audit" in model.about:
+        typer.echo(model.about["audit"]["verdict"])
     own = f", own error {model.error_k:.2f} K on validation" if model.error_k is not None else ""
     typer.echo(f"{output}: trained in {model.about['training_s']:g} s{own}")
 

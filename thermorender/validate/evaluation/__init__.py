@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from thermorender import files
+from thermorender.campaign.audit import audit
 from thermorender.campaign.map_inputs import NO_MATERIAL
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
@@ -78,7 +79,7 @@ def evaluate(dataset, models, folder, oracle=None, foreign=None, split=None, par
     began, levels = time.perf_counter(), Levels(dataset.scale)
     views = _Views(scored, levels)
     # What was left out by `limit` was trained on all the same.
-    audit = _audit(dataset.of("train"), scored) if part != "train" and train.entries else None
+    leaks = _audit(dataset.of("train"), scored) if part != "train" and train.entries else None
     training = read_training_part(train, levels, lambda share: tell("reading the training part", share))
     bounds = training.bounds_k or maps[0].model.range_k
     others = [Foreign(name, place, scored.entries) for name, place in (foreign or {}).items()]
@@ -97,7 +98,7 @@ def evaluate(dataset, models, folder, oracle=None, foreign=None, split=None, par
         "part": part, "pairs": len(scored), "parts": {name: len(dataset.of(name)) for name in _parts(dataset)},
         "split": "given" if split is not None else "the data set's own", "limit": limit, "seed": seed,
         "training_pairs": training.pairs, "bounds_k": list(bounds), "notes": _notes(dataset.scale, maps, entries),
-        "audit": None if audit is None else {"lines": list(audit.lines()), **audit.summary()},
+        "audit": None if leaks is None else {"lines": leaks.lines(), **leaks.summary()},
         "drawn": what,
         "methods": {tally.label: tally.summary(entries, scored.card, cluster, seed) for tally in tallies},
         "images": {
@@ -227,13 +228,9 @@ def _limited(dataset, limit):
 
 
 def _audit(train, scored):
-    """The audit of what is scored against what was trained on; None where this version has none."""
-    try:
-        from thermorender.campaign import audit
-    except ImportError:
-        return None
+    """The audit of what is scored against what was trained on."""
     # An audit looks at the test part, whatever part is scored.
-    return audit.audit(train.having([*train.entries, *(replace(entry, part="test") for entry in scored.entries)]))
+    return audit(train.having([*train.entries, *(replace(entry, part="test") for entry in scored.entries)]))
 
 
 def _parts(dataset):
