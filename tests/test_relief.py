@@ -152,7 +152,7 @@ def test_polar_night_has_its_skylight_alone(level):
     weather = steady(at - 100 * HOUR, latitude=80.0, direct_w_m2=300.0, diffuse_w_m2=2.0)
     found = relief(under(level, weather), at)
     for name in NAMES[5:]:
-        # Steps that weigh less than 1e-4 are left out: of four hours' memory what lies 4 ln(1e4 / 12) hours back, 12e-4.
+        # Steps that weigh less than 1e-4 are left out: of four hours' memory what lies 27 hours back, 12e-4.
         np.testing.assert_allclose(found[name], 2.0, rtol=1.3e-3)
 
 
