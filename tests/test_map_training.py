@@ -1,6 +1,7 @@
 """Learned maps trained on data sets: what is learned, what is left out, what is refused, and the verb `train`."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from thermorender.campaign.dataset import Entry, ThermalScale, Writer, packed, r
 from thermorender.campaign.map_training import train_map
 from thermorender.errors import ThermorenderError
 from thermorender.learned.temperature_map import Inputs, load_map
+from thermorender.learned.training import METHODS
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.sensor.camera import load_camera
 from thermorender.sensor.readout import radiance_from_counts
@@ -175,19 +177,29 @@ def test_what_cannot_be_trained_is_refused(tmp_path, name, options, words):
         train_map("m", name, write(tmp_path / "d"), options)
 
 
-def test_an_oracle_needs_a_method_that_looks_and_a_truth_that_knows(tmp_path):
+def test_an_oracle_needs_a_method_that_looks_and_a_truth_that_knows(tmp_path, monkeypatch):
+    class Enough(Exception):
+        pass
+
+    def look(task):
+        raise Enough(next(task.examples()).inputs.terrain)
+
+    monkeypatch.setitem(METHODS, "trees+", replace(METHODS["trees+"], fit=look))
     plain = write(tmp_path / "plain", told=True)
-    with pytest.raises(ThermorenderError, match="'trees' sees the picture alone, so it is no oracle; take correl"):
-        train_map("m", "trees", plain, material=True)
+    for name in ("trees", "palette", "correlation-9to1", "correlation+"):
+        with pytest.raises(ThermorenderError, match="learns nothing from materials, so it is no oracle; take trees"):
+            train_map("m", name, plain, material=True)
     with pytest.raises(ThermorenderError, match=r"pair 's\d-0' has no plane 'material'"):
-        train_map("m", "correlation+", plain, material=True)
+        train_map("m", "trees+", plain, material=True)
 
     def material(number):
         return {"material": np.full(SHAPE, 3, np.uint8)}
 
     dataset = write(tmp_path / "knows", told=True, truth=material, materials=["a", "b", "c", "d"])
-    assert "material" in train_map("m", "correlation+", dataset, material=True).needs
-    assert "material" not in train_map("m", "correlation+", dataset).needs
+    for shown in (True, False):
+        with pytest.raises(Enough) as found:
+            train_map("m", "trees+", dataset, material=shown)
+        assert set(found.value.args[0]) == {"slope", *(["material"] if shown else [])}
 
 
 def test_parts_that_are_empty_are_named(tmp_path):
@@ -230,7 +242,7 @@ def test_the_verb_trains_and_writes_a_map(tmp_path, call):
         (("correlation-1to1", "{d}", "--set", "ridge"), "--set='ridge' is not allowed; give OPTION=VALUE"),
         (("correlation-1to1", "{d}", "--set", "=3"), "--set='=3' is not allowed; give OPTION=VALUE"),
         (("correlation-1to1", "{d}", "--set", "ridge=a"), "option ridge='a' of 'correlation-1to1' is not allowed"),
-        (("correlation-1to1", "{d}", "--oracle"), "sees the picture alone, so it is no oracle"),
+        (("correlation-1to1", "{d}", "--oracle"), "learns nothing from materials, so it is no oracle"),
         (("trees+", "{d}"), "needs the terrain's relief, hour and weather"),
         (("trees", "{d}", "--texel-m", "0.2"), "belong to `train emissivity`, not to 'trees'; leave them out"),
         (("trees", "{d}", "--labels", "x.geojson"), "belong to `train emissivity`, not to 'trees'; leave them out"),

@@ -61,10 +61,11 @@ def train_map(
     """
     how, tell = method(method_name), progress or (lambda what, share: None)
     options = checked_options(method_name, how.options, options or {})
-    if material and not how.plus:
-        known = ", ".join(name for name, each in METHODS.items() if each.plus)
+    if material and not how.classes:
+        known = ", ".join(name for name, each in METHODS.items() if each.classes)
         raise ThermorenderError(
-            f"method {method_name!r} sees the picture alone, so it is no oracle; take {known}, or leave out --oracle"
+            f"method {method_name!r} learns nothing from materials, so it is no oracle; take {known}, or leave out "
+            "--oracle"
         )
     pairs = dataset.of(*parts)
     if not len(pairs):
