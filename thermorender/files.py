@@ -128,8 +128,14 @@ def output_folder(path):
 
 
 @contextmanager
-def in_use(folder):
+def in_use(folder, wait=False):
     """Keep other processes that ask for a folder out of it, where the system can; it ends with the process.
+
+    Parameters
+    ----------
+    folder : path
+    wait : bool
+        Wait for another process that has it, instead of refusing.
 
     Raises
     ------
@@ -145,7 +151,7 @@ def in_use(folder):
     handle = os.open(folder, os.O_RDONLY)
     try:
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
         except BlockingIOError:
             raise ThermorenderError(
                 f"{folder} is being written by another process; wait until it ends, or give another folder"

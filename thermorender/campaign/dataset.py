@@ -3,7 +3,8 @@
 A folder holds
 
 - `card.json`: what all pairs share: where they come from, band and camera, what a thermal value stands for, settings;
-- `index.jsonl`: a line per pair, appended once its shard is whole, and never rewritten;
+- `index.jsonl`: a line per pair, appended once its shard is whole; lines whose shard is not are taken away when a data
+  set is continued;
 - `shards/*.tar`: uncompressed tar files in the form that WebDataset reads, up to four files a pair:
   `KEY.visible.png` (sRGB, 8 bit), `KEY.thermal.png` (8 or 16 bit), where some pixels hold nothing `KEY.valid.png`
   (0 or 255), and where the truth is known `KEY.truth.npz`; and `KEY.json`, the pair's line of the index.
@@ -38,6 +39,10 @@ UNITS = ("radiance", "kelvin", "intensity")
 # A temporary shard that nobody wrote to for so long is left of a killed process [s].
 _ABANDONED_S = 3600.0
 _KEY = re.compile(r"[A-Za-z0-9_-]{1,120}")
+# How names of a pair's files end.
+_END = re.compile(r"[a-z]+\.[a-z]+")
+# Of a tar file: what a header takes, and what the data behind it are padded to [bytes].
+_BLOCK = 512
 
 
 @dataclass(frozen=True)
@@ -228,37 +233,55 @@ class Dataset:
         import cv2
 
         path = self.folder / entry.shard
+
+        def damaged(name, what):
+            return ThermorenderError(f"{path} is damaged: {entry.key}.{name} is no {what}; make the shard anew")
+
+        size = f"of {entry.shape[1]}×{entry.shape[0]} pixels"
         found = {}
         try:
             with open(path, "rb") as file:
-                for name, (offset, size) in entry.members.items():
+                for name, (offset, length) in entry.members.items():
                     if truth or not name.startswith("truth"):
-                        file.seek(offset)
-                        found[name] = file.read(size)
-        except OSError as error:
+                        file.seek(max(offset - _BLOCK, 0))
+                        data = file.read(_BLOCK + length)
+                        # Its header tells whether this is the shard that the index was written for.
+                        told = data[:100].rstrip(b"\0") == f"{entry.key}.{name}".encode()[:100]
+                        if not told or len(data) != _BLOCK + length:
+                            raise damaged(name, "whole file where the index has it")
+                        found[name] = data[_BLOCK:]
+        except (OSError, OverflowError) as error:
             raise ThermorenderError(
-                f"{path} cannot be read ({error.strerror}); copy the data set anew, or leave the shard's lines out of "
-                "index.jsonl"
+                f"{path} cannot be read ({getattr(error, 'strerror', error)}); copy the data set anew, or leave the "
+                "shard's lines out of index.jsonl"
             ) from None
 
-        def picture(name, flag):
-            image = cv2.imdecode(np.frombuffer(found[name], np.uint8), flag) if len(found.get(name, b"")) else None
-            if image is None or image.shape[:2] != tuple(entry.shape):
-                raise ThermorenderError(
-                    f"{path} is damaged: {entry.key}.{name} is no picture of {entry.shape[1]}×{entry.shape[0]} pixels; "
-                    "make the shard anew"
-                )
+        def picture(name, flag, kinds=(np.uint8,)):
+            try:
+                image = cv2.imdecode(np.frombuffer(found[name], np.uint8), flag) if found.get(name) else None
+            except cv2.error:
+                image = None
+            sides = (*entry.shape, 3) if flag == cv2.IMREAD_COLOR else tuple(entry.shape)
+            if image is None or image.shape != sides or image.dtype not in kinds:
+                raise damaged(name, f"{'thermal ' if len(kinds) > 1 else ''}picture {size}")
             return image
 
         visible = picture("visible.png", cv2.IMREAD_COLOR)[..., ::-1]
-        thermal = picture("thermal.png", cv2.IMREAD_UNCHANGED)
+        thermal = picture("thermal.png", cv2.IMREAD_UNCHANGED, (np.uint8, np.uint16))
         valid = np.ones(thermal.shape, bool)
         if "valid.png" in found:
             valid = picture("valid.png", cv2.IMREAD_GRAYSCALE) > 0
         images = {}
-        if found.get("truth.npz"):
-            with np.load(io.BytesIO(found["truth.npz"]), allow_pickle=False) as kept:
-                images = dict(kept)
+        if "truth.npz" in found:
+            try:
+                with np.load(io.BytesIO(found["truth.npz"]), allow_pickle=False) as kept:
+                    images = {name: kept[name] for name in kept}
+                whole = all(values.shape == tuple(entry.shape) for values in images.values())
+            except Exception:
+                # What is damaged shows as nearly any exception of zipfile's and NumPy's parsers.
+                whole = False
+            if not whole:
+                raise damaged("truth.npz", f"archive of planes {size}")
         return Pair(entry, np.ascontiguousarray(visible), thermal, valid, images, self.scale)
 
 
@@ -279,28 +302,60 @@ def read_dataset(folder):
         scale = ThermalScale(**{k: tuple(v) if isinstance(v, list) else v for k, v in card["thermal"].items()})
         if card["format"] != FORMAT or scale.unit not in UNITS:
             raise ValueError(f"format {card['format']}, unit {scale.unit!r}")
+        if not _tells(scale):
+            raise ValueError(f"thermal {card['thermal']}")
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ThermorenderError(
             f"{path} is no card of a data set of format {FORMAT} ({error}); make the data set anew"
         ) from None
     entries, seen = [], set()
     index = folder / "index.jsonl"
-    lines = files.read_text(index).splitlines() if index.exists() else []
-    for number, line in enumerate(lines, 1):
+    text = files.read_text(index) if index.exists() else ""
+    for number, line in enumerate(text.splitlines(), 1):
         try:
             values = json.loads(line)
             values["members"] = {name: tuple(at) for name, at in values["members"].items()}
             entry = Entry(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
-            usable = _KEY.fullmatch(entry.key) and entry.part in PARTS and _inside(entry.shard)
+            usable = _usable(entry)
         except (ValueError, KeyError, TypeError, AttributeError):
             usable = False
-            if number == len(lines):
-                break
+        if not usable and number == text.count("\n") + 1:
+            break
         if not usable or entry.key in seen:
             raise ThermorenderError(f"{index}, line {number} is no pair of its own; remove the line")
         seen.add(entry.key)
         entries.append(entry)
     return Dataset(folder, card, entries, scale)
+
+
+def _number(value):
+    return isinstance(value, (int, float)) and bool(np.isfinite(value))
+
+
+def _tells(scale):
+    """Whether a ThermalScale that was read tells what values stand for."""
+    ranges = [scale.band_um, *([scale.range_c] if scale.range_c is not None or scale.unit == "intensity" else [])]
+    return (
+        _number(scale.step) and _number(scale.zero) and scale.step != 0
+        and all(isinstance(each, tuple) and len(each) == 2 and all(map(_number, each)) for each in ranges)
+        and all(low < high for low, high in ranges)
+    )  # fmt: skip
+
+
+def _usable(entry):
+    """Whether an Entry that was read is of the kinds it should be, and leads nowhere outside its data set."""
+    texts = entry.key, entry.part, entry.parent, entry.sequence, entry.shard
+    pairs = (entry.shape, *entry.members.values())
+    return (
+        all(isinstance(text, str) for text in texts)
+        and bool(_KEY.fullmatch(entry.key)) and entry.part in PARTS and _inside(entry.shard)
+        and all(len(pair) == 2 and all(type(value) is int and value >= 0 for value in pair) for pair in pairs)
+        and min(entry.shape) > 0 and type(entry.order) is int
+        and all(value is None or _number(value) for value in (entry.texel_m, entry.sky_temperature))
+        and (entry.place is None or (len(entry.place) == 2 and all(map(_number, entry.place))))
+        and all(isinstance(value, (int, float)) for value in entry.conditions.values())
+        and isinstance(entry.labels, dict)
+    )  # fmt: skip
 
 
 def _inside(shard):
@@ -328,9 +383,26 @@ class Writer:
     def __init__(self, folder, card, scale, resume=False):
         self.folder = files.make_folder(folder)
         self.card = {"format": FORMAT, **card, "thermal": asdict(scale)}
-        path = self.folder / "card.json"
         # As it is read back.
         self.card = json.loads(json.dumps(self.card))
+        # {key: shard} of the index as far as it was read: the file's number and how many bytes of it.
+        self._known, self._read = {}, (0, 0)
+        path, shards = self.folder / "card.json", self.folder / "shards"
+        names = {each.name for each in self.folder.iterdir() if not each.name.startswith(".")}
+        strange = names - {"shards"} or (names and any(shards.iterdir()))
+        if strange and not path.exists():
+            raise ThermorenderError(f"{self.folder} is not empty and holds no data set; give a new folder")
+        files.make_folder(shards)
+        # Others may be beginning or continuing the same data set.
+        with self._alone():
+            self._begin(path, resume)
+            self._look()
+
+    def _alone(self):
+        """Wait for other Writers of this folder; whoever uses it as a whole may keep the folder itself."""
+        return files.in_use(self.folder / "shards", wait=True)
+
+    def _begin(self, path, resume):
         if path.exists():
             before = read_dataset(self.folder)
             if not resume:
@@ -343,16 +415,12 @@ class Writer:
                         f"{path} has {key}={before.card.get(key)!r}, now {self.card.get(key)!r}; continue with the "
                         "same settings, or give another folder"
                     )
-            self.done = {entry.shard for entry in before.entries}
-            # Not what another process may be writing.
-            files.remove_parts(self.folder / "shards", older_s=_ABANDONED_S)
             self._cut_short()
-        elif any(self.folder.iterdir()):
-            raise ThermorenderError(f"{self.folder} is not empty and holds no data set; give a new folder")
+            self._leave_out_what_is_not_whole()
         else:
-            self.done = set()
-            files.make_folder(self.folder / "shards")
             files.write_json(path, self.card | {"versions": versions()})
+        # Not what another process may be writing.
+        files.remove_parts(self.folder / "shards", older_s=_ABANDONED_S)
 
     def _cut_short(self):
         """Take away the last line of the index if a killed process left it without its end."""
@@ -362,9 +430,56 @@ class Writer:
             if data and not data.endswith(b"\n"):
                 os.truncate(path, data.rfind(b"\n") + 1)
 
+    def _leave_out_what_is_not_whole(self):
+        """Take the lines out of the index whose shard is missing or cut, or holds pairs that the index does not know.
+
+        A process that is killed while it appends a shard's lines may leave the first of them.
+        """
+        last = {}
+        for entry in read_dataset(self.folder).entries:
+            end = max((offset + length for offset, length in entry.members.values()), default=0)
+            if end >= last.get(entry.shard, (0, ""))[0]:
+                last[entry.shard] = end, entry.key
+        broken = {shard for shard, (end, key) in last.items() if not self._ends(shard, end, key)}
+        if broken:
+            self._without(broken)
+
+    def _ends(self, shard, end, key):
+        """Whether behind some bytes of a shard there is one file more, a pair's line, and no other."""
+        try:
+            with open(self.folder / shard, "rb") as file:
+                file.seek(-(-end // _BLOCK) * _BLOCK)
+                with tarfile.open(fileobj=file, mode="r:") as rest:
+                    return rest.getnames() == [f"{key}.json"]
+        except (OSError, tarfile.TarError):
+            return False
+
+    def _without(self, shards):
+        """Take the lines of some shards out of the index."""
+        path = self.folder / "index.jsonl"
+        kept = [line for line in files.read_text(path).splitlines(keepends=True)
+                if json.loads(line)["shard"] not in shards]  # fmt: skip
+        files.write_text(path, "".join(kept))
+
+    def _look(self):
+        """Learn what the index holds, which others may have changed since the last look."""
+        self._cut_short()
+        path = self.folder / "index.jsonl"
+        if not path.exists():
+            return
+        with open(path, "rb") as file:
+            number, size = os.fstat(file.fileno()).st_ino, os.fstat(file.fileno()).st_size
+            if number != self._read[0] or size < self._read[1]:
+                self._known, self._read = {}, (number, 0)
+            file.seek(self._read[1])
+            for line in file.read().splitlines():
+                told = json.loads(line)
+                self._known[told["key"]] = told["shard"]
+        self._read = number, size
+
     def has(self, name):
         """Return whether the shard of this name is whole."""
-        return f"shards/{name}.tar" in self.done
+        return f"shards/{name}.tar" in self._known.values()
 
     def shard(self, name: str, pairs: Iterable[tuple[Entry, Mapping[str, bytes]]]):
         """Write a shard of pairs and then their lines of the index.
@@ -379,33 +494,67 @@ class Writer:
         Returns
         -------
         tuple of Entry
+
+        Raises
+        ------
+        ThermorenderError
+            A name or key that is not allowed, a key that another pair has, an unknown part, or a file that cannot be
+            written; the data set stays as it was.
         """
         entries, shard = [], f"shards/{name}.tar"
         if not _inside(shard):
             raise ThermorenderError(f"{name!r} is no name for a shard; give letters, digits, _ and -")
+        taken = {key for key, of in self._known.items() if of != shard}
         with files.atomic(self.folder / shard) as part, tarfile.open(part, "w") as tar:
             for entry, contents in pairs:
-                if not _KEY.fullmatch(entry.key):
-                    raise ThermorenderError(f"{entry.key!r} is no key of a pair; give letters, digits, _ and -")
+                _refuse(entry, contents, taken)
+                taken.add(entry.key)
                 members = {}
                 for end, data in contents.items():
                     info = tarfile.TarInfo(f"{entry.key}.{end}")
                     info.size = len(data)
                     tar.addfile(info, io.BytesIO(data))
-                    members[end] = (tar.offset - -(-len(data) // 512) * 512, len(data))
+                    members[end] = (tar.offset - -(-len(data) // _BLOCK) * _BLOCK, len(data))
                 entry = replace(entry, shard=shard, members=members)
                 told = json.dumps(asdict(entry)).encode()
                 info = tarfile.TarInfo(f"{entry.key}.json")
                 info.size = len(told)
                 tar.addfile(info, io.BytesIO(told))
                 entries.append(entry)
-        path = self.folder / "index.jsonl"
-        with open(path, "ab") as file:
-            file.write("".join(json.dumps(asdict(entry)) + "\n" for entry in entries).encode())
-            file.flush()
-            os.fsync(file.fileno())
-        self.done.add(shard)
+        self._append(shard, entries)
         return tuple(entries)
+
+    def _append(self, shard, entries):
+        """Give the index the lines of a shard."""
+        path = self.folder / "index.jsonl"
+        with self._alone():
+            self._look()
+            if shard in self._known.values():
+                # Another process has written it too, and the last one's is there.
+                self._without({shard})
+            try:
+                with open(path, "ab") as file:
+                    file.write("".join(json.dumps(asdict(entry)) + "\n" for entry in entries).encode())
+                    file.flush()
+                    os.fsync(file.fileno())
+            except OSError as error:
+                raise ThermorenderError(
+                    f"{path} cannot be written: {error.strerror}; make room and continue with --resume"
+                ) from None
+            self._look()
+
+
+def _refuse(entry, contents, taken):
+    """Refuse a pair that could not be read again."""
+    if not _KEY.fullmatch(entry.key):
+        raise ThermorenderError(f"{entry.key!r} is no key of a pair; give letters, digits, _ and -")
+    if entry.key in taken:
+        raise ThermorenderError(f"{entry.key!r} is the key of two pairs; give each its own")
+    if entry.part not in PARTS:
+        raise ThermorenderError(f"part={entry.part!r} of {entry.key!r} is unknown; give one of {', '.join(PARTS)}")
+    for end in contents:
+        if not _END.fullmatch(end):
+            raise ThermorenderError(f"{end!r} of {entry.key!r} is no end of a name; give one such as visible.png")
 
 
 def packed(visible, thermal, valid=None, truth=None):

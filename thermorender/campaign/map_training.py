@@ -10,7 +10,7 @@ from thermorender.campaign.bounds import bounds_of_dataset
 from thermorender.campaign.cut import Cut, moved
 from thermorender.campaign.map_inputs import inputs_of
 from thermorender.errors import ThermorenderError
-from thermorender.learned.methods import method
+from thermorender.learned.methods import METHODS, method
 from thermorender.learned.temperature_map import Inputs, TemperatureMap
 from thermorender.learned.training import Example, Task
 from thermorender.physics.planck import band_radiance, brightness_temperature
@@ -19,6 +19,8 @@ from thermorender.versions import versions
 
 # Sky assumed where a data set does not say: that of a clear mid-latitude summer day in the band [K].
 ASSUMED_SKY_K = 255.0
+# Lowest temperature that intensity 0 may stand for [K]: below that of any sky in the band. Chosen.
+_COLDEST_K = 150.0
 # Pairs of the validation part that tell a map's own error, evenly spaced.
 _TOLD_BY = 60
 # Kept of the conditions trained under: least and most of each.
@@ -61,10 +63,16 @@ def train_map(
     Notes
     -----
     Intensity is that of equation 2 of the published method: 0 and 1 are 1.5 interquartile ranges below and above the
-    quartiles of the training pictures' values. Saturated pixels are left out.
+    quartiles of the training pictures' values, 0 no colder than 150 K. Saturated pixels are left out.
     """
     how, tell = method(method_name), progress or (lambda what, share: None)
     options = checked_options(method_name, how.options, options or {})
+    if material and not how.classes:
+        known = ", ".join(name for name, each in METHODS.items() if each.classes)
+        raise ThermorenderError(
+            f"method {method_name!r} learns nothing from materials, so it is no oracle; take {known}, or leave out "
+            "--oracle"
+        )
     pairs, cut = _some(dataset.of(*parts), share), Cut(shift_px=shift_px, seed=seed)
     if not len(pairs):
         raise ThermorenderError(f"{dataset.folder} has no pairs in {' or '.join(parts)}; give a split that has some")
@@ -77,7 +85,9 @@ def train_map(
     usable = ~_saturated(dataset.card, np.arange(65536))
     bounds = bounds_of_dataset(dataset.of("train") if len(dataset.of("train")) else pairs, usable)
     scale, low, high = dataset.scale, bounds.low, bounds.high
-    range_k = tuple(float(brightness_temperature(scale.radiance(value), *scale.band_um)) for value in (low, high))
+    # Where much of the sky is in the pictures, the lower bound is a radiance that no temperature has.
+    ends = np.maximum(scale.radiance([low, high]), band_radiance(_COLDEST_K, *scale.band_um))
+    range_k = tuple(map(float, brightness_temperature(ends, *scale.band_um)))
     if scale.unit == "intensity":
         range_k = tuple(limit + ZERO_CELSIUS_K for limit in scale.range_c)
     cold, warm = band_radiance(np.array(range_k), *scale.band_um)
@@ -114,7 +124,7 @@ def train_map(
         texel_range_m=(float(sampling.min()), float(sampling.max())),
         camera=dataset.card.get("camera", "unknown"),
         sky_temperature=float(np.mean(skies)) if skies else ASSUMED_SKY_K,
-        source=f"{method_name} on {len(pairs)} pairs of {dataset.card['name']}",
+        source=f"{method_name} on {len(pairs)} pairs of {dataset.card.get('name', dataset.folder.name)}",
     )  # fmt: skip
     about = {
         "dataset": {key: dataset.card.get(key) for key in ("name", "origin", "licence", "camera")},
@@ -125,7 +135,8 @@ def train_map(
         "options": options, "seed": seed, "training_s": round(seconds, 2), "versions": versions(),
     }  # fmt: skip
     if audited and len(dataset.of("test")):
-        about["audit"] = audit(dataset, progress=tell).summary()
+        found = audit(dataset, progress=tell)
+        about["audit"] = {"lines": list(found.lines()), **found.summary()}
     return _with_error(made, about, dataset, material)
 
 
@@ -154,7 +165,8 @@ def _with_error(model, about, dataset, material):
         here = pair.valid[::4, ::4] & ~_saturated(dataset.card, pair.thermal[::4, ::4])
         squares += float(((found - known)[here] ** 2).sum())
         count += int(here.sum())
-    return replace(model, error_k=float(np.sqrt(squares / max(count, 1))))
+    # Where nothing tells an error there is none to tell.
+    return replace(model, error_k=float(np.sqrt(squares / count))) if count else model
 
 
 def _saturated(card, values):
@@ -195,7 +207,7 @@ def checked_options(method_name, known, given):
                 found[key] = kind(value)
                 if not np.isfinite(found[key]) or found[key] < 0:
                     raise ValueError
-        except (ValueError, KeyError):
+        except (ValueError, KeyError, TypeError):
             wanted = "true or false" if kind is bool else "a number from 0 up"
             raise ThermorenderError(
                 f"option {key}={value!r} of {method_name!r} is not allowed; give {wanted}"

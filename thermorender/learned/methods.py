@@ -21,12 +21,15 @@ class Method:
     options : dict of str to value
         What may be chosen, with its default.
     title : str
+    classes : bool
+        Whether it learns from numbers of classes, such as an oracle's materials; others leave them out.
     """
 
     fit: Callable
     plus: bool
     options: dict
     title: str
+    classes: bool = False
 
 
 def _correlation(size):
@@ -39,13 +42,13 @@ def _correlation(size):
     return Method(fit, False, options, f"linear in the {size} × {size} colours around")
 
 
-def _later(module, name, plus, options, title):
+def _later(module, name, plus, options, title, classes=False):
     def fit(task):
         import importlib
 
         return getattr(importlib.import_module(f"thermorender.learned.{module}"), name)(task)
 
-    return Method(fit, plus, options, title)
+    return Method(fit, plus, options, title, classes)
 
 
 METHODS = {
@@ -56,7 +59,7 @@ METHODS = {
     "palette": _later("palette", "fit_palette", False, {"cell": 6.0, "shrinkage": 200.0}, "mean of cells of CIELAB"),
     "trees": _later("trees", "fit_trees", False, {}, "boosted trees on colour and texture"),
     "correlation+": _later("linear", "fit_linear", True, {"penalty": 1e-3}, "linear, with relief, sun and weather"),
-    "trees+": _later("trees", "fit_trees", True, {}, "boosted trees, with relief, sun and weather"),
+    "trees+": _later("trees", "fit_trees", True, {}, "boosted trees, with relief, sun and weather", classes=True),
 }
 _NXN = re.compile(r"correlation-(\d+)x\1")
 # Largest neighbourhood of a correlation: 3 × 15² coefficients.

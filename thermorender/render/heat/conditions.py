@@ -5,6 +5,8 @@ materials are there, lying level in the open and in shade. That brings what the 
 into a few numbers, from tables and the station's weather alone.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from thermorender.materials.library import find, load_library
@@ -45,14 +47,12 @@ def conditions(weather, time, inside_c=20.0):
     made = open_ground.columns(materials, weather, found["snow_m"], open_ground.STATION_ROUGHNESS_M)
     inside_k = inside_c + ZERO_CELSIUS_K
     start, _ = open_ground.settled(made, weather, before, inside_k)
-
-    def shaded(instants):
-        return np.multiply.outer(weather.at(instants).diffuse_w_m2, made.absorptance)
-
-    for where, shortwave in (("open", None), ("shade", shaded)):
+    # Leaves in shade close their stomata, so the sun is taken out of the weather and not of what is absorbed alone.
+    shaded = replace(weather, direct_w_m2=np.zeros(weather.time.size))
+    for where, under in (("open", weather), ("shade", shaded)):
         state = start
         if time > before:
-            state, _ = open_ground.march(made, weather, start, before, time, inside_k, shortwave=shortwave)
+            state, _ = open_ground.march(made, under, start, before, time, inside_k)
         for name, kelvin in zip(TYPICAL, state.surface_k, strict=True):
             found[f"{where}_{name}"] = float(kelvin - now.air_k)
     return found

@@ -49,7 +49,7 @@ def relief(scene, time, geometry=None, progress=None):
     dict
         Components of the unit normal; height above the mean around [m]; share of the hemisphere that is sky, cosine
         weighted, one value a face; sunlight on the surface, direct with shadow and diffuse by sky view [W m⁻²], now and
-        as weighted means over the past, which begins with the weather.
+        as weighted means over the past, which begins with the weather and is the present where that has just begun.
 
     Raises
     ------
@@ -88,7 +88,10 @@ def relief(scene, time, geometry=None, progress=None):
     ago, instants = ago[instants >= weather.time[0]], instants[instants >= weather.time[0]]
     weight = np.exp(-ago / np.array(MEMORY_H)[:, None])
     weight /= np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
-    past = np.zeros((len(MEMORY_H), texels.size), dtype=np.float32)
+    now, past = sunlight(time), np.zeros((len(MEMORY_H), texels.size), dtype=np.float32)
+    if not len(instants):
+        # The weather has just begun: there is no past but the present.
+        past += now
     for number, instant in enumerate(instants):
         light = sunlight(instant)
         for total, share in zip(past, weight[:, number], strict=True):
@@ -96,7 +99,7 @@ def relief(scene, time, geometry=None, progress=None):
                 total += np.float32(share) * light
         if progress:
             progress("following the sun", (number + 1) / len(instants))
-    found = (*normal.T, (height - around).ravel(), view, sunlight(time), *past)
+    found = (*normal.T, (height - around).ravel(), view, now, *past)
     return {name: np.ascontiguousarray(values.reshape(shape)) for name, values in zip(NAMES, found, strict=True)}
 
 

@@ -1,0 +1,286 @@
+"""Learned maps trained on data sets: what is learned, what is left out, what is refused, and the verb `train`."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from thermorender.campaign.dataset import Entry, ThermalScale, Writer, packed, read_dataset
+from thermorender.campaign.map_training import train_map
+from thermorender.errors import ThermorenderError
+from thermorender.learned.methods import METHODS
+from thermorender.learned.temperature_map import Inputs, load_map
+from thermorender.physics.planck import band_radiance, brightness_temperature
+from thermorender.sensor.camera import load_camera
+from thermorender.sensor.readout import radiance_from_counts
+
+SHAPE = (40, 48)
+PARTS = ("train", "train", "validation", "test")
+# Of colours, linear: value = 9000 + 8 red − 4 green + 3 blue.
+WEIGHT = np.array([8.0, -4.0, 3.0])
+# 9000 counts are some 40 W m⁻² sr⁻¹.
+SCALE = ThermalScale("radiance", 0.004, 4.0)
+
+
+def colours(seed):
+    """A picture of smooth, saturated colours, (h, w, 3) uint8."""
+    import cv2
+
+    coarse = np.random.default_rng(seed).integers(0, 256, (8, 9, 3), np.uint8)
+    return cv2.resize(coarse, SHAPE[::-1], interpolation=cv2.INTER_LINEAR)
+
+
+def counts(rgb):
+    return 9000.0 + rgb @ WEIGHT
+
+
+def write(folder, scale=SCALE, parts=PARTS, told=False, change=lambda values, number: values, truth=None, **card):
+    """A data set with thermal values linear in colour; `told`: with a relief that says nothing, hour and weather."""
+    card = {"name": "linear", "origin": "made", "licence": "CC0", **({"terrain": ["slope"]} if told else {}), **card}
+    pairs = []
+    for number, part in enumerate(parts):
+        rgb = colours(number)
+        valid = np.ones(SHAPE, bool)
+        valid[:2] = False
+        values = change(np.rint(counts(rgb)), number).astype(np.uint8 if scale.unit == "intensity" else np.uint16)
+        planes = {"slope": np.zeros(SHAPE, np.float32), **(truth(number) if truth else {})} if told or truth else None
+        known = {"air_k": 280.0 + number, "solar_hour": 6.0 + number} if told else {}
+        entry = Entry(f"s{number}-0", part, f"s{number}-0", f"s{number}", 0, SHAPE, 0.2, None, None, 240.0, known)
+        pairs.append((entry, packed(rgb, values, valid, planes)))
+    Writer(folder, card, scale).shard("all", pairs)
+    return read_dataset(folder)
+
+
+def test_a_linear_world_is_learned(tmp_path):
+    """Values linear in colour are found again to their rounding, in all of the scales that they may have."""
+    grey = ThermalScale("intensity", 1 / 200, -0.1, (10.0, 30.0))
+    for name, scale, change in (
+        ("radiance", SCALE, lambda values, number: values),
+        ("kelvin", ThermalScale("kelvin", 0.01, 200.0), lambda values, number: values),
+        ("intensity", grey, lambda values, number: np.clip((values - 8000.0) / 16.0, 0, 255)),
+    ):
+        dataset = write(tmp_path / name, scale, change=change)
+        model = train_map(name, "correlation-1to1", dataset, {"intercept": True})
+        known = counts(colours(9))
+        if name == "intensity":
+            assert model.range_k == pytest.approx((283.15, 303.15))
+            known = (known - 8000.0) / 16.0
+        found = model.radiance(Inputs(colours(9), 0.2))
+        # Kelvin are bent in radiance, of which the map is linear; elsewhere a value is rounded to 1 of 4000 or of 255.
+        limit = {"radiance": 1e-3, "kelvin": 1.0, "intensity": 0.05}[name]
+        assert np.abs(found - scale.radiance(known)).max() < limit, name
+        assert 0.0 < model.error_k < {"radiance": 0.01, "kelvin": 1.0, "intensity": 0.1}[name]
+        assert model.sky_temperature == 240.0 and model.texel_m == pytest.approx(0.2)
+        about = model.about
+        assert about["unit"] == name and about["pairs"] == {"train": 2, "validation": 1, "test": 1}
+        assert about["trained_on"] == ["train", "validation"] and about["sequences"] == 3
+
+
+def test_intensity_is_that_of_the_training_part(tmp_path):
+    dataset = write(tmp_path / "d")
+    model = train_map("m", "correlation-1to1", dataset)
+    values = np.concatenate([dataset.pair(each).thermal[2:].ravel() for each in dataset.of("train").entries])
+    first, third = np.quantile(values, (0.25, 0.75))
+    bounds = first - 1.5 * (third - first), third + 1.5 * (third - first)
+    assert model.about["bounds"] == pytest.approx(bounds)
+    np.testing.assert_allclose(band_radiance(np.array(model.range_k), *SCALE.band_um),
+                               SCALE.radiance(bounds), rtol=1e-6)  # fmt: skip
+
+
+def test_the_own_error_is_that_of_the_validation_part(tmp_path):
+    """A validation picture that is 500 counts brighter: 2 W m⁻² sr⁻¹, taken to kelvin by hand."""
+    dataset = write(tmp_path / "d", change=lambda values, number: values + 500.0 * (number == 2))
+    model = train_map("m", "correlation-1to1", dataset, {"intercept": True}, parts=("train",))
+    rows, columns = np.mgrid[: SHAPE[0] : 4, : SHAPE[1] : 4]
+    true = counts(colours(2))[rows, columns][1:]
+    away = brightness_temperature(SCALE.radiance(true + 500.0), *SCALE.band_um)
+    away -= brightness_temperature(SCALE.radiance(true), *SCALE.band_um)
+    assert model.error_k == pytest.approx(math.sqrt((away**2).mean()), rel=0.01)
+    assert model.about["pairs"]["train"] == 2 and model.about["trained_on"] == ["train"]
+
+
+def test_no_error_is_told_where_nothing_tells_it(tmp_path):
+    """Without validation, or where it shows nothing that is valid: an error of 0 would be a claim."""
+    assert train_map("m", "correlation-1to1", write(tmp_path / "a", parts=("train", "test"))).error_k is None
+    dataset = write(tmp_path / "b", origin="rendered", camera="boson-640",
+                    change=lambda values, number: values * 0 if number == 2 else values)  # fmt: skip
+    assert train_map("m", "correlation-1to1", dataset, parts=("train",)).error_k is None
+
+
+def test_saturated_pixels_are_left_out(tmp_path):
+    """Of a known camera: at either end of its counts; of an unknown one all values count."""
+    top = 2**14 - 1
+
+    def burnt(values, number):
+        values[10:20], values[20:24] = top, 0
+        return values
+
+    camera = load_camera("boson-640", "camera")
+    zero, high = radiance_from_counts(np.array([0.0, top]), camera)
+    scale = ThermalScale("radiance", float((high - zero) / top), float(zero), None, camera.band_um)
+    known = scale.radiance(counts(colours(9)))
+    error = {}
+    for origin in ("rendered", "made"):
+        dataset = write(tmp_path / origin, scale, change=burnt, origin=origin, camera="boson-640")
+        model = train_map("m", "correlation-1to1", dataset, {"intercept": True})
+        error[origin] = np.abs(model.radiance(Inputs(colours(9), 0.2)) - known).max()
+    assert error["rendered"] < 0.01 < 1.0 < error["made"]
+
+
+def test_a_sky_so_cold_that_the_bounds_leave_physics(tmp_path):
+    """A third of the pixels is sky: the lower bound is a radiance below 0, which no temperature has."""
+
+    def under_the_sky(values, number):
+        values[:16] = 500.0
+        return values
+
+    dataset = write(tmp_path / "d", change=under_the_sky)
+    model = train_map("m", "correlation-1to1", dataset, {"intercept": True})
+    assert np.isfinite(model.range_k).all() and model.range_k[0] < model.range_k[1]
+    assert SCALE.radiance(model.about["bounds"][0]) < 0.0
+    assert np.isfinite(model.radiance(Inputs(colours(9), 0.2))).all()
+
+
+def test_a_card_without_a_name_is_no_hindrance(tmp_path):
+    dataset = write(tmp_path / "nameless")
+    del dataset.card["name"]
+    assert train_map("m", "correlation-1to1", dataset).source == "correlation-1to1 on 3 pairs of nameless"
+
+
+# --- what is refused --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "words"),
+    [
+        ("correlation-1to1", {"intercept": "perhaps"}, "intercept='perhaps' of 'correlation-1to1' is not allowed; give "
+         "true or false"),
+        ("correlation-1to1", {"intercept": 2}, "intercept=2 .* give true or false"),
+        ("correlation-1to1", {"penalty": "much"}, "penalty='much' .* give a number from 0 up"),
+        ("correlation-1to1", {"penalty": "-1"}, "penalty='-1' .* give a number from 0 up"),
+        ("correlation-1to1", {"penalty": "nan"}, "penalty='nan' .* give a number from 0 up"),
+        ("correlation-1to1", {"penalty": None}, "penalty=None .* give a number from 0 up"),
+        ("correlation-1to1", {"penalty": [1]}, r"penalty=\[1\] .* give a number from 0 up"),
+        ("correlation-1to1", {"cell": 3}, "'correlation-1to1' has no option 'cell'; it has intercept, penalty"),
+        ("palette", {"cell": 0}, "cell=0 is no side of a palette's cells; give 2…64"),
+        ("trees", {"cell": 3}, "'trees' has no option 'cell'; it has none"),
+        ("correlation-2x2", {}, "method 'correlation-2x2' is unknown; "),
+        ("correlation-17x17", {}, "method 'correlation-17x17' is unknown; "),
+        ("corelation+", {}, r"'corelation\+' is unknown; did you mean '?correlation\+'?"),
+        ("trees+", {}, r"'trees\+' needs the terrain's relief, hour and weather, which .* does not hold; take trees$"),
+        ("correlation+", {}, r"'correlation\+' needs .* does not hold; take correlation-9to1$"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_trained_is_refused(tmp_path, name, options, words):
+    with pytest.raises(ThermorenderError, match=words):
+        train_map("m", name, write(tmp_path / "d"), options)
+
+
+def test_an_oracle_needs_a_method_that_looks_and_a_truth_that_knows(tmp_path, monkeypatch):
+    class Enough(Exception):
+        pass
+
+    def look(task):
+        raise Enough(next(task.examples()).inputs.terrain)
+
+    monkeypatch.setitem(METHODS, "trees+", replace(METHODS["trees+"], fit=look))
+    plain = write(tmp_path / "plain", told=True)
+    for name in ("trees", "palette", "correlation-9to1", "correlation+"):
+        with pytest.raises(ThermorenderError, match="learns nothing from materials, so it is no oracle; take trees"):
+            train_map("m", name, plain, material=True)
+    with pytest.raises(ThermorenderError, match=r"pair 's\d-0' has no plane 'material'"):
+        train_map("m", "trees+", plain, material=True)
+
+    def material(number):
+        return {"material": np.full(SHAPE, 3, np.uint8)}
+
+    dataset = write(tmp_path / "knows", told=True, truth=material, materials=["a", "b", "c", "d"])
+    for shown in (True, False):
+        with pytest.raises(Enough) as found:
+            train_map("m", "trees+", dataset, material=shown)
+        assert set(found.value.args[0]) == {"slope", *(["material"] if shown else [])}
+
+
+def test_parts_that_are_empty_are_named(tmp_path):
+    dataset = write(tmp_path / "d", parts=("test",))
+    with pytest.raises(ThermorenderError, match="d has no pairs in train or validation; give a split that has some"):
+        train_map("m", "correlation-1to1", dataset)
+    empty = write(tmp_path / "empty", parts=())
+    with pytest.raises(ThermorenderError, match="empty has no pairs in train or validation"):
+        train_map("m", "correlation-1to1", empty)
+    flat = write(tmp_path / "flat", change=lambda values, number: 0.0 * values + 9000.0)
+    with pytest.raises(ThermorenderError, match="half of the thermal pixels of the training part are 9000"):
+        train_map("m", "correlation-1to1", flat)
+
+
+# --- the verb ---------------------------------------------------------------------------------------------------
+
+
+def test_the_verb_trains_and_writes_a_map(tmp_path, call):
+    write(tmp_path / "d", told=True)
+    for method, options in (("correlation-1to1", ("--set", "intercept=true", "--set", "penalty=1e-6")),
+                            ("correlation+", ())):  # fmt: skip
+        path = tmp_path / f"{method}.npz"
+        status, out, err = call("train", method, tmp_path / "d", "-o", path, *options, "--seed", 3)
+        assert status == 0, err
+        model = load_map(path)
+        assert model.method == method and model.about["seed"] == 3 and f"{path}: trained in" in out
+        assert "K on validation" in out and model.error_k < 1.0
+        assert model.about["conditions"] == {"air_k": [280.0, 282.0], "solar_hour": [6.0, 8.0]}
+        assert model.about["audit"]["lines"] and model.about["audit"]["lines"][0] in out
+    assert load_map(tmp_path / "correlation-1to1.npz").about["options"] == {"intercept": True, "penalty": 1e-6, "above_air": False}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("corelation+", "{d}"), "method 'corelation+' is unknown"),
+        (("trees",), "train trees was given 0 data sets; give one"),
+        (("trees", "{d}", "{d}"), "train trees was given 2 data sets; give one"),
+        (("trees", "{d}x"), "dx is no data set: card.json is missing"),
+        (("correlation-1to1", "{d}", "--set", "penalty"), "--set='penalty' is not allowed; give OPTION=VALUE"),
+        (("correlation-1to1", "{d}", "--set", "=3"), "--set='=3' is not allowed; give OPTION=VALUE"),
+        (("correlation-1to1", "{d}", "--set", "penalty=a"), "option penalty='a' of 'correlation-1to1' is not allowed"),
+        (("correlation-1to1", "{d}", "--oracle"), "learns nothing from materials, so it is no oracle"),
+        (("trees+", "{d}"), "needs the terrain's relief, hour and weather"),
+        (("trees", "{d}", "--texel-m", "0.2"), "belong to `train emissivity`, not to 'trees'; leave them out"),
+        (("trees", "{d}", "--labels", "x.geojson"), "belong to `train emissivity`, not to 'trees'; leave them out"),
+        (("trees", "{d}", "--augmentations", "0"), "belong to `train emissivity`, not to 'trees'; leave them out"),
+        (("emissivity", "--oracle"), "--split, --set and --oracle belong to maps of temperature; leave them out"),
+        (("emissivity", "--set", "a=b"), "--split, --set and --oracle belong to maps of temperature; leave them out"),
+        (("correlation-1to1", "{d}", "--split", "{d}/card.json"), "card.json"),
+        (("correlation-1to1", "{d}", "--split", "{d}/none.json"), "none.json"),
+    ],
+)
+def test_the_verb_refuses_in_one_sentence_and_writes_nothing(tmp_path, call, arguments, words):
+    write(tmp_path / "d")
+    given = [text.replace("{d}", str(tmp_path / "d")) for text in arguments]
+    status, out, err = call("train", *given, "-o", tmp_path / "m.npz")
+    assert status == 2 and out == "" and words in err and len(err.strip().splitlines()) == 1, err
+    assert not (tmp_path / "m.npz").exists()
+
+
+def test_a_split_of_ones_own_is_taken(tmp_path, call):
+    from thermorender.campaign.splits import write_split
+
+    dataset = write(tmp_path / "d")
+    parts = {each.key: "train" if number < 3 else "test" for number, each in enumerate(dataset.entries)}
+    path = tmp_path / "split.json"
+    write_split(path, parts)
+    status, _, err = call("train", "correlation-1to1", tmp_path / "d", "-o", tmp_path / "m.npz", "--split", path)
+    assert status == 0, err
+    model = load_map(tmp_path / "m.npz")
+    assert model.about["pairs"] == {"train": 3, "validation": 0, "test": 1} and model.error_k is None
+
+
+def test_train_emissivity_works_as_before(tmp_path, call):
+    from scenes import write_terrain
+
+    rng = np.random.default_rng(0)
+    classes = np.repeat([[1] * 16 + [2] * 16], 32, axis=0)
+    colour = np.where(classes[..., None] == 1, (60, 120, 50), (200, 180, 140)) + rng.integers(-9, 9, (32, 32, 3))
+    folder = write_terrain(tmp_path / "scene", classes=classes, colour=colour)
+    status, out, err = call("train", "emissivity", folder, "-o", tmp_path / "e.npz")
+    assert status == 0, err
+    assert "grass_green" in out and "sand_quartz" in out and (tmp_path / "e.npz").is_file()
