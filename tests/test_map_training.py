@@ -229,7 +229,9 @@ def test_the_verb_trains_and_writes_a_map(tmp_path, call):
         assert "K on validation" in out and model.error_k < 1.0
         assert model.about["conditions"] == {"air_k": [280.0, 282.0], "solar_hour": [6.0, 8.0]}
         assert model.about["audit"]["lines"] and model.about["audit"]["lines"][0] in out
-    assert load_map(tmp_path / "correlation-1to1.npz").about["options"] == {"intercept": True, "penalty": 1e-6, "above_air": False}
+    assert load_map(tmp_path / "correlation-1to1.npz").about["options"] == {
+        "intercept": True, "penalty": 1e-6, "above_air": False,
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize(
