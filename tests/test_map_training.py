@@ -1,5 +1,6 @@
 """Learned maps trained on data sets: what is learned, what is left out, what is refused, and the verb `train`."""
 
+import json
 import math
 from dataclasses import replace
 
@@ -228,7 +229,6 @@ def test_the_verb_trains_and_writes_a_map(tmp_path, call):
         assert model.method == method and model.about["seed"] == 3 and f"{path}: trained in" in out
         assert "K on validation" in out and model.error_k < 1.0
         assert model.about["conditions"] == {"air_k": [280.0, 282.0], "solar_hour": [6.0, 8.0]}
-        assert model.about["audit"]["lines"] and model.about["audit"]["lines"][0] in out
     assert load_map(tmp_path / "correlation-1to1.npz").about["options"] == {
         "intercept": True, "penalty": 1e-6, "above_air": False,
     }  # fmt: skip
@@ -286,3 +286,47 @@ def test_train_emissivity_works_as_before(tmp_path, call):
     status, out, err = call("train", "emissivity", folder, "-o", tmp_path / "e.npz")
     assert status == 0, err
     assert "grass_green" in out and "sand_quartz" in out and (tmp_path / "e.npz").is_file()
+
+
+def test_a_share_of_the_sequences_is_trained_on(tmp_path):
+    dataset = write(tmp_path / "d", parts=("train",) * 8 + ("validation", "test"))
+    for share, expected in ((0.01, {"s0"}), (0.25, {"s0", "s4"}), (0.5, {"s0", "s2", "s4", "s6"}), (1.0, None)):
+        model = train_map("m", "correlation-1to1", dataset, share=share)
+        count = 9 if expected is None else len(expected) + 1
+        assert model.about["sequences"] == count and model.about["share"] == share
+    # What is not trained on does not count: of another linear world nothing is learned.
+    other = write(
+        tmp_path / "o", parts=("train",) * 8 + ("validation", "test"),
+        change=lambda values, number: values if number in (0, 8, 9) else 65535 - values,
+    )  # fmt: skip
+    options = {"intercept": True}
+    few, all_ = (train_map("m", "correlation-1to1", other, options, share=share) for share in (0.01, 1))
+    assert few.error_k < 0.05 < 2.0 < all_.error_k
+
+
+def test_shifted_pairs_cost_what_the_picture_changes_over_the_shift(tmp_path):
+    """Where colours are smooth a shift costs little; where they are noise it costs all that colour tells."""
+    dataset = write(tmp_path / "d")
+    options = {"intercept": True}
+    errors = [train_map("m", "correlation-1to1", dataset, options, shift_px=shift).error_k
+              for shift in (0.0, 1.0, 16.0)]  # fmt: skip
+    assert errors[0] < 0.05 < errors[1] < errors[2]
+
+
+def test_error_against_share_and_shift(tmp_path, call):
+    write(tmp_path / "d", parts=("train",) * 4 + ("validation", "test", "test"))
+    status, out, errors = call("validate", "maps", "--dataset", tmp_path / "d", "--methods", "correlation-1to1",
+                               "--limit", "1", "-o", tmp_path / "o")  # fmt: skip
+    assert status == 0, errors
+    assert "correlation-1to1" in out
+    result = json.loads((tmp_path / "o" / "maps.json").read_text())
+    cases = {(case["varied"], case["value"]): case for case in result["cases"]}
+    assert {key for key in cases if key[0] == "shift_px"} == {("shift_px", float(s)) for s in (0, 1, 2, 4, 8, 16)}
+    assert cases["share", 1.0]["mae_k"] == cases["shift_px", 0.0]["mae_k"]
+    assert cases["shift_px", 16.0]["mae_k"] > cases["shift_px", 0.0]["mae_k"] + 0.3
+    assert result["test_pairs"] == 1 and {"versions", "machine", "seed"} <= set(result)
+    for name in ("maps_share.png", "maps_shift_px.png"):
+        assert (tmp_path / "o" / name).stat().st_size > 5000
+    status, _, errors = call("validate", "maps", "--dataset", tmp_path / "d", "--methods", "corelation-1to1",
+                             "-o", tmp_path / "p")  # fmt: skip
+    assert status == 2 and "did you mean 'correlation-1to1'" in errors and not (tmp_path / "p").exists()

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from thermorender.campaign.audit import audit
 from thermorender.campaign.bounds import bounds_of_dataset
 from thermorender.campaign.cut import Cut, moved
 from thermorender.campaign.map_inputs import inputs_of
@@ -29,7 +28,7 @@ _RANGES = ("air_k", "wind_m_s", "snow_m", "sun_elevation_deg", "solar_hour", "da
 
 def train_map(
     name, method_name, dataset, options=None, seed=0, progress=None, parts=("train", "validation"), material=False,
-    audited=True, shift_px=0.0, share=1.0,
+    shift_px=0.0, share=1.0,
 ):  # fmt: skip
     """Return the TemperatureMap of a method, trained on some parts of a Dataset.
 
@@ -48,8 +47,6 @@ def train_map(
         The published correlations were fitted on training and validation.
     material : bool
         Shows the method the true material of each pixel: an oracle, which is no map.
-    audited : bool
-        Looks for leaks between training and test, which the map then tells.
     shift_px : float
         Trains on pairs that are not aligned: each thermal picture is moved by a random vector of this length [px].
     share : float
@@ -134,9 +131,6 @@ def train_map(
         "conditions": _ranges(pairs.entries), "bounds": [low, high], "unit": scale.unit,
         "options": options, "seed": seed, "training_s": round(seconds, 2), "versions": versions(),
     }  # fmt: skip
-    if audited and len(dataset.of("test")):
-        found = audit(dataset, progress=tell)
-        about["audit"] = {"lines": list(found.lines()), **found.summary()}
     return _with_error(made, about, dataset, material)
 
 

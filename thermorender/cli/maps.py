@@ -234,8 +234,6 @@ def train(
         model = train_map(output.stem, method, pairs, options, seed, tell, material=oracle)
         save_map(model, output)
     typer.echo(str(model))
-    if "audit" in model.about:
-        typer.echo(model.about["audit"]["verdict"])
     own = f", own error {model.error_k:.2f} K on validation" if model.error_k is not None else ""
     typer.echo(f"{output}: trained in {model.about['training_s']:g} s{own}")
 

@@ -56,7 +56,7 @@ def run(dataset, methods=METHODS, shifts_px=SHIFTS_PX, shares=SHARES, limit=60, 
     for number, (name, varied, value) in enumerate(cases):
         if progress:
             progress(f"{name}, {varied} {value:g}", number / len(cases))
-        model = train_map(name, name, dataset, seed=seed, audited=False, **{varied: value})
+        model = train_map(name, name, dataset, seed=seed, **{varied: value})
         found.append({
             "method": name, "varied": varied, "value": value, "pairs": sum(model.about["pairs"].values()),
             "training_s": model.about["training_s"], "mae_k": _error(model, test, scored),
