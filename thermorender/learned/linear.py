@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.learned.rows import CLASSES, Told, at_shape, at_texel, drawn
+from thermorender.learned.rows import CLASSES, Told, at_shape, at_texel, drawn, part_of
 
 _SIDE = 3
 # Planes of a terrain whose names begin so are sunlight on the ground [W m⁻²], now or over the hours before.
@@ -135,8 +135,11 @@ def fit_linear(task):
     products = np.zeros((size + 2, size + 2))
     for each in drawn(task, told, _MOST_ROWS):
         table = np.ones((size + 2, each.pixels.size))
-        for row, (_, column) in zip(table, columns(each.inputs, told), strict=False):
-            row[:] = np.ravel(column)[each.pixels] if np.ndim(column) else column
+        part, (above, before) = part_of(each.inputs, each.window, _SIDE // 2)
+        row, column = np.divmod(each.pixels, each.inputs.rgb.shape[1])
+        at = row - each.window[0] + above, column - each.window[2] + before
+        for values, (_, plane) in zip(table, columns(part, told), strict=False):
+            values[:] = plane[at] if np.ndim(plane) else plane
         table[size] = each.target
         products += table @ table.T
     count = products[-1, -1]

@@ -104,10 +104,9 @@ def fit_palette(task):
     for number, example in enumerate(task.examples()):
         intensity = task.intensity[example.values]
         usable = example.valid & np.isfinite(intensity)
-        # Only the cells that occur, as a picture has few of them.
-        found, place = np.unique(cells(example.inputs.rgb[usable], cell, along), return_inverse=True)
-        count[found] += np.bincount(place, minlength=len(found))
-        total[found] += np.bincount(place, intensity[usable], len(found))
+        place = cells(example.inputs.rgb[usable], cell, along)
+        count += np.bincount(place, minlength=count.size)
+        total += np.bincount(place, intensity[usable], total.size)
         task.progress("counting colours", (number + 1) / task.count)
     if not count.any():
         raise ThermorenderError(
