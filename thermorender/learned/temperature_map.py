@@ -7,6 +7,7 @@ which band, camera, ground sampling distance, sky, hour and weather it was train
 A map is one file: arrays and a JSON text in NumPy's .npz, nothing that runs.
 """
 
+import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -138,6 +139,14 @@ class TemperatureMap:
             return band_radiance(np.maximum(found + inputs.conditions["air_k"], 1.0), *self.band_um)
         cold, warm = band_radiance(np.array(self.range_k), *self.band_um)
         return cold + found * (warm - cold)
+
+    def digest(self):
+        """Return a fingerprint (hex) of all that its temperatures depend on."""
+        plain = [getattr(self, name) for name in ("range_k", "band_um", "texel_m", "sky_temperature")]
+        state = hashlib.blake2b(json.dumps([plain, self.predictor.header()], sort_keys=True).encode(), digest_size=16)
+        for name, values in sorted(self.predictor.arrays().items()):
+            state.update(name.encode() + np.ascontiguousarray(values).tobytes())
+        return state.hexdigest()
 
     def intensity(self, radiance):
         """Return intensities of band radiances [W m⁻² sr⁻¹]: 0 and 1 at the ends of the map's range."""
