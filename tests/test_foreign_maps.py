@@ -136,7 +136,8 @@ def test_a_file_that_unpacks_to_more_than_a_map_holds_is_not_unpacked(tmp_path, 
 @pytest.fixture(scope="module")
 def text():
     """A model of trees over all features with a split by classes, as LightGBM writes it."""
-    lightgbm = pytest.importorskip("lightgbm")
+    import lightgbm
+
     rng = np.random.default_rng(0)
     rows = rng.random((600, len(NAMES)))
     rows[:, 3] = rng.integers(0, 9, 600)
