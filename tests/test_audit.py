@@ -172,6 +172,15 @@ def test_places_within_a_distance():
     )
 
 
+def test_procedural_worlds_lie_at_one_place_and_are_other_lands():
+    """Only a sequence that is in both parts shows the same ground."""
+    train = [entry("a", place=(52.0, 21.0), sequence="heath-1")]
+    test = [entry("b", place=(52.0, 21.0), sequence="heath-2"), entry("c", place=(52.0, 21.0), sequence="heath-1")]
+    assert audits.places(test, train).tests == 2
+    leak = audits.places(test, train, lands=True)
+    assert (leak.tests, leak.asked, leak.worst[0][0]) == (1, 2, "c")
+
+
 def test_hour_and_weather_alike_over_midnight_and_new_year():
     def scene(key, hour, day, air_k, kind="heath"):
         return entry(key, labels={"kind": kind}, conditions={"solar_hour": hour, "day": day, "air_k": air_k})

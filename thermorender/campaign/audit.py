@@ -180,7 +180,7 @@ def audit(dataset, near_m=NEAR_M, progress=None):
         "sibling": siblings(test, train),
         "duplicate": _leak("duplicate", shown, len(test), worst=max),
         "neighbour": neighbours(test, train),
-        "place": places(test, train, near_m),
+        "place": places(test, train, near_m, lands=dataset.card.get("origin") == "rendered"),
         "conditions": alike(test, train),
     }
     return Audit(len(test), len(train), leaks)
@@ -217,14 +217,24 @@ def neighbours(test, train):
     return _leak("neighbour", found, len(test))
 
 
-def places(test, train, near_m=NEAR_M):
-    """Return the Leak of test Entries that lie within `near_m` of one of training [m]."""
+def places(test, train, near_m=NEAR_M, lands=False):
+    """Return the Leak of test Entries that lie within `near_m` of one of training [m].
+
+    With `lands` each sequence is a land of its own, as procedural worlds are, which all lie at their kind's one place.
+    """
     from scipy.spatial import cKDTree
 
     test, train = ([entry for entry in entries if entry.place is not None] for entries in (test, train))
     if not test or not train:
         return _leak("place", {}, 0)
-    apart, nearest = cKDTree(positions(train)).query(positions(test), distance_upper_bound=near_m)
+    names = {entry.sequence: number for number, entry in enumerate((*test, *train))} if lands else {}
+
+    def points(entries):
+        # Lands lie side by side in a fourth dimension, farther than any distance.
+        aside = [2.0 * near_m * names.get(entry.sequence, 0) for entry in entries]
+        return np.column_stack([positions(entries), aside])
+
+    apart, nearest = cKDTree(points(train)).query(points(test), distance_upper_bound=near_m)
     found = {
         entry.key: (train[k].key, float(metres))
         for entry, metres, k in zip(test, apart, nearest, strict=True)

@@ -354,6 +354,8 @@ def day(
     numbers = _pose_numbers(pose)
     with progress() as tell:
         loaded = _scene(scene, None, None, air, time, instant_of)
+        if loaded.told:
+            _warn(loaded.told_map.texel_warning(loaded.surfaces[0].texel_m))
         rows = run(
             loaded, _pose(loaded, pose, numbers, local_up), output, step_min, wanted, display_settings, settings, tell,
             device, quality=quality, rays=rays, tolerance_mk=tolerance_mk, seed=seed,
@@ -405,6 +407,7 @@ def compare(
             f"{name}: {report['share_outside_0_1']:.1%} of the texels' intensities lie outside 0…1, "
             f"{report['share_fallback']:.1%} of the texels fall back to their material's temperature"
         )
+        _warn(report["warning"])
     typer.echo(f"pictures and comparison.json in {output}")
 
 
@@ -538,11 +541,7 @@ def _scene(name, temperature, range_c, air=None, time=None, *read_time):
         loaded = loaded.with_air(*parse_air(air))
     for note in loaded.weather_notes if loaded.marched else ():
         typer.echo(f"weather: {note}")
-    for model, report in loaded.report.items():
-        typer.echo(
-            f"{model}: {report['share_outside_0_1']:.1%} of the intensities lie outside 0…1, "
-            f"{report['share_fallback']:.1%} of the texels fall back to their material's temperature"
-        )
+    _tell_maps(loaded)
     told = loaded.emissivity_report
     if told:
         typer.echo(
@@ -550,6 +549,21 @@ def _scene(name, temperature, range_c, air=None, time=None, *read_time):
             f"{told['fallback']}"
         )
     return loaded
+
+
+def _tell_maps(scene):
+    """Print what learned maps of a scene's temperatures have to tell."""
+    for model, report in scene.report.items():
+        typer.echo(
+            f"{model}: {report['share_outside_0_1']:.1%} of the intensities lie outside 0…1, "
+            f"{report['share_fallback']:.1%} of the texels fall back to their material's temperature"
+        )
+        _warn(report["warning"])
+
+
+def _warn(sentence):
+    if sentence:
+        typer.echo(f"warning: {sentence}", err=True)
 
 
 def _display_settings(mode, palette, memory_s=0.0):
@@ -567,7 +581,11 @@ def _thermography_settings(text):
 def _renderer(scene, quality, rays, tolerance_mk, seed, device, tell):
     from thermorender.render.renderer import Renderer
 
-    return Renderer(scene, quality, rays=rays, tolerance_mk=tolerance_mk, seed=seed, device=device, progress=tell)
+    made = Renderer(scene, quality, rays=rays, tolerance_mk=tolerance_mk, seed=seed, device=device, progress=tell)
+    if scene.told and not scene.warmed:
+        # Only now the map has been asked.
+        _tell_maps(made.scene)
+    return made
 
 
 def _tell_cache(renderer):

@@ -9,6 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+# Largest neighbourhood: 3 × 15² coefficients.
+MOST_SIDE = 15
+
 
 @dataclass(frozen=True, eq=False)
 class Correlation:
@@ -87,8 +90,15 @@ class Correlation:
         """Return the Correlation of `header` and `arrays`."""
         kernel = np.asarray(arrays["kernel"], np.float64)
         if kernel.ndim != 3 or kernel.shape[0] != kernel.shape[1] or len(kernel) % 2 != 1 or kernel.shape[2] != 3:
-            raise ValueError("no kernel")
-        return cls(kernel, float(header["intercept"]), bool(header["above_air"]))
+            raise ValueError("it has no kernel")
+        if len(kernel) > MOST_SIDE:
+            raise ValueError(f"its kernel is {len(kernel)} wide, more than {MOST_SIDE}")
+        intercept, above_air = float(header["intercept"]), header["above_air"]
+        if not (np.isfinite(kernel).all() and np.isfinite(intercept)):
+            raise ValueError("it has coefficients that are not finite")
+        if not isinstance(above_air, bool):
+            raise ValueError("above_air is neither true nor false")
+        return cls(kernel, intercept, above_air)
 
 
 _NINE = {

@@ -71,9 +71,14 @@ class Linear:
     def of(cls, header, arrays):
         """Return the Linear of `header` and `arrays`."""
         told = Told(tuple(header["terrain"]), tuple(header["conditions"]))
-        if arrays["weight"].shape != (count_of_columns(told),):
-            raise ValueError("other columns")
-        return cls(told, arrays["weight"], float(header["offset"]))
+        if not told.above_air:
+            raise ValueError("it is not told the air's temperature")
+        weight, offset = np.asarray(arrays["weight"], np.float64), float(header["offset"])
+        if weight.shape != (count_of_columns(told),):
+            raise ValueError("it has other columns")
+        if not (np.isfinite(weight).all() and np.isfinite(offset)):
+            raise ValueError("it has coefficients that are not finite")
+        return cls(told, weight, offset)
 
 
 def count_of_columns(told):

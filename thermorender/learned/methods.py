@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from thermorender.errors import ThermorenderError
+from thermorender.learned.correlation import MOST_SIDE
 from thermorender.schema import did_you_mean
 
 
@@ -62,8 +63,6 @@ METHODS = {
     "trees+": _later("trees", "fit_trees", True, {}, "boosted trees, with relief, sun and weather", classes=True),
 }
 _NXN = re.compile(r"correlation-(\d+)x\1")
-# Largest neighbourhood of a correlation: 3 × 15² coefficients.
-MOST_SIDE = 15
 
 
 def method(name):

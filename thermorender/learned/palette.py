@@ -59,7 +59,9 @@ class Palette:
     @classmethod
     def of(cls, header, arrays):
         """Return the Palette of `header` and `arrays`."""
-        found = cls(float(header["cell"]), arrays["value"], arrays["count"])
+        found = cls(float(header["cell"]), np.asarray(arrays["value"], np.float64), arrays["count"])
+        if not _FINEST <= found.cell <= _COARSEST or not np.isfinite(found.value).all():
+            raise ValueError("it has no cells, or values that are not finite")
         if found.value.shape != found.count.shape or found.value.shape != (cells_along(found.cell),) * 3:
             raise ValueError("no palette")
         return found

@@ -7,7 +7,9 @@ which band, camera, ground sampling distance, sky, hour and weather it was train
 A map is one file: arrays and a JSON text in NumPy's .npz, nothing that runs.
 """
 
+import hashlib
 import json
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,13 +22,15 @@ from thermorender.defaults import BAND_UM, CAMERA
 from thermorender.errors import ThermorenderError
 from thermorender.learned import correlation
 from thermorender.physics.planck import band_radiance
-from thermorender.schema import did_you_mean
+from thermorender.schema import did_you_mean, shortened
 from thermorender.units import ZERO_CELSIUS_K
 
 FORMAT = 1
 # An image may be so many times finer or coarser than what the map was trained at, at each end of its range, without a
 # warning.
 TEXEL_MARGIN = 1.25
+# A map of boosted trees, the largest, takes some ten megabytes.
+_MOST_BYTES = 1 << 28
 # Kinds of predictors: {name in the file: (module, class)}; a module is imported when a map of it is read.
 PREDICTORS = {
     "correlation": ("thermorender.learned.correlation", "Correlation"),
@@ -139,6 +143,14 @@ class TemperatureMap:
         cold, warm = band_radiance(np.array(self.range_k), *self.band_um)
         return cold + found * (warm - cold)
 
+    def digest(self):
+        """Return a fingerprint (hex) of all that its temperatures depend on."""
+        plain = [getattr(self, name) for name in ("range_k", "band_um", "texel_m", "sky_temperature")]
+        state = hashlib.blake2b(json.dumps([plain, self.predictor.header()], sort_keys=True).encode(), digest_size=16)
+        for name, values in sorted(self.predictor.arrays().items()):
+            state.update(name.encode() + np.ascontiguousarray(values).tobytes())
+        return state.hexdigest()
+
     def intensity(self, radiance):
         """Return intensities of band radiances [W m⁻² sr⁻¹]: 0 and 1 at the ends of the map's range."""
         cold, warm = band_radiance(np.array(self.range_k), *self.band_um)
@@ -209,27 +221,67 @@ def load_map(path):
         No file, or one that is no map of this format; or what maps of its method need is not installed.
     """
     import importlib
-    import zipfile
 
     path = Path(path)
     try:
-        with open(path, "rb") as file, np.load(file, allow_pickle=False) as kept:
-            arrays = dict(kept)
+        with open(path, "rb") as file:
+            arrays = _arrays(file)
         header = json.loads(str(arrays.pop("header")))
         if header.pop("format") != FORMAT:
             raise ValueError("another format")
         module, name = PREDICTORS[header.pop("predictor")]
         predictor = getattr(importlib.import_module(module), name).of(header.pop("of_predictor"), arrays)
         header = {key: tuple(value) if isinstance(value, list) else value for key, value in header.items()}
-        return TemperatureMap(predictor=predictor, **header)
+        return _usable(TemperatureMap(predictor=predictor, **header))
     except ThermorenderError:
         raise
     except OSError as error:
         raise ThermorenderError(f"learned map {path} cannot be read: {error.strerror}; give a .npz of a map") from None
-    except (ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile):
+    # A damaged archive fails in zipfile, zlib, json or NumPy, each with errors of its own.
+    except (Exception, MemoryError) as error:
+        why = shortened(" ".join(str(error).split())) or type(error).__name__
         raise ThermorenderError(
-            f"{path} is no learned map of format {FORMAT}; make one with `thermorender train`"
+            f"{path} is no learned map of format {FORMAT} ({why}); make one with `thermorender train`"
         ) from None
+
+
+def _arrays(file):
+    """{name: array} of an open .npz; one that unpacks to more than a map holds is refused before it does."""
+    with zipfile.ZipFile(file) as archive:
+        size = sum(item.file_size for item in archive.infolist())
+    if size > _MOST_BYTES:
+        raise ValueError(f"it unpacks to {size / 1e6:.0f} MB, more than {_MOST_BYTES / 1e6:.0f} MB")
+    file.seek(0)
+    with np.load(file, allow_pickle=False) as kept:
+        return dict(kept)
+
+
+def _usable(model):
+    """Return a TemperatureMap after refusing values that nothing could be computed with."""
+    for name in ("range_k", "band_um", "texel_range_m"):
+        value = getattr(model, name)
+        if not (isinstance(value, tuple) and len(value) == 2 and all(map(_positive, value))):
+            raise ValueError(f"{name} is not two numbers above 0")
+        if value[0] > value[1] or (value[0] == value[1] and name != "texel_range_m"):
+            raise ValueError(f"{name} does not rise")
+    for name in ("texel_m", "sky_temperature"):
+        if not _positive(getattr(model, name)):
+            raise ValueError(f"{name} is no number above 0")
+    if model.error_k is not None and not _positive(model.error_k) and model.error_k != 0:
+        raise ValueError("error_k is no number from 0 up")
+    for name in ("name", "method", "camera", "source"):
+        if not isinstance(getattr(model, name), str):
+            raise ValueError(f"{name} is no text")
+    # Files are called by it.
+    if not model.name.isprintable() or set(model.name) & set("/\\") or not model.name.strip(". "):
+        raise ValueError(f"its name {model.name!r} is no name of a file")
+    if not (model.trained is None or isinstance(model.trained, dict)) or not isinstance(model.about, dict):
+        raise ValueError("trained or about is no table")
+    return model
+
+
+def _positive(value):
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0.0 < value < np.inf
 
 
 _FOK = {

@@ -4,6 +4,7 @@ Told the terrain's relief, hour and weather they give kelvin above the air, else
 highly efficient gradient boosting decision tree".
 """
 
+import re
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -36,6 +37,9 @@ _SETTINGS = {
     "force_row_wise": True,
     "verbosity": -1,
 }
+# Of what stands before the trees.
+_HEAD = ("num_class", "num_tree_per_iteration", "max_feature_idx")
+_BLOCK = re.compile(r"Tree=(\d+)\n")
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +106,7 @@ class Trees:
     def of(cls, header, arrays):
         """Return the Trees of `header` and `arrays`."""
         found = cls(arrays["trees"].tobytes().decode(), Told(tuple(header["terrain"]), tuple(header["conditions"])))
+        refuse_broken(found.text, len(found.told.columns))
         if tuple(header["features"]) != NAMES or found._booster.num_feature() != len(found.told.columns):
             raise ValueError("other features")
         return found
@@ -170,3 +175,104 @@ def _lightgbm():
             "temperature maps of boosted trees need LightGBM; install it with `pip install 'thermorender[maps]'`"
         ) from None
     return lightgbm
+
+
+# --- texts of others -------------------------------------------------------------------------------------------------
+
+
+def refuse_broken(text, features):
+    """Raise unless a text is a whole LightGBM model of one value over so many features.
+
+    LightGBM ends the process, or reads past its arrays, on some that are not.
+
+    Raises
+    ------
+    ValueError
+        The message says what is wrong.
+    """
+    head, found, _ = text.partition("\n\nTree=0\n")
+    values = _values(head)
+    sizes = [_whole(size) for size in values.get("tree_sizes", "").split()]
+    if not found or not sizes or min(sizes) <= 0:
+        raise ValueError("its trees are broken off")
+    if [_whole(values.get(name, "")) for name in _HEAD] != [1, 1, features - 1]:
+        raise ValueError(f"its trees are not of one value over {features} features")
+    if len(values.get("feature_names", "").split()) != features or len(values.get("feature_infos", "").split()) != (
+        features
+    ):
+        raise ValueError(f"its trees do not describe {features} features")
+    # LightGBM counts bytes; all that it writes is plain.
+    if not text.isascii():
+        raise ValueError("its trees hold letters that LightGBM does not write")
+    start = len(head) + 2
+    for number, size in enumerate(sizes):
+        block = text[start : start + size]
+        match = _BLOCK.match(block)
+        if len(block) != size or not match or _whole(match[1]) != number:
+            raise ValueError(f"its tree {number} is broken off")
+        _refuse_tree(_values(block), number, features)
+        start += size
+    if not text[start:].lstrip("\n").startswith("end of trees"):
+        raise ValueError("its trees have no end")
+
+
+def _refuse_tree(values, number, features):
+    """Raise unless a tree is one: every node and leaf hangs on one node, and what it asks for is there."""
+    leaves, sets = (_whole(values.get(name, "")) for name in ("num_leaves", "num_cat"))
+    if leaves < 1 or sets < 0 or values.get("is_linear", "0") != "0":
+        raise ValueError(f"its tree {number} is none of constant leaves")
+    _numbers(values, "leaf_value", leaves, number)
+    nodes = leaves - 1
+    if not nodes:
+        return
+    feature, left, right, kind = (
+        np.array([_whole(each) for each in values.get(name, "").split()])
+        for name in ("split_feature", "left_child", "right_child", "decision_type")
+    )
+    if {len(feature), len(left), len(right), len(kind)} != {nodes} or not ((feature >= 0) & (feature < features)).all():
+        raise ValueError(f"its tree {number} asks for other features")
+    children = np.concatenate([left, right])
+    # Nodes but the first, and leaves as −1, −2, …; each node comes before those below it, so that none is its own.
+    if sorted(children.tolist()) != [*range(-leaves, 0), *range(1, nodes)]:
+        raise ValueError(f"its tree {number} has branches that lead nowhere")
+    for child in (left, right):
+        if ((child >= 0) & (child <= np.arange(nodes))).any():
+            raise ValueError(f"its tree {number} has branches that lead back")
+    threshold = _numbers(values, "threshold", nodes, number)
+    _refuse_sets(values, threshold[kind & 1 == 1], sets, number)
+
+
+def _refuse_sets(values, chosen, sets, number):
+    """Raise unless the sets of classes that a tree's splits choose are there."""
+    if not sets:
+        if len(chosen):
+            raise ValueError(f"its tree {number} chooses classes that it does not have")
+        return
+    bounds = np.array([_whole(each) for each in values.get("cat_boundaries", "").split()])
+    words = values.get("cat_threshold", "").split()
+    if len(bounds) != sets + 1 or bounds[0] != 0 or (np.diff(bounds) < 0).any() or bounds[-1] != len(words):
+        raise ValueError(f"its tree {number} has broken sets of classes")
+    if not all(0 <= _whole(word) < 2**32 for word in words):
+        raise ValueError(f"its tree {number} has broken sets of classes")
+    if not np.isin(chosen, np.arange(sets)).all():
+        raise ValueError(f"its tree {number} chooses classes that it does not have")
+
+
+def _values(block):
+    """{name: text} of lines name=text."""
+    return dict(line.split("=", 1) for line in block.splitlines() if "=" in line)
+
+
+def _whole(text):
+    """The whole number of a text; a ValueError where it is none."""
+    if not re.fullmatch(r"-?\d{1,18}", text):
+        raise ValueError(f"its trees hold {text[:20]!r} in place of a whole number")
+    return int(text)
+
+
+def _numbers(values, name, count, number):
+    """The `count` finite numbers of a line, (count,) float64."""
+    found = np.array([float(each) for each in values.get(name, "").split()])
+    if len(found) != count or not np.isfinite(found).all():
+        raise ValueError(f"its tree {number} has {len(found)} usable {name} for {count}")
+    return found

@@ -23,9 +23,9 @@ def record(frame):
 
 
 def weather_of(scene):
-    """Return which weather made a scene's temperatures, as plain values, and how a map was moved to it.
+    """Return which weather made a scene's temperatures, as plain values, and by which map that was moved to it or told.
 
-    {} where they are of no heat balance.
+    {} where they do not follow the weather.
     """
     if not scene.marched:
         return {}
@@ -33,6 +33,9 @@ def weather_of(scene):
     file = spec.file or spec.epw
     named = "named day" if file is None else file.name
     told = {"weather": {"source": named, "digest": scene.weather_digest(), "notes": list(scene.weather_notes)}}
+    if scene.told:
+        model = scene.told_map
+        told["map"] = {"name": model.name, "digest": model.digest(), **scene.report.get(model.name, {})}
     return told | ({"moved": scene.moved_report} if scene.moved_report else {})
 
 

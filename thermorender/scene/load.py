@@ -44,7 +44,7 @@ from thermorender.scene.surface import (
     fill,
     nearest_valid,
 )
-from thermorender.scene.temperature import Texels, resolve, told, trained
+from thermorender.scene.temperature import Texels, resolve, told_map, trained, waiting
 from thermorender.scene.tracks import TrackedObject, read_track
 from thermorender.sensor.camera import Camera, load_camera
 from thermorender.units import instant, utc_text
@@ -93,6 +93,9 @@ class Scene:
         balance moves them to `time`; None elsewhere.
     moved_report : dict
         What moving them told; empty until it is done.
+    told_map : TemperatureMap or None
+        The learned map of the terrain's temperatures where it is told relief, hour or weather, as its file was when the
+        source was set; None elsewhere.
     """
 
     spec: SceneSpec
@@ -109,6 +112,7 @@ class Scene:
     time: "np.datetime64 | None" = None
     mapped: "tuple[NDArray[np.float32], ...] | None" = None
     moved_report: dict[str, Any] = field(default_factory=dict)
+    told_map: Any = None
 
     @property
     def name(self) -> str:
@@ -169,10 +173,10 @@ class Scene:
         of a map that is told hour and weather."""
         return self.balanced or self.mapped is not None or self.told
 
-    @cached_property
+    @property
     def told(self) -> bool:
         """Whether the terrain's temperatures are those of a learned map that is told relief, hour or weather."""
-        return told(self.spec.temperature)
+        return self.told_map is not None
 
     @property
     def warmed(self) -> bool:
@@ -262,7 +266,8 @@ class Scene:
             )
         spec = replace(self.spec, weather=replace(self.spec.weather, time=asked), truth_temperature=None)
         scene = replace(self, spec=spec, time=asked)
-        return scene.with_temperature(spec.temperature) if self.marched else scene
+        # The map it was loaded with, whatever its file holds by now.
+        return scene._of_source(spec.temperature, self.told_map) if self.marched else scene
 
     def heated(self, time: np.datetime64, temperatures: "Sequence[ArrayLike]") -> "Scene":
         """Return this scene at an instant of its weather, as its heat balance found it.
@@ -314,21 +319,30 @@ class Scene:
                 f"with_temperature was given a {type(spec).__name__}; give a TemperatureSpec, for kelvins of one's own "
                 "TemperatureSpec(source='raster', raster=path) with the path of a GeoTIFF"
             )
-        moves = self.spec.weather is not None and trained(spec) is not None
-        if moves or spec.source == "balance" or told(spec):
-            self._refuse_balance("trained" if moves else f"model={spec.model!r}" if spec.model else "source='balance'")
-        if told(spec) and self.grid is None:
+        return self._of_source(spec, told_map(spec))
+
+    def _of_source(self, spec: TemperatureSpec, told: Any) -> "Scene":
+        """This scene with a source's temperatures, and its map that is told relief or hour, or None."""
+        if told and spec.trained:
             raise ThermorenderError(
-                f"{self.where}: temperature.model={spec.model!r} needs relief, which is that of a terrain with an "
+                f"{self.where}: temperature.model={spec.model!r} is told hour and weather and is not moved by "
+                "temperature.trained; leave that out"
+            )
+        moves = told is None and self.spec.weather is not None and trained(spec) is not None
+        if told and self.grid is None:
+            raise ThermorenderError(
+                f"{self.where}: temperature.model={spec.model!r} is told relief or hour and needs a terrain with an "
                 "elevation raster, and this one is a mesh; take a map that sees colour only"
             )
+        if moves or spec.source == "balance" or told:
+            self._refuse_balance("trained" if moves else f"model={spec.model!r}" if spec.model else "source='balance'")
         report: dict[str, Any] = {}
         surfaces = list(self.surfaces)
         for index, surface in enumerate(surfaces[: self.terrain_count]):
             texels = Texels(
                 surface.colour, surface.material, self.materials, self.grid, surface.texel_m, self.where, report
             )
-            temperature, flags = resolve(spec, texels)
+            temperature, flags = waiting(texels) if told else resolve(spec, texels)
             known = surface.flags & ~np.uint8(FALLBACK | UNMOVED)
             surfaces[index] = replace(surface, temperature=temperature, flags=known | flags)
         own, mapped = replace(self.spec, temperature=spec), None
@@ -338,10 +352,12 @@ class Scene:
             surfaces[: self.terrain_count] = [
                 replace(surface, temperature=np.full_like(surface.temperature, np.nan)) for surface in ground
             ]
-        if moves or spec.source == "balance" or told(spec):
+        if moves or spec.source == "balance" or told:
             # The sun stands where it does at the instant that is solved.
             own = replace(own, sun=None)
-        return replace(self, spec=own, surfaces=tuple(surfaces), report=report, mapped=mapped, moved_report={})
+        return replace(
+            self, spec=own, surfaces=tuple(surfaces), report=report, mapped=mapped, moved_report={}, told_map=told
+        )
 
     def _marched_words(self) -> str:
         if self.told:
@@ -401,6 +417,9 @@ class Scene:
             state.update(repr((self.time, spec.temperature, spec.weather)).encode() + self.weather_digest().encode())
         for values in self.mapped or ():
             state.update(values.tobytes())
+        if self.told:
+            # At this instant another map may give the same, and differ at others of a flight.
+            state.update(self.told_map.digest().encode())
         return state.hexdigest()
 
     def weather_digest(self) -> str:

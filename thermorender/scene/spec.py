@@ -257,7 +257,7 @@ class WeatherSpec:
             if kind not in kinds and name in given:
                 where.of(name).refuse(given[name], f"it with {' or '.join(kinds)} only, not with {kind}")
             if kind == "air_high_c" and name not in given:
-                raise where.error(f"{where.key}.{name} is missing; a named day needs it{unit_of(name, ' in ')}")
+                raise where.error(f"{where.of(name).key} is missing; a named day needs it{unit_of(name, ' in ')}")
         if kind == "air_high_c" and self.air_low_c > self.air_high_c:
             where.of("air_low_c").refuse(given["air_low_c"], f"what is not above air_high_c={self.air_high_c:g}")
 

@@ -135,16 +135,17 @@ def _learned(spec, texels):
     if spec.range_c:
         scene_kelvin("range_c [K]", ZERO_CELSIUS_K + np.array(spec.range_c))
     model = load_model(spec.model, spec.range_c)
-    if model.needs:
-        return _balance(spec, texels)
     return from_map(model, Inputs(texels.colour, texels.texel_m), texels)
 
 
-def told(spec):
-    """Return whether a source is a learned map that must be told relief, hour or weather."""
+def told_map(spec):
+    """Return the TemperatureMap of a source whose map must be told relief, hour or weather; None for all others."""
+    if spec.source != "learned":
+        return None
     from thermorender.learned.temperature_map import load_model
 
-    return spec.source == "learned" and bool(load_model(spec.model).needs)
+    model = load_model(spec.model, spec.range_c)
+    return model if model.needs else None
 
 
 def from_map(model, inputs, texels, sky_temperature=None):
@@ -171,9 +172,13 @@ def from_map(model, inputs, texels, sky_temperature=None):
     return values, np.where(trusted, 0, FALLBACK).astype(np.uint8)
 
 
+def waiting(texels):
+    """Return (NaN (h, w) float32, no flags (h, w) uint8): solved where rays can be cast, for an instant."""
+    return np.full(texels.material.shape, np.nan, np.float32), np.zeros(texels.material.shape, np.uint8)
+
+
 def _balance(spec, texels):
-    # Solved where rays can be cast, for an instant; until then there is none.
-    return np.full(texels.material.shape, np.nan), np.zeros(texels.material.shape, np.uint8)
+    return waiting(texels)
 
 
 SOURCES = {"constant": _constant, "raster": _raster, "material": _material, "learned": _learned, "balance": _balance}

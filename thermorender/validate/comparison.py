@@ -3,8 +3,9 @@
 Three pictures are made of each pose. The *reference* is rendered from the scene's truth temperatures. In the *2D*
 domain a learned map is applied to the rendered visible frame, as the published methods do. In the *3D* domain it is
 applied to the orthophoto, its apparent temperatures are turned into kinetic ones, and that scene is rendered. A map in
-one domain is a *method*. Errors are differences of apparent temperature from the reference, over pixels whose truth is
-known. A constant, the reference's own mean, stands beside them as the floor any map must beat.
+one domain is a *method*; one that is told relief, hour or weather has the 3D domain only. Errors are differences of
+apparent temperature from the reference, over pixels whose truth is known. A constant, the reference's own mean, stands
+beside them as the floor any map must beat.
 """
 
 from dataclasses import dataclass, field
@@ -83,7 +84,7 @@ def compare(scene, trajectory, folder, models, rate_hz=1.0, range_c=None, progre
     folder : path
         Receives `comparison.json` and one picture per pose and model.
     models : sequence of str
-        Names of learned maps.
+        Names of learned maps, or their files.
     rate_hz : float
         Poses per second of flight.
     range_c : (2,) floats, optional
@@ -101,21 +102,28 @@ def compare(scene, trajectory, folder, models, rate_hz=1.0, range_c=None, progre
     Raises
     ------
     ThermorenderError
-        No truth, an unknown map, a folder that cannot be written.
+        No truth, an unknown map, two of one name, a folder that cannot be written.
     """
     if not models:
         raise ThermorenderError(f"models is empty; give at least one learned map, such as {defaults.TEMPERATURE_MAP}")
-    maps = [load_model(name, range_c) for name in models]
+    maps = {name: load_model(name, range_c) for name in models}
+    called = [model.name for model in maps.values()]
+    for name in called:
+        if called.count(name) > 1:
+            raise ThermorenderError(f"two of the models are called {name!r}; give maps of different names")
     truth = scene.with_temperature(scene.truth_temperature_spec)
     times = trajectory.frame_times(rate_hz)
     poses = trajectory.sampled(times).poses()
     folder = files.make_folder(folder)
     reference = Renderer(truth, progress=progress, **settings)
     methods, reports = [], {}
-    for model in maps:
-        translated = scene.with_temperature(TemperatureSpec(source="learned", model=model.name, range_c=range_c))
-        reports.update(translated.report)
-        methods += [_Method(model, "2D"), _Method(model, "3D", Renderer(translated, like=reference, **settings))]
+    for name, model in maps.items():
+        translated = scene.with_temperature(TemperatureSpec(source="learned", model=str(name), range_c=range_c))
+        renderer = Renderer(translated, like=reference, **settings)
+        reports.update(renderer.scene.report)
+        # A picture alone is not enough for a map that is told more.
+        methods += [_Method(model, "2D")] if not model.needs else []
+        methods.append(_Method(model, "3D", renderer))
     constant = ErrorSums()
     for index, (time_s, pose) in enumerate(zip(times, poses, strict=True)):
         frame = reference.frame(pose, time_s, index)
@@ -134,7 +142,7 @@ def compare(scene, trajectory, folder, models, rate_hz=1.0, range_c=None, progre
             error = np.where(known, seen - frame.apparent_temperature, np.nan)
             method.errors.add(error[known])
             pictures[method.name] = seen, error
-        for model in maps:
+        for model in maps.values():
             path = folder / f"pose_{index:04d}_{model.name}.png"
             picture(path, visible, frame.apparent_temperature, model.name, pictures, time_s)
         if progress:

@@ -121,13 +121,12 @@ def mapped(scene, times, geometry=None, progress=None):
         One per instant. What the map tells of its apparent temperatures is seen under the sky of that instant: the
         scene's own, or that of its air.
     """
-    from thermorender.learned.temperature_map import Inputs, load_model
+    from thermorender.learned.temperature_map import Inputs
 
     geometry = geometry or Geometry(activate(), scene.surfaces)
-    spec, surface, made = scene.spec, scene.surfaces[0], {}
-    model = load_model(spec.temperature.model, spec.temperature.range_c)
+    spec, surface, model, made = scene.spec, scene.surfaces[0], scene.told_map, {}
     for time in sorted(set(times)):
-        fields = relief(scene, time, geometry, progress)
+        fields = relief(scene, time, geometry, progress) if "terrain" in model.needs else {}
         sky = spec.sky_temperature if scene.air is None else scene.air.sky_temperature(scene.altitude_m)
         report = {}
         texels = Texels(surface.colour, surface.material, scene.materials, scene.grid, surface.texel_m, scene.where,

@@ -7,7 +7,7 @@ from thermorender.units import ZERO_CELSIUS_K
 
 
 def picture(path, visible, reference, name, pictures, time_s):
-    """Visible, reference, both domains and their errors as one PNG with scales in °C."""
+    """Visible, reference, what a map gives in its domains and their errors as one PNG with scales in °C."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -21,10 +21,11 @@ def picture(path, visible, reference, name, pictures, time_s):
     shown = axes[1, 0].imshow(reference - ZERO_CELSIUS_K, cmap="inferno", vmin=low, vmax=high)
     axes[1, 0].set_title("reference: rendered from truth")
     figure.colorbar(shown, ax=axes[1, 0], label="apparent temperature [°C]", shrink=0.8)
-    errors = np.concatenate([pictures[f"{name} {domain}"][1].ravel() for domain in ("2D", "3D")])
+    domains = [(row, domain) for row, domain in enumerate(("2D", "3D")) if f"{name} {domain}" in pictures]
+    errors = np.concatenate([pictures[f"{name} {domain}"][1].ravel() for _, domain in domains])
     errors = errors[np.isfinite(errors)]
     limit = float(np.percentile(np.abs(errors), 98)) if errors.size else 1.0
-    for row, domain in enumerate(("2D", "3D")):
+    for row, domain in domains:
         seen, error = pictures[f"{name} {domain}"]
         what = "translation of the visible frame" if domain == "2D" else "render of the translated orthophoto"
         shown = axes[row, 1].imshow(seen - ZERO_CELSIUS_K, cmap="inferno", vmin=low, vmax=high)

@@ -1,0 +1,208 @@
+"""Files of learned maps from others: broken, hostile or of other kinds, refused in one sentence with nothing run."""
+
+import io
+import json
+import re
+import subprocess
+import sys
+import zipfile
+
+import numpy as np
+import pytest
+
+from thermorender.errors import ThermorenderError
+from thermorender.learned.features import NAMES
+from thermorender.learned.linear import count_of_columns
+from thermorender.learned.rows import Told
+from thermorender.learned.temperature_map import Inputs, load_map
+
+HEADER = dict(
+    format=1, predictor="correlation", name="m", method="x", range_k=[280.0, 300.0], band_um=[7.5, 13.5], texel_m=0.5,
+    texel_range_m=[0.4, 0.6], camera="c", sky_temperature=250.0, source="s", trained=None, error_k=None, about={},
+    of_predictor={"intercept": 0.0, "above_air": False},
+)  # fmt: skip
+KERNEL = np.zeros((1, 1, 3))
+
+
+def put(folder, header=HEADER, **arrays):
+    path = folder / "m.npz"
+    text = header if isinstance(header, str) else json.dumps(header)
+    with open(path, "wb") as file:
+        np.savez_compressed(file, header=np.array(text), **arrays)
+    return path
+
+
+def refused(path, words=""):
+    with pytest.raises(ThermorenderError, match=r"m\.npz is no learned map of format 1 \(.*" + words) as told:
+        load_map(path)
+    assert "\n" not in str(told.value) and len(str(told.value)) < 400 + len(str(path))
+
+
+def test_the_header_that_the_others_are_made_of_is_a_map(tmp_path):
+    assert load_map(put(tmp_path, kernel=KERNEL)).radiance(Inputs(np.zeros((2, 2, 3), np.uint8))).shape == (2, 2)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"range_k": [300.0, 280.0]}, "range_k does not rise"),
+        ({"range_k": [300.0, 300.0]}, "range_k does not rise"),
+        ({"range_k": ["a", "b"]}, "range_k is not two numbers"),
+        ({"range_k": [300.0]}, "range_k is not two numbers"),
+        ({"range_k": [float("nan"), 300.0]}, "range_k is not two numbers"),
+        ({"band_um": [13.5, 7.5]}, "band_um does not rise"),
+        ({"texel_m": 0.0}, "texel_m is no number above 0"),
+        ({"texel_range_m": [0.6, 0.4]}, "texel_range_m does not rise"),
+        ({"sky_temperature": "cold"}, "sky_temperature is no number"),
+        ({"error_k": -1.0}, "error_k is no number"),
+        ({"trained": "noon"}, "trained or about is no table"),
+        ({"name": "../../mine"}, "is no name of a file"),
+        ({"name": "a\\b"}, "is no name of a file"),
+        ({"name": ".."}, "is no name of a file"),
+        ({"name": 5}, "name is no text"),
+        ({"predictor": ["correlation"]}, ""),
+        ({"extra": 1}, "extra"),
+        ({"of_predictor": {"intercept": float("nan"), "above_air": False}}, "not finite"),
+        ({"of_predictor": {"intercept": 0.0, "above_air": "no"}}, "above_air is neither"),
+    ],
+)
+def test_wrong_headers(tmp_path, change, words):
+    refused(put(tmp_path, HEADER | change, kernel=KERNEL), words)
+
+
+def test_wrong_coefficients(tmp_path):
+    for kernel, words in ((KERNEL * np.nan, "not finite"), (np.zeros((17, 17, 3)), "17 wide, more than 15"),
+                          (np.zeros((0, 0, 3)), "no kernel"), (KERNEL.astype(str) + "x", "")):  # fmt: skip
+        refused(put(tmp_path, kernel=kernel), words)
+    refused(put(tmp_path), "kernel")
+    told = {"terrain": ["sunlight"], "conditions": ["air_k"], "offset": 0.0}
+    weight = np.zeros(count_of_columns(Told(("sunlight",), ("air_k",))))
+    linear = HEADER | {"predictor": "linear", "of_predictor": told}
+    refused(put(tmp_path, linear, weight=weight * np.nan), "not finite")
+    refused(put(tmp_path, linear, weight=weight[1:]), "other columns")
+    alone = linear | {"of_predictor": told | {"terrain": [], "conditions": []}}
+    refused(put(tmp_path, alone, weight=np.zeros(28)), "not told the air's temperature")
+    for cell, value in ((0.0, 0.0), (1e-300, 0.0), (64.0, np.nan)):
+        palette = HEADER | {"predictor": "palette", "of_predictor": {"cell": cell}}
+        refused(put(tmp_path, palette, value=np.full((4, 4, 4), value), count=np.zeros((4, 4, 4), int)), "no cells")
+
+
+class _Runs:
+    def __reduce__(self):
+        return exec, ("raise SystemExit('code of a file was run')",)
+
+
+def test_objects_are_never_made(tmp_path):
+    path = tmp_path / "m.npz"
+    for arrays in ({"header": np.array(json.dumps(HEADER)), "kernel": np.array([_Runs()], object)},
+                   {"header": np.array([_Runs()], object), "kernel": KERNEL}):  # fmt: skip
+        with open(path, "wb") as file:
+            np.savez(file, **arrays)
+        refused(path, "Object arrays cannot be loaded")
+
+
+def test_damaged_files(tmp_path):
+    path = put(tmp_path, kernel=np.random.default_rng(0).normal(size=(15, 15, 3)))
+    whole = path.read_bytes()
+    flipped = bytearray(whole)
+    for place in range(120, 160):
+        flipped[place] ^= 255
+    for content in (whole[: len(whole) // 2], b"", b"hello", bytes(flipped)):
+        path.write_bytes(content)
+        refused(path)
+    refused(put(tmp_path, "[" * 200_000, kernel=KERNEL))
+    refused(put(tmp_path, "[1, 2]", kernel=KERNEL))
+
+
+def test_a_file_that_unpacks_to_more_than_a_map_holds_is_not_unpacked(tmp_path, monkeypatch):
+    path = put(tmp_path, kernel=np.zeros((3, 3, 3)))
+    from thermorender.learned import temperature_map
+
+    monkeypatch.setattr(temperature_map, "_MOST_BYTES", 500)
+    monkeypatch.setattr(np, "load", None)
+    refused(path, "it unpacks to")
+    # An array may claim more than the file holds.
+    monkeypatch.undo()
+    shape = io.BytesIO()
+    np.lib.format.write_array_header_1_0(shape, {"descr": "<f8", "fortran_order": False, "shape": (10**15, 1000)})
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("more.npy", shape.getvalue() + b"123")
+    refused(path)
+
+
+# --- trees ------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def text():
+    """A model of trees over all features with a split by classes, as LightGBM writes it."""
+    import lightgbm
+
+    rng = np.random.default_rng(0)
+    rows = rng.random((600, len(NAMES)))
+    rows[:, 3] = rng.integers(0, 9, 600)
+    target = rows[:, 0] + (rows[:, 3] % 3 == 1)
+    settings = {"verbosity": -1, "num_leaves": 6, "min_data_in_leaf": 5, "num_threads": 1}
+    return lightgbm.train(settings, lightgbm.Dataset(rows, target, categorical_feature=[3]), 4).model_to_string()
+
+
+def of_trees(folder, text):
+    of = {"terrain": [], "conditions": [], "features": list(NAMES)}
+    trees = np.frombuffer(text.encode(), np.uint8)
+    return put(folder, HEADER | {"predictor": "trees", "of_predictor": of}, trees=trees)
+
+
+def test_trees_are_read(tmp_path, text):
+    assert load_map(of_trees(tmp_path, text)).predictor.text == text and "cat_threshold" in text
+
+
+def with_sizes(text):
+    """The text with sizes that fit its trees."""
+    found = [len(part) for part in re.split(r"(?=Tree=\d)", text.partition("end of trees")[0])[1:]]
+    return re.sub(r"tree_sizes=.*", f"tree_sizes={' '.join(map(str, found))}", text)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (r"left_child=-?\d+", "left_child=77777"),
+        (r"left_child=-?\d+", "left_child=0"),
+        (r"right_child=-?\d+", "right_child=-1"),
+        (r"split_feature=\d+", "split_feature=5000000"),
+        (r"split_feature=\d+ ", "split_feature="),
+        (r"threshold=\S+", "threshold=99"),
+        (r"cat_boundaries=0", "cat_boundaries=7"),
+        (r"num_leaves=6", "num_leaves=2000000000"),
+        (r"num_leaves=6", "num_leaves=x"),
+        (r"leaf_value=\S+", "leaf_value=nan"),
+        (r"is_linear=0", "is_linear=1"),
+        (r"num_class=1", "num_class=3"),
+        (r"max_feature_idx=\d+", "max_feature_idx=3"),
+        (r"feature_infos=\S+", "feature_infos="),
+        (r"Tree=2", "Tree=5"),
+        (r"end of trees", "end"),
+    ],
+)
+def test_broken_trees_never_reach_what_would_crash(tmp_path, text, old, new):
+    broken = with_sizes(re.sub(old, new, text, count=1))
+    assert broken != with_sizes(text)
+    refused(of_trees(tmp_path, broken))
+
+
+def test_a_text_that_breaks_off_does_not_end_the_process(tmp_path, text):
+    """LightGBM calls std::terminate on some of them; so in another process, which must live."""
+    for number, share in enumerate((0.1, 0.3, 0.5, 0.62)):
+        (tmp_path / str(number)).mkdir()
+        of_trees(tmp_path / str(number), text[: int(share * text.index("end of trees"))])
+    code = f"""
+from pathlib import Path
+from thermorender.errors import ThermorenderError
+from thermorender.learned.temperature_map import load_map
+for path in sorted(Path({str(tmp_path)!r}).glob("*/m.npz")):
+    try:
+        load_map(path)
+    except ThermorenderError as error:
+        print(error)
+"""
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert run.returncode == 0 and run.stdout.count("is no learned map") == 4, run.stderr

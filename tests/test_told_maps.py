@@ -1,0 +1,321 @@
+"""Maps that are told relief, hour and weather as a scene's temperatures: against hand-made maps of known answers."""
+
+import json
+import pickle
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+import thermorender as tr
+from scenes import write_balance, write_mesh
+from thermorender.errors import ThermorenderError
+from thermorender.learned.correlation import Correlation
+from thermorender.learned.linear import Linear, count_of_columns
+from thermorender.learned.rows import Told
+from thermorender.learned.temperature_map import TemperatureMap, save_map
+from thermorender.output.flight import fly
+from thermorender.output.record import weather_of
+from thermorender.scene.spec import TemperatureSpec
+from thermorender.scene.surface import FALLBACK, SURFACE
+from thermorender.validate.comparison import compare
+
+BEGIN, AT = np.datetime64("2018-07-27T00:00:00"), np.datetime64("2018-07-28T12:00:00")
+HOUR = np.timedelta64(3600, "s")
+STATION = '[weather]\ntime = 2018-07-28T12:00:00Z\nfile = "station.csv"\n'
+BLACK = '[emissivity]\nsource = "constant"\nvalue = 1.0\n'
+LEARNED = 'source = "learned"\nmodel = "told.npz"'
+DOWN = tr.pose(0, 0, 6, pitch_deg=-90)
+# Temperatures of texels and radiances of pixels are in single precision: a few ulp of 300 K.
+TOLERANCE_K = 5e-4
+
+
+def air_k(time):
+    """What the station says: a kelvin more each hour."""
+    return 270.0 + (time - BEGIN) / HOUR
+
+
+def above_air(kelvin):
+    return Correlation(np.zeros((1, 1, 3)), kelvin, above_air=True)
+
+
+def by_sunlight(kelvin_m2_w):
+    """Kelvin above the air in proportion to the sunlight on the ground."""
+    told = Told(("sunlight",), ("air_k",))
+    weight = np.zeros(count_of_columns(told))
+    # Behind the nine neighbours' colours.
+    weight[27] = kelvin_m2_w
+    return Linear(told, weight, 0.0)
+
+
+def save(path, predictor, **options):
+    usual = dict(
+        name=path.stem, method="by hand", predictor=predictor, range_k=(270.0, 330.0), band_um=(7.5, 13.5), texel_m=0.5,
+        texel_range_m=(0.4, 0.6), camera="boson-640", sky_temperature=230.0, source="a test",
+    )  # fmt: skip
+    save_map(TemperatureMap(**usual | options), path)
+    return path
+
+
+def written(folder, predictor, black=True, weather=STATION, **options):
+    folder.mkdir(parents=True)
+    save(folder / "told.npz", predictor)
+    rows = "".join(f"{BEGIN + hour * HOUR}Z,{270.0 + hour}\n" for hour in range(61))
+    (folder / "station.csv").write_text("time_utc,air_k\n" + rows)
+    write_balance(folder, weather, source=LEARNED, **options)
+    if black:
+        text = (folder / "scene.toml").read_text()
+        start, end = text.index("[emissivity]"), text.index("[sky]")
+        (folder / "scene.toml").write_text(text[:start] + BLACK + text[end:])
+    return folder
+
+
+def seen(frame):
+    """Apparent temperature where a frame shows ground [K]."""
+    ground = (frame.truth["mask"] & SURFACE) > 0
+    assert ground.mean() > 0.5
+    return frame.apparent_temperature[ground]
+
+
+def assert_seen(frame, kelvin, tolerance=TOLERANCE_K):
+    np.testing.assert_allclose(seen(frame), kelvin, atol=tolerance)
+
+
+def path_of(minutes):
+    """A trajectory that hangs over the middle, looking down."""
+    time_s = np.arange(minutes + 1) * 60.0
+    return tr.Trajectory(time_s, np.tile([0.0, 0.0, 6.0], (minutes + 1, 1)), np.tile([0.0, 1.0, 0.0, 0.0],
+                                                                                       (minutes + 1, 1)))  # fmt: skip
+
+
+# --- temperatures -----------------------------------------------------------------------------------------------
+
+
+def test_black_ground_is_as_much_warmer_than_the_air_as_the_map_says(tmp_path):
+    scene = tr.load_scene(written(tmp_path / "s", above_air(5.0)))
+    assert scene.told and scene.marched and not scene.warmed
+    assert "learned, to be solved for 2018-07-28T12:00:00Z" in str(scene)
+    with pytest.raises(ThermorenderError, match="a learned map that is told hour and weather are not solved yet"):
+        scene.refuse_unwarmed()
+    for hours in (0, -9, 5):
+        renderer = tr.Renderer(scene.at(AT + hours * HOUR), rays=4)
+        assert_seen(renderer.frame(DOWN), air_k(AT + hours * HOUR) + 5.0)
+        assert renderer.scene.time == AT + hours * HOUR and renderer.scene.warmed
+    # The shipped sky is not the map's: no ground that reflects nothing shows it.
+    other = replace(scene, spec=replace(scene.spec, sky_temperature=200.0))
+    assert_seen(tr.Renderer(other, rays=4).frame(DOWN), air_k(AT) + 5.0)
+
+
+def test_grass_and_sand_show_it_under_the_scene_s_sky(tmp_path):
+    """Through kinetic temperature and back, though the map was trained under a sky 30 K colder."""
+    scene = tr.load_scene(written(tmp_path / "s", above_air(5.0), black=False))
+    renderer = tr.Renderer(scene, rays=4)
+    assert_seen(renderer.frame(DOWN), air_k(AT) + 5.0, 5e-3)
+    # Grass reflects the sky, so it is warmer than it looks.
+    assert renderer.scene.surfaces[0].temperature.min() > air_k(AT) + 5.1
+
+
+def test_level_ground_follows_its_sunlight(tmp_path):
+    scene = tr.load_scene(written(tmp_path / "s", by_sunlight(0.02)))
+    for hours in (0, -4, -11):
+        at = AT + hours * HOUR
+        now, (_, elevation) = scene.weather.at(at), scene.weather.sun(at)
+        sunlight = now.direct_w_m2 * max(np.sin(np.radians(elevation)), 0.0) + now.diffuse_w_m2
+        # Sunlight is known to 1e-5 of itself (its own test), at most 20 K here.
+        assert_seen(tr.Renderer(scene.at(at), rays=4).frame(DOWN), air_k(at) + 0.02 * sunlight, 1e-3)
+    assert sunlight == 0.0
+
+
+def test_metal_tells_nothing_and_is_flagged(tmp_path):
+    folder = written(tmp_path / "s", above_air(5.0), black=False, classes=np.repeat([[1, 2]], 32, 0).repeat(16, 1))
+    text = (folder / "scene.toml").read_text()
+    (folder / "scene.toml").write_text(text.replace('2 = "sand_quartz"', '2 = "aluminium_polished"'))
+    solved = tr.Renderer(tr.load_scene(folder), rays=4).scene
+    fallback = (solved.surfaces[0].flags & FALLBACK) > 0
+    metal = solved.surfaces[0].material == [one.name for one in solved.materials].index("aluminium_polished")
+    np.testing.assert_array_equal(fallback, metal)
+    assert metal.mean() == 0.5 and solved.report["told"]["share_fallback"] == 0.5
+    # Another hour begins anew.
+    again = tr.Renderer(solved.at(AT + HOUR), rays=4).scene
+    np.testing.assert_array_equal((again.surfaces[0].flags & FALLBACK) > 0, metal)
+
+
+# --- flights and records ----------------------------------------------------------------------------------------
+
+
+def test_a_flight_follows_its_time_and_tells_the_weather(tmp_path):
+    scene = tr.load_scene(written(tmp_path / "s", above_air(5.0)))
+    renderer = tr.Renderer(scene, rays=4)
+    fly(renderer, path_of(3), tmp_path / "f", rate_hz=1 / 60, products=("exr",))
+    lines = [json.loads(line) for line in (tmp_path / "f/frames.jsonl").read_text().splitlines()]
+    assert [line["temperature"]["time"] for line in lines] == [f"2018-07-28T12:0{n}:00Z" for n in range(4)]
+    # A kelvin an hour.
+    np.testing.assert_allclose([line["temperature"]["change_mk"] for line in lines[1:]], 1e3 / 60, atol=0.1)
+    from thermorender.output.exr import read_exr
+
+    for number in range(4):
+        found = read_exr(tmp_path / f"f/frame_{number:06d}.exr")[0]["apparent_temperature"]
+        middle = found[found.shape[0] // 2, found.shape[1] // 2]
+        assert middle == pytest.approx(air_k(AT + number * HOUR // 60) + 5.0, abs=TOLERANCE_K)
+    told = json.loads((tmp_path / "f/flight.json").read_text())
+    assert told["weather"]["source"] == "station.csv" and told["temperature_step_s"] == 60.0
+    assert told["map"]["name"] == "told" and told["map"] == weather_of(renderer.scene)["map"]
+
+
+def test_a_flight_does_not_go_on_with_another_map_of_the_same_name(tmp_path):
+    """By night both give the air's temperature, so that the scenes begin alike."""
+    folder = written(tmp_path / "s", by_sunlight(0.02), weather=STATION.replace("12:00", "00:00"))
+    first = tr.Renderer(tr.load_scene(folder), rays=4)
+    with pytest.raises(KeyboardInterrupt):
+        fly(first, path_of(2), tmp_path / "f", 1 / 60, ("exr",), progress=lambda done, total: interrupt())
+    save(folder / "told.npz", by_sunlight(0.05))
+    second = tr.Renderer(tr.load_scene(folder), rays=4)
+    np.testing.assert_array_equal(second.scene.surfaces[0].temperature, first.scene.surfaces[0].temperature)
+    assert first.scene.digest() != second.scene.digest()
+    with pytest.raises(ThermorenderError, match="was flown with scene_digest="):
+        fly(second, path_of(2), tmp_path / "f", 1 / 60, ("exr",), resume=True)
+    save(folder / "told.npz", by_sunlight(0.02))
+    third = tr.Renderer(tr.load_scene(folder), rays=4)
+    assert third.scene.digest() == first.scene.digest()
+    assert fly(third, path_of(2), tmp_path / "f", 1 / 60, ("exr",), resume=True)["rendered"] == 2
+
+
+def interrupt():
+    raise KeyboardInterrupt
+
+
+def test_a_scene_keeps_the_map_it_was_loaded_with(tmp_path):
+    """Also where the file is another by the time of the frame, or gone."""
+    folder = written(tmp_path / "s", above_air(5.0))
+    scene = tr.load_scene(folder)
+    save(folder / "told.npz", above_air(9.0))
+    renderer = tr.Renderer(scene, rays=4)
+    assert_seen(renderer.frame(DOWN), air_k(AT) + 5.0)
+    (folder / "told.npz").unlink()
+    assert_seen(tr.Renderer(scene.at(AT + HOUR), rays=4).frame(DOWN), air_k(AT + HOUR) + 5.0)
+    assert_seen(tr.Renderer(renderer.scene.at(AT - HOUR), rays=4).frame(DOWN), air_k(AT - HOUR) + 5.0)
+
+
+def test_baked_scenes_and_frames_go_to_processes_that_have_no_files(tmp_path):
+    folder = written(tmp_path / "s", by_sunlight(0.02))
+    renderer = tr.Renderer(tr.load_scene(folder), rays=4)
+    frame = renderer.frame(DOWN)
+    (tmp_path / "kept").write_bytes(pickle.dumps((renderer.baked, frame, renderer.scene.digest())))
+    shutil.rmtree(folder)
+    code = f"""
+import pickle, sys
+import numpy as np
+import thermorender as tr
+baked, frame, digest = pickle.load(open({str(tmp_path / "kept")!r}, "rb"))
+again = tr.Renderer.of(baked).frame(frame.pose)
+assert np.array_equal(again.radiance, frame.radiance)
+assert baked.scene.told and baked.scene.warmed and baked.scene.digest() == digest
+assert frame.truth["mask"].any() and frame.time == baked.scene.time
+"""
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert not run.returncode and not run.stderr.strip(), run.stderr
+
+
+# --- verbs ------------------------------------------------------------------------------------------------------
+
+
+def test_verbs_take_them(tmp_path, call):
+    folder = written(tmp_path / "s", above_air(5.0))
+    (folder / "flight.csv").write_text("time_s,lat,lon,alt_m\n")
+    status, output, errors = call("plan", folder, "--rays", 4)
+    assert status == 0 and "at 2018-07-28T12:00:00Z" in output, errors
+    assert "told: 0.0% of the intensities lie outside 0…1, 0.0% of the texels fall back" in output
+    night = ("--time", "2018-07-28T02:00Z")
+    status, _, errors = call("render", folder, "-o", tmp_path / "r", "--pose", "0,0,6,0,-90,0", "--rays", 4, *night)
+    assert status == 0, errors
+    told = json.loads((tmp_path / "r/frame_000000.json").read_text())
+    assert told["time"] == "2018-07-28T02:00:00Z" and told["weather"]["source"] == "station.csv"
+    assert told["map"]["name"] == "told" and told["map"]["share_fallback"] == 0.0
+    arguments = ("day", folder, "-o", tmp_path / "d", "--step-min", 720, "--products", "exr", "--pose", "0,0,6,0,-90,0")
+    status, _, errors = call(*arguments, "--rays", 4)
+    assert status == 0, errors
+    import csv
+
+    with open(tmp_path / "d/day.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 2
+    for row in rows:
+        assert float(row["apparent_mean_k"]) - float(row["air_k"]) == pytest.approx(5.0, abs=TOLERANCE_K)
+
+
+def test_a_map_in_place_of_the_scene_s_own_source(tmp_path, call):
+    folder = written(tmp_path / "s", above_air(5.0))
+    text = (folder / "scene.toml").read_text()
+    (folder / "scene.toml").write_text(text.replace(LEARNED, 'source = "balance"', 1))
+    own = save(tmp_path / "mine.npz", above_air(-3.0))
+    common = ("--pose", "0,0,6,0,-90,0", "--rays", 4, "--temperature", own)
+    status, output, errors = call("render", folder, "-o", tmp_path / "r", *common)
+    assert status == 0, errors
+    mean = float(output.partition("mean ")[2].partition(" K")[0])
+    assert mean == pytest.approx(air_k(AT) - 3.0, abs=0.005)
+    status, _, errors = call("render", folder, "-o", tmp_path / "q", *common, "--range-c", "0,20")
+    assert status == 2 and "does not belong to learned map 'mine', which gives kelvin above the air" in errors
+
+
+def test_another_ground_sampling_distance_is_told(tmp_path, call):
+    folder = written(tmp_path / "s", above_air(5.0))
+    save(folder / "told.npz", above_air(5.0), texel_m=0.1, texel_range_m=(0.05, 0.2))
+    status, _, errors = call("plan", folder, "--rays", 4)
+    assert status == 0
+    assert errors.count("warning: learned map 'told' was trained at 0.05–0.2 m a pixel and meets 0.5 m") == 1
+
+
+def test_compare_takes_files_and_maps_that_are_told(tmp_path):
+    """The truth is what the map says, so its errors vanish; a file's own name is not where it lies."""
+    folder = written(tmp_path / "s", above_air(5.0))
+    text = (folder / "scene.toml").read_text()
+    constant = text.replace(LEARNED, f'source = "constant"\nvalue = {air_k(AT) + 5.0}', 1)
+    raster = np.full((32, 32), air_k(AT) + 5.0)
+    from scenes import write_raster
+
+    write_raster(folder / "temperature.tif", raster[None].astype(np.float32), 0.5, nodata=np.nan)
+    (folder / "scene.toml").write_text(constant + '[truth]\ntemperature = "temperature.tif"\n')
+    plain = save(tmp_path / "plain.npz", Correlation(np.zeros((1, 1, 3)), 0.5))
+    told = str(folder / "told.npz")
+    summary = compare(tr.load_scene(folder), path_of(0), tmp_path / "c", [str(plain), told], rays=4)
+    assert set(summary["errors"]) == {"plain 2D", "plain 3D", "told 3D", "constant"}
+    assert summary["errors"]["told 3D"]["mean_absolute_c"] < TOLERANCE_K
+    assert summary["maps"]["told"]["share_outside_0_1"] == 0.0
+    assert (tmp_path / "c/pose_0000_told.png").stat().st_size > 10_000
+    shutil.copy(plain, tmp_path / "other.npz")
+    with pytest.raises(ThermorenderError, match="two of the models are called 'plain'; give maps of different names"):
+        compare(tr.load_scene(folder), path_of(0), tmp_path / "e", [str(plain), str(tmp_path / "other.npz")], rays=4)
+    assert not (tmp_path / "e").exists()
+
+
+# --- refusals ---------------------------------------------------------------------------------------------------
+
+
+def test_refusals(tmp_path):
+    folder = written(tmp_path / "s", above_air(5.0))
+    text = (folder / "scene.toml").read_text()
+    (folder / "scene.toml").write_text(text.replace(STATION, ""))
+    with pytest.raises(ThermorenderError, match=r"told.npz' needs the weather; add \[weather\] with time and one of"):
+        tr.load_scene(folder)
+    trained = "[temperature.trained]\ntime = 2018-07-28T12:00:00Z\nair_low_c = 3.0\nair_high_c = 9.0\nhumidity = 0.5\n"
+    trained += "wind_m_s = 2.0\ncloud = 0.0\n"
+    (folder / "scene.toml").write_text(text.replace("[emissivity]", trained + "[emissivity]"))
+    with pytest.raises(ThermorenderError, match="is told hour and weather and is not moved by temperature.trained; "):
+        tr.load_scene(folder)
+    mesh = write_mesh(tmp_path / "m", trimesh.creation.box((4.0, 4.0, 1.0)))
+    with pytest.raises(ThermorenderError, match="needs a terrain with an elevation raster, and this one is a mesh; "):
+        tr.load_scene(mesh).with_temperature(TemperatureSpec("learned", model=str(folder / "told.npz")))
+
+
+def test_a_map_that_says_when_it_was_trained_is_told_the_hour_all_the_same(tmp_path):
+    folder = written(tmp_path / "s", above_air(5.0))
+    day = {"time": "2018-07-28T06:00Z", "air_low_c": 3.0, "air_high_c": 9.0, "humidity": 0.5, "wind_m_s": 2.0,
+           "cloud": 0.0}  # fmt: skip
+    save(folder / "told.npz", above_air(5.0), trained=day)
+    scene = tr.load_scene(folder)
+    assert scene.mapped is None
+    assert_seen(tr.Renderer(scene, rays=4).frame(DOWN), air_k(AT) + 5.0)
