@@ -13,10 +13,10 @@ from thermorender.campaign.worlds import drawn
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
 from thermorender.physics import srgb
+from thermorender.render.heat import conditions as conditions_module
 from thermorender.render.heat import march as heat
 from thermorender.render.renderer import Renderer
 from thermorender.scene import columns as open_ground
-from thermorender.scene import conditions as conditions_module
 from thermorender.sensor.camera import model_path
 from thermorender.synthetic import hidden as hidden_module
 from thermorender.synthetic.canvas import Canvas

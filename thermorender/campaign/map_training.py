@@ -98,7 +98,9 @@ def train_map(
             if how.plus:
                 inputs = inputs_of(pair, dataset.card, material)
             else:
-                inputs = Inputs(pair.visible, entry.texel_m, {}, entry.conditions)
+                # Colour only, but for the air where that is asked for.
+                told = entry.conditions if options.get("above_air") else {}
+                inputs = Inputs(pair.visible, entry.texel_m, {}, told)
             values, valid = moved(pair.thermal, pair.valid, entry.key, cut) if shift_px else (pair.thermal, pair.valid)
             yield Example(inputs, values, valid & usable[values])
 
