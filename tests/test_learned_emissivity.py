@@ -148,12 +148,12 @@ def test_what_training_did_not_test_is_told(tmp_path, capsys, monkeypatch):
     assert load_map(tmp_path / "partly.npz").about["not_tested"] == told
 
     from thermorender.campaign import material_training
-    from thermorender.cli import app as cli
+    from thermorender.cli import maps as cli
 
     for model, warned in ((partly, True), (whole, False)):
         size = len(model.materials)
         monkeypatch.setattr(material_training, "train_on", lambda *a, m=model, n=size: (m, np.eye(n, dtype=int)))
-        cli.train_emissivity(output=tmp_path / "m.npz")
+        cli.train("emissivity", output=tmp_path / "m.npz")
         printed = capsys.readouterr()
         assert ("warning: not tested: asphalt, of which no texel" in printed.err) == warned, printed.err
 

@@ -309,7 +309,7 @@ def test_kinds_of_thermal_pictures_are_not_mixed(tmp_path, call):
 def test_grey_visible_pictures_are_warned_of(tmp_path, call):
     folders(tmp_path, colour=False)
     status, _, errors = call("prepare", tmp_path / "visible", tmp_path / "thermal", "-o", tmp_path / "set")
-    assert status == 0 and "8 of 8 visible pictures are grey" in errors and "ridge=1e-6" in errors
+    assert status == 0 and "8 of 8 visible pictures are grey" in errors and "penalty=1e-6" in errors
 
 
 @pytest.mark.parametrize(

@@ -196,7 +196,7 @@ def test_a_camera_never_stands_under_ground_or_beside_the_land(campaign, monkeyp
     names = [name for name, *_ in rendered.VIEWS]
     monkeypatch.setattr(rendered, "SIDE_TEXELS", 100)
     half = 0.5 * 100 * rendered.COARSER * KINDS["heath"].texel_m
-    low, high = rendered.HEIGHTS_M["heath"]
+    low, high = KINDS["heath"].heights_m
     poses = set()
     for seed in range(40):
         for view in range(rendered.MOST_VIEWS):
