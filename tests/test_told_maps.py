@@ -200,6 +200,14 @@ def test_a_scene_keeps_the_map_it_was_loaded_with(tmp_path):
     assert_seen(tr.Renderer(renderer.scene.at(AT - HOUR), rays=4).frame(DOWN), air_k(AT - HOUR) + 5.0)
 
 
+def test_how_numbers_are_printed_is_no_part_of_the_digest(tmp_path):
+    """colour-science has NumPy print as it did in 1.13, in every process that has imported it."""
+    scene = tr.load_scene(written(tmp_path / "s", by_sunlight(0.02)))
+    own, weather = scene.digest(), scene.weather_digest()
+    with np.printoptions(legacy="1.13"):
+        assert scene.digest() == own and scene.weather_digest() == weather
+
+
 def test_baked_scenes_and_frames_go_to_processes_that_have_no_files(tmp_path):
     folder = written(tmp_path / "s", by_sunlight(0.02))
     renderer = tr.Renderer(tr.load_scene(folder), rays=4)

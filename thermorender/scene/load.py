@@ -389,6 +389,11 @@ class Scene:
 
     def digest(self) -> str:
         """Return a fingerprint (hex) of everything a frame of this scene depends on."""
+        # Libraries change how NumPy writes numbers, for the whole process.
+        with np.printoptions(legacy=False):
+            return self._digest()
+
+    def _digest(self) -> str:
         state = hashlib.blake2b(digest_size=16)
         for surface in self.surfaces:
             for item in fields(surface):
@@ -425,9 +430,10 @@ class Scene:
     def weather_digest(self) -> str:
         """Return a fingerprint (hex) of the weather: its series, its place and what was filled in."""
         state = hashlib.blake2b(digest_size=16)
-        for item in fields(self.weather):
-            value = getattr(self.weather, item.name)
-            state.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
+        with np.printoptions(legacy=False):
+            for item in fields(self.weather):
+                value = getattr(self.weather, item.name)
+                state.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
         return state.hexdigest()
 
     def __str__(self) -> str:
