@@ -156,6 +156,22 @@ def test_trees_are_read(tmp_path, text):
     assert load_map(of_trees(tmp_path, text)).predictor.text == text and "cat_threshold" in text
 
 
+def test_trees_that_part_the_unknown_are_read(tmp_path):
+    """LightGBM writes a threshold of infinity where only what is unknown goes to one side."""
+    import lightgbm
+
+    rng = np.random.default_rng(0)
+    rows = rng.random((600, len(NAMES)))
+    rows[:300, 0] = np.nan
+    settings = {"verbosity": -1, "num_leaves": 2, "min_data_in_leaf": 5, "num_threads": 1}
+    data = lightgbm.Dataset(rows, np.isnan(rows[:, 0]).astype(float))
+    text = lightgbm.train(settings, data, 1).model_to_string()
+    infinite = with_sizes(re.sub(r"\nthreshold=\S+", "\nthreshold=inf", text))
+    assert "threshold=inf" in infinite
+    assert load_map(of_trees(tmp_path, infinite)).predictor.text == infinite
+    refused(of_trees(tmp_path, with_sizes(re.sub(r"\nthreshold=\S+", "\nthreshold=nan", text))), "usable threshold")
+
+
 def with_sizes(text):
     """The text with sizes that fit its trees."""
     found = [len(part) for part in re.split(r"(?=Tree=\d)", text.partition("end of trees")[0])[1:]]
