@@ -280,11 +280,11 @@ def write_json(path, value):
     write_text(path, json.dumps(value, indent=2) + "\n")
 
 
-def append_json(path, value):
-    """Append a value to a file of JSON lines; it is on the disk when this returns."""
+def append_json(path, *values):
+    """Append values to a file of JSON lines, at once; they are on the disk when this returns."""
     try:
         with open(path, "a", encoding="utf-8") as file:
-            file.write(json.dumps(value) + "\n")
+            file.write("".join(json.dumps(value) + "\n" for value in values))
             file.flush()
             os.fsync(file.fileno())
     except OSError as error:

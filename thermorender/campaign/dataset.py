@@ -532,15 +532,7 @@ class Writer:
             if shard in self._known.values():
                 # Another process has written it too, and the last one's is there.
                 self._without({shard})
-            try:
-                with open(path, "ab") as file:
-                    file.write("".join(json.dumps(asdict(entry)) + "\n" for entry in entries).encode())
-                    file.flush()
-                    os.fsync(file.fileno())
-            except OSError as error:
-                raise ThermorenderError(
-                    f"{path} cannot be written: {error.strerror}; make room and continue with --resume"
-                ) from None
+            files.append_json(path, *map(asdict, entries))
             self._look()
 
 

@@ -12,6 +12,13 @@ from thermorender.learned.temperature_map import Inputs
 NO_MATERIAL = 255
 
 
+def ground_of(pair):
+    """Return where a Pair shows ground, (H, W) bool: all that is valid, but for sky where the truth tells it."""
+    if "material" not in pair.truth:
+        return pair.valid
+    return pair.valid & (pair.truth["material"] != NO_MATERIAL)
+
+
 def inputs_of(pair, card, material=False):
     """Return the Inputs of a Pair: its picture, ground sampling distance, relief, hour and weather.
 

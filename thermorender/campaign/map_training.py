@@ -7,21 +7,21 @@ import numpy as np
 
 from thermorender.campaign.bounds import bounds_of_dataset
 from thermorender.campaign.cut import Cut, moved
-from thermorender.campaign.map_inputs import inputs_of
+from thermorender.campaign.map_inputs import ground_of, inputs_of
 from thermorender.errors import ThermorenderError
 from thermorender.learned.methods import METHODS, method
-from thermorender.learned.temperature_map import Inputs, TemperatureMap
+from thermorender.learned.temperature_map import ASSUMED_SKY_K, Inputs, TemperatureMap
 from thermorender.learned.training import Example, Task
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.units import ZERO_CELSIUS_K
 from thermorender.versions import versions
 
-# Sky assumed where a data set does not say: that of a clear mid-latitude summer day in the band [K].
-ASSUMED_SKY_K = 255.0
 # Lowest temperature that intensity 0 may stand for [K]: below that of any sky in the band. Chosen.
 _COLDEST_K = 150.0
 # Pairs of the validation part that tell a map's own error, evenly spaced.
 _TOLD_BY = 60
+# And every so many of their rows and columns.
+_EVERY = 4
 # Kept of the conditions trained under: least and most of each.
 _RANGES = ("air_k", "wind_m_s", "snow_m", "sun_elevation_deg", "solar_hour", "day")
 
@@ -36,7 +36,7 @@ def train_map(
     ----------
     name : str
     method_name : str
-        As by `learned.training.method`.
+        As by `learned.methods.method`.
     dataset : Dataset
     options : dict, optional
         Of the method, in place of its defaults.
@@ -127,8 +127,8 @@ def train_map(
     )  # fmt: skip
     about = {
         "dataset": {key: dataset.card.get(key) for key in ("name", "origin", "licence", "camera")},
-        "sky_assumed": not skies, "pairs": {part: len(dataset.of(part)) for part in ("train", "validation", "test")},
-        "trained_on": list(parts), "shift_px": shift_px, "share": share,
+        "sky_assumed": not skies, "pairs": {part: len(pairs.of(part)) for part in parts},
+        "shift_px": shift_px, "share": share,
         "sequences": len({entry.sequence for entry in pairs.entries}),
         "conditions": _ranges(pairs.entries), "bounds": [low, high], "unit": scale.unit,
         "options": options, "seed": seed, "training_s": round(seconds, 2), "versions": versions(),
@@ -156,9 +156,11 @@ def _with_error(model, about, dataset, material):
     for index in np.unique(np.linspace(0, len(held) - 1, min(_TOLD_BY, len(held))).astype(int)):
         pair = held.pair(held.entries[index])
         inputs = inputs_of(pair, dataset.card, material)
-        found = brightness_temperature(np.maximum(model.radiance(inputs)[::4, ::4], 1e-6), *model.band_um)
-        known = brightness_temperature(np.maximum(pair.reference[::4, ::4], 1e-6), *model.band_um)
-        here = pair.valid[::4, ::4] & ~_saturated(dataset.card, pair.thermal[::4, ::4])
+        part = np.s_[::_EVERY, ::_EVERY]
+        found, known = (brightness_temperature(each[part], *model.band_um) for each in
+                        (model.radiance(inputs), pair.reference))  # fmt: skip
+        # Where a map gives no temperature it does not err by so many kelvin.
+        here = ground_of(pair)[part] & ~_saturated(dataset.card, pair.thermal[part]) & np.isfinite(found - known)
         squares += float(((found - known)[here] ** 2).sum())
         count += int(here.sum())
     # Where nothing tells an error there is none to tell.

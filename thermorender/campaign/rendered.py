@@ -30,7 +30,7 @@ from thermorender.sensor.readout import radiance_from_counts
 from thermorender.synthetic.files import write_declared
 from thermorender.synthetic.light import sky_colour
 from thermorender.synthetic.noise import stream
-from thermorender.synthetic.weather import atmosphere, sky_temperature
+from thermorender.synthetic.weather import atmosphere
 from thermorender.synthetic.worlds import KINDS, make, weather_of
 from thermorender.trajectory.path import pose
 from thermorender.units import utc_text
@@ -158,11 +158,11 @@ def _pairs(world, hours, views, camera, materials, tell):
     known, order = None, 0
     for hour, (land, time) in enumerate(zip(lands, times, strict=True)):
         tell("rendering", (hour + 0.5) / hours)
-        above = land.weather, scene.weather.at(time), scene.altitude_m
-        air = atmosphere(*above)
-        renderers = []
+        spec = atmosphere(land.weather, scene.weather.at(time), scene.altitude_m)
+        air = declared_air(spec, scene.camera.band_um, scene.name)
+        sky_k, renderers = round(air.sky_temperature(scene.altitude_m), 2), []
         for source in (truths[0][hour], predicted[hour], *(each[hour] for each in truths[1:])):
-            source = _under(source, air, land.orthophoto)
+            source = _under(source, spec, air, land.orthophoto)
             renderers.append(Renderer(source, seed=world.seed, like=known))
             known = known or renderers[0]
         fields = relief(scene, time, geometry)
@@ -170,13 +170,12 @@ def _pairs(world, hours, views, camera, materials, tell):
         labels = {"kind": world.kind, "season": _season(time), "weather": _sky(land.weather)}
         for view in range(views):
             name, at = _view(world, hour, view, scene)
-            entry, contents = _pair(renderers, at, order, fields, number, told["sun_elevation_deg"], land.weather.cloud)
+            entry, contents = _pair(renderers, at, order, fields, number, land.weather.cloud)
             place = scene.frame.latitude_deg, scene.frame.longitude_deg
             key = f"{world.name}-{hour}-{view}"
             yield replace(
                 entry, key=key, part=world.part, parent=key, sequence=world.name, order=order, place=place,
-                time=utc_text(time), sky_temperature=round(sky_temperature(*above), 2), conditions=told,
-                labels={**labels, "view": name},
+                time=utc_text(time), sky_temperature=sky_k, conditions=told, labels={**labels, "view": name},
             ), contents  # fmt: skip
             order += 1
 
@@ -204,14 +203,10 @@ def _loaded(land, camera):
     return replace(scene, camera=load_camera(camera, "camera"))
 
 
-def _under(scene, air, colour):
-    """A solved scene under declared air and in the colours of another photograph."""
-    spec = replace(scene.spec, sky_temperature=None, atmosphere=air)
-    first, *rest = scene.surfaces
-    made = replace(
-        scene, spec=spec, air=declared_air(air, scene.camera.band_um, scene.name),
-        surfaces=(replace(first, colour=colour), *rest),
-    )  # fmt: skip
+def _under(scene, spec, air, colour):
+    """A solved scene under the air of an AtmosphereSpec and in the colours of another photograph."""
+    own, (first, *rest) = replace(scene.spec, sky_temperature=None, atmosphere=spec), scene.surfaces
+    made = replace(scene, spec=own, air=air, surfaces=(replace(first, colour=colour), *rest))
     made.__dict__["weather"] = scene.weather
     # The sun stands in the air as it does at the instant.
     return made.heated(scene.time, [surface.temperature for surface in made.surfaces[: made.terrain_count]])
@@ -239,7 +234,7 @@ def _view(world, hour, view, scene):
     return name, pose(east, north, float(scene.ground(east, north)) + height, yaw, pitch)
 
 
-def _pair(renderers, at, order, fields, number, sun_deg, cloud):
+def _pair(renderers, at, order, fields, number, cloud):
     """(Entry with what the picture tells, its files) of one view."""
     first = renderers[0]
     frame = first.frame(at, index=order)

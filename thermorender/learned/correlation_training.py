@@ -26,6 +26,7 @@ _BYTES = 5
 _COLUMNS = 28
 # Shares of the largest eigenvalue of the equations below which they do not tell a direction.
 _DEPENDENT = 1e-10
+# Pictures that wait for a thread, so that memory stays bounded.
 _AT_ONCE = 16
 
 
@@ -46,22 +47,19 @@ def fit_correlation(task, size):
         Pictures smaller than the neighbourhood only, or colours that do not tell the coefficients apart.
     """
     above_air = task.options.get("above_air", False)
-    normal, done, table = None, 0, _Table(task.temperature if above_air else task.intensity)
+    table, n = _Table(task.temperature if above_air else task.intensity), 3 * size * size
+    normal, waiting = np.zeros((n + 2, n + 2)), []
     # Matrix products release the interpreter, so threads share the work.
     with ThreadPoolExecutor() as pool:
-        waiting = []
-        for example in task.examples():
+        for done, example in enumerate(task.examples(), 1):
             less = _air_k(example) if above_air else 0.0
             waiting.append(pool.submit(_equations, _at_texel(example, task.texel_m), size, table, less))
-            done += 1
             if len(waiting) == _AT_ONCE:
-                normal = sum((each.result() for each in waiting), start=0.0 if normal is None else normal)
-                waiting = []
+                normal += waiting.pop(0).result()
                 task.progress("summing the normal equations", done / max(task.count, 1))
         for each in waiting:
-            normal = each.result() if normal is None else normal + each.result()
-    columns = 3 * size * size
-    if normal is None or normal[columns, columns] == 0.0:
+            normal += each.result()
+    if normal[n, n] == 0.0:
         raise ThermorenderError(
             f"no picture has a valid neighbourhood of {size} × {size} pixels; give larger pictures, or a smaller "
             "neighbourhood"
@@ -95,7 +93,7 @@ def _air_k(example):
     return example.inputs.conditions["air_k"]
 
 
-def solved(normal, size, intercept, ridge):
+def solved(normal, size, intercept, penalty):
     """Return the Correlation of summed normal equations, (n + 2, n + 2) as by `_equations`, n = 3 size²."""
     n = 3 * size * size
     count = normal[n, n]
@@ -104,7 +102,7 @@ def solved(normal, size, intercept, ridge):
     left = np.triu(normal[np.ix_(used, used)]) / count / np.outer(scale, scale)
     left += np.triu(left, 1).T
     right = normal[used, n + 1] / count / scale
-    left[np.arange(n), np.arange(n)] += ridge
+    left[np.arange(n), np.arange(n)] += penalty
     values, vectors = np.linalg.eigh(left)
     if values[0] <= _DEPENDENT * values[-1]:
         kept = int((values > _DEPENDENT * values[-1]).sum())

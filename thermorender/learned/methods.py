@@ -21,7 +21,6 @@ class Method:
         Whether it is given the terrain's relief, hour and weather.
     options : dict of str to value
         What may be chosen, with its default.
-    title : str
     classes : bool
         Whether it learns from numbers of classes, such as an oracle's materials; others leave them out.
     """
@@ -29,7 +28,6 @@ class Method:
     fit: Callable
     plus: bool
     options: dict
-    title: str
     classes: bool = False
 
 
@@ -40,16 +38,16 @@ def _correlation(size):
         return fit_correlation(task, size)
 
     options = {"intercept": False, "penalty": 0.0, "above_air": False}
-    return Method(fit, False, options, f"linear in the {size} × {size} colours around")
+    return Method(fit, False, options)
 
 
-def _later(module, name, plus, options, title, classes=False):
+def _later(module, name, plus, options, classes=False):
     def fit(task):
         import importlib
 
         return getattr(importlib.import_module(f"thermorender.learned.{module}"), name)(task)
 
-    return Method(fit, plus, options, title, classes)
+    return Method(fit, plus, options, classes)
 
 
 METHODS = {
@@ -57,10 +55,10 @@ METHODS = {
     "correlation-9to1": _correlation(3),
     "correlation-5x5": _correlation(5),
     "correlation-7x7": _correlation(7),
-    "palette": _later("palette", "fit_palette", False, {"cell": 6.0, "shrinkage": 200.0}, "mean of cells of CIELAB"),
-    "trees": _later("trees", "fit_trees", False, {}, "boosted trees on colour and texture"),
-    "correlation+": _later("linear", "fit_linear", True, {"penalty": 1e-3}, "linear, with relief, sun and weather"),
-    "trees+": _later("trees", "fit_trees", True, {}, "boosted trees, with relief, sun and weather", classes=True),
+    "palette": _later("palette", "fit_palette", False, {"cell": 6.0, "shrinkage": 200.0}),
+    "trees": _later("trees", "fit_trees", False, {}),
+    "correlation+": _later("linear", "fit_linear", True, {"penalty": 1e-3}),
+    "trees+": _later("trees", "fit_trees", True, {}, classes=True),
 }
 _NXN = re.compile(r"correlation-(\d+)x\1")
 

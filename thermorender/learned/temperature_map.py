@@ -21,6 +21,7 @@ from thermorender import files
 from thermorender.defaults import BAND_UM, CAMERA
 from thermorender.errors import ThermorenderError
 from thermorender.learned import correlation
+from thermorender.physics.band import RadianceTable
 from thermorender.physics.planck import band_radiance
 from thermorender.schema import did_you_mean, shortened
 from thermorender.units import ZERO_CELSIUS_K
@@ -29,6 +30,8 @@ FORMAT = 1
 # An image may be so many times finer or coarser than what the map was trained at, at each end of its range, without a
 # warning.
 TEXEL_MARGIN = 1.25
+# Sky assumed where nobody states it: that of a clear mid-latitude summer day in the band [K].
+ASSUMED_SKY_K = 255.0
 # A map of boosted trees, the largest, takes some ten megabytes.
 _MOST_BYTES = 1 << 28
 # Kinds of predictors: {name in the file: (module, class)}; a module is imported when a map of it is read.
@@ -51,8 +54,8 @@ class Inputs:
     texel_m : float or None
         Ground sampling distance [m]; None takes the picture for one of the map's own.
     terrain : dict of str to (h, w) float32
-        What a terrain knows per pixel and a photograph does not, as by `thermorender.render.relief`; NaN where there
-        is no terrain.
+        What a terrain knows per pixel and a photograph does not, as by `thermorender.render.heat.relief`; NaN where
+        there is no terrain.
     conditions : dict of str to float
         Hour and weather in numbers, as by `thermorender.render.heat.conditions`.
     """
@@ -95,7 +98,7 @@ class TemperatureMap:
     error_k : float or None
         One standard deviation of its own error [K]; None: unknown.
     about : dict
-        Data set, split with its audit, conditions, settings, versions.
+        Data set and what of it was trained on, conditions, settings, versions.
     """
 
     name: str
@@ -139,9 +142,16 @@ class TemperatureMap:
                 )
         found = self.predictor.predict(inputs, self.texel_m)
         if self.predictor.above_air:
-            return band_radiance(np.maximum(found + inputs.conditions["air_k"], 1.0), *self.band_um)
+            return self._radiance_at(np.maximum(found + inputs.conditions["air_k"], 1.0))
         cold, warm = band_radiance(np.array(self.range_k), *self.band_um)
         return cold + found * (warm - cold)
+
+    def _radiance_at(self, temperature):
+        """Band radiance of temperatures [K], by table where that is shorter than the picture."""
+        if not np.ptp(temperature) / RadianceTable.SPACING_K < temperature.size:
+            return band_radiance(temperature, *self.band_um)
+        grid = RadianceTable.grid(temperature.min(), temperature.max())
+        return RadianceTable(grid, band_radiance(grid, *self.band_um))(temperature)
 
     def digest(self):
         """Return a fingerprint (hex) of all that its temperatures depend on."""
@@ -292,8 +302,7 @@ _FOK = {
     # "From altitudes up to 120 metres": the lowest is not published, half of it assumed.
     "texel_range_m": (60.0 * 17e-6 / 13e-3, 120.0 * 17e-6 / 13e-3),
     "camera": CAMERA,
-    # The publication states no sky; assumed that of a clear mid-latitude summer day in this band.
-    "sky_temperature": 255.0,
+    "sky_temperature": ASSUMED_SKY_K,
     "source": "Generation of artificial infrared camera images for visual navigation simulation, eq. 9",
 }
 MODELS = {

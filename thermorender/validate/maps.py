@@ -7,7 +7,7 @@ Beside it the seconds of each training: error against run time.
 
 import numpy as np
 
-from thermorender.campaign.map_inputs import NO_MATERIAL, inputs_of
+from thermorender.campaign.map_inputs import ground_of, inputs_of
 from thermorender.campaign.map_training import train_map
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
@@ -88,9 +88,7 @@ def _error(model, dataset, entries):
         part = np.s_[::_EVERY, ::_EVERY]
         given, true = (apparent_temperature(each[part], model.band_um) for each in
                        (model.radiance(inputs), pair.reference))  # fmt: skip
-        known = pair.valid[part] & np.isfinite(given)
-        if "material" in pair.truth:
-            known &= pair.truth["material"][part] != NO_MATERIAL
+        known = ground_of(pair)[part] & np.isfinite(given)
         total += float(np.abs(given.astype(np.float64) - true)[known].sum())
         count += int(known.sum())
     return total / max(count, 1)

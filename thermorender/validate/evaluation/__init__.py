@@ -20,7 +20,7 @@ import numpy as np
 
 from thermorender import files
 from thermorender.campaign.audit import audit
-from thermorender.campaign.map_inputs import NO_MATERIAL
+from thermorender.campaign.map_inputs import NO_MATERIAL, ground_of
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
 from thermorender.learned.temperature_map import load_model
@@ -135,11 +135,8 @@ class _Views:
             true = apparent_temperature(pair.truth["radiance"], band)
         else:
             true = self.levels.temperature(pair.thermal)
-        known = pair.valid & np.isfinite(true)
-        sky = np.zeros_like(known)
-        if "material" in pair.truth:
-            sky = known & (pair.truth["material"] == NO_MATERIAL)
-        return View(pair, self.dataset.card, band, true, known & ~sky, sky)
+        known, ground = pair.valid & np.isfinite(true), ground_of(pair)
+        return View(pair, self.dataset.card, band, true, known & ground, known & ~ground)
 
     def __iter__(self):
         return (self[number] for number in range(len(self.dataset)))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thermorender.campaign.bounds import Histogram, bounds_of
-from thermorender.campaign.map_inputs import NO_MATERIAL
+from thermorender.campaign.map_inputs import NO_MATERIAL, ground_of
 from thermorender.frame import apparent_temperature
 from thermorender.units import ZERO_CELSIUS_K
 
@@ -68,9 +68,7 @@ def read_training_part(dataset, levels, progress=lambda share: None):
     for number, entry in enumerate(dataset.entries):
         progress(number / len(dataset))
         pair = dataset.pair(entry, truth=bool(materials))
-        known = pair.valid
-        if "material" in pair.truth:
-            known = known & (pair.truth["material"] != NO_MATERIAL)
+        known = ground_of(pair)
         values = pair.thermal[known]
         histogram.add(values)
         if "material" in pair.truth:
