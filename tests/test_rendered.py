@@ -53,7 +53,7 @@ def campaign(tmp_path_factory):
         yield rendered.render_campaign(folder / "set", [WORLD], 1, 3, str(folder / "small.toml")), seen
 
 
-NAMED = ("renderers", "at", "order", "fields", "number", "sun_deg", "cloud")
+NAMED = ("renderers", "at", "order", "fields", "number", "cloud")
 
 
 def test_parts_have_lands_and_weathers_of_their_own():
