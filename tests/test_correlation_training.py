@@ -50,9 +50,10 @@ def test_known_coefficients_are_found_again(orthophoto, size, known):
     assert np.abs(with_intercept.kernel - known.kernel).max() < 1e-9 and abs(with_intercept.intercept) < 1e-9
 
 
-def test_equations_are_whole_numbers_without_rounding():
+@pytest.mark.parametrize(("darkest", "invalid"), [(0, 0.0), (0, 0.01), (0, 0.2), (255, 0.0), (255, 0.2)])
+def test_equations_are_whole_numbers_without_rounding(darkest, invalid):
     g = np.random.default_rng(1)
-    rgb, valid = g.integers(0, 256, (19, 530, 3), dtype=np.uint8), g.random((19, 530)) > 0.05
+    rgb, valid = g.integers(darkest, 256, (19, 530, 3), dtype=np.uint8), g.random((19, 530)) >= invalid
     values = g.integers(0, 1000, (19, 530))
     intensity = np.linspace(-0.3, 1.4, 1000)
     found = _equations(Example(Inputs(rgb), values, valid), 3, _Table(intensity))

@@ -21,13 +21,12 @@ from thermorender.learned.training import Example
 _BLOCK = 256
 # Bytes that the target's intensity is cut into: 1e-12 of its range.
 _BYTES = 5
-# Columns that are multiplied at a time: larger products would each be shared among threads, which costs more than it
-# brings where pictures are shared among them already.
-_COLUMNS = 28
 # Shares of the largest eigenvalue of the equations below which they do not tell a direction.
 _DEPENDENT = 1e-10
 # Pictures that wait for a thread, so that memory stays bounded.
 _AT_ONCE = 16
+# Neighbourhoods that are laid out one by one at a time.
+_MOST_PICKED = 16 * _BLOCK
 
 
 def fit_correlation(task, size):
@@ -117,14 +116,21 @@ def solved(normal, size, intercept, penalty):
 
 
 class _Table:
-    """The bytes of each value's intensity, (_BYTES, n) float32, with the intensity of all bytes 0 and of each step."""
+    """The bytes of each value's intensity, with the intensity of all bytes 0 and of each step."""
 
     def __init__(self, intensity):
         self.zero, high = float(intensity.min()), float(intensity.max())
-        self.step = max(high - self.zero, 1e-300) / (256.0**_BYTES - 1.0)
-        whole = np.rint((intensity - self.zero) / self.step).astype(np.uint64)
-        shifts = np.arange(_BYTES, dtype=np.uint64)[:, None] * np.uint64(8)
-        self.bytes = ((whole >> shifts) & np.uint64(255)).astype(np.float32)
+        step = max(high - self.zero, 1e-300) / (256.0**_BYTES - 1.0)
+        self._whole = np.rint((intensity - self.zero) / step).astype("<u8")
+        self._weights = step * 256.0 ** np.arange(_BYTES)
+
+    def bytes(self, values):
+        """Bytes of values, (..., _BYTES) uint8."""
+        return self._whole.take(values)[..., None].view(np.uint8)[..., :_BYTES]
+
+    def joined(self, sums):
+        """(..., 2) of sums, (..., 1 + _BYTES), of 1 and of each byte: of 1, and of the intensity above `zero`."""
+        return np.stack([sums[..., 0], sums[..., 1:] @ self._weights], axis=-1)
 
 
 def _equations(example, size, table, less=0.0):
@@ -132,47 +138,71 @@ def _equations(example, size, table, less=0.0):
 
     `less` is taken from all of I. What lies below the diagonal is not filled.
     """
-    rgb, ring = example.inputs.rgb, size // 2
-    rows, columns = (max(side - 2 * ring, 0) for side in rgb.shape[:2])
-    n = 3 * size * size
+    ring, n = size // 2, 3 * size * size
     total = np.zeros((n + 2, n + 2))
-    if not (rows and columns):
+    if min(example.valid.shape) <= 2 * ring:
         return total
-    inner = slice(ring, ring + rows), slice(ring, ring + columns)
     valid = example.valid
     if ring and not valid.all():
         import cv2
 
         valid = cv2.erode(valid.astype(np.uint8), np.ones((size, size), np.uint8), borderValue=1) > 0
-    valid = valid[inner]
-    if not valid.any():
-        return total
-    weights = table.step * 256.0 ** np.arange(_BYTES)
-    channels = np.ascontiguousarray(rgb.transpose(2, 0, 1), dtype=np.float32)
-    for first in range(0, columns, _BLOCK):
-        # One row of the picture is one block of terms.
-        wide = min(_BLOCK, columns - first)
-        a = np.empty((rows, n + 1 + _BYTES, wide), dtype=np.float32)
-        for k in range(n):
-            row, column, channel = k // (3 * size), k // 3 % size, k % 3
-            a[:, k] = channels[channel, row : row + rows, column + first : column + first + wide]
-        a[:, n] = 1.0
-        values = example.values[inner][:, first : first + wide]
-        for byte in range(_BYTES):
-            a[:, n + 1 + byte] = np.take(table.bytes[byte], values)
-        here = valid[:, first : first + wide]
-        if not here.all():
-            a *= here[:, None]
-        for left in range(0, n + 1, _COLUMNS):
-            right = min(left + _COLUMNS, n + 1)
-            # What lies below the diagonal is what lies above.
-            for top in range(left, n + 1 + _BYTES, _COLUMNS + _BYTES + 1):
-                to = min(top + _COLUMNS + _BYTES + 1, n + 1 + _BYTES)
-                product = (a[:, left:right] @ a[:, top:to].transpose(0, 2, 1)).sum(axis=0, dtype=np.float64)
-                known, of = min(to, n + 1) - top, max(top - n - 1, 0)
-                if known > 0:
-                    total[left:right, top : top + known] += product[:, :known]
-                if to > n + 1:
-                    total[left:right, n + 1] += product[:, max(known, 0) :] @ weights[of : of + to - max(top, n + 1)]
+    rows, columns = (slice(ring, side - ring) for side in valid.shape)
+    valid, values = valid[rows, columns], example.values[rows, columns]
+    # Neighbourhoods share their colours' products, so that all of them cost less than half of them one by one.
+    if 2 * np.count_nonzero(valid) > valid.size:
+        total += _everywhere(example.inputs.rgb, values, size, table)
+        total -= _picked(example.inputs.rgb, values, ~valid, size, table)
+    else:
+        total += _picked(example.inputs.rgb, values, valid, size, table)
     total[: n + 1, n + 1] += (table.zero - less) * total[: n + 1, n]
+    return total
+
+
+def _everywhere(rgb, values, size, table):
+    """`_equations` of all neighbourhoods, with the intensity counted from the table's zero.
+
+    The product of two rows of a neighbourhood is that of two rows of the picture, whichever neighbourhood they are in:
+    each row is multiplied by itself and the next ones once, and the products are summed over where they stand.
+    """
+    rows, columns = values.shape
+    height, wide, n = len(rgb), 3 * size, 3 * size * size
+    lines, total = rgb.transpose(0, 2, 1), np.zeros((n + 2, n + 2))
+    for first in range(0, columns, _BLOCK):
+        count = min(_BLOCK, columns - first)
+        # Of each row its colours at all shifts along it; below the last stand some that no neighbourhood asks for.
+        a = np.zeros((height + size - 1, wide, count), dtype=np.float32)
+        for shift in range(size):
+            a[:height, 3 * shift : 3 * shift + 3] = lines[..., first + shift : first + shift + count]
+        # Rows of a neighbourhood follow one another, so that each is a view of `a`.
+        around = np.lib.stride_tricks.as_strided(a, (height, n, count), a.strides)
+        products = a[:height] @ around.transpose(0, 2, 1)
+        for above in range(size):
+            left = slice(above * wide, (above + 1) * wide)
+            here = products[above : above + rows, :, : n - left.start]
+            total[left, left.start : n] += here.sum(axis=0, dtype=np.float64)
+        told = np.empty((rows, 1 + _BYTES, count), dtype=np.float32)
+        told[:, 0] = 1.0
+        told[:, 1:] = table.bytes(values[:, first : first + count]).transpose(0, 2, 1)
+        total[:n, n:] += table.joined((around[:rows] @ told.transpose(0, 2, 1)).sum(axis=0, dtype=np.float64))
+        total[n, n:] += table.joined(told.sum(axis=2).sum(axis=0, dtype=np.float64))
+    return total
+
+
+def _picked(rgb, values, picked, size, table):
+    """`_everywhere` of some neighbourhoods only, (rows, columns) bool."""
+    n = 3 * size * size
+    total = np.zeros((n + 2, n + 2))
+    row, column = np.nonzero(picked)
+    shifts = np.arange(size)
+    for first in range(0, row.size, _MOST_PICKED):
+        r, c = (each[first : first + _MOST_PICKED] for each in (row, column))
+        a = np.zeros((-(-r.size // _BLOCK) * _BLOCK, n + 1 + _BYTES), dtype=np.float32)
+        a[: r.size, :n] = rgb[r[:, None, None] + shifts[:, None], c[:, None, None] + shifts].reshape(r.size, n)
+        a[: r.size, n] = 1.0
+        a[: r.size, n + 1 :] = table.bytes(values[r, c])
+        a = a.reshape(-1, _BLOCK, n + 1 + _BYTES)
+        products = (a[..., : n + 1].transpose(0, 2, 1) @ a).sum(axis=0, dtype=np.float64)
+        total[: n + 1, :n] += products[:, :n]
+        total[: n + 1, n:] += table.joined(products[:, n:])
     return total
