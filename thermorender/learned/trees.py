@@ -5,6 +5,8 @@ highly efficient gradient boosting decision tree".
 """
 
 import re
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,6 +19,8 @@ from thermorender.learned.rows import CLASSES, Told, at_shape, at_texel, drawn
 # Rows drawn from an example, and numbers of all rows' columns together: 1 GB in single precision.
 _MOST_ROWS = 2500
 _MOST_NUMBERS = 250_000_000
+# Pictures that wait to be described, so that memory stays bounded.
+_AT_ONCE = 4
 # Neighbours in a data set's order are frames of one flight. So where the task holds none out, the examples are cut into
 # runs, and every eighth run is held out to say when to stop. With fewer runs than eight none is, and the number of
 # trees is that given.
@@ -129,11 +133,22 @@ def fit_trees(task):
     held = held_out(task.count) if task.held_out is None else task.held_out
     rows = {part: np.empty((np.count_nonzero(held == part) * most, len(told.columns)), np.float32) for part in (0, 1)}
     target, used = {part: np.empty(len(rows[part])) for part in rows}, [0, 0]
-    for each in drawn(task, told, most):
+
+    def kept(each, table):
         part = int(held[each.number])
         here = slice(used[part], used[part] + each.pixels.size)
-        rows[part][here], target[part][here] = _table(told, each), each.target
+        rows[part][here], target[part][here] = table.result(), each.target
         used[part] = here.stop
+
+    # Pictures are described by threads while the next ones are read; they are kept in their order.
+    waiting = deque()
+    with ThreadPoolExecutor() as pool:
+        for each in drawn(task, told, most):
+            waiting.append((each, pool.submit(_table, told, each)))
+            if len(waiting) > _AT_ONCE:
+                kept(*waiting.popleft())
+        while waiting:
+            kept(*waiting.popleft())
     learned, watched = (0, 1) if used[0] else (1, 0)
     settings = _SETTINGS | {"seed": task.seed % 2**31}
     classes = [told.columns.index(CLASSES)] if CLASSES in told.terrain else []
