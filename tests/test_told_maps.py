@@ -130,7 +130,7 @@ def test_level_ground_follows_its_sunlight(tmp_path):
     assert sunlight == 0.0
 
 
-def test_metal_tells_nothing_and_is_flagged(tmp_path):
+def test_metal_tells_nothing_is_flagged_and_as_warm_as_the_air(tmp_path):
     folder = written(tmp_path / "s", above_air(5.0), black=False, classes=np.repeat([[1, 2]], 32, 0).repeat(16, 1))
     text = (folder / "scene.toml").read_text()
     (folder / "scene.toml").write_text(text.replace('2 = "sand_quartz"', '2 = "aluminium_polished"'))
@@ -139,6 +139,7 @@ def test_metal_tells_nothing_and_is_flagged(tmp_path):
     metal = solved.surfaces[0].material == [one.name for one in solved.materials].index("aluminium_polished")
     np.testing.assert_array_equal(fallback, metal)
     assert metal.mean() == 0.5 and solved.report["told"]["share_fallback"] == 0.5
+    np.testing.assert_allclose(solved.surfaces[0].temperature[metal], air_k(AT), atol=TOLERANCE_K)
     # Another hour begins anew.
     again = tr.Renderer(solved.at(AT + HOUR), rays=4).scene
     np.testing.assert_array_equal((again.surfaces[0].flags & FALLBACK) > 0, metal)

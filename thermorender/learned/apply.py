@@ -13,12 +13,12 @@ LOWEST_EMISSIVITY = 0.5
 BELIEVED_MARGIN = 2.0
 
 
-def kinetic_from_map(model, inputs, material, materials, sky_temperature=None):
+def kinetic_from_map(model, inputs, material, materials, sky_temperature=None, stand_in=None):
     """Return (temperature (h, w) float64 [K], trusted (h, w) bool, share of intensities outside 0…1).
 
     The map gives *apparent* temperature under the sky it was trained under; the reflection of that sky is taken
     out per material. Where the map cannot be trusted (low emissivity, no temperature, or one far outside the
-    trained range) the material's own temperature stands in and `trusted` is False.
+    trained range) another temperature stands in and `trusted` is False.
 
     Parameters
     ----------
@@ -29,6 +29,8 @@ def kinetic_from_map(model, inputs, material, materials, sky_temperature=None):
     materials : sequence of Material
     sky_temperature : float, optional
         Of the sky of this hour, for a map that is told hour and weather, in place of the map's own [K].
+    stand_in : float, optional
+        Temperature where the map cannot be trusted [K]; the material's own by default.
     """
     sky = model.sky_temperature if sky_temperature is None else sky_temperature
     apparent = model.radiance(inputs)
@@ -45,12 +47,13 @@ def kinetic_from_map(model, inputs, material, materials, sky_temperature=None):
         band_emissivity = emitted_radiance(own.emissivity_at, middle, *model.band_um) / band_radiance(
             middle, *model.band_um
         )
-        temperature[here] = own.temperature
+        other = own.temperature if stand_in is None else stand_in
+        temperature[here] = other
         if band_emissivity >= LOWEST_EMISSIVITY:
             kinetic = kinetic_temperature(
                 apparent[here], own.emissivity_at, sky, model.band_um, believed
             )
             trusted[here] = np.isfinite(kinetic)
-            temperature[here] = np.where(np.isfinite(kinetic), kinetic, own.temperature)
+            temperature[here] = np.where(np.isfinite(kinetic), kinetic, other)
     outside = float(np.mean((intensity < 0.0) | (intensity > 1.0)))
     return temperature, trusted, outside

@@ -148,7 +148,7 @@ def told_map(spec):
     return model if model.needs else None
 
 
-def from_map(model, inputs, texels, sky_temperature=None):
+def from_map(model, inputs, texels, sky_temperature=None, stand_in=None):
     """Return (temperature (h, w) [K], flags (h, w) uint8) of texels by a learned map, and tell their report of it.
 
     Parameters
@@ -156,12 +156,14 @@ def from_map(model, inputs, texels, sky_temperature=None):
     model : TemperatureMap
     inputs : Inputs
     texels : Texels
-    sky_temperature : float, optional
+    sky_temperature, stand_in : float, optional
         As by `learned.apply.kinetic_from_map`.
     """
     from thermorender.learned.apply import kinetic_from_map
 
-    values, trusted, outside = kinetic_from_map(model, inputs, texels.material, texels.materials, sky_temperature)
+    values, trusted, outside = kinetic_from_map(
+        model, inputs, texels.material, texels.materials, sky_temperature, stand_in
+    )
     texels.report[model.name] = {
         "share_outside_0_1": outside,
         "share_fallback": float(1.0 - trusted.mean()),

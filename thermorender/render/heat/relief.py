@@ -119,7 +119,7 @@ def mapped(scene, times, geometry=None, progress=None):
     -------
     list of Scene
         One per instant. What the map tells of its apparent temperatures is seen under the sky of that instant: the
-        scene's own, or that of its air.
+        scene's own, or that of its air. Where it cannot be trusted, the air's temperature stands in.
     """
     from thermorender.learned.temperature_map import Inputs
 
@@ -132,7 +132,9 @@ def mapped(scene, times, geometry=None, progress=None):
         texels = Texels(surface.colour, surface.material, scene.materials, scene.grid, surface.texel_m, scene.where,
                         report)  # fmt: skip
         told = conditions(scene.weather, time, spec.weather.inside_c)
-        values, flags = from_map(model, Inputs(surface.colour, surface.texel_m, fields, told), texels, sky)
+        # A material's own temperature knows nothing of the hour; the air's does.
+        values, flags = from_map(model, Inputs(surface.colour, surface.texel_m, fields, told), texels, sky,
+                                 told["air_k"])  # fmt: skip
         one = scene.heated(time, [values])
         known = replace(one.surfaces[0], flags=(surface.flags & ~np.uint8(FALLBACK)) | flags)
         made[time] = replace(one, surfaces=(known, *one.surfaces[1:]), report=report)
