@@ -15,6 +15,7 @@ from thermorender.learned.temperature_map import Inputs, load_map
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.sensor.camera import load_camera
 from thermorender.sensor.readout import radiance_from_counts
+from thermorender.validate import maps
 
 SHAPE = (40, 48)
 PARTS = ("train", "train", "validation", "test")
@@ -331,3 +332,41 @@ def test_error_against_share_and_shift(tmp_path, call):
     status, _, errors = call("validate", "maps", "--dataset", tmp_path / "d", "--methods", "corelation-1to1",
                              "-o", tmp_path / "p")  # fmt: skip
     assert status == 2 and "did you mean 'correlation-1to1'" in errors and not (tmp_path / "p").exists()
+
+
+def test_a_kind_of_land_left_out_is_not_learned_from(tmp_path):
+    """Sand gets warm where it is bright, snow is cold there: who saw one only tells the other wrong."""
+    parts = ("train",) * 6 + ("test",) * 4
+    dataset = write(
+        tmp_path / "d", parts=parts, change=lambda values, number: values if number % 2 else 18000.0 - values
+    )
+    named = [replace(entry, labels={"kind": ("snow", "sand")[k % 2]}) for k, entry in enumerate(dataset.entries)]
+    dataset = dataset.having(named)
+    result = maps.run(dataset, ("correlation-1to1", "trees"), ("kind",), limit=4)
+    cases = {(case["method"], case["value"]): case for case in result["cases"]}
+    assert set(cases) == {(name, kind) for name in ("correlation-1to1", "trees") for kind in ("sand", "snow")}
+    for case in cases.values():
+        # Trained on both, a method of colour alone gives something between.
+        assert case["pairs"] == 3 and case["mae_k"] > 1.2 * case["seen_mae_k"] > 0.5
+    assert [row[1] for row in maps.rows(result)] == ["kind"] * 4
+    # What is said of a kind is what training and scoring on such pairs alone gives.
+    alone = dataset.having([each for each in dataset.entries if each.labels["kind"] == "sand" or each.part == "test"])
+    model = train_map("m", "correlation-1to1", alone.having([e for e in alone.entries if e.part == "train"]))
+    errors = []
+    for entry in dataset.of("test").entries:
+        if entry.labels["kind"] == "snow":
+            pair = dataset.pair(entry)
+            found, true = (brightness_temperature(each[::2, ::2], *SCALE.band_um)
+                           for each in (model.radiance(Inputs(pair.visible)), pair.reference))  # fmt: skip
+            errors.append(np.abs(found - true)[pair.valid[::2, ::2]])
+    assert cases["correlation-1to1", "snow"]["mae_k"] == pytest.approx(np.concatenate(errors).mean(), abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("vary", "words"),
+    [(("kind",), "pairs of one kind of land, which cannot be left out"),
+     (("shape",), "vary='shape' is unknown; give share, shift_px, kind")],
+)  # fmt: skip
+def test_what_cannot_be_varied_is_refused(tmp_path, vary, words):
+    with pytest.raises(ThermorenderError, match=words):
+        maps.run(write(tmp_path / "d"), ("correlation-1to1",), vary)

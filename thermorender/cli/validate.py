@@ -60,24 +60,29 @@ def validate_maps(
     methods: Annotated[
         str | None, typer.Option(help="Comma-separated, as of `train`; default: correlations and palette.")
     ] = None,
+    vary: Annotated[
+        str | None, typer.Option(help="Comma-separated: share, of sequences; shift_px, of thermal pictures; kind, of "
+                                 "land that is left out. Default: all that the data set allows.")
+    ] = None,
     limit: Annotated[int, typer.Option(help="Test pairs that are scored, evenly spaced.", min=1)] = 60,
     seed: Annotated[int, typer.Option(help="Of training and shifts.", min=0)] = 0,
-):
-    """Errors of learned temperature maps against the share of training data, and against pairs not aligned."""
+):  # fmt: skip
+    """Errors of learned temperature maps against what they were trained on: how much, how aligned, which land."""
     from thermorender.campaign.dataset import read_dataset
     from thermorender.validate import maps as study
     from thermorender.validate.figures.evaluation import against_share, against_shift
 
     with progress() as tell, files.output_folder(output) as folder:
         names = split(methods) if methods else study.METHODS
-        result = study.run(read_dataset(dataset), names, limit=limit, seed=seed, progress=tell)
+        result = study.run(read_dataset(dataset), names, split(vary) if vary else None, limit, seed, tell)
         files.write_json(folder / "maps.json", result)
         for varied, draw in (("share", against_share), ("shift_px", against_shift)):
             curves = {}
             for case in result["cases"]:
                 if case["varied"] == varied:
                     curves.setdefault(case["method"], []).append((case["value"], case["mae_k"]))
-            draw(folder / f"maps_{varied}.png", curves)
+            if curves:
+                draw(folder / f"maps_{varied}.png", curves)
     table(study.HEADER, study.rows(result))
     typer.echo(f"numbers and figures in {output}")
 

@@ -1,8 +1,8 @@
-"""What learned maps lose with less to learn from, and with pairs that are not aligned.
+"""What learned maps lose with less to learn from, with pairs that are not aligned, and on a kind of land never seen.
 
-Each method is trained on a growing share of the training part's sequences, and on all of it with thermal pictures moved
-against the visible ones by 0 to 16 pixels; the mean absolute error is that on the test part, which is never moved.
-Beside it the seconds of each training: error against run time.
+Each method is trained on a growing share of the training part's sequences, on all of it with thermal pictures moved
+against the visible ones by 0 to 16 pixels, and without each kind of land; the mean absolute error is that on the test
+part, which is never moved, or on its pairs of the kind that was left out. Beside it the seconds of each training.
 """
 
 import numpy as np
@@ -18,77 +18,112 @@ from thermorender.versions import versions
 METHODS = ("correlation-1to1", "correlation-9to1", "correlation-5x5", "palette", "correlation+")
 SHIFTS_PX = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0)
 SHARES = (0.02, 0.05, 0.1, 0.25, 0.5, 1.0)
-HEADER = ("method", "varied", "value", "pairs", "training [s]", "mean absolute error [K]")
+VARIED = ("share", "shift_px", "kind")
+HEADER = ("method", "varied", "value", "pairs", "training [s]", "mean absolute error [K]", "trained on it too [K]")
 # Every so many rows and columns of a test picture are scored: neighbours err alike.
 _EVERY = 2
 
 
-def run(dataset, methods=METHODS, shifts_px=SHIFTS_PX, shares=SHARES, limit=60, seed=0, progress=None):
-    """Return mean absolute errors of methods against the shift of pairs and the share of training data; plain numbers.
+def run(dataset, methods=METHODS, vary=None, limit=60, seed=0, progress=None):
+    """Return mean absolute errors of methods against what they were trained on; plain numbers.
 
     Parameters
     ----------
     dataset : Dataset
         With parts to train and to test on.
     methods : sequence of str
-    shifts_px, shares : sequence of float
+    vary : sequence of str, optional
+        Of `VARIED`; all by default, but "kind" only where pairs of several kinds say theirs.
     limit : int
         Test pairs that are scored, evenly spaced.
     seed : int
     progress : callable, optional
         Called with (what, share done).
 
+    Returns
+    -------
+    dict
+        Its "cases" have method, varied, value, pairs, training_s, mae_k, and for a kind left out seen_mae_k: the error
+        on the same pairs of the map that was trained on all kinds.
+
     Raises
     ------
     ThermorenderError
-        An unknown method, or a data set without a test part.
+        An unknown method or thing to vary, kinds to be left out where there is one only, or no test part.
     """
     for name in methods:
         method(name)
     test = dataset.of("test")
     if not len(test):
         raise ThermorenderError(f"{dataset.folder} has no pairs of part 'test'; give a data set or a split with some")
+    kinds = sorted({entry.labels.get("kind", "") for entry in dataset.of("train").entries})
+    vary = tuple(vary or (VARIED if len(kinds) > 1 else VARIED[:2]))
+    for each in vary:
+        if each not in VARIED:
+            raise ThermorenderError(f"vary={each!r} is unknown; give {', '.join(VARIED)}")
+    if "kind" in vary and len(kinds) < 2:
+        raise ThermorenderError(f"{dataset.folder} has pairs of one kind of land, which cannot be left out")
     chosen = np.unique(np.linspace(0, len(test) - 1, min(limit, len(test))).astype(int))
     scored = [test.entries[k] for k in chosen]
-    cases = [(name, "share", value) for name in methods for value in shares]
-    cases += [(name, "shift_px", value) for name in methods for value in shifts_px if value]
+    values = {
+        "share": [share for share in SHARES if share < 1.0],
+        "shift_px": [shift for shift in SHIFTS_PX if shift],
+        "kind": kinds,
+    }
+    changes = [(None, None), *((each, value) for each in vary for value in values[each])]
+    cases = [(name, *change) for name in methods for change in changes]
     found = []
     for number, (name, varied, value) in enumerate(cases):
         if progress:
-            progress(f"{name}, {varied} {value:g}", number / len(cases))
-        model = train_map(name, name, dataset, seed=seed, **{varied: value})
-        found.append({
-            "method": name, "varied": varied, "value": value, "pairs": sum(model.about["pairs"].values()),
-            "training_s": model.about["training_s"], "mae_k": _error(model, test, scored),
-        })  # fmt: skip
-    # Nothing moved is all of the training part.
-    whole = [{**case, "varied": "shift_px", "value": 0.0} for case in found
-             if case["varied"] == "share" and case["value"] == 1.0 and 0.0 in shifts_px]  # fmt: skip
+            progress(f"{name}, {varied} {value}" if varied else name, number / len(cases))
+        pairs, options = dataset, {varied: value} if varied in ("share", "shift_px") else {}
+        if varied == "kind":
+            pairs = dataset.having([entry for entry in dataset.entries if entry.labels["kind"] != value])
+        model = train_map(name, name, pairs, seed=seed, **options)
+        told = {"method": name, "pairs": sum(model.about["pairs"].values()), "training_s": model.about["training_s"]}
+        errors = _errors(model, test, scored)
+        if varied is None:
+            whole = errors
+            # Everything, not moved, is an end of both curves.
+            ends = {"share": 1.0, "shift_px": 0.0}
+            found += [{**told, "varied": each, "value": end, "mae_k": _mean(whole)} for each, end in ends.items()
+                      if each in vary]  # fmt: skip
+        elif varied == "kind":
+            of = [entry.labels["kind"] == value for entry in scored]
+            found.append({**told, "varied": varied, "value": value, "mae_k": _mean(errors[of]),
+                          "seen_mae_k": _mean(whole[of])})  # fmt: skip
+        else:
+            found.append({**told, "varied": varied, "value": value, "mae_k": _mean(errors)})
     return {
-        "dataset": dataset.card.get("name"), "test_pairs": len(scored), "seed": seed, "cases": found + whole,
+        "dataset": dataset.card.get("name"), "test_pairs": len(scored), "seed": seed, "cases": found,
         "machine": machine(), "versions": versions(),
     }  # fmt: skip
 
 
 def rows(result):
     """Return the rows of a result's table."""
+    order = sorted(result["cases"], key=lambda case: (VARIED.index(case["varied"]), case["method"], case["value"]))
     return [
-        (case["method"], case["varied"], f"{case['value']:g}", case["pairs"], case["training_s"],
-         f"{case['mae_k']:.3f}")
-        for case in result["cases"]
+        (case["method"], case["varied"], str(case["value"]), case["pairs"], case["training_s"], f"{case['mae_k']:.3f}",
+         f"{case['seen_mae_k']:.3f}" if "seen_mae_k" in case else "")
+        for case in order
     ]  # fmt: skip
 
 
-def _error(model, dataset, entries):
-    """Mean absolute error of a map on ground [K]."""
-    total, count = 0.0, 0
-    for entry in entries:
+def _mean(errors):
+    """Mean absolute error [K] of (n, 2) sums and numbers of pixels."""
+    return float(errors[:, 0].sum() / max(errors[:, 1].sum(), 1))
+
+
+def _errors(model, dataset, entries):
+    """Sum of absolute errors of a map on ground [K], and number of pixels, of each pair, (n, 2) float64."""
+    found = np.zeros((len(entries), 2))
+    for row, entry in zip(found, entries, strict=True):
         pair = dataset.pair(entry)
         inputs = inputs_of(pair, dataset.card)
         part = np.s_[::_EVERY, ::_EVERY]
         given, true = (apparent_temperature(each[part], model.band_um) for each in
                        (model.radiance(inputs), pair.reference))  # fmt: skip
         known = ground_of(pair)[part] & np.isfinite(given)
-        total += float(np.abs(given.astype(np.float64) - true)[known].sum())
-        count += int(known.sum())
-    return total / max(count, 1)
+        row[:] = np.abs(given.astype(np.float64) - true)[known].sum(), known.sum()
+    return found
