@@ -1,9 +1,5 @@
 """Data sets made of folders of pictures: `thermorender prepare`, its readers, bounds, crops and shifts."""
 
-import importlib.util
-import sys
-import types
-
 import cv2
 import numpy as np
 import pytest
@@ -16,22 +12,6 @@ from thermorender.campaign.dataset import ThermalScale, read_dataset
 from thermorender.campaign.registration.rig import Rig, save_rig
 from thermorender.errors import ThermorenderError
 from thermorender.footage.radiometric_files import write_tlinear
-
-
-@pytest.fixture(autouse=True)
-def splits(monkeypatch):
-    """Every fourth group is for tests, where the module that assigns parts is not there."""
-    if importlib.util.find_spec("thermorender.campaign.splits") is None:
-
-        def assign(entries, rule, shares=(0.7, 0.2, 0.1), seed=0):
-            names = {entry.key: entry.key if rule == "crop" else entry.sequence for entry in entries}
-            order = sorted(set(names.values()))
-            parts = ("train", "train", "validation", "test")
-            return {key: parts[order.index(name) % 4] for key, name in names.items()}
-
-        stand_in = types.ModuleType("thermorender.campaign.splits")
-        stand_in.assign = assign
-        monkeypatch.setitem(sys.modules, "thermorender.campaign.splits", stand_in)
 
 
 @pytest.fixture(autouse=True)
@@ -93,6 +73,16 @@ def test_pictures_are_kept_as_they_are_and_scaled_by_the_training_part(tmp_path,
     assert f"bounds {low:g} and {high:g}, {share:.2%} of the values outside" in told
     assert found.card["licence"] == "CC0" and found.card["bounds"]["first_quartile"] == first
     assert (tmp_path / "set" / "histogram.png").stat().st_size > 1000
+
+
+def test_all_can_be_for_tests(tmp_path, call):
+    made = folders(tmp_path, count=2)
+    prepared(call, tmp_path, "--split", "test")
+    found = read_dataset(tmp_path / "set")
+    assert [entry.part for entry in found.entries] == ["test"] * 2
+    # Nothing is trained on, so the scale is that of all.
+    first, third = np.percentile(np.stack([thermal for _, thermal in made.values()]), (25, 75))
+    assert (2.5 * first - 1.5 * third) * found.scale.step + found.scale.zero == pytest.approx(0.0, abs=1e-9)
 
 
 def test_crops_are_of_their_parents_and_the_same_each_time(tmp_path, call):

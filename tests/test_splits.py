@@ -79,6 +79,12 @@ def test_parts_by_place_lie_apart():
     assert len({assign(entries, "place", cell_m=5e3, apart_m=1.0)[e.key] for e in entries[:12]}) == 1
 
 
+@pytest.mark.parametrize("part", PARTS)
+def test_all_into_one_part(part):
+    entries = sized(1, 2)
+    assert assign(entries, part) == {entry.key: part for entry in entries}
+
+
 def test_refusals():
     with pytest.raises(ThermorenderError, match="rule 'random' is unknown; give one of sequence, place, crop"):
         assign(sized(3, 3, 3), "random")

@@ -94,7 +94,8 @@ def prepare(source, output, registered=None, cut=None, split="sequence", shares=
     -------
     dict
         pairs, entries, parts {name: count}, sequences, left_out {name: why}, grey (pairs whose visible picture has no
-        colour), bounds, rig, scale, audit (an Audit, or None without a test part).
+        colour), bounds (of the training part, or of all where there is none), rig, scale, audit (an Audit, or None
+        without training or test part).
 
     Raises
     ------
@@ -139,11 +140,12 @@ def prepare(source, output, registered=None, cut=None, split="sequence", shares=
             yield entry, *(piece(image, pair.name, cut, number) for image in images)
 
     histogram = value_bounds.Histogram()
-    training = [pair for pair in kept if any(parts[entry.key] == PARTS[0] for entry in entries[pair.name])]
+    counted = PARTS[:1] if PARTS[0] in parts.values() else PARTS
+    training = [pair for pair in kept if any(parts[entry.key] in counted for entry in entries[pair.name])]
     for number, pair in enumerate(training):
         tell("counting thermal values", number / len(training))
         for entry, _, thermal, valid in pieces(pair):
-            if entry.part == PARTS[0]:
+            if entry.part in counted:
                 histogram.add(thermal[valid])
     bounds = value_bounds.bounds_of(histogram)
     scale = ThermalScale("kelvin", pictures.STEP_K, 0.0)
@@ -177,7 +179,7 @@ def prepare(source, output, registered=None, cut=None, split="sequence", shares=
                 writer.shard(name, ((e, packed(v, t, m)) for pair in group for e, v, t, m in pieces(pair)))
         made = read_dataset(output)
         found_leaks = None
-        if len(made.of("test")):
+        if len(made.of("train")) and len(made.of("test")):
             found_leaks = audit(made, progress=tell)
             files.write_json(output / "audit.json", found_leaks.summary())
     return {

@@ -32,9 +32,9 @@ def assign(entries, rule="sequence", shares=SHARES, seed=0, cell_m=CELL_M, apart
     Parameters
     ----------
     entries : sequence of Entry
-    rule : {"sequence", "place", "crop"}
+    rule : {"sequence", "place", "crop", "train", "validation", "test"}
         What stays together: a sequence; what lies in a cell on the map, with what lies within `apart_m` of it; or
-        nothing, as published, so that crops of one picture come into several parts.
+        nothing, as published, so that crops of one picture come into several parts. Or the part that all are put into.
     shares : (3,) floats
         Of training, validation and test; a part of share 0 stays empty.
     seed : int
@@ -54,8 +54,12 @@ def assign(entries, rule="sequence", shares=SHARES, seed=0, cell_m=CELL_M, apart
     ThermorenderError
         An unknown rule, shares that are none, fewer groups than parts, or entries without a place.
     """
+    if rule in PARTS:
+        return {entry.key: rule for entry in entries}
     if rule not in RULES:
-        raise ThermorenderError(f"split rule {rule!r} is unknown; give one of {', '.join(RULES)}")
+        raise ThermorenderError(
+            f"split rule {rule!r} is unknown; give one of {', '.join(RULES)}, or {', '.join(PARTS)} to put all there"
+        )
     shares = [float(share) for share in shares]
     if len(shares) != len(PARTS) or not all(share >= 0.0 for share in shares) or not 0.0 < sum(shares) < math.inf:
         raise ThermorenderError(
@@ -69,7 +73,7 @@ def assign(entries, rule="sequence", shares=SHARES, seed=0, cell_m=CELL_M, apart
     if len(groups) < len(wanted):
         raise ThermorenderError(
             f"split rule {rule!r} finds {len(groups)} groups for {len(wanted)} parts; take more pictures, another "
-            f"rule, or fewer parts by a share of 0{_SMALLER.get(rule, '')}"
+            f"rule, or put all into one part by {' or '.join(PARTS)}{_SMALLER.get(rule, '')}"
         )
     # Sorted by key, so that the order of the entries does not count.
     members = sorted(map(sorted, groups.values()))

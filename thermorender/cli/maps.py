@@ -43,8 +43,9 @@ Shift = Annotated[
 ]  # fmt: skip
 DrawSeed = Annotated[int, typer.Option(help="Of crops, shifts and split.")]
 Split = Annotated[
-    str, typer.Option(help="sequence, place or crop: what is kept together; or a file of a split, .json or .csv.")
-]
+    str, typer.Option(help="sequence, place or crop: what is kept together; train, validation or test: all are put "
+                      "there; or a file of a split, .json or .csv.")
+]  # fmt: skip
 Sequence = Annotated[
     str | None, typer.Option(help="Regular expression whose group is a name's sequence; default: the name without its "
                              "last digits."),
