@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from thermorender import defaults
-from thermorender.learned.temperature_map import MODELS
+from thermorender.learned.temperature_map import MODELS, SHIPPED
 from thermorender.paths import data_folder
 from thermorender.sensor.camera import load_camera
 from thermorender.synthetic.worlds import KINDS
@@ -56,6 +56,7 @@ def writers(value):
         # Where they are made, and where they are named.
         *((name, {"defaults.py", "synthetic/worlds.py"}) for name in defaults.SCENES),
         *((name, {"defaults.py", "learned/temperature_map.py"}) for name in defaults.TEMPERATURE_MAPS),
+        *((name, {"defaults.py"}) for name in defaults.TRAINED_MAPS),
         (0.04045, {"physics/srgb.py"}),
         (0.0031308, {"physics/srgb.py"}),
     ],
@@ -74,6 +75,8 @@ def test_names_of_what_ships_are_those_of_what_ships():
     assert tuple(KINDS) == defaults.SCENES
     assert {file.parent.name for file in data_folder("scenes").glob("*/scene.toml")} == set(defaults.SCENES)
     assert tuple(MODELS) == defaults.TEMPERATURE_MAPS
+    shipped = next(iter(SHIPPED.values())).parent
+    assert {path.name for path in shipped.iterdir()} == {f"{name}.npz" for name in defaults.TRAINED_MAPS}
     assert load_camera(defaults.CAMERA).band_um == defaults.BAND_UM
 
 

@@ -10,7 +10,7 @@ from scenes import write_balance
 from thermorender.materials.library import find, load_library
 from thermorender.physics import balance
 from thermorender.render.heat.conditions import TYPICAL, conditions
-from thermorender.render.heat.relief import MEMORY_H, NAMES, relief
+from thermorender.render.heat.relief import MEMORY_H, NAMES, relief, reliefs
 from thermorender.scene import columns as open_ground
 from thermorender.scene.load import load_scene
 from thermorender.weather.series import Weather
@@ -87,6 +87,21 @@ def test_memory_of_the_sun_against_a_dense_sum(level):
             print(hours, memory, found[f"sunlight_{memory:g}h"].mean() / expected - 1.0)
             # Steps that weigh less than 1e-4 are left out: at most 12e-4 of an evening's 250 W/m².
             np.testing.assert_allclose(found[f"sunlight_{memory:g}h"], expected, rtol=0.01, atol=0.3)
+
+
+def test_instants_share_what_they_remember_and_are_as_alone(level, monkeypatch):
+    asked = []
+    weather = level.weather
+    times = [AT + np.timedelta64(minutes, "m") for minutes in (3, 0, 1, 2, 25)]
+    alone = [relief(level, time) for time in times]
+    watched = under(level, replace(weather))
+    monkeypatch.setattr(Weather, "sun", lambda self, time, real=Weather.sun: asked.append(time) or real(self, time))
+    together = reliefs(watched, times)
+    # Of 120 steps one more for the later hour, the one that each minute ends in, and its present.
+    assert len(asked) <= 121 + 2 * len(times)
+    for time, one in zip(times, alone, strict=True):
+        for name in NAMES:
+            np.testing.assert_array_equal(together[time][name], one[name])
 
 
 def test_a_slope_that_faces_the_sun(tmp_path):

@@ -87,7 +87,7 @@ def test_numbers_out_of_range_leave_nothing(tmp_path):
 def test_noise_free_radiance_is_that_of_a_fresh_renderer(campaign):
     dataset, seen = campaign
     for number, name in enumerate(("radiance", "balance", "redrawn")):
-        fresh = Renderer(seen[0].renderers[number].scene)
+        fresh = Renderer(seen[0].renderers[number].scene, tolerance_mk=rendered._TOLERANCE_MK)
         for entry, given in zip(dataset.entries, seen, strict=True):
             kept = dataset.pair(entry).truth[name]
             # Kept to 16 bits of the mantissa.

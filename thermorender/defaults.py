@@ -7,3 +7,7 @@ SCENES = ("heath", "village", "ridge")
 SCENE = SCENES[0]
 TEMPERATURE_MAPS = ("fok-1to1", "fok-9to1")
 TEMPERATURE_MAP = TEMPERATURE_MAPS[0]
+# Trained on rendered pictures of procedural scenes, and shipped as files.
+TRAINED_MAPS = (
+    "procedural-9to1", "procedural-palette", "procedural-trees", "procedural-correlation+", "procedural-trees+",
+)  # fmt: skip

@@ -140,7 +140,7 @@ def _pairs(world, hours, views, camera, materials, tell):
     """Give (Entry, files) of all pairs of a World."""
     from thermorender.render.geometry import Geometry
     from thermorender.render.heat.march import solved
-    from thermorender.render.heat.relief import relief
+    from thermorender.render.heat.relief import reliefs
     from thermorender.render.renderer import Renderer
     from thermorender.render.variant import activate
 
@@ -158,7 +158,7 @@ def _pairs(world, hours, views, camera, materials, tell):
         hidden = replace(land.hidden, exchange=np.float32(exchange) * land.hidden.exchange)
         truths.append(solved(true, times, geometry, hidden=hidden))
     number = np.array([materials.index(each.name) for each in scene.materials], dtype=np.uint8)
-    known, order = None, 0
+    known, order, fields = None, 0, reliefs(scene, times, geometry)
     for hour, (land, time) in enumerate(zip(lands, times, strict=True)):
         tell("rendering", (hour + 0.5) / hours)
         spec = atmosphere(land.weather, scene.weather.at(time), scene.altitude_m)
@@ -168,12 +168,11 @@ def _pairs(world, hours, views, camera, materials, tell):
             source = _under(source, spec, air, land.orthophoto)
             renderers.append(Renderer(source, seed=world.seed, tolerance_mk=_TOLERANCE_MK, like=known))
             known = known or renderers[0]
-        fields = relief(scene, time, geometry)
         told = conditions(scene.weather, time)
         labels = {"kind": world.kind, "season": _season(time), "weather": _sky(land.weather)}
         for view in range(views):
             name, at = _view(world, hour, view, scene)
-            entry, contents = _pair(renderers, at, order, fields, number, land.weather.cloud)
+            entry, contents = _pair(renderers, at, order, fields[time], number, land.weather.cloud)
             place = scene.frame.latitude_deg, scene.frame.longitude_deg
             key = f"{world.name}-{hour}-{view}"
             yield replace(

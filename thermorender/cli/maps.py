@@ -10,7 +10,7 @@ from thermorender.cli.camera import parse_scale
 from thermorender.cli.terminal import output_option, progress, split, table
 from thermorender.errors import ThermorenderError
 
-MAPS = ", ".join(defaults.TEMPERATURE_MAPS)
+MAPS = ", ".join((*defaults.TEMPERATURE_MAPS, *defaults.TRAINED_MAPS))
 VisibleFolder = Annotated[Path, typer.Argument(help="Folder of visible pictures.")]
 ThermalFolder = Annotated[Path, typer.Argument(help="Folder of thermal pictures; may be the same.")]
 DatasetFolder = Annotated[Path, output_option("-o", "--output", help="Folder for the data set.")]

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from thermorender import files
-from thermorender.defaults import BAND_UM, CAMERA
+from thermorender.defaults import BAND_UM, CAMERA, TRAINED_MAPS
 from thermorender.errors import ThermorenderError
 from thermorender.learned import correlation
 from thermorender.physics.band import RadianceTable
@@ -309,6 +309,7 @@ MODELS = {
     "fok-1to1": TemperatureMap("fok-1to1", "correlation-1to1", correlation.PUBLISHED_1TO1, **_FOK),
     "fok-9to1": TemperatureMap("fok-9to1", "correlation-9to1", correlation.PUBLISHED_9TO1, **_FOK),
 }
+SHIPPED = {name: Path(__file__).with_name("maps") / f"{name}.npz" for name in TRAINED_MAPS}
 
 
 def load_model(name, range_c=None):
@@ -323,9 +324,12 @@ def load_model(name, range_c=None):
         model = load_map(name)
     elif name in MODELS:
         model = MODELS[name]
+    elif name in SHIPPED:
+        model = load_map(SHIPPED[name])
     else:
-        hint = did_you_mean(name, MODELS)
+        known = (*MODELS, *SHIPPED)
         raise ThermorenderError(
-            f"learned map {name!r} is unknown; {hint}known are {', '.join(MODELS)}, and files ending in .npz"
+            f"learned map {name!r} is unknown; {did_you_mean(name, known)}known are {', '.join(known)}, and files "
+            "ending in .npz"
         )
     return model if range_c is None else model.ranged(range_c)

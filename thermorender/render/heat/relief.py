@@ -24,6 +24,8 @@ _STEP_H, _BACK = 1.0 / 3.0, 2.5
 # A place is high or low against the mean of its surroundings: standard deviation of their Gaussian window [m].
 _AROUND_M = 15.0
 _RAYS = 64
+# Steps of the past that weigh less are left out.
+_LEAST_SHARE = 1e-4
 NAMES = (
     "normal_east", "normal_north", "normal_up", "above_m", "sky_view", "sunlight",
     *(f"sunlight_{hours:g}h" for hours in MEMORY_H),
@@ -31,14 +33,19 @@ NAMES = (
 
 
 def relief(scene, time, geometry=None, progress=None):
-    """Return {name of `NAMES`: (h, w) float32} of the texels of a scene's terrain at an instant.
+    """Return {name of `NAMES`: (h, w) float32} of the texels of a scene's terrain at an instant, as by `reliefs`."""
+    return reliefs(scene, [time], geometry, progress)[time]
+
+
+def reliefs(scene, times, geometry=None, progress=None):
+    """Return {time: {name of `NAMES`: (h, w) float32}} of the texels of a scene's terrain.
 
     Parameters
     ----------
     scene : Scene
         Of a raster terrain, whose map is one of the ground, with [weather].
-    time : datetime64
-        UTC.
+    times : sequence of datetime64
+        UTC. Those near each other share most of what is traced.
     geometry : Geometry, optional
         Of the scene's surfaces, where it is there already.
     progress : callable, optional
@@ -50,6 +57,7 @@ def relief(scene, time, geometry=None, progress=None):
         Components of the unit normal; height above the mean around [m]; share of the hemisphere that is sky, cosine
         weighted, one value a face; sunlight on the surface, direct with shadow and diffuse by sky view [W m⁻²], now and
         as weighted means over the past, which begins with the weather and is the present where that has just begun.
+        What one instant has does not depend on the others.
 
     Raises
     ------
@@ -83,24 +91,42 @@ def relief(scene, time, geometry=None, progress=None):
             total = total + np.float32(found.direct_w_m2) * lit
         return total
 
-    ago = np.arange(0.5 * _STEP_H, _BACK * max(MEMORY_H), _STEP_H)
-    instants = time - np.round(ago * 3600.0).astype("timedelta64[s]")
-    ago, instants = ago[instants >= weather.time[0]], instants[instants >= weather.time[0]]
-    weight = np.exp(-ago / np.array(MEMORY_H)[:, None])
-    weight /= np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
-    now, past = sunlight(time), np.zeros((len(MEMORY_H), texels.size), dtype=np.float32)
-    if not len(instants):
-        # The weather has just begun: there is no past but the present.
-        past += now
+    shares = {time: _past(weather, time) for time in dict.fromkeys(times)}
+    memory = {time: np.zeros((len(MEMORY_H), texels.size), dtype=np.float32) for time in shares}
+    instants = sorted({instant for of_time in shares.values() for instant in of_time})
+    # Each instant of the past is traced once, for all times that remember it.
     for number, instant in enumerate(instants):
         light = sunlight(instant)
-        for total, share in zip(past, weight[:, number], strict=True):
-            if share > 1e-4:
-                total += np.float32(share) * light
+        for time, of_time in shares.items():
+            for total, share in zip(memory[time], of_time.get(instant, ()), strict=False):
+                if share > _LEAST_SHARE:
+                    total += np.float32(share) * light
         if progress:
             progress("following the sun", (number + 1) / len(instants))
-    found = (*normal.T, (height - around).ravel(), view, now, *past)
-    return {name: np.ascontiguousarray(values.reshape(shape)) for name, values in zip(NAMES, found, strict=True)}
+    still = dict(zip(NAMES, (*normal.T, (height - around).ravel(), view), strict=False))
+    found = {}
+    for time in shares:
+        values = {**still, **dict(zip(NAMES[len(still) :], (sunlight(time), *memory[time]), strict=True))}
+        found[time] = {name: np.ascontiguousarray(plane.reshape(shape)) for name, plane in values.items()}
+    return found
+
+
+def _past(weather, time):
+    """{instant: shares (len(MEMORY_H),) of it in the sunlight of the past}.
+
+    An instant is the middle of a step of the day, or of what the weather and `time` leave of it, for which it stands.
+    """
+    step, day = np.timedelta64(round(_STEP_H * 3600.0), "s"), time.astype("M8[D]").astype("M8[s]")
+    until = int((time - day) // step) + 1
+    numbers = np.arange(until - round(_BACK * max(MEMORY_H) / _STEP_H) - 1, until + 1)
+    edges = np.clip(day + numbers * step, weather.time[0], time)
+    ago_h = (time - edges) / np.timedelta64(3600, "s")
+    shares = np.diff(np.exp(-ago_h[:, None] / np.array(MEMORY_H)), axis=0)
+    if not shares.any():
+        # The weather has just begun: there is no past but the present.
+        return {time: np.ones(len(MEMORY_H))}
+    middles = edges[:-1] + np.diff(edges) // 2
+    return dict(zip(middles, shares / shares.sum(axis=0), strict=True))
 
 
 def mapped(scene, times, geometry=None, progress=None):
@@ -113,7 +139,7 @@ def mapped(scene, times, geometry=None, progress=None):
     times : sequence of datetime64
         UTC, inside the weather.
     geometry, progress
-        As of `relief`.
+        As of `reliefs`.
 
     Returns
     -------
@@ -123,17 +149,16 @@ def mapped(scene, times, geometry=None, progress=None):
     """
     from thermorender.learned.temperature_map import Inputs
 
-    geometry = geometry or Geometry(activate(), scene.surfaces)
     spec, surface, model, made = scene.spec, scene.surfaces[0], scene.told_map, {}
-    for time in sorted(set(times)):
-        fields = relief(scene, time, geometry, progress) if "terrain" in model.needs else {}
+    fields = reliefs(scene, times, geometry, progress) if "terrain" in model.needs else dict.fromkeys(times, {})
+    for time in fields:
         sky = spec.sky_temperature if scene.air is None else scene.air.sky_temperature(scene.altitude_m)
         report = {}
         texels = Texels(surface.colour, surface.material, scene.materials, scene.grid, surface.texel_m, scene.where,
                         report)  # fmt: skip
         told = conditions(scene.weather, time, spec.weather.inside_c)
         # A material's own temperature knows nothing of the hour; the air's does.
-        values, flags = from_map(model, Inputs(surface.colour, surface.texel_m, fields, told), texels, sky,
+        values, flags = from_map(model, Inputs(surface.colour, surface.texel_m, fields[time], told), texels, sky,
                                  told["air_k"])  # fmt: skip
         one = scene.heated(time, [values])
         known = replace(one.surfaces[0], flags=(surface.flags & ~np.uint8(FALLBACK)) | flags)
