@@ -5,7 +5,7 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
 
-.PHONY: setup demo test lint coverage clean
+.PHONY: setup demo test lint coverage maps clean
 
 setup: $(READY)
 
@@ -47,6 +47,18 @@ coverage: $(READY)
 	$(BIN)/python -m coverage combine --quiet
 	$(BIN)/python -m coverage json --quiet -o coverage.json
 	$(BIN)/python tests/coverage_of_rooms.py coverage.json
+
+# The learned maps that ship, anew: the standard campaign is rendered, which takes two hours of one core, and each
+# method trained on it. What is there of the campaign is kept.
+MAPS := thermorender/learned/maps
+maps: $(READY)
+	mkdir -p $(MAPS)
+	$(BIN)/thermorender dataset -o out/campaign --resume
+	$(BIN)/thermorender train correlation-9to1 out/campaign -o $(MAPS)/procedural-9to1.npz
+	$(BIN)/thermorender train palette out/campaign -o $(MAPS)/procedural-palette.npz
+	$(BIN)/thermorender train trees out/campaign -o $(MAPS)/procedural-trees.npz
+	$(BIN)/thermorender train correlation+ out/campaign -o $(MAPS)/procedural-correlation+.npz
+	$(BIN)/thermorender train trees+ out/campaign -o $(MAPS)/procedural-trees+.npz
 
 clean:
 	rm -rf $(VENV) out build dist

@@ -15,7 +15,7 @@ import thermorender as tr
 from scenes import write_balance, write_mesh
 from thermorender.errors import ThermorenderError
 from thermorender.learned.correlation import Correlation
-from thermorender.learned.linear import Linear, count_of_columns
+from thermorender.learned.linear import Linear, names_of_columns
 from thermorender.learned.rows import Told
 from thermorender.learned.temperature_map import TemperatureMap, save_map
 from thermorender.output.flight import fly
@@ -46,10 +46,8 @@ def above_air(kelvin):
 def by_sunlight(kelvin_m2_w):
     """Kelvin above the air in proportion to the sunlight on the ground."""
     told = Told(("sunlight",), ("air_k",))
-    weight = np.zeros(count_of_columns(told))
-    # Behind the nine neighbours' colours.
-    weight[27] = kelvin_m2_w
-    return Linear(told, weight, 0.0)
+    names = names_of_columns(told)
+    return Linear(told, kelvin_m2_w * (np.array(names) == "sunlight"), 0.0)
 
 
 def save(path, predictor, **options):

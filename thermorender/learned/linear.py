@@ -1,8 +1,11 @@
-"""Linear map from the 3 × 3 colours around a pixel, the terrain's relief, hour and weather to kelvin above the air.
+"""Kelvin above the air as a mixture of typical materials: least squares on what they would be here, by colour.
 
-Beside these stand products of the sunlight on the ground with the pixel's colour: what a surface absorbs is sunlight
-times what it does not reflect, and colour tells that. Where the terrain knows nothing its columns are 0, and one that
-says so is 1. The coefficients are those of ridge regression on standardised columns.
+The heat balance says how warm a few typical materials are in the open and in shade (`conditions`). How much of the open
+sunlight a texel gets lies between, so each of them has a temperature there. Colour tells what the ground is made of:
+each of these temperatures, and sunlight, its past and the hidden part of the sky, has a coefficient that is a quadratic
+of CIELAB. So warmth grows with the weather as the balance says, further than was seen in training. Beside these stand
+what the terrain and the station tell, each by itself. Coefficients are those of ridge regression on standardised
+columns; where the terrain knows nothing its columns are 0, and one that says so is 1.
 """
 
 from dataclasses import dataclass
@@ -10,15 +13,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.learned.rows import CLASSES, Told, at_shape, at_texel, drawn, part_of
+from thermorender.learned.features import lab
+from thermorender.learned.rows import CLASSES, Told, at_shape, at_texel, drawn
 
-_SIDE = 3
 # Planes of a terrain whose names begin so are sunlight on the ground [W m⁻²], now or over the hours before.
 _SUNLIGHT = "sun"
-# Pixels drawn from an example.
-_MOST_ROWS = 20_000
+# What the sunlight in the open is made of.
+_IN_THE_OPEN = ("direct_w_m2", "diffuse_w_m2", "sun_elevation_deg")
+# Less than this sunlight in the open [W m⁻²] warms nothing; more than so many times it is no reflection but noise.
+_LEAST_SUNLIGHT, _MOST_SHARE = 5.0, 3.0
+# Lightness is counted from the middle in halves of its range, a and b in these units and no further than three.
+_CHROMA, _MOST_CHROMA = 20.0, 3.0
+# Pixels drawn from an example: neighbours say the same.
+_MOST_ROWS = 2500
+# Pixels whose columns are laid out at a time.
+_CHUNK = 1 << 15
 # A column that spreads less than this share of its own size is constant, but for rounding.
 _CONSTANT = 1e-6
+_COLOURS = ("", "L", "a", "b", "L²", "a²", "b²", "L a", "L b", "a b")
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,10 +66,23 @@ class Linear:
             A plane of the terrain or a condition is missing.
         """
         image = at_texel(inputs, texel_m)
-        found = np.full(image.rgb.shape[:2], self.offset)
-        for (_, column), weight in zip(columns(image, self.told), self.weight, strict=True):
-            found += weight * column
+        self.told.check(image)
+        height, width = image.rgb.shape[:2]
+        found = np.empty((height, width))
+        rows = max(_CHUNK // width, 1)
+        for top in range(0, height, rows):
+            here = np.s_[top : top + rows]
+            terrain = {name: image.terrain[name][here] for name in self.told.terrain}
+            found[here] = self.of_values({**_lab(image.rgb[here]), **terrain, **image.conditions})
         return at_shape(found, inputs.rgb.shape[:2])
+
+    def of_values(self, values):
+        """Return kelvin above the air of pixels, as `columns` takes them."""
+        found = np.full(np.shape(values["L"]), self.offset)
+        for (_, column), weight in zip(columns(values, self.told), self.weight, strict=True):
+            if weight:
+                found += weight * column
+        return found
 
     def header(self):
         """Return what the file's text says of it."""
@@ -74,43 +99,70 @@ class Linear:
         if not told.above_air:
             raise ValueError("it is not told the air's temperature")
         weight, offset = np.asarray(arrays["weight"], np.float64), float(header["offset"])
-        if weight.shape != (count_of_columns(told),):
+        if weight.shape != (len(names_of_columns(told)),):
             raise ValueError("it has other columns")
         if not (np.isfinite(weight).all() and np.isfinite(offset)):
             raise ValueError("it has coefficients that are not finite")
         return cls(told, weight, offset)
 
 
-def count_of_columns(told):
-    """Return how many columns `columns` gives."""
-    sunlight = sum(name.startswith(_SUNLIGHT) for name in told.terrain)
-    return 3 * _SIDE**2 + len(told.terrain) + 3 * sunlight + 1 + len(told.conditions)
+def names_of_columns(told):
+    """Return the names of `columns`."""
+    nothing = np.zeros(0)
+    return [name for name, _ in columns(dict.fromkeys([*"Lab", *told.terrain, *told.conditions], nothing), told)]
 
 
-def columns(inputs, told):
-    """Give (name, (h, w) float64, or a number that holds for all pixels) of each column, one after the other."""
-    told.check(inputs)
-    height, width = inputs.rgb.shape[:2]
-    ring = _SIDE // 2
-    colour = np.pad(inputs.rgb / 255.0, ((ring, ring), (ring, ring), (0, 0)), mode="edge")
-    for down in range(_SIDE):
-        for across in range(_SIDE):
-            for number, name in enumerate("RGB"):
-                yield f"{name} {down - ring:+d} {across - ring:+d}", (
-                    colour[down : down + height, across : across + width, number]
-                )
-    unknown = np.zeros((height, width), bool)
+def columns(values, told):
+    """Give (name, array, or a number that holds for all pixels) of each column, one after the other.
+
+    Parameters
+    ----------
+    values : mapping of str to array or number
+        By pixel: "L", "a" and "b" of CIELAB, and what `told` names.
+    told : Told
+    """
+    light, a, b = (np.asarray(values[channel]) for channel in "Lab")
+    light = light / 50.0 - 1.0
+    a, b = (np.clip(channel / _CHROMA, -_MOST_CHROMA, _MOST_CHROMA) for channel in (a, b))
+    colours = (None, light, a, b, light * light, a * a, b * b, light * a, light * b, a * b)
+    yield from zip(_COLOURS[1:], colours[1:], strict=True)
+    for name, plane in _grounds(values, told):
+        for what, colour in zip(_COLOURS, colours, strict=True):
+            yield (f"{name} × {what}", plane * colour) if what else (name, plane)
+    unknown = np.zeros(np.shape(light), bool)
     for name in told.terrain:
-        plane = np.float64(inputs.terrain[name])
-        unknown |= np.isnan(plane)
-        plane = np.nan_to_num(plane)
-        yield name, plane
-        if name.startswith(_SUNLIGHT):
-            for number, channel in enumerate("RGB"):
-                yield f"{name} × {channel}", plane * colour[ring:-ring, ring:-ring, number]
+        unknown = unknown | np.isnan(values[name])
+        # Sunlight is among what colour multiplies.
+        if not name.startswith(_SUNLIGHT):
+            yield name, np.nan_to_num(values[name])
     yield "no terrain", unknown
     for name in told.conditions:
-        yield name, inputs.conditions[name]
+        yield name, values[name]
+
+
+def _grounds(values, told):
+    """Give (name, plane) of what colour multiplies, 0 where there is no terrain."""
+    materials = [name[5:] for name in told.conditions if name.startswith("open_") and "shade_" + name[5:] in values]
+    sunlight = "sunlight" in told.terrain and all(name in told.conditions for name in _IN_THE_OPEN)
+    if materials and sunlight:
+        direct, diffuse, elevation = (values[name] for name in _IN_THE_OPEN)
+        in_the_open = np.maximum(direct * np.maximum(np.sin(np.radians(elevation)), 0.0) + diffuse, _LEAST_SUNLIGHT)
+        share = np.clip(np.nan_to_num(values["sunlight"] / in_the_open, nan=1.0), 0.0, _MOST_SHARE)
+        for material in materials:
+            shade = values[f"shade_{material}"]
+            yield f"as {material}", shade + (values[f"open_{material}"] - shade) * share
+    for name in told.terrain:
+        if name.startswith(_SUNLIGHT):
+            yield name, np.nan_to_num(values[name])
+    if "sky_view" in told.terrain:
+        hidden = 1.0 - np.nan_to_num(values["sky_view"], nan=1.0)
+        yield "hidden sky", hidden
+        if "longwave_w_m2" in told.conditions:
+            yield "hidden sky × longwave", hidden * values["longwave_w_m2"]
+
+
+def _lab(rgb):
+    return dict(zip("Lab", np.moveaxis(lab(rgb), -1, 0), strict=True))
 
 
 def fit_linear(task):
@@ -133,29 +185,47 @@ def fit_linear(task):
             "the pairs have no condition air_k, the air's temperature, that correlation+ adds to; give a data set "
             "with weather, or take correlation-9to1"
         )
-    # Numbers of classes are no quantities.
-    told = Told(tuple(name for name in first.terrain if name != CLASSES), first.conditions)
-    size = count_of_columns(told)
-    # Of the columns, the target and one: all sums that means, variances and covariances are made of.
-    products = np.zeros((size + 2, size + 2))
-    for each in drawn(task, told, _MOST_ROWS):
-        table = np.ones((size + 2, each.pixels.size))
-        part, (above, before) = part_of(each.inputs, each.window, _SIDE // 2)
-        row, column = np.divmod(each.pixels, each.inputs.rgb.shape[1])
-        at = row - each.window[0] + above, column - each.window[2] + before
-        for values, (_, plane) in zip(table, columns(part, told), strict=False):
-            values[:] = plane[at] if np.ndim(plane) else plane
-        table[size] = each.target
-        products += table @ table.T
-    count = products[-1, -1]
-    mean = products[-1, :-1] / count
-    covariance = products[:-1, :-1] / count - np.outer(mean, mean)
-    scale = np.sqrt(np.maximum(np.diag(covariance)[:size], 0.0))
-    varies = scale > _CONSTANT * np.abs(mean[:size])
-    weight = np.zeros(size)
-    scale = scale[varies]
-    among = covariance[:size, :size][np.ix_(varies, varies)] / np.outer(scale, scale)
-    among[np.diag_indices_from(among)] += penalty
-    # The least of all solutions where columns repeat each other and nothing is penalised.
-    weight[varies] = np.linalg.lstsq(among, covariance[size, :size][varies] / scale, rcond=None)[0] / scale
-    return Linear(told, weight, float(mean[size] - weight @ mean[:size]))
+    sums = Sums(first)
+    for each in drawn(task, sums.told, _MOST_ROWS):
+        terrain = {name: np.ravel(each.inputs.terrain[name])[each.pixels] for name in sums.told.terrain}
+        picked = _lab(each.inputs.rgb.reshape(-1, 3)[each.pixels])
+        sums.add({**picked, **terrain, **each.inputs.conditions}, each.target)
+    return sums.solved(penalty)
+
+
+class Sums:
+    """All sums that means, variances and covariances of the columns and the target are made of.
+
+    Attributes
+    ----------
+    told : Told
+        As given, without numbers of classes, which are no quantities.
+    """
+
+    def __init__(self, told):
+        self.told = Told(tuple(name for name in told.terrain if name != CLASSES), told.conditions)
+        self._size = len(names_of_columns(self.told))
+        self._products = np.zeros((self._size + 2, self._size + 2))
+
+    def add(self, values, target):
+        """Add pixels, as `columns` takes them, and their kelvin above the air, (n,)."""
+        table = np.ones((self._size + 2, target.size))
+        for row, (_, column) in zip(table, columns(values, self.told), strict=False):
+            row[:] = column
+        table[self._size] = target
+        self._products += table @ table.T
+
+    def solved(self, penalty):
+        """Return the Linear of ridge regression with this penalty."""
+        size, count = self._size, self._products[-1, -1]
+        mean = self._products[-1, :-1] / count
+        covariance = self._products[:-1, :-1] / count - np.outer(mean, mean)
+        scale = np.sqrt(np.maximum(np.diag(covariance)[:size], 0.0))
+        varies = scale > _CONSTANT * np.abs(mean[:size])
+        weight = np.zeros(size)
+        scale = scale[varies]
+        among = covariance[:size, :size][np.ix_(varies, varies)] / np.outer(scale, scale)
+        among[np.diag_indices_from(among)] += penalty
+        # The least of all solutions where columns repeat each other and nothing is penalised.
+        weight[varies] = np.linalg.lstsq(among, covariance[size, :size][varies] / scale, rcond=None)[0] / scale
+        return Linear(self.told, weight, float(mean[size] - weight @ mean[:size]))

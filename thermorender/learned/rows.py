@@ -135,18 +135,6 @@ class Told:
                 yield here, table
 
 
-def part_of(inputs, window, halo=0):
-    """Return (Inputs of a part of a picture and `halo` pixels around it, how many of these lie above and left of it).
-
-    `window` has its first and last row and column.
-    """
-    top, bottom, left, right = window
-    above, before = min(halo, top), min(halo, left)
-    part = np.s_[top - above : bottom + halo, left - before : right + halo]
-    terrain = {name: plane[part] for name, plane in inputs.terrain.items()}
-    return replace(inputs, rgb=inputs.rgb[part], terrain=terrain), (above, before)
-
-
 @dataclass(frozen=True, eq=False)
 class Drawn:
     """Pixels drawn from an example.

@@ -1,7 +1,9 @@
 """Boosted trees from what describes a pixel to its temperature; LightGBM's, kept as its own text.
 
-Told the terrain's relief, hour and weather they give kelvin above the air, else intensity. Ke et al. 2017, "LightGBM: a
-highly efficient gradient boosting decision tree".
+Told the terrain's relief, hour and weather they give kelvin above the air, else intensity. A leaf says one number for
+all weathers that reach it; so there the trees learn what the mixture of typical materials (`linear`) leaves over, which
+spreads less and does not grow with the sun. Ke et al. 2017, "LightGBM: a highly efficient gradient boosting decision
+tree".
 """
 
 import re
@@ -14,10 +16,11 @@ import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.learned.features import NAMES
+from thermorender.learned.linear import Linear, Sums
 from thermorender.learned.rows import CLASSES, Told, at_shape, at_texel, drawn
 
 # Rows drawn from an example, and numbers of all rows' columns together: 1 GB in single precision.
-_MOST_ROWS = 2500
+_MOST_ROWS = 1000
 _MOST_NUMBERS = 250_000_000
 # Pictures that wait to be described, so that memory stays bounded.
 _AT_ONCE = 4
@@ -41,6 +44,10 @@ _SETTINGS = {
     "force_row_wise": True,
     "verbosity": -1,
 }
+# Weight of the coefficients' squares of what the trees begin with, as in `linear.Sums.solved`.
+_PENALTY = 1e-2
+# Rows that its columns are laid out for at a time.
+_CHUNK = 1 << 14
 # Of what stands before the trees.
 _HEAD = ("num_class", "num_tree_per_iteration", "max_feature_idx")
 _BLOCK = re.compile(r"Tree=(\d+)\n")
@@ -56,10 +63,13 @@ class Trees:
         The model as LightGBM writes it.
     told : Told
         What it is told besides the picture.
+    begin : Linear or None
+        What the trees are added to, where the air's temperature is told.
     """
 
     text: str
     told: Told
+    begin: Linear | None = None
 
     @property
     def needs(self):
@@ -81,8 +91,16 @@ class Trees:
         found = np.empty(image.rgb.shape[:2])
         for here, table in self.told.tiles(image):
             table = np.ascontiguousarray(table.reshape(len(table), -1).T)
-            found[here] = self._booster.predict(table).reshape(found[here].shape)
+            found[here] = self.of_rows(table).reshape(found[here].shape)
         return at_shape(found, inputs.rgb.shape[:2])
+
+    def of_rows(self, table):
+        """Return intensity, or kelvin above the air, (n,) float64, of rows, (n, columns) float32."""
+        found = self._booster.predict(table)
+        if self.begin is not None:
+            for here, values in _by_column(self.told, table):
+                found[here] += self.begin.of_values(values)
+        return found
 
     def importances(self):
         """Return {column: share of what all splits lowered the training error by}, the greatest first."""
@@ -100,16 +118,22 @@ class Trees:
 
     def header(self):
         """Return what the file's text says of it."""
-        return {"terrain": self.told.terrain, "conditions": self.told.conditions, "features": NAMES}
+        begin = {} if self.begin is None else {"begin": self.begin.header()}
+        return {"terrain": self.told.terrain, "conditions": self.told.conditions, "features": NAMES, **begin}
 
     def arrays(self):
         """Return what the file holds of it."""
-        return {"trees": np.frombuffer(self.text.encode(), np.uint8)}
+        begin = {} if self.begin is None else self.begin.arrays()
+        return {"trees": np.frombuffer(self.text.encode(), np.uint8), **begin}
 
     @classmethod
     def of(cls, header, arrays):
         """Return the Trees of `header` and `arrays`."""
-        found = cls(arrays["trees"].tobytes().decode(), Told(tuple(header["terrain"]), tuple(header["conditions"])))
+        told = Told(tuple(header["terrain"]), tuple(header["conditions"]))
+        begin = Linear.of(header["begin"], arrays) if told.above_air else None
+        if begin is not None and not set(begin.told.columns) <= set(told.columns):
+            raise ValueError("what its trees begin with is told other things")
+        found = cls(arrays["trees"].tobytes().decode(), told, begin)
         refuse_broken(found.text, len(found.told.columns))
         if tuple(header["features"]) != NAMES or found._booster.num_feature() != len(found.told.columns):
             raise ValueError("other features")
@@ -120,7 +144,7 @@ def fit_trees(task):
     """Return the Trees that learn a Task.
 
     As many pixels are drawn from each example; the absolute error is minimised, and trees are added until that of the
-    runs held out has not fallen for a while.
+    runs held out has not fallen for a while. Where the air's temperature is told they begin with a Linear.
 
     Raises
     ------
@@ -150,6 +174,15 @@ def fit_trees(task):
         while waiting:
             kept(*waiting.popleft())
     learned, watched = (0, 1) if used[0] else (1, 0)
+    begin = None
+    if told.above_air:
+        sums = Sums(told)
+        for here, values in _by_column(told, rows[learned][: used[learned]]):
+            sums.add(values, target[learned][here])
+        begin = sums.solved(_PENALTY)
+        for part in (0, 1):
+            for here, values in _by_column(told, rows[part][: used[part]]):
+                target[part][here] -= begin.of_values(values)
     settings = _SETTINGS | {"seed": task.seed % 2**31}
     classes = [told.columns.index(CLASSES)] if CLASSES in told.terrain else []
     parts = [
@@ -163,7 +196,7 @@ def fit_trees(task):
         settings, parts[learned], _MOST_TREES, callbacks=callbacks,
         valid_sets=[parts[watched].set_reference(parts[learned])] if used[watched] else [],
     )  # fmt: skip
-    return Trees(grown.model_to_string(num_iteration=grown.best_iteration), told)
+    return Trees(grown.model_to_string(num_iteration=grown.best_iteration), told, begin)
 
 
 def held_out(count):
@@ -180,6 +213,13 @@ def _table(told, each):
         inside = (row >= rows.start) & (row < rows.stop) & (column >= columns.start) & (column < columns.stop)
         found[inside] = table[:, row[inside] - rows.start, column[inside] - columns.start].T
     return found
+
+
+def _by_column(told, table):
+    """Give (slice, {column: (n,) values}) of rows, some at a time."""
+    for start in range(0, len(table), _CHUNK):
+        here = slice(start, min(start + _CHUNK, len(table)))
+        yield here, dict(zip(told.columns, table[here].T, strict=True))
 
 
 def _lightgbm():
