@@ -25,6 +25,9 @@ _BYTES = 5
 _DEPENDENT = 1e-10
 # Pictures that wait for a thread, so that memory stays bounded.
 _AT_ONCE = 16
+# Rows and columns of a product that is taken at once: OpenBLAS would share a larger one of _BLOCK terms among threads
+# of its own, which hinder each other where pictures are shared among threads already.
+_TILE = 32
 # Neighbourhoods that are laid out one by one at a time.
 _MOST_PICKED = 16 * _BLOCK
 
@@ -176,7 +179,7 @@ def _everywhere(rgb, values, size, table):
             a[:height, 3 * shift : 3 * shift + 3] = lines[..., first + shift : first + shift + count]
         # Rows of a neighbourhood follow one another, so that each is a view of `a`.
         around = np.lib.stride_tricks.as_strided(a, (height, n, count), a.strides)
-        products = a[:height] @ around.transpose(0, 2, 1)
+        products = _multiplied(a[:height], around.transpose(0, 2, 1))
         for above in range(size):
             left = slice(above * wide, (above + 1) * wide)
             here = products[above : above + rows, :, : n - left.start]
@@ -184,7 +187,7 @@ def _everywhere(rgb, values, size, table):
         told = np.empty((rows, 1 + _BYTES, count), dtype=np.float32)
         told[:, 0] = 1.0
         told[:, 1:] = table.bytes(values[:, first : first + count]).transpose(0, 2, 1)
-        total[:n, n:] += table.joined((around[:rows] @ told.transpose(0, 2, 1)).sum(axis=0, dtype=np.float64))
+        total[:n, n:] += table.joined(_multiplied(around[:rows], told.transpose(0, 2, 1)).sum(axis=0, dtype=np.float64))
         total[n, n:] += table.joined(told.sum(axis=2).sum(axis=0, dtype=np.float64))
     return total
 
@@ -202,7 +205,17 @@ def _picked(rgb, values, picked, size, table):
         a[: r.size, n] = 1.0
         a[: r.size, n + 1 :] = table.bytes(values[r, c])
         a = a.reshape(-1, _BLOCK, n + 1 + _BYTES)
-        products = (a[..., : n + 1].transpose(0, 2, 1) @ a).sum(axis=0, dtype=np.float64)
+        products = _multiplied(a[..., : n + 1].transpose(0, 2, 1), a).sum(axis=0, dtype=np.float64)
         total[: n + 1, :n] += products[:, :n]
         total[: n + 1, n:] += table.joined(products[:, n:])
     return total
+
+
+def _multiplied(left, right):
+    """Products of (blocks, m, terms) and (blocks, terms, n) float32, (blocks, m, n) float32."""
+    found = np.empty((len(left), left.shape[1], right.shape[2]), np.float32)
+    for top in range(0, left.shape[1], _TILE):
+        for first in range(0, right.shape[2], _TILE):
+            here = np.s_[:, top : top + _TILE, first : first + _TILE]
+            np.matmul(left[:, top : top + _TILE], right[..., first : first + _TILE], out=found[here])
+    return found
