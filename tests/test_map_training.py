@@ -362,6 +362,23 @@ def test_a_kind_of_land_left_out_is_not_learned_from(tmp_path):
     assert cases["correlation-1to1", "snow"]["mae_k"] == pytest.approx(np.concatenate(errors).mean(), abs=1e-4)
 
 
+def test_kinds_that_nobody_says_or_scores_are_passed_over(tmp_path):
+    dataset = write(tmp_path / "d", parts=("train",) * 3 + ("test",) * 2)
+    names = ("sand", "snow", None, "sand", None)
+    dataset = dataset.having([replace(entry, labels={"kind": name} if name else {})
+                              for entry, name in zip(dataset.entries, names, strict=True)])  # fmt: skip
+    result = maps.run(dataset, ("correlation-1to1",), ("kind",))
+    assert [(case["value"], case["pairs"]) for case in result["cases"]] == [("sand", 2)]
+
+
+def test_methods_that_the_data_set_does_not_allow(tmp_path):
+    dataset = write(tmp_path / "d", parts=("train",) * 3 + ("test",))
+    with pytest.raises(ThermorenderError, match="method 'trees\\+' needs the terrain's relief"):
+        maps.run(dataset, ("correlation-1to1", "trees+"), ("share",))
+    methods = {case["method"] for case in maps.run(dataset, vary=("share",))["cases"]}
+    assert methods == {name for name in maps.METHODS if name != "correlation+"}
+
+
 @pytest.mark.parametrize(
     ("vary", "words"),
     [(("kind",), "pairs of one kind of land, which cannot be left out"),

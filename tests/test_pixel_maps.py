@@ -404,6 +404,27 @@ def test_linear_is_ridge_regression(monkeypatch):
     assert model.offset + model.weight @ mean == pytest.approx(other.intercept_, abs=1e-6)
 
 
+@pytest.mark.parametrize("fit", [linear.fit_linear, trees.fit_trees])
+def test_what_hardly_varied_is_not_believed_far_beyond_that(fit):
+    """One hour's weather with a kelvin of noise from picture to picture, asked at another; a plain, asked for hills."""
+    generator = np.random.default_rng(4)
+
+    def told(seed, hot=0.0):
+        terrain = {"normal_east": generator.normal(hot, 2e-7, (48, 64)).astype(np.float32),
+                   "sky_view": np.full((48, 64), 1.0 - 0.3 * hot, np.float32)}  # fmt: skip
+        known = {"air_k": 290.0 + 0.02 * seed + 10.0 * hot, "solar_hour": 12.0 + 0.01 * seed + 6.0 * hot,
+                 "open_sand": 15.0 + 0.01 * seed - 15.0 * hot, "shade_sand": 2.0}  # fmt: skip
+        return Inputs(picture(seed), None, terrain, known)
+
+    made = [told(seed) for seed in range(9)]
+    kelvin = [one.conditions["air_k"] + 10.0 * one.rgb[..., 0] / 255.0 + generator.normal() for one in made]
+    name = "correlation+" if fit is linear.fit_linear else "trees+"
+    model = fit(task_of(name, [example(*one) for one in zip(made, kelvin, strict=True)]))
+    found = model.predict(told(20, hot=1.0), None)
+    # What was learned lies between 0 and 10 K, give or take the noise.
+    assert -25.0 < found.min() and found.max() < 35.0
+
+
 def test_linear_leaves_out_what_is_constant_and_classes():
     inputs, kelvin = linear_example(0, 290.0, np.random.default_rng(2))
     inputs.terrain["material"] = np.ones((48, 64), np.uint8)

@@ -353,7 +353,7 @@ def _usable(entry):
         and min(entry.shape) > 0 and type(entry.order) is int
         and all(value is None or _number(value) for value in (entry.texel_m, entry.sky_temperature))
         and (entry.place is None or (len(entry.place) == 2 and all(map(_number, entry.place))))
-        and all(isinstance(value, (int, float)) for value in entry.conditions.values())
+        and all(map(_number, entry.conditions.values()))
         and isinstance(entry.labels, dict)
     )  # fmt: skip
 

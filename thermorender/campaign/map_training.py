@@ -123,7 +123,8 @@ def train_map(
         texel_range_m=(float(sampling.min()), float(sampling.max())),
         camera=dataset.card.get("camera", "unknown"),
         sky_temperature=float(np.mean(skies)) if skies else ASSUMED_SKY_K,
-        source=f"{method_name} on {len(pairs)} pairs of {dataset.card.get('name', dataset.folder.name)}",
+        source=f"{method_name} on {len(pairs)} pairs of {dataset.card.get('name', dataset.folder.name)}"
+        + (", rendered from procedural scenes" if dataset.card.get("origin") == "rendered" else ""),
     )  # fmt: skip
     about = {
         "dataset": {key: dataset.card.get(key) for key in ("name", "origin", "licence", "camera")},

@@ -58,7 +58,8 @@ def validate_maps(
     dataset: Annotated[Path, typer.Option(help="Folder of a data set with parts to train and to test on.")],
     output: Out = Path("out/validation"),
     methods: Annotated[
-        str | None, typer.Option(help="Comma-separated, as of `train`; default: correlations and palette.")
+        str | None, typer.Option(help="Comma-separated, as of `train`; default: correlations, palette, and "
+                                 "correlation+ where the data set tells relief and weather.")
     ] = None,
     vary: Annotated[
         str | None, typer.Option(help="Comma-separated: share, of sequences; shift_px, of thermal pictures; kind, of "
@@ -73,7 +74,7 @@ def validate_maps(
     from thermorender.validate.figures.evaluation import against_share, against_shift
 
     with progress() as tell, files.output_folder(output) as folder:
-        names = split(methods) if methods else study.METHODS
+        names = split(methods) if methods else None
         result = study.run(read_dataset(dataset), names, split(vary) if vary else None, limit, seed, tell)
         files.write_json(folder / "maps.json", result)
         for varied, draw in (("share", against_share), ("shift_px", against_shift)):

@@ -30,6 +30,15 @@ _MOST_ROWS = 2500
 _CHUNK = 1 << 15
 # A column that spreads less than this share of its own size is constant, but for rounding.
 _CONSTANT = 1e-6
+# What each quantity spreads by where it varies at all, by how its name begins, and each colour's term. A column that
+# spreads less, as the weather of one hour or the slopes of a plain, would else be believed far beyond that.
+_USUAL = (
+    ("air_k", 5.0), ("vapour_pa", 200.0), ("wind_m_s", 1.0), ("direct_w_m2", 100.0), ("diffuse_w_m2", 30.0),
+    ("longwave", 20.0), ("snow_m", 0.05), ("air_day_k", 1.0), ("rain_day_mm", 1.0), ("sun_elevation_deg", 10.0),
+    ("solar_hour", 3.0), ("day", 30.0), ("open_", 1.0), ("shade_", 1.0), ("as ", 1.0), (_SUNLIGHT, 50.0),
+    ("hidden sky", 0.05), ("sky_view", 0.05), ("normal_", 0.05), ("above_m", 0.5),
+)  # fmt: skip
+_USUAL_COLOUR = 0.03
 _COLOURS = ("", "L", "a", "b", "L²", "a²", "b²", "L a", "L b", "a b")
 
 
@@ -161,6 +170,15 @@ def _grounds(values, told):
             yield "hidden sky × longwave", hidden * values["longwave_w_m2"]
 
 
+def _usual(name):
+    """What a column usually spreads by; 0 where that is not known."""
+    found = 1.0
+    for part in name.split(" × "):
+        known = (spread for start, spread in _USUAL if part.startswith(start))
+        found *= _USUAL_COLOUR if part in _COLOURS else next(known, 0.0)
+    return found
+
+
 def _lab(rgb):
     return dict(zip("Lab", np.moveaxis(lab(rgb), -1, 0), strict=True))
 
@@ -169,7 +187,8 @@ def fit_linear(task):
     """Return the Linear that learns a Task.
 
     Its option `penalty` is the penalty λ: the mean squared error plus λ times the sum of the squared coefficients of
-    standardised columns is smallest.
+    standardised columns is smallest. A column is standardised by its spread, or by what it usually spreads by where
+    that is more.
 
     Raises
     ------
@@ -225,7 +244,8 @@ class Sums:
         weight = np.zeros(size)
         scale = scale[varies]
         among = covariance[:size, :size][np.ix_(varies, varies)] / np.outer(scale, scale)
-        among[np.diag_indices_from(among)] += penalty
+        usual = np.array([_usual(name) for name in names_of_columns(self.told)])[varies]
+        among[np.diag_indices_from(among)] += penalty * np.maximum(usual / scale, 1.0) ** 2
         # The least of all solutions where columns repeat each other and nothing is penalised.
         weight[varies] = np.linalg.lstsq(among, covariance[size, :size][varies] / scale, rcond=None)[0] / scale
         return Linear(self.told, weight, float(mean[size] - weight @ mean[:size]))

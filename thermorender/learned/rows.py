@@ -51,7 +51,7 @@ def at_shape(image, shape):
 
     if image.shape[:2] == tuple(shape):
         return image
-    fewer = shape[0] < image.shape[0]
+    fewer = shape[0] * shape[1] < image.shape[0] * image.shape[1]
     return cv2.resize(image, shape[::-1], interpolation=cv2.INTER_AREA if fewer else cv2.INTER_LINEAR)
 
 

@@ -24,14 +24,15 @@ HEADER = ("method", "varied", "value", "pairs", "training [s]", "mean absolute e
 _EVERY = 2
 
 
-def run(dataset, methods=METHODS, vary=None, limit=60, seed=0, progress=None):
+def run(dataset, methods=None, vary=None, limit=60, seed=0, progress=None):
     """Return mean absolute errors of methods against what they were trained on; plain numbers.
 
     Parameters
     ----------
     dataset : Dataset
         With parts to train and to test on.
-    methods : sequence of str
+    methods : sequence of str, optional
+        `METHODS` by default, as far as the data set allows.
     vary : sequence of str, optional
         Of `VARIED`; all by default, but "kind" only where pairs of several kinds say theirs.
     limit : int
@@ -49,14 +50,19 @@ def run(dataset, methods=METHODS, vary=None, limit=60, seed=0, progress=None):
     Raises
     ------
     ThermorenderError
-        An unknown method or thing to vary, kinds to be left out where there is one only, or no test part.
+        An unknown method or thing to vary, a method that needs what the data set lacks, kinds to be left out where
+        there is one only, or no test part.
     """
+    told = dataset.card.get("terrain") and all(entry.conditions for entry in dataset.entries)
+    methods = [name for name in METHODS if told or not method(name).plus] if methods is None else methods
     for name in methods:
-        method(name)
+        if method(name).plus and not told:
+            raise ThermorenderError(f"method {name!r} needs the terrain's relief, hour and weather, which "
+                                    f"{dataset.folder} does not hold; leave it out")  # fmt: skip
     test = dataset.of("test")
     if not len(test):
         raise ThermorenderError(f"{dataset.folder} has no pairs of part 'test'; give a data set or a split with some")
-    kinds = sorted({entry.labels.get("kind", "") for entry in dataset.of("train").entries})
+    kinds = sorted({entry.labels["kind"] for entry in dataset.of("train").entries if "kind" in entry.labels})
     vary = tuple(vary or (VARIED if len(kinds) > 1 else VARIED[:2]))
     for each in vary:
         if each not in VARIED:
@@ -68,7 +74,8 @@ def run(dataset, methods=METHODS, vary=None, limit=60, seed=0, progress=None):
     values = {
         "share": [share for share in SHARES if share < 1.0],
         "shift_px": [shift for shift in SHIFTS_PX if shift],
-        "kind": kinds,
+        # Those that a test pair shows.
+        "kind": [kind for kind in kinds if any(entry.labels.get("kind") == kind for entry in scored)],
     }
     changes = [(None, None), *((each, value) for each in vary for value in values[each])]
     cases = [(name, *change) for name in methods for change in changes]
@@ -78,8 +85,9 @@ def run(dataset, methods=METHODS, vary=None, limit=60, seed=0, progress=None):
             progress(f"{name}, {varied} {value}" if varied else name, number / len(cases))
         pairs, options = dataset, {varied: value} if varied in ("share", "shift_px") else {}
         if varied == "kind":
-            pairs = dataset.having([entry for entry in dataset.entries if entry.labels["kind"] != value])
-        model = train_map(name, name, pairs, seed=seed, **options)
+            pairs = dataset.having([entry for entry in dataset.entries if entry.labels.get("kind") != value])
+        # Pairs for validation would be there whatever the share is.
+        model = train_map(name, name, pairs, seed=seed, parts=("train",), **options)
         told = {"method": name, "pairs": sum(model.about["pairs"].values()), "training_s": model.about["training_s"]}
         errors = _errors(model, test, scored)
         if varied is None:
@@ -89,7 +97,7 @@ def run(dataset, methods=METHODS, vary=None, limit=60, seed=0, progress=None):
             found += [{**told, "varied": each, "value": end, "mae_k": _mean(whole)} for each, end in ends.items()
                       if each in vary]  # fmt: skip
         elif varied == "kind":
-            of = [entry.labels["kind"] == value for entry in scored]
+            of = [entry.labels.get("kind") == value for entry in scored]
             found.append({**told, "varied": varied, "value": value, "mae_k": _mean(errors[of]),
                           "seen_mae_k": _mean(whole[of])})  # fmt: skip
         else:
