@@ -4,6 +4,7 @@ import json
 import math
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -11,7 +12,7 @@ from thermorender.campaign.dataset import Entry, ThermalScale, Writer, packed, r
 from thermorender.campaign.map_training import train_map
 from thermorender.errors import ThermorenderError
 from thermorender.learned.methods import METHODS
-from thermorender.learned.temperature_map import Inputs, load_map
+from thermorender.learned.temperature_map import SHIPPED, Inputs, load_map, load_model
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.sensor.camera import load_camera
 from thermorender.sensor.readout import radiance_from_counts
@@ -387,3 +388,25 @@ def test_methods_that_the_data_set_does_not_allow(tmp_path):
 def test_what_cannot_be_varied_is_refused(tmp_path, vary, words):
     with pytest.raises(ThermorenderError, match=words):
         maps.run(write(tmp_path / "d"), ("correlation-1to1",), vary)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_maps_say_what_they_were_trained_on(name):
+    model = load_model(name)
+    assert model.name == name and model.source.endswith("rendered from procedural scenes")
+    assert model.about["dataset"]["origin"] == "rendered" and model.about["dataset"]["licence"] == "MIT"
+    assert model.about["pairs"] == {"train": 1620, "validation": 162} and model.about["seed"] == 0
+    # Four seasons, day and night.
+    told = model.about["conditions"]
+    assert told["air_k"][0] < 260.0 and told["air_k"][1] > 300.0 and told["day"][1] - told["day"][0] > 350
+    assert told["sun_elevation_deg"][0] < -50.0 and told["sun_elevation_deg"][1] > 60.0
+    assert SHIPPED[name].stat().st_size < 1_000_000
+    assert bool(model.needs) == name.endswith("+")
+
+
+def test_shipped_maps_translate_and_ask_for_what_they_need(tmp_path, call):
+    cv2.imwrite(str(tmp_path / "a.png"), colours(3))
+    status, out, errors = call("translate", "procedural-palette", tmp_path / "a.png", "-o", tmp_path / "o")
+    assert status == 0, errors
+    status, _, errors = call("translate", "procedural-trees+", tmp_path / "a.png", "-o", tmp_path / "p")
+    assert status == 2 and "procedural-trees+" in errors and not (tmp_path / "p").exists()
