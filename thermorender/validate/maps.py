@@ -71,6 +71,8 @@ def run(dataset, methods=None, vary=None, limit=60, seed=0, progress=None):
         raise ThermorenderError(f"{dataset.folder} has pairs of one kind of land, which cannot be left out")
     chosen = np.unique(np.linspace(0, len(test) - 1, min(limit, len(test))).astype(int))
     scored = [test.entries[k] for k in chosen]
+    # Pairs for validation would be there whatever the share is, and tell an error that nobody asks for here.
+    train = dataset.of("train")
     values = {
         "share": [share for share in SHARES if share < 1.0],
         "shift_px": [shift for shift in SHIFTS_PX if shift],
@@ -83,13 +85,13 @@ def run(dataset, methods=None, vary=None, limit=60, seed=0, progress=None):
     for number, (name, varied, value) in enumerate(cases):
         if progress:
             progress(f"{name}, {varied} {value}" if varied else name, number / len(cases))
-        pairs, options = dataset, {varied: value} if varied in ("share", "shift_px") else {}
+        pairs, options = train, {varied: value} if varied in ("share", "shift_px") else {}
         if varied == "kind":
-            pairs = dataset.having([entry for entry in dataset.entries if entry.labels.get("kind") != value])
-        # Pairs for validation would be there whatever the share is.
+            pairs = train.having([entry for entry in train.entries if entry.labels.get("kind") != value])
         model = train_map(name, name, pairs, seed=seed, parts=("train",), **options)
         told = {"method": name, "pairs": sum(model.about["pairs"].values()), "training_s": model.about["training_s"]}
-        errors = _errors(model, test, scored)
+        of = [varied != "kind" or entry.labels.get("kind") == value for entry in scored]
+        errors = _errors(model, test, [entry for entry, here in zip(scored, of, strict=True) if here])
         if varied is None:
             whole = errors
             # Everything, not moved, is an end of both curves.
@@ -97,8 +99,7 @@ def run(dataset, methods=None, vary=None, limit=60, seed=0, progress=None):
             found += [{**told, "varied": each, "value": end, "mae_k": _mean(whole)} for each, end in ends.items()
                       if each in vary]  # fmt: skip
         elif varied == "kind":
-            of = [entry.labels.get("kind") == value for entry in scored]
-            found.append({**told, "varied": varied, "value": value, "mae_k": _mean(errors[of]),
+            found.append({**told, "varied": varied, "value": value, "mae_k": _mean(errors),
                           "seen_mae_k": _mean(whole[of])})  # fmt: skip
         else:
             found.append({**told, "varied": varied, "value": value, "mae_k": _mean(errors)})
