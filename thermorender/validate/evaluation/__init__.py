@@ -93,7 +93,7 @@ def evaluate(dataset, models, folder, oracle=None, foreign=None, split=None, par
     result = {
         "dataset": {
             "folder": str(dataset.folder), "card_sha256": _digest(dataset.folder / "card.json"),
-            "title": dataset.card.get("title"), "thermal": dataset.card["thermal"],
+            "title": dataset.card.get("title", dataset.card.get("name")), "thermal": dataset.card["thermal"],
         },
         "part": part, "pairs": len(scored), "parts": {name: len(dataset.of(name)) for name in _parts(dataset)},
         "split": "given" if split is not None else "the data set's own", "limit": limit, "seed": seed,

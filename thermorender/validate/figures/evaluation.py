@@ -5,6 +5,10 @@ import numpy as np
 from thermorender import files
 from thermorender.units import ZERO_CELSIUS_K
 
+# Of maps beyond the ten colours, and of the simple methods' lines.
+_MARKERS = "osv^"
+_DASHES = ((1, 1), (4, 1), (1, 4), (8, 2), (4, 1, 1, 1), (8, 1, 1, 1, 1, 1), (12, 4))
+
 
 def picture(path, view, guesses, share):
     """Draw a view: visible and true picture, and below them what each method gives and its error.
@@ -57,16 +61,17 @@ def against_time(path, result):
     """
     pyplot = _pyplot()
     figure, axis = pyplot.subplots(figsize=(10, 5), layout="constrained")
+    dashes = iter(_DASHES)
     for number, (label, found) in enumerate(result["methods"].items()):
         if found["mae_k"] is None:
             continue
         if found.get("seconds_per_mpixel") is None:
-            axis.axhline(found["mae_k"], color=f"C{number % 10}", lw=1, ls=":", label=label)
+            axis.axhline(found["mae_k"], color="0.3", lw=1, ls=(0, next(dashes, (1, 0))), label=label)
             continue
         ends = found["interval_95"]["mae_k"] or (found["mae_k"],) * 2
         bars = np.abs(np.array(ends) - found["mae_k"])[:, None]
-        axis.errorbar(found["seconds_per_mpixel"], found["mae_k"], bars, fmt="o", color=f"C{number % 10}", capsize=3,
-                      label=label)  # fmt: skip
+        axis.errorbar(found["seconds_per_mpixel"], found["mae_k"], bars, fmt=_MARKERS[number // 10 % len(_MARKERS)],
+                      color=f"C{number % 10}", capsize=3, label=label)  # fmt: skip
     axis.set(xscale="log", xlabel="inference [s per megapixel]", ylabel="mean absolute error [K]")
     fastest, slowest = axis.get_xlim()
     axis.set_xlim(fastest / 2.0, slowest * 2.0)
