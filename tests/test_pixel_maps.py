@@ -425,6 +425,15 @@ def test_what_hardly_varied_is_not_believed_far_beyond_that(fit):
     assert -25.0 < found.min() and found.max() < 35.0
 
 
+def test_linear_passes_over_what_it_was_not_told():
+    """A condition that training lacked, and that would make a column with one it had."""
+    inputs, _ = linear_example(0, 290.0, np.random.default_rng(2))
+    told = rows.Told(("sunlight",), tuple(sorted(set(inputs.conditions) - {"shade_sand"})))
+    weight = np.array([name == "sunlight" for name in linear.names_of_columns(told)], float)
+    found = linear.Linear(told, weight, 1.0).predict(inputs, None)
+    np.testing.assert_allclose(found, 1.0 + inputs.terrain["sunlight"], rtol=1e-12)
+
+
 def test_linear_leaves_out_what_is_constant_and_classes():
     inputs, kelvin = linear_example(0, 290.0, np.random.default_rng(2))
     inputs.terrain["material"] = np.ones((48, 64), np.uint8)

@@ -73,11 +73,7 @@ def train_map(
     pairs, cut = _some(dataset.of(*parts), share), Cut(shift_px=shift_px, seed=seed)
     if not len(pairs):
         raise ThermorenderError(f"{dataset.folder} has no pairs in {' or '.join(parts)}; give a split that has some")
-    if how.plus and not (dataset.card.get("terrain") and all(entry.conditions for entry in pairs.entries)):
-        raise ThermorenderError(
-            f"method {method_name!r} needs the terrain's relief, hour and weather, which {dataset.folder} does not "
-            f"hold; take {method_name.rstrip('+') if method_name != 'correlation+' else 'correlation-9to1'}"
-        )
+    refuse_untold(method_name, pairs)
     tell("looking at the values", 0.0)
     usable = ~_saturated(dataset.card, np.arange(65536))
     bounds = bounds_of_dataset(dataset.of("train") if len(dataset.of("train")) else pairs, usable)
@@ -135,6 +131,26 @@ def train_map(
         "options": options, "seed": seed, "training_s": round(seconds, 2), "versions": versions(),
     }  # fmt: skip
     return _with_error(made, about, dataset, material)
+
+
+def is_told(dataset):
+    """Return whether a Dataset holds the terrain's relief, and all its pairs hour and weather."""
+    return bool(dataset.card.get("terrain")) and all(entry.conditions for entry in dataset.entries)
+
+
+def refuse_untold(method_name, dataset):
+    """Raise where a method needs relief, hour and weather, and a Dataset lacks them.
+
+    Raises
+    ------
+    ThermorenderError
+        Or an unknown method.
+    """
+    if method(method_name).plus and not is_told(dataset):
+        raise ThermorenderError(
+            f"method {method_name!r} needs the terrain's relief, hour and weather, which {dataset.folder} does not "
+            f"hold; take {method_name.rstrip('+') if method_name != 'correlation+' else 'correlation-9to1'}"
+        )
 
 
 def _some(dataset, share):

@@ -33,6 +33,7 @@ class Correlation:
 
     @property
     def needs(self):
+        """Names of the fields of Inputs that are needed."""
         return ("conditions",) if self.above_air else ()
 
     def predict(self, inputs, texel_m):

@@ -64,6 +64,7 @@ class Linear:
 
     @property
     def needs(self):
+        """Names of the fields of Inputs that are needed."""
         return self.told.needs
 
     def predict(self, inputs, texel_m):
@@ -151,8 +152,9 @@ def columns(values, told):
 
 def _grounds(values, told):
     """Give (name, plane) of what colour multiplies, 0 where there is no terrain."""
-    materials = [name[5:] for name in told.conditions if name.startswith("open_") and "shade_" + name[5:] in values]
-    sunlight = "sunlight" in told.terrain and all(name in told.conditions for name in _IN_THE_OPEN)
+    known = told.conditions
+    materials = [name[5:] for name in known if name.startswith("open_") and f"shade_{name[5:]}" in known]
+    sunlight = "sunlight" in told.terrain and all(name in known for name in _IN_THE_OPEN)
     if materials and sunlight:
         direct, diffuse, elevation = (values[name] for name in _IN_THE_OPEN)
         in_the_open = np.maximum(direct * np.maximum(np.sin(np.radians(elevation)), 0.0) + diffuse, _LEAST_SUNLIGHT)
@@ -166,7 +168,7 @@ def _grounds(values, told):
     if "sky_view" in told.terrain:
         hidden = 1.0 - np.nan_to_num(values["sky_view"], nan=1.0)
         yield "hidden sky", hidden
-        if "longwave_w_m2" in told.conditions:
+        if "longwave_w_m2" in known:
             yield "hidden sky × longwave", hidden * values["longwave_w_m2"]
 
 

@@ -73,10 +73,12 @@ class Trees:
 
     @property
     def needs(self):
+        """Names of the fields of Inputs that are needed."""
         return self.told.needs
 
     @property
     def above_air(self):
+        """Whether it gives kelvin above the air instead of intensity."""
         return self.told.above_air
 
     def predict(self, inputs, texel_m):

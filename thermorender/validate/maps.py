@@ -8,7 +8,7 @@ part, which is never moved, or on its pairs of the kind that was left out. Besid
 import numpy as np
 
 from thermorender.campaign.map_inputs import ground_of, inputs_of
-from thermorender.campaign.map_training import train_map
+from thermorender.campaign.map_training import is_told, refuse_untold, train_map
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
 from thermorender.learned.methods import method
@@ -16,8 +16,9 @@ from thermorender.validate.bench import machine
 from thermorender.versions import versions
 
 METHODS = ("correlation-1to1", "correlation-9to1", "correlation-5x5", "palette", "correlation+")
-SHIFTS_PX = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0)
-SHARES = (0.02, 0.05, 0.1, 0.25, 0.5, 1.0)
+# Besides all of the training part, not moved.
+SHIFTS_PX = (1.0, 2.0, 4.0, 8.0, 16.0)
+SHARES = (0.02, 0.05, 0.1, 0.25, 0.5)
 VARIED = ("share", "shift_px", "kind")
 HEADER = ("method", "varied", "value", "pairs", "training [s]", "mean absolute error [K]", "trained on it too [K]")
 # Every so many rows and columns of a test picture are scored: neighbours err alike.
@@ -53,12 +54,10 @@ def run(dataset, methods=None, vary=None, limit=60, seed=0, progress=None):
         An unknown method or thing to vary, a method that needs what the data set lacks, kinds to be left out where
         there is one only, or no test part.
     """
-    told = dataset.card.get("terrain") and all(entry.conditions for entry in dataset.entries)
-    methods = [name for name in METHODS if told or not method(name).plus] if methods is None else methods
+    if methods is None:
+        methods = [name for name in METHODS if is_told(dataset) or not method(name).plus]
     for name in methods:
-        if method(name).plus and not told:
-            raise ThermorenderError(f"method {name!r} needs the terrain's relief, hour and weather, which "
-                                    f"{dataset.folder} does not hold; leave it out")  # fmt: skip
+        refuse_untold(name, dataset)
     test = dataset.of("test")
     if not len(test):
         raise ThermorenderError(f"{dataset.folder} has no pairs of part 'test'; give a data set or a split with some")
@@ -74,8 +73,8 @@ def run(dataset, methods=None, vary=None, limit=60, seed=0, progress=None):
     # Pairs for validation would be there whatever the share is, and tell an error that nobody asks for here.
     train = dataset.of("train")
     values = {
-        "share": [share for share in SHARES if share < 1.0],
-        "shift_px": [shift for shift in SHIFTS_PX if shift],
+        "share": SHARES,
+        "shift_px": SHIFTS_PX,
         # Those that a test pair shows.
         "kind": [kind for kind in kinds if any(entry.labels.get("kind") == kind for entry in scored)],
     }
@@ -89,20 +88,18 @@ def run(dataset, methods=None, vary=None, limit=60, seed=0, progress=None):
         if varied == "kind":
             pairs = train.having([entry for entry in train.entries if entry.labels.get("kind") != value])
         model = train_map(name, name, pairs, seed=seed, parts=("train",), **options)
-        told = {"method": name, "pairs": sum(model.about["pairs"].values()), "training_s": model.about["training_s"]}
-        of = [varied != "kind" or entry.labels.get("kind") == value for entry in scored]
-        errors = _errors(model, test, [entry for entry, here in zip(scored, of, strict=True) if here])
+        here = [varied != "kind" or entry.labels.get("kind") == value for entry in scored]
+        errors = _errors(model, test, [entry for entry, of_kind in zip(scored, here, strict=True) if of_kind])
+        case = {"method": name, "pairs": sum(model.about["pairs"].values()), "training_s": model.about["training_s"],
+                "mae_k": _mean(errors)}  # fmt: skip
         if varied is None:
             whole = errors
             # Everything, not moved, is an end of both curves.
             ends = {"share": 1.0, "shift_px": 0.0}
-            found += [{**told, "varied": each, "value": end, "mae_k": _mean(whole)} for each, end in ends.items()
-                      if each in vary]  # fmt: skip
-        elif varied == "kind":
-            found.append({**told, "varied": varied, "value": value, "mae_k": _mean(errors),
-                          "seen_mae_k": _mean(whole[of])})  # fmt: skip
+            found += [{**case, "varied": each, "value": end} for each, end in ends.items() if each in vary]
         else:
-            found.append({**told, "varied": varied, "value": value, "mae_k": _mean(errors)})
+            seen = {"seen_mae_k": _mean(whole[here])} if varied == "kind" else {}
+            found.append({**case, "varied": varied, "value": value, **seen})
     return {
         "dataset": dataset.card.get("name"), "test_pairs": len(scored), "seed": seed, "cases": found,
         "machine": machine(), "versions": versions(),
