@@ -3,6 +3,8 @@
 PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
+# PyTorch's build without CUDA, some gigabytes smaller; TORCH=torch takes what PyPI has.
+TORCH  ?= 'torch==2.13.0' --extra-index-url https://download.pytorch.org/whl/cpu
 READY  := $(VENV)/.ready
 
 .PHONY: setup demo test lint coverage maps clean
@@ -16,6 +18,7 @@ $(READY): pyproject.toml
 	  || { echo "Python 3.10 or newer is needed; give one with make PYTHON=/path/to/python3"; exit 2; }
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || $(MAKE) --no-print-directory venv-package
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --retries 0 $(TORCH)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[test]'
 	$(BIN)/thermorender doctor --install
 	@touch $(READY)

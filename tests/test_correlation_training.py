@@ -15,7 +15,7 @@ from thermorender.scene.raster import read_colour
 
 
 def task(examples, intensity, **options):
-    return Task(lambda: iter(examples), len(examples), intensity, intensity + 280.0, 0, lambda *_: None, options)
+    return Task(examples, intensity, intensity + 280.0, 0, lambda *_: None, options)
 
 
 def as_values(intensity):
@@ -120,7 +120,7 @@ def test_kelvin_above_the_air():
     for rgb, own, a in zip(pictures, values, air, strict=True):
         examples.append(Example(Inputs(rgb, conditions={"air_k": a}), own, np.ones(own.shape, bool)))
     options = {"intercept": True, "above_air": True}
-    found = fit_correlation(Task(lambda: iter(examples), 2, table - 280.0, table, 0, lambda *_: None, options), 1)
+    found = fit_correlation(Task(examples, table - 280.0, table, 0, lambda *_: None, options), 1)
     np.testing.assert_allclose(found.kernel, 10.0 * known.kernel, atol=1e-8)
     assert found.intercept == pytest.approx(3.0, abs=1e-8) and found.above_air and found.needs == ("conditions",)
     with pytest.raises(ThermorenderError, match="above_air=true needs the air's temperature of every pair"):

@@ -32,7 +32,7 @@ def example(inputs, kelvin, valid=None):
 
 
 def task_of(name, examples, texel_m=None, **options):
-    return Task(lambda: iter(examples), len(examples), INTENSITY, TEMPERATURE, 3, lambda what, share: None,
+    return Task(examples, INTENSITY, TEMPERATURE, 3, lambda what, share: None,
                 method(name).options | options, texel_m)  # fmt: skip
 
 

@@ -223,7 +223,13 @@ class Dataset:
             yield self.pair(entry)
 
     def pair(self, entry, truth=True):
-        """Return the Pair of an Entry; `truth` False leaves out what only simulations know.
+        """Return the Pair of an Entry.
+
+        Parameters
+        ----------
+        entry : Entry
+        truth : bool or sequence of str
+            What only simulations know: all, nothing, or these planes of it, as far as they are there.
 
         Raises
         ------
@@ -275,7 +281,7 @@ class Dataset:
         if "truth.npz" in found:
             try:
                 with np.load(io.BytesIO(found["truth.npz"]), allow_pickle=False) as kept:
-                    images = {name: kept[name] for name in kept}
+                    images = {name: kept[name] for name in kept if truth is True or name in truth}
                 whole = all(values.shape == tuple(entry.shape) for values in images.values())
             except Exception:
                 # What is damaged shows as nearly any exception of zipfile's and NumPy's parsers.

@@ -20,7 +20,7 @@ def ground_of(pair):
 
 
 def inputs_of(pair, card, material=False):
-    """Return the Inputs of a Pair: its picture, ground sampling distance, relief, hour and weather.
+    """Return the Inputs of a Pair: its picture, ground sampling distance, relief, hour, weather and depth.
 
     Parameters
     ----------
@@ -46,4 +46,10 @@ def inputs_of(pair, card, material=False):
     terrain = {name: pair.truth[name].astype(np.float32) for name in names}
     if material:
         terrain["material"][pair.truth["material"] == NO_MATERIAL] = np.nan
-    return Inputs(pair.visible, pair.entry.texel_m, terrain, pair.entry.conditions)
+    return Inputs(pair.visible, pair.entry.texel_m, terrain, pair.entry.conditions, depth_of(pair))
+
+
+def depth_of(pair):
+    """Return the depth of a Pair's pixels [m], (H, W) float32 and NaN where nothing is, or None where it tells none."""
+    depth = pair.truth.get("depth")
+    return None if depth is None else np.where(np.isfinite(depth) & (depth > 0.0), depth, np.nan).astype(np.float32)

@@ -1,13 +1,14 @@
 """A learned temperature map trained on a data set: what the method is given, and what the map says of itself."""
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from thermorender.campaign.bounds import bounds_of_dataset
 from thermorender.campaign.cut import Cut, moved
-from thermorender.campaign.map_inputs import ground_of, inputs_of
+from thermorender.campaign.map_inputs import depth_of, ground_of, inputs_of
 from thermorender.errors import ThermorenderError
 from thermorender.learned.methods import METHODS, method
 from thermorender.learned.temperature_map import ASSUMED_SKY_K, Inputs, TemperatureMap
@@ -28,7 +29,7 @@ _RANGES = ("air_k", "wind_m_s", "snow_m", "sun_elevation_deg", "solar_hour", "da
 
 def train_map(
     name, method_name, dataset, options=None, seed=0, progress=None, parts=("train", "validation"), material=False,
-    shift_px=0.0, share=1.0,
+    shift_px=0.0, share=1.0, run=None, resume=False,
 ):  # fmt: skip
     """Return the TemperatureMap of a method, trained on some parts of a Dataset.
 
@@ -51,6 +52,10 @@ def train_map(
         Trains on pairs that are not aligned: each thermal picture is moved by a random vector of this length [px].
     share : float
         Trains on so many of the sequences, evenly spaced over the data set's order, one at least.
+    run : path, optional
+        Folder for checkpoints, log and sample pictures of a network's training.
+    resume : bool
+        Continue the training of that folder.
 
     Raises
     ------
@@ -88,35 +93,37 @@ def train_map(
     values = np.arange(np.iinfo(first.dtype).max + 1)
     radiance = scale.radiance(values)
 
-    def examples():
-        for entry in pairs.entries:
-            pair = pairs.pair(entry, truth=how.plus)
-            if how.plus:
-                inputs = inputs_of(pair, dataset.card, material)
-            else:
-                # Colour only, but for the air where that is asked for.
-                told = entry.conditions if options.get("above_air") else {}
-                inputs = Inputs(pair.visible, entry.texel_m, {}, told)
-            values, valid = moved(pair.thermal, pair.valid, entry.key, cut) if shift_px else (pair.thermal, pair.valid)
-            yield Example(inputs, values, valid & usable[values])
+    def example(entry):
+        planes = (*dataset.card.get("terrain", ()), *(["material"] if material else ())) if how.plus else ()
+        pair = pairs.pair(entry, truth=(*planes, *(["depth"] if options.get("depth") else ())))
+        if how.plus:
+            inputs = inputs_of(pair, dataset.card, material)
+        else:
+            # Colour only, but for the air or the depth where that is asked for.
+            told = entry.conditions if options.get("above_air") else {}
+            inputs = Inputs(pair.visible, entry.texel_m, {}, told, depth_of(pair))
+        values, valid = moved(pair.thermal, pair.valid, entry.key, cut) if shift_px else (pair.thermal, pair.valid)
+        return Example(inputs, values, valid & usable[values])
 
     with np.errstate(invalid="ignore"):
         kelvin = brightness_temperature(np.maximum(radiance, 1e-6), *scale.band_um)
     started = time.perf_counter()
     sampling = np.array([entry.texel_m for entry in pairs.entries if entry.texel_m] or [1.0])
     texel_m = float(np.exp(np.median(np.log(sampling))))
+    texel_range_m = (float(sampling.min()), float(sampling.max()))
     held = np.array([entry.part == "validation" for entry in pairs.entries])
     task = Task(
-        examples, len(pairs), (radiance - cold) / (warm - cold), kelvin, seed, tell, options, texel_m,
-        held if held.any() and not held.all() else None,
+        _Read(pairs.entries, example), (radiance - cold) / (warm - cold), kelvin, seed, tell, options, texel_m,
+        texel_range_m, held if held.any() and not held.all() else None, run, resume,
     )  # fmt: skip
     predictor = how.fit(task)
-    seconds = time.perf_counter() - started
+    # A training that was resumed tells what all of it took.
+    seconds = getattr(predictor, "trained", {}).get("seconds", time.perf_counter() - started)
     skies = [entry.sky_temperature for entry in pairs.entries if entry.sky_temperature]
     made = TemperatureMap(
         name=name, method=method_name, predictor=predictor, range_k=range_k, band_um=scale.band_um,
         texel_m=texel_m,
-        texel_range_m=(float(sampling.min()), float(sampling.max())),
+        texel_range_m=texel_range_m,
         camera=dataset.card.get("camera", "unknown"),
         sky_temperature=float(np.mean(skies)) if skies else ASSUMED_SKY_K,
         source=f"{method_name} on {len(pairs)} pairs of {dataset.card.get('name', dataset.folder.name)}"
@@ -131,6 +138,19 @@ def train_map(
         "options": options, "seed": seed, "training_s": round(seconds, 2), "versions": versions(),
     }  # fmt: skip
     return _with_error(made, about, dataset, material)
+
+
+class _Read(Sequence):
+    """What is made of each entry, when it is asked for."""
+
+    def __init__(self, entries, example):
+        self._entries, self._example = entries, example
+
+    def __len__(self):
+        return len(self._entries)
+
+    def __getitem__(self, number):
+        return self._example(self._entries[number])
 
 
 def is_told(dataset):
@@ -216,7 +236,9 @@ def checked_options(method_name, known, given):
             raise ThermorenderError(f"method {method_name!r} has no option {key!r}; {allowed}")
         kind = type(known[key])
         try:
-            if kind is bool:
+            if kind is str:
+                found[key] = str(value)
+            elif kind is bool:
                 found[key] = {"true": True, "false": False}[str(value).lower()]
             else:
                 found[key] = kind(value)

@@ -9,6 +9,7 @@ from thermorender import defaults, files
 from thermorender.cli.camera import parse_scale
 from thermorender.cli.terminal import output_option, progress, split, table
 from thermorender.errors import ThermorenderError
+from thermorender.learned.networks.recipes import RECIPES
 
 MAPS = ", ".join((*defaults.TEMPERATURE_MAPS, *defaults.TRAINED_MAPS))
 VisibleFolder = Annotated[Path, typer.Argument(help="Folder of visible pictures.")]
@@ -174,7 +175,7 @@ def train(
     method: Annotated[
         str,
         typer.Argument(help="emissivity, or one of correlation-1to1, correlation-9to1, correlation-NxN, palette, "
-                       "trees, correlation+, trees+."),
+                       "trees, correlation+, trees+; networks: " + ", ".join(RECIPES) + "."),
     ],
     sources: Annotated[
         list[str] | None,
@@ -207,11 +208,19 @@ def train(
                      "saturation; default 0, procedural 2."),
     ] = None,
     seed: Annotated[int, typer.Option(help="Of the training.", min=0)] = 0,
+    run: Annotated[
+        Path | None,
+        typer.Option("--run", help="Networks: folder for checkpoints, log and sample pictures; default: the map's "
+                     "file with .run for .npz."),
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Networks: continue the training of that folder.")] = False,
 ):  # fmt: skip
     """Train a learned map: from colour to temperature on a data set, or to materials on scenes."""
     if method == "emissivity":
-        if of or setting or oracle:
-            raise ThermorenderError("--split, --set and --oracle belong to maps of temperature; leave them out")
+        if of or setting or oracle or run or resume:
+            raise ThermorenderError(
+                "--split, --set, --oracle, --run and --resume belong to maps of temperature; leave them out"
+            )
         _train_emissivity(sources, output, labels, texel_m, augmentations, seed)
         return
     if labels is not None or texel_m is not None or augmentations is not None:
@@ -224,7 +233,8 @@ def train(
     from thermorender.learned.methods import method as known
     from thermorender.learned.temperature_map import save_map
 
-    known(method)
+    if not known(method).long and (run or resume):
+        raise ThermorenderError(f"--run and --resume belong to networks, and {method!r} is none; leave them out")
     if len(sources or ()) != 1:
         raise ThermorenderError(f"train {method} was given {len(sources or ())} data sets; give one")
     pairs = read_dataset(sources[0])
@@ -232,7 +242,8 @@ def train(
         pairs = pairs.split(read_split(of))
     options = dict(_named(text, "--set", "OPTION=VALUE") for text in setting or ())
     with progress() as tell:
-        model = train_map(output.stem, method, pairs, options, seed, tell, material=oracle)
+        folder = (run or output.with_suffix(".run")) if known(method).long else None
+        model = train_map(output.stem, method, pairs, options, seed, tell, material=oracle, run=folder, resume=resume)
         save_map(model, output)
     typer.echo(str(model))
     own = f", own error {model.error_k:.2f} K on validation" if model.error_k is not None else ""

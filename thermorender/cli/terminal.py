@@ -40,7 +40,7 @@ def progress():
         tasks = {}
 
         def tell(what, share):
-            key = "frames" if what.startswith("frame ") else what
+            key = "frames" if what.startswith("frame ") else what.partition(":")[0]
             if key not in tasks:
                 tasks[key] = bar.add_task(what, total=1.0)
             bar.update(tasks[key], completed=share, description=what)

@@ -53,12 +53,12 @@ def fit_correlation(task, size):
     normal, waiting = np.zeros((n + 2, n + 2)), []
     # Matrix products release the interpreter, so threads share the work.
     with ThreadPoolExecutor() as pool:
-        for done, example in enumerate(task.examples(), 1):
+        for done, example in enumerate(task.examples, 1):
             less = _air_k(example) if above_air else 0.0
             waiting.append(pool.submit(_equations, _at_texel(example, task.texel_m), size, table, less))
             if len(waiting) == _AT_ONCE:
                 normal += waiting.pop(0).result()
-                task.progress("summing the normal equations", done / max(task.count, 1))
+                task.progress("summing the normal equations", done / len(task.examples))
         for each in waiting:
             normal += each.result()
     if normal[n, n] == 0.0:

@@ -88,8 +88,15 @@ class Linear:
 
     def of_values(self, values):
         """Return kelvin above the air of pixels, as `columns` takes them."""
-        found = np.full(np.shape(values["L"]), self.offset)
-        for (_, column), weight in zip(columns(values, self.told), self.weight, strict=True):
+        colours = np.stack(np.broadcast_arrays(1.0, *_colours(values)))
+        planes = [plane for _, plane in grounds(values, self.told)]
+        alone, many = len(_COLOURS) - 1, len(_COLOURS)
+        multiplied, rest = np.split(self.weight[alone:], [many * len(planes)])
+        found = self.offset + np.tensordot(self.weight[:alone], colours[1:], 1)
+        # What each ground is multiplied by is a quadratic of colour: one product of matrices for all of them.
+        for plane, factor in zip(planes, np.tensordot(multiplied.reshape(-1, many), colours, 1), strict=True):
+            found += plane * factor
+        for (_, column), weight in zip(_others(values, self.told), rest, strict=True):
             if weight:
                 found += weight * column
         return found
@@ -131,15 +138,25 @@ def columns(values, told):
         By pixel: "L", "a" and "b" of CIELAB, and what `told` names.
     told : Told
     """
+    colours = (None, *_colours(values))
+    yield from zip(_COLOURS[1:], colours[1:], strict=True)
+    for name, plane in grounds(values, told):
+        for what, colour in zip(_COLOURS, colours, strict=True):
+            yield (f"{name} × {what}", plane * colour) if what else (name, plane)
+    yield from _others(values, told)
+
+
+def _colours(values):
+    """What `_COLOURS` names but for the first, of CIELAB."""
     light, a, b = (np.asarray(values[channel]) for channel in "Lab")
     light = light / 50.0 - 1.0
     a, b = (np.clip(channel / _CHROMA, -_MOST_CHROMA, _MOST_CHROMA) for channel in (a, b))
-    colours = (None, light, a, b, light * light, a * a, b * b, light * a, light * b, a * b)
-    yield from zip(_COLOURS[1:], colours[1:], strict=True)
-    for name, plane in _grounds(values, told):
-        for what, colour in zip(_COLOURS, colours, strict=True):
-            yield (f"{name} × {what}", plane * colour) if what else (name, plane)
-    unknown = np.zeros(np.shape(light), bool)
+    return light, a, b, light * light, a * a, b * b, light * a, light * b, a * b
+
+
+def _others(values, told):
+    """Give (name, array or number) of what stands by itself: the terrain, where there is none, and the station."""
+    unknown = np.zeros(np.shape(values["L"]), bool)
     for name in told.terrain:
         unknown = unknown | np.isnan(values[name])
         # Sunlight is among what colour multiplies.
@@ -150,8 +167,12 @@ def columns(values, told):
         yield name, values[name]
 
 
-def _grounds(values, told):
-    """Give (name, plane) of what colour multiplies, 0 where there is no terrain."""
+def grounds(values, told):
+    """Give (name, plane) of what colour multiplies, 0 where there is no terrain.
+
+    First "as MATERIAL", kelvin above the air of each typical material that the conditions tell, in the sunlight that
+    the terrain has there; then sunlight, its past, and the hidden part of the sky.
+    """
     known = told.conditions
     materials = [name[5:] for name in known if name.startswith("open_") and f"shade_{name[5:]}" in known]
     sunlight = "sunlight" in told.terrain and all(name in known for name in _IN_THE_OPEN)
@@ -200,7 +221,7 @@ def fit_linear(task):
     penalty = float(task.options["penalty"])
     if not 0.0 <= penalty < np.inf:
         raise ThermorenderError(f"penalty={penalty:g} is not allowed; give 0 or more")
-    first = Told.of(next(iter(task.examples())).inputs)
+    first = Told.of(task.examples[0].inputs)
     if not first.above_air:
         raise ThermorenderError(
             "the pairs have no condition air_k, the air's temperature, that correlation+ adds to; give a data set "

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from thermorender.errors import ThermorenderError
 from thermorender.learned.correlation import MOST_SIDE
+from thermorender.learned.networks.recipes import RECIPES
 from thermorender.schema import did_you_mean
 
 
@@ -23,12 +24,15 @@ class Method:
         What may be chosen, with its default.
     classes : bool
         Whether it learns from numbers of classes, such as an oracle's materials; others leave them out.
+    long : bool
+        Whether it is trained step by step, in a folder from which it can be resumed.
     """
 
     fit: Callable
     plus: bool
     options: dict
     classes: bool = False
+    long: bool = False
 
 
 def _correlation(size):
@@ -43,11 +47,27 @@ def _correlation(size):
 
 def _later(module, name, plus, options, classes=False):
     def fit(task):
-        import importlib
-
-        return getattr(importlib.import_module(f"thermorender.learned.{module}"), name)(task)
+        return _imported(module, name)(task)
 
     return Method(fit, plus, options, classes)
+
+
+def _network(name, recipe):
+    def fit(task):
+        return _imported("networks.loop", "train_network")(task, name)
+
+    return Method(fit, recipe.plus, recipe.all_options, long=True)
+
+
+def _imported(module, name):
+    import importlib
+
+    try:
+        return getattr(importlib.import_module(f"thermorender.learned.{module}"), name)
+    except ModuleNotFoundError as error:
+        raise ThermorenderError(
+            f"training a network needs {error.name}; install it with: pip install 'thermorender[networks]'"
+        ) from None
 
 
 METHODS = {
@@ -60,6 +80,7 @@ METHODS = {
     "correlation+": _later("linear", "fit_linear", True, {"penalty": 1e-3}),
     "trees+": _later("trees", "fit_trees", True, {}, classes=True),
 }
+METHODS |= {name: _network(name, recipe) for name, recipe in RECIPES.items()}
 _NXN = re.compile(r"correlation-(\d+)x\1")
 
 

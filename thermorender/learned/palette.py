@@ -103,16 +103,16 @@ def fit_palette(task):
         raise ThermorenderError(f"shrinkage={shrinkage:g} is no number of pixels; give 0 or more")
     along = cells_along(cell)
     total, count = np.zeros(along**3), np.zeros(along**3, np.int64)
-    for number, example in enumerate(task.examples()):
+    for number, example in enumerate(task.examples):
         intensity = task.intensity[example.values]
         usable = example.valid & np.isfinite(intensity)
         place = cells(example.inputs.rgb[usable], cell, along)
         count += np.bincount(place, minlength=count.size)
         total += np.bincount(place, intensity[usable], total.size)
-        task.progress("counting colours", (number + 1) / task.count)
+        task.progress("counting colours", (number + 1) / len(task.examples))
     if not count.any():
         raise ThermorenderError(
-            f"none of {task.count} pairs has a valid pixel to learn from; give pairs whose pictures overlap"
+            f"none of {len(task.examples)} pairs has a valid pixel to learn from; give pairs whose pictures overlap"
         )
     shape = (along,) * 3
     return Palette(cell, shrunk(total.reshape(shape), count.reshape(shape), shrinkage), count.reshape(shape))

@@ -42,7 +42,10 @@ def at_texel(inputs, texel_m):
         name: cv2.resize(np.float32(plane), size, interpolation=cv2.INTER_NEAREST_EXACT)
         for name, plane in inputs.terrain.items()
     }
-    return replace(inputs, rgb=rgb, texel_m=inputs.texel_m / ratio, terrain=terrain)
+    depth = inputs.depth
+    if depth is not None:
+        depth = cv2.resize(np.float32(depth), size, interpolation=cv2.INTER_NEAREST_EXACT)
+    return replace(inputs, rgb=rgb, texel_m=inputs.texel_m / ratio, terrain=terrain, depth=depth)
 
 
 def at_shape(image, shape):
@@ -172,7 +175,7 @@ def drawn(task, told, most) -> Iterator[Drawn]:
     """
     generator = np.random.Generator(np.random.Philox(task.seed))
     empty = True
-    for number, example in enumerate(task.examples()):
+    for number, example in enumerate(task.examples):
         told.check(example.inputs)
         inputs = at_texel(example.inputs, task.texel_m)
         if told.above_air:
@@ -193,10 +196,10 @@ def drawn(task, told, most) -> Iterator[Drawn]:
             pixels = np.sort(generator.choice(pixels, most, replace=False))
         empty &= pixels.size == 0
         yield Drawn(number, inputs, window, pixels, target.ravel()[pixels])
-        task.progress("reading", (number + 1) / task.count)
+        task.progress("reading", (number + 1) / len(task.examples))
     if empty:
         raise ThermorenderError(
-            f"none of {task.count} pairs has a valid pixel to learn from; give pairs whose pictures overlap"
+            f"none of {len(task.examples)} pairs has a valid pixel to learn from; give pairs whose pictures overlap"
         )
 
 

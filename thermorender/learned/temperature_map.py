@@ -32,14 +32,15 @@ FORMAT = 1
 TEXEL_MARGIN = 1.25
 # Sky assumed where nobody states it: that of a clear mid-latitude summer day in the band [K].
 ASSUMED_SKY_K = 255.0
-# A map of boosted trees, the largest, takes some ten megabytes.
-_MOST_BYTES = 1 << 28
+# The largest network of full width, pix2pixHD's, takes 365 megabytes in half precision.
+_MOST_BYTES = 1 << 30
 # Kinds of predictors: {name in the file: (module, class)}; a module is imported when a map of it is read.
 PREDICTORS = {
     "correlation": ("thermorender.learned.correlation", "Correlation"),
     "palette": ("thermorender.learned.palette", "Palette"),
     "trees": ("thermorender.learned.trees", "Trees"),
     "linear": ("thermorender.learned.linear", "Linear"),
+    "network": ("thermorender.learned.networks.predictor", "Network"),
 }
 
 
@@ -58,12 +59,15 @@ class Inputs:
         there is no terrain.
     conditions : dict of str to float
         Hour and weather in numbers, as by `thermorender.render.heat.conditions`.
+    depth : (h, w) float32 or None
+        Distance from the camera to what each pixel shows [m], as a lidar tells it; NaN where it tells nothing.
     """
 
     rgb: np.ndarray
     texel_m: float | None = None
     terrain: Mapping[str, np.ndarray] = field(default_factory=dict)
     conditions: Mapping[str, float] = field(default_factory=dict)
+    depth: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +139,7 @@ class TemperatureMap:
             Something that the map needs is missing.
         """
         for name in self.needs:
-            if not getattr(inputs, name):
+            if getattr(inputs, name) is None or not len(getattr(inputs, name)):
                 raise ThermorenderError(
                     f"learned map {self.name!r} needs {_WORDS[name]}, which a picture alone does not have; give it "
                     "with a scene that has [weather], or take a map that sees colour only"
@@ -207,7 +211,7 @@ class TemperatureMap:
         return "\n".join(lines)
 
 
-_WORDS = {"terrain": "the terrain's relief", "conditions": "hour and weather"}
+_WORDS = {"terrain": "the terrain's relief", "conditions": "hour and weather", "depth": "the depth of each pixel"}
 _PLAIN = ("name", "method", "range_k", "band_um", "texel_m", "texel_range_m", "camera", "sky_temperature", "source",
           "trained", "error_k", "about")  # fmt: skip
 
@@ -245,6 +249,11 @@ def load_map(path):
         return _usable(TemperatureMap(predictor=predictor, **header))
     except ThermorenderError:
         raise
+    except ModuleNotFoundError as error:
+        raise ThermorenderError(
+            f"learned map {path} is a network and needs {error.name}; install it with: "
+            "pip install 'thermorender[networks]'"
+        ) from None
     except OSError as error:
         raise ThermorenderError(f"learned map {path} cannot be read: {error.strerror}; give a .npz of a map") from None
     # A damaged archive fails in zipfile, zlib, json or NumPy, each with errors of its own.

@@ -154,9 +154,9 @@ def fit_trees(task):
         LightGBM is missing, or there is nothing to learn from.
     """
     lightgbm = _lightgbm()
-    told = Told.of(next(iter(task.examples())).inputs)
-    most = min(_MOST_ROWS, max(_MOST_NUMBERS // len(told.columns) // task.count, 1))
-    held = held_out(task.count) if task.held_out is None else task.held_out
+    told = Told.of(task.examples[0].inputs)
+    most = min(_MOST_ROWS, max(_MOST_NUMBERS // len(told.columns) // len(task.examples), 1))
+    held = held_out(len(task.examples)) if task.held_out is None else task.held_out
     rows = {part: np.empty((np.count_nonzero(held == part) * most, len(told.columns)), np.float32) for part in (0, 1)}
     target, used = {part: np.empty(len(rows[part])) for part in rows}, [0, 0]
 

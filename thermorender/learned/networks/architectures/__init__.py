@@ -1,0 +1,1 @@
+"""The networks themselves: layers and how they are joined, with their sources."""

@@ -1,0 +1,106 @@
+"""A compact network: all convolutions at a quarter of the resolution and below, kelvin and their spread in one pass.
+
+Blocks of 4×4 pixels become channels, so nothing is lost and sixteen times fewer places are worked on; a U-Net of
+residual blocks runs there, and its last channels become pixels again. Where relief and weather are known, what it gives
+is added to a mixture of temperatures whose shares it chooses for each pixel: those of typical materials, as the heat
+balance has them here, and that of a linear map, with which it begins. There is no norm over the picture, so a part of
+it gives the same as the whole, but for the reach of the convolutions.
+"""
+
+import torch
+from torch import nn
+from torch.nn import functional
+
+BLOCK = 4
+# Residual blocks of each level on the way down; on the way up there is one.
+_BLOCKS = (2, 2, 2)
+_WIDER = (1, 2, 4)
+# Sides that it takes are multiples of this [pixels].
+MULTIPLE = BLOCK * 2 ** (len(_WIDER) - 1)
+# The last temperature's share to begin with is that of this logit, the others' 0.
+_BEGINNING = 4.0
+# Logarithm of the least and greatest spread, in units of the target's scale.
+_LOG_SPREAD = (-6.0, 4.0)
+
+
+class Compact(nn.Module):
+    """The network.
+
+    Parameters
+    ----------
+    channels : int
+        Of the picture, and of the planes that are given with it.
+    width : int
+        Channels at a quarter of the resolution.
+    conditions : int
+        Numbers that hold for the whole picture, and shift and scale every level's channels; 0: none.
+    mixed : int
+        Temperatures whose mixture is added, the last of the planes; 0: none. It begins with the very last.
+    """
+
+    def __init__(self, channels=3, width=96, conditions=0, mixed=0):
+        super().__init__()
+        self.mixed = mixed
+        widths = [width * each for each in _WIDER]
+        self.entry = nn.Conv2d(channels * BLOCK**2, width, 3, padding=1)
+        self.down = nn.ModuleList(
+            nn.ModuleList(_Residual(n, conditions) for _ in range(blocks))
+            for n, blocks in zip(widths, _BLOCKS, strict=True)
+        )
+        self.narrow = nn.ModuleList(
+            nn.Conv2d(before, after, 2, 2) for before, after in zip(widths[:-1], widths[1:], strict=True)
+        )
+        self.wide = nn.ModuleList(
+            nn.Conv2d(after, 4 * before, 1) for before, after in zip(widths[:-1], widths[1:], strict=True)
+        )
+        self.up = nn.ModuleList(_Residual(n, conditions) for n in widths[:-1])
+        # Of each pixel: what is added, the logarithm of its spread, and the shares of the mixture.
+        self.out = 2 + mixed
+        self.exit = nn.Conv2d(width, self.out * BLOCK**2, 3, padding=1)
+        nn.init.zeros_(self.exit.bias)
+        nn.init.normal_(self.exit.weight, 0.0, 1e-3)
+        if mixed:
+            nn.init.constant_(self.exit.bias[-(BLOCK**2) :], _BEGINNING)
+
+    def forward(self, planes, conditions=None):
+        """Return (mean, logarithm of the spread), (n, 1, h, w) each, of (n, channels, h, w) and (n, conditions)."""
+        x = self.entry(functional.pixel_unshuffle(planes, BLOCK))
+        kept = []
+        for level, blocks in enumerate(self.down):
+            if level:
+                kept.append(x)
+                x = self.narrow[level - 1](x)
+            for block in blocks:
+                x = block(x, conditions)
+        for level in reversed(range(len(self.up))):
+            x = functional.pixel_shuffle(self.wide[level](x), 2) + kept.pop()
+            x = self.up[level](x, conditions)
+        x = functional.pixel_shuffle(self.exit(x), BLOCK).float()
+        mean, spread = x[:, :1], x[:, 1:2].clamp(*_LOG_SPREAD)
+        if self.mixed:
+            shares = torch.softmax(x[:, 2:], dim=1)
+            mean = mean + (shares * planes[:, -self.mixed :].float()).sum(dim=1, keepdim=True)
+        return mean, spread
+
+
+class _Residual(nn.Module):
+    """x + what two convolutions make of it, its channels scaled and shifted by the conditions in between."""
+
+    def __init__(self, width, conditions):
+        super().__init__()
+        self.first = nn.Conv2d(width, width, 3, padding=1)
+        self.second = nn.Conv2d(width, width, 3, padding=1)
+        self.told = nn.Linear(conditions, 2 * width) if conditions else None
+        # It begins as nothing, so that depth costs no care.
+        nn.init.zeros_(self.second.weight)
+        nn.init.zeros_(self.second.bias)
+        if self.told is not None:
+            nn.init.normal_(self.told.weight, 0.0, 1e-2)
+            nn.init.zeros_(self.told.bias)
+
+    def forward(self, x, conditions):
+        y = self.first(functional.silu(x))
+        if self.told is not None:
+            scale, shift = self.told(conditions)[:, :, None, None].chunk(2, dim=1)
+            y = y * (1.0 + scale) + shift
+        return x + self.second(functional.silu(y))

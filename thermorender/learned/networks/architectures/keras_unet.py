@@ -1,0 +1,75 @@
+"""The U-Net that Keras shows for segmenting pictures of pets, which the DLR study took for infrared.
+
+Chollet, Image segmentation with a U-Net-like architecture, keras.io/examples/vision/oxford_pets_image_segmentation
+(2019, revised 2020): a strided convolution of 32, three levels of two separable convolutions (64, 128, 256) with
+pooling and a residual, four levels of two transposed convolutions (256, 128, 64, 32) with enlargement and a residual.
+There are no connections across: what the middle has lost does not come back.
+"""
+
+from torch import nn
+
+_DOWN = (2, 4, 8)
+_UP = (8, 4, 2, 1)
+# Keras' batch norm: 0.99 of the running statistics stay, and 1e-3 is added to the variance.
+_NORM = {"momentum": 0.01, "eps": 1e-3}
+# All levels together halve the sides four times.
+MULTIPLE = 16
+
+
+class KerasUNet(nn.Module):
+    """The network, for pictures whose sides are multiples of 16 pixels.
+
+    Parameters
+    ----------
+    channels, out : int
+        Of input and output; the output is linear.
+    width : int
+        Channels of the outermost level, 32 as published: with 3 classes 2.06 million parameters.
+    """
+
+    def __init__(self, channels=3, width=32, out=1):
+        super().__init__()
+        self.entry = nn.Sequential(nn.Conv2d(channels, width, 3, 2, 1), nn.BatchNorm2d(width, **_NORM), nn.ReLU())
+        before, self.down, self.up = width, nn.ModuleList(), nn.ModuleList()
+        for n in (width * each for each in _DOWN):
+            self.down.append(_Level(before, n, _separable, nn.MaxPool2d(3, 2, 1), nn.Conv2d(before, n, 1, 2)))
+            before = n
+        for n in (width * each for each in _UP):
+            self.up.append(_Level(before, n, _transposed, nn.Upsample(scale_factor=2),
+                                  nn.Sequential(nn.Upsample(scale_factor=2), nn.Conv2d(before, n, 1))))  # fmt: skip
+            before = n
+        self.exit = nn.Conv2d(before, out, 3, 1, 1)
+        for layer in self.modules():
+            # Keras draws all of them so.
+            if isinstance(layer, nn.Conv2d | nn.ConvTranspose2d):
+                nn.init.xavier_uniform_(layer.weight)
+                if layer.bias is not None:
+                    nn.init.zeros_(layer.bias)
+
+    def forward(self, x):
+        """Return (n, out, h, w) of (n, channels, h, w)."""
+        x = self.entry(x)
+        for level in (*self.down, *self.up):
+            x = level(x)
+        return self.exit(x)
+
+
+class _Level(nn.Module):
+    def __init__(self, before, after, convolution, resize, residual):
+        super().__init__()
+        self.layers = nn.Sequential(
+            nn.ReLU(), *convolution(before, after), nn.BatchNorm2d(after, **_NORM),
+            nn.ReLU(), *convolution(after, after), nn.BatchNorm2d(after, **_NORM), resize,
+        )  # fmt: skip
+        self.residual = residual
+
+    def forward(self, x):
+        return self.layers(x) + self.residual(x)
+
+
+def _separable(before, after):
+    return nn.Conv2d(before, before, 3, 1, 1, groups=before, bias=False), nn.Conv2d(before, after, 1)
+
+
+def _transposed(before, after):
+    return (nn.ConvTranspose2d(before, after, 3, 1, 1),)

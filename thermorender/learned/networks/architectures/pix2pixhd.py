@@ -1,0 +1,75 @@
+"""The networks of pix2pixHD: a global generator of residual blocks, and discriminators at two scales.
+
+Wang et al., High-Resolution Image Synthesis and Semantic Manipulation with Conditional GANs, CVPR 2018,
+arXiv:1711.11585, section 3.2 and appendix: generator c7s1-64, d128, d256, d512, d1024, nine residual blocks R1024,
+u512, u256, u128, u64, c7s1; all with instance norm. The same with two halvings and R256 is CycleGAN's generator (Zhu et
+al., ICCV 2017, arXiv:1703.10593, appendix 7.2).
+"""
+
+import torch
+from torch import nn
+from torch.nn import functional
+
+from thermorender.learned.networks.architectures.pix2pix import PatchDiscriminator, initialised
+
+BLOCKS = 9
+SCALES = 2
+
+
+class ResidualGenerator(nn.Module):
+    """The generator, for pictures whose sides are multiples of 2**halvings pixels.
+
+    Parameters
+    ----------
+    channels, out : int
+        Of the input and the output, which is from −1 to 1.
+    width : int
+        Channels of the outermost level. 64 with four halvings is pix2pixHD's global generator, 182.4 million
+        parameters; 64 with two is CycleGAN's, 11.4 million.
+    halvings : int
+    """
+
+    def __init__(self, channels=3, width=64, halvings=4, out=1):
+        super().__init__()
+        norm = nn.InstanceNorm2d
+        layers = [nn.ReflectionPad2d(3), nn.Conv2d(channels, width, 7), norm(width), nn.ReLU()]
+        for level in range(halvings):
+            n = width * 2**level
+            layers += [nn.Conv2d(n, 2 * n, 3, 2, 1), norm(2 * n), nn.ReLU()]
+        layers += [_Residual(width * 2**halvings) for _ in range(BLOCKS)]
+        for level in reversed(range(halvings)):
+            n = width * 2**level
+            layers += [nn.ConvTranspose2d(2 * n, n, 3, 2, 1, output_padding=1), norm(n), nn.ReLU()]
+        layers += [nn.ReflectionPad2d(3), nn.Conv2d(width, out, 7)]
+        self.layers = initialised(nn.Sequential(*layers))
+
+    def forward(self, x):
+        """Return (n, out, h, w) of (n, channels, h, w)."""
+        return torch.tanh(self.layers(x))
+
+
+class _Residual(nn.Module):
+    def __init__(self, width):
+        super().__init__()
+        half = (nn.ReflectionPad2d(1), nn.Conv2d(width, width, 3), nn.InstanceNorm2d(width))
+        other = (nn.ReflectionPad2d(1), nn.Conv2d(width, width, 3), nn.InstanceNorm2d(width))
+        self.layers = nn.Sequential(*half, nn.ReLU(), *other)
+
+    def forward(self, x):
+        return x + self.layers(x)
+
+
+class ScaledDiscriminators(nn.Module):
+    """Patch discriminators of the picture and of the same at half its size: 5.5 million parameters at width 64."""
+
+    def __init__(self, channels=4, width=64):
+        super().__init__()
+        self.scales = nn.ModuleList(PatchDiscriminator(channels, width, nn.InstanceNorm2d) for _ in range(SCALES))
+
+    def features(self, x):
+        """Return, for each scale, the output of every layer."""
+        found = []
+        for each in self.scales:
+            found.append(each.features(x))
+            x = functional.avg_pool2d(x, 3, 2, 1, count_include_pad=False)
+        return found

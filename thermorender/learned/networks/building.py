@@ -1,0 +1,64 @@
+"""A recipe's networks and learner, built."""
+
+from functools import partial
+
+import torch
+from torch import nn
+
+from thermorender.learned.networks import learners
+from thermorender.learned.networks.architectures.compact import Compact
+from thermorender.learned.networks.architectures.keras_unet import KerasUNet
+from thermorender.learned.networks.architectures.pix2pix import PatchDiscriminator, UNet256
+from thermorender.learned.networks.architectures.pix2pixhd import ResidualGenerator, ScaledDiscriminators
+from thermorender.learned.networks.architectures.plain import Autoencoder, Dense
+
+# Width of the published discriminators.
+_JUDGE = 64
+# CycleGAN's generator halves twice where pix2pixHD's halves four times.
+_CYCLE_HALVINGS = 2
+_NETS = {
+    "autoencoder": lambda encoding, width: Autoencoder(encoding.channels, width),
+    "dense": lambda encoding, width: Dense(encoding.channels, width),
+    "keras_unet": lambda encoding, width: KerasUNet(encoding.channels, width),
+    "keras_unet_classes": lambda encoding, width: KerasUNet(encoding.channels, width, learners.LEVELS),
+    "unet256": lambda encoding, width: UNet256(encoding.channels, width),
+    "pix2pixhd": lambda encoding, width: ResidualGenerator(encoding.channels, width),
+    "cyclegan": lambda encoding, width: ResidualGenerator(encoding.channels, width, _CYCLE_HALVINGS),
+    "compact": lambda encoding, width: Compact(
+        encoding.channels, width, len(encoding.told.conditions), encoding.mixed
+    ),
+}
+_OPTIMISERS = {"adam": torch.optim.Adam, "nadam": torch.optim.NAdam, "adamw": torch.optim.AdamW}
+
+
+_KINDS = {
+    "regression": learners.Regression, "classes": learners.Classes, "adversarial": learners.Adversarial,
+    "scales": learners.Scaled, "cycle": learners.Cycle, "robust": learners.Robust,
+}  # fmt: skip
+
+
+def kind_of(recipe):
+    """Return the class of a Recipe's Learner."""
+    return _KINDS[recipe.learner]
+
+
+def net_of(recipe, encoding, width):
+    """Return the network of a Recipe that is applied in the end, with weights to begin with."""
+    return _NETS[recipe.net](encoding, width)
+
+
+def learner_of(recipe, encoding, width, rate):
+    """Return the Learner of a Recipe."""
+    net, seen = net_of(recipe, encoding, width), encoding.channels
+    kind, others = kind_of(recipe), {}
+    # Of width 64 beside a generator of full width, and narrower by as much as that is.
+    beside = max(8, _JUDGE * width // recipe.width)
+    if kind is learners.Adversarial:
+        others = {"discriminator": PatchDiscriminator(seen + 1, beside)}
+    elif kind is learners.Scaled:
+        others = {"discriminator": ScaledDiscriminators(seen + 1, beside)}
+    elif kind is learners.Cycle:
+        judges = (PatchDiscriminator(n, beside, nn.InstanceNorm2d) for n in (seen, 1))
+        back = ResidualGenerator(1, width, _CYCLE_HALVINGS, seen)
+        others = {"back": back, **dict(zip(("photographs", "thermals"), judges, strict=True))}
+    return kind(net, others, partial(_OPTIMISERS[recipe.optimiser], lr=rate, betas=recipe.betas), recipe.weight)

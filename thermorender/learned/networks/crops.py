@@ -1,0 +1,130 @@
+"""Squares cut from the examples of a Task, in an order that the seed and their number alone decide.
+
+A picture that was read is cut several times, and the squares of some pictures are mixed, so that reading costs little
+and neighbours in the order differ. Crop number k is the same however training came there, which is what lets it be
+resumed.
+"""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.learned.temperature_map import Inputs
+
+# Squares cut from a picture when it is read, and pixels of those that are mixed.
+_CUTS, _MIXED_PIXELS = 8, 1 << 24
+# A square is drawn anew, up to so many times, where less than this of it is valid.
+_LEAST_VALID, _DRAWS = 0.3, 4
+
+
+@dataclass(frozen=True, eq=False)
+class Crop:
+    """A square of a picture.
+
+    Attributes
+    ----------
+    inputs : Inputs
+    target : (side, side) float32
+        Intensity, or kelvin above the air; 0 where it is not valid.
+    valid : (side, side) bool
+    """
+
+    inputs: Inputs
+    target: np.ndarray
+    valid: np.ndarray
+
+
+class Crops:
+    """The crops of a Task.
+
+    Parameters
+    ----------
+    task : Task
+    side : int
+        [pixels]
+    above_air : bool
+        Whether the target is kelvin above the air, instead of intensity.
+    """
+
+    def __init__(self, task, side, above_air):
+        self.task, self.side, self.above_air = task, side, above_air
+        count = len(task.examples)
+        held = task.held_out if task.held_out is not None else np.arange(count) % 10 == 9
+        self.train, self.held = np.flatnonzero(~held), np.flatnonzero(held)
+        if not len(self.train) or not len(self.held):
+            raise ThermorenderError(
+                f"{count} pairs are too few to train a network and to tell when it is best; give 10 at least"
+            )
+        self._mixed = max(1, _MIXED_PIXELS // (_CUTS * side * side))
+        self._pool, self._block = ThreadPoolExecutor(1), {}
+
+    def close(self):
+        """Read no further."""
+        self._pool.shutdown(cancel_futures=True)
+
+    def batch(self, first, size):
+        """Return crops number `first` to `first + size` of the endless order, a list of Crop."""
+        return [self._of(number) for number in range(first, first + size)]
+
+    def validation(self):
+        """Return a crop of each held-out example, the same each time."""
+        return [self._cut(self.read(k), np.random.default_rng([self.task.seed, 1, k])) for k in self.held]
+
+    def _of(self, number):
+        block, within = divmod(number, self._mixed * _CUTS)
+        for each in (block, block + 1):
+            if each not in self._block:
+                self._block[each] = self._pool.submit(self._made, each)
+        for each in [old for old in self._block if old < block]:
+            del self._block[each]
+        return self._block[block].result()[within]
+
+    def _made(self, block):
+        """The crops of a block, mixed."""
+        found = []
+        for place in range(block * self._mixed, (block + 1) * self._mixed):
+            epoch, within = divmod(place, len(self.train))
+            order = np.random.default_rng([self.task.seed, 2, epoch]).permutation(len(self.train))
+            example = self.read(self.train[order[within]])
+            generator = np.random.default_rng([self.task.seed, 3, place])
+            found += [self._cut(example, generator, mirrored=True) for _ in range(_CUTS)]
+        order = np.random.default_rng([self.task.seed, 4, block]).permutation(len(found))
+        return [found[k] for k in order]
+
+    def read(self, number):
+        """Return (Inputs, target (h, w) float32, valid (h, w) bool) of an example."""
+        example = self.task.examples[int(number)]
+        if self.above_air:
+            target = self.task.temperature[example.values] - example.inputs.conditions["air_k"]
+        else:
+            target = self.task.intensity[example.values]
+        # Where a value stands for no temperature, as below zero radiance, there is nothing to learn.
+        valid = example.valid & np.isfinite(target)
+        return example.inputs, np.where(valid, target, 0.0).astype(np.float32), valid
+
+    def _cut(self, read, generator, mirrored=False):
+        inputs, target, valid = read
+        lacking = [max(self.side - n, 0) for n in valid.shape]
+        for _ in range(_DRAWS):
+            top, left = (int(generator.integers(n + less - self.side + 1)) for n, less in zip(valid.shape, lacking,
+                                                                                              strict=True))  # fmt: skip
+            here = np.s_[top : top + self.side, left : left + self.side]
+            if valid[here].mean() >= _LEAST_VALID:
+                break
+        step = -1 if mirrored and generator.random() < 0.5 else 1
+
+        def part(plane, mode="constant"):
+            plane = plane[here][:, ::step]
+            if plane.shape[:2] != (self.side, self.side):
+                # A picture smaller than the square stands in its corner, its edges repeated.
+                around = [(0, self.side - n) for n in plane.shape[:2]] + [(0, 0)] * (plane.ndim - 2)
+                plane = np.pad(plane, around, mode)
+            return np.ascontiguousarray(plane)
+
+        # In half precision, as data sets hold them: many crops wait at a time.
+        terrain = {name: part(plane, "edge").astype(np.float16) for name, plane in inputs.terrain.items()}
+        depth = None if inputs.depth is None else part(inputs.depth, "edge")
+        cut = Inputs(part(inputs.rgb, "edge"), inputs.texel_m, terrain, inputs.conditions, depth)
+        return Crop(cut, part(target), part(valid))

@@ -1,0 +1,185 @@
+"""What a network is shown: planes of a picture, and numbers that hold for all of it, in units of about one.
+
+Training and application encode in this one place.
+"""
+
+from dataclasses import asdict, dataclass, fields
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.learned.linear import Linear, grounds
+from thermorender.learned.rows import CLASSES, Told, at_texel
+
+# A condition that spreads less than this over the training pictures tells nothing.
+_CONSTANT = 1e-6
+# Training pictures that tell the statistics, about; and the least spread of a target, in its own unit.
+_LOOKED_AT = 180
+_LEAST_SCALE = 1e-3
+# Conditions are believed so many standard deviations beyond the mean of those trained under.
+_BELIEVED = 3.0
+# A depth is told as the logarithm of its ratio to this [m].
+_DEPTH_M = 100.0
+# A terrain's planes are divided by these, by how their names begin.
+_UNITS = (("normal_", 1.0), ("above_m", 5.0), ("sky_view", 1.0), ("sun", 300.0))
+
+
+@dataclass(frozen=True)
+class Encoding:
+    """How Inputs become a network's numbers.
+
+    Attributes
+    ----------
+    told : Told
+        What it is shown besides the picture.
+    depth : bool
+        Whether it is shown the depth, and where that is known.
+    mean, spread : (len(told.conditions),) tuples of float
+        Of the conditions over the training pictures; spread 0 where they did not vary.
+    offset, scale : float
+        The target is (intensity, or kelvin above the air, less `offset`) / `scale`.
+    base : Linear or None
+        A linear predictor whose kelvin are the last plane.
+    """
+
+    told: Told = Told()
+    depth: bool = False
+    mean: tuple = ()
+    spread: tuple = ()
+    offset: float = 0.0
+    scale: float = 1.0
+    base: Linear | None = None
+
+    @classmethod
+    def measured(cls, crops, depth, offset=None, scale=None, base=None):
+        """Return the Encoding for the examples of Crops, told all that they hold besides the picture.
+
+        Parameters
+        ----------
+        crops : Crops
+        depth : bool
+        offset, scale : float, optional
+            Of the target; by default its mean and standard deviation, or where kelvin above the air are learned, which
+            begin with a mixture of such, 0 and their root mean square.
+        base : Linear, optional
+        """
+        first = Told.of(crops.read(crops.train[0])[0])
+        told = Told(tuple(name for name in first.terrain if name != CLASSES), first.conditions)
+        table, sums = [], np.zeros(3)
+        for k in crops.train[:: max(len(crops.train) // _LOOKED_AT, 1)]:
+            inputs, target, valid = crops.read(k)
+            if depth and inputs.depth is None:
+                raise ThermorenderError(
+                    "the pairs have no depth, which option depth=true shows the network; give a data set with depth, "
+                    "or leave the option out"
+                )
+            table.append([inputs.conditions[name] for name in told.conditions])
+            learned = target[valid].astype(np.float64)
+            sums += learned.size, learned.sum(), (learned**2).sum()
+        if not sums[0]:
+            raise ThermorenderError("no pair has a valid pixel to learn from; give pairs whose pictures overlap")
+        table = np.array(table, np.float64)
+        mean, spread = table.mean(axis=0), table.std(axis=0)
+        spread[spread <= _CONSTANT * np.abs(mean)] = 0.0
+        if scale is None:
+            offset = 0.0 if crops.above_air else sums[1] / sums[0]
+            scale = max(np.sqrt(max(sums[2] / sums[0] - offset**2, 0.0)), _LEAST_SCALE)
+        return cls(told, depth, tuple(map(float, mean)), tuple(map(float, spread)), float(offset), float(scale),
+                   base)  # fmt: skip
+
+    @property
+    def needs(self):
+        """Names of the fields of Inputs that are needed."""
+        return (*self.told.needs, *(["depth"] if self.depth else ()))
+
+    @property
+    def mixed(self):
+        """Number of planes, the last, that are temperatures: of typical materials, and the base's."""
+        if not self.told.terrain:
+            return 0
+        return sum(name.startswith("as ") for name, _ in grounds(_Nothing(), self.told)) + (self.base is not None)
+
+    @property
+    def channels(self):
+        """Number of planes."""
+        relief = len(self.told.terrain) + 1 if self.told.terrain else 0
+        return 3 + 2 * self.depth + relief + self.mixed
+
+    def planes(self, inputs):
+        """Return the planes of Inputs, (channels, h, w) float32: the picture in −1…1 first.
+
+        Raises
+        ------
+        ThermorenderError
+            The inputs lack a plane or a condition.
+        """
+        self.told.check(inputs)
+        found = np.zeros((self.channels, *inputs.rgb.shape[:2]), np.float32)
+        found[:3] = np.moveaxis(inputs.rgb, -1, 0).astype(np.float32) / np.float32(127.5) - np.float32(1.0)
+        number = 3
+        if self.depth:
+            known = np.isfinite(inputs.depth)
+            found[3] = np.log(np.where(known, inputs.depth, _DEPTH_M) / _DEPTH_M)
+            found[4] = known
+            number = 5
+        for name in self.told.terrain:
+            found[number] = np.nan_to_num(inputs.terrain[name] / np.float32(_unit(name)))
+            number += 1
+        if self.told.terrain:
+            found[number] = np.isfinite(inputs.terrain[self.told.terrain[0]])
+            number += 1
+        if self.mixed:
+            known = {name: np.float32(inputs.terrain[name]) for name in self.told.terrain}
+            for name, plane in grounds({**known, **inputs.conditions}, self.told):
+                if name.startswith("as "):
+                    found[number] = (plane - self.offset) / self.scale
+                    number += 1
+        if self.base is not None:
+            found[number] = (self.base.predict(inputs, inputs.texel_m) - self.offset) / self.scale
+        return found
+
+    def conditions(self, inputs):
+        """Return the conditions of Inputs, (len(told.conditions),) float32."""
+        values = np.array([inputs.conditions[name] for name in self.told.conditions], np.float64)
+        spread = np.array(self.spread)
+        away = np.where(spread > 0.0, (values - self.mean) / np.where(spread > 0.0, spread, 1.0), 0.0)
+        return np.clip(away, -_BELIEVED, _BELIEVED).astype(np.float32)
+
+    def at_range(self, inputs, texel_range_m):
+        """Return Inputs brought to the nearest ground sampling distance that was trained at."""
+        if inputs.texel_m is None:
+            return inputs
+        return at_texel(inputs, float(np.clip(inputs.texel_m, *texel_range_m)))
+
+    def header(self):
+        """Return what a file's text says of it."""
+        told = {each.name: getattr(self, each.name) for each in fields(self)}
+        return told | {"told": asdict(self.told), "base": self.base and self.base.header()}
+
+    def arrays(self):
+        """Return what a file holds of it."""
+        return {f"base/{name}": values for name, values in (self.base.arrays() if self.base else {}).items()}
+
+    @classmethod
+    def of(cls, header, arrays):
+        """Return the Encoding of a header and arrays."""
+        told = Told(**{name: tuple(names) for name, names in header["told"].items()})
+        numbers = {name: tuple(map(float, header[name])) for name in ("mean", "spread")}
+        if any(len(each) != len(told.conditions) for each in numbers.values()):
+            raise ValueError("its conditions have other means")
+        scale, offset = float(header["scale"]), float(header["offset"])
+        if not (np.isfinite([scale, offset, *numbers["mean"], *numbers["spread"]]).all() and scale != 0.0):
+            raise ValueError("it encodes with numbers that are not finite")
+        base = Linear.of(header["base"], {"weight": arrays["base/weight"]}) if header["base"] else None
+        return cls(told, bool(header["depth"]), **numbers, offset=offset, scale=scale, base=base)
+
+
+class _Nothing(dict):
+    """Stands for the values of no pixel."""
+
+    def __missing__(self, name):
+        return np.zeros(0)
+
+
+def _unit(name):
+    return next((unit for start, unit in _UNITS if name.startswith(start)), 1.0)

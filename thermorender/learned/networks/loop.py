@@ -1,0 +1,340 @@
+"""One loop that trains every network.
+
+    for each step of the recipe's crops:
+        draw the next crops, encode them, let the learner take a step
+        after every epoch: validate, write sample pictures, a line of the log and a checkpoint
+
+An epoch is as many crops as there are training pictures. All that is random hangs on the seed and the number of the
+step, so a training that was stopped and resumed ends where it would have ended, at the same number of threads. One that
+explodes is stopped, and its best state so far is what it found.
+
+The run's folder holds `settings.json`, `log.jsonl`, `last.safetensors` (all that is needed to go on),
+`best.safetensors` (the network with the least validation error) and `samples/`.
+"""
+
+import json
+import math
+import os
+import resource
+import tempfile
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from thermorender import files
+from thermorender.errors import ThermorenderError
+from thermorender.learned.linear import fit_linear
+from thermorender.learned.networks import checkpoint, samples
+from thermorender.learned.networks.architectures.perception import Perception
+from thermorender.learned.networks.building import kind_of, learner_of
+from thermorender.learned.networks.crops import Crops
+from thermorender.learned.networks.encoding import Encoding
+from thermorender.learned.networks.learners import Batch
+from thermorender.learned.networks.predictor import Network, device, state_of
+from thermorender.learned.networks.recipes import RECIPES
+from thermorender.versions import versions
+
+# A loss beyond this has exploded.
+_EXPLODED = 1e6
+_WARMING = 0.02
+# The linear map that a network begins with: pictures it is fitted to, about, and the penalty of `correlation+`.
+_BASE_PICTURES, _BASE_PENALTY = 540, 1e-3
+_SHOWN = 4
+# Validation crops that a network is given at a time.
+_AT_ONCE = 4
+
+
+def train_network(task, method):
+    """Return the Network that learns a Task.
+
+    Its options: `width`; `batch`; `crops`, how many are seen; `rate`, of learning; `every`, crops between validations
+    (0: as many as there are training pictures); `bf16`, whether convolutions are computed with 8 bits of mantissa where
+    the machine can; `tensorboard`, whether losses are written for it too; `depth`, whether the network is shown the
+    depth.
+
+    Raises
+    ------
+    ThermorenderError
+        A run's folder that is in use or of other settings, too few pairs, or a training that explodes at once.
+    """
+    recipe, options = RECIPES[method], task.options
+    first, world = _process()
+    with ExitStack() as stack:
+        folder = files.make_folder(Path(task.run or stack.enter_context(tempfile.TemporaryDirectory())))
+        if first:
+            stack.enter_context(files.in_use(folder))
+        told = recipe.plus and "air_k" in task.examples[0].inputs.conditions
+        crops = Crops(task, recipe.side, told)
+        began = time.perf_counter(), _core_seconds()
+        target = (None, None) if recipe.target is None else recipe.target
+        encoding = Encoding.measured(crops, bool(options.get("depth")), *target, _base(task, crops) if told else None)
+        torch.manual_seed(task.seed)
+        learner = learner_of(recipe, encoding, int(options["width"]), float(options["rate"]))
+        if options.get("vgg"):
+            learner.perceived = Perception(options["vgg"]).to(device())
+        run = _Run(task, method, recipe, crops, encoding, learner, folder, first, world)
+        # What is learned before the first step is training, too.
+        run.seconds, run.core_seconds = time.perf_counter() - began[0], _core_seconds() - began[1]
+        try:
+            run.train()
+        finally:
+            crops.close()
+        return run.found()
+
+
+def _base(task, crops):
+    """The linear map that a network begins with, of some of the training pictures."""
+    some = crops.train[:: max(len(crops.train) // _BASE_PICTURES, 1)]
+    less = replace(task, examples=_Chosen(task.examples, some), options={"penalty": _BASE_PENALTY}, held_out=None)
+    return fit_linear(less)
+
+
+class _Chosen(Sequence):
+    def __init__(self, examples, numbers):
+        self._examples, self._numbers = examples, numbers
+
+    def __len__(self):
+        return len(self._numbers)
+
+    def __getitem__(self, number):
+        return self._examples[int(self._numbers[number])]
+
+
+class _Run:
+    """A training on its way."""
+
+    def __init__(self, task, method, recipe, crops, encoding, learner, folder, first, world):
+        self.task, self.method, self.recipe, self.crops, self.encoding = task, method, recipe, crops, encoding
+        self.learner, self.folder, self.first, self.world = learner, folder, first, world
+        options = task.options
+        self.total, self.size = int(options["crops"]), int(options["batch"])
+        self.every = int(options["every"]) or len(crops.train)
+        if self.size < recipe.least_batch or self.total < self.size:
+            raise ThermorenderError(
+                f"batch={self.size} of crops={self.total} is not allowed for {method!r}; give a batch of "
+                f"{recipe.least_batch} or more, and at least as many crops"
+            )
+        self.half = options["bf16"] and (device() == "cuda" or torch.ops.mkldnn._is_mkldnn_bf16_supported())
+        self.done, self.seconds, self.core_seconds, self.best, self.stopped = 0, 0.0, 0.0, math.inf, None
+        for part in learner.parts.values():
+            part.to(device(), memory_format=torch.channels_last)
+        self.rates = [group["lr"] for each in learner.optimisers.values() for group in each.param_groups]
+        self.validated = crops.validation()
+        self.kelvin = _Kelvin(task, crops, encoding)
+        self.board = _board(folder) if options["tensorboard"] and first else None
+
+    def train(self):
+        """Train to the end, or until the losses explode."""
+        self._begin()
+        step, losses, began = 0, {}, None
+        while self.done < self.total and not self.stopped:
+            if began is None:
+                began = time.perf_counter(), _core_seconds()
+            found = self._step()
+            self.done += self.size * self.world
+            step += 1
+            for name, value in found.items():
+                losses.setdefault(name, []).append(value)
+            self._tell(found)
+            if not all(math.isfinite(value) and abs(value) < _EXPLODED for value in found.values()):
+                self._stop(found)
+            elif self.done % self.every < self.size * self.world or self.done >= self.total:
+                self.seconds += time.perf_counter() - began[0]
+                self.core_seconds += _core_seconds() - began[1]
+                self._end_of_epoch({name: float(np.mean(values)) for name, values in losses.items()})
+                losses, began = {}, None
+
+    def found(self):
+        """Return the Network of the best state."""
+        best = self.folder / "best.safetensors"
+        if not best.exists():
+            raise ThermorenderError(f"{self.method}: {self.stopped}; take a smaller --set rate")
+        kept = learner_of(self.recipe, self.encoding, int(self.task.options["width"]), 0.0)
+        facts = checkpoint.load(best, _Applied(kept.net))
+        curve = [{name: line[name] for name in ("crops", "seconds", "core_seconds", "validation_mae_k")}
+                 for line in read_log(self.folder)]  # fmt: skip
+        trained = {
+            "crops": self.done, "best_crops": facts["crops"], "published_crops": self.recipe.published_crops,
+            "seconds": self.seconds, "core_seconds": self.core_seconds, "threads": torch.get_num_threads(),
+            "device": device(), "bf16": bool(self.half), "stopped": self.stopped, "curve": curve,
+        }  # fmt: skip
+        return Network(
+            self.method, int(self.task.options["width"]), self.encoding, self.task.texel_range_m,
+            state_of(kept.net), self.crops.above_air, bool(self.task.options.get("published")), trained,
+        )  # fmt: skip
+
+    def _begin(self):
+        """Write what the run is, or go on where it stopped."""
+        settings = {"method": self.method, "seed": self.task.seed, "options": self.task.options, "world": self.world,
+                    "examples": len(self.task.examples), "encoding": self.encoding.header()}  # fmt: skip
+        settings = json.loads(json.dumps(settings))
+        path, last = self.folder / "settings.json", self.folder / "last.safetensors"
+        if path.exists():
+            kept = json.loads(files.read_text(path))
+            differing = [name for name in settings if kept.get(name) != settings[name]]
+            if differing:
+                raise ThermorenderError(
+                    f"{self.folder} holds a training of other settings ({', '.join(differing)}); give another --run"
+                )
+            if not self.task.resume:
+                raise ThermorenderError(
+                    f"{self.folder} holds a training; continue it with --resume, or give another --run"
+                )
+        elif self.first:
+            files.write_json(path, settings | {"versions": versions()})
+        if last.exists():
+            facts = checkpoint.load(last, self.learner)
+            self.done, self.best = facts["crops"], facts["best"]
+            self.seconds, self.core_seconds = facts["seconds"], facts["core_seconds"]
+            if self.first:
+                _cut_log(self.folder, self.done)
+
+    def _step(self):
+        """Let the learner take a step; return {loss: value}."""
+        self._set_rate()
+        torch.manual_seed(self.task.seed * 1_000_003 + self.done)
+        # Each process of a data-parallel training takes its own crops.
+        batch = self._encoded(self.crops.batch(self.done + self.size * _rank(), self.size))
+        for part in self.learner.parts.values():
+            part.train()
+        with torch.autocast(device(), torch.bfloat16, enabled=bool(self.half)):
+            return {name: float(value.detach()) for name, value in self.learner.step(batch).items()}
+
+    def _encoded(self, crops):
+        encoding = self.encoding
+        planes = np.stack([encoding.planes(each.inputs) for each in crops])
+        conditions = np.stack([encoding.conditions(each.inputs) for each in crops])
+        target = np.stack([(each.target - encoding.offset) / encoding.scale for each in crops])[:, None]
+        if self.recipe.bounded:
+            target = np.clip(target, -1.0, 1.0)
+        valid = np.stack([each.valid for each in crops])[:, None].astype(np.float32)
+        planes, conditions, target, valid = (
+            torch.from_numpy(np.float32(each)).to(device()) for each in (planes, conditions, target * valid, valid)
+        )
+        return Batch(planes.contiguous(memory_format=torch.channels_last), conditions, target, valid)
+
+    def _set_rate(self):
+        """Set the rate of learning that the recipe's schedule has here."""
+        share = self.done / self.total
+        factor = {
+            "constant": 1.0,
+            "halfway": min(1.0, 2.0 * (1.0 - share)),
+            "cosine": min(share / _WARMING, 1.0) * 0.5 * (1.0 + math.cos(math.pi * share)),
+        }[self.recipe.schedule]
+        groups = (group for each in self.learner.optimisers.values() for group in each.param_groups)
+        for group, rate in zip(groups, self.rates, strict=True):
+            group["lr"] = rate * factor
+
+    def _end_of_epoch(self, losses):
+        """Validate, and write the log, sample pictures and checkpoints."""
+        if not self.first:
+            return
+        found, errors = [], []
+        kind = kind_of(self.recipe)
+        self.learner.net.eval()
+        for start in range(0, len(self.validated), _AT_ONCE):
+            some = self.validated[start : start + _AT_ONCE]
+            batch = self._encoded(some)
+            with torch.inference_mode(), torch.autocast(device(), torch.bfloat16, enabled=bool(self.half)):
+                given = kind.predict(self.learner.net, batch.planes, batch.conditions)[:, 0].cpu().numpy()
+            for crop, each in zip(some, given, strict=True):
+                true, guessed = self.kelvin(crop, each)
+                errors.append((np.nansum(np.abs(guessed - true)), np.isfinite(guessed - true).sum()))
+                found.append((crop, true, guessed))
+        errors = np.array(errors, np.float64)
+        error = float(errors[:, 0].sum() / max(errors[:, 1].sum(), 1))
+        facts = {"crops": self.done, "seconds": self.seconds, "core_seconds": self.core_seconds}
+        self.last_error = error
+        shown = found[:: max(len(found) // _SHOWN, 1)][:_SHOWN]
+        samples.write(files.make_folder(self.folder / "samples") / f"{self.done:09d}.png", *zip(*shown, strict=True))
+        if not math.isfinite(error):
+            self._stop({"validation": error})
+            return
+        if error < self.best:
+            self.best = error
+            checkpoint.save(self.folder / "best.safetensors", _Applied(self.learner.net), facts | {"error_k": error})
+        line = {**facts, "losses": losses, "validation_mae_k": error}
+        files.append_json(self.folder / "log.jsonl", line)
+        checkpoint.save(self.folder / "last.safetensors", self.learner, facts | {"best": self.best})
+        if self.board:
+            for name, value in (*losses.items(), ("validation_mae_k", error)):
+                self.board.add_scalar(name, value, self.done)
+
+    def _tell(self, losses):
+        told = " ".join(f"{name} {value:.3g}" for name, value in losses.items())
+        known = f", validation {self.best:.2f} K at best" if math.isfinite(self.best) else ""
+        self.task.progress(f"{self.method}: {self.done} of {self.total} crops, {told}{known}", self.done / self.total)
+
+    def _stop(self, losses):
+        what = ", ".join(f"{name} {value:.3g}" for name, value in losses.items())
+        self.stopped = f"training exploded at crop {self.done} ({what})"
+
+
+class _Applied:
+    """A network alone, as a checkpoint holds it."""
+
+    def __init__(self, net):
+        self.parts, self.optimisers = {"net": net}, {}
+
+
+class _Kelvin:
+    """Apparent temperatures of a crop and of what a network gave for it [K]."""
+
+    def __init__(self, task, crops, encoding):
+        known = np.isfinite(task.temperature) & np.isfinite(task.intensity)
+        order = np.argsort(task.intensity[known])
+        self.intensity, self.temperature = task.intensity[known][order], task.temperature[known][order]
+        self.above_air, self.encoding = crops.above_air, encoding
+
+    def __call__(self, crop, given):
+        """Return (true, found), (side, side) float64 each, NaN where the crop is not valid."""
+        found = given.astype(np.float64) * self.encoding.scale + self.encoding.offset
+        both = np.where(crop.valid, crop.target, np.nan), found
+        if self.above_air:
+            return tuple(each + crop.inputs.conditions["air_k"] for each in both)
+        return tuple(np.interp(each, self.intensity, self.temperature) for each in both)
+
+
+def read_log(folder):
+    """Return the lines of a run's log, a list of dicts."""
+    path = Path(folder) / "log.jsonl"
+    return [json.loads(line) for line in files.read_text(path).splitlines()] if path.exists() else []
+
+
+def _cut_log(folder, done):
+    """Take away lines that were written after the checkpoint, which is written last."""
+    kept = [line for line in read_log(folder) if line["crops"] <= done]
+    files.write_text(folder / "log.jsonl", "".join(json.dumps(line) + "\n" for line in kept))
+
+
+def _core_seconds():
+    """Time that the machine's cores have worked for this process, all threads [s]."""
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    return used.ru_utime + used.ru_stime
+
+
+def _process():
+    """(whether this process writes, number of processes) of a data-parallel training; one alone writes."""
+    world = int(os.environ.get("WORLD_SIZE", "1"))
+    if world > 1 and not torch.distributed.is_initialized():
+        torch.distributed.init_process_group("nccl" if torch.cuda.is_available() else "gloo")
+    return _rank() == 0, world
+
+
+def _rank():
+    return int(os.environ.get("RANK", "0"))
+
+
+def _board(folder):
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError:
+        raise ThermorenderError(
+            "option tensorboard=true needs the package tensorboard; install it with: pip install tensorboard"
+        ) from None
+    return SummaryWriter(str(folder / "tensorboard"))

@@ -1,0 +1,141 @@
+"""A trained network as a predictor: what a learned map applies to pictures of any size."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import torch
+
+from thermorender.learned.networks import tiles
+from thermorender.learned.networks.building import kind_of, net_of
+from thermorender.learned.networks.encoding import Encoding
+from thermorender.learned.networks.recipes import RECIPES
+from thermorender.learned.rows import at_shape
+
+# Pictures are given whole up to this side, else in tiles of it, of whose overlap no more than the middle is taken: what
+# lies further from a pixel than the margin does not reach it in the compact network [pixels].
+_MOST_SIDE, _OVERLAP, _MARGIN = 1536, 384, 160
+# How PyTorch counts what batch norm saw, which nothing is computed from.
+_COUNTED = "num_batches_tracked"
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """A network of a recipe.
+
+    Attributes
+    ----------
+    method : str
+        Name of the recipe.
+    width : int
+    encoding : Encoding
+    texel_range_m : (2,) tuple of float
+        Ground sampling distances it was trained at; others are brought to the nearest.
+    state : dict of str to array
+        Its weights.
+    above_air : bool
+        Whether it gives kelvin above the air instead of intensity.
+    published : bool
+        Apply it as pix2pix was: with the statistics of each square and dropout, drawn from a fixed seed. Else with the
+        statistics of the training and no dropout, so that neighbouring squares agree.
+    trained : dict
+        What its training was: crops, seconds, curve.
+    """
+
+    method: str
+    width: int
+    encoding: Encoding
+    texel_range_m: tuple
+    state: dict
+    above_air: bool
+    published: bool = False
+    trained: dict = field(default_factory=dict)
+
+    @property
+    def needs(self):
+        """Names of the fields of Inputs that are needed."""
+        return self.encoding.needs
+
+    @cached_property
+    def _net(self):
+        net = net_of(RECIPES[self.method], self.encoding, self.width)
+        weights = {name: torch.from_numpy(np.asarray(values, np.float32)) for name, values in self.state.items()}
+        lacking, surplus = net.load_state_dict(weights, strict=False)
+        if surplus or any(not name.endswith(_COUNTED) for name in lacking):
+            raise ValueError("it has other weights than its method")
+        return net.to(device(), memory_format=torch.channels_last).requires_grad_(False).train(self.published)
+
+    def predict(self, inputs, texel_m):
+        """Return intensity or kelvin above the air, (h, w) float64.
+
+        Raises
+        ------
+        ThermorenderError
+            A plane of the terrain or a condition is missing.
+        """
+        return self.of_inputs(inputs)[0]
+
+    def of_inputs(self, inputs):
+        """Return (intensity or kelvin above the air, standard deviation of its error or None), (h, w) float64."""
+        image = self.encoding.at_range(inputs, self.texel_range_m)
+        found = self._applied(self.encoding.planes(image), self.encoding.conditions(image))
+        mean, *spread = (at_shape(plane.astype(np.float64), inputs.rgb.shape[:2]) for plane in found)
+        scale = self.encoding.scale
+        return self.encoding.offset + scale * mean, scale * spread[0] if spread else None
+
+    def _applied(self, planes, conditions):
+        """What the network makes of a picture: (1 or 2, h, w), encoded."""
+        recipe, kind, net = RECIPES[self.method], kind_of(RECIPES[self.method]), self._net
+        told = torch.from_numpy(conditions)[None].to(device())
+        if self.published:
+            torch.manual_seed(0)
+
+        def apply(part):
+            given = torch.from_numpy(np.ascontiguousarray(part))[None].to(device(), memory_format=torch.channels_last)
+            with torch.inference_mode():
+                return kind.predict(net, given, told)[0].cpu().numpy()
+
+        if not recipe.whole:
+            return tiles.stitched(apply, planes, (recipe.side,) * 2, recipe.side // 4, recipe.side // 32)
+        sides = tuple(min(_MOST_SIDE, n + -n % recipe.multiple) for n in planes.shape[1:])
+        return tiles.stitched(apply, planes, sides, _OVERLAP, _MARGIN)
+
+    def header(self):
+        """Return what the file's text says of it."""
+        return {
+            "method": self.method, "width": self.width, "encoding": self.encoding.header(),
+            "texel_range_m": self.texel_range_m, "above_air": self.above_air, "published": self.published,
+            "trained": self.trained,
+        }  # fmt: skip
+
+    def arrays(self):
+        """Return what the file holds of it: weights in half precision."""
+        weights = {name: np.asarray(values, np.float16) for name, values in self.state.items()}
+        return weights | self.encoding.arrays()
+
+    @classmethod
+    def of(cls, header, arrays):
+        """Return the Network of `header` and `arrays`."""
+        if header["method"] not in RECIPES or type(header["width"]) is not int or not 1 <= header["width"] <= 1 << 14:
+            raise ValueError("it is of an unknown method or width")
+        if not all(np.isfinite(values).all() for values in arrays.values()):
+            raise ValueError("it has weights that are not finite")
+        encoding, limits = Encoding.of(header["encoding"], arrays), tuple(map(float, header["texel_range_m"]))
+        if not (len(limits) == 2 and 0.0 < limits[0] <= limits[1] < np.inf):
+            raise ValueError("its range of ground sampling distances is none")
+        state = {name: values for name, values in arrays.items() if name not in encoding.arrays()}
+        found = cls(header["method"], header["width"], encoding, limits, state, bool(header["above_air"]),
+                    bool(header["published"]), dict(header["trained"]))  # fmt: skip
+        _ = found._net
+        return found
+
+
+def state_of(net):
+    """Return the weights of a network as {name: array}."""
+    return {name: value.detach().cpu().numpy() for name, value in net.state_dict().items()
+            if not name.endswith(_COUNTED)}  # fmt: skip
+
+
+def device():
+    """Return the name of the device that networks run on."""
+    return "cuda" if torch.cuda.is_available() else "cpu"

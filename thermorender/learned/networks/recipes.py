@@ -1,0 +1,131 @@
+"""The networks by name, each with its hyper-parameters and where they come from.
+
+Two studies are followed. FOK: Generation of Artificial Infrared Camera Images for Visual Navigation Simulation, which
+trained pix2pix and pix2pixHD with "default training settings": those of Isola et al. (arXiv:1611.07004) and Wang et al.
+(arXiv:1711.11585), Adam of 2e-4 and β 0.5, 0.999, the rate constant over the first half of the epochs and falling to 0
+over the second, as both papers' programs do; batch and epochs are its Table 2. DLR: Peinecke, Generating Simulated
+Infrared Sensor Images using Deep Learning Neural Networks, which names networks, losses, optimisers and epochs; what it
+leaves open (batch, rate, width) is Keras' default or is marked as chosen. CycleGAN: Zhu et al. (arXiv:1703.10593).
+`compact` and `compact+` are this project's, their numbers chosen on validation pairs.
+
+No network is imported here.
+"""
+
+from dataclasses import dataclass, field
+
+# Crops of FOK's Table 2: 3511 pictures times epochs. DLR tells "over 4000" pairs.
+_FOK, _DLR = 3511, 4000
+_PIX2PIX_RATE, _PIX2PIX_BETAS = 2e-4, (0.5, 0.999)
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How a network is built and trained.
+
+    Attributes
+    ----------
+    net : str
+        Its architecture, of `building`.
+    width : int
+        Channels of its outermost level; for `dense` the size of the hidden layer.
+    learner : str
+        How it takes a step, of `building`.
+    optimiser : {"adam", "nadam", "adamw"}
+    rate : float
+        To begin with.
+    betas : (2,) tuple of float
+    schedule : {"constant", "halfway", "cosine"}
+        Of the rate: constant; constant and from the middle on falling to 0; risen over the first 2 %, then a cosine
+        to 0.
+    batch : int
+    published_crops : int or None
+        That the study's own training saw; None: not published.
+    crops : int
+        To be seen unless told otherwise.
+    target : (offset, scale), or None
+        Of the target's intensity: (0.5, 0.5) is −1…1; None: measured on the training pictures.
+    side : int
+        Of the squares that it learns from [pixels].
+    whole : bool
+        Whether pictures of any size are given to it whole; else squares of `side`, blended.
+    multiple : int
+        Sides that it takes are multiples of this [pixels].
+    plus : bool
+        Whether it is given the terrain's relief, hour and weather.
+    weight : float
+        Of the second loss beside the first: λ of the papers.
+    """
+
+    net: str
+    width: int
+    learner: str
+    optimiser: str
+    rate: float
+    schedule: str
+    batch: int
+    crops: int
+    published_crops: int | None = None
+    betas: tuple = (0.9, 0.999)
+    target: tuple | None = (0.0, 1.0)
+    side: int = 256
+    whole: bool = False
+    multiple: int = 256
+    plus: bool = False
+    weight: float = 0.0
+    options: dict = field(default_factory=dict)
+
+    @property
+    def bounded(self):
+        """Whether what it gives lies in −1…1."""
+        return self.target == (0.5, 0.5)
+
+    @property
+    def least_batch(self):
+        """Fewest crops of a step; of a cycle's, half are photographs and half thermal pictures."""
+        return 2 if self.learner == "cycle" else 1
+
+    @property
+    def all_options(self):
+        """What may be chosen, with its default."""
+        common = {"width": self.width, "batch": self.batch, "crops": self.crops, "rate": self.rate, "every": 0,
+                  "bf16": True, "tensorboard": False}  # fmt: skip
+        return common | ({} if self.plus else {"depth": False}) | self.options
+
+
+def _pix2pix(batch, epochs, crops):
+    return Recipe(
+        "unet256", 64, "adversarial", "adam", _PIX2PIX_RATE, "halfway", batch, crops, _FOK * epochs, _PIX2PIX_BETAS,
+        (0.5, 0.5), weight=100.0, options={"published": False},
+    )  # fmt: skip
+
+
+def _compact(plus):
+    # Small squares, so that a step sees many pictures; as many pixels a step as eight of the others'.
+    return Recipe("compact", 72, "robust", "adamw", 1e-3, "cosine", 32, 400_000, None, target=None, side=128,
+                  whole=True, multiple=16, plus=plus)  # fmt: skip
+
+
+RECIPES = {
+    # Batch and rate chosen; DLR found that both do not converge.
+    "autoencoder": Recipe("autoencoder", 64, "regression", "nadam", 1e-3, "constant", 8, 100_000, whole=True,
+                          multiple=16),
+    "dense": Recipe("dense", 1024, "regression", "nadam", 1e-4, "constant", 32, 100_000, side=64, multiple=64),
+    # Over 150 and over 400 epochs; Keras' rates of Adam and NAdam.
+    "unet-classes": Recipe("keras_unet_classes", 32, "classes", "adam", 1e-3, "constant", 8, 100_000, _DLR * 150,
+                           whole=True, multiple=16),
+    "unet": Recipe("keras_unet", 32, "regression", "nadam", 1e-3, "constant", 8, 100_000, _DLR * 400, whole=True,
+                   multiple=16),
+    # 98 000 epochs of 4000 pairs; discriminator and losses are those of pix2pix, as DLR says, the batch is chosen.
+    "unet-gan": Recipe("keras_unet", 32, "adversarial", "adam", _PIX2PIX_RATE, "halfway", 4, 100_000, _DLR * 98_000,
+                       _PIX2PIX_BETAS, (0.5, 0.5), whole=True, multiple=16, weight=100.0),
+    "pix2pix": _pix2pix(1, 200, _FOK * 200),
+    "pix2pix-b25": _pix2pix(25, 300, _FOK * 300),
+    # λ 10 of feature matching, and of VGG's where its weights are given.
+    "pix2pixhd": Recipe("pix2pixhd", 64, "scales", "adam", _PIX2PIX_RATE, "halfway", 1, _FOK * 200, _FOK * 200,
+                        _PIX2PIX_BETAS, (0.5, 0.5), weight=10.0, options={"vgg": ""}),
+    # λ 10 of the cycle; two crops make a batch of one pair that belongs to nobody.
+    "cyclegan": Recipe("cyclegan", 64, "cycle", "adam", _PIX2PIX_RATE, "halfway", 2, _FOK * 200, None, _PIX2PIX_BETAS,
+                       (0.5, 0.5), weight=10.0),
+    "compact": _compact(False),
+    "compact+": _compact(True),
+}  # fmt: skip
