@@ -135,7 +135,8 @@ def train_map(
         "shift_px": shift_px, "share": share,
         "sequences": len({entry.sequence for entry in pairs.entries}),
         "conditions": _ranges(pairs.entries), "bounds": [low, high], "unit": scale.unit,
-        "options": options, "seed": seed, "training_s": round(seconds, 2), "versions": versions(),
+        "options": options, "seed": seed, "training_s": round(seconds, 2),
+        "training": getattr(predictor, "trained", {}), "versions": versions(),
     }  # fmt: skip
     return _with_error(made, about, dataset, material)
 

@@ -73,6 +73,8 @@ def train_network(task, method):
         began = time.perf_counter(), _core_seconds()
         target = (None, None) if recipe.target is None else recipe.target
         encoding = Encoding.measured(crops, bool(options.get("depth")), *target, _base(task, crops) if told else None)
+        if int(options["width"]) < 1:
+            raise ThermorenderError(f"width={options['width']} is not allowed for {method!r}; give 1 or more channels")
         torch.manual_seed(task.seed)
         learner = learner_of(recipe, encoding, int(options["width"]), float(options["rate"]))
         if options.get("vgg"):

@@ -1,0 +1,334 @@
+"""The loop that trains networks: what it learns, keeps, resumes, stops and refuses."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from test_map_training import write
+from test_networks import example, kelvin, picture, task_of
+
+from thermorender.campaign.map_training import train_map
+from thermorender.errors import ThermorenderError
+from thermorender.learned.methods import method
+from thermorender.learned.networks import checkpoint, loop
+from thermorender.learned.networks.loop import read_log, train_network
+from thermorender.learned.networks.recipes import RECIPES
+from thermorender.learned.temperature_map import Inputs
+
+TESTS = Path(__file__).resolve().parent
+# A training of some seconds.
+SMALL = {"width": 4, "batch": 4, "crops": 48, "every": 12}
+MORE = {"crops": 72, "every": 24}
+
+
+@pytest.fixture(autouse=True)
+def _two_threads():
+    """The number of threads decides the order of sums."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    torch.set_num_threads(before)
+
+
+def examples(count=20, told=False):
+    return [example(seed, told=told) for seed in range(count)]
+
+
+def losses(folder):
+    return [(line["crops"], line["losses"], line["validation_mae_k"]) for line in read_log(folder)]
+
+
+class Stopped(BaseException):
+    """As from the keyboard."""
+
+
+def stopping(at):
+    """A progress function that stops the training at its `at`-th step."""
+    calls = iter(range(1, 10**6))
+
+    def tell(what, share):
+        if next(calls) == at:
+            raise Stopped
+
+    return tell
+
+
+# --- what it learns ---------------------------------------------------------------------------------------------
+
+
+def test_a_linear_world_is_learned(tmp_path):
+    """Of what is linear in colour two thirds of what it varies by are found in seconds, on pictures not seen too."""
+    task = task_of("compact", examples(), tmp_path / "r", width=8, batch=8, crops=400, every=100, rate=4e-3)
+    found = train_network(task, "compact")
+    errors = [line["validation_mae_k"] for line in read_log(tmp_path / "r")]
+    true = kelvin(picture(99))
+    spread = np.abs(true - true.mean()).mean()
+    assert errors[-1] < errors[0] and errors[-1] < 0.33 * spread
+    unseen = 280.0 + 20.0 * found.predict(Inputs(picture(99), 0.2), 0.2)
+    assert np.abs(unseen - true).mean() < 0.5 * spread
+    assert found.trained["crops"] == 400 and len(found.trained["curve"]) == 4
+    assert found.trained["core_seconds"] > 0.0 and found.texel_range_m == (1.0, 1.0)
+
+
+def test_the_spread_is_that_of_the_errors(tmp_path):
+    """Noise that no colour tells, of one standard deviation: the network finds it."""
+    noisy = []
+    for each in examples():
+        noise = np.random.default_rng(int(each.values[0, 0])).laplace(0.0, 100.0, each.values.shape)
+        noisy.append(replace(each, values=np.rint(each.values + noise).astype(np.uint16)))
+    options = {"width": 8, "batch": 8, "crops": 400, "every": 200, "rate": 4e-3}
+    found = train_network(task_of("compact", noisy, tmp_path / "r", **options), "compact")
+    _, spread = found.of_inputs(Inputs(picture(99), 0.2))
+    # Laplace's law of scale 1 K has the standard deviation √2 K; what is left of the colours adds to it.
+    assert 1.3 < 20.0 * np.median(spread) < 2.0
+
+
+@pytest.mark.parametrize("name", [name for name in RECIPES if name not in ("compact+", "pix2pix-b25")])
+def test_every_network_trains(name, tmp_path):
+    """Its losses fall, or hold for those that fight each other; what it made is in the folder."""
+    batch = {"batch": 2, "crops": 8, "every": 4}
+    found = train_network(task_of(name, examples(11), tmp_path / "r", **batch | {"width": 4}), name)
+    log = read_log(tmp_path / "r")
+    assert [line["crops"] for line in log] == [4, 8]
+    assert all(np.isfinite(list(line["losses"].values())).all() for line in log)
+    assert {path.name for path in (tmp_path / "r").iterdir()} == {
+        "settings.json", "log.jsonl", "last.safetensors", "best.safetensors", "samples"
+    }  # fmt: skip
+    assert sorted(path.name for path in (tmp_path / "r" / "samples").iterdir()) == ["000000004.png", "000000008.png"]
+    assert found.method == name and not found.above_air
+
+
+def test_hour_and_weather_are_learned(tmp_path):
+    """compact+ gives kelvin above the air, and begins with the linear map."""
+    task = task_of("compact+", examples(told=True), tmp_path / "r", **SMALL)
+    found = train_network(task, "compact+")
+    assert found.above_air and found.encoding.base is not None and set(found.needs) == {"terrain", "conditions"}
+    rgb = picture(99)
+    terrain = {"slope": np.full(rgb.shape[:2], 0.1, np.float32)}
+    given = found.predict(Inputs(rgb, 0.2, terrain, {"air_k": 286.0, "wind_m_s": 2.0}), 0.2)
+    assert np.abs(given + 286.0 - kelvin(rgb)).mean() < 1.0
+
+
+def test_a_depth_is_seen(tmp_path):
+    """Where temperature hangs on depth alone, a network that sees it errs less than one that does not."""
+    deep = []
+    for seed in range(20):
+        depth = 50.0 * np.exp(np.float32(picture(seed)[..., 0]) / 100.0)
+        rgb = np.full((*depth.shape, 3), 128, np.uint8)
+        values = np.rint(100.0 * (285.0 + 5.0 * np.log(depth / 50.0))).astype(np.uint16)
+        deep.append(replace(example(seed), inputs=Inputs(rgb, 0.2, depth=np.float32(depth)), values=values))
+    found = {}
+    for depth in (False, True):
+        options = {"width": 8, "batch": 8, "crops": 240, "every": 120, "rate": 4e-3}
+        train_network(task_of("compact", deep, tmp_path / str(depth), depth=depth, **options), "compact")
+        found[depth] = read_log(tmp_path / str(depth))[-1]["validation_mae_k"]
+    assert found[True] < 0.7 * found[False]
+
+
+# --- stopped and resumed ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "at"), [("compact", 1), ("compact", 5), ("compact", 9), ("pix2pix", 5), ("unet-gan", 3), ("compact+", 5)]
+)
+def test_stopped_and_resumed_is_the_same(tmp_path, name, at):
+    """The same losses, and the same network, as one that was never stopped."""
+    options = SMALL if name.startswith("compact") else SMALL | {"crops": 16, "every": 4, "batch": 2}
+    pairs = examples(told=name == "compact+")
+    whole = train_network(task_of(name, pairs, tmp_path / "whole", **options), name)
+    # Some steps of the linear map's fit tell progress as well.
+    extra = 18 if name == "compact+" else 0
+    with pytest.raises(Stopped):
+        train_network(task_of(name, pairs, tmp_path / "r", progress=stopping(at + extra), **options), name)
+    again = train_network(task_of(name, pairs, tmp_path / "r", resume=True, **options), name)
+    assert losses(tmp_path / "r") == losses(tmp_path / "whole")
+    for key, values in whole.state.items():
+        assert np.array_equal(values, again.state[key]), key
+
+
+def test_killed_at_any_moment_and_resumed_is_the_same(tmp_path):
+    """kill −9 of a process at random moments, then resumed until it ends: nothing lost, nothing doubled."""
+    program = (
+        "import sys, torch; torch.set_num_threads(2); sys.path.insert(0, sys.argv[1]);"
+        "from test_network_training import *;"
+        "task = task_of('compact', examples(), sys.argv[2], resume=True, **SMALL | MORE);"
+        "train_network(task, 'compact')"
+    )
+    train_network(task_of("compact", examples(), tmp_path / "whole", **SMALL | MORE), "compact")
+    generator, status, kills = np.random.default_rng(5), None, 0
+    for _ in range(4):
+        process = subprocess.Popen([sys.executable, "-W", "ignore", "-c", program, str(TESTS), str(tmp_path / "r")])
+        # From the first line of the log on there is something to lose.
+        until = time.monotonic() + 60.0
+        before = len(read_log(tmp_path / "r"))
+        while process.poll() is None and len(read_log(tmp_path / "r")) == before and time.monotonic() < until:
+            time.sleep(0.01)
+        time.sleep(float(generator.uniform(0.0, 0.2)))
+        if process.poll() is None:
+            process.send_signal(signal.SIGKILL)
+            kills += 1
+        status = process.wait()
+        if status == 0:
+            break
+    assert kills >= 2
+    task = task_of("compact", examples(), tmp_path / "r", resume=True, **SMALL | MORE)
+    again = train_network(task, "compact")
+    assert losses(tmp_path / "r") == losses(tmp_path / "whole") and again.trained["crops"] == 72
+
+
+def test_a_disk_that_is_full_loses_nothing(tmp_path, monkeypatch):
+    whole = train_network(task_of("compact", examples(), tmp_path / "whole", **SMALL), "compact")
+    written, original = iter(range(100)), checkpoint.save_file
+
+    def full(tensors, path, metadata):
+        original(tensors, path, metadata)
+        if next(written) == 2:
+            Path(path).write_bytes(Path(path).read_bytes()[:100])
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(checkpoint, "save_file", full)
+    with pytest.raises(ThermorenderError, match="cannot be written: No space left"):
+        train_network(task_of("compact", examples(), tmp_path / "r", **SMALL), "compact")
+    monkeypatch.setattr(checkpoint, "save_file", original)
+    assert not list((tmp_path / "r").glob(".*"))
+    again = train_network(task_of("compact", examples(), tmp_path / "r", resume=True, **SMALL), "compact")
+    assert losses(tmp_path / "r") == losses(tmp_path / "whole")
+    assert all(np.array_equal(values, again.state[key]) for key, values in whole.state.items())
+
+
+def test_two_processes_learn_what_one_does(tmp_path):
+    """Data-parallel with half the batch each: the same crops, so the same losses but for the order of sums."""
+    program = tmp_path / "p.py"
+    program.write_text(
+        f"import sys; sys.path.insert(0, {str(TESTS)!r}); import torch; torch.set_num_threads(1)\n"
+        "from test_network_training import *\n"
+        f"task = task_of('compact', examples(), {str(tmp_path / 'two')!r}, **SMALL | {{'batch': 2}})\n"
+        "train_network(task, 'compact')\n",
+        encoding="utf-8",
+    )
+    command = [sys.executable, "-W", "ignore", "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    environment = os.environ | {"OMP_NUM_THREADS": "1"}
+    subprocess.run([*command, str(program)], check=True, env=environment, capture_output=True, timeout=240)
+    train_network(task_of("compact", examples(), tmp_path / "one", **SMALL), "compact")
+    for two, one in zip(losses(tmp_path / "two"), losses(tmp_path / "one"), strict=True):
+        assert two[0] == one[0] and two[2] == pytest.approx(one[2], rel=0.02)
+
+
+# --- what goes wrong --------------------------------------------------------------------------------------------
+
+
+def test_a_training_that_explodes_keeps_its_best_state(tmp_path, monkeypatch):
+    """The discriminator's weights are blown up half-way: the training stops, and what it found is what was best."""
+    task = task_of("pix2pix", examples(), tmp_path / "r", width=4, batch=2, crops=24, every=4)
+    original, steps = loop._Run._step, iter(range(100))
+
+    def step(self):
+        if next(steps) == 7:
+            with torch.no_grad():
+                for weight in self.learner.parts["discriminator"].parameters():
+                    weight *= 1e20
+        return original(self)
+
+    monkeypatch.setattr(loop._Run, "_step", step)
+    found = train_network(task, "pix2pix")
+    assert "training exploded at crop 16" in found.trained["stopped"]
+    assert all(np.isfinite(values).all() for values in found.state.values())
+    log = read_log(tmp_path / "r")
+    assert [line["crops"] for line in log] == [4, 8, 12]
+    best = min(log, key=lambda line: line["validation_mae_k"])
+    assert found.trained["best_crops"] == best["crops"]
+
+
+def test_one_that_explodes_at_once_says_so(tmp_path):
+    task = task_of("unet", examples(), tmp_path / "r", width=4, batch=2, crops=400, every=200, rate=1e12)
+    with pytest.raises(ThermorenderError, match="unet: training exploded at crop .*; take a smaller --set rate"):
+        train_network(task, "unet")
+
+
+def test_pictures_without_colour_and_without_anything_do_not_stop_it(tmp_path):
+    """Black, white, grey and wholly invalid pictures among the others."""
+    odd = examples(14)
+    for number, level in enumerate((0, 255, 128)):
+        odd[number] = replace(odd[number], inputs=Inputs(np.full((96, 128, 3), level, np.uint8), 0.2))
+    for number in (4, 9):
+        odd[number] = replace(odd[number], valid=np.zeros((96, 128), bool))
+    found = train_network(task_of("unet-gan", odd, tmp_path / "r", width=4, batch=2, crops=16, every=8), "unet-gan")
+    assert found.trained["stopped"] is None and np.isfinite(read_log(tmp_path / "r")[-1]["validation_mae_k"])
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "words"),
+    [
+        ("cyclegan", {"batch": 1}, "batch=1 of crops=.* is not allowed for 'cyclegan'; give a batch of 2 or more"),
+        ("unet", {"batch": 0}, "batch=0 of crops=.* is not allowed"),
+        ("unet", {"crops": 1}, "batch=8 of crops=1 is not allowed"),
+        ("unet", {"width": 0}, "width=0 is not allowed"),
+        ("unet", {"depth": True}, "the pairs have no depth"),
+        ("pix2pixhd", {"vgg": "none.safetensors", "width": 4}, "vgg=none.safetensors holds no weights of VGG-19"),
+    ],
+)
+def test_what_cannot_be_trained_is_refused(tmp_path, name, options, words):
+    with pytest.raises(ThermorenderError, match=words):
+        train_network(task_of(name, examples(11), tmp_path / "r", **options), name)
+
+
+def test_a_folder_of_another_training_is_refused(tmp_path):
+    train_network(task_of("compact", examples(11), tmp_path / "r", **SMALL), "compact")
+    with pytest.raises(ThermorenderError, match="holds a training; continue it with --resume, or give another --run"):
+        train_network(task_of("compact", examples(11), tmp_path / "r", **SMALL), "compact")
+    with pytest.raises(ThermorenderError, match=r"training of other settings \(seed\); give another --run"):
+        train_network(task_of("compact", examples(11), tmp_path / "r", seed=4, resume=True, **SMALL), "compact")
+    last = tmp_path / "r" / "last.safetensors"
+    last.write_bytes(last.read_bytes()[:-100])
+    with pytest.raises(ThermorenderError, match="is no checkpoint of this training"):
+        train_network(task_of("compact", examples(11), tmp_path / "r", resume=True, **SMALL), "compact")
+
+
+def test_a_folder_in_use_is_refused(tmp_path):
+    from thermorender import files
+
+    (tmp_path / "r").mkdir()
+    with files.in_use(tmp_path / "r"), pytest.raises(ThermorenderError, match="is being written by another process"):
+        train_network(task_of("compact", examples(11), tmp_path / "r", **SMALL), "compact")
+
+
+# --- by the verb ------------------------------------------------------------------------------------------------
+
+
+def test_the_verb_trains_and_resumes(tmp_path, call):
+    write(tmp_path / "d", parts=("train",) * 11 + ("validation", "test"))
+    options = [part for name, value in SMALL.items() for part in ("--set", f"{name}={value}")]
+    arguments = ("train", "compact", tmp_path / "d", *options, "-o", tmp_path / "m.npz")
+    status, out, err = call(*arguments)
+    assert status == 0, err
+    assert "compact → apparent temperature" in out and (tmp_path / "m.run" / "log.jsonl").is_file()
+    status, _, err = call(*arguments)
+    assert status == 2 and "continue it with --resume" in err
+    status, out, err = call(*arguments, "--resume")
+    assert status == 0 and len(read_log(tmp_path / "m.run")) == 4, err
+    status, out, err = call("evaluate", tmp_path / "m.npz", "--dataset", tmp_path / "d", "-o", tmp_path / "e")
+    assert status == 0 and "m " in out, err
+    kept = json.loads((tmp_path / "e" / "evaluation.json").read_text("utf-8"))
+    assert kept["models"]["m"]["about"]["training"]["crops"] == 48
+    status, _, err = call("train", "trees", tmp_path / "d", "--resume", "-o", tmp_path / "n.npz")
+    assert status == 2 and "--run and --resume belong to networks, and 'trees' is none; leave them out" in err
+
+
+def test_a_network_is_trained_without_a_folder(tmp_path):
+    dataset = write(tmp_path / "d", parts=("train",) * 11 + ("validation", "test"))
+    model = train_map("m", "unet", dataset, {"width": 4, "batch": 2, "crops": 8})
+    assert model.predictor.method == "unet" and model.about["training"]["crops"] == 8
+
+
+def test_options_are_those_of_the_recipes():
+    for name, recipe in RECIPES.items():
+        assert method(name).options == recipe.all_options and method(name).plus == recipe.plus
+    assert method("pix2pix").options["crops"] == 3511 * 200 and method("pix2pix-b25").options["crops"] == 3511 * 300
