@@ -19,8 +19,9 @@ from thermorender.campaign.map_training import train_map
 from thermorender.errors import ThermorenderError
 from thermorender.learned.methods import method
 from thermorender.learned.networks import checkpoint, loop
-from thermorender.learned.networks.loop import read_log, train_network
+from thermorender.learned.networks.loop import train_network
 from thermorender.learned.networks.recipes import RECIPES
+from thermorender.learned.networks.runs import read_log
 from thermorender.learned.temperature_map import Inputs
 
 TESTS = Path(__file__).resolve().parent
@@ -75,7 +76,7 @@ def test_a_linear_world_is_learned(tmp_path):
     unseen = 280.0 + 20.0 * found.predict(Inputs(picture(99), 0.2), 0.2)
     assert np.abs(unseen - true).mean() < 0.5 * spread
     assert found.trained["crops"] == 400 and len(found.trained["curve"]) == 4
-    assert found.trained["core_seconds"] > 0.0 and found.texel_range_m == (1.0, 1.0)
+    assert found.trained["core_seconds"] > 0.0 and found.texel_range_m == (0.2, 0.2)
 
 
 def test_the_spread_is_that_of_the_errors(tmp_path):
@@ -86,7 +87,7 @@ def test_the_spread_is_that_of_the_errors(tmp_path):
         noisy.append(replace(each, values=np.rint(each.values + noise).astype(np.uint16)))
     options = {"width": 8, "batch": 8, "crops": 400, "every": 200, "rate": 4e-3}
     found = train_network(task_of("compact", noisy, tmp_path / "r", **options), "compact")
-    _, spread = found.of_inputs(Inputs(picture(99), 0.2))
+    _, spread = found.with_spread(Inputs(picture(99), 0.2))
     # Laplace's law of scale 1 K has the standard deviation √2 K; what is left of the colours adds to it.
     assert 1.3 < 20.0 * np.median(spread) < 2.0
 

@@ -58,7 +58,7 @@ def example(seed, valid=None, told=False, **sides):
 
 def task_of(method, examples, run=None, seed=3, progress=lambda what, share: None, resume=False, **options):
     return Task(examples, INTENSITY, TEMPERATURE, seed, progress, RECIPES[method].all_options | options, 0.2,
-                run=run, resume=resume)  # fmt: skip
+                (0.2, 0.2), run=run, resume=resume)  # fmt: skip
 
 
 # --- what they are ----------------------------------------------------------------------------------------------
@@ -464,10 +464,10 @@ def test_a_part_gives_what_the_whole_does():
         spread = 0.5 / np.sqrt(values[0].size) if values.ndim > 1 else 0.01
         predictor.state[name] = generator.normal(0.0, spread, values.shape).astype(np.float32)
     rgb = picture(1, 128, 2500)
-    whole = predictor.of_inputs(Inputs(rgb, 0.2))[0]
+    whole = predictor.with_spread(Inputs(rgb, 0.2))[0]
     assert whole.std() > 1e-3
     for left in (0, 400, 960):
-        part = predictor.of_inputs(Inputs(np.ascontiguousarray(rgb[:, left : left + 1536]), 0.2))[0]
+        part = predictor.with_spread(Inputs(np.ascontiguousarray(rgb[:, left : left + 1536]), 0.2))[0]
         inside = slice(0 if left == 0 else 160, 1536 if left + 1536 >= 2500 else 1376)
         assert np.abs(whole[:, left : left + 1536] - part)[:, inside].max() < 2e-4 * np.ptp(whole), left
 

@@ -1,5 +1,6 @@
 """The command line of learned maps: data sets, training, translation and evaluation."""
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -244,6 +245,9 @@ def train(
     with progress() as tell:
         folder = (run or output.with_suffix(".run")) if known(method).long else None
         model = train_map(output.stem, method, pairs, options, seed, tell, material=oracle, run=folder, resume=resume)
+        # Of the processes of a data-parallel training one writes.
+        if os.environ.get("RANK", "0") != "0":
+            return
         save_map(model, output)
     typer.echo(str(model))
     own = f", own error {model.error_k:.2f} K on validation" if model.error_k is not None else ""

@@ -88,6 +88,23 @@ def validate_maps(
     typer.echo(f"numbers and figures in {output}")
 
 
+@app.command("trainings")
+def validate_trainings(
+    runs: Annotated[list[Path], typer.Argument(help="Folders that `train --run` wrote.")],
+    output: Out = Path("out/validation"),
+):
+    """Trainings of networks beside each other: validation error against what each has cost, and strips of epochs."""
+    from thermorender.validate import trainings as study
+    from thermorender.validate.figures.trainings import write
+
+    result = study.run(runs)
+    with files.output_folder(output) as folder:
+        files.write_json(folder / "trainings.json", result)
+        write(folder, result, runs)
+    table(study.HEADER, study.rows(result))
+    typer.echo(f"numbers and figures in {output}")
+
+
 @app.command("air")
 def validate_air(
     scene: Annotated[str, typer.Argument(help="Scene folder, or the name of a shipped one.")] = defaults.SCENE,
@@ -198,7 +215,9 @@ def validate_heat(
 
 @app.command("stability")
 def validate_stability(
-    groups: Annotated[list[str] | None, typer.Argument(help="Some of air, heat, light, sensor; default: all.")] = None,
+    groups: Annotated[
+        list[str] | None, typer.Argument(help="Some of air, heat, light, maps, sensor; default: all.")
+    ] = None,
     output: Out = Path("out/validation"),
 ):
     """Cases at the edge, each with expected value, tolerance in kelvin and verdict; status 1 where one fails."""

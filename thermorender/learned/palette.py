@@ -45,8 +45,8 @@ class Palette:
         return self.value.ravel()[cells(inputs.rgb, self.cell, len(self.value))]
 
     def unseen(self, inputs):
-        """Return the share of pixels whose cell held none when it was trained."""
-        return float(np.mean(self.count.ravel()[cells(inputs.rgb, self.cell, len(self.value))] == 0))
+        """Return where a pixel is of a colour never seen, (h, w) bool: its cell held none when it was trained."""
+        return self.count.ravel()[cells(inputs.rgb, self.cell, len(self.value))] == 0
 
     def header(self):
         """Return what the file's text says of it."""

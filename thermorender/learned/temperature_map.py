@@ -22,7 +22,7 @@ from thermorender.defaults import BAND_UM, CAMERA, TRAINED_MAPS
 from thermorender.errors import ThermorenderError
 from thermorender.learned import correlation
 from thermorender.physics.band import RadianceTable
-from thermorender.physics.planck import band_radiance
+from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.schema import did_you_mean, shortened
 from thermorender.units import ZERO_CELSIUS_K
 
@@ -32,6 +32,8 @@ FORMAT = 1
 TEXEL_MARGIN = 1.25
 # Sky assumed where nobody states it: that of a clear mid-latitude summer day in the band [K].
 ASSUMED_SKY_K = 255.0
+# Slopes are those over this share of a radiance, of no less than this share of that at the range's warm end.
+_STEP, _LEAST_OF_COLD = 1e-3, 0.05
 # The largest network of full width, pix2pixHD's, takes 365 megabytes in half precision.
 _MOST_BYTES = 1 << 30
 # Kinds of predictors: {name in the file: (module, class)}; a module is imported when a map of it is read.
@@ -82,8 +84,9 @@ class TemperatureMap:
     predictor : object
         With `predict(inputs, texel_m)`, (h, w) float64; `needs`, the names of Inputs' fields without which it cannot
         work; `above_air`, whether it gives kelvin above the air instead of intensity; `header()` and `arrays()`, what
-        its class's `of(header, arrays)` makes it from; and, where a pixel depends on those around it only,
-        `reach(spacing)`, how far, taps lying `spacing` pixels apart: large pictures are then translated in strips.
+        its class's `of(header, arrays)` makes it from; where a pixel depends on those around it only,
+        `reach(spacing)`, how far, taps lying `spacing` pixels apart: large pictures are then translated in strips; and
+        where it tells the standard deviation of its error for each pixel, `with_spread(inputs)`, both.
     range_k : (2,) tuple of float
         Temperatures of intensity 0 and 1 [K].
     band_um : (2,) tuple of float
@@ -138,17 +141,36 @@ class TemperatureMap:
         ThermorenderError
             Something that the map needs is missing.
         """
+        return self.translated(inputs)[0]
+
+    def translated(self, inputs):
+        """Return (apparent band radiance, standard deviation of its error), (h, w) float64 [W m⁻² sr⁻¹] and [K].
+
+        The second is None where the method tells none for single pixels. It is what the map has found on its training
+        pictures: of colours, hours and weathers unlike those it knows nothing.
+        """
         for name in self.needs:
             if getattr(inputs, name) is None or not len(getattr(inputs, name)):
                 raise ThermorenderError(
                     f"learned map {self.name!r} needs {_WORDS[name]}, which a picture alone does not have; give it "
                     "with a scene that has [weather], or take a map that sees colour only"
                 )
-        found = self.predictor.predict(inputs, self.texel_m)
+        if hasattr(self.predictor, "with_spread"):
+            found, spread = self.predictor.with_spread(inputs)
+        else:
+            found, spread = self.predictor.predict(inputs, self.texel_m), None
         if self.predictor.above_air:
-            return self._radiance_at(np.maximum(found + inputs.conditions["air_k"], 1.0))
+            return self._radiance_at(np.maximum(found + inputs.conditions["air_k"], 1.0)), spread
         cold, warm = band_radiance(np.array(self.range_k), *self.band_um)
-        return cold + found * (warm - cold)
+        radiance = cold + found * (warm - cold)
+        if spread is not None:
+            # By the slope of temperature on radiance, at the range's cold end where no temperature exists.
+            usable = np.maximum(radiance, min(cold, _LEAST_OF_COLD * warm))
+            step = _STEP * usable
+            slope = (brightness_temperature(usable + step, *self.band_um)
+                     - brightness_temperature(usable - step, *self.band_um)) / (2.0 * step)  # fmt: skip
+            spread = spread * (warm - cold) * slope
+        return radiance, spread
 
     def _radiance_at(self, temperature):
         """Band radiance of temperatures [K], by table where that is shorter than the picture."""

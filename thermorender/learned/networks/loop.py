@@ -29,7 +29,7 @@ import torch
 from thermorender import files
 from thermorender.errors import ThermorenderError
 from thermorender.learned.linear import fit_linear
-from thermorender.learned.networks import checkpoint, samples
+from thermorender.learned.networks import checkpoint, runs, samples
 from thermorender.learned.networks.architectures.perception import Perception
 from thermorender.learned.networks.building import kind_of, learner_of
 from thermorender.learned.networks.crops import Crops
@@ -148,7 +148,9 @@ class _Run:
             elif self.done % self.every < self.size * self.world or self.done >= self.total:
                 self.seconds += time.perf_counter() - began[0]
                 self.core_seconds += _core_seconds() - began[1]
-                self._end_of_epoch({name: float(np.mean(values)) for name, values in losses.items()})
+                if self.first:
+                    self._end_of_epoch({name: float(np.mean(values)) for name, values in losses.items()})
+                self.stopped = self.stopped or (_agreed(float(bool(self.stopped))) > 0.0 and "training exploded")
                 losses, began = {}, None
 
     def found(self):
@@ -159,7 +161,7 @@ class _Run:
         kept = learner_of(self.recipe, self.encoding, int(self.task.options["width"]), 0.0)
         facts = checkpoint.load(best, _Applied(kept.net))
         curve = [{name: line[name] for name in ("crops", "seconds", "core_seconds", "validation_mae_k")}
-                 for line in read_log(self.folder)]  # fmt: skip
+                 for line in runs.read_log(self.folder)]  # fmt: skip
         trained = {
             "crops": self.done, "best_crops": facts["crops"], "published_crops": self.recipe.published_crops,
             "seconds": self.seconds, "core_seconds": self.core_seconds, "threads": torch.get_num_threads(),
@@ -175,9 +177,11 @@ class _Run:
         settings = {"method": self.method, "seed": self.task.seed, "options": self.task.options, "world": self.world,
                     "examples": len(self.task.examples), "encoding": self.encoding.header()}  # fmt: skip
         settings = json.loads(json.dumps(settings))
-        path, last = self.folder / "settings.json", self.folder / "last.safetensors"
-        if path.exists():
-            kept = json.loads(files.read_text(path))
+        path, last = self.folder / runs.SETTINGS, self.folder / "last.safetensors"
+        if not self.first:
+            pass
+        elif path.exists():
+            kept = runs.read_settings(self.folder)
             differing = [name for name in settings if kept.get(name) != settings[name]]
             if differing:
                 raise ThermorenderError(
@@ -187,14 +191,15 @@ class _Run:
                 raise ThermorenderError(
                     f"{self.folder} holds a training; continue it with --resume, or give another --run"
                 )
-        elif self.first:
+        else:
             files.write_json(path, settings | {"versions": versions()})
+        _agreed(0.0)
         if last.exists():
             facts = checkpoint.load(last, self.learner)
             self.done, self.best = facts["crops"], facts["best"]
             self.seconds, self.core_seconds = facts["seconds"], facts["core_seconds"]
             if self.first:
-                _cut_log(self.folder, self.done)
+                runs.cut_log(self.folder, self.done)
 
     def _step(self):
         """Let the learner take a step; return {loss: value}."""
@@ -205,7 +210,7 @@ class _Run:
         for part in self.learner.parts.values():
             part.train()
         with torch.autocast(device(), torch.bfloat16, enabled=bool(self.half)):
-            return {name: float(value.detach()) for name, value in self.learner.step(batch).items()}
+            return {name: _agreed(float(value.detach())) for name, value in self.learner.step(batch).items()}
 
     def _encoded(self, crops):
         encoding = self.encoding
@@ -234,8 +239,6 @@ class _Run:
 
     def _end_of_epoch(self, losses):
         """Validate, and write the log, sample pictures and checkpoints."""
-        if not self.first:
-            return
         found, errors = [], []
         kind = kind_of(self.recipe)
         self.learner.net.eval()
@@ -251,9 +254,8 @@ class _Run:
         errors = np.array(errors, np.float64)
         error = float(errors[:, 0].sum() / max(errors[:, 1].sum(), 1))
         facts = {"crops": self.done, "seconds": self.seconds, "core_seconds": self.core_seconds}
-        self.last_error = error
         shown = found[:: max(len(found) // _SHOWN, 1)][:_SHOWN]
-        samples.write(files.make_folder(self.folder / "samples") / f"{self.done:09d}.png", *zip(*shown, strict=True))
+        samples.write(files.make_folder(self.folder / runs.SAMPLES) / f"{self.done:09d}.png", *zip(*shown, strict=True))
         if not math.isfinite(error):
             self._stop({"validation": error})
             return
@@ -261,7 +263,7 @@ class _Run:
             self.best = error
             checkpoint.save(self.folder / "best.safetensors", _Applied(self.learner.net), facts | {"error_k": error})
         line = {**facts, "losses": losses, "validation_mae_k": error}
-        files.append_json(self.folder / "log.jsonl", line)
+        files.append_json(self.folder / runs.LOG, line)
         checkpoint.save(self.folder / "last.safetensors", self.learner, facts | {"best": self.best})
         if self.board:
             for name, value in (*losses.items(), ("validation_mae_k", error)):
@@ -302,22 +304,19 @@ class _Kelvin:
         return tuple(np.interp(each, self.intensity, self.temperature) for each in both)
 
 
-def read_log(folder):
-    """Return the lines of a run's log, a list of dicts."""
-    path = Path(folder) / "log.jsonl"
-    return [json.loads(line) for line in files.read_text(path).splitlines()] if path.exists() else []
-
-
-def _cut_log(folder, done):
-    """Take away lines that were written after the checkpoint, which is written last."""
-    kept = [line for line in read_log(folder) if line["crops"] <= done]
-    files.write_text(folder / "log.jsonl", "".join(json.dumps(line) + "\n" for line in kept))
-
-
 def _core_seconds():
     """Time that the machine's cores have worked for this process, all threads [s]."""
     used = resource.getrusage(resource.RUSAGE_SELF)
     return used.ru_utime + used.ru_stime
+
+
+def _agreed(value):
+    """The mean of a number over the processes of a data-parallel training, which wait for each other here."""
+    if not (torch.distributed.is_available() and torch.distributed.is_initialized()):
+        return value
+    shared = torch.tensor(value, dtype=torch.float64, device=device())
+    torch.distributed.all_reduce(shared)
+    return float(shared) / torch.distributed.get_world_size()
 
 
 def _process():

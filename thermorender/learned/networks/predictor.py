@@ -73,9 +73,9 @@ class Network:
         ThermorenderError
             A plane of the terrain or a condition is missing.
         """
-        return self.of_inputs(inputs)[0]
+        return self.with_spread(inputs)[0]
 
-    def of_inputs(self, inputs):
+    def with_spread(self, inputs):
         """Return (intensity or kelvin above the air, standard deviation of its error or None), (h, w) float64."""
         image = self.encoding.at_range(inputs, self.texel_range_m)
         found = self._applied(self.encoding.planes(image), self.encoding.conditions(image))

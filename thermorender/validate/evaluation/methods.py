@@ -17,6 +17,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.footage.radiometric_files import read_temperature
 from thermorender.frame import apparent_temperature
 from thermorender.validate.bench import forget_peak_memory, peak_memory_mib
+from thermorender.validate.evaluation import sums
 
 PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
 
@@ -61,6 +62,11 @@ class LearnedMap:
         Of each prediction.
     peak_mib : float or None
         Most memory the process held during one.
+    covered : (5,) float64
+        Where the map tells a standard deviation σ for each pixel: pixels, those with an error within σ and within 2 σ,
+        Σσ² and Σ of squared errors [K²].
+    unseen : (2, sums.WIDTH) float64
+        Where the map tells colours never seen: sums of errors elsewhere, and of those pixels.
     """
 
     label: str
@@ -68,6 +74,8 @@ class LearnedMap:
     oracle: bool = False
     seconds_per_mpixel: list = field(default_factory=list)
     peak_mib: float | None = None
+    covered: np.ndarray = field(default_factory=lambda: np.zeros(5))
+    unseen: np.ndarray = field(default_factory=lambda: np.zeros((2, sums.WIDTH)))
 
     @property
     def kind(self):
@@ -84,18 +92,47 @@ class LearnedMap:
         inputs = inputs_of(view.pair, view.card, material=self.oracle)
         forget_peak_memory()
         began = time.perf_counter()
-        radiance = self.model.radiance(inputs)
+        radiance, spread = self.model.translated(inputs)
         self.seconds_per_mpixel.append((time.perf_counter() - began) / (radiance.size / 1e6))
         self.peak_mib = max(filter(None, (self.peak_mib, peak_memory_mib())), default=None)
-        return apparent_temperature(radiance, self.model.band_um)
+        found = apparent_temperature(radiance, self.model.band_um)
+        self._doubt(inputs, found[view.known].astype(np.float64) - view.true[view.known], spread, view.known)
+        return found
+
+    def _doubt(self, inputs, error, spread, known):
+        """Hold what the map tells of its own errors against them."""
+        if spread is not None:
+            here = np.isfinite(error)
+            off, told = np.abs(error[here]), spread[known][here]
+            self.covered += off.size, (off <= told).sum(), (off <= 2.0 * told).sum(), (told**2).sum(), (off**2).sum()
+        predictor = self.model.predictor
+        if hasattr(predictor, "unseen"):
+            self.unseen += sums.rows_by(error, predictor.unseen(inputs)[known].astype(np.intp), 2)
+
+    def doubt(self):
+        """Return {"covered": …, "unseen": …}, each None where the map tells no such thing."""
+        pixels, one, two, told, squares = map(float, self.covered)
+        covered = None
+        if pixels:
+            covered = {"within_1": one / pixels, "within_2": two / pixels, "told_rms_k": np.sqrt(told / pixels),
+                       "rmse_k": np.sqrt(squares / pixels)}  # fmt: skip
+        unseen = None
+        if self.unseen.any():
+            rest, own = (sums.summary(row) for row in self.unseen)
+            share = own["pixels"] / max(own["pixels"] + rest["pixels"], 1)
+            unseen = {"share": share, "mae_k": own["mae_k"], "elsewhere_k": rest["mae_k"]}
+        return {"covered": covered, "unseen": unseen}
 
     def cost(self):
-        """Return {seconds_per_mpixel, peak_memory_mib, training_s}: a median, the most, and what the file tells."""
+        """Return {seconds_per_mpixel, peak_memory_mib, training_s}: a median, the most, and what the file tells.
+
+        With `doubt` beside them.
+        """
         return {
             "seconds_per_mpixel": float(np.median(self.seconds_per_mpixel)) if self.seconds_per_mpixel else None,
             "peak_memory_mib": self.peak_mib,
-            "training_s": self.model.about.get("training_s"),
-        }
+            "training_s": self.model.about.get("training_s"), **self.doubt(),
+        }  # fmt: skip
 
 
 @dataclass

@@ -19,6 +19,7 @@ FLOOR = (
     "Floor: the mean difference of two independent draws of the hidden state over √2, which is the mean absolute error "
     "of the best map there can be where the law of these draws is Gaussian."
 )
+LAPLACE = "Of errors by Laplace's law 75.7 % lie within one standard deviation and 94.1 % within two."
 HEADER = ("method", "knows besides the picture", "pairs", "ME [K]", "MAE [K]", "95 % of MAE", "SD [K]", "RMSE [K]",
           "PSNR [dB]", "SSIM")  # fmt: skip
 _TITLES = {
@@ -84,6 +85,7 @@ def write(path, result):
         *_table(("map", "inference [s/megapixel]", "training [s]", "peak memory [MiB]", "MAE [K]"), cost_rows(result)),
         "", f"Peak memory is that of the whole process. Published training: {_published_training()}.",
     ]  # fmt: skip
+    lines += _doubts(result)
     methods = {label: found for label, found in result["methods"].items() if found["mae_k"] is not None}
     for grouping, title in _TITLES.items():
         names = sorted({name for found in methods.values() for name in found["groups"].get(grouping, {})})
@@ -97,6 +99,24 @@ def write(path, result):
         lines += ["", f"## {title}", "", *_table((title.lower(), "megapixels", *methods), body)]
     lines += ["", "Cells of the groups: MAE (ME) [K]."]
     files.write_text(path, "\n".join(lines) + "\n")
+
+
+def _doubts(result):
+    """Lines on what maps tell of their own errors, against those."""
+    told = {label: found for label, found in result["methods"].items() if found.get("covered")}
+    flagged = {label: found["unseen"] for label, found in result["methods"].items() if found.get("unseen")}
+    lines = []
+    if told:
+        body = [(label, f"{each['covered']['within_1']:.1%}", f"{each['covered']['within_2']:.1%}",
+                 _number(each["covered"]["told_rms_k"]), _number(each["covered"]["rmse_k"]))
+                for label, each in told.items()]  # fmt: skip
+        header = ("map", "within 1 σ", "within 2 σ", "told, RMS [K]", "RMSE [K]")
+        lines += ["", "## Told error", "", *_table(header, body), "", LAPLACE]
+    if flagged:
+        body = [(label, f"{each['share']:.2%}", _number(each["mae_k"]), _number(each["elsewhere_k"]))
+                for label, each in flagged.items()]  # fmt: skip
+        lines += ["", "## Colours never seen", "", *_table(("map", "pixels", "MAE there [K]", "elsewhere [K]"), body)]
+    return lines
 
 
 def _published_training():

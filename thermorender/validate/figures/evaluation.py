@@ -22,10 +22,10 @@ def picture(path, view, guesses, share):
     share : float
         Quantile of the first method's error at which this view lies.
     """
-    pyplot = _pyplot()
+    plot = pyplot()
     lines, (height, width) = len(guesses) + 1, view.true.shape
     size = 11.0, (0.6 + 4.6 * height / width) * lines
-    figure, axes = pyplot.subplots(lines, 2, figsize=size, layout="constrained", squeeze=False)
+    figure, axes = plot.subplots(lines, 2, figsize=size, layout="constrained", squeeze=False)
     true = np.where(view.known, view.true, np.nan) - ZERO_CELSIUS_K
     errors = {name: np.where(view.known, guess - view.true, np.nan) for name, guess in guesses.items()}
     low, high = np.nanpercentile(true, [1, 99])
@@ -47,7 +47,7 @@ def picture(path, view, guesses, share):
             right.set_title(f"error: ME {finite.mean():+.2f}, MAE {np.abs(finite).mean():.2f} K")
     for axis in axes.ravel():
         axis.set_axis_off()
-    _save(figure, path)
+    save(figure, path)
 
 
 def against_time(path, result):
@@ -59,8 +59,8 @@ def against_time(path, result):
     result : dict
         Of `thermorender.validate.evaluation.evaluate`.
     """
-    pyplot = _pyplot()
-    figure, axis = pyplot.subplots(figsize=(10, 5), layout="constrained")
+    plot = pyplot()
+    figure, axis = plot.subplots(figsize=(10, 5), layout="constrained")
     dashes = iter(_DASHES)
     for number, (label, found) in enumerate(result["methods"].items()):
         if found["mae_k"] is None:
@@ -78,7 +78,7 @@ def against_time(path, result):
     axis.set_ylim(bottom=0.0)
     axis.grid(True, which="both", lw=0.3, color="0.85")
     figure.legend(fontsize=7, loc="outside right upper")
-    _save(figure, path)
+    save(figure, path)
 
 
 def against_share(path, curves):
@@ -90,8 +90,8 @@ def against_share(path, curves):
     curves : dict of str to list of (share, mean absolute error [K])
         By method.
     """
-    pyplot = _pyplot()
-    figure, axis = pyplot.subplots(figsize=(8, 5), layout="constrained")
+    plot = pyplot()
+    figure, axis = plot.subplots(figsize=(8, 5), layout="constrained")
     for name, curve in curves.items():
         share, error = np.array(sorted(curve)).T
         axis.plot(share, error, "o-", label=name)
@@ -99,13 +99,13 @@ def against_share(path, curves):
     axis.set_ylim(bottom=0.0)
     axis.grid(True, which="both", lw=0.3, color="0.85")
     axis.legend(fontsize=8)
-    _save(figure, path)
+    save(figure, path)
 
 
 def against_shift(path, curves):
     """Draw mean absolute error against how far the training pairs were moved; curves of (shift [px], error [K])."""
-    pyplot = _pyplot()
-    figure, axis = pyplot.subplots(figsize=(8, 5), layout="constrained")
+    plot = pyplot()
+    figure, axis = plot.subplots(figsize=(8, 5), layout="constrained")
     for name, curve in curves.items():
         shift, error = np.array(sorted(curve)).T
         axis.plot(shift, error, "o-", label=name)
@@ -113,10 +113,10 @@ def against_shift(path, curves):
     axis.set_ylim(bottom=0.0)
     axis.grid(True, lw=0.3, color="0.85")
     axis.legend(fontsize=8)
-    _save(figure, path)
+    save(figure, path)
 
 
-def _pyplot():
+def pyplot():
     import matplotlib
 
     matplotlib.use("Agg")
@@ -125,7 +125,7 @@ def _pyplot():
     return pyplot
 
 
-def _save(figure, path):
+def save(figure, path):
     from matplotlib import pyplot
 
     with files.atomic(path) as part:

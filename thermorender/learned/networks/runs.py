@@ -1,0 +1,50 @@
+"""What a training's folder tells: its settings, and the log of its epochs. Neither needs PyTorch."""
+
+import json
+from pathlib import Path
+
+from thermorender import files
+from thermorender.errors import ThermorenderError
+
+SETTINGS, LOG, SAMPLES = "settings.json", "log.jsonl", "samples"
+
+
+def read_settings(folder):
+    """Return the settings of a run's folder, a dict with method, seed, options, versions and more.
+
+    Raises
+    ------
+    ThermorenderError
+        The folder is that of no training.
+    """
+    path = Path(folder) / SETTINGS
+    try:
+        found = json.loads(files.read_text(path)) if path.is_file() else None
+        if not {"method", "seed", "options"} <= set(found or ()):
+            raise ValueError
+    except ValueError:
+        raise ThermorenderError(
+            f"{folder} is no folder of a training: it has no {SETTINGS} of one; give what `train --run` wrote"
+        ) from None
+    return found
+
+
+def read_log(folder):
+    """Return the epochs of a run's folder, a list of {crops, seconds, core_seconds, losses, validation_mae_k}.
+
+    A last line that was cut short is passed over.
+    """
+    path = Path(folder) / LOG
+    found = []
+    for line in files.read_text(path).splitlines() if path.is_file() else ():
+        try:
+            found.append(json.loads(line))
+        except ValueError:
+            break
+    return found
+
+
+def cut_log(folder, crops):
+    """Take away the epochs that ended after so many crops."""
+    kept = [line for line in read_log(folder) if line["crops"] <= crops]
+    files.write_text(Path(folder) / LOG, "".join(json.dumps(line) + "\n" for line in kept))

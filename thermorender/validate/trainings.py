@@ -1,0 +1,96 @@
+"""Trainings of networks beside each other: validation error against the time that each has cost so far.
+
+All of them validate on crops of the same pictures, so their errors stand on one axis. Time is that of the machine's
+cores, all threads of a process added up: what a training costs whatever ran beside it. A training has come to its
+plateau where its best error fell by less than 1 % over the last fifth of its crops.
+"""
+
+import numpy as np
+
+from thermorender.errors import ThermorenderError
+from thermorender.learned.networks.recipes import RECIPES
+from thermorender.learned.networks.runs import read_log, read_settings
+
+HEADER = ("run", "method", "width", "batch", "crops seen", "published", "core hours", "validation [K]", "at crops",
+          "at core hours", "last fifth")  # fmt: skip
+PLATEAU = 0.01
+
+
+def run(folders):
+    """Return what the logs of trainings tell; plain numbers.
+
+    Parameters
+    ----------
+    folders : sequence of path
+        As `train --run` wrote them.
+
+    Returns
+    -------
+    dict
+        Its "runs" have name, method, options, seed, published_crops, curve [(crops, core seconds, validation error
+        [K])], best_mae_k, best_crops, best_core_s, core_s, crops and last_fifth, the share by which the best error fell
+        over the last fifth of the crops.
+
+    Raises
+    ------
+    ThermorenderError
+        No folder, one of no training, two of one name, or a training without an epoch.
+    """
+    if not folders:
+        raise ThermorenderError("no training was given; give the folders that `train --run` wrote")
+    found = [_read(folder) for folder in folders]
+    names = [each["name"] for each in found]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ThermorenderError(f"two trainings are called {twice[0]!r}; rename the folder of one")
+    return {"runs": sorted(found, key=lambda each: each["best_mae_k"])}
+
+
+def _read(folder):
+    settings, log = read_settings(folder), read_log(folder)
+    if not log:
+        raise ThermorenderError(f"{folder} holds a training without a whole epoch; let it train longer")
+    curve = [(line["crops"], line["core_seconds"], line["validation_mae_k"]) for line in log]
+    crops, seconds, errors = (np.array(column, np.float64) for column in zip(*curve, strict=True))
+    best = int(errors.argmin())
+    early = errors[crops <= 0.8 * crops[-1]]
+    recipe = RECIPES.get(settings["method"])
+    return {
+        "name": folder.resolve().name.removesuffix(".run"), "method": settings["method"],
+        "options": settings["options"], "seed": settings["seed"],
+        "published_crops": recipe.published_crops if recipe else None, "curve": curve,
+        "best_mae_k": float(errors[best]), "best_crops": int(crops[best]), "best_core_s": float(seconds[best]),
+        "core_s": float(seconds[-1]), "crops": int(crops[-1]),
+        "last_fifth": float(1.0 - errors.min() / early.min()) if early.size else None,
+    }  # fmt: skip
+
+
+def rows(result):
+    """Return the rows of a result's table."""
+    return [
+        (each["name"], each["method"], each["options"]["width"], each["options"]["batch"], each["crops"],
+         each["published_crops"] or "–", f"{each['core_s'] / 3600.0:.2f}", f"{each['best_mae_k']:.2f}",
+         each["best_crops"], f"{each['best_core_s'] / 3600.0:.3f}", _last_fifth(each["last_fifth"]))
+        for each in result["runs"]
+    ]  # fmt: skip
+
+
+def _last_fifth(share):
+    if share is None:
+        return "too short"
+    return f"−{100.0 * share:.1f} %" + (", plateau" if share < PLATEAU else "")
+
+
+def sooner(result, name, share=0.1):
+    """Return [(other run, its best error, core seconds it took, error of `name` by then)] for every other run.
+
+    The error of `name` is its best within `share` of the core seconds in which the other came to its best; None where
+    it had validated none by then.
+    """
+    own = next(each for each in result["runs"] if each["name"] == name)
+    found = []
+    for other in result["runs"]:
+        if other is not own:
+            within = [error for _, seconds, error in own["curve"] if seconds <= share * other["best_core_s"]]
+            found.append((other["name"], other["best_mae_k"], other["best_core_s"], min(within, default=None)))
+    return found
