@@ -17,7 +17,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.footage.radiometric_files import read_temperature
 from thermorender.frame import apparent_temperature
 from thermorender.validate.bench import forget_peak_memory, peak_memory_mib
-from thermorender.validate.evaluation import sums
+from thermorender.validate.evaluation.sums import WIDTH, rows_by, summary
 
 PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
 
@@ -75,7 +75,7 @@ class LearnedMap:
     seconds_per_mpixel: list = field(default_factory=list)
     peak_mib: float | None = None
     covered: np.ndarray = field(default_factory=lambda: np.zeros(5))
-    unseen: np.ndarray = field(default_factory=lambda: np.zeros((2, sums.WIDTH)))
+    unseen: np.ndarray = field(default_factory=lambda: np.zeros((2, WIDTH)))
 
     @property
     def kind(self):
@@ -107,7 +107,7 @@ class LearnedMap:
             self.covered += off.size, (off <= told).sum(), (off <= 2.0 * told).sum(), (told**2).sum(), (off**2).sum()
         predictor = self.model.predictor
         if hasattr(predictor, "unseen"):
-            self.unseen += sums.rows_by(error, predictor.unseen(inputs)[known].astype(np.intp), 2)
+            self.unseen += rows_by(error, predictor.unseen(inputs)[known].astype(np.intp), 2)
 
     def doubt(self):
         """Return {"covered": …, "unseen": …}, each None where the map tells no such thing."""
@@ -118,7 +118,7 @@ class LearnedMap:
                        "rmse_k": np.sqrt(squares / pixels)}  # fmt: skip
         unseen = None
         if self.unseen.any():
-            rest, own = (sums.summary(row) for row in self.unseen)
+            rest, own = (summary(row) for row in self.unseen)
             share = own["pixels"] / max(own["pixels"] + rest["pixels"], 1)
             unseen = {"share": share, "mae_k": own["mae_k"], "elsewhere_k": rest["mae_k"]}
         return {"covered": covered, "unseen": unseen}

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from thermorender.defaults import BAND_UM, TEMPERATURE_MAPS
 from thermorender.learned.correlation import PUBLISHED_9TO1
 from thermorender.learned.temperature_map import Inputs, TemperatureMap, load_model
 from thermorender.learned.training import Example, Task
@@ -53,7 +54,7 @@ def trained(method):
     from thermorender.learned.methods import method as known
 
     predictor = known(method).fit(task(method, pictures()))
-    return TemperatureMap(method, method, predictor, (_COLD, _WARM), (7.5, 13.5), 0.2, (0.2, 0.2), "x", 255.0, "x")
+    return TemperatureMap(method, method, predictor, (_COLD, _WARM), BAND_UM, 0.2, (0.2, 0.2), "x", 255.0, "x")
 
 
 def kelvin(model, rgb):
@@ -84,7 +85,7 @@ def shipped(name):
 def gain_of_noise():
     """Σ of its squared coefficients is 4.3², so noise of the photograph leaves it 4.3 times as strong."""
     noise = np.random.default_rng(1).integers(0, 256, (600, 600, 3), np.uint8)
-    model = load_model("fok-9to1")
+    model = load_model(TEMPERATURE_MAPS[1])
     intensity = model.intensity(model.radiance(Inputs(noise, model.texel_m)))[1:-1, 1:-1]
     gain = float(np.sqrt((PUBLISHED_9TO1.kernel**2).sum()))
     # Of uniform values 0…255 over 255; 360 000 of them tell a deviation to 0.2 %, neighbours sharing taps to 0.6 %.
@@ -128,17 +129,14 @@ def odd_pictures(method):
 
 @case("maps", "a GAN that explodes stops, with its last good state: numbers that are not finite")
 def explodes():
-    import torch
-
     from thermorender.learned.networks import loop
 
     original, steps = loop._Run._step, iter(range(100))
 
     def step(self):
         if next(steps) == 3:
-            with torch.no_grad():
-                for weight in self.learner.parts["discriminator"].parameters():
-                    weight *= 1e20
+            for weight in self.learner.parts["discriminator"].parameters():
+                weight.data *= 1e20
         return original(self)
 
     loop._Run._step = step
