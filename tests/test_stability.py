@@ -112,5 +112,5 @@ def test_verdicts(job, passed, tmp_path, monkeypatch, call):
 
 
 def test_an_unknown_group_is_named():
-    with pytest.raises(ThermorenderError, match="group 'heats' is unknown; give some of air, heat, light, maps, sensor"):
+    with pytest.raises(ThermorenderError, match="group 'heats' is unknown; give some of air, heat, light, maps"):
         stability.run(["heats"])

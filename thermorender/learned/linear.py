@@ -86,15 +86,18 @@ class Linear:
             found[here] = self.of_values({**_lab(image.rgb[here]), **terrain, **image.conditions})
         return at_shape(found, inputs.rgb.shape[:2])
 
-    def of_values(self, values):
-        """Return kelvin above the air of pixels, as `columns` takes them."""
+    def of_values(self, values, multiplied=None):
+        """Return kelvin above the air of pixels, as `columns` takes them.
+
+        `multiplied` are their `grounds`, where they are known already.
+        """
         colours = np.stack(np.broadcast_arrays(1.0, *_colours(values)))
-        planes = [plane for _, plane in grounds(values, self.told)]
+        planes = [plane for _, plane in multiplied or grounds(values, self.told)]
         alone, many = len(_COLOURS) - 1, len(_COLOURS)
-        multiplied, rest = np.split(self.weight[alone:], [many * len(planes)])
+        slopes, rest = np.split(self.weight[alone:], [many * len(planes)])
         found = self.offset + np.tensordot(self.weight[:alone], colours[1:], 1)
         # What each ground is multiplied by is a quadratic of colour: one product of matrices for all of them.
-        for plane, factor in zip(planes, np.tensordot(multiplied.reshape(-1, many), colours, 1), strict=True):
+        for plane, factor in zip(planes, np.tensordot(slopes.reshape(-1, many), colours, 1), strict=True):
             found += plane * factor
         for (_, column), weight in zip(_others(values, self.told), rest, strict=True):
             if weight:
@@ -161,7 +164,7 @@ def _others(values, told):
         unknown = unknown | np.isnan(values[name])
         # Sunlight is among what colour multiplies.
         if not name.startswith(_SUNLIGHT):
-            yield name, np.nan_to_num(values[name])
+            yield name, _known(values[name], 0.0)
     yield "no terrain", unknown
     for name in told.conditions:
         yield name, values[name]
@@ -179,18 +182,23 @@ def grounds(values, told):
     if materials and sunlight:
         direct, diffuse, elevation = (values[name] for name in _IN_THE_OPEN)
         in_the_open = np.maximum(direct * np.maximum(np.sin(np.radians(elevation)), 0.0) + diffuse, _LEAST_SUNLIGHT)
-        share = np.clip(np.nan_to_num(values["sunlight"] / in_the_open, nan=1.0), 0.0, _MOST_SHARE)
+        share = np.clip(_known(values["sunlight"] / in_the_open, 1.0), 0.0, _MOST_SHARE)
         for material in materials:
             shade = values[f"shade_{material}"]
             yield f"as {material}", shade + (values[f"open_{material}"] - shade) * share
     for name in told.terrain:
         if name.startswith(_SUNLIGHT):
-            yield name, np.nan_to_num(values[name])
+            yield name, _known(values[name], 0.0)
     if "sky_view" in told.terrain:
-        hidden = 1.0 - np.nan_to_num(values["sky_view"], nan=1.0)
+        hidden = 1.0 - _known(values["sky_view"], 1.0)
         yield "hidden sky", hidden
         if "longwave_w_m2" in known:
             yield "hidden sky × longwave", hidden * values["longwave_w_m2"]
+
+
+def _known(plane, otherwise):
+    """A terrain's plane with a number where there is no terrain."""
+    return np.where(np.isnan(plane), np.asarray(plane).dtype.type(otherwise), plane)
 
 
 def _usual(name):

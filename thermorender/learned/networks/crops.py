@@ -13,8 +13,8 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 from thermorender.learned.temperature_map import Inputs
 
-# Squares cut from a picture when it is read, and pixels of those that are mixed.
-_CUTS, _MIXED_PIXELS = 8, 1 << 24
+# Pixels of the squares that are cut from a picture when it is read, and of those of several that are mixed.
+_CUT_PIXELS, _MIXED_PIXELS = 1 << 19, 1 << 25
 # A square is drawn anew, up to so many times, where less than this of it is valid.
 _LEAST_VALID, _DRAWS = 0.3, 4
 
@@ -57,7 +57,7 @@ class Crops:
             raise ThermorenderError(
                 f"{count} pairs are too few to train a network and to tell when it is best; give 10 at least"
             )
-        self._mixed = max(1, _MIXED_PIXELS // (_CUTS * side * side))
+        self._cuts, self._mixed = max(1, _CUT_PIXELS // (side * side)), _MIXED_PIXELS // _CUT_PIXELS
         self._pool, self._block = ThreadPoolExecutor(1), {}
 
     def close(self):
@@ -73,7 +73,7 @@ class Crops:
         return [self._cut(self.read(k), np.random.default_rng([self.task.seed, 1, k])) for k in self.held]
 
     def _of(self, number):
-        block, within = divmod(number, self._mixed * _CUTS)
+        block, within = divmod(number, self._mixed * self._cuts)
         for each in (block, block + 1):
             if each not in self._block:
                 self._block[each] = self._pool.submit(self._made, each)
@@ -89,7 +89,7 @@ class Crops:
             order = np.random.default_rng([self.task.seed, 2, epoch]).permutation(len(self.train))
             example = self.read(self.train[order[within]])
             generator = np.random.default_rng([self.task.seed, 3, place])
-            found += [self._cut(example, generator, mirrored=True) for _ in range(_CUTS)]
+            found += [self._cut(example, generator, mirrored=True) for _ in range(self._cuts)]
         order = np.random.default_rng([self.task.seed, 4, block]).permutation(len(found))
         return [found[k] for k in order]
 

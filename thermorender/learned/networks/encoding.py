@@ -4,10 +4,12 @@ Training and application encode in this one place.
 """
 
 from dataclasses import asdict, dataclass, fields
+from functools import cached_property
 
 import numpy as np
 
 from thermorender.errors import ThermorenderError
+from thermorender.learned.features import lab
 from thermorender.learned.linear import Linear, grounds
 from thermorender.learned.rows import CLASSES, Told, at_texel
 
@@ -92,7 +94,7 @@ class Encoding:
         """Names of the fields of Inputs that are needed."""
         return (*self.told.needs, *(["depth"] if self.depth else ()))
 
-    @property
+    @cached_property
     def mixed(self):
         """Number of planes, the last, that are temperatures: of typical materials, and the base's."""
         if not self.told.terrain:
@@ -123,19 +125,22 @@ class Encoding:
             found[4] = known
             number = 5
         for name in self.told.terrain:
-            found[number] = np.nan_to_num(inputs.terrain[name] / np.float32(_unit(name)))
+            plane = inputs.terrain[name] / np.float32(_unit(name))
+            found[number] = np.where(np.isnan(plane), 0.0, plane)
             number += 1
         if self.told.terrain:
             found[number] = np.isfinite(inputs.terrain[self.told.terrain[0]])
             number += 1
         if self.mixed:
-            known = {name: np.float32(inputs.terrain[name]) for name in self.told.terrain}
-            for name, plane in grounds({**known, **inputs.conditions}, self.told):
-                if name.startswith("as "):
-                    found[number] = (plane - self.offset) / self.scale
-                    number += 1
-        if self.base is not None:
-            found[number] = (self.base.predict(inputs, inputs.texel_m) - self.offset) / self.scale
+            planes = {name: np.float32(inputs.terrain[name]) for name in self.told.terrain}
+            values = {**planes, **inputs.conditions}
+            multiplied = list(grounds(values, self.told))
+            for plane in (plane for name, plane in multiplied if name.startswith("as ")):
+                found[number] = (plane - self.offset) / self.scale
+                number += 1
+            if self.base is not None:
+                values |= zip("Lab", np.moveaxis(lab(inputs.rgb), -1, 0), strict=True)
+                found[number] = (self.base.of_values(values, multiplied) - self.offset) / self.scale
         return found
 
     def conditions(self, inputs):

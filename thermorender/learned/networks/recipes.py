@@ -100,8 +100,8 @@ def _pix2pix(batch, epochs, crops):
 
 
 def _compact(plus):
-    # Small squares, so that a step sees many pictures; as many pixels a step as eight of the others'.
-    return Recipe("compact", 72, "robust", "adamw", 1e-3, "cosine", 32, 400_000, None, target=None, side=128,
+    # Small squares, so that a step sees many pictures.
+    return Recipe("compact", 72, "robust", "adamw", 1e-3, "cosine", 16, 400_000, None, target=None, side=128,
                   whole=True, multiple=16, plus=plus)  # fmt: skip
 
 
