@@ -246,7 +246,7 @@ def checked_options(method_name, known, given):
                 if not np.isfinite(found[key]) or found[key] < 0:
                     raise ValueError
         except (ValueError, KeyError, TypeError):
-            wanted = "true or false" if kind is bool else "a number from 0 up"
+            wanted = {bool: "true or false", int: "a whole number from 0 up"}.get(kind, "a number from 0 up")
             raise ThermorenderError(
                 f"option {key}={value!r} of {method_name!r} is not allowed; give {wanted}"
             ) from None

@@ -250,6 +250,8 @@ def train(
             return
         save_map(model, output)
     typer.echo(str(model))
+    if model.about["training"].get("stopped"):
+        typer.echo(f"warning: {model.about['training']['stopped']}; the map is the best state before", err=True)
     own = f", own error {model.error_k:.2f} K on validation" if model.error_k is not None else ""
     typer.echo(f"{output}: trained in {model.about['training_s']:g} s{own}")
 

@@ -60,5 +60,7 @@ def learner_of(recipe, encoding, width, rate):
     elif kind is learners.Cycle:
         judges = (PatchDiscriminator(n, beside, nn.InstanceNorm2d) for n in (seen, 1))
         back = ResidualGenerator(1, width, _CYCLE_HALVINGS, seen)
-        others = {"back": back, **dict(zip(("photographs", "thermals"), judges, strict=True))}
+        pasts = (learners.History(n, recipe.side) for n in (seen, 1))
+        names = ("photographs", "thermals", "past photographs", "past thermals")
+        others = {"back": back, **dict(zip(names, (*judges, *pasts), strict=True))}
     return kind(net, others, partial(_OPTIMISERS[recipe.optimiser], lr=rate, betas=recipe.betas), recipe.weight)

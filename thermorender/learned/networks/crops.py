@@ -5,8 +5,9 @@ and neighbours in the order differ. Crop number k is the same however training c
 resumed.
 """
 
+import hashlib
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +16,8 @@ from thermorender.learned.temperature_map import Inputs
 
 # Pixels of the squares that are cut from a picture when it is read, and of those of several that are mixed.
 _CUT_PIXELS, _MIXED_PIXELS = 1 << 19, 1 << 25
+# Training pictures that tell one data set from another, about.
+_LOOKED_AT = 16
 # A square is drawn anew, up to so many times, where less than this of it is valid.
 _LEAST_VALID, _DRAWS = 0.3, 4
 
@@ -58,11 +61,21 @@ class Crops:
                 f"{count} pairs are too few to train a network and to tell when it is best; give 10 at least"
             )
         self._cuts, self._mixed = max(1, _CUT_PIXELS // (side * side)), _MIXED_PIXELS // _CUT_PIXELS
-        self._pool, self._block = ThreadPoolExecutor(1), {}
+        self._pool, self._blocks = ThreadPoolExecutor(1), {}
 
     def close(self):
         """Read no further."""
         self._pool.shutdown(cancel_futures=True)
+
+    def digest(self):
+        """Return a fingerprint (hex) of the validation crops and of some of the training pictures."""
+        found = hashlib.blake2b(digest_size=16)
+        for crop in self.validation():
+            found.update(crop.inputs.rgb.tobytes() + crop.target.tobytes() + crop.valid.tobytes())
+        for number in self.train[:: max(len(self.train) // _LOOKED_AT, 1)]:
+            inputs, target, _ = self.read(number)
+            found.update(inputs.rgb.tobytes() + target.tobytes())
+        return found.hexdigest()
 
     def batch(self, first, size):
         """Return crops number `first` to `first + size` of the endless order, a list of Crop."""
@@ -74,29 +87,35 @@ class Crops:
 
     def _of(self, number):
         block, within = divmod(number, self._mixed * self._cuts)
-        for each in (block, block + 1):
-            if each not in self._block:
-                self._block[each] = self._pool.submit(self._made, each)
-        for each in [old for old in self._block if old < block]:
-            del self._block[each]
-        return self._block[block].result()[within]
+        # The next block is read while the second half of one is learned from.
+        for each in (block, *([block + 1] if 2 * within >= self._mixed * self._cuts else [])):
+            if each not in self._blocks:
+                places = range(each * self._mixed, (each + 1) * self._mixed)
+                self._blocks[each] = [self._pool.submit(self._read_at, place) for place in places]
+        for each in [old for old in self._blocks if old < block]:
+            del self._blocks[each]
+        order = np.random.default_rng([self.task.seed, 4, block]).permutation(self._mixed * self._cuts)
+        picture, cut = divmod(int(order[within]), self._cuts)
+        generator = np.random.default_rng([self.task.seed, 3, block * self._mixed + picture, cut])
+        return self._cut(self._blocks[block][picture].result(), generator, mirrored=True)
 
-    def _made(self, block):
-        """The crops of a block, mixed."""
-        found = []
-        for place in range(block * self._mixed, (block + 1) * self._mixed):
-            epoch, within = divmod(place, len(self.train))
-            order = np.random.default_rng([self.task.seed, 2, epoch]).permutation(len(self.train))
-            example = self.read(self.train[order[within]])
-            generator = np.random.default_rng([self.task.seed, 3, place])
-            found += [self._cut(example, generator, mirrored=True) for _ in range(self._cuts)]
-        order = np.random.default_rng([self.task.seed, 4, block]).permutation(len(found))
-        return [found[k] for k in order]
+    def _read_at(self, place):
+        """What stands at a place of the order of pictures, each of which comes once in every epoch."""
+        epoch, within = divmod(place, len(self.train))
+        order = np.random.default_rng([self.task.seed, 2, epoch]).permutation(len(self.train))
+        inputs, target, valid = self.read(self.train[order[within]])
+        # In half precision, as data sets hold them: many pictures wait at a time.
+        terrain = {name: np.asarray(plane, np.float16) for name, plane in inputs.terrain.items()}
+        return replace(inputs, terrain=terrain), target, valid
 
     def read(self, number):
         """Return (Inputs, target (h, w) float32, valid (h, w) bool) of an example."""
         example = self.task.examples[int(number)]
         if self.above_air:
+            if "air_k" not in example.inputs.conditions:
+                raise ThermorenderError(
+                    f"pair number {number} lacks the condition air_k, which others have; leave it out, or tell its air"
+                )
             target = self.task.temperature[example.values] - example.inputs.conditions["air_k"]
         else:
             target = self.task.intensity[example.values]
@@ -123,7 +142,6 @@ class Crops:
                 plane = np.pad(plane, around, mode)
             return np.ascontiguousarray(plane)
 
-        # In half precision, as data sets hold them: many crops wait at a time.
         terrain = {name: part(plane, "edge").astype(np.float16) for name, plane in inputs.terrain.items()}
         depth = None if inputs.depth is None else part(inputs.depth, "edge")
         cut = Inputs(part(inputs.rgb, "edge"), inputs.texel_m, terrain, inputs.conditions, depth)

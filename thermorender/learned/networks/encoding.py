@@ -15,9 +15,9 @@ from thermorender.learned.rows import CLASSES, Told, at_texel
 
 # A condition that spreads less than this over the training pictures tells nothing.
 _CONSTANT = 1e-6
-# Training pictures that tell the statistics, about; and the least spread of a target, in its own unit.
+# Training pictures that tell the statistics, about; and the least and greatest spread of a target, in its own unit.
 _LOOKED_AT = 180
-_LEAST_SCALE = 1e-3
+_LEAST_SCALE, _MOST_SCALE = 1e-3, 1e6
 # Conditions are believed so many standard deviations beyond the mean of those trained under.
 _BELIEVED = 3.0
 # A depth is told as the logarithm of its ratio to this [m].
@@ -75,6 +75,7 @@ class Encoding:
                     "the pairs have no depth, which option depth=true shows the network; give a data set with depth, "
                     "or leave the option out"
                 )
+            told.check(inputs)
             table.append([inputs.conditions[name] for name in told.conditions])
             learned = target[valid].astype(np.float64)
             sums += learned.size, learned.sum(), (learned**2).sum()
@@ -173,8 +174,8 @@ class Encoding:
         if any(len(each) != len(told.conditions) for each in numbers.values()):
             raise ValueError("its conditions have other means")
         scale, offset = float(header["scale"]), float(header["offset"])
-        if not (np.isfinite([scale, offset, *numbers["mean"], *numbers["spread"]]).all() and scale != 0.0):
-            raise ValueError("it encodes with numbers that are not finite")
+        if not (np.isfinite([scale, offset, *numbers["mean"], *numbers["spread"]]).all() and 0.0 < scale < _MOST_SCALE):
+            raise ValueError("it encodes with numbers that are not finite, or a scale that is none")
         base = Linear.of(header["base"], {"weight": arrays["base/weight"]}) if header["base"] else None
         return cls(told, bool(header["depth"]), **numbers, offset=offset, scale=scale, base=base)
 

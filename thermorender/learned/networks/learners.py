@@ -151,30 +151,30 @@ class Scaled(Learner):
     perceived = None
 
     def step(self, batch):
-        """Take a step of the discriminators, then one of the generator; return {name: loss}."""
+        """Take a step of the generator, then one of the discriminators; return {name: loss}."""
         made = self.forward(batch)
         real = torch.where(batch.valid > 0.0, batch.target, made.detach())
-        against = 0.5 * sum(_squares(self._features(batch, each), truth)
-                            for each, truth in ((real, 1.0), (made.detach(), 0.0)))  # fmt: skip
-        self.descend("discriminator", against)
-        self.parts["discriminator"].requires_grad_(False)
+        judges = self.parts["discriminator"].requires_grad_(False)
         seen = self._features(batch, made)
         with torch.no_grad():
             wanted = self._features(batch, real)
         fooled = _squares(seen, 1.0)
-        # All layers but the judgement, each as much as the others, the mean over scales.
+        # Every layer but the judgement, the mean over scales.
         alike = sum(
-            (a.float() - b.float()).abs().mean() * 4.0 / (len(scale) * len(seen))
+            (a.float() - b.float()).abs().mean() / len(seen)
             for scale, other in zip(seen, wanted, strict=True) for a, b in zip(scale[:-1], other[:-1], strict=True)
         )  # fmt: skip
         loss = fooled + self.weight * alike
-        told = {"gan": fooled, "features": alike, "discriminator": against}
+        told = {"gan": fooled, "features": alike}
         if self.perceived is not None:
             told["vgg"] = self.perceived(made, real)
             loss = loss + self.weight * told["vgg"]
         self.descend("net", loss)
-        self.parts["discriminator"].requires_grad_(True)
-        return told | {"l1": batch.mean((made.detach() - batch.target).abs())}
+        judges.requires_grad_(True)
+        against = 0.5 * sum(_squares(self._features(batch, each), truth)
+                            for each, truth in ((real, 1.0), (made.detach(), 0.0)))  # fmt: skip
+        self.descend("discriminator", against)
+        return told | {"discriminator": against, "l1": batch.mean((made.detach() - batch.target).abs())}
 
     def _features(self, batch, thermal):
         return self.parts["discriminator"].features(torch.cat([batch.planes, thermal], dim=1))
@@ -182,6 +182,35 @@ class Scaled(Learner):
 
 def _squares(scales, real):
     return sum(((each[-1].float() - real) ** 2).mean() for each in scales)
+
+
+class History(nn.Module):
+    """The last pictures that a generator made: its discriminator is shown one of them half of the time.
+
+    It is a part of the learner, so that a checkpoint keeps it.
+    """
+
+    SIZE = 50
+
+    def __init__(self, channels, side):
+        super().__init__()
+        self.register_buffer("pictures", torch.zeros(self.SIZE, channels, side, side))
+        self.register_buffer("count", torch.zeros((), dtype=torch.int64))
+
+    def forward(self, made):
+        """Return a batch of pictures, some of them older ones that the new take the place of."""
+        shown = []
+        for each in made.detach():
+            if self.count < self.SIZE:
+                self.pictures[self.count] = each
+                self.count += 1
+            elif torch.rand(()) < 0.5:
+                place = int(torch.randint(self.SIZE, ()))
+                older = self.pictures[place].clone()
+                self.pictures[place] = each
+                each = older
+            shown.append(each)
+        return torch.stack(shown)
 
 
 class Cycle(Learner):
@@ -200,14 +229,18 @@ class Cycle(Learner):
         judges = nn.ModuleList([photographs, thermals]).requires_grad_(False)
         made, drawn = net(photograph).float(), back(thermal).float()
         # Where a thermal picture holds nothing, neither is asked for anything.
-        cycle = (back(made).float() - photograph).abs().mean() + ((net(drawn).float() - thermal).abs() * valid).mean()
+        again = net(drawn).float()
+        cycle = (back(made).float() - photograph).abs().mean() + ((again - thermal).abs() * valid).mean()
         fooled = _square(thermals(made), 1.0) + _square(photographs(drawn), 1.0)
         self.descend("net", fooled + self.weight * cycle)
         judges.requires_grad_(True)
+        real = torch.where(valid > 0.0, thermal, again.detach())
         against = 0.5 * sum(
-            _square(judge(real), 1.0) + _square(judge(false.detach()), 0.0)
-            for judge, real, false in ((thermals, thermal, made), (photographs, photograph, drawn))
-        )
+            _square(judge(true), 1.0) + _square(judge(self.parts[f"past {name}"](false)), 0.0)
+            for name, judge, true, false in (
+                ("thermals", thermals, real, made), ("photographs", photographs, photograph, drawn)
+            )
+        )  # fmt: skip
         self.descend("discriminators", against)
         return {"cycle": cycle, "gan": fooled, "discriminator": against}
 

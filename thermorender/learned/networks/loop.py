@@ -35,15 +35,18 @@ from thermorender.learned.networks.building import kind_of, learner_of
 from thermorender.learned.networks.crops import Crops
 from thermorender.learned.networks.encoding import Encoding
 from thermorender.learned.networks.learners import Batch
-from thermorender.learned.networks.predictor import Network, device, state_of
+from thermorender.learned.networks.predictor import MOST_WIDTH, Network, device, state_of
 from thermorender.learned.networks.recipes import RECIPES
 from thermorender.versions import versions
 
-# A loss beyond this has exploded.
-_EXPLODED = 1e6
+LAST, BEST = "last.safetensors", "best.safetensors"
+# A loss beyond this has exploded; the greatest rate of learning leaves room to see that.
+_EXPLODED, _MOST_RATE = 1e6, 1e3
 _WARMING = 0.02
-# The linear map that a network begins with: pictures it is fitted to, about, and the penalty of `correlation+`.
-_BASE_PICTURES, _BASE_PENALTY = 540, 1e-3
+# Seeds that PyTorch takes.
+_SEEDS = 1 << 63
+# Of the linear map that a network begins with, that of `correlation+`.
+_BASE_PENALTY = 1e-3
 _SHOWN = 4
 # Validation crops that a network is given at a time.
 _AT_ONCE = 4
@@ -55,7 +58,7 @@ def train_network(task, method):
     Its options: `width`; `batch`; `crops`, how many are seen; `rate`, of learning; `every`, crops between validations
     (0: as many as there are training pictures); `bf16`, whether convolutions are computed with 8 bits of mantissa where
     the machine can; `tensorboard`, whether losses are written for it too; `depth`, whether the network is shown the
-    depth.
+    depth; `published`, see `Network`; `vgg`, file of the weights of the perceptual loss.
 
     Raises
     ------
@@ -63,6 +66,7 @@ def train_network(task, method):
         A run's folder that is in use or of other settings, too few pairs, or a training that explodes at once.
     """
     recipe, options = RECIPES[method], task.options
+    _refuse(method, recipe, options)
     first, world = _process()
     with ExitStack() as stack:
         folder = files.make_folder(Path(task.run or stack.enter_context(tempfile.TemporaryDirectory())))
@@ -73,9 +77,7 @@ def train_network(task, method):
         began = time.perf_counter(), _core_seconds()
         target = (None, None) if recipe.target is None else recipe.target
         encoding = Encoding.measured(crops, bool(options.get("depth")), *target, _base(task, crops) if told else None)
-        if int(options["width"]) < 1:
-            raise ThermorenderError(f"width={options['width']} is not allowed for {method!r}; give 1 or more channels")
-        torch.manual_seed(task.seed)
+        torch.manual_seed(task.seed % _SEEDS)
         learner = learner_of(recipe, encoding, int(options["width"]), float(options["rate"]))
         if options.get("vgg"):
             learner.perceived = Perception(options["vgg"]).to(device())
@@ -89,11 +91,24 @@ def train_network(task, method):
         return run.found()
 
 
+def _refuse(method, recipe, options):
+    """Refuse settings that nothing could be trained with, before anything is written."""
+    size, total, width, rate = options["batch"], options["crops"], options["width"], options["rate"]
+    if size < recipe.least_batch or total < size:
+        raise ThermorenderError(
+            f"batch={size} of crops={total} is not allowed for {method!r}; give a batch of {recipe.least_batch} or "
+            "more, and at least as many crops"
+        )
+    if not 1 <= width <= MOST_WIDTH:
+        raise ThermorenderError(f"width={width} is not allowed for {method!r}; give 1…{MOST_WIDTH} channels")
+    if not 0.0 < rate <= _MOST_RATE:
+        raise ThermorenderError(f"rate={rate:g} is not allowed for {method!r}; give a number in 0…{_MOST_RATE:g}")
+
+
 def _base(task, crops):
-    """The linear map that a network begins with, of some of the training pictures."""
-    some = crops.train[:: max(len(crops.train) // _BASE_PICTURES, 1)]
-    less = replace(task, examples=_Chosen(task.examples, some), options={"penalty": _BASE_PENALTY}, held_out=None)
-    return fit_linear(less)
+    """The linear map that a network begins with, of all training pictures and no others."""
+    own = _Chosen(task.examples, crops.train)
+    return fit_linear(replace(task, examples=own, options={"penalty": _BASE_PENALTY}, held_out=None))
 
 
 class _Chosen(Sequence):
@@ -116,17 +131,17 @@ class _Run:
         options = task.options
         self.total, self.size = int(options["crops"]), int(options["batch"])
         self.every = int(options["every"]) or len(crops.train)
-        if self.size < recipe.least_batch or self.total < self.size:
-            raise ThermorenderError(
-                f"batch={self.size} of crops={self.total} is not allowed for {method!r}; give a batch of "
-                f"{recipe.least_batch} or more, and at least as many crops"
-            )
         self.half = options["bf16"] and (device() == "cuda" or torch.ops.mkldnn._is_mkldnn_bf16_supported())
         self.done, self.seconds, self.core_seconds, self.best, self.stopped = 0, 0.0, 0.0, math.inf, None
         for part in learner.parts.values():
             part.to(device(), memory_format=torch.channels_last)
         self.rates = [group["lr"] for each in learner.optimisers.values() for group in each.param_groups]
         self.validated = crops.validation()
+        if not any(crop.valid.any() for crop in self.validated):
+            raise ThermorenderError(
+                f"none of {len(crops.held)} validation pairs has a valid pixel, so that nothing tells when a network "
+                "is best; give pairs whose pictures overlap"
+            )
         self.kelvin = _Kelvin(task, crops, encoding)
         self.board = _board(folder) if options["tensorboard"] and first else None
 
@@ -150,12 +165,13 @@ class _Run:
                 self.core_seconds += _core_seconds() - began[1]
                 if self.first:
                     self._end_of_epoch({name: float(np.mean(values)) for name, values in losses.items()})
-                self.stopped = self.stopped or (_agreed(float(bool(self.stopped))) > 0.0 and "training exploded")
+                if _agreed(float(bool(self.stopped))) and not self.stopped:
+                    self.stopped = "training exploded"
                 losses, began = {}, None
 
     def found(self):
         """Return the Network of the best state."""
-        best = self.folder / "best.safetensors"
+        best = self.folder / BEST
         if not best.exists():
             raise ThermorenderError(f"{self.method}: {self.stopped}; take a smaller --set rate")
         kept = learner_of(self.recipe, self.encoding, int(self.task.options["width"]), 0.0)
@@ -175,12 +191,13 @@ class _Run:
     def _begin(self):
         """Write what the run is, or go on where it stopped."""
         settings = {"method": self.method, "seed": self.task.seed, "options": self.task.options, "world": self.world,
-                    "examples": len(self.task.examples), "encoding": self.encoding.header()}  # fmt: skip
+                    "examples": [len(self.task.examples), self.crops.digest()],
+                    "encoding": self.encoding.header()}  # fmt: skip
         settings = json.loads(json.dumps(settings))
-        path, last = self.folder / runs.SETTINGS, self.folder / "last.safetensors"
+        path, last = self.folder / runs.SETTINGS, self.folder / LAST
         if not self.first:
             pass
-        elif path.exists():
+        elif path.exists() or last.exists():
             kept = runs.read_settings(self.folder)
             differing = [name for name in settings if kept.get(name) != settings[name]]
             if differing:
@@ -193,8 +210,14 @@ class _Run:
                 )
         else:
             files.write_json(path, settings | {"versions": versions()})
+        if self.first and not last.exists():
+            # It was stopped before the first whole epoch.
+            runs.cut_log(self.folder, 0)
+            (self.folder / BEST).unlink(missing_ok=True)
         _agreed(0.0)
         if last.exists():
+            if not (self.folder / BEST).exists():
+                raise ThermorenderError(f"{self.folder} lacks {BEST}, the best state so far; give another --run")
             facts = checkpoint.load(last, self.learner)
             self.done, self.best = facts["crops"], facts["best"]
             self.seconds, self.core_seconds = facts["seconds"], facts["core_seconds"]
@@ -204,7 +227,7 @@ class _Run:
     def _step(self):
         """Let the learner take a step; return {loss: value}."""
         self._set_rate()
-        torch.manual_seed(self.task.seed * 1_000_003 + self.done)
+        torch.manual_seed((self.task.seed * 1_000_003 + self.done) % _SEEDS)
         # Each process of a data-parallel training takes its own crops.
         batch = self._encoded(self.crops.batch(self.done + self.size * _rank(), self.size))
         for part in self.learner.parts.values():
@@ -249,10 +272,12 @@ class _Run:
                 given = kind.predict(self.learner.net, batch.planes, batch.conditions)[:, 0].cpu().numpy()
             for crop, each in zip(some, given, strict=True):
                 true, guessed = self.kelvin(crop, each)
-                errors.append((np.nansum(np.abs(guessed - true)), np.isfinite(guessed - true).sum()))
+                # A guess that is no number has to show, so only what is not valid is left out.
+                off = np.abs(guessed - true)[crop.valid]
+                errors.append((off.sum(), off.size))
                 found.append((crop, true, guessed))
         errors = np.array(errors, np.float64)
-        error = float(errors[:, 0].sum() / max(errors[:, 1].sum(), 1))
+        error = float(errors[:, 0].sum() / errors[:, 1].sum())
         facts = {"crops": self.done, "seconds": self.seconds, "core_seconds": self.core_seconds}
         shown = found[:: max(len(found) // _SHOWN, 1)][:_SHOWN]
         samples.write(files.make_folder(self.folder / runs.SAMPLES) / f"{self.done:09d}.png", *zip(*shown, strict=True))
@@ -261,10 +286,10 @@ class _Run:
             return
         if error < self.best:
             self.best = error
-            checkpoint.save(self.folder / "best.safetensors", _Applied(self.learner.net), facts | {"error_k": error})
+            checkpoint.save(self.folder / BEST, _Applied(self.learner.net), facts | {"error_k": error})
         line = {**facts, "losses": losses, "validation_mae_k": error}
         files.append_json(self.folder / runs.LOG, line)
-        checkpoint.save(self.folder / "last.safetensors", self.learner, facts | {"best": self.best})
+        checkpoint.save(self.folder / LAST, self.learner, facts | {"best": self.best})
         if self.board:
             for name, value in (*losses.items(), ("validation_mae_k", error)):
                 self.board.add_scalar(name, value, self.done)
@@ -272,7 +297,8 @@ class _Run:
     def _tell(self, losses):
         told = " ".join(f"{name} {value:.3g}" for name, value in losses.items())
         known = f", validation {self.best:.2f} K at best" if math.isfinite(self.best) else ""
-        self.task.progress(f"{self.method}: {self.done} of {self.total} crops, {told}{known}", self.done / self.total)
+        line = f"{self.method}: {self.done} of {self.total} crops, {told}{known}"
+        self.task.progress(line, min(self.done / self.total, 1.0))
 
     def _stop(self, losses):
         what = ", ".join(f"{name} {value:.3g}" for name, value in losses.items())

@@ -15,6 +15,10 @@ from thermorender.learned.rows import at_shape
 # Pictures are given whole up to this side, else in tiles of it, of whose overlap no more than the middle is taken: what
 # lies further from a pixel than the margin does not reach it in the compact network [pixels].
 _MOST_SIDE, _OVERLAP, _MARGIN = 1536, 384, 160
+MOST_WIDTH = 1 << 14
+# Greatest number in single precision; what is no number is not below it.
+_MOST = np.finfo(np.float32).max
+_FLAGS = ("above_air", "published")
 # How PyTorch counts what batch norm saw, which nothing is computed from.
 _COUNTED = "num_batches_tracked"
 
@@ -58,11 +62,12 @@ class Network:
 
     @cached_property
     def _net(self):
-        net = net_of(RECIPES[self.method], self.encoding, self.width)
+        # Without memory, until the weights are known to be those of its layers.
+        with torch.device("meta"):
+            net = net_of(RECIPES[self.method], self.encoding, self.width)
         weights = {name: torch.from_numpy(np.asarray(values, np.float32)) for name, values in self.state.items()}
-        lacking, surplus = net.load_state_dict(weights, strict=False)
-        if surplus or any(not name.endswith(_COUNTED) for name in lacking):
-            raise ValueError("it has other weights than its method")
+        counted = [name for name in net.state_dict() if name.endswith(_COUNTED)]
+        net.load_state_dict(weights | {name: torch.zeros((), dtype=torch.int64) for name in counted}, assign=True)
         return net.to(device(), memory_format=torch.channels_last).requires_grad_(False).train(self.published)
 
     def predict(self, inputs, texel_m):
@@ -109,23 +114,31 @@ class Network:
         }  # fmt: skip
 
     def arrays(self):
-        """Return what the file holds of it: weights in half precision."""
-        weights = {name: np.asarray(values, np.float16) for name, values in self.state.items()}
-        return weights | self.encoding.arrays()
+        """Return what the file holds of it: weights in half precision, but for statistics and what it cannot hold."""
+        found = self.encoding.arrays()
+        for name, values in self.state.items():
+            single = np.asarray(values, np.float32)
+            fits = "running_" not in name and np.abs(single).max(initial=0.0) < np.finfo(np.float16).max
+            found[name] = single.astype(np.float16) if fits else single
+        return found
 
     @classmethod
     def of(cls, header, arrays):
         """Return the Network of `header` and `arrays`."""
-        if header["method"] not in RECIPES or type(header["width"]) is not int or not 1 <= header["width"] <= 1 << 14:
+        if header["method"] not in RECIPES or type(header["width"]) is not int:
             raise ValueError("it is of an unknown method or width")
-        if not all(np.isfinite(values).all() for values in arrays.values()):
+        if not 1 <= header["width"] <= MOST_WIDTH or not all(type(header[name]) is bool for name in _FLAGS):
+            raise ValueError("it is of an unknown method or width, or its flags are neither true nor false")
+        if not all(values.dtype.kind == "f" and np.abs(values).max(initial=0.0) < _MOST for values in arrays.values()):
             raise ValueError("it has weights that are not finite")
         encoding, limits = Encoding.of(header["encoding"], arrays), tuple(map(float, header["texel_range_m"]))
         if not (len(limits) == 2 and 0.0 < limits[0] <= limits[1] < np.inf):
             raise ValueError("its range of ground sampling distances is none")
+        if header["above_air"] and "air_k" not in encoding.told.conditions:
+            raise ValueError("it is not told the air's temperature")
         state = {name: values for name, values in arrays.items() if name not in encoding.arrays()}
-        found = cls(header["method"], header["width"], encoding, limits, state, bool(header["above_air"]),
-                    bool(header["published"]), dict(header["trained"]))  # fmt: skip
+        found = cls(header["method"], header["width"], encoding, limits, state, header["above_air"],
+                    header["published"], dict(header["trained"]))  # fmt: skip
         _ = found._net
         return found
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from thermorender import files
 from thermorender.errors import ThermorenderError
 
+_EPOCH = ("crops", "seconds", "core_seconds", "validation_mae_k")
 SETTINGS, LOG, SAMPLES = "settings.json", "log.jsonl", "samples"
 
 
@@ -20,7 +21,7 @@ def read_settings(folder):
     path = Path(folder) / SETTINGS
     try:
         found = json.loads(files.read_text(path)) if path.is_file() else None
-        if not {"method", "seed", "options"} <= set(found or ()):
+        if not isinstance(found, dict) or not {"method", "seed", "options"} <= set(found):
             raise ValueError
     except ValueError:
         raise ThermorenderError(
@@ -32,15 +33,19 @@ def read_settings(folder):
 def read_log(folder):
     """Return the epochs of a run's folder, a list of {crops, seconds, core_seconds, losses, validation_mae_k}.
 
-    A last line that was cut short is passed over.
+    What follows a line that was cut short is passed over.
     """
     path = Path(folder) / LOG
     found = []
     for line in files.read_text(path).splitlines() if path.is_file() else ():
         try:
-            found.append(json.loads(line))
+            epoch = json.loads(line)
+            told = isinstance(epoch, dict) and all(isinstance(epoch.get(name), int | float) for name in _EPOCH)
         except ValueError:
+            told = False
+        if not told:
             break
+        found.append(epoch)
     return found
 
 

@@ -54,11 +54,12 @@ class Compact(nn.Module):
             nn.Conv2d(after, 4 * before, 1) for before, after in zip(widths[:-1], widths[1:], strict=True)
         )
         self.up = nn.ModuleList(_Residual(n, conditions) for n in widths[:-1])
-        # Of each pixel: what is added, the logarithm of its spread, and the shares of the mixture.
-        self.out = 2 + mixed
-        self.exit = nn.Conv2d(width, self.out * BLOCK**2, 3, padding=1)
-        nn.init.zeros_(self.exit.bias)
-        nn.init.normal_(self.exit.weight, 0.0, 1e-3)
+        # Of each pixel: what is added and the shares of the mixture; and the logarithm of the spread.
+        self.exit = nn.Conv2d(width, (1 + mixed) * BLOCK**2, 3, padding=1)
+        self.doubt = nn.Conv2d(width, BLOCK**2, 3, padding=1)
+        for layer in (self.exit, self.doubt):
+            nn.init.zeros_(layer.bias)
+            nn.init.normal_(layer.weight, 0.0, 1e-3)
         if mixed:
             nn.init.constant_(self.exit.bias[-(BLOCK**2) :], _BEGINNING)
 
@@ -75,10 +76,12 @@ class Compact(nn.Module):
         for level in reversed(range(len(self.up))):
             x = functional.pixel_shuffle(self.wide[level](x), 2) + kept.pop()
             x = self.up[level](x, conditions)
+        # How much it doubts is read from what it sees, and has no say in what it looks at.
+        spread = functional.pixel_shuffle(self.doubt(x.detach()), BLOCK).float().clamp(*_LOG_SPREAD)
         x = functional.pixel_shuffle(self.exit(x), BLOCK).float()
-        mean, spread = x[:, :1], x[:, 1:2].clamp(*_LOG_SPREAD)
+        mean = x[:, :1]
         if self.mixed:
-            shares = torch.softmax(x[:, 2:], dim=1)
+            shares = torch.softmax(x[:, 1:], dim=1)
             mean = mean + (shares * planes[:, -self.mixed :].float()).sum(dim=1, keepdim=True)
         return mean, spread
 

@@ -6,12 +6,16 @@ pooling and a residual, four levels of two transposed convolutions (256, 128, 64
 There are no connections across: what the middle has lost does not come back.
 """
 
+import math
+
 from torch import nn
 
 _DOWN = (2, 4, 8)
 _UP = (8, 4, 2, 1)
 # Keras' batch norm: 0.99 of the running statistics stay, and 1e-3 is added to the variance.
 _NORM = {"momentum": 0.01, "eps": 1e-3}
+# What strides of two add to a picture of even sides, to the right and below.
+_SAME = (0, 1, 0, 1)
 # All levels together halve the sides four times.
 MULTIPLE = 16
 
@@ -29,10 +33,13 @@ class KerasUNet(nn.Module):
 
     def __init__(self, channels=3, width=32, out=1):
         super().__init__()
-        self.entry = nn.Sequential(nn.Conv2d(channels, width, 3, 2, 1), nn.BatchNorm2d(width, **_NORM), nn.ReLU())
+        self.entry = nn.Sequential(
+            nn.ZeroPad2d(_SAME), nn.Conv2d(channels, width, 3, 2), nn.BatchNorm2d(width, **_NORM), nn.ReLU()
+        )
         before, self.down, self.up = width, nn.ModuleList(), nn.ModuleList()
         for n in (width * each for each in _DOWN):
-            self.down.append(_Level(before, n, _separable, nn.MaxPool2d(3, 2, 1), nn.Conv2d(before, n, 1, 2)))
+            pool = nn.Sequential(nn.ConstantPad2d(_SAME, -math.inf), nn.MaxPool2d(3, 2))
+            self.down.append(_Level(before, n, _separable, pool, nn.Conv2d(before, n, 1, 2)))
             before = n
         for n in (width * each for each in _UP):
             self.up.append(_Level(before, n, _transposed, nn.Upsample(scale_factor=2),

@@ -88,9 +88,11 @@ class PatchDiscriminator(nn.Module):
         64 as published, which makes 2.77 million parameters.
     norm : type of layer
         nn.BatchNorm2d in pix2pix, nn.InstanceNorm2d in its successors.
+    padding : int
+        Of every convolution: 1, and 2 in pix2pixHD.
     """
 
-    def __init__(self, channels=4, width=64, norm=nn.BatchNorm2d):
+    def __init__(self, channels=4, width=64, norm=nn.BatchNorm2d, padding=1):
         super().__init__()
         widths = [channels, width, 2 * width, 4 * width, 8 * width, 1]
         # Instance norm, as used, has no offset of its own.
@@ -98,7 +100,7 @@ class PatchDiscriminator(nn.Module):
         self.layers = nn.ModuleList()
         for number, (before, after) in enumerate(zip(widths[:-1], widths[1:], strict=True)):
             first, last = number == 0, after == 1
-            conv = nn.Conv2d(before, after, 4, 2 if number < 3 else 1, 1, bias=biased or first or last)
+            conv = nn.Conv2d(before, after, 4, 2 if number < 3 else 1, padding, bias=biased or first or last)
             between = [] if first or last else [norm(after)]
             self.layers.append(nn.Sequential(conv, *between, *([] if last else [nn.LeakyReLU(_SLOPE)])))
         initialised(self)

@@ -64,7 +64,7 @@ class ScaledDiscriminators(nn.Module):
 
     def __init__(self, channels=4, width=64):
         super().__init__()
-        self.scales = nn.ModuleList(PatchDiscriminator(channels, width, nn.InstanceNorm2d) for _ in range(SCALES))
+        self.scales = nn.ModuleList(PatchDiscriminator(channels, width, nn.InstanceNorm2d, 2) for _ in range(SCALES))
 
     def features(self, x):
         """Return, for each scale, the output of every layer."""
