@@ -31,7 +31,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.learned.linear import fit_linear
 from thermorender.learned.networks import checkpoint, runs, samples
 from thermorender.learned.networks.architectures.perception import Perception
-from thermorender.learned.networks.building import kind_of, learner_of
+from thermorender.learned.networks.building import kind_of, learner_of, net_of
 from thermorender.learned.networks.crops import Crops
 from thermorender.learned.networks.encoding import Encoding
 from thermorender.learned.networks.learners import Batch
@@ -148,13 +148,12 @@ class _Run:
     def train(self):
         """Train to the end, or until the losses explode."""
         self._begin()
-        step, losses, began = 0, {}, None
+        losses, began = {}, None
         while self.done < self.total and not self.stopped:
             if began is None:
                 began = time.perf_counter(), _core_seconds()
             found = self._step()
             self.done += self.size * self.world
-            step += 1
             for name, value in found.items():
                 losses.setdefault(name, []).append(value)
             self._tell(found)
@@ -174,8 +173,8 @@ class _Run:
         best = self.folder / BEST
         if not best.exists():
             raise ThermorenderError(f"{self.method}: {self.stopped}; take a smaller --set rate")
-        kept = learner_of(self.recipe, self.encoding, int(self.task.options["width"]), 0.0)
-        facts = checkpoint.load(best, _Applied(kept.net))
+        net = net_of(self.recipe, self.encoding, int(self.task.options["width"]))
+        facts = checkpoint.load(best, _Applied(net))
         curve = [{name: line[name] for name in ("crops", "seconds", "core_seconds", "validation_mae_k")}
                  for line in runs.read_log(self.folder)]  # fmt: skip
         trained = {
@@ -185,7 +184,7 @@ class _Run:
         }  # fmt: skip
         return Network(
             self.method, int(self.task.options["width"]), self.encoding, self.task.texel_range_m,
-            state_of(kept.net), self.crops.above_air, bool(self.task.options.get("published")), trained,
+            state_of(net), self.crops.above_air, bool(self.task.options.get("published")), trained,
         )  # fmt: skip
 
     def _begin(self):

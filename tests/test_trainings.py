@@ -1,0 +1,65 @@
+"""Trainings beside each other: what their logs tell, and what is refused."""
+
+import json
+
+import numpy as np
+import pytest
+
+from thermorender.errors import ThermorenderError
+from thermorender.validate import trainings
+
+
+def write(folder, errors, crops=100, core_s=10.0, method="pix2pix"):
+    """A training's folder with validation errors after each epoch, and its sample pictures."""
+    import cv2
+
+    (folder / "samples").mkdir(parents=True)
+    settings = {"method": method, "seed": 0, "options": {"width": 16, "batch": 4}}
+    (folder / "settings.json").write_text(json.dumps(settings), encoding="utf-8")
+    lines = []
+    for number, error in enumerate(errors, 1):
+        lines.append({"crops": crops * number, "seconds": 1.0, "core_seconds": core_s * number, "losses": {},
+                      "validation_mae_k": error})  # fmt: skip
+        cv2.imwrite(str(folder / "samples" / f"{crops * number:09d}.png"), np.zeros((80, 80, 3), np.uint8))
+    (folder / "log.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
+    return folder
+
+
+def test_curves_and_what_they_have_come_to(tmp_path):
+    falling = write(tmp_path / "falling.run", [5.0, 4.0, 3.0, 2.0, 1.0])
+    flat = write(tmp_path / "flat.run", [3.0, 2.0, 2.5, 2.2, 1.99], core_s=100.0)
+    result = trainings.run([flat, falling])
+    one, other = result["runs"]
+    assert (one["name"], one["best_mae_k"], one["best_crops"], one["best_core_s"]) == ("falling", 1.0, 500, 50.0)
+    # Over the last fifth of its crops the one halves its error, the other gains half a percent.
+    assert one["last_fifth"] == pytest.approx(0.5) and other["last_fifth"] == pytest.approx(0.005)
+    assert one["published_crops"] == 3511 * 200
+    rows = {row[0]: row for row in trainings.rows(result)}
+    assert rows["flat"][-1] == "−0.5 %, plateau" and rows["falling"][-1] == "−50.0 %"
+    # Flat came to its best in 500 s: within 50 s the other has 1 K, within 10 s 5 K, sooner nothing.
+    assert trainings.sooner(result, "falling") == [("flat", 1.99, 500.0, 1.0)]
+    assert trainings.sooner(result, "falling", 0.02) == [("flat", 1.99, 500.0, 5.0)]
+    assert trainings.sooner(result, "falling", 0.01) == [("flat", 1.99, 500.0, None)]
+
+
+def test_the_verb_draws_curves_and_strips(tmp_path, call):
+    run = write(tmp_path / "one.run", [5.0, 4.0, 3.0])
+    status, out, err = call("validate", "trainings", run, "-o", tmp_path / "o")
+    assert status == 0 and "one" in out and "3.00" in out, err
+    assert {path.name for path in (tmp_path / "o").iterdir()} == {"trainings.json", "curves.png", "strip_one.png"}
+
+
+def test_what_is_no_training_is_refused(tmp_path):
+    with pytest.raises(ThermorenderError, match="no training was given"):
+        trainings.run([])
+    with pytest.raises(ThermorenderError, match="is no folder of a training: it has no settings.json of one"):
+        trainings.run([tmp_path])
+    for text in ("3", "{}", "["):
+        (tmp_path / "settings.json").write_text(text, encoding="utf-8")
+        with pytest.raises(ThermorenderError, match="is no folder of a training"):
+            trainings.run([tmp_path])
+    with pytest.raises(ThermorenderError, match="holds a training without a whole epoch"):
+        trainings.run([write(tmp_path / "empty", [])])
+    same = [write(tmp_path / name / "r.run", [1.0]) for name in "ab"]
+    with pytest.raises(ThermorenderError, match="two trainings are called 'r'"):
+        trainings.run(same)
