@@ -161,7 +161,7 @@ class _Run:
                 self._stop(found)
             elif self.done % self.every < self.size * self.world or self.done >= self.total:
                 self.seconds += time.perf_counter() - began[0]
-                self.core_seconds += _core_seconds() - began[1]
+                self.core_seconds += self.world * _agreed(_core_seconds() - began[1])
                 if self.first:
                     self._end_of_epoch({name: float(np.mean(values)) for name, values in losses.items()})
                 if _agreed(float(bool(self.stopped))) and not self.stopped:
