@@ -83,7 +83,7 @@ class Linear:
         for top in range(0, height, rows):
             here = np.s_[top : top + rows]
             terrain = {name: image.terrain[name][here] for name in self.told.terrain}
-            found[here] = self.of_values({**_lab(image.rgb[here]), **terrain, **image.conditions})
+            found[here] = self.of_values({**lab_planes(image.rgb[here]), **terrain, **image.conditions})
         return at_shape(found, inputs.rgb.shape[:2])
 
     def of_values(self, values, multiplied=None):
@@ -210,7 +210,8 @@ def _usual(name):
     return found
 
 
-def _lab(rgb):
+def lab_planes(rgb):
+    """Return {"L", "a", "b": array} of sRGB, as `columns` takes them."""
     return dict(zip("Lab", np.moveaxis(lab(rgb), -1, 0), strict=True))
 
 
@@ -238,7 +239,7 @@ def fit_linear(task):
     sums = Sums(first)
     for each in drawn(task, sums.told, _MOST_ROWS):
         terrain = {name: np.ravel(each.inputs.terrain[name])[each.pixels] for name in sums.told.terrain}
-        picked = _lab(each.inputs.rgb.reshape(-1, 3)[each.pixels])
+        picked = lab_planes(each.inputs.rgb.reshape(-1, 3)[each.pixels])
         sums.add({**picked, **terrain, **each.inputs.conditions}, each.target)
     return sums.solved(penalty)
 

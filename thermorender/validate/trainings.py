@@ -79,18 +79,3 @@ def _last_fifth(share):
     if share is None:
         return "too short"
     return f"−{100.0 * share:.1f} %" + (", plateau" if share < PLATEAU else "")
-
-
-def sooner(result, name, share=0.1):
-    """Return [(other run, its best error, core seconds it took, error of `name` by then)] for every other run.
-
-    The error of `name` is its best within `share` of the core seconds in which the other came to its best; None where
-    it had validated none by then.
-    """
-    own = next(each for each in result["runs"] if each["name"] == name)
-    found = []
-    for other in result["runs"]:
-        if other is not own:
-            within = [error for _, seconds, error in own["curve"] if seconds <= share * other["best_core_s"]]
-            found.append((other["name"], other["best_mae_k"], other["best_core_s"], min(within, default=None)))
-    return found

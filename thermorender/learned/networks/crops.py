@@ -67,10 +67,10 @@ class Crops:
         """Read no further."""
         self._pool.shutdown(cancel_futures=True)
 
-    def digest(self):
-        """Return a fingerprint (hex) of the validation crops and of some of the training pictures."""
+    def digest(self, validation):
+        """Return a fingerprint (hex) of the crops of `validation`, and of some of the training pictures."""
         found = hashlib.blake2b(digest_size=16)
-        for crop in self.validation():
+        for crop in validation:
             found.update(crop.inputs.rgb.tobytes() + crop.target.tobytes() + crop.valid.tobytes())
         for number in self.train[:: max(len(self.train) // _LOOKED_AT, 1)]:
             inputs, target, _ = self.read(number)
@@ -91,13 +91,14 @@ class Crops:
         for each in (block, *([block + 1] if 2 * within >= self._mixed * self._cuts else [])):
             if each not in self._blocks:
                 places = range(each * self._mixed, (each + 1) * self._mixed)
-                self._blocks[each] = [self._pool.submit(self._read_at, place) for place in places]
+                order = np.random.default_rng([self.task.seed, 4, each]).permutation(self._mixed * self._cuts)
+                self._blocks[each] = order, [self._pool.submit(self._read_at, place) for place in places]
         for each in [old for old in self._blocks if old < block]:
             del self._blocks[each]
-        order = np.random.default_rng([self.task.seed, 4, block]).permutation(self._mixed * self._cuts)
+        order, pictures = self._blocks[block]
         picture, cut = divmod(int(order[within]), self._cuts)
         generator = np.random.default_rng([self.task.seed, 3, block * self._mixed + picture, cut])
-        return self._cut(self._blocks[block][picture].result(), generator, mirrored=True)
+        return self._cut(pictures[picture].result(), generator, mirrored=True)
 
     def _read_at(self, place):
         """What stands at a place of the order of pictures, each of which comes once in every epoch."""

@@ -9,8 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.learned.features import lab
-from thermorender.learned.linear import Linear, grounds
+from thermorender.learned.linear import Linear, grounds, lab_planes
 from thermorender.learned.rows import CLASSES, Told, at_texel
 
 # A condition that spreads less than this over the training pictures tells nothing.
@@ -140,7 +139,7 @@ class Encoding:
                 found[number] = (plane - self.offset) / self.scale
                 number += 1
             if self.base is not None:
-                values |= zip("Lab", np.moveaxis(lab(inputs.rgb), -1, 0), strict=True)
+                values |= lab_planes(inputs.rgb)
                 found[number] = (self.base.of_values(values, multiplied) - self.offset) / self.scale
         return found
 

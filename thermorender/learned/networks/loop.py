@@ -190,7 +190,7 @@ class _Run:
     def _begin(self):
         """Write what the run is, or go on where it stopped."""
         settings = {"method": self.method, "seed": self.task.seed, "options": self.task.options, "world": self.world,
-                    "examples": [len(self.task.examples), self.crops.digest()],
+                    "examples": [len(self.task.examples), self.crops.digest(self.validated)],
                     "encoding": self.encoding.header()}  # fmt: skip
         settings = json.loads(json.dumps(settings))
         path, last = self.folder / runs.SETTINGS, self.folder / LAST
