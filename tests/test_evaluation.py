@@ -1,5 +1,6 @@
 """Learned maps evaluated in kelvin: known errors come out, tables and figures are written, mistakes are refused."""
 
+import dataclasses
 import functools
 import json
 import sys
@@ -19,7 +20,7 @@ from thermorender.learned.correlation import Correlation
 from thermorender.learned.temperature_map import Inputs, TemperatureMap, save_map
 from thermorender.materials.library import load_library
 from thermorender.physics.planck import band_radiance, brightness_temperature
-from thermorender.validate.evaluation import classes, evaluate, report, similarity, sums
+from thermorender.validate.evaluation import classes, evaluate, paired, report, similarity, sums
 from thermorender.validate.figures import evaluation as figures
 
 SHAPE = (48, 64)
@@ -125,6 +126,47 @@ def test_interval_of_a_known_law():
     assert high - low == pytest.approx(2 * 1.96 * error.std() / np.sqrt(400), rel=0.1)
     assert sums.intervals(rows, np.arange(3600) // 9, seed=3)["me_k"] == (low, high)
     assert sums.intervals(rows, np.zeros(3600, int))["me_k"] is None
+
+
+def of_errors(absolute, pixels=100):
+    """Rows of sums of pictures with given mean absolute errors."""
+    absolute = np.asarray(absolute, np.float64)
+    row = np.zeros((*absolute.shape, sums.WIDTH))
+    row[..., 0], row[..., 2] = pixels, pixels * absolute
+    return row
+
+
+def test_the_interval_of_a_difference_knows_that_pictures_are_the_same():
+    rng = np.random.default_rng(5)
+    common, own = rng.normal(9.0, 2.0, 400), rng.normal(0.25, 0.1, 400)
+    cluster = np.arange(3600) // 9
+    rows = np.repeat(of_errors([common, common + own]), 9, axis=1)
+    ((group, more, (low, high)),) = paired.differences(rows, [[0], [1]], cluster, seed=1)
+    assert group == [1] and more == pytest.approx(own.mean())
+    # What both have in common, twenty times the difference's scatter, is in no interval.
+    assert high - low == pytest.approx(2 * 1.96 * own.std() / np.sqrt(400), rel=0.1) and low < more < high
+    # A picture that one of them lacks counts for neither, and one cluster tells no interval.
+    rows[1, :9] = 0.0
+    assert paired.differences(rows, [[0], [1]], cluster)[0][1] == pytest.approx(own[1:].mean())
+    assert paired.differences(rows, [[0], [1]], np.zeros(3600, int))[0][2] is None
+
+
+def test_the_interval_of_a_difference_knows_how_seeds_scatter():
+    """Pictures alike, so that seeds alone scatter: s √(1/3 + 1/3) of two methods with three seeds each."""
+    first, other = np.array([1.0, 1.3, 1.6]), np.array([2.0, 2.3, 2.6])
+    rows = of_errors(np.repeat([*first, *other], 50).reshape(6, 50))
+    ((_, more, (low, high)),) = paired.differences(rows, [[0, 1, 2], [3, 4, 5]], np.arange(50), seed=2)
+    assert more == pytest.approx(1.0) and low < 1.0 < high
+    # Few values are drawn, so that percentiles are those of a coarse law.
+    assert high - low == pytest.approx(2 * 1.96 * first.std(ddof=1) * np.sqrt(2.0 / 3.0), rel=0.15)
+
+
+def test_maps_that_differ_in_their_seed_alone_stand_together():
+    maps = [dataclasses.replace(linear_map(), about=about) for about in (
+        {"seed": 0, "options": {"depth": True}}, {"seed": 0, "options": {"depth": False}},
+        {"seed": 1, "options": {"depth": True}}, {}, {},
+    )]  # fmt: skip
+    assert paired.kin(maps) == [[0, 2], [1], [3], [4]]
 
 
 def test_few_sequences_are_drawn_by_parents():

@@ -23,7 +23,7 @@ from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.scene.material_map import UNKNOWN_CLASS, write_map
 from thermorender.scene.surface import FILLED, UNKNOWN
 from thermorender.synthetic.worlds import make
-from thermorender.validate import emissivity as validation
+from thermorender.validate.learned import emissivity as validation
 
 # Three materials in stripes: mean colour and noise of each.
 STRIPES = {

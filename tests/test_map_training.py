@@ -16,7 +16,7 @@ from thermorender.learned.temperature_map import SHIPPED, Inputs, load_map, load
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.sensor.camera import load_camera
 from thermorender.sensor.readout import radiance_from_counts
-from thermorender.validate import maps
+from thermorender.validate.learned import maps
 
 SHAPE = (40, 48)
 PARTS = ("train", "train", "validation", "test")

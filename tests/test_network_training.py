@@ -274,6 +274,8 @@ def test_pictures_without_colour_and_without_anything_do_not_stop_it(tmp_path):
         ("unet", {"batch": 0}, "batch=0 of crops=.* is not allowed"),
         ("unet", {"crops": 1}, "batch=8 of crops=1 is not allowed"),
         ("unet", {"width": 0}, "width=0 is not allowed"),
+        ("unet", {"side": 0}, "side=0 is not allowed for 'unet'; give a multiple of 16 up to 4096 pixels"),
+        ("compact", {"side": 100}, "side=100 is not allowed"),
         ("unet", {"width": 10**6}, "width=1000000 is not allowed"),
         ("unet", {"rate": 0.0}, "rate=0 is not allowed"),
         ("unet", {"rate": 1e300}, "is not allowed for 'unet'; give a number in 0…1000"),

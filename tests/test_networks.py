@@ -57,8 +57,10 @@ def example(seed, valid=None, told=False, **sides):
 
 
 def task_of(method, examples, run=None, seed=3, progress=lambda what, share: None, resume=False, **options):
-    return Task(examples, INTENSITY, TEMPERATURE, seed, progress, RECIPES[method].all_options | options, 0.2,
-                (0.2, 0.2), run=run, resume=resume)  # fmt: skip
+    recipe = RECIPES[method]
+    small = {"side": 96} if recipe.whole else {}
+    return Task(examples, INTENSITY, TEMPERATURE, seed, progress, recipe.all_options | small | options, 0.2, (0.2, 0.2),
+                run=run, resume=resume)  # fmt: skip
 
 
 # --- what they are ----------------------------------------------------------------------------------------------
@@ -249,6 +251,10 @@ def test_a_step_of_cyclegan():
 def test_a_step_of_the_compact_network():
     learner, twin, batch = learner_and_twin("compact")
     net = twin["net"]
+    # A spread far too small and weights that are not, so that both gradients are too long.
+    for each in (net, learner.net):
+        nn.init.constant_(each.doubt.bias, -4.0)
+        nn.init.constant_(each.exit.weight, 0.1)
     mean, spread = net(batch.planes, batch.conditions)
     error = mean - batch.target
     rows, columns = (batch.valid[:, :, 1:] * batch.valid[:, :, :-1], batch.valid[..., 1:] * batch.valid[..., :-1])
@@ -257,12 +263,30 @@ def test_a_step_of_the_compact_network():
     # Minus the logarithm of Laplace's density, but for a constant.
     likelihood = masked(error.detach().abs() / torch.exp(spread) + spread, batch.valid)
     loss = masked(error.abs(), batch.valid) + 0.5 * slopes + likelihood
-    slopes = torch.autograd.grad(loss, list(net.parameters()))
-    length = torch.sqrt(sum((slope**2).sum() for slope in slopes))
-    wanted = {name: (weight - 1e-2 * slope / max(length, 1.0)).detach()
-              for (name, weight), slope in zip(net.named_parameters(), slopes, strict=True)}  # fmt: skip
+    # The doubt's layer and the others are each held to a step of bounded length.
+    wanted = {}
+    for doubt in (True, False):
+        some = {name: each for name, each in net.named_parameters() if (name.split(".")[0] == "doubt") == doubt}
+        slopes = torch.autograd.grad(loss, list(some.values()), retain_graph=True)
+        length = torch.sqrt(sum((slope**2).sum() for slope in slopes))
+        assert length > 1.0
+        wanted |= {name: (weight - 1e-2 * slope / length).detach()
+                   for (name, weight), slope in zip(some.items(), slopes, strict=True)}  # fmt: skip
     learner.step(batch)
     assert_same(learner.net, wanted)
+
+
+def test_what_is_applied_of_the_compact_network_is_the_mean_of_its_last_weights():
+    learner, _, batch = learner_and_twin("compact")
+    seen = []
+    for _ in range(40):
+        learner.step(batch)
+        seen.append(learner.net.exit.bias.detach().clone().double())
+    # After step n the mean moves by 1 − (1 − 1/n)⁸ of the way: weight number k counts as (k⁸ − (k − 1)⁸) / n⁸.
+    counts = torch.diff(torch.arange(41, dtype=torch.float64) ** 8) / 40.0**8
+    wanted = sum(count * each for count, each in zip(counts, seen, strict=True))
+    assert torch.allclose(learner.applied.exit.bias.double(), wanted, rtol=1e-4, atol=1e-7)
+    assert not torch.allclose(learner.applied.exit.bias, learner.net.exit.bias, rtol=1e-3)
 
 
 def test_the_history_is_shown_half_of_the_time():
@@ -478,14 +502,15 @@ def test_a_part_gives_what_the_whole_does():
         spread = 0.5 / np.sqrt(values[0].size) if values.ndim > 1 else 0.01
         predictor.state[name] = generator.normal(0.0, spread, values.shape).astype(np.float32)
     # Tiles that overlap as little as they may, and three whose places are rounded.
-    for width in (2688, 3500):
+    side, margin = 2048, 288
+    for width in (3456, 4600):
         rgb = picture(1, 128, width)
         whole = predictor.with_spread(Inputs(rgb, 0.2))[0]
         assert whole.std() > 1e-3
         for left in range(0, width - 700, 640):
-            part = predictor.with_spread(Inputs(np.ascontiguousarray(rgb[:, left : left + 1536]), 0.2))[0]
-            inside = slice(160 if left else 0, part.shape[1] - 160 if left + 1536 < width else None)
-            off = np.abs(whole[:, left : left + 1536] - part)[:, inside]
+            part = predictor.with_spread(Inputs(np.ascontiguousarray(rgb[:, left : left + side]), 0.2))[0]
+            inside = slice(margin if left else 0, part.shape[1] - margin if left + side < width else None)
+            off = np.abs(whole[:, left : left + side] - part)[:, inside]
             assert off.max() < 1e-5 * np.ptp(whole), (width, left)
 
 

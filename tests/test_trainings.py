@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from thermorender.errors import ThermorenderError
-from thermorender.validate import trainings
+from thermorender.validate.learned import trainings
 
 
 def write(folder, errors, crops=100, core_s=10.0, method="pix2pix"):
@@ -36,6 +36,21 @@ def test_curves_and_what_they_have_come_to(tmp_path):
     assert one["published_crops"] == 3511 * 200
     rows = {row[0]: row for row in trainings.rows(result)}
     assert rows["flat"][-1] == "−0.5 %, plateau" and rows["falling"][-1] == "−50.0 %"
+    # Both are of one method, which is not held against itself.
+    assert not trainings.sentences(result)
+
+
+def test_ahead_is_less_error_at_a_tenth_of_the_time(tmp_path):
+    slow = write(tmp_path / "slow.run", [3.0, 2.0], core_s=100.0)
+    # Within 20 core seconds 1.5 K; the slower one's best, 2 K, took 200.
+    fast = write(tmp_path / "fast.run", [2.5, 1.5], method="compact")
+    assert trainings.sentences(trainings.run([slow, fast])) == [
+        "compact is ahead of pix2pix by 0.50 K at least, at 1/10 of the core time that its best took"
+    ]
+    # A second whose best is less, or one that came to its best sooner, is not beaten.
+    for number, other in enumerate(([1.4], [1.9])):
+        more = write(tmp_path / f"{number}.run", other, core_s=1000.0 if number == 0 else 50.0)
+        assert not trainings.sentences(trainings.run([slow, fast, more]))
 
 
 def test_the_verb_draws_curves_and_strips(tmp_path, call):

@@ -42,7 +42,7 @@ def validate_emissivity(
     seeds: Annotated[str, typer.Option(help="Comma-separated seeds of procedural scenes not trained on.")] = "201,202",
 ):
     """Errors of a learned emissivity map on procedural scenes, beside simpler methods."""
-    from thermorender.validate import emissivity as study
+    from thermorender.validate.learned import emissivity as study
 
     numbers = _seeds(seeds)
     with progress() as tell, files.output_folder(output) as folder:
@@ -70,8 +70,8 @@ def validate_maps(
 ):  # fmt: skip
     """Errors of learned temperature maps against what they were trained on: how much, how aligned, which land."""
     from thermorender.campaign.dataset import read_dataset
-    from thermorender.validate import maps as study
     from thermorender.validate.figures.evaluation import against_share, against_shift
+    from thermorender.validate.learned import maps as study
 
     with progress() as tell, files.output_folder(output) as folder:
         names = split(methods) if methods else None
@@ -94,15 +94,35 @@ def validate_trainings(
     output: Out = Path("out/validation"),
 ):
     """Trainings of networks beside each other: validation error against what each has cost, and strips of epochs."""
-    from thermorender.validate import trainings as study
     from thermorender.validate.figures.trainings import write
+    from thermorender.validate.learned import trainings as study
 
     result = study.run(runs)
     with files.output_folder(output) as folder:
         files.write_json(folder / "trainings.json", result)
         write(folder, result, runs)
     table(study.HEADER, study.rows(result))
+    for line in study.sentences(result):
+        typer.echo(line)
     typer.echo(f"numbers and figures in {output}")
+
+
+@app.command("translation")
+def validate_translation(
+    models: Annotated[list[str], typer.Argument(help="Learned maps: names, or .npz files.")],
+    dataset: Annotated[Path, typer.Option(help="Folder of a data set with a part to test on.")],
+    output: Out = Path("out/validation"),
+    scene: Annotated[str, typer.Option(help="Its orthophoto is translated, too.")] = defaults.SCENE,
+    pictures: Annotated[int, typer.Option(help="Of the test part.", min=1)] = 6,
+):
+    """What translating a picture costs with each learned map, and how far its tiles disagree where they meet."""
+    from thermorender.validate.learned import translation as study
+
+    with progress() as tell, files.output_folder(output) as folder:
+        result = study.run(models, dataset, scene, pictures, tell)
+        files.write_json(folder / "translation.json", result)
+    table(study.HEADER, study.rows(result))
+    typer.echo(f"numbers in {output}")
 
 
 @app.command("air")

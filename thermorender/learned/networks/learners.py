@@ -8,7 +8,10 @@ there.
 import torch
 from torch import nn
 from torch.nn import functional
+from torch.optim.swa_utils import AveragedModel
 
+# Of the mean of weights: with 8 about the last tenth of the steps counts.
+_POWER = 8.0
 # Grey levels of `unet-classes`.
 LEVELS = 256
 
@@ -30,7 +33,9 @@ class Learner:
     Attributes
     ----------
     net : nn.Module
-        What is applied in the end.
+        What is trained.
+    applied : nn.Module
+        What is applied in the end: `net`, unless a learner says otherwise.
     parts : dict of str to nn.Module
         All networks that training needs, `net` as "net" among them.
     optimisers : dict of str to Optimizer
@@ -42,7 +47,7 @@ class Learner:
     MOVED = {"net": ("net",)}
 
     def __init__(self, net, others, optimiser, weight):
-        self.net, self.weight = net, weight
+        self.net, self.applied, self.weight = net, net, weight
         self.parts = {"net": net, **others}
         self.optimisers = {
             name: optimiser([each for part in parts for each in self.parts[part].parameters()])
@@ -250,12 +255,21 @@ def _square(judged, real):
 
 
 class Robust(Learner):
-    """The compact network: absolute error of values and slopes, and a spread that is fitted to what errors remain."""
+    """The compact network: absolute error of values and slopes, and a spread that is fitted to what errors remain.
+
+    Applied is the mean of its weights over the last steps, which errs less than any one of them while the rate is high.
+    """
 
     # Of the slopes beside the values.
     SLOPES = 0.5
-    # Greatest length of a step's gradient.
+    # Greatest length of a step's gradient, of the spread's layer and of all others: each alone, since where the spread
+    # is far too small its gradient is many times theirs.
     _MOST = 1.0
+
+    def __init__(self, net, others, optimiser, weight):
+        super().__init__(net, others, optimiser, weight)
+        self.parts["mean"] = AveragedModel(net, avg_fn=_recent)
+        self.applied = self.parts["mean"].module
 
     def step(self, batch):
         """Take a step; return {name: loss}."""
@@ -274,8 +288,12 @@ class Robust(Learner):
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         _shared_gradients(optimiser)
-        nn.utils.clip_grad_norm_(self.net.parameters(), self._MOST)
+        parameters = dict(self.net.named_parameters())
+        for doubts in (True, False):
+            some = [value for key, value in parameters.items() if key.startswith("doubt.") == doubts]
+            nn.utils.clip_grad_norm_(some, self._MOST)
         optimiser.step()
+        self.parts["mean"].update_parameters(self.net)
 
     @staticmethod
     def predict(net, planes, conditions):
@@ -283,6 +301,11 @@ class Robust(Learner):
         mean, spread = net(planes, conditions)
         # Laplace's law of scale b has the standard deviation √2 b.
         return torch.cat([mean, torch.exp(spread) * 2.0**0.5], dim=1)
+
+
+def _recent(mean, weight, steps):
+    """The mean of weights over the last steps, a fixed share of them all: Karras et al., arXiv:2312.02696, eq. 1."""
+    return mean + (weight - mean) * (1.0 - (1.0 - 1.0 / (steps + 1.0)) ** _POWER)
 
 
 def _slope(error, valid, axis):

@@ -42,7 +42,8 @@ from thermorender.versions import versions
 LAST, BEST = "last.safetensors", "best.safetensors"
 # A loss beyond this has exploded; the greatest rate of learning leaves room to see that.
 _EXPLODED, _MOST_RATE = 1e6, 1e3
-_WARMING = 0.02
+_MOST_SIDE = 4096
+_WARMING = 0.1
 # Seeds that PyTorch takes.
 _SEEDS = 1 << 63
 # Of the linear map that a network begins with, that of `correlation+`.
@@ -55,10 +56,11 @@ _AT_ONCE = 4
 def train_network(task, method):
     """Return the Network that learns a Task.
 
-    Its options: `width`; `batch`; `crops`, how many are seen; `rate`, of learning; `every`, crops between validations
-    (0: as many as there are training pictures); `bf16`, whether convolutions are computed with 8 bits of mantissa where
-    the machine can; `tensorboard`, whether losses are written for it too; `depth`, whether the network is shown the
-    depth; `published`, see `Network`; `vgg`, file of the weights of the perceptual loss.
+    Its options: `width`; `batch`; `crops`, how many are seen; `side`, of those [pixels]; `rate`, of learning; `every`,
+    crops between validations (0: as many as there are training pictures); `bf16`, whether convolutions are computed
+    with 8 bits of mantissa where the machine can; `tensorboard`, whether losses are written for it too; `depth`,
+    whether the network is shown the depth; `published`, see `Network`; `vgg`, file of the weights of the perceptual
+    loss.
 
     Raises
     ------
@@ -73,7 +75,7 @@ def train_network(task, method):
         if first:
             stack.enter_context(files.in_use(folder))
         told = recipe.plus and "air_k" in task.examples[0].inputs.conditions
-        crops = Crops(task, recipe.side, told)
+        crops = Crops(task, int(options.get("side", recipe.side)), told)
         began = time.perf_counter(), _core_seconds()
         target = (None, None) if recipe.target is None else recipe.target
         encoding = Encoding.measured(crops, bool(options.get("depth")), *target, _base(task, crops) if told else None)
@@ -101,6 +103,11 @@ def _refuse(method, recipe, options):
         )
     if not 1 <= width <= MOST_WIDTH:
         raise ThermorenderError(f"width={width} is not allowed for {method!r}; give 1…{MOST_WIDTH} channels")
+    side = options.get("side", recipe.multiple)
+    if not 0 < side <= _MOST_SIDE or side % recipe.multiple:
+        raise ThermorenderError(
+            f"side={side} is not allowed for {method!r}; give a multiple of {recipe.multiple} up to {_MOST_SIDE} pixels"
+        )
     if not 0.0 < rate <= _MOST_RATE:
         raise ThermorenderError(f"rate={rate:g} is not allowed for {method!r}; give a number in 0…{_MOST_RATE:g}")
 
@@ -263,12 +270,12 @@ class _Run:
         """Validate, and write the log, sample pictures and checkpoints."""
         found, errors = [], []
         kind = kind_of(self.recipe)
-        self.learner.net.eval()
+        self.learner.applied.eval()
         for start in range(0, len(self.validated), _AT_ONCE):
             some = self.validated[start : start + _AT_ONCE]
             batch = self._encoded(some)
             with torch.inference_mode(), torch.autocast(device(), torch.bfloat16, enabled=bool(self.half)):
-                given = kind.predict(self.learner.net, batch.planes, batch.conditions)[:, 0].cpu().numpy()
+                given = kind.predict(self.learner.applied, batch.planes, batch.conditions)[:, 0].cpu().numpy()
             for crop, each in zip(some, given, strict=True):
                 true, guessed = self.kelvin(crop, each)
                 # A guess that is no number has to show, so only what is not valid is left out.
@@ -285,7 +292,7 @@ class _Run:
             return
         if error < self.best:
             self.best = error
-            checkpoint.save(self.folder / BEST, _Applied(self.learner.net), facts | {"error_k": error})
+            checkpoint.save(self.folder / BEST, _Applied(self.learner.applied), facts | {"error_k": error})
         line = {**facts, "losses": losses, "validation_mae_k": error}
         files.append_json(self.folder / runs.LOG, line)
         checkpoint.save(self.folder / LAST, self.learner, facts | {"best": self.best})

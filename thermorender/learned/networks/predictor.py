@@ -14,7 +14,7 @@ from thermorender.learned.rows import at_shape
 
 # Pictures are given whole up to this side, else in tiles of it, of whose overlap no more than the middle is taken: what
 # lies further from a pixel than the margin does not reach it in the compact network [pixels].
-_MOST_SIDE, _OVERLAP, _MARGIN = 1536, 384, 160
+_MOST_SIDE, _OVERLAP, _MARGIN = 2048, 640, 288
 MOST_WIDTH = 1 << 14
 # Greatest number in single precision; what is no number is not below it.
 _MOST = np.finfo(np.float32).max
@@ -100,10 +100,15 @@ class Network:
             with torch.inference_mode():
                 return kind.predict(net, given, told)[0].cpu().numpy()
 
-        if not recipe.whole:
-            return tiles.stitched(apply, planes, (recipe.side,) * 2, recipe.side // 4, recipe.side // 32)
-        sides = tuple(min(_MOST_SIDE, n + -n % recipe.multiple) for n in planes.shape[1:])
-        return tiles.stitched(apply, planes, sides, _OVERLAP, _MARGIN)
+        return tiles.stitched(apply, planes, *_tiling(recipe, planes.shape[1:]))
+
+    def joints(self, inputs):
+        """Return (rows, columns), where tiles of a picture meet, arrays of float: rows and columns begin at 0."""
+        image = self.encoding.at_range(inputs, self.texel_range_m)
+        shape, own = image.rgb.shape[:2], inputs.rgb.shape[:2]
+        sides, overlap, _ = _tiling(RECIPES[self.method], shape)
+        return tuple(tiles.joints(n, side, overlap) * length / n
+                     for n, side, length in zip(shape, sides, own, strict=True))  # fmt: skip
 
     def header(self):
         """Return what the file's text says of it."""
@@ -141,6 +146,13 @@ class Network:
                     header["published"], dict(header["trained"]))  # fmt: skip
         _ = found._net
         return found
+
+
+def _tiling(recipe, shape):
+    """(sides, overlap, margin) of the tiles of a picture [pixels]."""
+    if not recipe.whole:
+        return (recipe.side,) * 2, recipe.side // 4, recipe.side // 32
+    return tuple(min(_MOST_SIDE, n + -n % recipe.multiple) for n in shape), _OVERLAP, _MARGIN
 
 
 def state_of(net):

@@ -35,7 +35,7 @@ class Recipe:
         To begin with.
     betas : (2,) tuple of float
     schedule : {"constant", "halfway", "cosine"}
-        Of the rate: constant; constant and from the middle on falling to 0; risen over the first 2 %, then a cosine
+        Of the rate: constant; constant and from the middle on falling to 0; risen over the first 10 %, then a cosine
         to 0.
     batch : int
     published_crops : int or None
@@ -45,7 +45,7 @@ class Recipe:
     target : (offset, scale), or None
         Of the target's intensity: (0.5, 0.5) is −1…1; None: measured on the training pictures.
     side : int
-        Of the squares that it learns from [pixels].
+        Of the squares that it learns from [pixels]; may be chosen for those that are given whole pictures.
     whole : bool
         Whether pictures of any size are given to it whole; else squares of `side`, blended.
     multiple : int
@@ -89,7 +89,8 @@ class Recipe:
         """What may be chosen, with its default."""
         common = {"width": self.width, "batch": self.batch, "crops": self.crops, "rate": self.rate, "every": 0,
                   "bf16": True, "tensorboard": False}  # fmt: skip
-        return common | ({} if self.plus else {"depth": False}) | self.options
+        side = {"side": self.side} if self.whole else {}
+        return common | side | ({} if self.plus else {"depth": False}) | self.options
 
 
 def _pix2pix(batch, epochs, crops):
@@ -100,9 +101,8 @@ def _pix2pix(batch, epochs, crops):
 
 
 def _compact(plus):
-    # Small squares, so that a step sees many pictures.
-    return Recipe("compact", 72, "robust", "adamw", 1e-3, "cosine", 16, 400_000, None, target=None, side=128,
-                  whole=True, multiple=16, plus=plus)  # fmt: skip
+    return Recipe("compact", 72, "robust", "adamw", 5e-4, "cosine", 4, 100_000, None, target=None, whole=True,
+                  multiple=16, plus=plus)  # fmt: skip
 
 
 RECIPES = {

@@ -24,8 +24,7 @@ def stitched(apply, planes, sides, overlap, margin):
         one tile fades into the other by Hann's window, so that no seam is sharper than that.
     """
     height, width = planes.shape[1:]
-    # Tiles begin at multiples of what a network joins into one place, so that all of them join the same pixels.
-    lacking = [max(side, n + -n % _JOINED) - n for side, n in zip(sides, (height, width), strict=True)]
+    lacking = [_length(n, side) - n for side, n in zip(sides, (height, width), strict=True)]
     planes = np.pad(planes, ((0, 0), (0, lacking[0]), (0, lacking[1])), "symmetric")
     rows, columns = (_windows(n, side, overlap, overlap - 2 * margin)
                      for side, n in zip(sides, planes.shape[1:], strict=True))  # fmt: skip
@@ -42,18 +41,35 @@ def stitched(apply, planes, sides, overlap, margin):
     return (total / weights)[:, :height, :width]
 
 
-def _windows(length, side, overlap, fade):
-    """[(where a tile begins, its weights)]: evenly spaced, each fading into the next in the middle of their overlap."""
+def joints(length, side, overlap):
+    """Return where, along an axis of so many pixels, one tile of `stitched` has faded into the next by half: floats."""
+    places = _places(_length(length, side), side, overlap)
+    return 0.5 * (places[:-1] + places[1:] + side)
+
+
+def _length(length, side):
+    """Pixels that tiles cover, at least `length`."""
+    # Tiles begin at multiples of what a network joins into one place, so that all of them join the same pixels.
+    return max(side, length + -length % _JOINED)
+
+
+def _places(length, side, overlap):
+    """Where tiles begin, evenly spaced."""
     count = 1 if length <= side else 1 + int(np.ceil((length - side) / (side - overlap)))
-    places = (np.linspace(0, length - side, count) / _JOINED).round().astype(int) * _JOINED
+    return (np.linspace(0, length - side, count) / _JOINED).round().astype(int) * _JOINED
+
+
+def _windows(length, side, overlap, fade):
+    """[(where a tile begins, its weights)]: each fades into the next in the middle of their overlap."""
+    places, middles = _places(length, side, overlap), joints(length, side, overlap)
     within = np.arange(side) + 0.5
     found = []
     for number, place in enumerate(places):
         weight = np.ones(side)
         if number:
-            weight *= _rise(within - 0.5 * (places[number - 1] + side - place), fade)
-        if number + 1 < count:
-            weight *= _rise((side - within) - 0.5 * (place + side - places[number + 1]), fade)
+            weight *= _rise(place + within - middles[number - 1], fade)
+        if number < len(middles):
+            weight *= _rise(middles[number] - place - within, fade)
         found.append((int(place), weight.astype(np.float32)))
     return found
 

@@ -25,7 +25,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
 from thermorender.learned.temperature_map import load_model
 from thermorender.validate.bench import machine
-from thermorender.validate.evaluation import report, similarity, sums
+from thermorender.validate.evaluation import paired, report, similarity, sums
 from thermorender.validate.evaluation.classes import EDGES, edge_class, material_groups, picture_classes
 from thermorender.validate.evaluation.methods import Foreign, LearnedMap, View, baselines
 from thermorender.validate.evaluation.training_part import Levels, read_training_part
@@ -101,6 +101,7 @@ def evaluate(dataset, models, folder, oracle=None, foreign=None, split=None, par
         "audit": None if leaks is None else {"lines": leaks.lines(), **leaks.summary()},
         "drawn": what,
         "methods": {tally.label: tally.summary(entries, scored.card, cluster, seed) for tally in tallies},
+        "differences": _differences(maps, tallies, cluster, seed),
         "images": {
             entry.key: {tally.label: _brief(tally.rows[number]) for tally in tallies if tally.rows[number].any()}
             for number, entry in enumerate(entries)
@@ -213,6 +214,14 @@ def _maps(models, oracle):
         model = load_model(oracle)
         found.append(LearnedMap(f"oracle {model.name}", model, oracle=True))
     return found
+
+
+def _differences(maps, tallies, cluster, seed):
+    """What maps err more than the first, those that differ in their seed alone taken together; plain numbers."""
+    groups, names = paired.kin([each.model for each in maps]), [each.label for each in maps]
+    found = paired.differences([tally.rows for tally in tallies[: len(maps)]], groups, cluster, seed)
+    more = [{"maps": [names[k] for k in group], "more_k": more, "interval_95": ends} for group, more, ends in found]
+    return {"than": [names[k] for k in groups[0]], "maps": more}
 
 
 def _limited(dataset, limit):

@@ -85,7 +85,7 @@ def write(path, result):
         *_table(("map", "inference [s/megapixel]", "training [s]", "peak memory [MiB]", "MAE [K]"), cost_rows(result)),
         "", f"Peak memory is that of the whole process. Published training: {_published_training()}.",
     ]  # fmt: skip
-    lines += _doubts(result)
+    lines += [*_differences(result), *_doubts(result)]
     methods = {label: found for label, found in result["methods"].items() if found["mae_k"] is not None}
     for grouping, title in _TITLES.items():
         names = sorted({name for found in methods.values() for name in found["groups"].get(grouping, {})})
@@ -99,6 +99,20 @@ def write(path, result):
         lines += ["", f"## {title}", "", *_table((title.lower(), "megapixels", *methods), body)]
     lines += ["", "Cells of the groups: MAE (ME) [K]."]
     files.write_text(path, "\n".join(lines) + "\n")
+
+
+def _differences(result):
+    """Lines on how much more than the first map the others err, picture by picture."""
+    told = result["differences"]
+    body = [(_seeds(each["maps"]), _signed(each["more_k"]),
+             "" if each["interval_95"] is None else "{:+.2f}…{:+.2f}".format(*each["interval_95"]))
+            for each in told["maps"]]  # fmt: skip
+    header = ("map", "MAE more [K]", "95 %")
+    return ["", f"## More than {_seeds(told['than'])}, on the same pictures", "", *_table(header, body)] if body else []
+
+
+def _seeds(names):
+    return names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} of other seeds"
 
 
 def _doubts(result):

@@ -18,7 +18,7 @@ def curves(path, result):
     ----------
     path : path
     result : dict
-        Of `thermorender.validate.trainings.run`.
+        Of `thermorender.validate.learned.trainings.run`.
     """
     from thermorender.validate.figures.evaluation import pyplot, save
 

@@ -15,6 +15,8 @@ BLOCK = 4
 # Residual blocks of each level on the way down; on the way up there is one.
 _BLOCKS = (2, 2, 2)
 _WIDER = (1, 2, 4)
+# Of the last block at the bottom, so that a pixel sees about 250 around it.
+_DILATION = 4
 # Sides that it takes are multiples of this [pixels].
 MULTIPLE = BLOCK * 2 ** (len(_WIDER) - 1)
 # The last temperature's share to begin with is that of this logit, the others' 0.
@@ -47,6 +49,7 @@ class Compact(nn.Module):
             nn.ModuleList(_Residual(n, conditions) for _ in range(blocks))
             for n, blocks in zip(widths, _BLOCKS, strict=True)
         )
+        self.down[-1][-1] = _Residual(widths[-1], conditions, _DILATION)
         self.narrow = nn.ModuleList(
             nn.Conv2d(before, after, 2, 2) for before, after in zip(widths[:-1], widths[1:], strict=True)
         )
@@ -89,10 +92,9 @@ class Compact(nn.Module):
 class _Residual(nn.Module):
     """x + what two convolutions make of it, its channels scaled and shifted by the conditions in between."""
 
-    def __init__(self, width, conditions):
+    def __init__(self, width, conditions, dilation=1):
         super().__init__()
-        self.first = nn.Conv2d(width, width, 3, padding=1)
-        self.second = nn.Conv2d(width, width, 3, padding=1)
+        self.first, self.second = (nn.Conv2d(width, width, 3, padding=dilation, dilation=dilation) for _ in range(2))
         self.told = nn.Linear(conditions, 2 * width) if conditions else None
         # It begins as nothing, so that depth costs no care.
         nn.init.zeros_(self.second.weight)
