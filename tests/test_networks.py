@@ -90,7 +90,7 @@ def test_every_network_gives_a_picture_of_its_size(name):
     # Convolutional ones take other sides, too.
     other = side if recipe.net == "dense" else side + recipe.multiple
     for planes in (torch.zeros(2, 3, side, side), torch.ones(1, 3, side, other)):
-        found = kind_of(recipe).predict(net, planes, torch.zeros(len(planes), 0))
+        found = kind_of(recipe).predict(net, planes)
         assert found.shape == (len(planes), 2 if recipe.learner == "robust" else 1, *planes.shape[2:])
         assert torch.isfinite(found).all()
         if recipe.net in ("unet256", "pix2pixhd", "cyclegan"):
@@ -108,7 +108,7 @@ def test_the_discriminator_sees_70_pixels():
 
 def test_the_compact_network_loses_nothing_where_it_begins():
     """With no weights it gives its last plane, but for the share e⁻⁴ of each other temperature."""
-    net = Compact(5, 8, 0, mixed=2)
+    net = Compact(5, 8, mixed=2)
     nn.init.zeros_(net.exit.weight)
     nn.init.zeros_(net.doubt.weight)
     planes = torch.randn(1, 5, 32, 48)
@@ -141,7 +141,7 @@ def learner_and_twin(name, discriminators=None):
     valid = torch.ones(n, 1, side, side)
     valid[:, :, : side // 4] = 0.0
     target = 2.0 * torch.rand(n, 1, side, side) - 1.0 if recipe.bounded else torch.rand(n, 1, side, side)
-    batch = learners.Batch(torch.randn(n, 3, side, side), torch.zeros(n, 0), target * valid, valid)
+    batch = learners.Batch(torch.randn(n, 3, side, side), target * valid, valid)
     for part in learner.parts.values():
         part.train()
     return learner, copy.deepcopy(learner.parts), batch
@@ -255,7 +255,7 @@ def test_a_step_of_the_compact_network():
     for each in (net, learner.net):
         nn.init.constant_(each.doubt.bias, -4.0)
         nn.init.constant_(each.exit.weight, 0.1)
-    mean, spread = net(batch.planes, batch.conditions)
+    mean, spread = net(batch.planes)
     error = mean - batch.target
     rows, columns = (batch.valid[:, :, 1:] * batch.valid[:, :, :-1], batch.valid[..., 1:] * batch.valid[..., :-1])
     slopes = masked((error[:, :, 1:] - error[:, :, :-1]).abs(), rows)
@@ -421,17 +421,14 @@ def test_encoding_of_a_picture():
     assert near == pytest.approx([1.0, 1.0], abs=1e-6)
 
 
-def test_conditions_are_standardised_and_believed_to_three_deviations():
+def test_hour_and_weather_leave_the_planes_in_units_of_about_one():
     examples = [example(seed, told=True) for seed in range(12)]
     crops = Crops(task_of("compact+", examples), 64, True)
     encoding = Encoding.measured(crops, False)
-    air = np.array([285.0 + seed % 3 for seed in range(12) if seed % 10 != 9])
-    assert dict(zip(encoding.told.conditions, encoding.mean, strict=True))["air_k"] == pytest.approx(air.mean())
-    given = encoding.conditions(Inputs(picture(0), conditions={"air_k": air.mean() + air.std(), "wind_m_s": 9.0}))
-    # Wind did not vary, so that nothing is known of what it does.
-    assert given == pytest.approx([1.0, 0.0], abs=1e-5)
-    far = encoding.conditions(Inputs(picture(0), conditions={"air_k": 999.0, "wind_m_s": 2.0}))
-    assert far[0] == pytest.approx(3.0)
+    # Kelvin above the air are measured from 0, by their root mean square over the training pictures.
+    above = [kelvin(picture(seed)) - 285.0 - seed % 3 for seed in range(12) if seed % 10 != 9]
+    assert encoding.offset == 0.0 and encoding.scale == pytest.approx(np.sqrt(np.mean(np.square(above))), rel=1e-3)
+    assert encoding.told.conditions == ("air_k", "wind_m_s")
     assert Encoding.of(encoding.header(), encoding.arrays()) == encoding
 
 
@@ -445,7 +442,7 @@ def test_typical_materials_are_what_the_linear_map_says():
     from thermorender.learned.rows import Told
 
     told = Told(names, tuple(sorted(conditions)))
-    encoding = Encoding(told, False, (0.0,) * 8, (1.0,) * 8, 2.0, 4.0)
+    encoding = Encoding(told, False, 2.0, 4.0)
     planes = encoding.planes(Inputs(np.zeros((2, 2, 3), np.uint8), 0.2, terrain, conditions))
     assert encoding.mixed == 2 and len(planes) == encoding.channels == 3 + 1 + 1 + 2
     wanted = [plane for name, plane in grounds({**terrain, **conditions}, told) if name.startswith("as ")]

@@ -24,9 +24,7 @@ _NETS = {
     "unet256": lambda encoding, width: UNet256(encoding.channels, width),
     "pix2pixhd": lambda encoding, width: ResidualGenerator(encoding.channels, width),
     "cyclegan": lambda encoding, width: ResidualGenerator(encoding.channels, width, _CYCLE_HALVINGS),
-    "compact": lambda encoding, width: Compact(
-        encoding.channels, width, len(encoding.told.conditions), encoding.mixed
-    ),
+    "compact": lambda encoding, width: Compact(encoding.channels, width, encoding.mixed),
 }
 _OPTIMISERS = {"adam": torch.optim.Adam, "nadam": torch.optim.NAdam, "adamw": torch.optim.AdamW}
 

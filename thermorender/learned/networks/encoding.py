@@ -1,4 +1,8 @@
-"""What a network is shown: planes of a picture, and numbers that hold for all of it, in units of about one.
+"""What a network is shown: planes of a picture, in units of about one.
+
+Hour and weather reach it as the temperatures that typical materials have under them at each pixel, never as numbers for
+the whole picture: of these a campaign holds no more than it has flights, and networks that were shown them erred no
+less.
 
 Training and application encode in this one place.
 """
@@ -12,13 +16,9 @@ from thermorender.errors import ThermorenderError
 from thermorender.learned.linear import Linear, grounds, lab_planes
 from thermorender.learned.rows import CLASSES, Told, at_texel
 
-# A condition that spreads less than this over the training pictures tells nothing.
-_CONSTANT = 1e-6
 # Training pictures that tell the statistics, about; and the least and greatest spread of a target, in its own unit.
 _LOOKED_AT = 180
 _LEAST_SCALE, _MOST_SCALE = 1e-3, 1e6
-# Conditions are believed so many standard deviations beyond the mean of those trained under.
-_BELIEVED = 3.0
 # A depth is told as the logarithm of its ratio to this [m].
 _DEPTH_M = 100.0
 # A terrain's planes are divided by these, by how their names begin.
@@ -35,8 +35,6 @@ class Encoding:
         What it is shown besides the picture.
     depth : bool
         Whether it is shown the depth, and where that is known.
-    mean, spread : (len(told.conditions),) tuples of float
-        Of the conditions over the training pictures; spread 0 where they did not vary.
     offset, scale : float
         The target is (intensity, or kelvin above the air, less `offset`) / `scale`.
     base : Linear or None
@@ -45,8 +43,6 @@ class Encoding:
 
     told: Told = Told()
     depth: bool = False
-    mean: tuple = ()
-    spread: tuple = ()
     offset: float = 0.0
     scale: float = 1.0
     base: Linear | None = None
@@ -66,7 +62,7 @@ class Encoding:
         """
         first = Told.of(crops.read(crops.train[0])[0])
         told = Told(tuple(name for name in first.terrain if name != CLASSES), first.conditions)
-        table, sums = [], np.zeros(3)
+        sums = np.zeros(3)
         for k in crops.train[:: max(len(crops.train) // _LOOKED_AT, 1)]:
             inputs, target, valid = crops.read(k)
             if depth and inputs.depth is None:
@@ -75,19 +71,14 @@ class Encoding:
                     "or leave the option out"
                 )
             told.check(inputs)
-            table.append([inputs.conditions[name] for name in told.conditions])
             learned = target[valid].astype(np.float64)
             sums += learned.size, learned.sum(), (learned**2).sum()
         if not sums[0]:
             raise ThermorenderError("no pair has a valid pixel to learn from; give pairs whose pictures overlap")
-        table = np.array(table, np.float64)
-        mean, spread = table.mean(axis=0), table.std(axis=0)
-        spread[spread <= _CONSTANT * np.abs(mean)] = 0.0
         if scale is None:
             offset = 0.0 if crops.above_air else sums[1] / sums[0]
             scale = max(np.sqrt(max(sums[2] / sums[0] - offset**2, 0.0)), _LEAST_SCALE)
-        return cls(told, depth, tuple(map(float, mean)), tuple(map(float, spread)), float(offset), float(scale),
-                   base)  # fmt: skip
+        return cls(told, depth, float(offset), float(scale), base)
 
     @property
     def needs(self):
@@ -143,13 +134,6 @@ class Encoding:
                 found[number] = (self.base.of_values(values, multiplied) - self.offset) / self.scale
         return found
 
-    def conditions(self, inputs):
-        """Return the conditions of Inputs, (len(told.conditions),) float32."""
-        values = np.array([inputs.conditions[name] for name in self.told.conditions], np.float64)
-        spread = np.array(self.spread)
-        away = np.where(spread > 0.0, (values - self.mean) / np.where(spread > 0.0, spread, 1.0), 0.0)
-        return np.clip(away, -_BELIEVED, _BELIEVED).astype(np.float32)
-
     def at_range(self, inputs, texel_range_m):
         """Return Inputs brought to the nearest ground sampling distance that was trained at."""
         if inputs.texel_m is None:
@@ -169,14 +153,11 @@ class Encoding:
     def of(cls, header, arrays):
         """Return the Encoding of a header and arrays."""
         told = Told(**{name: tuple(names) for name, names in header["told"].items()})
-        numbers = {name: tuple(map(float, header[name])) for name in ("mean", "spread")}
-        if any(len(each) != len(told.conditions) for each in numbers.values()):
-            raise ValueError("its conditions have other means")
         scale, offset = float(header["scale"]), float(header["offset"])
-        if not (np.isfinite([scale, offset, *numbers["mean"], *numbers["spread"]]).all() and 0.0 < scale < _MOST_SCALE):
+        if not (np.isfinite([scale, offset]).all() and 0.0 < scale < _MOST_SCALE):
             raise ValueError("it encodes with numbers that are not finite, or a scale that is none")
         base = Linear.of(header["base"], {"weight": arrays["base/weight"]}) if header["base"] else None
-        return cls(told, bool(header["depth"]), **numbers, offset=offset, scale=scale, base=base)
+        return cls(told, bool(header["depth"]), offset, scale, base)
 
 
 class _Nothing(dict):

@@ -17,10 +17,10 @@ LEVELS = 256
 
 
 class Batch:
-    """Crops as tensors: planes (n, c, h, w), conditions (n, k), target and valid (n, 1, h, w), encoded."""
+    """Crops as tensors: planes (n, c, h, w), target and valid (n, 1, h, w), encoded."""
 
-    def __init__(self, planes, conditions, target, valid):
-        self.planes, self.conditions, self.target, self.valid = planes, conditions, target, valid
+    def __init__(self, planes, target, valid):
+        self.planes, self.target, self.valid = planes, target, valid
 
     def mean(self, values):
         """Return the mean of (n, 1, h, w) values where they are valid."""
@@ -67,7 +67,7 @@ class Learner:
         return self.net(batch.planes).float()
 
     @staticmethod
-    def predict(net, planes, conditions):
+    def predict(net, planes):
         """Return a network's translation, (n, 1, h, w), or that and its standard deviation, (n, 2, h, w): encoded."""
         return net(planes).float()
 
@@ -108,7 +108,7 @@ class Classes(Regression):
         return {"bce": loss}
 
     @staticmethod
-    def predict(net, planes, conditions):
+    def predict(net, planes):
         """Return the likeliest grey level, 0…1, (n, 1, h, w)."""
         return net(planes).argmax(dim=1, keepdim=True).float() / (LEVELS - 1)
 
@@ -273,7 +273,7 @@ class Robust(Learner):
 
     def step(self, batch):
         """Take a step; return {name: loss}."""
-        mean, spread = self.net(batch.planes, batch.conditions)
+        mean, spread = self.net(batch.planes)
         error = mean - batch.target
         absolute = batch.mean(error.abs())
         slopes = sum(_slope(error, batch.valid, axis) for axis in (2, 3))
@@ -296,9 +296,9 @@ class Robust(Learner):
         self.parts["mean"].update_parameters(self.net)
 
     @staticmethod
-    def predict(net, planes, conditions):
+    def predict(net, planes):
         """Return the translation and its standard deviation, (n, 2, h, w)."""
-        mean, spread = net(planes, conditions)
+        mean, spread = net(planes)
         # Laplace's law of scale b has the standard deviation √2 b.
         return torch.cat([mean, torch.exp(spread) * 2.0**0.5], dim=1)
 

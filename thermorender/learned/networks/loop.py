@@ -244,15 +244,14 @@ class _Run:
     def _encoded(self, crops):
         encoding = self.encoding
         planes = np.stack([encoding.planes(each.inputs) for each in crops])
-        conditions = np.stack([encoding.conditions(each.inputs) for each in crops])
         target = np.stack([(each.target - encoding.offset) / encoding.scale for each in crops])[:, None]
         if self.recipe.bounded:
             target = np.clip(target, -1.0, 1.0)
         valid = np.stack([each.valid for each in crops])[:, None].astype(np.float32)
-        planes, conditions, target, valid = (
-            torch.from_numpy(np.float32(each)).to(device()) for each in (planes, conditions, target * valid, valid)
+        planes, target, valid = (
+            torch.from_numpy(np.float32(each)).to(device()) for each in (planes, target * valid, valid)
         )
-        return Batch(planes.contiguous(memory_format=torch.channels_last), conditions, target, valid)
+        return Batch(planes.contiguous(memory_format=torch.channels_last), target, valid)
 
     def _set_rate(self):
         """Set the rate of learning that the recipe's schedule has here."""
@@ -275,7 +274,7 @@ class _Run:
             some = self.validated[start : start + _AT_ONCE]
             batch = self._encoded(some)
             with torch.inference_mode(), torch.autocast(device(), torch.bfloat16, enabled=bool(self.half)):
-                given = kind.predict(self.learner.applied, batch.planes, batch.conditions)[:, 0].cpu().numpy()
+                given = kind.predict(self.learner.applied, batch.planes)[:, 0].cpu().numpy()
             for crop, each in zip(some, given, strict=True):
                 true, guessed = self.kelvin(crop, each)
                 # A guess that is no number has to show, so only what is not valid is left out.

@@ -83,22 +83,21 @@ class Network:
     def with_spread(self, inputs):
         """Return (intensity or kelvin above the air, standard deviation of its error or None), (h, w) float64."""
         image = self.encoding.at_range(inputs, self.texel_range_m)
-        found = self._applied(self.encoding.planes(image), self.encoding.conditions(image))
+        found = self._applied(self.encoding.planes(image))
         mean, *spread = (at_shape(plane.astype(np.float64), inputs.rgb.shape[:2]) for plane in found)
         scale = self.encoding.scale
         return self.encoding.offset + scale * mean, scale * spread[0] if spread else None
 
-    def _applied(self, planes, conditions):
+    def _applied(self, planes):
         """What the network makes of a picture: (1 or 2, h, w), encoded."""
         recipe, kind, net = RECIPES[self.method], kind_of(RECIPES[self.method]), self._net
-        told = torch.from_numpy(conditions)[None].to(device())
         if self.published:
             torch.manual_seed(0)
 
         def apply(part):
             given = torch.from_numpy(np.ascontiguousarray(part))[None].to(device(), memory_format=torch.channels_last)
             with torch.inference_mode():
-                return kind.predict(net, given, told)[0].cpu().numpy()
+                return kind.predict(net, given)[0].cpu().numpy()
 
         return tiles.stitched(apply, planes, *_tiling(recipe, planes.shape[1:]))
 

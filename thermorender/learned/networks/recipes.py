@@ -101,8 +101,8 @@ def _pix2pix(batch, epochs, crops):
 
 
 def _compact(plus):
-    return Recipe("compact", 72, "robust", "adamw", 5e-4, "cosine", 4, 100_000, None, target=None, whole=True,
-                  multiple=16, plus=plus)  # fmt: skip
+    return Recipe("compact", 72, "robust", "adamw", 2e-4 if plus else 5e-4, "cosine", 4, 100_000, None, target=None,
+                  whole=True, multiple=16, plus=plus)  # fmt: skip
 
 
 RECIPES = {

@@ -34,29 +34,27 @@ class Compact(nn.Module):
         Of the picture, and of the planes that are given with it.
     width : int
         Channels at a quarter of the resolution.
-    conditions : int
-        Numbers that hold for the whole picture, and shift and scale every level's channels; 0: none.
     mixed : int
         Temperatures whose mixture is added, the last of the planes; 0: none. It begins with the very last.
     """
 
-    def __init__(self, channels=3, width=96, conditions=0, mixed=0):
+    def __init__(self, channels=3, width=96, mixed=0):
         super().__init__()
         self.mixed = mixed
         widths = [width * each for each in _WIDER]
         self.entry = nn.Conv2d(channels * BLOCK**2, width, 3, padding=1)
         self.down = nn.ModuleList(
-            nn.ModuleList(_Residual(n, conditions) for _ in range(blocks))
+            nn.ModuleList(_Residual(n) for _ in range(blocks))
             for n, blocks in zip(widths, _BLOCKS, strict=True)
         )
-        self.down[-1][-1] = _Residual(widths[-1], conditions, _DILATION)
+        self.down[-1][-1] = _Residual(widths[-1], _DILATION)
         self.narrow = nn.ModuleList(
             nn.Conv2d(before, after, 2, 2) for before, after in zip(widths[:-1], widths[1:], strict=True)
         )
         self.wide = nn.ModuleList(
             nn.Conv2d(after, 4 * before, 1) for before, after in zip(widths[:-1], widths[1:], strict=True)
         )
-        self.up = nn.ModuleList(_Residual(n, conditions) for n in widths[:-1])
+        self.up = nn.ModuleList(_Residual(n) for n in widths[:-1])
         # Of each pixel: what is added and the shares of the mixture; and the logarithm of the spread.
         self.exit = nn.Conv2d(width, (1 + mixed) * BLOCK**2, 3, padding=1)
         self.doubt = nn.Conv2d(width, BLOCK**2, 3, padding=1)
@@ -66,8 +64,8 @@ class Compact(nn.Module):
         if mixed:
             nn.init.constant_(self.exit.bias[-(BLOCK**2) :], _BEGINNING)
 
-    def forward(self, planes, conditions=None):
-        """Return (mean, logarithm of the spread), (n, 1, h, w) each, of (n, channels, h, w) and (n, conditions)."""
+    def forward(self, planes):
+        """Return (mean, logarithm of the spread), (n, 1, h, w) each, of (n, channels, h, w)."""
         x = self.entry(functional.pixel_unshuffle(planes, BLOCK))
         kept = []
         for level, blocks in enumerate(self.down):
@@ -75,10 +73,10 @@ class Compact(nn.Module):
                 kept.append(x)
                 x = self.narrow[level - 1](x)
             for block in blocks:
-                x = block(x, conditions)
+                x = block(x)
         for level in reversed(range(len(self.up))):
             x = functional.pixel_shuffle(self.wide[level](x), 2) + kept.pop()
-            x = self.up[level](x, conditions)
+            x = self.up[level](x)
         # How much it doubts is read from what it sees, and has no say in what it looks at.
         spread = functional.pixel_shuffle(self.doubt(x.detach()), BLOCK).float().clamp(*_LOG_SPREAD)
         x = functional.pixel_shuffle(self.exit(x), BLOCK).float()
@@ -90,22 +88,14 @@ class Compact(nn.Module):
 
 
 class _Residual(nn.Module):
-    """x + what two convolutions make of it, its channels scaled and shifted by the conditions in between."""
+    """x + what two convolutions make of it."""
 
-    def __init__(self, width, conditions, dilation=1):
+    def __init__(self, width, dilation=1):
         super().__init__()
         self.first, self.second = (nn.Conv2d(width, width, 3, padding=dilation, dilation=dilation) for _ in range(2))
-        self.told = nn.Linear(conditions, 2 * width) if conditions else None
         # It begins as nothing, so that depth costs no care.
         nn.init.zeros_(self.second.weight)
         nn.init.zeros_(self.second.bias)
-        if self.told is not None:
-            nn.init.normal_(self.told.weight, 0.0, 1e-2)
-            nn.init.zeros_(self.told.bias)
 
-    def forward(self, x, conditions):
-        y = self.first(functional.silu(x))
-        if self.told is not None:
-            scale, shift = self.told(conditions)[:, :, None, None].chunk(2, dim=1)
-            y = y * (1.0 + scale) + shift
-        return x + self.second(functional.silu(y))
+    def forward(self, x):
+        return x + self.second(functional.silu(self.first(functional.silu(x))))
