@@ -9,12 +9,12 @@ from thermorender.errors import ThermorenderError
 from thermorender.validate.learned import trainings
 
 
-def write(folder, errors, crops=100, core_s=10.0, method="pix2pix"):
+def write(folder, errors, crops=100, core_s=10.0, method="pix2pix", pairs=30):
     """A training's folder with validation errors after each epoch, and its sample pictures."""
     import cv2
 
     (folder / "samples").mkdir(parents=True)
-    settings = {"method": method, "seed": 0, "options": {"width": 16, "batch": 4}}
+    settings = {"method": method, "seed": 0, "options": {"width": 16, "batch": 4}, "examples": [pairs, "d"]}
     (folder / "settings.json").write_text(json.dumps(settings), encoding="utf-8")
     lines = []
     for number, error in enumerate(errors, 1):
@@ -74,3 +74,6 @@ def test_what_is_no_training_is_refused(tmp_path):
     same = [write(tmp_path / name / "r.run", [1.0]) for name in "ab"]
     with pytest.raises(ThermorenderError, match="two trainings are called 'r'"):
         trainings.run(same)
+    other = write(tmp_path / "other", [1.0], pairs=40)
+    with pytest.raises(ThermorenderError, match="on data sets of 30, 40 pairs, whose errors do not compare"):
+        trainings.run([same[0], other])

@@ -20,13 +20,13 @@ from thermorender.validate import (
     bench,
     cavity,
     convergence,
-    emissivity,
     growth,
     metrics,
     sensor,
     sensor_statistics,
 )
 from thermorender.validate.figures.convergence import pareto
+from thermorender.validate.learned import emissivity
 
 CAMERA = load_camera("zenmuse-xt2")
 

@@ -11,7 +11,7 @@ SETTINGS, LOG, SAMPLES = "settings.json", "log.jsonl", "samples"
 
 
 def read_settings(folder):
-    """Return the settings of a run's folder, a dict with method, seed, options, versions and more.
+    """Return the settings of a run's folder, a dict with method, seed, options, examples and more.
 
     Raises
     ------
@@ -21,7 +21,7 @@ def read_settings(folder):
     path = Path(folder) / SETTINGS
     try:
         found = json.loads(files.read_text(path)) if path.is_file() else None
-        if not isinstance(found, dict) or not {"method", "seed", "options"} <= set(found):
+        if not isinstance(found, dict) or not {"method", "seed", "options", "examples"} <= set(found):
             raise ValueError
     except ValueError:
         raise ThermorenderError(

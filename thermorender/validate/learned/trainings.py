@@ -30,14 +30,14 @@ def run(folders):
     Returns
     -------
     dict
-        Its "runs" have name, method, options, seed, published_crops, curve [(crops, core seconds, validation error
-        [K])], best_mae_k, best_crops, best_core_s, core_s, crops and last_fifth, the share by which the best error fell
-        over the last fifth of the crops.
+        Its "runs" have name, method, options, seed, pairs of the data set, published_crops, curve [(crops, core
+        seconds, validation error [K])], best_mae_k, best_crops, best_core_s, core_s, crops and last_fifth, the share by
+        which the best error fell over the last fifth of the crops.
 
     Raises
     ------
     ThermorenderError
-        No folder, one of no training, two of one name, or a training without an epoch.
+        No folder, one of no training, two of one name, a training without an epoch, or data sets of other sizes.
     """
     if not folders:
         raise ThermorenderError("no training was given; give the folders that `train --run` wrote")
@@ -46,6 +46,12 @@ def run(folders):
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise ThermorenderError(f"two trainings are called {twice[0]!r}; rename the folder of one")
+    pairs = sorted({each["pairs"] for each in found})
+    if len(pairs) > 1:
+        raise ThermorenderError(
+            f"the trainings were on data sets of {', '.join(map(str, pairs))} pairs, whose errors do not compare; give "
+            "those of one data set"
+        )
     return {"runs": sorted(found, key=lambda each: each["best_mae_k"])}
 
 
@@ -60,7 +66,7 @@ def _read(folder):
     recipe = RECIPES.get(settings["method"])
     return {
         "name": folder.resolve().name.removesuffix(".run"), "method": settings["method"],
-        "options": settings["options"], "seed": settings["seed"],
+        "options": settings["options"], "seed": settings["seed"], "pairs": settings["examples"][0],
         "published_crops": recipe.published_crops if recipe else None, "curve": curve,
         "best_mae_k": float(errors[best]), "best_crops": int(crops[best]), "best_core_s": float(seconds[best]),
         "core_s": float(seconds[-1]), "crops": int(crops[-1]),
