@@ -292,7 +292,7 @@ def test_numbers_that_are_none_are_no_error_of_zero(tmp_path, monkeypatch):
     """A network that gives no number has exploded; pairs to validate on without a valid pixel are refused."""
     from thermorender.learned.networks.learners import Regression
 
-    monkeypatch.setattr(Regression, "predict", staticmethod(lambda net, planes, _: net(planes).float() * np.nan))
+    monkeypatch.setattr(Regression, "predict", staticmethod(lambda net, planes: net(planes).float() * np.nan))
     with pytest.raises(ThermorenderError, match="training exploded at crop 4"):
         train_network(task_of("unet", examples(), tmp_path / "r", width=4, batch=2, crops=8, every=4), "unet")
     monkeypatch.undo()
