@@ -494,13 +494,13 @@ def test_a_part_gives_what_the_whole_does():
     """The compact network, whose reach is bounded: a large picture has no seam where it is cut."""
     predictor = network("compact")
     generator = np.random.default_rng(4)
-    # Weights that are all at work, as after training.
+    # Weights so large that what lies far from a pixel shows in it.
     for name, values in predictor.state.items():
-        spread = 0.5 / np.sqrt(values[0].size) if values.ndim > 1 else 0.01
+        spread = 1.5 / np.sqrt(values[0].size) if values.ndim > 1 else 0.01
         predictor.state[name] = generator.normal(0.0, spread, values.shape).astype(np.float32)
     # Tiles that overlap as little as they may, and three whose places are rounded.
     side, margin = 2048, 288
-    for width in (3456, 4600):
+    for width in (3456, 4620):
         rgb = picture(1, 128, width)
         whole = predictor.with_spread(Inputs(rgb, 0.2))[0]
         assert whole.std() > 1e-3
@@ -508,7 +508,7 @@ def test_a_part_gives_what_the_whole_does():
             part = predictor.with_spread(Inputs(np.ascontiguousarray(rgb[:, left : left + side]), 0.2))[0]
             inside = slice(margin if left else 0, part.shape[1] - margin if left + side < width else None)
             off = np.abs(whole[:, left : left + side] - part)[:, inside]
-            assert off.max() < 1e-5 * np.ptp(whole), (width, left)
+            assert off.max() < 3e-7 * np.ptp(whole), (width, left)
 
 
 def test_as_published_each_square_has_its_own_statistics():
