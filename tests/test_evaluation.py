@@ -21,6 +21,7 @@ from thermorender.learned.temperature_map import Inputs, TemperatureMap, save_ma
 from thermorender.materials.library import load_library
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.validate.evaluation import classes, evaluate, paired, report, similarity, sums
+from thermorender.validate.evaluation.methods import LearnedMap
 from thermorender.validate.figures import evaluation as figures
 
 SHAPE = (48, 64)
@@ -149,6 +150,10 @@ def test_the_interval_of_a_difference_knows_that_pictures_are_the_same():
     rows[1, :9] = 0.0
     assert paired.differences(rows, [[0], [1]], cluster)[0][1] == pytest.approx(own[1:].mean())
     assert paired.differences(rows, [[0], [1]], np.zeros(3600, int))[0][2] is None
+    # Without a picture that both have, there is nothing to compare.
+    rows[1] = 0.0
+    assert paired.differences(rows, [[0], [1]], cluster) == [([1], None, None)]
+    assert paired.differences(rows[:, :0], [[0], [1]], cluster[:0]) == [([1], None, None)]
 
 
 def test_the_interval_of_a_difference_knows_how_seeds_scatter():
@@ -166,7 +171,10 @@ def test_maps_that_differ_in_their_seed_alone_stand_together():
         {"seed": 0, "options": {"depth": True}}, {"seed": 0, "options": {"depth": False}},
         {"seed": 1, "options": {"depth": True}}, {}, {},
     )]  # fmt: skip
-    assert paired.kin(maps) == [[0, 2], [1], [3], [4]]
+    assert paired.kin([LearnedMap("m", each) for each in maps]) == [[0, 2], [1], [3], [4]]
+    # An oracle is another method, and one seed twice another training.
+    assert paired.kin([LearnedMap("m", maps[0]), LearnedMap("o", maps[2], oracle=True)]) == [[0], [1]]
+    assert paired.kin([LearnedMap("m", maps[0]), LearnedMap("n", maps[0])]) == [[0], [1]]
 
 
 def test_few_sequences_are_drawn_by_parents():

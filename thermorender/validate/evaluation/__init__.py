@@ -218,7 +218,7 @@ def _maps(models, oracle):
 
 def _differences(maps, tallies, cluster, seed):
     """What maps err more than the first, those that differ in their seed alone taken together; plain numbers."""
-    groups, names = paired.kin([each.model for each in maps]), [each.label for each in maps]
+    groups, names = paired.kin(maps), [each.label for each in maps]
     found = paired.differences([tally.rows for tally in tallies[: len(maps)]], groups, cluster, seed)
     more = [{"maps": [names[k] for k in group], "more_k": more, "interval_95": ends} for group, more, ends in found]
     return {"than": [names[k] for k in groups[0]], "maps": more}

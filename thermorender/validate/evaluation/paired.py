@@ -10,21 +10,25 @@ import numpy as np
 from thermorender.validate.evaluation.sums import CONFIDENCE, DRAWS
 
 # What tells two trainings apart, besides the method; the seed does not.
-_TOLD = ("dataset", "pairs", "share", "shift_px", "options")
+_TOLD = ("dataset", "pairs", "sequences", "conditions", "bounds", "share", "shift_px", "options")
 
 
-def kin(models):
-    """Return lists of numbers of TemperatureMaps that differ in their seed alone, in the order they are given."""
-    groups = {}
-    for number, model in enumerate(models):
-        told = [model.about.get(name) for name in _TOLD]
-        alone = number if "seed" not in model.about else None
-        groups.setdefault(json.dumps([model.method, told, alone], sort_keys=True), []).append(number)
+def kin(maps):
+    """Return lists of numbers of LearnedMaps that were trained alike but for their seed, in the order given."""
+    groups, seeds = {}, set()
+    for number, each in enumerate(maps):
+        model = each.model
+        told = [model.method, each.oracle, *(model.about.get(name) for name in _TOLD)]
+        alike, seed = json.dumps(told, sort_keys=True), model.about.get("seed")
+        # Of one seed twice something else must differ, which their files do not tell.
+        alone = number if seed is None or (alike, seed) in seeds else None
+        seeds.add((alike, seed))
+        groups.setdefault((alike, alone), []).append(number)
     return list(groups.values())
 
 
 def differences(rows, groups, cluster, seed=0):
-    """Return what each group but the first errs more than the first: [(group, K, (low, high) [K] or None)].
+    """Return what each group but the first errs more than the first: [(group, K or None, (low, high) [K] or None)].
 
     Parameters
     ----------
@@ -40,7 +44,9 @@ def differences(rows, groups, cluster, seed=0):
     -----
     95 % intervals, percentile bootstrap of 1000 draws: clusters, the same for both, and of each group its maps. Since n
     maps of few seeds scatter about their own mean by less than about the true one, their deviations are taken
-    √(n / (n − 1)) times. Pictures that a map has no error for count for none.
+    √(n / (n − 1)) times; even so the intervals of three seeds hold the true difference in 86 % of simulated cases, and
+    a group of one map tells nothing of how its seeds scatter. Pictures that a map has no error for count for none;
+    where none is left, there is no difference.
     """
     rows = np.asarray(rows, np.float64)
     shared = (rows[..., 0] > 0).all(axis=0)
@@ -49,8 +55,10 @@ def differences(rows, groups, cluster, seed=0):
     for own, each in zip(whole, rows, strict=True):
         np.add.at(own, cluster[shared], each[shared][:, [2, 0]])
     kept = whole[:, whole[0, :, 1] > 0]
+    if not kept.shape[1]:
+        return [(group, None, None) for group in groups[1:]]
     generator = np.random.default_rng(seed)
-    times = generator.multinomial(kept.shape[1], np.full(kept.shape[1], 1.0 / max(kept.shape[1], 1)), DRAWS)
+    times = generator.multinomial(kept.shape[1], np.full(kept.shape[1], 1.0 / kept.shape[1]), DRAWS)
     drawn = _mean(times, kept)
     found, errors = [], []
     for group in groups:
@@ -62,7 +70,7 @@ def differences(rows, groups, cluster, seed=0):
             errors.append(centre + wider * (np.take_along_axis(own, chosen, axis=0).mean(axis=0) - centre))
         else:
             errors.append(centre)
-        found.append(float(_mean(np.ones((1, kept.shape[1])), kept[group]).mean()) if kept.shape[1] else np.nan)
+        found.append(float(_mean(np.ones((1, kept.shape[1])), kept[group]).mean()))
     ends = 50.0 * (1.0 - CONFIDENCE), 50.0 * (1.0 + CONFIDENCE)
     told = []
     for group, error, own in zip(groups[1:], errors[1:], found[1:], strict=True):

@@ -19,6 +19,7 @@ FLOOR = (
     "Floor: the mean difference of two independent draws of the hidden state over √2, which is the mean absolute error "
     "of the best map there can be where the law of these draws is Gaussian."
 )
+SEEDS = "Intervals know how lands scatter, and seeds where several maps of a method are given; of one map, lands alone."
 LAPLACE = "Of errors by Laplace's law 75.7 % lie within one standard deviation and 94.1 % within two."
 HEADER = ("method", "knows besides the picture", "pairs", "ME [K]", "MAE [K]", "95 % of MAE", "SD [K]", "RMSE [K]",
           "PSNR [dB]", "SSIM")  # fmt: skip
@@ -108,7 +109,9 @@ def _differences(result):
              "" if each["interval_95"] is None else "{:+.2f}…{:+.2f}".format(*each["interval_95"]))
             for each in told["maps"]]  # fmt: skip
     header = ("map", "MAE more [K]", "95 %")
-    return ["", f"## More than {_seeds(told['than'])}, on the same pictures", "", *_table(header, body)] if body else []
+    if not body:
+        return []
+    return ["", f"## More than {_seeds(told['than'])}, on the same pictures", "", *_table(header, body), "", SEEDS]
 
 
 def _seeds(names):

@@ -17,6 +17,8 @@ HEADER = ("run", "method", "width", "batch", "crops seen", "published", "core ho
 PLATEAU = 0.01
 # How much sooner one training has to come to another's best error to be called ahead of it.
 SOONER = 10.0
+# Below this no training is ahead [K].
+_LEAST_K = 0.01
 
 
 def run(folders):
@@ -70,7 +72,7 @@ def _read(folder):
         "published_crops": recipe.published_crops if recipe else None, "curve": curve,
         "best_mae_k": float(errors[best]), "best_crops": int(crops[best]), "best_core_s": float(seconds[best]),
         "core_s": float(seconds[-1]), "crops": int(crops[-1]),
-        "last_fifth": float(1.0 - errors.min() / early.min()) if early.size else None,
+        "last_fifth": float(1.0 - errors.min() / early.min()) if early.size and early.min() > 0.0 else None,
     }  # fmt: skip
 
 
@@ -97,9 +99,8 @@ def sentences(result):
         for loser, others in of_method.items():
             if loser == winner:
                 continue
-            best = [_before(own, other["best_core_s"] / SOONER) for other in others]
-            if all(error < other["best_mae_k"] for error, other in zip(best, others, strict=True)):
-                margin = min(other["best_mae_k"] - error for error, other in zip(best, others, strict=True))
+            margin = min(each["best_mae_k"] - _before(own, each["best_core_s"] / SOONER) for each in others)
+            if margin >= _LEAST_K:
                 found.append(f"{winner} is ahead of {loser} by {margin:.2f} K at least, at 1/{SOONER:g} of the core "
                              "time that its best took")  # fmt: skip
     return found
@@ -107,7 +108,8 @@ def sentences(result):
 
 def _before(runs, seconds):
     """The least validation error of trainings within so many core seconds; infinite where there is none."""
-    return min((error for each in runs for _, core_s, error in each["curve"] if core_s <= seconds), default=np.inf)
+    curves = (point for each in runs for point in each["curve"])
+    return min((error for _, core_s, error in curves if core_s <= seconds > 0.0), default=np.inf)
 
 
 def _last_fifth(share):

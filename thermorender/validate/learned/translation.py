@@ -3,7 +3,8 @@
 Seconds and memory are those of pictures of 640×512 in a process of its own for each map. A network that takes squares
 of one size gives another temperature on either side of where two of them meet. That is the mean step from one line of
 pixels to the next there, beside the mean step everywhere else: of squares of 256 pixels side by side, each translated
-alone, once as pix2pix applies itself (statistics of each square, dropout), and of the picture as `translate` gives it.
+alone, once as pix2pix applies itself (statistics of each square, and dropout, the same for all), and of the picture as
+`translate` gives it.
 """
 
 import multiprocessing
@@ -18,6 +19,7 @@ from thermorender.campaign.dataset import read_dataset
 from thermorender.campaign.map_inputs import inputs_of
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
+from thermorender.learned.networks.recipes import RECIPES
 from thermorender.learned.temperature_map import Inputs, load_model
 from thermorender.scene.load import load_scene
 from thermorender.validate.bench import forget_peak_memory, machine, peak_memory_mib
@@ -52,7 +54,7 @@ def run(models, dataset, scene=defaults.SCENE, pictures=6, progress=None):
     dict
         Its "maps" have load_s, translate_s, peak_mib (None where the system does not tell), and seams: {"pictures" or
         the scene's name: {way: (mean step where squares meet, mean step elsewhere) [K]}}, the ways being "squares",
-        "published" (pix2pix only) and "applied", which is missing where a picture needs one tile only.
+        "published" (pix2pix and pix2pix-b25) and "applied", which is missing where a picture needs one tile only.
 
     Raises
     ------
@@ -112,8 +114,9 @@ def _part(inputs, here):
 def _seams(model, shown):
     """{way: (step where squares meet, step elsewhere)} over pictures [K]."""
     ways = {"squares": model, "applied": model}
-    if getattr(model.predictor, "published", None) is False and model.method.startswith("pix2pix"):
-        ways["published"] = replace(model, predictor=replace(model.predictor, published=True))
+    if model.method in RECIPES and "published" in RECIPES[model.method].options:
+        for way, published in (("squares", False), ("published", True)):
+            ways[way] = replace(model, predictor=replace(model.predictor, published=published))
     found = {}
     for way, applied in ways.items():
         sums = np.zeros((2, 2))
