@@ -38,7 +38,7 @@ class Compact(nn.Module):
         Temperatures whose mixture is added, the last of the planes; 0: none. It begins with the very last.
     """
 
-    def __init__(self, channels=3, width=96, mixed=0):
+    def __init__(self, channels, width, mixed=0):
         super().__init__()
         self.mixed = mixed
         widths = [width * each for each in _WIDER]
