@@ -19,7 +19,9 @@ from thermorender.campaign.map_training import train_map
 from thermorender.errors import ThermorenderError
 from thermorender.learned.methods import method
 from thermorender.learned.networks import checkpoint, loop
+from thermorender.learned.networks.crops import Crops
 from thermorender.learned.networks.loop import train_network
+from thermorender.learned.networks.predictor import Network
 from thermorender.learned.networks.recipes import RECIPES
 from thermorender.learned.networks.runs import read_log
 from thermorender.learned.temperature_map import Inputs
@@ -92,6 +94,17 @@ def test_the_spread_is_that_of_the_errors(tmp_path):
     error = 280.0 + 20.0 * mean - kelvin(picture(99)) - noise
     told = 20.0 * np.sqrt((spread**2).mean())
     assert told == pytest.approx(np.sqrt((error**2).mean()), rel=0.35) and told > np.sqrt(2.0)
+
+
+@pytest.mark.parametrize("name", ["compact", "pix2pix"])
+def test_what_half_precision_costs_is_told(tmp_path, name):
+    task = task_of(name, examples(), tmp_path / "r", **SMALL)
+    found = train_network(task, name)
+    halved = Network.of(found.header(), found.arrays())
+    crops = Crops(task, task.options.get("side", 256), False).validation()
+    changes = [20e3 * np.abs(found.predict(crop.inputs, 0.2) - halved.predict(crop.inputs, 0.2)) for crop in crops]
+    wanted = np.concatenate([change[crop.valid] for change, crop in zip(changes, crops, strict=True)]).mean()
+    assert found.trained["half_precision_mk"] == pytest.approx(wanted, rel=1e-3) and wanted > 1e-3
 
 
 @pytest.mark.parametrize("name", [name for name in RECIPES if name not in ("compact+", "pix2pix-b25")])

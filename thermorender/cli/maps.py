@@ -250,10 +250,13 @@ def train(
             return
         save_map(model, output)
     typer.echo(str(model))
-    if model.about["training"].get("stopped"):
-        typer.echo(f"warning: {model.about['training']['stopped']}; the map is the best state before", err=True)
+    training = model.about["training"]
+    if training.get("stopped"):
+        typer.echo(f"warning: {training['stopped']}; the map is the best state before", err=True)
     own = f", own error {model.error_k:.2f} K on validation" if model.error_k is not None else ""
-    typer.echo(f"{output}: trained in {model.about['training_s']:g} s{own}")
+    halved = training.get("half_precision_mk")
+    cost = f", kept in half precision, which changes it by {halved:.2g} mK" if halved is not None else ""
+    typer.echo(f"{output}: trained in {model.about['training_s']:g} s{own}{cost}")
 
 
 def _train_emissivity(scenes, output, labels, texel_m, augmentations, seed):

@@ -187,12 +187,37 @@ class _Run:
         trained = {
             "crops": self.done, "best_crops": facts["crops"], "published_crops": self.recipe.published_crops,
             "seconds": self.seconds, "core_seconds": self.core_seconds, "threads": torch.get_num_threads(),
-            "device": device(), "bf16": bool(self.half), "stopped": self.stopped, "curve": curve,
+            "device": device(), "bf16": bool(self.half), "torch": str(torch.__version__),
+            "stopped": self.stopped, "curve": curve,
         }  # fmt: skip
-        return Network(
+        found = Network(
             self.method, int(self.task.options["width"]), self.encoding, self.task.texel_range_m,
             state_of(net), self.crops.above_air, bool(self.task.options.get("published")), trained,
         )  # fmt: skip
+        trained["half_precision_mk"] = self._cost_of_halving(net.to(device()), found)
+        return found
+
+    def _cost_of_halving(self, net, network):
+        """Mean absolute change of the validation crops where a network is kept in half precision, as files are [mK]."""
+        halved = net_of(self.recipe, self.encoding, network.width).to(device())
+        kept = {name: torch.from_numpy(values.astype(np.float32)) for name, values in network.arrays().items()}
+        halved.load_state_dict({**halved.state_dict(), **{name: kept[name] for name in network.state}})
+        changes = [
+            np.abs(before - after)[crop.valid]
+            for (crop, _, before), (_, _, after) in zip(self._guessed(net), self._guessed(halved), strict=True)
+        ]
+        return 1000.0 * float(np.concatenate(changes).mean())
+
+    def _guessed(self, net, half=False):
+        """Yield (crop, true, guessed) of each validation crop [K]."""
+        net.eval()
+        for start in range(0, len(self.validated), _AT_ONCE):
+            some = self.validated[start : start + _AT_ONCE]
+            batch = self._encoded(some)
+            with torch.inference_mode(), torch.autocast(device(), torch.bfloat16, enabled=half):
+                given = kind_of(self.recipe).predict(net, batch.planes)[:, 0].cpu().numpy()
+            for crop, each in zip(some, given, strict=True):
+                yield crop, *self.kelvin(crop, each)
 
     def _begin(self):
         """Write what the run is, or go on where it stopped."""
@@ -267,22 +292,10 @@ class _Run:
 
     def _end_of_epoch(self, losses):
         """Validate, and write the log, sample pictures and checkpoints."""
-        found, errors = [], []
-        kind = kind_of(self.recipe)
-        self.learner.applied.eval()
-        for start in range(0, len(self.validated), _AT_ONCE):
-            some = self.validated[start : start + _AT_ONCE]
-            batch = self._encoded(some)
-            with torch.inference_mode(), torch.autocast(device(), torch.bfloat16, enabled=bool(self.half)):
-                given = kind.predict(self.learner.applied, batch.planes)[:, 0].cpu().numpy()
-            for crop, each in zip(some, given, strict=True):
-                true, guessed = self.kelvin(crop, each)
-                # A guess that is no number has to show, so only what is not valid is left out.
-                off = np.abs(guessed - true)[crop.valid]
-                errors.append((off.sum(), off.size))
-                found.append((crop, true, guessed))
-        errors = np.array(errors, np.float64)
-        error = float(errors[:, 0].sum() / errors[:, 1].sum())
+        found = list(self._guessed(self.learner.applied, bool(self.half)))
+        # A guess that is no number has to show, so only what is not valid is left out.
+        off = [np.abs(guessed - true)[crop.valid] for crop, true, guessed in found]
+        error = float(np.concatenate(off).mean(dtype=np.float64))
         facts = {"crops": self.done, "seconds": self.seconds, "core_seconds": self.core_seconds}
         shown = found[:: max(len(found) // _SHOWN, 1)][:_SHOWN]
         samples.write(files.make_folder(self.folder / runs.SAMPLES) / f"{self.done:09d}.png", *zip(*shown, strict=True))
