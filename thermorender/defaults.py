@@ -10,4 +10,5 @@ TEMPERATURE_MAP = TEMPERATURE_MAPS[0]
 # Trained on rendered pictures of procedural scenes, and shipped as files.
 TRAINED_MAPS = (
     "procedural-9to1", "procedural-palette", "procedural-trees", "procedural-correlation+", "procedural-trees+",
+    "procedural-compact", "procedural-compact+", "procedural-pix2pix",
 )  # fmt: skip
