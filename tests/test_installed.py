@@ -80,6 +80,13 @@ def test_doctor_finds_this_machine_fit():
     assert all(name in done.output for name in state)
 
 
+def test_doctor_names_packages_of_extras_that_lack(monkeypatch):
+    monkeypatch.setattr(doctor, "version_of", lambda name: "not installed" if name == "torch" else "1.0")
+    rows, healthy = doctor.examine()
+    mend = {name: mend for name, _, mend in rows}
+    assert healthy and "thermorender[networks]" in mend["torch"] and not mend["lightgbm"]
+
+
 def test_doctor_names_what_fails_and_how_to_mend_it(monkeypatch, tmp_path):
     monkeypatch.setattr(variant, "works", lambda name: (False, "the process was killed by signal 6"))
     tool = tmp_path / "nvidia-smi"

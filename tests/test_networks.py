@@ -516,7 +516,12 @@ def test_as_published_each_square_has_its_own_statistics():
     safe, published = network("pix2pix"), network("pix2pix", published=True)
     one, other = (each.predict(Inputs(rgb, 0.2), 0.2) for each in (safe, published))
     assert np.abs(one - other).max() > 1e-3
+    torch.manual_seed(5)
     assert np.array_equal(other, published.predict(Inputs(rgb, 0.2), 0.2))
+    # Dropout drew from a generator of its own.
+    drawn = torch.rand(1)
+    torch.manual_seed(5)
+    assert drawn == torch.rand(1)
     # The statistics of the training do not hang on the picture.
     twice = np.concatenate([rgb, 255 - rgb], axis=1)
     assert np.allclose(safe.predict(Inputs(twice, 0.2), 0.2)[:, :100], one[:, :100], atol=0.2)
@@ -570,6 +575,8 @@ def test_what_half_precision_cannot_hold_is_kept_whole(tmp_path):
         (lambda header, arrays: header.update(published="no"), "neither true nor false"),
         (lambda header, arrays: header.update(above_air=True), "not told the air's temperature"),
         (lambda header, arrays: header["encoding"].update(scale=-1.0), "a scale that is none"),
+        (lambda header, arrays: header["encoding"].update(offset=1e300), "too large"),
+        (lambda header, arrays: header["encoding"].update(told={"terrain": [], "conditions": [1]}), "without a name"),
         (lambda header, arrays: arrays.popitem(), "Missing key"),
         (lambda header, arrays: arrays.update(more=np.zeros(3)), "Unexpected key"),
         (lambda header, arrays: arrays.update({"entry.bias": np.full(4, 1e300)}), "not finite"),
@@ -585,6 +592,14 @@ def test_a_damaged_network_is_refused(tmp_path, change, words):
     kept = type("Network", (), {"method": "compact", "header": lambda _: header, "arrays": lambda _: arrays})()
     save_map(map_of(kept), tmp_path / "n.npz")
     with pytest.raises(ThermorenderError, match=words):
+        load_map(tmp_path / "n.npz")
+
+
+def test_a_variance_below_0_is_refused(tmp_path):
+    predictor = network("pix2pix")
+    state = {name: values - 2.0 if name.endswith("running_var") else values for name, values in predictor.state.items()}
+    save_map(map_of(replace(predictor, state=state)), tmp_path / "n.npz")
+    with pytest.raises(ThermorenderError, match="a variance below 0"):
         load_map(tmp_path / "n.npz")
 
 

@@ -135,6 +135,24 @@ def test_transparent_pixels_have_no_temperature(tmp_path):
     assert (kelvin[:7] == 0.0).all() and (kelvin[7:] > 200.0).all()
 
 
+def test_a_map_without_a_temperature_for_any_pixel_is_named(tmp_path):
+    class Nowhere:
+        needs, above_air = (), False
+
+        def predict(self, inputs, texel_m):
+            return np.full(inputs.rgb.shape[:2], np.nan)
+
+        def header(self):
+            return {}
+
+        arrays = header
+
+    write(tmp_path / "a.png", photograph())
+    made = translate(replace(NINE, predictor=Nowhere()), [tmp_path / "a.png"], tmp_path / "out")
+    assert made["failed"] and "gets no temperature anywhere" in str(made["failed"])
+    assert not list((tmp_path / "out").glob("a*"))
+
+
 def test_more_pixels_than_pillow_takes_are_refused(tmp_path, monkeypatch):
     from PIL import Image
 

@@ -11,11 +11,12 @@ _LIBRARIES = (
 
 def versions():
     """Return {name: version} of Python, thermorender and the libraries that decide the bytes of a frame's files."""
-    return {"python": platform.python_version(), **{name: _version(name) for name in _LIBRARIES}}
+    return {"python": platform.python_version(), **{name: version_of(name) for name in _LIBRARIES}}
 
 
 @cache
-def _version(name):
+def version_of(name):
+    """Return the version of an installed package, or "not installed"."""
     # Looked up once: it reads the folders of all packages, and every frame's EXR tells it.
     try:
         return version(name)

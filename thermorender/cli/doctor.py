@@ -5,8 +5,10 @@ import platform
 import shutil
 import subprocess
 
-from thermorender.versions import versions
+from thermorender.versions import version_of, versions
 
+# Packages of extras, with the extra and what needs it.
+OPTIONAL = (("lightgbm", "maps", "learned maps of trees"), ("torch", "networks", "learned maps that are networks"))
 VARIANTS = ("scalar_rgb", "llvm_ad_mono", "llvm_ad_spectral", "cuda_ad_mono")
 
 
@@ -18,6 +20,10 @@ def examine():
     from thermorender.render.variant import OLDEST_LLVM, llvm_libraries, usable_llvm, works
 
     rows = [(name, version, "") for name, version in versions().items()]
+    for name, extra, user in OPTIONAL:
+        lacking = version_of(name) == "not installed"
+        mend = f"{user} need it: `pip install 'thermorender[{extra}]'`" if lacking else ""
+        rows.append((name, version_of(name), mend))
     rows.append(("machine", f"{platform.system()} {platform.machine()}, {len(_cores())} cores usable", ""))
     found = [f"{version or 'unknown'}: {path}" for path, version in sorted(llvm_libraries().items(), key=str)]
     chosen = usable_llvm()

@@ -71,6 +71,10 @@ class Told:
     terrain: tuple = ()
     conditions: tuple = ()
 
+    def __post_init__(self):
+        if not all(isinstance(name, str) for name in (*self.terrain, *self.conditions)):
+            raise ValueError("it is told something without a name")
+
     @classmethod
     def of(cls, inputs):
         """Return the names that Inputs have."""

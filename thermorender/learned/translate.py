@@ -5,7 +5,6 @@ asked for, the same of its frames. The 8-bit pictures share one scale, the range
 compared. `translate.json` tells the settings, `translated.jsonl` what is done.
 """
 
-import hashlib
 import json
 import math
 import warnings
@@ -257,7 +256,7 @@ def read_picture(path):
 def _picture(how, source, outputs):
     rgb, known = read_picture(source)
     counts = how.counts(rgb, known)
-    _refuse_empty(source, counts)
+    _refuse_empty(source, counts, known is None or known.any())
     _write_counts(how, counts, *outputs)
     return {"shape": list(counts.shape), "share_outside_0_1": how.share_outside(counts)}
 
@@ -279,7 +278,7 @@ def _video(how, source, outputs, told):
         writer, number, outside = None, 0, 0.0
         while whole:
             counts = how.counts(np.ascontiguousarray(image[..., ::-1]))
-            _refuse_empty(source, counts)
+            _refuse_empty(source, counts, True)
             shown = how.picture(counts)
             if writer is None:
                 codec = cv2.VideoWriter_fourcc(*VIDEOS[outputs[0].suffix])
@@ -299,9 +298,11 @@ def _video(how, source, outputs, told):
     return {"shape": list(counts.shape), "frames": number, "rate_hz": rate_hz, "share_outside_0_1": outside / number}
 
 
-def _refuse_empty(source, counts):
+def _refuse_empty(source, counts, shows):
     if not counts.size:
         raise UnreadableError(f"{source} is smaller than the border that --inner leaves out; translate it without")
+    if shows and not counts.any():
+        raise UnreadableError(f"{source} gets no temperature anywhere from this map; take another map")
 
 
 def _write_counts(how, counts, tiff, png):
@@ -392,8 +393,5 @@ def _begin(folder, settings, resume):
 
 def _told(model):
     """What the record says of a map: its plain values, and a digest of what it computes with."""
-    digest = hashlib.sha256(json.dumps(model.predictor.header(), sort_keys=True).encode())
-    for name, values in sorted(model.predictor.arrays().items()):
-        digest.update(name.encode() + np.ascontiguousarray(values).tobytes())
     plain = ("name", "method", "range_k", "band_um", "texel_m", "camera", "sky_temperature", "source")
-    return {name: getattr(model, name) for name in plain} | {"digest": digest.hexdigest()}
+    return {name: getattr(model, name) for name in plain} | {"digest": model.digest()}

@@ -154,8 +154,8 @@ class Encoding:
         """Return the Encoding of a header and arrays."""
         told = Told(**{name: tuple(names) for name, names in header["told"].items()})
         scale, offset = float(header["scale"]), float(header["offset"])
-        if not (np.isfinite([scale, offset]).all() and 0.0 < scale < _MOST_SCALE):
-            raise ValueError("it encodes with numbers that are not finite, or a scale that is none")
+        if not (abs(offset) < _MOST_SCALE and 0.0 < scale < _MOST_SCALE):
+            raise ValueError("it encodes with numbers that are not finite or too large, or a scale that is none")
         base = Linear.of(header["base"], {"weight": arrays["base/weight"]}) if header["base"] else None
         return cls(told, bool(header["depth"]), offset, scale, base)
 

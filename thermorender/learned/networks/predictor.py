@@ -43,7 +43,7 @@ class Network:
         Apply it as pix2pix was: with the statistics of each square and dropout, drawn from a fixed seed. Else with the
         statistics of the training and no dropout, so that neighbouring squares agree.
     trained : dict
-        What its training was: crops, seconds, curve.
+        What its training was: crops, seconds, curve; empty for one of a file.
     """
 
     method: str
@@ -91,15 +91,17 @@ class Network:
     def _applied(self, planes):
         """What the network makes of a picture: (1 or 2, h, w), encoded."""
         recipe, kind, net = RECIPES[self.method], kind_of(RECIPES[self.method]), self._net
-        if self.published:
-            torch.manual_seed(0)
 
         def apply(part):
             given = torch.from_numpy(np.ascontiguousarray(part))[None].to(device(), memory_format=torch.channels_last)
             with torch.inference_mode():
                 return kind.predict(net, given)[0].cpu().numpy()
 
-        return tiles.stitched(apply, planes, *_tiling(recipe, planes.shape[1:]))
+        # Dropout draws from a generator of its own, and leaves the caller's as it was.
+        with torch.random.fork_rng(enabled=self.published):
+            if self.published:
+                torch.manual_seed(0)
+            return tiles.stitched(apply, planes, *_tiling(recipe, planes.shape[1:]))
 
     def joints(self, inputs):
         """Return (rows, columns), where tiles of a picture meet, arrays of float: rows and columns begin at 0."""
@@ -114,7 +116,6 @@ class Network:
         return {
             "method": self.method, "width": self.width, "encoding": self.encoding.header(),
             "texel_range_m": self.texel_range_m, "above_air": self.above_air, "published": self.published,
-            "trained": self.trained,
         }  # fmt: skip
 
     def arrays(self):
@@ -141,8 +142,10 @@ class Network:
         if header["above_air"] and "air_k" not in encoding.told.conditions:
             raise ValueError("it is not told the air's temperature")
         state = {name: values for name, values in arrays.items() if name not in encoding.arrays()}
+        if any(values.min(initial=0.0) < 0.0 for name, values in state.items() if name.endswith("running_var")):
+            raise ValueError("it has a variance below 0")
         found = cls(header["method"], header["width"], encoding, limits, state, header["above_air"],
-                    header["published"], dict(header["trained"]))  # fmt: skip
+                    header["published"])  # fmt: skip
         _ = found._net
         return found
 
