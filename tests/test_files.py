@@ -100,9 +100,11 @@ def test_the_old_folder_comes_back(error, tmp_path, monkeypatch):
 
 
 WRITER = """
-import sys, time
+import signal, sys, time
 from pathlib import Path
 from thermorender import files
+# Whoever starts the tests in the background has them inherit that this signal is ignored.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 target = Path(sys.argv[1])
 with getattr(files, sys.argv[2])(target) as part:
     file = part / "half" if part.is_dir() else part
