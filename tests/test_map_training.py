@@ -401,6 +401,7 @@ def test_shipped_maps_say_what_they_were_trained_on(name):
     assert told["air_k"][0] < 260.0 and told["air_k"][1] > 300.0 and told["day"][1] - told["day"][0] > 350
     assert told["sun_elevation_deg"][0] < -50.0 and told["sun_elevation_deg"][1] > 60.0
     assert bool(model.needs) == name.endswith("+")
+    assert model.about.get("training") or SHIPPED[name].stat().st_size < 1_000_000
     # Networks tell what half precision changes them by: less than a count of the 16-bit pictures they translate to.
     assert 0.0 <= model.about.get("training", {}).get("half_precision_mk", 0.0) < 40.0
 

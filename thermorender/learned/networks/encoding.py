@@ -16,7 +16,8 @@ from thermorender.errors import ThermorenderError
 from thermorender.learned.linear import Linear, grounds, lab_planes
 from thermorender.learned.rows import CLASSES, Told, at_texel
 
-# Training pictures that tell the statistics, about; and the least and greatest spread of a target, in its own unit.
+# Training pictures that tell the statistics, about; and the least and greatest spread of a target, in its own unit;
+# what it is measured from is less than the latter, too.
 _LOOKED_AT = 180
 _LEAST_SCALE, _MOST_SCALE = 1e-3, 1e6
 # A depth is told as the logarithm of its ratio to this [m].

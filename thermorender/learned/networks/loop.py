@@ -199,9 +199,7 @@ class _Run:
 
     def _cost_of_halving(self, net, network):
         """Mean absolute change of the validation crops where a network is kept in half precision, as files are [mK]."""
-        halved = net_of(self.recipe, self.encoding, network.width).to(device())
-        kept = {name: torch.from_numpy(values.astype(np.float32)) for name, values in network.arrays().items()}
-        halved.load_state_dict({**halved.state_dict(), **{name: kept[name] for name in network.state}})
+        halved = Network.of(network.header(), network.arrays()).net
         changes = [
             np.abs(before - after)[crop.valid]
             for (crop, _, before), (_, _, after) in zip(self._guessed(net), self._guessed(halved), strict=True)

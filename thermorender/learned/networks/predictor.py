@@ -61,7 +61,8 @@ class Network:
         return self.encoding.needs
 
     @cached_property
-    def _net(self):
+    def net(self):
+        """The network itself, on the device that it runs on, its weights as they are kept."""
         # Without memory, until the weights are known to be those of its layers.
         with torch.device("meta"):
             net = net_of(RECIPES[self.method], self.encoding, self.width)
@@ -90,7 +91,7 @@ class Network:
 
     def _applied(self, planes):
         """What the network makes of a picture: (1 or 2, h, w), encoded."""
-        recipe, kind, net = RECIPES[self.method], kind_of(RECIPES[self.method]), self._net
+        recipe, kind, net = RECIPES[self.method], kind_of(RECIPES[self.method]), self.net
 
         def apply(part):
             given = torch.from_numpy(np.ascontiguousarray(part))[None].to(device(), memory_format=torch.channels_last)
@@ -146,7 +147,7 @@ class Network:
             raise ValueError("it has a variance below 0")
         found = cls(header["method"], header["width"], encoding, limits, state, header["above_air"],
                     header["published"])  # fmt: skip
-        _ = found._net
+        _ = found.net
         return found
 
 
