@@ -999,10 +999,10 @@ def test_a_failure_after_the_folder_is_made_removes_it(scene, refused, monkeypat
 
 
 def test_compare_says_what_it_lacks(scene, refused):
-    refused("has no truth.temperature", "compare", scene, *QUICK)
     change(scene / "scene.toml", "[camera]", '[truth]\ntemperature = "temperature.tif"\n[camera]')
     refused("learned map 'x' is unknown", "compare", scene, "--models", "x", *QUICK)
     refused("models is empty", "compare", scene, "--models", ",", *QUICK)
+    refused("--methods='B,G' is not allowed; give some of B, C1, C2, D, E, F", "compare", scene, "--methods", "B,G")
     refused("quality='finest' is unknown", "compare", scene, "--quality", "finest")
 
 

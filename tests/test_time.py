@@ -26,7 +26,7 @@ from thermorender.render import reference
 from thermorender.render.plan import make_plan
 from thermorender.scene.spec import TemperatureSpec
 from thermorender.units import instant, utc_text
-from thermorender.validate.comparison import compare
+from thermorender.validate.referee.run import Flight, compare
 
 DAY = """
 [weather]
@@ -531,6 +531,7 @@ def test_an_hour_that_changes_nothing_is_said(tmp_path, call):
 
 
 def test_a_balance_is_the_truth_of_a_comparison_without_a_raster(scene, path, tmp_path):
-    found = compare(scene, path, tmp_path / "c", ("fok-1to1",), rate_hz=0.01, rays=4, samples=1)
-    assert found["time"] == "2018-07-28T14:30:00Z" and found["weather"]["source"] == "named day"
-    assert found["errors"]["fok-1to1 3D"]["pixels"] > 0
+    found = compare([Flight.of(scene, path, 0.01)], tmp_path / "c", ("fok-1to1",), rays=4, samples=1)
+    (told,) = found["scenes"]
+    assert told["time"] == "2018-07-28T14:30:00Z" and told["weather"]["source"] == "named day"
+    assert found["methods"]["C1 fok-1to1"]["errors"]["radiometric"]["ground"]["pixels"] > 0

@@ -22,7 +22,7 @@ from thermorender.output.flight import fly
 from thermorender.output.record import weather_of
 from thermorender.scene.spec import TemperatureSpec
 from thermorender.scene.surface import FALLBACK, SURFACE
-from thermorender.validate.comparison import compare
+from thermorender.validate.referee.run import Flight, compare
 
 BEGIN, AT = np.datetime64("2018-07-27T00:00:00"), np.datetime64("2018-07-28T12:00:00")
 HOUR = np.timedelta64(3600, "s")
@@ -288,14 +288,14 @@ def test_compare_takes_files_and_maps_that_are_told(tmp_path):
     (folder / "scene.toml").write_text(constant + '[truth]\ntemperature = "temperature.tif"\n')
     plain = save(tmp_path / "plain.npz", Correlation(np.zeros((1, 1, 3)), 0.5))
     told = str(folder / "told.npz")
-    summary = compare(tr.load_scene(folder), path_of(0), tmp_path / "c", [str(plain), told], rays=4)
-    assert set(summary["errors"]) == {"plain 2D", "plain 3D", "told 3D", "constant"}
-    assert summary["errors"]["told 3D"]["mean_absolute_c"] < TOLERANCE_K
-    assert summary["maps"]["told"]["share_outside_0_1"] == 0.0
-    assert (tmp_path / "c/pose_0000_told.png").stat().st_size > 10_000
+    flown = Flight.of(tr.load_scene(folder), path_of(0))
+    summary = compare([flown], tmp_path / "c", [str(plain), told], rays=4)
+    assert {"B plain", "C1 plain", "C1 told"} < set(summary["methods"]) and "B told" not in summary["methods"]
+    assert summary["methods"]["C1 told"]["errors"]["radiometric"]["ground"]["mae_k"] < TOLERANCE_K
+    assert summary["scenes"][0]["maps"]["C1 told"]["told"]["share_outside_0_1"] == 0.0
     shutil.copy(plain, tmp_path / "other.npz")
     with pytest.raises(ThermorenderError, match="two of the models are called 'plain'; give maps of different names"):
-        compare(tr.load_scene(folder), path_of(0), tmp_path / "e", [str(plain), str(tmp_path / "other.npz")], rays=4)
+        compare([flown], tmp_path / "e", [str(plain), str(tmp_path / "other.npz")], rays=4)
     assert not (tmp_path / "e").exists()
 
 

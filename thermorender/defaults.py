@@ -12,3 +12,5 @@ TRAINED_MAPS = (
     "procedural-9to1", "procedural-palette", "procedural-trees", "procedural-correlation+", "procedural-trees+",
     "procedural-compact", "procedural-compact+", "procedural-pix2pix",
 )  # fmt: skip
+# Which tells materials from the orthophoto, and the material of what it does not know.
+EMISSIVITY_MAP, FALLBACK_MATERIAL = "procedural", "soil_loam"

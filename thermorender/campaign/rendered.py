@@ -21,14 +21,12 @@ from thermorender.campaign.dataset import Entry, ThermalScale, Writer, packed, r
 from thermorender.campaign.worlds import drawn
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
-from thermorender.physics.srgb import bytes_from_linear
+from thermorender.output.photograph import sky_of, with_sky
 from thermorender.render.heat.conditions import conditions
 from thermorender.scene.load import load_scene
-from thermorender.scene.surface import BACKGROUND, SURFACE
 from thermorender.sensor.camera import load_camera
 from thermorender.sensor.readout import radiance_from_counts
 from thermorender.synthetic.files import write_declared
-from thermorender.synthetic.light import sky_colour
 from thermorender.synthetic.noise import stream
 from thermorender.synthetic.weather import atmosphere
 from thermorender.synthetic.worlds import KINDS, make, weather_of
@@ -244,15 +242,8 @@ def _pair(renderers, at, order, fields, number, cloud):
     truth, texel = frame.truth, first.texels(at)
     mask = truth["mask"]
     on_ground = texel >= 0
-    sky = (mask & (SURFACE | BACKGROUND)) == 0
-    if sky.any():
-        camera = first.scene.camera
-        rows, columns = np.nonzero(sky)
-        slope = camera.directions(np.column_stack([columns + 0.5, rows + 0.5]))
-        towards = np.column_stack([slope, np.ones(len(slope))])
-        sine = towards @ at[2, :3] / np.linalg.norm(towards, axis=1)
-        visible = visible.copy()
-        visible[sky] = bytes_from_linear(sky_colour(sine, cloud))
+    sky = sky_of(mask)
+    visible = with_sky(visible, sky, at, first.scene.camera, cloud)
     # Half precision: what relief and sun tell is not known better.
     planes = {
         name: np.where(on_ground, values.ravel()[texel], np.nan).astype(np.float16) for name, values in fields.items()

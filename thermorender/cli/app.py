@@ -11,7 +11,7 @@ from thermorender import defaults, files
 from thermorender.cli.camera import fit_camera
 from thermorender.cli.maps import dataset, evaluate, prepare, train, translate
 from thermorender.cli.materials import app as materials
-from thermorender.cli.terminal import Time, at_time, output_option, progress, split, table
+from thermorender.cli.terminal import Time, at_time, named, output_option, progress, split, table
 from thermorender.cli.terminal import air as parse_air
 from thermorender.cli.validate import app as validate
 from thermorender.errors import ThermorenderError
@@ -53,7 +53,7 @@ Tolerance = Annotated[float, typer.Option(help="Error allowed to the spectral no
 Rays = Annotated[int, typer.Option(help="Rays per face for the light between surfaces.")]
 Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
 Products = Annotated[
-    str, typer.Option(help="Comma-separated: exr, truth, counts, counts-tiff, radiometric, display, video.")
+    str, typer.Option(help="Comma-separated: exr, truth, counts, counts-tiff, radiometric, display, video, visible.")
 ]
 Display = Annotated[str, typer.Option(help="linear, plateau or local: how counts become 8 bits.")]
 Palette = Annotated[str, typer.Option(help="white-hot, black-hot or ironbow.")]
@@ -206,7 +206,6 @@ def render(
     pose: Pose = "0,0,120,0,-90,0",
     local_up: LocalUp = False,
     time: Time = None,
-    visible: Annotated[bool, typer.Option("--visible", help="Write the visible view as well.")] = False,
     products: Products = "exr,truth,counts,display",
     display: Display = "linear",
     palette: Palette = "white-hot",
@@ -226,7 +225,7 @@ def render(
 ):
     """Render one frame."""
     from thermorender.output import products as frame_files
-    from thermorender.output.images import write_image
+    from thermorender.output.photograph import photograph
     from thermorender.output.record import made_by, record, weather_of
 
     if engine not in ("renderer", "reference"):
@@ -240,6 +239,7 @@ def render(
     numbers = _pose_numbers(pose)
     with progress() as tell:
         loaded = _scene(scene, temperature, range_c, air, time)
+        wanted = frame_files.check(wanted, settings, loaded.camera)
         world_from_camera = _pose(loaded, pose, numbers, local_up)
         renderer = _renderer(loaded, quality, rays, tolerance_mk, seed, device, tell)
         with files.output_folder(output) as folder:
@@ -252,10 +252,10 @@ def render(
                     renderer, world_from_camera, paths, progress=lambda share: tell("tracing paths", share)
                 )
             display_settings = replace(display_settings, tails_percent=frame.camera.agc_tails_percent)
-            written = frame_files.write(folder, frame, wanted, display_settings.image(frame.counts)[1], settings)
-            if visible:
-                written["visible"] = folder / "frame_000000_visible.png"
-                write_image(written["visible"], renderer.visible(frame.pose)[0])
+            written = frame_files.write(
+                folder, frame, wanted, display_settings.image(frame.counts)[1], settings,
+                lambda camera: photograph(renderer, frame.pose, camera=camera)[0],
+            )  # fmt: skip
             files.write_json(folder / "frame_000000.json", record(frame) | weather_of(renderer.scene) | made_by())
     _tell_cache(renderer)
     seen = frame.apparent_temperature
@@ -366,49 +366,73 @@ def day(
 
 @app.command()
 def compare(
-    scene: SceneName,
-    output: Out,
-    models: Annotated[str, typer.Option(help="Comma-separated learned maps.")] = ",".join(defaults.TEMPERATURE_MAPS),
+    scenes: Annotated[
+        list[str], typer.Argument(help=f"Scene folders, or names of shipped ones: {SCENE_NAMES}. Those that share hour "
+                                  "and weather serve each other as training part for refitted bounds.")
+    ],
+    output: NewResults,
+    models: Annotated[str, typer.Option(help="Comma-separated learned maps: names, or .npz files.")] = ",".join(
+        defaults.TEMPERATURE_MAPS
+    ),
+    oracle: Annotated[str | None, typer.Option(help="A map (.npz) that is shown the true material, too.")] = None,
+    foreign: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME=FOLDER with another program's frames, pose_0000.tif and so on, TIFFs that tell their "
+                     "unit; in folders of the scenes' names where there are several. Repeat for more."),
+    ] = None,
+    dataset: Annotated[
+        list[Path] | None,
+        typer.Option(help="Data set that maps were trained on: the scenes are looked for in it. Repeat for more."),
+    ] = None,
+    methods: Annotated[
+        str, typer.Option(help="Comma-separated: B, maps applied to photographs; C1 and C2, to the orthophoto and "
+                          "rendered with true and with learned materials; D, E, means; F, the heat balance.")
+    ] = "B,C1,C2,D,E,F",
+    emissivity: Annotated[str, typer.Option(help="Emissivity map of C2.")] = defaults.EMISSIVITY_MAP,
+    fallback: Annotated[
+        str, typer.Option(help="Material of texels that this map does not know.")
+    ] = defaults.FALLBACK_MATERIAL,
     trajectory: TrajectoryFiles = None,
     format: Format = None,
     anchor: AnchorText = None,
     duplicates: Duplicates = "refuse",
     rate_hz: Annotated[float, typer.Option(help="Poses per second of flight.")] = 1.0,
-    range_c: RangeC = None,
+    arrays: Annotated[bool, typer.Option("--arrays", help="Keep the frames as .npz, apparent temperature.")] = False,
     air: Air = None,
-    time: Time = None,
     allow_below_ground: Below = False,
     seed: Seed = 0,
     quality: Quality = "standard",
     rays: Rays = 128,
     tolerance_mk: Tolerance = 5.0,
     device: Device = "auto",
-):
-    """Compare learned 2D translations with the radiometric render of the same poses."""
-    from thermorender.validate.comparison import compare as run
+):  # fmt: skip
+    """Hold learned 2D translation against the radiometric render of the same poses: a page, a table, pictures."""
+    from thermorender.campaign.dataset import read_dataset
+    from thermorender.validate.referee import run
+    from thermorender.validate.referee.methods import LETTERS, learned_materials
 
+    letters = split(methods)
+    if not letters or not set(letters) <= set(LETTERS):
+        raise ThermorenderError(f"--methods={methods!r} is not allowed; give some of {', '.join(LETTERS)}")
+    folders = dict(named(text, "--foreign", "NAME=FOLDER") for text in foreign or ())
     with progress() as tell:
-        loaded = _scene(scene, None, None, air, time)
-        path = _trajectory(loaded, trajectory, format, anchor, duplicates)
-        _above_ground(loaded, path, rate_hz, None, None, allow_below_ground)
-        with files.output_folder(output):
-            summary = run(
-                loaded, path, output, split(models), rate_hz, _range(range_c), tell,
-                quality=quality, rays=rays, tolerance_mk=tolerance_mk, seed=seed, device=device,
-            )  # fmt: skip
-    rows = [
-        (name, *(f"{error[key]:+.3f}" if error[key] is not None else "none" for key in
-                 ("mean_c", "mean_absolute_c", "std_c")), str(error["pixels"]))
-        for name, error in summary["errors"].items()
-    ]  # fmt: skip
-    table(("method", "mean error [°C]", "mean absolute error [°C]", "standard deviation [°C]", "pixels"), rows)
-    for name, report in summary["maps"].items():
-        typer.echo(
-            f"{name}: {report['share_outside_0_1']:.1%} of the texels' intensities lie outside 0…1, "
-            f"{report['share_fallback']:.1%} of the texels fall back to their material's temperature"
-        )
-        _warn(report["warning"])
-    typer.echo(f"pictures and comparison.json in {output}")
+        flights = []
+        for name in scenes:
+            loaded = _scene(name, None, None, air, None)
+            path = _trajectory(loaded, trajectory, format, anchor, duplicates)
+            _above_ground(loaded, path, rate_hz, None, None, allow_below_ground)
+            flights.append(run.Flight.of(loaded, path, rate_hz))
+        summary = run.compare(
+            flights, output, split(models), letters, oracle, folders, [read_dataset(one) for one in dataset or ()],
+            learned_materials(emissivity, fallback), arrays, seed, tell,
+            quality=quality, rays=rays, tolerance_mk=tolerance_mk, device=device,
+        )  # fmt: skip
+    rows = run.rows(summary)
+    if rows:
+        table(run.HEADER, rows)
+    for finding in summary["findings"]:
+        typer.echo(finding["text"])
+    typer.echo(f"report.html, pixels.csv, comparison.json and pictures in {output}")
 
 
 @app.command()
@@ -447,16 +471,18 @@ def demo(
     if (output / "flight" / "flight.json").exists():
         raise ThermorenderError(f"{output} already holds a demo; give another folder with -o, or remove it")
     fly(defaults.SCENE, output / "flight", rate_hz=4.0, device=device)
-    compare(defaults.SCENE, output / "comparison", rate_hz=0.2, device=device)
-    typer.echo(f"look at {output / 'flight' / 'flight.mp4'} and at the pictures in {output / 'comparison'}")
+    compare([defaults.SCENE], output / "comparison", methods="B,C1,D", rate_hz=0.2, device=device)
+    typer.echo(f"look at {output / 'flight' / 'flight.mp4'} and at {output / 'comparison' / 'report.html'}")
 
 
 @app.command("map-materials")
 def map_materials(
     scene: SceneName,
     output: Out,
-    model: Annotated[str, typer.Option(help="Emissivity map: a file, or procedural.")] = "procedural",
-    fallback: Annotated[str, typer.Option(help="Material that stands in for unknown texels.")] = "soil_loam",
+    model: Annotated[str, typer.Option(help="Emissivity map: a file, or procedural.")] = defaults.EMISSIVITY_MAP,
+    fallback: Annotated[
+        str, typer.Option(help="Material that stands in for unknown texels.")
+    ] = defaults.FALLBACK_MATERIAL,
     confidence: Annotated[
         float | None, typer.Option(help="A texel whose best material is less probable is unknown; "
                      "default: as in scene files, 0.35.")

@@ -8,7 +8,7 @@ import typer
 
 from thermorender import defaults, files
 from thermorender.cli.camera import parse_scale
-from thermorender.cli.terminal import output_option, progress, split, table
+from thermorender.cli.terminal import named, output_option, progress, split, table
 from thermorender.errors import ThermorenderError
 from thermorender.learned.networks.recipes import RECIPES
 
@@ -241,7 +241,7 @@ def train(
     pairs = read_dataset(sources[0])
     if of is not None:
         pairs = pairs.split(read_split(of))
-    options = dict(_named(text, "--set", "OPTION=VALUE") for text in setting or ())
+    options = dict(named(text, "--set", "OPTION=VALUE") for text in setting or ())
     with progress() as tell:
         folder = (run or output.with_suffix(".run")) if known(method).long else None
         model = train_map(output.stem, method, pairs, options, seed, tell, material=oracle, run=folder, resume=resume)
@@ -338,7 +338,7 @@ def evaluate(
 
     if part not in PARTS:
         raise ThermorenderError(f"--part={part!r} is unknown; give {', '.join(PARTS)}")
-    folders = dict(_named(text, "--foreign", "NAME=FOLDER") for text in foreign or ())
+    folders = dict(named(text, "--foreign", "NAME=FOLDER") for text in foreign or ())
     parts = None
     if of is not None:
         from thermorender.campaign.splits import read_split
@@ -351,11 +351,3 @@ def evaluate(
     table(report.HEADER, [*report.rows(result), *report.published_rows()])
     typer.echo(report.CAVEAT)
     typer.echo(f"tables, numbers and pictures in {output}")
-
-
-def _named(text, option, form):
-    """(name, value) of a repeated option."""
-    name, found, value = text.partition("=")
-    if not (name and found and value):
-        raise ThermorenderError(f"{option}={text!r} is not allowed; give {form}")
-    return name, value

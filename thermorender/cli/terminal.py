@@ -85,6 +85,14 @@ def air(text):
     return parts or ("",)
 
 
+def named(text, option, form):
+    """Return (name, value) of a repeated option."""
+    name, found, value = text.partition("=")
+    if not (name and found and value):
+        raise ThermorenderError(f"{option}={text!r} is not allowed; give {form}")
+    return name, value
+
+
 def split(text):
     """Return the parts of a comma-separated option."""
     return tuple(part.strip() for part in text.split(",") if part.strip())

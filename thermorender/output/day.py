@@ -85,6 +85,8 @@ def day(
         is in use.
     """
     products = product_files.check(products, thermography)
+    if "visible" in products:
+        raise ThermorenderError("product 'visible' has an hour of its own: it is a frame's or a flight's; leave it out")
     display = replace(display or DisplaySettings(), tails_percent=scene.camera.agc_tails_percent)
     times = _times(scene, step_min)
     tell = progress or (lambda what, share: None)

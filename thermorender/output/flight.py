@@ -23,6 +23,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.frame import Frame
 from thermorender.output import products as product_files
 from thermorender.output.images import write_video
+from thermorender.output.photograph import photograph
 from thermorender.output.record import made_by, record, weather_of
 from thermorender.output.timed import STEP_S, TimedRenderer
 from thermorender.scene.load import Scene
@@ -101,7 +102,7 @@ def fly(
         Unknown products, a folder that is in use (by another process too) or cannot be written, a resume with other
         settings, or weather that ends before the flight.
     """
-    products = product_files.check(products, thermography)
+    products = product_files.check(products, thermography, renderer.scene.camera)
     display = replace(display or DisplaySettings(), tails_percent=renderer.scene.camera.agc_tails_percent)
     rate = renderer.scene.camera.frame_rate_hz if rate_hz is None else float(rate_hz)
     times = trajectory.frame_times(rate, start_s, stop_s)
@@ -144,7 +145,7 @@ def fly(
             # Only now, so that a mistake that shows with the first frame leaves nothing behind.
             if not (out / "flight.json").exists():
                 files.write_json(out / "flight.json", settings)
-            product_files.write(out, frame, products, image, thermography)
+            product_files.write(out, frame, products, image, thermography, _photographer(renderer, frame))
             _save_state(out, exposure, agc, index)
             terrain.append(_shows_terrain(renderer.scene, frame))
             told = record(frame) | timed.told(frame.time_s) | {"shows_terrain": terrain[-1]}
@@ -267,6 +268,11 @@ def _taken(
     frame = timed.at(time_s).frame(pose, time_s=time_s, index=index)
     frame = replace(frame, time=timed.time(time_s))
     return frame.with_reading(*exposure.read(index, time_s, frame.radiance))
+
+
+def _photographer(renderer: "Renderer", frame: Frame) -> Callable[[Any], NDArray[np.uint8]]:
+    """What gives the photograph of a frame's pose by a Camera."""
+    return lambda camera: photograph(renderer, frame.pose, frame.time_s, camera=camera)[0]
 
 
 def _state_files(folder: Path) -> tuple[Path, Path]:

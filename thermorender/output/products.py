@@ -1,6 +1,8 @@
 """The products of a frame: which there are, their files, and all of them written."""
 
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic
@@ -19,28 +21,52 @@ def write_radiometric(path, frame, thermography):
         write_tlinear(part, reading)
 
 
-# {product: (end of the file name, writer(path, frame, truth, thermography, image))}
+@dataclass(frozen=True)
+class _Extras:
+    """What products are made of beside the frame: as of `write`."""
+
+    truth: bool
+    image: Any
+    thermography: Any
+    photograph: Any
+
+
+# {product: (end of the file name, writer(path, frame, extras))}
 WRITERS = {
-    "exr": (".exr", lambda path, frame, truth, thermography, image: write_exr(path, frame, truth, thermography)),
-    "counts": ("_counts.png", lambda path, frame, truth, thermography, image: write_image(path, frame.counts)),
-    "counts-tiff": ("_counts.tif", lambda path, frame, truth, thermography, image: write_image(path, frame.counts)),
+    "exr": (".exr", lambda path, frame, extras: write_exr(path, frame, extras.truth, extras.thermography)),
+    "counts": ("_counts.png", lambda path, frame, extras: write_image(path, frame.counts)),
+    "counts-tiff": ("_counts.tif", lambda path, frame, extras: write_image(path, frame.counts)),
     "radiometric": (
-        "_radiometric.tif",
-        lambda path, frame, truth, thermography, image: write_radiometric(path, frame, thermography),
+        "_radiometric.tif", lambda path, frame, extras: write_radiometric(path, frame, extras.thermography)
     ),
-    "display": (".png", lambda path, frame, truth, thermography, image: write_image(path, image)),
-}
+    "display": (".png", lambda path, frame, extras: write_image(path, extras.image)),
+    "visible": ("_visible.png", lambda path, frame, extras: write_image(path, extras.photograph(frame.camera))),
+    "visible-camera": (
+        "_visible_camera.png",
+        lambda path, frame, extras: write_image(path, extras.photograph(frame.camera.visible_camera)),
+    ),
+}  # fmt: skip
 
 
-def check(products, thermography=None):
-    """Return the products as a tuple after refusing unknown names and combinations that give nothing."""
+def check(products, thermography=None, camera=None):
+    """Return the products as a tuple after refusing unknown names and combinations that give nothing.
+
+    The product "visible" is two pictures where `camera` has a visible one beside it: registered, and as that sees it.
+    """
     products = tuple(products)
+    if "visible" in products and camera is not None and camera.visible_camera is not None:
+        products = tuple(dict.fromkeys((*products, "visible-camera")))
     if not products:
         raise ThermorenderError(f"products is empty; give some of {', '.join((*WRITERS, 'truth', 'video'))}")
     known = (*WRITERS, "truth", "video")
     for name in products:
         if name not in known:
             raise ThermorenderError(f"product {name!r} is unknown; give some of {', '.join(known)}")
+    if "visible-camera" in products and camera is not None and camera.visible_camera is None:
+        raise ThermorenderError(
+            f"product 'visible-camera' needs a visible camera, which {camera.name} does not have; add visible_width "
+            "and visible_field_of_view_deg to its file, or take 'visible', registered to the thermal camera"
+        )
     if "truth" in products and "exr" not in products:
         raise ThermorenderError("product 'truth' is channels of the EXR; add 'exr'")
     if "video" in products and "display" not in products:
@@ -57,7 +83,7 @@ def paths(folder, index, products):
     }
 
 
-def write(folder, frame, products, image=None, thermography=None):
+def write(folder, frame, products, image=None, thermography=None, photograph=None):
     """Write a frame's files and return their paths.
 
     Parameters
@@ -69,10 +95,13 @@ def write(folder, frame, products, image=None, thermography=None):
         What `display` shows; `frame.display` where None.
     thermography : ThermographySettings, optional
         For `radiometric` and the EXR: what thermography software then reads.
+    photograph : callable, optional
+        (camera) → (H, W, 3) uint8, for `visible`.
     """
+    extras = _Extras("truth" in products, image, thermography, photograph)
     files = paths(folder, frame.index, products)
     if image is None and "display" in files:
-        image = frame.display
+        extras = replace(extras, image=frame.display)
     for name, path in files.items():
-        WRITERS[name][1](path, frame, "truth" in products, thermography, image)
+        WRITERS[name][1](path, frame, extras)
     return files

@@ -61,7 +61,7 @@ class Air:
         self._altitude_m, self._background_k = scene.altitude_m, scene.surroundings_temperature
         self._seen = {}
 
-    def view(self, origin, box):
+    def view(self, origin, box, clear=False):
         """Return the AirView from a camera position.
 
         Parameters
@@ -70,6 +70,8 @@ class Air:
             In the scene's local frame [m].
         box : (2, 3) array
             Lowest and highest corner of all that can be met [m].
+        clear : bool
+            Whether the path to what is met lets all pass and shines not.
         """
         base = self._altitude_m
         camera = float(altitude(origin, base))
@@ -91,6 +93,8 @@ class Air:
         end = bottom + np.linspace(0.0, 1.0, rows)[:, None] * np.maximum(top - bottom, 0.0)
         end = np.clip(end, camera - length, camera + length)
         passed, added = self._air.path(camera, end, np.broadcast_to(length, end.shape))
+        if clear:
+            passed, added = np.ones_like(passed), np.zeros_like(added)
         cells = np.concatenate([passed @ self._solver, added.sum(axis=-1, keepdims=True)], axis=-1)
         frame = (base, low, high, camera, np.log(nearest), (columns - 1) / np.log(farthest / nearest))
         horizon = float(horizon_cos_zenith(camera))

@@ -53,13 +53,16 @@ class DeviceScene:
             layers.append(Layer(item.geometry, opaque_view(self._mi, np.linalg.inv(placement.pose) @ pose), radiance))
         return layers
 
-    def medium(self, pose, placements):
-        """Return what lies between a camera at `pose` and what it sees: its air, or none."""
+    def medium(self, pose, placements, through_air=True):
+        """Return what lies between a camera at `pose` and what it sees: its air, or none; or its air, but as if it let
+        all pass."""
         if isinstance(self._air, Vacuum):
             return self._air
         moved = [item.box(placement.pose) for item, placement in zip(self.objects, placements, strict=True)]
         boxes = np.stack([self._corners, *moved])
         box = np.stack([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
+        if not through_air:
+            return self._air.view(pose[:3, 3], box, clear=True)
         key, last = pose[:3, 3].tobytes() + box.tobytes(), self._last_medium
         # Read and replaced as a whole, as another thread may look from elsewhere meanwhile.
         if last[0] != key:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.frame import Frame
+from thermorender.physics.planck import band_radiance
 from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
 from thermorender.render import budget, truth
 from thermorender.render.air import Vacuum
@@ -162,10 +163,13 @@ class Renderer:
         return self._frame(view, radiance, time_s, index, self.plan.as_dict(), sampling)
 
     def radiance(
-        self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None
+        self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None, through_air: bool = True
     ) -> NDArray[np.float32]:
-        """Return the band radiance of `frame` alone, (H, W) float32 [W m⁻² sr⁻¹], without noise or truth."""
-        return self._view(pose, time_s, objects).radiance()[0]
+        """Return the band radiance of `frame` alone, (H, W) float32 [W m⁻² sr⁻¹], without noise or truth.
+
+        Without `through_air` it is what leaves the surfaces towards the camera, lit through the air as ever.
+        """
+        return self._view(pose, time_s, objects).radiance(through_air)[0]
 
     def frame_of(
         self, radiance: NDArray[np.float32], pose: ArrayLike, plan: dict[str, Any], time_s: float = 0.0, index: int = 0,
@@ -212,10 +216,60 @@ class Renderer:
         terrain = int(self._geometry.texel_start[self.scene.terrain_count])
         return np.where(valid & (number < terrain), number.astype(np.int64), -1)
 
+    def sky(
+        self, pose: ArrayLike, camera: Camera | None = None, time_s: float = 0.0, objects: Objects | None = None
+    ) -> NDArray[np.bool_]:
+        """Return where a pixel's middle shows nothing and looks above the horizon, (H, W); `camera` as of `visible`."""
+        view = self._view(pose, time_s, objects)
+        layers = self.baked.device.layers(view.pose, view.placements)
+        valid, _, up, *_ = truth.pixel_middles(layers, self._camera_rays(camera))
+        return ~valid & up
+
+    def objects_seen(
+        self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None
+    ) -> tuple[NDArray[np.int64], list[str]]:
+        """Return (number of the object that each pixel's middle shows, (H, W), −1 for anything else; their names)."""
+        view = self._view(pose, time_s, objects)
+        valid, number, *_ = truth.pixel_middles(self.baked.device.layers(view.pose, view.placements), view.rays)
+        dynamic = [surface for tracked in self.scene.tracked_objects for surface in tracked.surfaces]
+        shown = (*self.scene.surfaces, *dynamic)
+        owner = [surface.name.split(":")[0] for surface in shown]
+        names = list(dict.fromkeys(owner[self.scene.terrain_count :]))
+        of = np.array([names.index(name) if name in names else -1 for name in owner])
+        ends = np.cumsum([surface.material.size for surface in shown])
+        surface = np.minimum(np.searchsorted(ends, number, side="right"), len(shown) - 1)
+        return np.where(valid, of[surface], -1), names
+
+    def pictured(
+        self, values: NDArray[np.float32], pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None
+    ) -> NDArray[np.float32]:
+        """Return the mean over each pixel of radiances given to all texels, (H, W) float32: no light, no air.
+
+        Parameters
+        ----------
+        values : (T,) array
+            Of the texels of all surfaces, those of dynamic objects last [W m⁻² sr⁻¹].
+        pose, time_s, objects
+            As of `frame`. Sky and surroundings are those of `frame`, seen without air.
+        """
+        pose, mi = checked_pose(pose), self._geometry.mi
+        shapes = [self._geometry, *(item.geometry for item in self.baked.device.objects)]
+        ends = np.cumsum([shape.texel_start[-1] for shape in shapes])
+        parts = np.split(np.asarray(values, np.float32), ends[:-1])
+        poses = [np.eye(4), *(placement.pose for placement in placements(self.scene, time_s, objects))]
+        layers = [
+            Layer(shape, opaque_view(mi, np.linalg.inv(own) @ pose), OutgoingRadiance(Channels(mi, part[:, None])))
+            for shape, part, own in zip(shapes, parts, poses, strict=True)
+        ]
+        outside = np.array([self.scene.sky_temperature, self.scene.surroundings_temperature])
+        outside = band_radiance(outside, *self.plan.band_um)
+        tracer = Tracer(layers, self._camera_rays(), Vacuum(mi, *outside[:, None]), self.plan)
+        return tracer.image(self.plan.edge_mk * self.plan.radiance_per_mk)[0][0]
+
     def rays(self, pose: ArrayLike) -> list[Sequence[Any]]:
         """Return the slopes of all rays that a frame from `pose` casts into the static scene, [(x/z, y/z), …]."""
         view = self._view(pose)
-        return view.tracer.slopes(view.radiance()[1])
+        return view.tracer().slopes(view.radiance()[1])
 
     def cast_only(self, pose: ArrayLike, rays: Sequence[Sequence[Any]]) -> None:
         """Cast rays, as by `rays`, and nothing else: the floor under the time of a frame."""
@@ -271,18 +325,17 @@ class View:
     pose: NDArray[np.float64]
     placements: tuple[Placement, ...]
 
-    @property
-    def tracer(self) -> Tracer:
-        """The Tracer of this view."""
+    def tracer(self, through_air: bool = True) -> Tracer:
+        """Return the Tracer of this view."""
         device = self.baked.device
-        layers, medium = device.layers(self.pose, self.placements), device.medium(self.pose, self.placements)
-        return Tracer(layers, self.rays, medium, self.baked.plan)
+        medium = device.medium(self.pose, self.placements, through_air)
+        return Tracer(device.layers(self.pose, self.placements), self.rays, medium, self.baked.plan)
 
-    def radiance(self) -> tuple[NDArray[np.float32], Sampling]:
+    def radiance(self, through_air: bool = True) -> tuple[NDArray[np.float32], Sampling]:
         """Return (band radiance (H, W) float32 [W m⁻² sr⁻¹], Sampling)."""
         plan = self.baked.plan
         limit = plan.edge_mk * plan.radiance_per_mk
-        image, sampling = self.tracer.image(limit)
+        image, sampling = self.tracer(through_air).image(limit)
         return image[0], sampling
 
     def truth(self) -> dict[str, NDArray[Any]]:

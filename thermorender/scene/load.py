@@ -133,6 +133,14 @@ class Scene:
         return self.frame.height_m - (self.geoid_undulation_m or 0.0) if self.frame else 0.0
 
     @property
+    def sky_temperature(self) -> float:
+        """Temperature of the isotropic black sky that shines in the camera's band as the scene's does [K]."""
+        if self.air is not None:
+            return float(self.air.sky_temperature(self.altitude_m))
+        assert self.spec.sky_temperature is not None
+        return self.spec.sky_temperature
+
+    @property
     def surroundings_temperature(self) -> float:
         """Temperature of the black background beyond the terrain's edge [K]: as stated, else its texels' mean."""
         if self.spec.surroundings_temperature is not None:
@@ -374,6 +382,43 @@ class Scene:
                 f"{why}needs a place, which a mesh does not have; add [frame] with latitude_deg, longitude_deg and "
                 "height_m"
             )
+
+    def with_learned_materials(self, spec: EmissivitySpec) -> "Scene":
+        """Return this scene with its terrain's materials told from the orthophoto, as of a source "learned".
+
+        Raises
+        ------
+        ThermorenderError
+            A terrain without an orthophoto, or a map that cannot be used.
+        """
+        if not self.spec.terrain.orthophoto:
+            raise ThermorenderError(
+                f"{self.where}: a learned emissivity map reads materials from an orthophoto; add terrain.orthophoto"
+            )
+        folder, first = self.spec.folder, self.surfaces[0]
+        own = folder / "materials"
+        materials = _Materials(material_tables.load_library(own if own.is_dir() else None), self.camera, self.where)
+        # Those of objects keep their numbers.
+        materials.used = list(self.materials)
+        report: dict[str, Any] = {}
+        changed = replace(self.spec, emissivity=spec)
+        valid = (first.flags & FILLED) == 0
+        number, unknown = _learned_map(changed, materials, first.colour, valid, first.texel_m, report)
+        flags = (first.flags & ~np.uint8(UNKNOWN)) | np.where(unknown, UNKNOWN, 0).astype(np.uint8)
+        ground = replace(first, material=number, flags=flags)
+        return replace(
+            self, spec=changed, surfaces=(ground, *self.surfaces[1:]), materials=tuple(materials.used),
+            emissivity_report=report,
+        )  # fmt: skip
+
+    def with_object_temperatures(self, kelvin: Mapping[str, float]) -> "Scene":
+        """Return this scene with static objects of these names at other temperatures [K]."""
+        made = [
+            replace(surface, temperature=np.full_like(surface.temperature, kelvin[name])) if name in kelvin else surface
+            for surface in self.surfaces[self.terrain_count :]
+            for name in (surface.name.split(":")[0],)
+        ]
+        return replace(self, surfaces=(*self.surfaces[: self.terrain_count], *made))
 
     def with_air(self, standard: str, aerosol: str = "none") -> "Scene":
         """Return this scene under a standard atmosphere, in place of its own sky or air.

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from thermorender import files
+from thermorender.defaults import EMISSIVITY_MAP, FALLBACK_MATERIAL
 from thermorender.errors import ThermorenderError
 from thermorender.learned.emissivity import load_map, map_materials
 from thermorender.learned.features import lab
@@ -92,7 +93,8 @@ def orthophoto_of(spec):
     return filled, valid, grid, terrain.texel_size_m(grid, frame)
 
 
-def write_map(folder, output, model="procedural", fallback="soil_loam", confidence=None, without=(), progress=None):
+def write_map(folder, output, model=EMISSIVITY_MAP, fallback=FALLBACK_MATERIAL, confidence=None, without=(),
+              progress=None):  # fmt: skip
     """Return {what: Path} written for a scene: class, probability and confidence rasters and a picture.
 
     Parameters

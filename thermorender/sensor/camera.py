@@ -5,7 +5,7 @@ coordinates are in pixels from the upper left corner of the image, so pixel (row
 [j, j+1] × [i, i+1] and its centre is (j + ½, i + ½).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -98,6 +98,10 @@ class Camera:
         0: linear in irradiance.
     agc_tails_percent : (2,) floats
         Shares of the darkest and of the brightest pixels that the display's gain control lets saturate [%].
+    visible_width : int
+        Pixels across the picture of the visible camera beside it; 0: there is none.
+    visible_field_of_view_deg : (2,) floats
+        Its horizontal and vertical field of view [deg]: square pixels, as many rows as the vertical one holds.
     """
 
     name: str
@@ -144,6 +148,8 @@ class Camera:
     low_gain_netd_mk: float = key(_noise_mk, 0.0)
     tlinear_mk: float = key(choice(0.0, 40.0, 400.0), 0.0)
     agc_tails_percent: tuple = key(number(0.0, 49.0, count=2), (0.5, 0.5))
+    visible_width: int = key(number(0, MOST_PIXELS, whole=True, unit="pixels"), 0)
+    visible_field_of_view_deg: tuple = key(number(1.0, 170.0, count=2), (57.0, 43.0))
 
     def check(self, where, given):
         """Refuse noise of frames, rows and columns that leaves nothing of the whole, and a lens that folds."""
@@ -156,6 +162,19 @@ class Camera:
         # folds, Newton's steps run off to infinity before they are refused.
         with np.errstate(all="ignore"):
             self.directions(_image_edge(self.width, self.height))
+
+    @property
+    def visible_camera(self):
+        """The visible camera beside it, on the same axis and without distortion, as a Camera; None without one."""
+        if not self.visible_width:
+            return None
+        across, along = np.tan(np.radians(np.array(self.visible_field_of_view_deg) / 2.0))
+        rows = round(self.visible_width * along / across)
+        focal_mm = self.visible_width / (2.0 * across) * self.pixel_pitch_um * 1e-3
+        return replace(
+            self, name=f"{self.name}-visible", width=self.visible_width, height=min(max(rows, 1), MOST_PIXELS),
+            focal_length_mm=float(focal_mm), principal_offset_px=(0.0, 0.0), distortion=(0.0,) * 5, visible_width=0,
+        )  # fmt: skip
 
     @property
     def count_range_k(self):

@@ -9,6 +9,7 @@ from dataclasses import replace
 import drjit as dr
 import numpy as np
 
+from thermorender.materials.library import load_library
 from thermorender.physics.sun import direction
 from thermorender.render.geometry import Geometry
 from thermorender.render.heat.conditions import conditions
@@ -129,7 +130,7 @@ def _past(weather, time):
     return dict(zip(middles, shares / shares.sum(axis=0), strict=True))
 
 
-def mapped(scene, times, geometry=None, progress=None):
+def mapped(scene, times, geometry=None, progress=None, material=False):
     """Return a scene with its terrain's temperatures by a learned map that is told relief, hour and weather.
 
     Parameters
@@ -140,6 +141,8 @@ def mapped(scene, times, geometry=None, progress=None):
         UTC, inside the weather.
     geometry, progress
         As of `reliefs`.
+    material : bool
+        Adds the plane "material", numbers into the names of the shipped library in their order: for oracles only.
 
     Returns
     -------
@@ -151,8 +154,13 @@ def mapped(scene, times, geometry=None, progress=None):
 
     spec, surface, model, made = scene.spec, scene.surfaces[0], scene.told_map, {}
     fields = reliefs(scene, times, geometry, progress) if "terrain" in model.needs else dict.fromkeys(times, {})
+    if material:
+        names = sorted(load_library())
+        number = np.array([names.index(each.name) if each.name in names else np.nan for each in scene.materials])
+        own = number.astype(np.float32)[surface.material]
+        fields = {time: {**planes, "material": own} for time, planes in fields.items()}
     for time in fields:
-        sky = spec.sky_temperature if scene.air is None else scene.air.sky_temperature(scene.altitude_m)
+        sky = scene.sky_temperature
         report = {}
         texels = Texels(surface.colour, surface.material, scene.materials, scene.grid, surface.texel_m, scene.where,
                         report)  # fmt: skip

@@ -1,0 +1,546 @@
+"""The comparison of methods with the radiometric render: what it measures, and what it must find."""
+
+import csv
+import json
+import shutil
+from collections import defaultdict
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import thermorender as tr
+from scenes import write_terrain
+from thermorender.errors import ThermorenderError
+from thermorender.footage.radiometric_files import write_tlinear
+from thermorender.learned.correlation import Correlation
+from thermorender.learned.temperature_map import Inputs, TemperatureMap, load_model, save_map
+from thermorender.output.photograph import photograph
+from thermorender.physics.planck import band_radiance, brightness_temperature
+from thermorender.sensor.camera import load_camera, model_path
+from thermorender.validate.referee import (
+    detector,
+    emissivities,
+    methods,
+    provenance,
+    scores,
+    structure,
+    training,
+    views,
+)
+from thermorender.validate.referee.run import Flight, compare
+
+DOWN = [0.0, 1.0, 0.0, 0.0]
+BAND = (7.5, 13.5)
+
+
+def flight(folder, height=8.0, poses=3, step=0.6):
+    """A Flight over a scene's folder, looking straight down."""
+    place = [[step * k, 0.4 * step * k, height] for k in range(poses)]
+    path = tr.Trajectory(np.arange(float(poses)), np.array(place), np.array([DOWN] * poses))
+    return Flight.of(tr.load_scene(folder), path, 1.0)
+
+
+def uniform_map(path, level, name=None, range_k=(280.0, 300.0), **about):
+    """A map that says one temperature of everything: intensity `level` of its range."""
+    model = TemperatureMap(
+        name or path.stem, "correlation-1to1", Correlation(np.zeros((1, 1, 3)), level), range_k, BAND, 0.5, (0.01, 5.0),
+        "zenmuse-xt2", 255.0, "a test", about=about,
+    )  # fmt: skip
+    save_map(model, path)
+    return str(path)
+
+
+def black(folder):
+    """A scene's folder with all of it black."""
+    text = (folder / "scene.toml").read_text()
+    start, end = text.index("[emissivity]"), text.index("[sky]")
+    (folder / "scene.toml").write_text(text[:start] + '[emissivity]\nsource = "constant"\nvalue = 1.0\n' + text[end:])
+    return folder
+
+
+def frames_of(folder, poses, out, change=lambda kelvin, index: kelvin):
+    """Foreign frames of a scene: its own render, changed."""
+    out.mkdir()
+    one = flight(folder, poses=poses)
+    renderer = tr.Renderer(one.scene, rays=8)
+    for index, (time_s, pose) in enumerate(zip(one.times, one.poses, strict=True)):
+        kelvin = renderer.frame(pose, time_s, index).apparent_temperature
+        write_tlinear(out / f"pose_{index:04d}.tif", change(kelvin, index))
+    return out
+
+
+def structured(seed=3, side=64, spread=4.0):
+    """A temperature field with structure of all sizes, (side, side) [K]."""
+    rng = np.random.default_rng(seed)
+    coarse = np.kron(rng.normal(size=(side // 8, side // 8)), np.ones((8, 8)))
+    return 292.0 + spread * (coarse + 0.5 * rng.normal(size=(side, side)))
+
+
+@pytest.fixture(scope="module")
+def ground(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("ground") / "ground"
+    classes = np.ones((64, 64), int)
+    classes[:, 40:] = 2
+    return write_terrain(folder, height=np.zeros((32, 32)), temperature=structured(), classes=classes)
+
+
+def errors(summary, label, stage="radiometric", part="ground"):
+    return summary["methods"][label]["errors"][stage][part]
+
+
+def kinds(summary, label):
+    return {each["kind"] for each in summary["findings"] if each["method"] == label}
+
+
+def test_a_map_that_describes_the_ground_errs_by_nothing_and_is_called_circular(tmp_path):
+    model = load_model("fok-1to1")
+    colour = np.full((32, 32, 3), (150, 110, 90), np.uint8)
+    kinetic = brightness_temperature(model.radiance(Inputs(colour)), *model.band_um)
+    folder = black(write_terrain(tmp_path / "s", height=np.zeros((16, 16)), colour=colour, temperature=kinetic))
+    found = compare([flight(folder, poses=1)], tmp_path / "c", ["fok-1to1"], rays=4)
+    for label in ("B fok-1to1", "C1 fok-1to1"):
+        assert errors(found, label)["mae_k"] < 1e-3, label
+    assert "circular" in kinds(found, "C1 fok-1to1") and "circular" not in kinds(found, "B fok-1to1")
+    page = (tmp_path / "c/report.html").read_text()
+    assert "circular: the reference of s is this method" in page and "class=grave" in page
+    assert json.loads((tmp_path / "c/comparison.json").read_text())["methods"].keys() == found["methods"].keys()
+    assert (tmp_path / "c/pictures/s_0000.png").stat().st_size > 10_000
+
+
+def test_the_published_statistics_follow_from_the_table(ground, tmp_path):
+    found = compare([flight(ground)], tmp_path / "c", [uniform_map(tmp_path / "level.npz", 0.5)], rays=8)
+    sums = defaultdict(lambda: np.zeros(4))
+    with open(tmp_path / "c/pixels.csv", encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            n = int(row["pixels"])
+            values = (float(row[f"{name}_error_k"]) for name in ("mean", "mean_absolute", "root_mean_square"))
+            mean, absolute, square = values
+            sums[row["method"], row["stage"], row["surface"]] += n, n * mean, n * absolute, n * square**2
+    for label in found["methods"]:
+        for stage in ("radiometric", "sensor"):
+            n, mean, absolute, square = sums[label, stage, "ground"]
+            told = errors(found, label, stage)
+            assert told["pixels"] == n
+            assert told["me_k"] == pytest.approx(mean / n, abs=1e-9)
+            assert told["mae_k"] == pytest.approx(absolute / n, abs=1e-9)
+            assert told["sd_k"] == pytest.approx(np.sqrt(square / n - (mean / n) ** 2), abs=1e-6)
+
+
+def test_errors_are_those_of_the_frames(ground, tmp_path):
+    """Against the frames themselves, rendered apart."""
+    level = uniform_map(tmp_path / "level.npz", 0.25)
+    found = compare([flight(ground)], tmp_path / "c", [level], arrays=True, rays=8)
+    one = flight(ground)
+    renderer, off = tr.Renderer(one.scene, rays=8), []
+    cold, warm = band_radiance(np.array([280.0, 300.0]), *BAND)
+    said = brightness_temperature(cold + 0.25 * (warm - cold), *BAND)
+    for index, (time_s, pose) in enumerate(zip(one.times, one.poses, strict=True)):
+        frame = renderer.frame(pose, time_s, index)
+        off.append(said - frame.apparent_temperature[np.isfinite(frame.truth["depth"])].astype(float))
+        kept = np.load(tmp_path / f"c/arrays/ground_{index:04d}.npz")
+        assert np.array_equal(kept["reference"], frame.apparent_temperature) and kept["B_level"].std() < 1e-3
+    off = np.concatenate(off)
+    told = errors(found, "B level")
+    assert told["pixels"] == off.size and told["me_k"] == pytest.approx(off.mean(), abs=2e-4)
+    assert told["mae_k"] == pytest.approx(np.abs(off).mean(), abs=2e-4)
+
+
+@pytest.fixture(scope="module")
+def planted(ground, tmp_path_factory):
+    """A comparison of foreign frames with one fault each."""
+    place = tmp_path_factory.mktemp("planted")
+    other = place / "wrong"
+    shutil.copytree(ground, other)
+    text = (other / "scene.toml").read_text()
+    # Sand taken for a bright metal.
+    (other / "scene.toml").write_text(text.replace('2 = "sand_quartz"', '2 = "paint_metallic"'))
+    folders = {
+        "true": frames_of(ground, 5, place / "true"),
+        "warm": frames_of(ground, 5, place / "warm", lambda kelvin, k: kelvin + 1.0),
+        "shifted": frames_of(ground, 5, place / "shifted", lambda kelvin, k: np.roll(kelvin, 2, axis=1)),
+        "metal": frames_of(other, 5, place / "metal"),
+    }
+    flown = flight(ground, poses=5)
+    return compare([flown], place / "c", [], foreign=folders, arrays=True, rays=8)
+
+
+def test_frames_without_a_fault_are_told_to_have_none(planted):
+    assert kinds(planted, "foreign true") == set() and errors(planted, "foreign true")["mae_k"] < 0.02
+
+
+def test_a_bias_of_one_kelvin_is_found(planted):
+    (finding,) = [each for each in planted["findings"] if each["method"] == "foreign warm"]
+    assert finding["kind"] == "offset" and "offset of +1.00 K" in finding["text"]
+
+
+def test_a_shift_of_two_pixels_is_found(planted):
+    texts = [each["text"] for each in planted["findings"] if each["method"] == "foreign shifted"]
+    assert any("shifted by +2.0 px to the right and +0.0 px down" in text.replace("-0.0", "+0.0") for text in texts), (
+        texts
+    )
+
+
+def test_photographs_that_are_shifted_are_found(ground, tmp_path, monkeypatch):
+    """Held against the same map rendered, whatever it is worth: this one errs by kelvins."""
+
+    def shifted(*args, **kwargs):
+        image, covered = photograph(*args, **kwargs)
+        return np.roll(image, (-2, 2), axis=(0, 1)), covered
+
+    flown = flight(ground, height=25.0)
+    straight = compare([flown], tmp_path / "c", ["fok-1to1"], rays=8)
+    assert "shift" not in kinds(straight, "B fok-1to1")
+    monkeypatch.setattr(views, "photograph", shifted)
+    found = compare([flown], tmp_path / "d", ["fok-1to1"], rays=8)
+    (text,) = [each["text"] for each in found["findings"] if each["kind"] == "shift"]
+    assert text.startswith("B fok-1to1: its pictures are shifted by ") and text.endswith(" against C1 fok-1to1")
+    shift = found["methods"]["B fok-1to1"]["registered"]
+    assert shift["right_px"] == pytest.approx(2.0, abs=0.15) and shift["down_px"] == pytest.approx(-2.0, abs=0.15)
+
+
+def test_a_wrong_emissivity_is_found(planted):
+    texts = [each["text"] for each in planted["findings"] if each["kind"] == "emissivity"]
+    assert texts and all("foreign metal: sand_quartz" in text and "emissivity wrong by -" in text for text in texts)
+
+
+def test_an_emissivity_of_a_rendered_scene_is_held_against_the_true_one(ground):
+    from thermorender.validate.referee.run import _emissivity_differences
+
+    true = tr.load_scene(ground)
+    first = true.surfaces[0]
+    names = [each.name for each in true.materials]
+    wrong = replace(
+        first,
+        material=np.where(first.material == names.index("sand_quartz"), names.index("grass_green"), first.material),
+    )
+    found = _emissivity_differences(replace(true, surfaces=(wrong, *true.surfaces[1:])), true)
+    texels, used, known, total = found["sand_quartz"]
+    own = {each.name: each.band_emissivity(*BAND, 300.0) for each in true.materials}
+    assert texels / total == pytest.approx(24 / 64)
+    assert used / texels == pytest.approx(own["grass_green"], abs=1e-4)
+    assert known / texels == pytest.approx(own["sand_quartz"], abs=1e-4)
+    assert found["grass_green"][1] == pytest.approx(found["grass_green"][2])
+
+
+class _Pairs:
+    """As a Dataset: named, with pictures to train on."""
+
+    def __init__(self, name, pictures):
+        from types import SimpleNamespace
+
+        self.card = {"name": name}
+        self.entries = [SimpleNamespace(key=f"p{k}", part="train", picture=each) for k, each in enumerate(pictures)]
+
+    def pair(self, entry, truth=True):
+        from types import SimpleNamespace
+
+        return SimpleNamespace(visible=entry.picture)
+
+
+def test_a_map_that_has_seen_the_scene_is_found(tmp_path):
+    rng = np.random.default_rng(8)
+    colour = np.kron(rng.integers(30, 220, (32, 32, 3)), np.ones((4, 4, 1), int)).astype(np.uint8)
+    folder = write_terrain(tmp_path / "seen", height=np.zeros((64, 64)), colour=colour, texel=0.5)
+    flown = flight(folder, height=25.0)
+    renderer = tr.Renderer(flown.scene, rays=2)
+    taken = [photograph(renderer, pose)[0] for pose in flown.poses]
+    foreign = rng.integers(0, 255, (3, 512, 640, 3)).astype(np.uint8)
+    leaky = uniform_map(tmp_path / "leaky.npz", 0.5, dataset={"name": "theirs"})
+    fair = uniform_map(tmp_path / "fair.npz", 0.4, dataset={"name": "others"})
+    unknown = uniform_map(tmp_path / "unknown.npz", 0.3)
+    data = [_Pairs("theirs", [*foreign, taken[1]]), _Pairs("others", list(foreign))]
+    found = compare([flown], tmp_path / "c", [leaky, fair, unknown], datasets=data, rays=2)
+    (text,) = {each["text"].split(": ", 1)[1] for each in found["findings"] if each["kind"] == "leak"}
+    assert text.startswith("training has seen seen: 3 of 3 photographs") and "'p3'" in text
+    assert "leak" in kinds(found, "B leaky") and "leak" not in kinds(found, "B fair")
+    assert "not audited" in found["methods"]["B unknown"]["training"]["audited"]
+    assert "3 photographs" in found["methods"]["B fair"]["training"]["audited"]
+
+
+def test_bounds_are_refitted_on_other_lands_of_the_same_hour_and_weather(tmp_path):
+    day = ('[weather]\ntime = 2018-07-28T14:30:00Z\nair_low_c = 9.0\nair_high_c = 22.0\nhumidity = 0.6\n'
+           'wind_m_s = 3.0\ncloud = 0.2\n')  # fmt: skip
+    other = day.replace("14:30", "06:30")
+    rng = np.random.default_rng(1)
+    relief = [rng.uniform(0.0, 0.3, (32, 32)) for _ in range(3)]
+    folders = [
+        black(write_terrain(tmp_path / name, relief[land], structured(land, spread=spread), extra=weather))
+        for name, land, spread, weather in (
+            ("a", 0, 4.0, day), ("b", 1, 1.0, day), ("c", 2, 9.0, other), ("a-again", 0, 30.0, day),
+        )
+    ]  # fmt: skip
+    flown = [flight(folder) for folder in folders]
+    found = compare(flown, tmp_path / "o", ["fok-1to1"], rays=2, samples=1)
+    told = {scene["name"]: scene["campaign"] for scene in found["scenes"]}
+    assert told["c"] is None and told["a"]["lands"] == 1
+    # Those of `a` are the quartiles of what the camera reads over `b` alone.
+    renderer, counts = tr.Renderer(tr.load_scene(folders[1]), rays=2, samples=1), []
+    for index, pose in enumerate(flown[1].poses):
+        frame = renderer.frame(pose, float(index), index)
+        counts.append(frame.counts[np.isfinite(frame.truth["depth"])])
+    first, third = np.quantile(np.concatenate(counts), [0.25, 0.75])
+    camera = flown[1].scene.camera
+    from thermorender.sensor.readout import radiance_from_counts
+
+    ends = radiance_from_counts(np.array([first - 1.5 * (third - first), third + 1.5 * (third - first)]), camera)
+    expected = brightness_temperature(ends, *BAND) - 273.15
+    assert told["a"]["bounds_c"] == pytest.approx(expected, abs=0.02)
+    assert told["a-again"]["bounds_c"] == told["a"]["bounds_c"] and told["b"]["bounds_c"] != told["a"]["bounds_c"]
+    labels = set(found["methods"])
+    assert {
+        "B fok-1to1",
+        "B fok-1to1, refitted",
+        "C1 fok-1to1, refitted",
+        "D constant",
+        "E mean per material",
+    } <= labels
+
+
+def test_terms_add_up_and_each_is_nothing_where_nothing_changes(tmp_path):
+    """A uniform, flat ground in one colour: only reflection and air differ between B and C."""
+    colour = np.full((64, 64, 3), (120, 100, 80), np.uint8)
+    common = {"height": np.zeros((32, 32)), "colour": colour, "texel": 0.5, "classes": np.full((64, 64), 2)}
+    level = uniform_map(tmp_path / "level.npz", 0.5)
+    dark = black(write_terrain(tmp_path / "dark", **common))
+    sand = write_terrain(tmp_path / "sand", **common, sky=200.0)
+    misty = write_terrain(tmp_path / "misty", **common)
+    text = (misty / "scene.toml").read_text()
+    sky = '[atmosphere]\nstandard = "midlatitude-summer"\naerosol = "rural-5km"\n'
+    (misty / "scene.toml").write_text(text[: text.index("[sky]")] + sky + text[text.index("[truth]") :])
+    found = compare([flight(each) for each in (dark, sand, misty)], tmp_path / "c", [level], rays=64)
+    parts = {scene["name"]: scene["terms"]["level"]["terms"] for scene in found["scenes"]}
+    assert all(scene["terms_apart_mk"] <= 1.0 for scene in found["scenes"])
+    for name, own in parts.items():
+        assert own["geometry"]["mae_k"] < 2e-3 and own["emission"]["mae_k"] < 2e-3, name
+        total = sum(own[term]["me_k"] for term in ("geometry", "emission", "reflection", "air", "sensor"))
+        assert total == pytest.approx(own["whole"]["me_k"], abs=1e-3)
+    assert parts["dark"]["reflection"]["mae_k"] < 2e-3 and parts["sand"]["air"]["mae_k"] < 2e-3
+    # The sky of 200 K in place of the 255 K of the training, by hand.
+    scene = tr.load_scene(sand)
+    own = next(each for each in scene.materials if each.name == "sand_quartz")
+    from thermorender.physics.band import emitted_radiance
+    from thermorender.physics.surface import kinetic_temperature
+
+    cold, warm = band_radiance(np.array([280.0, 300.0]), *BAND)
+    apparent = cold + 0.5 * (warm - cold)
+    kelvin = kinetic_temperature(np.array([apparent]), own.emissivity_at, 255.0, BAND, (200.0, 400.0))
+    sent = emitted_radiance(own.emissivity_at, kelvin, *BAND)
+    sent = sent + band_radiance(200.0, *BAND) - emitted_radiance(own.emissivity_at, 200.0, *BAND)
+    change = brightness_temperature(sent, *BAND)[0] - brightness_temperature(apparent, *BAND)
+    assert parts["sand"]["reflection"]["me_k"] == pytest.approx(change, abs=0.02) and change < -0.3
+    assert abs(parts["misty"]["air"]["me_k"]) > 0.02
+
+
+def test_objects_get_no_truth_but_in_the_row_that_says_so(tmp_path):
+    hot = ('[[object]]\nname = "plate"\nshape = "disc"\nsize = [4.0, 4.0, 0.1]\nposition = [0.0, 0.0, 0.05]\n'
+           'temperature = 360.0\nmaterial = "paint_black"\ncolour = [40, 40, 40]\n')  # fmt: skip
+    folder = write_terrain(tmp_path / "s", height=np.zeros((32, 32)), extra=hot)
+    level = uniform_map(tmp_path / "level.npz", 0.5)
+    found = compare([flight(folder, height=15.0)], tmp_path / "c", [level], rays=8)
+    plain, told = (errors(found, label, part="objects")["me_k"] for label in ("C1 level", "C1 level, true objects"))
+    assert plain < -50.0 and abs(told) < 1.0
+    assert errors(found, "B level", part="objects")["me_k"] == pytest.approx(plain, abs=3.0)
+    target = {
+        label: found["methods"][label]["targets"]["objects"]["plate"] for label in ("B level", "C1 level, true objects")
+    }
+    assert target["B level"]["true_contrast_k"] > 50.0 and abs(target["B level"]["contrast_k"]) < 0.1
+    assert target["C1 level, true objects"]["found"] == 1.0 and target["C1 level, true objects"]["offset_px"] < 2.0
+
+
+def test_a_scene_without_truth_has_differences_only(ground, tmp_path):
+    folder = tmp_path / "real"
+    shutil.copytree(ground, folder)
+    text = (folder / "scene.toml").read_text().replace('[truth]\ntemperature = "temperature.tif"\n', "")
+    (folder / "scene.toml").write_text(text)
+    maps = [uniform_map(tmp_path / f"{name}.npz", level) for name, level in (("cool", 0.2), ("warm", 0.4))]
+    found = compare([flight(folder)], tmp_path / "c", maps, rays=8)
+    assert all(own["errors"] is None for own in found["methods"].values())
+    cold, warm = band_radiance(np.array([280.0, 300.0]), *BAND)
+    said = brightness_temperature(cold + np.array([0.2, 0.4]) * (warm - cold), *BAND)
+    pair = next(
+        each for each in found["scenes"][0]["differences"] if (each["one"], each["other"]) == ("B cool", "B warm")
+    )
+    assert pair["me_k"] == pytest.approx(said[1] - said[0], abs=1e-3)
+    page = (tmp_path / "c/report.html").read_text()
+    assert "No true temperature is known of real" in page and "Errors on ground" not in page
+
+
+def test_refusals_leave_nothing_behind(ground, tmp_path):
+    one = flight(ground)
+    level = uniform_map(tmp_path / "level.npz", 0.5)
+    for message, flown, models, extra in (
+        ("models is empty", [one], [], {}),
+        ("two scenes are called 'ground'", [one, one], [level], {}),
+        ("two of the models are called 'level'", [one], [level, level], {}),
+        ("is no folder", [one], [], {"foreign": {"theirs": tmp_path / "none"}}),
+        ("lacks pose_0000.tif for scene 'ground'", [one], [], {"foreign": {"theirs": tmp_path}}),
+    ):
+        with pytest.raises(ThermorenderError, match=message):
+            compare(flown, tmp_path / "c", models, **extra)
+    assert not (tmp_path / "c").exists()
+
+
+def test_names_cannot_break_the_page(ground, tmp_path):
+    nasty = uniform_map(tmp_path / "n.npz", 0.5, name="<script>alert(1)<script>")
+    compare([flight(ground, poses=1)], tmp_path / "c", [nasty], rays=2)
+    page = (tmp_path / "c/report.html").read_text()
+    assert "<script>alert" not in page.replace("\\u003c", "") and "&lt;script&gt;alert" in page
+
+
+def test_spectrum_of_white_noise_is_its_variance():
+    rng = np.random.default_rng(2)
+    known = np.ones((512, 640), bool)
+    total = 0.0
+    for _ in range(8):
+        found = structure.transform(rng.normal(0.0, 0.5, known.shape), known)
+        frequency, density = structure.power(found)
+        total = total + density / 8
+    high = frequency > 0.05
+    assert total[high].mean() == pytest.approx(0.25, rel=0.01) and frequency[-1] == 0.5
+
+
+@pytest.mark.parametrize(("right", "down", "sign"), [(2.0, 0.0, 1), (-3.4, 1.7, 1), (0.0, 5.0, -1), (0.0, 0.0, 1)])
+def test_a_shift_is_measured_to_a_tenth_of_a_pixel(right, down, sign):
+    from scipy.ndimage import fourier_shift, gaussian_filter
+
+    rng = np.random.default_rng(4)
+    image = gaussian_filter(rng.normal(size=(512, 640)), 1.5)
+    moved = np.fft.ifft2(fourier_shift(np.fft.fft2(image), (down, right))).real
+    known = np.ones(image.shape, bool)
+    found = structure.Structure()
+    for _ in range(2):
+        noise = 0.3 * image.std() * rng.normal(size=image.shape)
+        found.add(structure.transform(sign * moved + noise, known), structure.transform(image, known))
+    shift = structure.shift_of(found.correlations)
+    assert shift["right_px"] == pytest.approx(right, abs=0.1) and shift["down_px"] == pytest.approx(down, abs=0.1)
+    assert np.sign(shift["correlation"]) == sign and max(shift["error_px"]) < 0.1
+
+
+def test_ground_is_followed_from_frame_to_frame(ground, tmp_path):
+    """The reference changes by sampling alone; a method that warms by 0.5 K a frame changes by that."""
+    folders = {"drifting": frames_of(ground, 3, tmp_path / "drifting", lambda kelvin, k: kelvin + 0.5 * k)}
+    found = compare([flight(ground)], tmp_path / "c", [], foreign=folders, rays=8)
+    own = found["scenes"][0]["steadiness_k"]
+    assert found["methods"]["foreign drifting"]["steadiness_k"] == pytest.approx(np.hypot(0.5, own), abs=0.03)
+    assert 0.0 < own < 0.5
+
+
+def test_effective_pixels_of_independent_and_of_common_errors():
+    rng = np.random.default_rng(6)
+    pixels, blocks = 400, 150
+    for common, expected in ((False, pixels * blocks), (True, blocks)):
+        error = rng.normal(size=(blocks, pixels if not common else 1)) + np.zeros((blocks, pixels))
+        from thermorender.validate.evaluation import sums
+
+        rows = np.array([sums.row(each) for each in error])
+        found = scores.intervals(rows, None, error.std(), seed=0)
+        assert found["effective_pixels"] == pytest.approx(expected, rel=0.35), common
+        low, high = found["interval_95"]["me_k"]
+        assert low < 0.0 < high or common is False
+
+
+def test_the_wider_of_poses_and_blocks_is_told():
+    from thermorender.validate.evaluation import sums
+
+    rng = np.random.default_rng(7)
+    alike = np.array([sums.row(rng.normal(size=500)) for _ in range(40)])
+    apart = np.array([sums.row(rng.normal(size=500) + offset) for offset in rng.normal(size=40)])
+    assert scores.intervals(alike, apart, 1.0, 0)["drawn"] == "ground blocks"
+    assert scores.intervals(apart, alike, 1.0, 0)["drawn"] == "poses"
+
+
+def test_the_detector_finds_a_disc_and_nothing_in_noise():
+    rng = np.random.default_rng(9)
+    image = rng.normal(8000.0, 10.0, (256, 320))
+    rows, columns = np.mgrid[:256, :320]
+    disc = np.hypot(rows - 100, columns - 200) < 3
+    found = detector.response(image + 60.0 * disc, 5.0)
+    row, column, value = (each[0] for each in detector.peaks(found, 5.0, 5.0))
+    assert np.hypot(row - 100, column - 200) <= 1.5 and value > 8.0
+    assert not len(detector.peaks(detector.response(image, 5.0), 5.0, 6.0)[0])
+
+
+def test_the_emissivity_that_explains_an_error_is_found():
+    """Pixels at two temperatures under a cold sky, ε 0.05 too low on one of two materials."""
+    from types import SimpleNamespace
+
+    kinetic = np.linspace(280.0, 320.0, 20000).reshape(100, 200).astype(np.float32)
+    material = (np.arange(20000).reshape(100, 200) % 2).astype(np.uint8)
+    known = np.ones(kinetic.shape, bool)
+    view = SimpleNamespace(
+        known=known, object=np.full(kinetic.shape, -1), material=material, kinetic=kinetic,
+        material_names=("right", "wrong"), truth_radiance=band_radiance(kinetic.astype(float), *BAND),
+    )  # fmt: skip
+    contrast = emissivities.contrast(view, 240.0, BAND)
+    assert contrast == pytest.approx(view.truth_radiance - band_radiance(240.0, *BAND), rel=1e-5)
+    radiance = view.truth_radiance - 0.05 * np.where(material == 1, contrast, 0.0)
+    error = brightness_temperature(radiance, *BAND) - kinetic
+    found = emissivities.Emissivities()
+    found.add(view, contrast, radiance, error)
+    told = found.summary()
+    assert set(told) == {"wrong"} and told["wrong"]["change"] == pytest.approx(-0.05, abs=1e-4)
+    assert told["wrong"]["share"] == pytest.approx(0.5) and told["wrong"]["explained"] > 0.99
+
+
+def test_the_visible_camera_and_its_registered_picture(ground, tmp_path, call):
+    camera = load_camera("zenmuse-xt2").visible_camera
+    assert camera.field_of_view_deg == pytest.approx((57.12, 42.44), abs=0.01) and camera.width == 4000
+    folder = tmp_path / "s"
+    shutil.copytree(ground, folder)
+    text = model_path("zenmuse-xt2").read_text(encoding="utf-8")
+    (folder / "small.toml").write_text(text.replace("visible_width = 4000", "visible_width = 1600"))
+    with open(folder / "scene.toml", "a", encoding="utf-8") as file:
+        file.write('\n[camera]\nmodel = "small.toml"\n')
+    status, _, told = call("render", folder, "-o", tmp_path / "r", "--pose", "0,0,8,0,-90,0", "--products", "visible",
+                           "--rays", "4")  # fmt: skip
+    assert status == 0, told
+    import cv2
+
+    registered, whole = (cv2.imread(str(tmp_path / f"r/frame_000000_visible{end}.png")).astype(float)
+                         for end in ("", "_camera"))  # fmt: skip
+    assert registered.shape == (512, 640, 3) and whole.shape[1] == 1600
+    # Where a pixel of the thermal camera lies in the wider picture: same axis, another focal length.
+    thermal = load_camera("zenmuse-xt2")
+    scale = 1600 / (2.0 * np.tan(np.radians(57.12 / 2.0))) / thermal.focal_length_px
+    side = whole.shape[0]
+    matrix = np.array(
+        [[scale, 0.0, 800 - 320 * scale - 0.5 + 0.5 * scale], [0.0, scale, side / 2 - 256 * scale - 0.5 + 0.5 * scale]]
+    )
+    laid = cv2.warpAffine(whole, matrix, (640, 512), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+    middle = np.s_[40:-40, 40:-40]
+    assert np.abs(laid[middle] - registered[middle]).mean() < 2.0
+
+
+def test_learned_materials_leave_objects_their_own():
+    scene = tr.load_scene("heath")
+    told = scene.with_learned_materials(methods.learned_materials())
+    for before, after in zip(scene.surfaces[1:], told.surfaces[1:], strict=True):
+        assert [scene.materials[k].name for k in np.unique(before.material)] == [
+            told.materials[k].name for k in np.unique(after.material)
+        ]
+    assert (
+        told.emissivity_report["model"] == "procedural"
+        and told.surfaces[0].material.shape == scene.surfaces[0].material.shape
+    )
+
+
+def test_means_of_the_training_part_are_of_radiance():
+    histogram = training.Histogram()
+    histogram.add(np.array([8000, 8200, 8400, 8600], np.uint16))
+    radiance = band_radiance(np.array([290.0, 300.0]), *BAND)
+    thermal = training.Thermal(
+        "a", "day", histogram, {"grass": 2 * radiance[0], "sand": 2 * radiance[1]}, {"grass": 2, "sand": 2}
+    )
+    own = replace(thermal, land="b")
+    found = training.training_of(own, [thermal, own], load_camera("zenmuse-xt2"))
+    assert found.material_k == pytest.approx({"grass": 290.0, "sand": 300.0}, abs=1e-3)
+    assert found.mean_k == pytest.approx(brightness_temperature(radiance.mean(), *BAND), abs=1e-3)
+    assert training.training_of(own, [own], load_camera("zenmuse-xt2")) is None
+    assert training.training_of(own, [replace(thermal, campaign="night")], load_camera("zenmuse-xt2")) is None
+
+
+def test_provenance_tells_what_a_file_says():
+    model = load_model("procedural-palette")
+    own = provenance.provenance_of(model)
+    assert own.told["data set"] == "campaign" and own.told["pairs"]["train"] == 1620 and "not audited" in own.audited

@@ -1,0 +1,186 @@
+"""Figures of a comparison: error images, errors against run time, spectra, the terms of a difference, and ROC."""
+
+import io
+
+import numpy as np
+
+from thermorender import files
+from thermorender.units import ZERO_CELSIUS_K
+
+_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#F0E442", "#000000")
+_LETTER = {"B": "o", "C1": "s", "C2": "D", "D": "x", "E": "+", "F": "^", "O": "*", "foreign": "P"}
+
+
+def colour_tables():
+    """Return {"temperature", "error"}: 256 colours (red, green, blue) each, 0…255."""
+    from matplotlib import colormaps
+
+    tables = {"temperature": "inferno", "error": "RdBu_r"}
+    return {name: (255.0 * colormaps[table](np.linspace(0.0, 1.0, 256))[:, :3]).round().astype(int).tolist()
+            for name, table in tables.items()}  # fmt: skip
+
+
+def error_images(path, view, seen):
+    """Write the frames of a pose beside the reference and below each how it errs, as PNG; without a reference the
+    frames alone."""
+    figure, pyplot = _figure()
+    labels = list(seen)
+    columns = min(6, len(labels) + 1)
+    bands = -(-(len(labels) + 1) // columns)
+    rows = bands * (2 if view.truth is not None else 1)
+    height, width = view.known.shape
+    size = 2.4 * columns, 2.4 * rows * height / width + 0.25 * bands + 0.7
+    drawing = figure(figsize=size, layout="constrained")
+    axes = drawing.subplots(rows, columns, squeeze=False)
+    base = view.truth if view.truth is not None else seen[labels[0]]
+    warm = base[view.known & np.isfinite(base)] - ZERO_CELSIUS_K
+    low, high = np.percentile(warm, [1, 99]) if warm.size else (0.0, 1.0)
+    errors = {label: np.where(view.known, image - view.truth, np.nan) for label, image in seen.items()
+              } if view.truth is not None else {}  # fmt: skip
+    off = (
+        np.concatenate([np.abs(error[np.isfinite(error)][::17]) for error in errors.values()])
+        if errors
+        else np.zeros(0)
+    )
+    limit = float(np.percentile(off, 95)) if off.size else 1.0
+    step = 2 if errors else 1
+    shown = drawn = None
+    for number, label in enumerate(["reference" if view.truth is not None else "photograph", *labels]):
+        axis = axes[number // columns * step, number % columns]
+        image = base if label == "reference" else seen.get(label)
+        if image is None:
+            axis.imshow(view.visible)
+        else:
+            shown = axis.imshow(
+                np.where(view.known, image - ZERO_CELSIUS_K, np.nan), cmap="inferno", vmin=low, vmax=high
+            )
+        axis.set_title(label, fontsize=7)
+        if errors:
+            below = axes[number // columns * step + 1, number % columns]
+            if label == "reference":
+                below.imshow(view.visible)
+            else:
+                drawn = below.imshow(errors[label], cmap="RdBu_r", vmin=-limit, vmax=limit)
+    for axis in axes.ravel():
+        axis.set_axis_off()
+    below = axes[-1, : columns // 2].tolist(), axes[-1, columns // 2 :].tolist()
+    for image, place, words in ((shown, below[0], "apparent temperature [°C]"), (drawn, below[1], "error [K]")):
+        if image is not None and place:
+            drawing.colorbar(image, ax=place, label=words, location="bottom", aspect=30, shrink=0.8)
+    with files.atomic(path) as part:
+        drawing.savefig(part, dpi=90, format="png")
+    pyplot.close(drawing)
+
+
+def against_time(summary):
+    """Return a PNG (bytes) of mean absolute error on ground against seconds per frame, or None."""
+    scored = [(own, own["errors"]["radiometric"]["ground"]) for own in summary["methods"].values() if own["errors"]]
+    # An error of exactly 0 has no place on a logarithmic scale.
+    scored = [(own, error) for own, error in scored if error["mae_k"] and own["seconds_per_frame"]]
+    if not scored:
+        return None
+    figure, pyplot = _figure()
+    drawing = figure(figsize=(8.0, 4.6), layout="constrained")
+    axis = drawing.subplots()
+    names = list(dict.fromkeys(own["map"] for own, _ in scored))
+    used = set()
+    for own, error in scored:
+        ends = (error.get("interval_95") or {}).get("mae_k")
+        bars = None if ends is None else [[max(error["mae_k"] - ends[0], 0.0)], [max(ends[1] - error["mae_k"], 0.0)]]
+        label = own["map"] if own["map"] not in used else None
+        used.add(own["map"])
+        axis.errorbar(1e3 * own["seconds_per_frame"], error["mae_k"], yerr=bars, marker=_LETTER[own["letter"]], ls="",
+                      color=_COLOURS[names.index(own["map"]) % len(_COLOURS)], label=label, capsize=2,
+                      mfc="none" if own["bounds"] == "refitted" else None)  # fmt: skip
+    axis.set(xscale="log", yscale="log", xlabel="run time [ms per frame]", ylabel="mean absolute error on ground [K]",
+             title="○ 2D translation  □ rendered  ◇ learned materials; hollow: refitted bounds")  # fmt: skip
+    axis.grid(alpha=0.3, which="both")
+    axis.legend(fontsize=7, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return _png(drawing, pyplot)
+
+
+def spectra(summary):
+    """Return a PNG (bytes) of the power of the methods and of the reference against spatial frequency, or None."""
+    references = [each["spectrum"] for each in summary["scenes"] if each["spectrum"]]
+    curves = {label: own["structure"]["spectrum"] for label, own in summary["methods"].items()
+              if own["structure"]["spectrum"] and own["letter"] in ("B", "C1", "O", "foreign", "F")}  # fmt: skip
+    # One without any structure has no place on a logarithmic scale.
+    curves = {label: curve for label, curve in curves.items() if min(curve["k2_px2"]) > 0.0}
+    if not references or not curves or not min(references[0]["k2_px2"]) > 0.0:
+        return None
+    figure, pyplot = _figure()
+    drawing = figure(figsize=(8.0, 4.6), layout="constrained")
+    axis = drawing.subplots()
+    weight = np.array([each["poses"] for each in summary["scenes"] if each["spectrum"]], float)
+    frequency = references[0]["cycles_per_px"]
+    mean = np.average([each["k2_px2"] for each in references], axis=0, weights=weight)
+    axis.plot(frequency, mean, color="black", lw=2.5, label="reference")
+    for number, (label, curve) in enumerate(curves.items()):
+        axis.plot(curve["cycles_per_px"], curve["k2_px2"], color=_COLOURS[number % 8], lw=1.0,
+                  ls="-" if label[0] == "B" else "--", label=label)  # fmt: skip
+    axis.set(
+        xscale="log", yscale="log", xlabel="spatial frequency [cycles/px]", ylabel="power spectral density [K² px²]"
+    )
+    axis.grid(alpha=0.3, which="both")
+    axis.legend(fontsize=6, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return _png(drawing, pyplot)
+
+
+def terms(summary, names):
+    """Return a PNG (bytes) of the mean absolute size of the terms between B and C, per map over all scenes."""
+    total = {}
+    for scene in summary["scenes"]:
+        for name, pair in scene["terms"].items():
+            for term in (*names, "whole"):
+                own = pair["terms"][term]
+                if own["pixels"]:
+                    row = total.setdefault(name, {}).setdefault(term, np.zeros(2))
+                    row += np.array([own["mae_k"], 1.0]) * own["pixels"]
+    if not total:
+        return None
+    figure, pyplot = _figure()
+    drawing = figure(figsize=(8.0, 1.2 + 0.5 * len(total)), layout="constrained")
+    axis = drawing.subplots()
+    for number, term in enumerate((*names, "whole")):
+        place = np.arange(len(total)) + (number - len(names) / 2.0) * 0.13
+        values = [own[term][0] / own[term][1] if term in own else 0.0 for own in total.values()]
+        axis.barh(place, values, height=0.12, color=_COLOURS[number % 8] if term != "whole" else "black", label=term)
+    axis.set_yticks(range(len(total)), list(total), fontsize=8)
+    axis.invert_yaxis()
+    axis.set(xlabel="mean absolute size [K]")
+    axis.legend(fontsize=7, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return _png(drawing, pyplot)
+
+
+def roc(summary):
+    """Return a PNG (bytes) of the share of targets that a plain detector finds, against its false alarms."""
+    curves = {label: own["targets"]["roc"] for label, own in summary["methods"].items() if own["targets"]["roc"]}
+    if not curves:
+        return None
+    figure, pyplot = _figure()
+    drawing = figure(figsize=(8.0, 4.6), layout="constrained")
+    axis = drawing.subplots()
+    for number, (label, curve) in enumerate(curves.items()):
+        x, y = np.array(curve)[:, :2].T
+        axis.step(np.maximum(x, 1e-2), y, where="post", color=_COLOURS[number % 8], lw=1.0,
+                  ls="-" if label[0] == "B" else "--", label=label)  # fmt: skip
+    axis.set(xscale="log", xlabel="false alarms per frame", ylabel="share of targets found", ylim=(-0.02, 1.02))
+    axis.grid(alpha=0.3)
+    axis.legend(fontsize=6, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return _png(drawing, pyplot)
+
+
+def _figure():
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    return pyplot.figure, pyplot
+
+
+def _png(drawing, pyplot):
+    content = io.BytesIO()
+    drawing.savefig(content, dpi=100, format="png")
+    pyplot.close(drawing)
+    return content.getvalue()

@@ -1,0 +1,1 @@
+"""The referee: learned 2D translation against the radiometric render of the same poses, in kelvin."""

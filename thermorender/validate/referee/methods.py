@@ -1,0 +1,293 @@
+"""What is put beside the reference: each method is one way to an infrared frame of a pose.
+
+By letter: *B*, a learned map applied to the photograph of the pose, as the published 2D methods do. *C*, the same map
+applied to the orthophoto, its apparent temperatures turned into kinetic ones, and that scene rendered: *C1* with the
+true materials, *C2* with learned ones. *D*, one constant, and *E*, one temperature per material, both of thermal frames
+of other lands in the same hour and weather. *F*, the heat balance of tables and the weather that is told. *O*, an
+oracle: a map told the true material. Frames of another program stand under its own name.
+
+No object's true temperature is given to B to O: their own comes from the map, by their colour, or else from the table
+of their material. What does know more than a method could says so in `knows`.
+"""
+
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from thermorender.defaults import EMISSIVITY_MAP, FALLBACK_MATERIAL
+from thermorender.errors import ThermorenderError
+from thermorender.footage.radiometric_files import read_temperature
+from thermorender.learned.apply import kinetic_from_map
+from thermorender.learned.temperature_map import Inputs
+from thermorender.physics.planck import band_radiance
+from thermorender.render.heat.conditions import conditions
+from thermorender.render.heat.relief import NAMES, mapped, reliefs
+from thermorender.render.renderer import Renderer
+from thermorender.scene.spec import EmissivitySpec, TemperatureSpec
+
+LETTERS = ("B", "C1", "C2", "D", "E", "F")
+PUBLISHED, REFITTED = "published", "refitted"
+# Side of the uniform picture by which a map is asked for an object's temperature: the multiple that networks take [px].
+_PATCH_PX = 256
+
+
+@dataclass
+class Method:
+    """One way to an infrared frame.
+
+    Attributes
+    ----------
+    letter : str
+        "B", "C1", "C2", "D", "E", "F", "O", "foreign".
+    name : str
+        Of the map, or what stands in its place.
+    bounds : str or None
+        Whose temperatures intensity 0 and 1 are, "published" or "refitted"; None where there are none.
+    knows : str
+        What it is told that a translation of a photograph is not.
+    model : TemperatureMap or None
+    renderer : Renderer or None
+        Of the scene that is rendered.
+    kelvin : dict of str to float
+        Temperatures of the objects in that [K].
+    paint : callable or None
+        (view) → radiance, for those that are neither translated nor rendered.
+    seconds : list of float
+        Of each frame.
+    once_s : float
+        What solving its light took, once for a scene [s].
+    """
+
+    letter: str
+    name: str
+    bounds: str | None = None
+    knows: str = ""
+    model: Any = None
+    renderer: Any = None
+    kelvin: dict = field(default_factory=dict)
+    paint: Any = None
+    seconds: list = field(default_factory=list)
+    once_s: float = 0.0
+
+    @property
+    def label(self):
+        """Its name in tables: letter, map, bounds, and what it knows of objects."""
+        told = [f"{self.letter} {self.name}"]
+        told += [self.bounds] if self.bounds == REFITTED else []
+        told += ["true objects"] if self.knows == "the objects" else []
+        return ", ".join(told)
+
+    def radiance(self, view):
+        """Return the band radiance (H, W) that it gives of a View [W m⁻² sr⁻¹]."""
+        began = time.perf_counter()
+        if self.renderer is not None:
+            tracked = [item.name for item in self.renderer.scene.tracked_objects]
+            objects = {name: {"temperature_k": self.kelvin[name]} for name in tracked if name in self.kelvin}
+            found = self.renderer.radiance(view.pose, view.time_s, objects)
+        elif self.paint is not None:
+            found = self.paint(view)
+        else:
+            found = self.model.radiance(Inputs(view.visible, view.texel_m))
+        self.seconds.append(time.perf_counter() - began)
+        return found
+
+
+def translated(model, bounds_c=None):
+    """Return the B methods of a map: with its own bounds, and where given with others [°C]."""
+    made = [Method("B", model.name, _bounds(model), model=model)]
+    if bounds_c is not None and _bounds(model):
+        made.append(Method("B", model.name, REFITTED, model=model.ranged(bounds_c)))
+    return made
+
+
+def rendered(scene, text, model, reference, bounds_c=None, true_materials=True, learned=None, settings=None):
+    """Return the C methods of a map in a scene: C1 of each bounds and once told the true objects, C2 of the best.
+
+    Parameters
+    ----------
+    scene : Scene
+    text : str
+        The map's name or file.
+    model : TemperatureMap
+    reference : Renderer
+        Of the same surfaces.
+    bounds_c : (2,) floats, optional
+        Refitted bounds [°C].
+    true_materials : bool
+        Whether C1 is among them.
+    learned : Scene, optional
+        The same with learned materials, for C2.
+    settings : dict, optional
+        Passed to Renderer.
+    """
+    made, settings = [], settings or {}
+    every = [(_bounds(model), None)]
+    if bounds_c is not None and _bounds(model):
+        every.append((REFITTED, tuple(bounds_c)))
+
+    def method(letter, warm, which, knows, kelvin):
+        renderer = Renderer(warm.with_object_temperatures(kelvin), like=reference, **settings)
+        return Method(letter, model.name, which, knows, ranged, renderer, kelvin)
+
+    for which, limits in every:
+        source = TemperatureSpec(source="learned", model=str(text), range_c=limits)
+        ranged = model if limits is None else model.ranged(limits)
+        kelvin = object_temperatures(scene, ranged, reference)
+        if true_materials:
+            warm = scene.with_temperature(source)
+            made.append(method("C1", warm, which, "the materials", kelvin))
+    if true_materials and scene.spec.objects:
+        made.append(method("C1", warm, which, "the objects", {}))
+    if learned is not None:
+        made.append(method("C2", learned.with_temperature(source), which, "", kelvin))
+    return made
+
+
+def balanced(scene, reference, settings=None):
+    """Return the method F of a scene: its heat balance with table values."""
+    solved = scene.with_temperature(TemperatureSpec(source="balance"))
+    kelvin = {item.name: _own_temperature(scene, item) for item in scene.spec.objects}
+    renderer = Renderer(solved.with_object_temperatures(kelvin), like=reference, **(settings or {}))
+    return Method("F", "heat balance of tables", None, "the materials", renderer=renderer, kelvin=kelvin)
+
+
+def oracle(scene, text, model, reference, settings=None):
+    """Return the method O of a scene: a map that is shown the material of each texel, too."""
+    told = scene.with_temperature(TemperatureSpec(source="learned", model=str(text)))
+    kelvin = {item.name: _own_temperature(scene, item) for item in scene.spec.objects}
+    (solved,) = mapped(told, [scene.time], reference.baked.geometry, material=True)
+    renderer = Renderer(solved.with_object_temperatures(kelvin), like=reference, **(settings or {}))
+    return Method("O", model.name, None, "the materials", model, renderer, kelvin)
+
+
+def painted(training, band_um):
+    """Return the methods D and E of a Training; and the reference's own mean, which knows it."""
+
+    def of_kelvin(kelvin):
+        return band_radiance(kelvin, *band_um)
+
+    def own_mean(view):
+        known = view.truth_radiance[view.known]
+        return np.full(view.known.shape, known.mean(dtype=np.float64) if known.size else np.nan)
+
+    made = [Method("D", "the frame's own mean", None, "the reference's mean", paint=own_mean)]
+    if training is not None:
+        constant = of_kelvin(training.mean_k)
+        made.insert(0, Method("D", "constant", None, "", paint=lambda view: np.full(view.known.shape, constant)))
+
+        def per_material(view):
+            names = view.material_names
+            kelvin = [training.material_k.get(name, training.mean_k) for name in names]
+            table = of_kelvin(np.array([*kelvin, training.mean_k]))
+            return table[np.minimum(view.material, len(names))]
+
+        made.insert(1, Method("E", "mean per material", None, "the materials", paint=per_material))
+    return made
+
+
+class Foreign:
+    """Frames of another program for the same poses: a folder of `pose_0000.tif` and so on, which tell their unit.
+
+    Parameters
+    ----------
+    name : str
+    folder : Path
+
+    Raises
+    ------
+    ThermorenderError
+        No folder.
+    """
+
+    def __init__(self, name, folder):
+        if not folder.is_dir():
+            raise ThermorenderError(f"--foreign {name}={folder} is no folder; give one with pose_0000.tif and so on")
+        self.name, self.folder = name, folder
+
+    def check(self, scene_name, count):
+        """Refuse a folder that lacks a pose's frame; frames of several scenes lie in folders of their names."""
+        for index in range(count):
+            path = self.path(scene_name, index)
+            if not path.is_file():
+                raise ThermorenderError(
+                    f"--foreign {self.name}={self.folder} lacks {path.name} for scene {scene_name!r}; give a "
+                    f"temperature TIFF of each of the {count} poses, in a folder of the scene's name where there are "
+                    "several"
+                )
+
+    def path(self, scene_name, index):
+        """Return the path of a pose's frame."""
+        own = self.folder / scene_name
+        return (own if own.is_dir() else self.folder) / f"pose_{index:04d}.tif"
+
+    def method(self, scene_name, band_um):
+        """Return it as a Method for a scene."""
+
+        def paint(view):
+            path = self.path(scene_name, view.index)
+            kelvin = read_temperature(path)
+            if kelvin.shape != view.known.shape:
+                height, width = view.known.shape
+                raise ThermorenderError(
+                    f"{path} has {kelvin.shape[1]}×{kelvin.shape[0]} pixels; the camera has {width}×{height}, give "
+                    "frames of that size"
+                )
+            return band_radiance(kelvin, *band_um)
+
+        return Method("foreign", self.name, None, "", paint=paint)
+
+
+def object_temperatures(scene, model, reference):
+    """Return {object: kelvin} that a map gives objects by their colour, the material's own where it cannot be trusted.
+
+    A picture of one colour is shown to the map, as wide as networks need; one that is told relief and hour is told
+    those of the texel under the object.
+    """
+    if not scene.spec.objects:
+        return {}
+    surfaces = {surface.name.split(":")[0]: surface for surface in scene.surfaces[scene.terrain_count :]}
+    surfaces |= {item.name: item.surfaces[0] for item in scene.tracked_objects}
+    planes, told, sky, found = {}, {}, None, {}
+    if model.needs:
+        told, sky = conditions(scene.weather, scene.time), scene.sky_temperature
+        if "terrain" in model.needs:
+            planes = reliefs(scene, [scene.time], reference.baked.geometry)[scene.time]
+    for item in scene.spec.objects:
+        surface = surfaces[item.name]
+        patch = np.empty((_PATCH_PX, _PATCH_PX, 3), np.uint8)
+        patch[:] = np.round(surface.colour.reshape(-1, 3).mean(axis=0))
+        at = _texel_of(scene, item)
+        terrain = {name: np.full(patch.shape[:2], planes[name].flat[at], np.float32) for name in NAMES if planes}
+        material = np.full(patch.shape[:2], surface.material.flat[0])
+        inputs = Inputs(patch, scene.surfaces[0].texel_m, terrain, told)
+        stand_in = told["air_k"] if told else None
+        kelvin, *_ = kinetic_from_map(model, inputs, material, scene.materials, sky, stand_in)
+        found[item.name] = float(kelvin[_PATCH_PX // 2, _PATCH_PX // 2])
+    return found
+
+
+def _texel_of(scene, item):
+    """Flat number of the terrain's texel nearest to an object's place."""
+    first = scene.surfaces[0]
+    rows, columns = first.material.shape
+    low, high = first.vertices.min(axis=0), first.vertices.max(axis=0)
+    share = (np.array(item.position[:2]) - low[:2]) / np.maximum(high[:2] - low[:2], 1e-9)
+    column, row = np.clip([share[0] * columns, (1.0 - share[1]) * rows], 0, [columns - 1, rows - 1]).astype(int)
+    return int(row * columns + column)
+
+
+def _own_temperature(scene, item):
+    """The temperature that an object's material has by its table [K]."""
+    return next(each.temperature for each in scene.materials if each.name == item.material)
+
+
+def _bounds(model):
+    """ "published" for a map of intensities, None for one that gives kelvin above the air."""
+    return None if model.predictor.above_air else PUBLISHED
+
+
+def learned_materials(model=EMISSIVITY_MAP, fallback=FALLBACK_MATERIAL):
+    """Return the EmissivitySpec of materials by a learned map, with the material of texels that it does not know."""
+    return EmissivitySpec(source="learned", model=model, fallback=fallback)

@@ -1,0 +1,183 @@
+"""Errors of methods as sums that add up: by pose, material, object, range, view angle and edges, and by ground block.
+
+An error is the apparent temperature that a method gives less the reference's. Pixels of one pose err alike, and so does
+one piece of ground in every pose that sees it; intervals of means are therefore those of whole poses or of whole blocks
+of ground drawn with replacement, whichever are wider (Künsch 1989, doi:10.1214/aos/1176347265, for the blocks). They
+tell what other poses over this land would bring, not what another land would.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from thermorender.validate.evaluation import sums
+from thermorender.validate.evaluation.classes import EDGES, edge_class
+
+RADIOMETRIC, SENSOR = "radiometric", "sensor"
+STAGES = (RADIOMETRIC, SENSOR)
+GROUND = "ground"
+NO_MATERIAL = 255
+# Limits of the classes of range [m] and of the angle between line of sight and plumb line [deg].
+RANGES_M = (50.0, 100.0, 200.0, 400.0, 800.0)
+ANGLES_DEG = (15.0, 30.0, 45.0, 60.0, 75.0)
+# A land is cut into so many blocks a side.
+BLOCKS = 8
+
+
+def class_names(limits, unit):
+    """Return the names of the classes between limits: "below 50 m", "50–100 m", …, "above 800 m"."""
+    inner = [f"{low:g}–{high:g} {unit}" for low, high in zip(limits[:-1], limits[1:], strict=True)]
+    return [f"below {limits[0]:g} {unit}", *inner, f"above {limits[-1]:g} {unit}"]
+
+
+CLASSES = {
+    "edges": list(EDGES),
+    "range": class_names(RANGES_M, "m"),
+    "view angle": class_names(ANGLES_DEG, "°"),
+}
+
+
+class PixelClasses:
+    """Which classes the known pixels of a View belong to, as flat numbers.
+
+    Parameters
+    ----------
+    view : View
+    objects : sequence of str
+        Names of the scene's objects.
+    corners : (2, 2) array
+        Lowest and highest east and north of the terrain [m].
+    """
+
+    def __init__(self, view, objects, corners):
+        known = view.known
+        self.known, self.surfaces = known, [GROUND, *objects]
+        surface = view.object[known] + 1
+        offset = view.position[known] - view.pose[:3, 3].astype(np.float32)
+        distance = np.maximum(np.linalg.norm(offset, axis=-1), 1e-6)
+        slant = np.degrees(np.arccos(np.clip(-offset[:, 2] / distance, -1.0, 1.0)))
+        parts = (
+            edge_class(np.where(known, view.truth, np.nan))[known], np.digitize(distance, RANGES_M),
+            np.digitize(slant, ANGLES_DEG),
+        )  # fmt: skip
+        self._shape = (len(self.surfaces), NO_MATERIAL + 1, *(len(names) for names in CLASSES.values()))
+        self._flat = np.ravel_multi_index((surface, view.material[known], *parts), self._shape)
+        low, high = np.asarray(corners, np.float64)
+        cell = (view.position[known][:, :2] - low) / np.maximum(high - low, 1e-9) * BLOCKS
+        cell = np.clip(cell.astype(int), 0, BLOCKS - 1)
+        self._block = np.where(surface == 0, cell[:, 1] * BLOCKS + cell[:, 0], BLOCKS * BLOCKS)
+
+    def sums(self, error):
+        """Return the rows of sums of an error (n,) of the known pixels [K]: (surface, material, …classes, 5)."""
+        size = int(np.prod(self._shape))
+        return sums.rows_by(error, self._flat, size).reshape(*self._shape, sums.WIDTH)
+
+    def block_sums(self, error):
+        """Return the rows of sums of the ground's blocks, (BLOCKS², 5)."""
+        return sums.rows_by(error, self._block, BLOCKS * BLOCKS + 1)[:-1]
+
+
+@dataclass
+class Tally:
+    """What a method errs, over all scenes.
+
+    Attributes
+    ----------
+    poses : dict of (stage, part) to list of ((scene, pose), (5,) array)
+        Sums of each pose; parts are "ground", "with objects" and "objects".
+    blocks : dict of (land, block) to (5,) array
+        Of the ground, radiometric.
+    groups : dict of (stage, grouping, class) to (5,) array
+        Of ground and objects.
+    scenes : dict of (stage, scene) to (5,) array
+        Of ground and objects.
+    """
+
+    poses: dict = field(default_factory=dict)
+    blocks: dict = field(default_factory=dict)
+    groups: dict = field(default_factory=dict)
+    scenes: dict = field(default_factory=dict)
+
+    def add(self, scene, land, view, stage, classes, error):
+        """Add the error (n,) of a View's known pixels; return its rows: [(surface, material, (5,) sums)]."""
+        found = classes.sums(error)
+        by_surface = found.reshape(len(classes.surfaces), -1, sums.WIDTH).sum(axis=1)
+        parts = {"ground": by_surface[0], "objects": by_surface[1:].sum(axis=0), "with objects": by_surface.sum(axis=0)}
+        for part, row in parts.items():
+            self.poses.setdefault((stage, part), []).append(((scene, view.index), row))
+        _into(self.scenes, (stage, scene), parts["with objects"])
+        materials = found.sum(axis=(2, 3, 4))
+        for number in np.flatnonzero(materials[..., 0].any(axis=0) | materials[..., 4].any(axis=0)):
+            _into(self.groups, (stage, "material", _material(view, number)), materials[:, number].sum(axis=0))
+        for axis, (grouping, names) in enumerate(CLASSES.items()):
+            rest = tuple(k for k in range(5) if k != axis + 2)
+            for name, row in zip(names, found.sum(axis=rest), strict=True):
+                if row.any():
+                    _into(self.groups, (stage, grouping, name), row)
+        for name, row in zip(classes.surfaces, by_surface, strict=True):
+            if row.any():
+                _into(self.groups, (stage, "surface", name), row)
+        if stage == RADIOMETRIC:
+            for number, row in enumerate(classes.block_sums(error)):
+                if row[0]:
+                    _into(self.blocks, (land, number), row)
+        used = np.argwhere(materials.any(axis=-1))
+        return [(classes.surfaces[s], _material(view, m), materials[s, m]) for s, m in used]
+
+    def summary(self, seed):
+        """Return {stage: {part: statistics}}, plain numbers; of the ground, radiometric, with intervals."""
+        told = {stage: {} for stage in STAGES}
+        for (stage, part), rows in self.poses.items():
+            own = np.array([row for _, row in rows])
+            found = sums.summary(own.sum(axis=0))
+            if found["pixels"]:
+                blocks = np.array(list(self.blocks.values())) if (stage, part) == (RADIOMETRIC, "ground") else None
+                found |= intervals(own, blocks, found["sd_k"], seed)
+            told[stage][part] = found
+        return told
+
+    def grouped(self):
+        """Return {stage: {grouping: {class: statistics}}}, plain numbers."""
+        told = {}
+        for (stage, grouping, name), row in self.groups.items():
+            told.setdefault(stage, {}).setdefault(grouping, {})[name] = sums.summary(row)
+        for (stage, name), row in self.scenes.items():
+            told.setdefault(stage, {}).setdefault("scene", {})[name] = sums.summary(row)
+        return told
+
+
+def intervals(poses, blocks, sd_k, seed):
+    """Return {interval_95: {me_k, mae_k}, drawn, effective_pixels}: those of poses or of ground blocks, the wider.
+
+    Parameters
+    ----------
+    poses, blocks : (n, 5) arrays of sums
+        `blocks` may be None.
+    sd_k : float
+        Standard deviation of single pixels [K].
+    seed : int
+
+    Notes
+    -----
+    The effective number of pixels is (σ / standard error of the mean error)²: so many independent pixels would tell the
+    mean as well.
+    """
+    found = []
+    for what, rows in (("poses", poses), ("ground blocks", blocks)):
+        if rows is not None and (rows[:, 0] > 0).sum() > 1:
+            ends = sums.intervals(rows, np.arange(len(rows)), seed)
+            found.append((ends["me_k"][1] - ends["me_k"][0], what, ends))
+    if not found:
+        return {"interval_95": {"me_k": None, "mae_k": None}, "drawn": None, "effective_pixels": None}
+    width, what, ends = max(found, key=lambda each: each[0])
+    # A normal law's 95 % are 3.92 standard errors wide.
+    effective = (sd_k / (width / 3.92)) ** 2 if width > 0.0 else None
+    return {"interval_95": ends, "drawn": what, "effective_pixels": effective}
+
+
+def _into(where, key, row):
+    where[key] = where[key] + row if key in where else row.copy()
+
+
+def _material(view, number):
+    return view.material_names[number] if number < len(view.material_names) else "none"

@@ -1,0 +1,208 @@
+"""Where the structure of a picture lies: its power spectrum, its shift against the reference, and its steadiness.
+
+A mean error says nothing of these. A translation that blurs has too little power at high frequencies, one that was
+registered badly is shifted, and one that changes its mind between frames makes the same ground warmer and colder as
+the camera moves.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+# Side of the square in the middle of a picture whose spectrum is taken, at most [px], and shifts that are looked for.
+_SIDE, _MOST_SHIFT = 512, 16
+# Only fine structure tells a shift: broader than this is left out [px].
+_FINE_PX = 6.0
+# Ground points are followed from one frame to the next in each direction every so many pixels, and count where the
+# depths agree within this share.
+_EVERY, _SAME_DEPTH = 2, 0.02
+
+
+def window(shape):
+    """Return (rows, columns) slices of the square in the middle of a picture, and its Hann window."""
+    side = min(_SIDE, *shape)
+    top, left = (shape[0] - side) // 2, (shape[1] - side) // 2
+    taper = np.hanning(side + 2)[1:-1]
+    return (slice(top, top + side), slice(left, left + side)), np.outer(taper, taper).astype(np.float32)
+
+
+def transform(image, known):
+    """Return the two-dimensional Fourier transform of a picture's middle, (N, N) complex64, its mean taken out.
+
+    Parameters
+    ----------
+    image : (H, W) array
+        [K]
+    known : (H, W) bool
+        Elsewhere it has the mean.
+    """
+    from scipy import fft
+
+    where, taper = window(image.shape)
+    inside, here = np.asarray(image[where], np.float32), known[where] & np.isfinite(image[where])
+    mean = inside[here].mean(dtype=np.float64) if here.any() else 0.0
+    return fft.fft2(np.where(here, inside - np.float32(mean), np.float32(0.0)) * taper)
+
+
+def power(found):
+    """Return (frequency [cycles/px], power [K² px²]) of a transform, means over rings.
+
+    Notes
+    -----
+    Divided by the window's energy, so that white noise of variance σ² has the density σ² at all frequencies.
+    """
+    side = len(found)
+    taper = window((side, side))[1]
+    density = np.abs(found) ** 2 / (taper.astype(np.float64) ** 2).sum()
+    frequency = np.fft.fftfreq(side)
+    radius = np.hypot(frequency[:, None], frequency[None])
+    ring = np.rint(radius * side).astype(int)
+    count = np.bincount(ring.ravel())[: side // 2 + 1]
+    total = np.bincount(ring.ravel(), density.ravel())[: side // 2 + 1]
+    return np.arange(1, side // 2 + 1) / side, (total / count)[1:]
+
+
+@dataclass
+class Structure:
+    """Spectrum and shift of a method, over all poses.
+
+    Attributes
+    ----------
+    power, frequency : array or None
+        Sum over poses of the power at each frequency [cycles/px].
+    poses : int
+    correlations : list of (array, float)
+        Of each pose: cross-correlation with the reference at small shifts, as by `correlation`, and its scale.
+    """
+
+    power: np.ndarray | None = None
+    frequency: np.ndarray | None = None
+    poses: int = 0
+    correlations: list = field(default_factory=list)
+
+    def add(self, found, reference):
+        """Add the transform of a pose, and its correlation with that of the reference."""
+        self.frequency, density = power(found)
+        self.power = density if self.power is None else self.power + density
+        self.poses += 1
+        self.correlations.append(correlation(found, reference))
+
+    def summary(self):
+        """Return plain numbers: {"shift", "spectrum"}, the spectrum in 24 steps."""
+        spectrum = None
+        if self.power is not None:
+            edges = np.geomspace(self.frequency[0], 0.5, 25)
+            step = np.clip(np.digitize(self.frequency, edges) - 1, 0, 23)
+            rows = [(self.frequency[step == k].mean(), self.power[step == k].mean() / self.poses)
+                    for k in range(24) if (step == k).any()]  # fmt: skip
+            spectrum = {"cycles_per_px": [float(f) for f, _ in rows], "k2_px2": [float(p) for _, p in rows]}
+        return {"shift": shift_of(self.correlations), "spectrum": spectrum}
+
+
+def shift_of(correlations):
+    """Return {"right_px", "down_px", "error_px", "correlation", "unshifted"} of poses' correlations, or None.
+
+    Parameters
+    ----------
+    correlations : list of (array, float)
+        As by `correlation`.
+
+    Returns
+    -------
+    dict
+        The peak of the correlations of all poses together, with standard errors by leaving out each pose in turn, its
+        height, and how high the correlation is without a shift. None where nothing correlates.
+    """
+    if not correlations:
+        return None
+    surface, scale = (np.array([each[k] for each in correlations]) for k in (0, 1))
+    found = peak(surface.sum(axis=0), scale.sum())
+    if found is None:
+        return None
+    right, down, height, unshifted = found
+    error = None
+    if len(surface) > 1:
+        left_out = [peak(surface.sum(axis=0) - one, scale.sum() - own) for one, own in zip(surface, scale, strict=True)]
+        places = np.array([each[:2] for each in left_out if each is not None])
+        error = np.sqrt((len(places) - 1) * places.var(axis=0)).tolist() if len(places) > 1 else None
+    return {"right_px": right, "down_px": down, "error_px": error, "correlation": height, "unshifted": unshifted}
+
+
+def correlation(found, reference):
+    """Return (cross-correlation (2 n + 1, 2 n + 1) at shifts of −n…n pixels down and right, its scale).
+
+    Parameters
+    ----------
+    found, reference : (N, N) complex
+        As by `transform`.
+
+    Notes
+    -----
+    After a high-pass, as broad structure hardly tells a shift. Divided by the scale it is a correlation coefficient.
+    """
+    from scipy import fft
+
+    side = len(found)
+    frequency = np.fft.fftfreq(side)
+    radius2 = frequency[:, None] ** 2 + frequency[None] ** 2
+    high = 1.0 - np.exp(-2.0 * (np.pi * _FINE_PX) ** 2 * radius2)
+    one, other = found * high, reference * high
+    surface = fft.ifft2(one * np.conj(other)).real
+    near = np.roll(surface, (_MOST_SHIFT, _MOST_SHIFT), (0, 1))[: 2 * _MOST_SHIFT + 1, : 2 * _MOST_SHIFT + 1]
+    return near, float(np.sqrt((np.abs(one) ** 2).sum() * (np.abs(other) ** 2).sum())) / (side * side)
+
+
+def peak(surface, scale):
+    """Return (right, down, height, height without a shift) of the highest correlation of either sign, or None.
+
+    A translation may turn contrast around. To a fraction of a pixel by parabolas through the highest and its
+    neighbours; at the border of the shifts looked for there is none.
+    """
+    if not scale > 0.0:
+        return None
+    surface = surface / scale
+    row, column = np.unravel_index(np.argmax(np.abs(surface)), surface.shape)
+    if not (0 < row < 2 * _MOST_SHIFT and 0 < column < 2 * _MOST_SHIFT):
+        return None
+    height = surface[row, column]
+    signed = np.sign(height) * surface
+
+    def vertex(before, here, after):
+        bend = before - 2.0 * here + after
+        return 0.5 * (before - after) / bend if bend else 0.0
+
+    right = column - _MOST_SHIFT + vertex(*signed[row, column - 1 : column + 2])
+    down = row - _MOST_SHIFT + vertex(*signed[row - 1 : row + 2, column])
+    return float(right), float(down), float(height), float(surface[_MOST_SHIFT, _MOST_SHIFT])
+
+
+class Track:
+    """Ground points seen in one View, and where the next one shows them.
+
+    Parameters
+    ----------
+    before, after : View
+    camera : Camera
+    """
+
+    def __init__(self, before, after, camera):
+        grid = np.zeros(before.known.shape, bool)
+        grid[_EVERY // 2 :: _EVERY, _EVERY // 2 :: _EVERY] = True
+        self._from = before.known & grid & (before.object < 0)
+        points = before.position[self._from].astype(np.float64)
+        local = (points - after.pose[:3, 3]) @ after.pose[:3, :3]
+        pixel = camera.project(local)
+        height, width = after.known.shape
+        with np.errstate(invalid="ignore"):
+            inside = (pixel > 1.0).all(axis=-1) & (pixel[:, 0] < width - 1.0) & (pixel[:, 1] < height - 1.0)
+        row, column = (np.where(inside, pixel[:, axis], 0.0).astype(int) for axis in (1, 0))
+        same = np.abs(after.depth[row, column] / np.maximum(local[:, 2], 1e-6) - 1.0) < _SAME_DEPTH
+        self._kept = inside & same & after.known[row, column] & (after.object[row, column] < 0)
+        self._to = pixel[self._kept] - 0.5
+
+    def change(self, before, after):
+        """Return how much warmer each point is in the second picture than in the first, (n,) [K]."""
+        from scipy.ndimage import map_coordinates
+
+        there = map_coordinates(after, self._to[:, ::-1].T, order=1)
+        return there - before[self._from][self._kept]
