@@ -364,6 +364,8 @@ def test_a_scene_without_truth_has_differences_only(ground, tmp_path):
     assert pair["me_k"] == pytest.approx(said[1] - said[0], abs=1e-3)
     page = (tmp_path / "c/report.html").read_text()
     assert "No true temperature is known of real" in page and "Errors on ground" not in page
+    # Why B and C differ needs no truth.
+    assert found["scenes"][0]["terms"]["cool"]["terms"]["whole"]["pixels"] > 0 and "Why B and C differ" in page
 
 
 def test_refusals_leave_nothing_behind(ground, tmp_path):

@@ -399,6 +399,7 @@ def compare(
     rate_hz: Annotated[float, typer.Option(help="Poses per second of flight.")] = 1.0,
     arrays: Annotated[bool, typer.Option("--arrays", help="Keep the frames as .npz, apparent temperature.")] = False,
     air: Air = None,
+    time: Time = None,
     allow_below_ground: Below = False,
     seed: Seed = 0,
     quality: Quality = "standard",
@@ -418,7 +419,7 @@ def compare(
     with progress() as tell:
         flights = []
         for name in scenes:
-            loaded = _scene(name, None, None, air, None)
+            loaded = _scene(name, None, None, air, time)
             path = _trajectory(loaded, trajectory, format, anchor, duplicates)
             _above_ground(loaded, path, rate_hz, None, None, allow_below_ground)
             flights.append(run.Flight.of(loaded, path, rate_hz))

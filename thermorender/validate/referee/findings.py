@@ -19,7 +19,7 @@ def of(summary):
         ground = own["errors"]["radiometric"]["ground"]
         found += _offset(label, ground)
         found += _shift(label, own)
-        found += _emissivity(label, own["emissivities"])
+        found += _materials(label, own)
     found += _beaten(summary)
     return sorted(found, key=lambda each: not each["grave"])
 
@@ -58,23 +58,31 @@ def _shift(label, own):
     return [_told(label, "shift", text)]
 
 
-def _emissivity(label, emissivities):
-    told = []
+def _materials(label, method):
+    """Materials that stand apart: their emissivity, where another program's frames or other materials tell it, else
+    their temperature."""
+    found, emissivities = [], method["emissivities"]
     for name, own in emissivities["told"].items():
         others = [abs(value) for other, value in emissivities["error_k"].items() if other != name]
         middle = sorted(others)[len(others) // 2] if others else 0.0
         if abs(own["error_k"]) < _APART * middle:
             continue
-        told.append(
-            f"{name} ({own['share']:.1%} of the ground) is off by {own['error_k']:+.2f} K, as an emissivity wrong by "
-            f"{own['change']:+.3f} would be (explains {own['explained']:.0%} of it)"
-        )
+        text = f"{name} ({own['share']:.1%} of the ground) is off by {own['error_k']:+.2f} K"
+        if method["letter"] == "foreign":
+            text += (
+                f", as an emissivity wrong by {own['change']:+.3f} would be (explains {own['explained']:.0%} of its "
+                "square)"
+            )
+            found.append(_told(label, "emissivity", text))
+        else:
+            found.append(_told(label, "material", f"{text}, the others by {middle:.2f} K in the median"))
     for name, own in emissivities["scene"].items():
-        told.append(
+        text = (
             f"{name} ({own['share']:.1%} of the ground) is rendered with a band emissivity of {own['used']:.3f} in "
             f"place of {own['true']:.3f}"
         )
-    return [_told(label, "emissivity", text) for text in told]
+        found.append(_told(label, "emissivity", text))
+    return found
 
 
 def _beaten(summary):

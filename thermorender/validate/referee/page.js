@@ -60,9 +60,11 @@ function paint(each, valueAt, from, to, table) {
 }
 
 function draw() {
-  const truth = shown.find((each) => each.reference), base = truth ?? shown[0];
+  const truth = shown.find((each) => each.reference);
   const error = mode.value === "error" && truth !== undefined;
-  const [cold, warm] = range(base.picture.values, base.picture.known, 0.01);
+  // Without a reference all pictures share the scale of all of them.
+  const ends = (truth ? [truth] : shown).map((each) => range(each.picture.values, each.picture.known, 0.01));
+  const cold = Math.min(...ends.map((each) => each[0])), warm = Math.max(...ends.map((each) => each[1]));
   let most = 1;
   if (error) {
     const off = [];

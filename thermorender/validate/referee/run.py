@@ -294,9 +294,8 @@ class _Scene:
         self._land = training.land_of(self.scene)
         vertices = np.concatenate([s.vertices[:, :2] for s in self.scene.surfaces[: self.scene.terrain_count]])
         self._corners = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
-        self._pairs = self._between() if has_truth else {}
+        self._pairs = self._between()
         self._terms = {name: np.zeros((len(NAMES) + 1, sums.WIDTH)) for name in self._pairs}
-        self._term_groups = {}
         self._apart = 0.0
         self._reference_structure, self._changes = Structure(), np.zeros(3)
         self.photographs = []
@@ -346,9 +345,9 @@ class _Scene:
                 true_counts = sensor.counts_at_rest(view.truth_radiance, index)
                 true_read = apparent_temperature(radiance_from_counts(true_counts, camera), camera.band_um)
                 self._score(view, seen, read, counts, true_read, table)
-                self._split(view, seen, read)
             else:
                 self._differences(view, seen)
+            self._split(view, seen, read)
             if before is not None:
                 self._follow(Track(before, view, camera), seen_before, seen, before, view)
             self._pictures.add(self.scene.name, view, seen, index, len(flight.times))
@@ -499,7 +498,7 @@ def _summary(own, origin, seed):
         "letter": method.letter, "map": method.name, "bounds": method.bounds, "knows": method.knows,
         "range_c": None if method.bounds != methods.PUBLISHED else
         [limit - ZERO_CELSIUS_K for limit in method.model.range_k],
-        "once_s": own.once_s,
+        "once_s": own.once_s, "scenes": len({name for _, name in own.tally.scenes}),
         "errors": own.tally.summary(seed) if scored else None,
         "groups": own.tally.grouped() if scored else {},
         "targets": own.targets.summary(), "structure": own.structure.summary(), "registered": shift_of(own.registered),

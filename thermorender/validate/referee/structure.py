@@ -129,7 +129,7 @@ def shift_of(correlations):
 
 
 def correlation(found, reference):
-    """Return (cross-correlation (2 n + 1, 2 n + 1) at shifts of −n…n pixels down and right, its scale).
+    """Return (cross-correlation (2 n + 1, 2 n + 1) at shifts of −n…n pixels down and right, n ≤ 16, its scale).
 
     Parameters
     ----------
@@ -148,7 +148,8 @@ def correlation(found, reference):
     high = 1.0 - np.exp(-2.0 * (np.pi * _FINE_PX) ** 2 * radius2)
     one, other = found * high, reference * high
     surface = fft.ifft2(one * np.conj(other)).real
-    near = np.roll(surface, (_MOST_SHIFT, _MOST_SHIFT), (0, 1))[: 2 * _MOST_SHIFT + 1, : 2 * _MOST_SHIFT + 1]
+    most = min(_MOST_SHIFT, (side - 1) // 2)
+    near = np.roll(surface, (most, most), (0, 1))[: 2 * most + 1, : 2 * most + 1]
     return near, float(np.sqrt((np.abs(one) ** 2).sum() * (np.abs(other) ** 2).sum())) / (side * side)
 
 
@@ -160,9 +161,9 @@ def peak(surface, scale):
     """
     if not scale > 0.0:
         return None
-    surface = surface / scale
+    surface, most = surface / scale, len(surface) // 2
     row, column = np.unravel_index(np.argmax(np.abs(surface)), surface.shape)
-    if not (0 < row < 2 * _MOST_SHIFT and 0 < column < 2 * _MOST_SHIFT):
+    if not (0 < row < 2 * most and 0 < column < 2 * most):
         return None
     height = surface[row, column]
     signed = np.sign(height) * surface
@@ -171,9 +172,9 @@ def peak(surface, scale):
         bend = before - 2.0 * here + after
         return 0.5 * (before - after) / bend if bend else 0.0
 
-    right = column - _MOST_SHIFT + vertex(*signed[row, column - 1 : column + 2])
-    down = row - _MOST_SHIFT + vertex(*signed[row - 1 : row + 2, column])
-    return float(right), float(down), float(height), float(surface[_MOST_SHIFT, _MOST_SHIFT])
+    right = column - most + vertex(*signed[row, column - 1 : column + 2])
+    down = row - most + vertex(*signed[row - 1 : row + 2, column])
+    return float(right), float(down), float(height), float(surface[most, most])
 
 
 class Track:
