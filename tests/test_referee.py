@@ -340,6 +340,8 @@ def test_objects_get_no_truth_but_in_the_row_that_says_so(tmp_path):
     found = compare([flight(folder, height=15.0)], tmp_path / "c", [level], rays=8)
     plain, told = (errors(found, label, part="objects")["me_k"] for label in ("C1 level", "C1 level, true objects"))
     assert plain < -50.0 and abs(told) < 1.0
+    # Of radiance, so above that of temperature by a little.
+    assert 0.0 < errors(found, "D the frame's own mean")["me_k"] < 0.2
     assert errors(found, "B level", part="objects")["me_k"] == pytest.approx(plain, abs=3.0)
     target = {
         label: found["methods"][label]["targets"]["objects"]["plate"] for label in ("B level", "C1 level, true objects")

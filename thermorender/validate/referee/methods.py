@@ -169,8 +169,8 @@ def painted(training, band_um):
         return band_radiance(kelvin, *band_um)
 
     def own_mean(view):
-        known = view.truth_radiance[view.known]
-        return np.full(view.known.shape, known.mean(dtype=np.float64) if known.size else np.nan)
+        ground = view.truth_radiance[view.known & (view.object < 0)]
+        return np.full(view.known.shape, ground.mean(dtype=np.float64) if ground.size else np.nan)
 
     made = [Method("D", "the frame's own mean", None, "the reference's mean", paint=own_mean)]
     if training is not None:
