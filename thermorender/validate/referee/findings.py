@@ -65,7 +65,8 @@ def _materials(label, method):
     for name, own in emissivities["told"].items():
         others = [abs(value) for other, value in emissivities["error_k"].items() if other != name]
         middle = sorted(others)[len(others) // 2] if others else 0.0
-        if abs(own["error_k"]) < _APART * middle:
+        # Of a single material none stands apart.
+        if not others or abs(own["error_k"]) < _APART * middle:
             continue
         text = f"{name} ({own['share']:.1%} of the ground) is off by {own['error_k']:+.2f} K"
         if method["letter"] == "foreign":
@@ -91,11 +92,22 @@ def _beaten(summary):
     constant = next((own for label, own in methods.items() if label.startswith("D constant")), None)
     if constant is None or not constant["errors"]:
         return []
-    limit, told = constant["errors"]["radiometric"]["ground"]["mae_k"], []
+    # On the scenes that the constant is had of.
+    scenes, told = constant["groups"]["radiometric"]["scene"], []
+    limit = _over(constant, scenes)
     for label, own in methods.items():
         if own["letter"] in ("B", "C1", "C2", "O") and own["errors"]:
-            error = own["errors"]["radiometric"]["ground"]["mae_k"]
+            error = _over(own, scenes)
             if error is not None and limit is not None and error > limit:
                 told.append(f"{label} ({error:.2f} K)")
     text = f"one constant of the training part errs by {limit:.2f} K, less than {'; '.join(told)}"
     return [_told("D constant", "constant", text)] if told else []
+
+
+def _over(own, scenes):
+    """Mean absolute error of a method over some scenes [K], or None where it lacks one of them."""
+    found = own["groups"]["radiometric"]["scene"]
+    rows = [found[name] for name in scenes if name in found and found[name]["pixels"]]
+    if len(rows) < len(scenes) or not rows:
+        return None
+    return sum(row["mae_k"] * row["pixels"] for row in rows) / sum(row["pixels"] for row in rows)

@@ -206,11 +206,11 @@ class Foreign:
             raise ThermorenderError(f"--foreign {name}={folder} is no folder; give one with pose_0000.tif and so on")
         self.name, self.folder = name, folder
 
-    def check(self, scene_name, count):
+    def check(self, scene_name, count, several):
         """Refuse a folder that lacks a pose's frame; frames of several scenes lie in folders of their names."""
         for index in range(count):
             path = self.path(scene_name, index)
-            if not path.is_file():
+            if not path.is_file() or (several and path.parent == self.folder):
                 raise ThermorenderError(
                     f"--foreign {self.name}={self.folder} lacks {path.name} for scene {scene_name!r}; give a "
                     f"temperature TIFF of each of the {count} poses, in a folder of the scene's name where there are "

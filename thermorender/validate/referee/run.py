@@ -143,7 +143,7 @@ def compare(flights, folder, models, letters=methods.LETTERS, oracle=None, forei
         raise ThermorenderError("models is empty; give at least one learned map, or foreign frames")
     for other in others:
         for flight in flights:
-            other.check(flight.scene.name, len(flight.times))
+            other.check(flight.scene.name, len(flight.times), len(flights) > 1)
     shown = (oracle, load_model(oracle)) if oracle else None
     asked = _Asked(frozenset(letters), maps, shown, others, emissivity or methods.learned_materials(), settings)
     known = [provenance.TrainingPictures(each, lambda share: tell("sketching training pictures", share))
@@ -333,10 +333,7 @@ class _Scene:
                 radiance = method.radiance(view)
                 self._found[method.label].seconds.append(method.seconds[-1])
                 seen[method.label] = apparent_temperature(radiance, camera.band_um)
-                counts[method.label] = sensor.counts_at_rest(np.nan_to_num(radiance).astype(np.float32), index)
-                read[method.label] = apparent_temperature(
-                    radiance_from_counts(counts[method.label], camera), camera.band_um
-                )
+                counts[method.label], read[method.label] = _read(radiance, sensor, camera, index)
                 if self._has_truth and method.letter not in ("D", "E"):
                     error = seen[method.label] - view.truth
                     self._found[method.label].explained.add(view, contrast, radiance, error)
@@ -434,6 +431,16 @@ class _Scene:
             "differences": [{"one": one, "other": other, **sums.summary(row)}
                             for (one, other), row in self._between_methods.items()],
         }  # fmt: skip
+
+
+def _read(radiance, sensor, camera, index):
+    """(Counts, apparent temperature) of radiance (H, W) behind a sensor; NaN where there is none to begin with."""
+    known = np.isfinite(radiance)
+    middle = np.median(radiance[known]) if known.any() else 0.0
+    # What is not there must not chill what is, through the lens.
+    counts = sensor.counts_at_rest(np.where(known, radiance, middle).astype(np.float32), index)
+    seen = apparent_temperature(radiance_from_counts(counts, camera), camera.band_um)
+    return counts, np.where(known, seen, np.float32(np.nan))
 
 
 def _moments(change):

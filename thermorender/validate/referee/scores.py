@@ -90,7 +90,7 @@ class Tally:
     groups : dict of (stage, grouping, class) to (5,) array
         Of ground and objects.
     scenes : dict of (stage, scene) to (5,) array
-        Of ground and objects.
+        Of ground.
     """
 
     poses: dict = field(default_factory=dict)
@@ -105,7 +105,7 @@ class Tally:
         parts = {"ground": by_surface[0], "objects": by_surface[1:].sum(axis=0), "with objects": by_surface.sum(axis=0)}
         for part, row in parts.items():
             self.poses.setdefault((stage, part), []).append(((scene, view.index), row))
-        _into(self.scenes, (stage, scene), parts["with objects"])
+        _into(self.scenes, (stage, scene), parts["ground"])
         materials = found.sum(axis=(2, 3, 4))
         for number in np.flatnonzero(materials[..., 0].any(axis=0) | materials[..., 4].any(axis=0)):
             _into(self.groups, (stage, "material", _material(view, number)), materials[:, number].sum(axis=0))
@@ -165,12 +165,14 @@ def intervals(poses, blocks, sd_k, seed):
     found = []
     for what, rows in (("poses", poses), ("ground blocks", blocks)):
         if rows is not None and (rows[:, 0] > 0).sum() > 1:
-            ends = sums.intervals(rows, np.arange(len(rows)), seed)
-            found.append((ends["me_k"][1] - ends["me_k"][0], what, ends))
+            found.append((what, sums.intervals(rows, np.arange(len(rows)), seed)))
     if not found:
         return {"interval_95": {"me_k": None, "mae_k": None}, "drawn": None, "effective_pixels": None}
-    width, what, ends = max(found, key=lambda each: each[0])
+    # Each statistic by itself: errors of either sign wander in the mean, and not in the mean absolute error.
+    ends = {name: max((each[name] for _, each in found), key=np.ptp) for name in ("me_k", "mae_k")}
+    what = next(what for what, each in found if each["me_k"] == ends["me_k"])
     # A normal law's 95 % are 3.92 standard errors wide.
+    width = float(np.ptp(ends["me_k"]))
     effective = (sd_k / (width / 3.92)) ** 2 if width > 0.0 else None
     return {"interval_95": ends, "drawn": what, "effective_pixels": effective}
 

@@ -1,8 +1,8 @@
 """What thermal frames of a campaign tell before the test: bounds, a mean, and a mean per material.
 
-A campaign is an hour and a weather. Its training part are the other lands that are flown in it: nothing of the scene
-under test is ever seen. Bounds are those of eq. 2 of Generation of artificial infrared camera images for visual
-navigation simulation: 1.5 interquartile ranges beyond the quartiles of all values.
+A campaign is an hour, a weather and a camera. Its training part are the other lands that are flown in it: nothing of
+the scene under test is ever seen. Bounds are those of eq. 2 of Generation of artificial infrared camera images for
+visual navigation simulation: 1.5 interquartile ranges beyond the quartiles of all values.
 """
 
 import hashlib
@@ -71,11 +71,11 @@ def land_of(scene):
 
 
 def campaign_of(scene):
-    """Return a fingerprint of a scene's hour and weather; that of a scene without either is its own land's."""
+    """Return a fingerprint of a scene's hour, weather and camera; that of a scene without weather is its own land's."""
     spec = scene.spec
     if spec.weather is None:
         return land_of(scene)
-    return hashlib.blake2b(repr((scene.time, spec.weather)).encode(), digest_size=8).hexdigest()
+    return hashlib.blake2b(repr((scene.time, spec.weather, scene.camera)).encode(), digest_size=8).hexdigest()
 
 
 def thermal_of(scene, views, seed):
