@@ -10,7 +10,6 @@ No object's true temperature is given to B to O: their own comes from the map, b
 of their material. What does know more than a method could says so in `knows`.
 """
 
-import time
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -54,8 +53,6 @@ class Method:
         Temperatures of the objects in that [K].
     paint : callable or None
         (view) → radiance, for those that are neither translated nor rendered.
-    seconds : list of float
-        Of each frame.
     once_s : float
         What solving its light took, once for a scene [s].
     """
@@ -68,7 +65,6 @@ class Method:
     renderer: Any = None
     kelvin: dict = field(default_factory=dict)
     paint: Any = None
-    seconds: list = field(default_factory=list)
     once_s: float = 0.0
 
     @property
@@ -79,19 +75,19 @@ class Method:
         told += ["true objects"] if self.knows == "the objects" else []
         return ", ".join(told)
 
+    @property
+    def objects(self):
+        """Temperatures of the dynamic objects, as `Renderer.frame` takes them."""
+        tracked = [item.name for item in self.renderer.scene.tracked_objects]
+        return {name: {"temperature_k": self.kelvin[name]} for name in tracked if name in self.kelvin}
+
     def radiance(self, view):
         """Return the band radiance (H, W) that it gives of a View [W m⁻² sr⁻¹]."""
-        began = time.perf_counter()
         if self.renderer is not None:
-            tracked = [item.name for item in self.renderer.scene.tracked_objects]
-            objects = {name: {"temperature_k": self.kelvin[name]} for name in tracked if name in self.kelvin}
-            found = self.renderer.radiance(view.pose, view.time_s, objects)
-        elif self.paint is not None:
-            found = self.paint(view)
-        else:
-            found = self.model.radiance(Inputs(view.visible, view.texel_m))
-        self.seconds.append(time.perf_counter() - began)
-        return found
+            return self.renderer.radiance(view.pose, view.time_s, self.objects)
+        if self.paint is not None:
+            return self.paint(view)
+        return self.model.radiance(Inputs(view.visible, view.texel_m))
 
 
 def translated(model, bounds_c=None):

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from thermorender.validate.figures.referee import error_images
+from thermorender.validate.referee.views import evenly
 
 # Steps of a picture's values inside the page, per kelvin; and how much the page may hold of them [bytes].
 STEPS_PER_K = 20.0
@@ -34,12 +35,7 @@ class Pictures:
 
     def add(self, scene, view, seen, index, count):
         """Add the pictures of a View where it is among those that are drawn: `seen` is {label: (H, W) kelvin}."""
-        chosen = (
-            np.linspace(0, count - 1, min(_POSES, count) + 2).round().astype(int)[1:-1]
-            if count > _POSES
-            else range(count)
-        )
-        if index not in set(map(int, chosen)):
+        if index not in evenly(count, _POSES):
             return
         place = self.folder / "pictures"
         place.mkdir(exist_ok=True)

@@ -11,7 +11,7 @@ from thermorender.errors import ThermorenderError
 # the truth errs by tens of times as much.
 _SAME_K = 0.1
 # Photographs of a scene that are looked for among training pictures, and training pictures that are looked at.
-_PHOTOGRAPHS, _PICTURES = 6, 2000
+PHOTOGRAPHS, _PICTURES = 6, 2000
 
 
 @dataclass
@@ -81,12 +81,6 @@ class TrainingPictures:
                     f"training has seen {scene}: {len(hits)} of {len(pictures)} photographs of it show what training "
                     f"pictures show, such as {key!r} (correlation {correlation:.2f})"
                 )
-
-
-def photographs(views):
-    """Return the photographs of Views that are looked for, evenly spaced."""
-    chosen = np.linspace(0, len(views) - 1, min(_PHOTOGRAPHS, len(views))).round().astype(int)
-    return [views[number].visible for number in dict.fromkeys(chosen.tolist())]
 
 
 def circular(rendered, truth):

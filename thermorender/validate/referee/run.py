@@ -233,8 +233,8 @@ def _thermals(flights, seed, settings, tell):
             continue
         tell(f"{flight.scene.name}: thermal frames of its campaign", number / len(flights))
         renderer = Renderer(truth, **settings)
-        chosen = np.linspace(0, len(flight.times) - 1, min(training.POSES, len(flight.times))).round().astype(int)
-        seen = (views.view_of(renderer, flight.poses[k], flight.times[k], int(k), True) for k in dict.fromkeys(chosen))
+        chosen = views.evenly(len(flight.times), training.POSES)
+        seen = (views.view_of(renderer, flight.poses[k], flight.times[k], k, True) for k in chosen)
         found.append(training.thermal_of(truth, seen, seed))
     return found
 
@@ -288,7 +288,7 @@ class _Scene:
         self._found = {}
         for method in made:
             # Renderers go with their scene; what is told of a method in the end is the same in all.
-            plain = replace(method, renderer=None, paint=None, seconds=[])
+            plain = replace(method, renderer=None, paint=None)
             self._found[method.label] = found.setdefault(method.label, _Found(plain))
         self._objects = [item.name for item in self.scene.spec.objects]
         self._land = training.land_of(self.scene)
@@ -316,7 +316,7 @@ class _Scene:
         """Give every pose to every method; `table` gains its rows."""
         flight, camera = self._flight, self.scene.camera
         sensor, before, seen_before = sensor_of(camera, self._seed), None, {}
-        chosen = set(np.linspace(0, len(flight.times) - 1, min(6, len(flight.times))).round().astype(int).tolist())
+        chosen = views.evenly(len(flight.times), provenance.PHOTOGRAPHS)
         self._check_scenes()
         for method in self._made:
             self._found[method.label].once_s += method.once_s
@@ -330,8 +330,9 @@ class _Scene:
                 emissivities.contrast(view, self.scene.sky_temperature, camera.band_um) if self._has_truth else None
             )
             for method in self._made:
+                began = time.perf_counter()
                 radiance = method.radiance(view)
-                self._found[method.label].seconds.append(method.seconds[-1])
+                self._found[method.label].seconds.append(time.perf_counter() - began)
                 seen[method.label] = apparent_temperature(radiance, camera.band_um)
                 counts[method.label], read[method.label] = _read(radiance, sensor, camera, index)
                 if self._has_truth and method.letter not in ("D", "E"):

@@ -10,13 +10,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from thermorender.campaign.map_inputs import NO_MATERIAL
 from thermorender.validate.evaluation import sums
 from thermorender.validate.evaluation.classes import EDGES, edge_class
 
 RADIOMETRIC, SENSOR = "radiometric", "sensor"
 STAGES = (RADIOMETRIC, SENSOR)
 GROUND = "ground"
-NO_MATERIAL = 255
 # Limits of the classes of range [m] and of the angle between line of sight and plumb line [deg].
 RANGES_M = (50.0, 100.0, 200.0, 400.0, 800.0)
 ANGLES_DEG = (15.0, 30.0, 45.0, 60.0, 75.0)
@@ -83,7 +83,7 @@ class Tally:
 
     Attributes
     ----------
-    poses : dict of (stage, part) to list of ((scene, pose), (5,) array)
+    poses : dict of (stage, part) to list of (5,) array
         Sums of each pose; parts are "ground", "with objects" and "objects".
     blocks : dict of (land, block) to (5,) array
         Of the ground, radiometric.
@@ -104,7 +104,7 @@ class Tally:
         by_surface = found.reshape(len(classes.surfaces), -1, sums.WIDTH).sum(axis=1)
         parts = {"ground": by_surface[0], "objects": by_surface[1:].sum(axis=0), "with objects": by_surface.sum(axis=0)}
         for part, row in parts.items():
-            self.poses.setdefault((stage, part), []).append(((scene, view.index), row))
+            self.poses.setdefault((stage, part), []).append(row)
         _into(self.scenes, (stage, scene), parts["ground"])
         materials = found.sum(axis=(2, 3, 4))
         for number in np.flatnonzero(materials[..., 0].any(axis=0) | materials[..., 4].any(axis=0)):
@@ -128,7 +128,7 @@ class Tally:
         """Return {stage: {part: statistics}}, plain numbers; of the ground, radiometric, with intervals."""
         told = {stage: {} for stage in STAGES}
         for (stage, part), rows in self.poses.items():
-            own = np.array([row for _, row in rows])
+            own = np.array(rows)
             found = sums.summary(own.sum(axis=0))
             if found["pixels"]:
                 blocks = np.array(list(self.blocks.values())) if (stage, part) == (RADIOMETRIC, "ground") else None

@@ -24,8 +24,8 @@ class Targets:
     ----------
     rows : list of dict
         Of each pose and target: scene, pose, object, pixels, contrast_k, true_contrast_k, offset_px, response.
-    false : list of (response, pose key)
-        Peaks away from any target.
+    false : list of float
+        Responses of peaks away from any target.
     frames : int
         Poses in which targets were looked for.
     """

@@ -68,9 +68,7 @@ class Terms:
             The same behind the sensor [K].
         """
         renderer, method, band = self._renderer, self._method, self._method.model.band_um
-        tracked = {item.name for item in renderer.scene.tracked_objects}
-        objects = {name: {"temperature_k": kelvin} for name, kelvin in method.kelvin.items() if name in tracked}
-        at = (view.pose, view.time_s, objects)
+        at = (view.pose, view.time_s, method.objects)
         pictures = [renderer.pictured(values, *at) for values in (self._seen, self._given)]
         # Without air nothing lies between the surfaces and the camera, and what they send is the frame.
         clear = renderer.radiance(*at, through_air=False) if renderer.scene.air is not None else None

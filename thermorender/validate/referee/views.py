@@ -36,8 +36,6 @@ class View:
         Along the optical axis [m], infinite where nothing is.
     position : (H, W, 3) float32
         [m]
-    targets : dict
-        As `Frame.targets`.
     truth_radiance : (H, W) float32 or None
         Of the reference [W m⁻² sr⁻¹]; None where the scene's temperatures are not known.
     truth : (H, W) float32 or None
@@ -56,7 +54,6 @@ class View:
     kinetic: np.ndarray
     depth: np.ndarray
     position: np.ndarray
-    targets: dict
     truth_radiance: np.ndarray | None
     truth: np.ndarray | None
 
@@ -76,6 +73,11 @@ def view_of(renderer, pose, time_s, index, has_truth):
     return View(
         index, float(time_s), frame.pose, visible, texel_m, known, renderer.objects_seen(pose, time_s)[0],
         images["material"], tuple(each.name for each in renderer.scene.materials), images["kinetic_temperature"],
-        images["depth"], images["position"], frame.targets, radiance,
+        images["depth"], images["position"], radiance,
         None if radiance is None else apparent_temperature(radiance, camera.band_um),
     )  # fmt: skip
+
+
+def evenly(count, most):
+    """Return up to `most` different numbers of 0…count − 1, evenly spaced, the first and the last among them."""
+    return list(dict.fromkeys(np.linspace(0, count - 1, min(most, count)).round().astype(int).tolist()))
