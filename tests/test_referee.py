@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 import thermorender as tr
 from scenes import write_terrain
@@ -26,6 +27,7 @@ from thermorender.validate.referee import (
     scores,
     structure,
     training,
+    trial,
     views,
 )
 from thermorender.validate.referee.run import Flight, compare
@@ -205,8 +207,6 @@ def test_a_wrong_emissivity_is_found(planted):
 
 
 def test_an_emissivity_of_a_rendered_scene_is_held_against_the_true_one(ground):
-    from thermorender.validate.referee.run import _emissivity_differences
-
     true = tr.load_scene(ground)
     first = true.surfaces[0]
     names = [each.name for each in true.materials]
@@ -214,7 +214,7 @@ def test_an_emissivity_of_a_rendered_scene_is_held_against_the_true_one(ground):
         first,
         material=np.where(first.material == names.index("sand_quartz"), names.index("grass_green"), first.material),
     )
-    found = _emissivity_differences(replace(true, surfaces=(wrong, *true.surfaces[1:])), true)
+    found = emissivities.of_scenes(replace(true, surfaces=(wrong, *true.surfaces[1:])), true)
     texels, used, known, total = found["sand_quartz"]
     own = {each.name: each.band_emissivity(*BAND, 300.0) for each in true.materials}
     assert texels / total == pytest.approx(24 / 64)
@@ -376,7 +376,7 @@ def test_refusals_leave_nothing_behind(ground, tmp_path):
     for message, flown, models, extra in (
         ("models is empty", [one], [], {}),
         ("two scenes are called 'ground'", [one, one], [level], {}),
-        ("two of the models are called 'level'", [one], [level, level], {}),
+        ("two methods are called 'level'", [one], [level, level], {}),
         ("is no folder", [one], [], {"foreign": {"theirs": tmp_path / "none"}}),
         ("lacks pose_0000.tif for scene 'ground'", [one], [], {"foreign": {"theirs": tmp_path}}),
     ):
@@ -481,7 +481,7 @@ def test_the_emissivity_that_explains_an_error_is_found():
     radiance = view.truth_radiance - 0.05 * np.where(material == 1, contrast, 0.0)
     error = brightness_temperature(radiance, *BAND) - kinetic
     found = emissivities.Emissivities()
-    found.add(view, contrast, radiance, error)
+    found.add(view, contrast, radiance, error, np.array([0.95, 0.95]))
     told = found.summary()
     assert set(told) == {"wrong"} and told["wrong"]["change"] == pytest.approx(-0.05, abs=1e-4)
     assert told["wrong"]["share"] == pytest.approx(0.5) and told["wrong"]["explained"] > 0.99
@@ -548,3 +548,69 @@ def test_provenance_tells_what_a_file_says():
     model = load_model("procedural-palette")
     own = provenance.provenance_of(model)
     assert own.told["data set"] == "campaign" and own.told["pairs"]["train"] == 1620 and "not audited" in own.audited
+
+
+def test_a_wrong_contrast_is_found_and_asks_for_no_emissivity(ground, planted, tmp_path):
+    def damped(kelvin, index):
+        return kelvin.mean() + 0.8 * (kelvin - kelvin.mean())
+
+    frames = frames_of(ground, 3, tmp_path / "damped", damped)
+    found = compare([flight(ground)], tmp_path / "c", [], foreign={"damped": frames}, rays=8)
+    gain = found["methods"]["foreign damped"]["gain"]
+    # Frames keep 0.04 K, of a spread of kelvins.
+    assert gain["gain"] == pytest.approx(0.8, abs=0.002) and gain["explained"] > 0.98
+    assert kinds(found, "foreign damped") == {"contrast"}
+
+
+def test_a_shift_of_forty_pixels_and_one_of_a_single_pose_are_found(tmp_path):
+    rng = np.random.default_rng(2)
+    image = 290.0 + gaussian_filter(rng.normal(size=(256, 256)), 1.5) * 20.0
+    moved = np.roll(image, (25, -40), (0, 1))
+    known = np.ones(image.shape, bool)
+    pair = (structure.transform(each, known) for each in (moved, image))
+    found = structure.shift_of([structure.correlation(*pair)])
+    assert found["right_px"] == pytest.approx(-40.0, abs=0.1) and found["down_px"] == pytest.approx(25.0, abs=0.1)
+    assert found["error_px"] is None and found["correlation"] > 0.5
+
+
+def test_an_emissivity_that_cannot_be_is_not_told():
+    found = emissivities.Emissivities()
+    # Over a sky nearly as warm as the ground 1 K looks like an emissivity of several.
+    rows = {"soil": (100.0, 3.0 * 1e-2, 1e-2, 0.095, 100.0, 95.0), "grass": (100.0, 0.0, 1e-2, 0.1, 0.0, 98.0)}
+    found.rows = {name: np.array(row) for name, row in rows.items()}
+    assert found.summary()["soil"]["change"] is None
+    found.rows["soil"][[1, 3]] = -0.5e-2, 0.3e-2
+    assert found.summary()["soil"]["change"] == pytest.approx(-0.5)
+
+
+def test_kept_frames_have_names_of_their_own():
+    found = trial.array_names(["B a.b", "B a b", "known"])
+    assert list(found.values()) == ["B_a_b", "B_a_b_2", "known_2"]
+
+
+def test_foreign_frames_are_looked_at_before_anything_is_rendered(ground, tmp_path):
+    celsius = frames_of(ground, 3, tmp_path / "celsius", lambda kelvin, index: kelvin - 273.15)
+    with pytest.raises(ThermorenderError, match="below 100 K"):
+        compare([flight(ground)], tmp_path / "c", [], foreign={"celsius": celsius}, rays=8)
+    small = frames_of(ground, 3, tmp_path / "small", lambda kelvin, index: kelvin[::2])
+    with pytest.raises(ThermorenderError, match="pixels; the camera has"):
+        compare([flight(ground)], tmp_path / "c", [], foreign={"small": small}, rays=8)
+    level = uniform_map(tmp_path / "small.npz", 0.5)
+    with pytest.raises(ThermorenderError, match="two methods are called 'small'"):
+        compare([flight(ground)], tmp_path / "c", [level], foreign={"small": small}, rays=8)
+    assert not (tmp_path / "c").exists()
+
+
+def test_an_orthophoto_is_translated_once(ground, tmp_path, monkeypatch):
+    asked = []
+    plain = Correlation.predict
+
+    def counted(self, inputs, texel_m):
+        asked.append(inputs.rgb.shape)
+        return plain(self, inputs, texel_m)
+
+    monkeypatch.setattr(Correlation, "predict", counted)
+    folders = [ground, write_terrain(tmp_path / "other", height=np.zeros((32, 32)), temperature=structured(5))]
+    compare([flight(each, poses=1) for each in folders], tmp_path / "c", [uniform_map(tmp_path / "m.npz", 0.5)], rays=8)
+    texels = tr.load_scene(ground).surfaces[0].colour.shape
+    assert asked.count(texels) == len(folders)

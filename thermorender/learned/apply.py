@@ -2,8 +2,6 @@
 
 import numpy as np
 
-from thermorender.physics.band import emitted_radiance
-from thermorender.physics.planck import band_radiance
 from thermorender.physics.surface import kinetic_temperature
 
 # Below this band emissivity an apparent temperature says little about the kinetic one: an error of 1 K in the
@@ -44,12 +42,9 @@ def kinetic_from_map(model, inputs, material, materials, sky_temperature=None, s
     for index in np.unique(material):
         here = material == index
         own = materials[index]
-        band_emissivity = emitted_radiance(own.emissivity_at, middle, *model.band_um) / band_radiance(
-            middle, *model.band_um
-        )
         other = own.temperature if stand_in is None else stand_in
         temperature[here] = other
-        if band_emissivity >= LOWEST_EMISSIVITY:
+        if own.band_emissivity(*model.band_um, middle) >= LOWEST_EMISSIVITY:
             kinetic = kinetic_temperature(
                 apparent[here], own.emissivity_at, sky, model.band_um, believed
             )

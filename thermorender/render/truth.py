@@ -7,7 +7,7 @@ an edge would be that of nothing.
 import drjit as dr
 import numpy as np
 
-from thermorender.physics.band import emitted_radiance, quadrature
+from thermorender.physics.band import quadrature
 from thermorender.physics.fresnel import COSINES
 from thermorender.physics.planck import band_radiance, spectral_radiance
 from thermorender.render.geometry import view_ray
@@ -43,13 +43,11 @@ def truth(baked, rays, pose, placements):
     static = [surface.temperature.ravel() for surface in scene.surfaces]
     temperature = np.concatenate([*static, np.repeat(warm, sizes).astype(np.float32)])[number]
     band_um = camera.band_um
-    black = band_radiance(REFERENCE_K, *band_um)
-    emissivity = np.array([emitted_radiance(m.emissivity_at, REFERENCE_K, *band_um) / black for m in scene.materials])
-    emissivity = emissivity[material]
+    emissivity = np.array([each.band_emissivity(*band_um, REFERENCE_K) for each in scene.materials])[material]
     for one in by_angle:
         here = material == one
         wavelength, weight = quadrature(*band_um)
-        share = spectral_radiance(wavelength, REFERENCE_K) * weight / black
+        share = spectral_radiance(wavelength, REFERENCE_K) * weight / band_radiance(REFERENCE_K, *band_um)
         table = scene.materials[one].emissivity_at_angle(wavelength, COSINES[:, None]) @ share
         emissivity[here] = np.interp(cosine[here], COSINES, table)
     return {

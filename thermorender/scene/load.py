@@ -44,7 +44,7 @@ from thermorender.scene.surface import (
     fill,
     nearest_valid,
 )
-from thermorender.scene.temperature import Texels, resolve, told_map, trained, waiting
+from thermorender.scene.temperature import Texels, learned_map, resolve, trained, waiting
 from thermorender.scene.tracks import TrackedObject, read_track
 from thermorender.sensor.camera import Camera, load_camera
 from thermorender.units import instant, utc_text
@@ -275,7 +275,7 @@ class Scene:
         spec = replace(self.spec, weather=replace(self.spec.weather, time=asked), truth_temperature=None)
         scene = replace(self, spec=spec, time=asked)
         # The map it was loaded with, whatever its file holds by now.
-        return scene._of_source(spec.temperature, self.told_map) if self.marched else scene
+        return scene.with_temperature(spec.temperature, self.told_map) if self.marched else scene
 
     def heated(self, time: np.datetime64, temperatures: "Sequence[ArrayLike]") -> "Scene":
         """Return this scene at an instant of its weather, as its heat balance found it.
@@ -320,17 +320,23 @@ class Scene:
             found[item.name] = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
         return found
 
-    def with_temperature(self, spec: TemperatureSpec) -> "Scene":
-        """Return this scene with its terrain's temperatures from another source (a TemperatureSpec)."""
+    def with_temperature(self, spec: TemperatureSpec, model: Any = None) -> "Scene":
+        """Return this scene with its terrain's temperatures from another source.
+
+        Parameters
+        ----------
+        spec : TemperatureSpec
+        model : TemperatureMap, optional
+            The learned map that the source names, where it is at hand already.
+        """
         if not isinstance(spec, TemperatureSpec):
             raise ThermorenderError(
                 f"with_temperature was given a {type(spec).__name__}; give a TemperatureSpec, for kelvins of one's own "
                 "TemperatureSpec(source='raster', raster=path) with the path of a GeoTIFF"
             )
-        return self._of_source(spec, told_map(spec))
-
-    def _of_source(self, spec: TemperatureSpec, told: Any) -> "Scene":
-        """This scene with a source's temperatures, and its map that is told relief or hour, or None."""
+        model = learned_map(spec) if model is None else model
+        # A map that must be told relief, hour or weather.
+        told = model if model is not None and model.needs else None
         if told and spec.trained:
             raise ThermorenderError(
                 f"{self.where}: temperature.model={spec.model!r} is told hour and weather and is not moved by "
@@ -348,8 +354,9 @@ class Scene:
         surfaces = list(self.surfaces)
         for index, surface in enumerate(surfaces[: self.terrain_count]):
             texels = Texels(
-                surface.colour, surface.material, self.materials, self.grid, surface.texel_m, self.where, report
-            )
+                surface.colour, surface.material, self.materials, self.grid, surface.texel_m, self.where, report,
+                model,
+            )  # fmt: skip
             temperature, flags = waiting(texels) if told else resolve(spec, texels)
             known = surface.flags & ~np.uint8(FALLBACK | UNMOVED)
             surfaces[index] = replace(surface, temperature=temperature, flags=known | flags)

@@ -30,6 +30,9 @@ class Texels:
     texel_m : float
     where : str
         Name of the scene file, for messages.
+    report : dict
+    model : TemperatureMap or None
+        Of a source "learned", as by `learned_map`.
     """
 
     colour: np.ndarray
@@ -39,6 +42,7 @@ class Texels:
     texel_m: float
     where: str
     report: dict = field(default_factory=dict)
+    model: object = None
 
 
 def resolve(spec, texels):
@@ -130,22 +134,20 @@ def _material(spec, texels):
 
 
 def _learned(spec, texels):
-    from thermorender.learned.temperature_map import Inputs, load_model
+    from thermorender.learned.temperature_map import Inputs
 
-    if spec.range_c:
-        scene_kelvin("range_c [K]", ZERO_CELSIUS_K + np.array(spec.range_c))
-    model = load_model(spec.model, spec.range_c)
-    return from_map(model, Inputs(texels.colour, texels.texel_m), texels)
+    return from_map(texels.model, Inputs(texels.colour, texels.texel_m), texels)
 
 
-def told_map(spec):
-    """Return the TemperatureMap of a source whose map must be told relief, hour or weather; None for all others."""
+def learned_map(spec):
+    """Return the TemperatureMap of a source "learned", None for all others."""
     if spec.source != "learned":
         return None
     from thermorender.learned.temperature_map import load_model
 
-    model = load_model(spec.model, spec.range_c)
-    return model if model.needs else None
+    if spec.range_c:
+        scene_kelvin("range_c [K]", ZERO_CELSIUS_K + np.array(spec.range_c))
+    return load_model(spec.model, spec.range_c)
 
 
 def from_map(model, inputs, texels, sky_temperature=None, stand_in=None):

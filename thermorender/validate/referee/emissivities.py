@@ -11,10 +11,37 @@ import numpy as np
 
 from thermorender.physics.band import RadianceTable
 from thermorender.physics.planck import band_radiance
+from thermorender.render.spectrum import REFERENCE_K
 
 # Told where a material covers this share of the ground, errs by as much [K], and its Δε takes away this share of the
 # mean square error.
 LEAST_SHARE, LEAST_K, LEAST_EXPLAINED = 0.005, 0.3, 0.5
+# An emissivity beyond 0…1 by more than this is none: the error has another cause.
+_BEYOND = 0.02
+
+
+def band_emissivities(scene):
+    """Return the hemispherical emissivity of each of a scene's materials in its camera's band, (M,) [1]."""
+    return np.array([each.band_emissivity(*scene.camera.band_um, REFERENCE_K) for each in scene.materials])
+
+
+def of_scenes(own, true):
+    """Return {material: (texels, Σ emissivity used, Σ true emissivity, texels in all)} of the terrain of two Scenes.
+
+    They are of the same texels; the materials are those of the second.
+    """
+    used, known = band_emissivities(own), band_emissivities(true)
+    found, total = {}, 0
+    for mine, theirs in zip(own.surfaces[: own.terrain_count], true.surfaces, strict=False):
+        material = theirs.material.ravel()
+        total += material.size
+        count = np.bincount(material, minlength=256)
+        mine_sum = np.bincount(material, used[mine.material.ravel()], 256)
+        for number in np.flatnonzero(count):
+            row = np.array([count[number], mine_sum[number], count[number] * known[number], 0.0])
+            name = true.materials[number].name
+            found[name] = found.get(name, 0.0) + row
+    return {name: row + [0.0, 0.0, 0.0, total] for name, row in found.items()}
 
 
 def contrast(view, sky_k, band_um):
@@ -26,16 +53,16 @@ def contrast(view, sky_k, band_um):
 
 @dataclass
 class Emissivities:
-    """Sums over pixels, per material: n, Σxδ, Σx², Σδ², Σ error in kelvin; x is B(T) − E/π, δ an error of radiance.
+    """Sums over pixels, per material: n, Σxδ, Σx², Σδ², Σ error in kelvin, Σε; x is B(T) − E/π, δ an error of radiance.
 
     Attributes
     ----------
-    rows : dict of str to (5,) array
+    rows : dict of str to (6,) array
     """
 
     rows: dict = field(default_factory=dict)
 
-    def add(self, view, contrast, radiance, error_k):
+    def add(self, view, contrast, radiance, error_k, emissivity):
         """Add a View's ground.
 
         Parameters
@@ -45,6 +72,8 @@ class Emissivities:
             As by `contrast`.
         radiance, error_k : (H, W) arrays
             What a method sends [W m⁻² sr⁻¹], and how it errs [K].
+        emissivity : (M,) array
+            True ones of the view's materials, as by `band_emissivities`.
         """
         here = view.known & (view.object < 0) & np.isfinite(error_k)
         material, x = view.material[here], contrast[here]
@@ -52,18 +81,28 @@ class Emissivities:
         columns = [np.bincount(material, weights, 256) for weights in (None, x * off, x * x, off * off, error_k[here])]
         for number in np.flatnonzero(columns[0]):
             name = view.material_names[number]
-            row = np.array([column[number] for column in columns])
+            row = np.array([*(column[number] for column in columns), columns[0][number] * emissivity[number]])
             self.rows[name] = self.rows.get(name, 0.0) + row
 
+    def errors(self):
+        """Return {material: mean error [K]}."""
+        return {name: row[4] / row[0] for name, row in self.rows.items()}
+
     def summary(self):
-        """Return {material: {share, error_k, change, explained}} of those that an emissivity may explain."""
+        """Return {material: {share, error_k, change, explained}} of those whose error one Δε explains.
+
+        `change` is None where the emissivity would leave 0…1: something else is wrong, such as the temperature under a
+        sky about as warm as the ground, where emissivity hardly counts.
+        """
         total = sum(row[0] for row in self.rows.values())
         told = {}
-        for name, (count, xoff, xx, offoff, kelvin) in self.rows.items():
+        for name, (count, xoff, xx, offoff, kelvin, emissivity) in self.rows.items():
             if not xx > 0.0 or not offoff > 0.0:
                 continue
             change, explained = xoff / xx, xoff * xoff / (xx * offoff)
             error = kelvin / count
             if count >= LEAST_SHARE * total and abs(error) >= LEAST_K and explained >= LEAST_EXPLAINED:
-                told[name] = {"share": count / total, "error_k": error, "change": change, "explained": explained}
+                possible = -_BEYOND <= emissivity / count + change <= 1.0 + _BEYOND
+                told[name] = {"share": count / total, "error_k": error, "change": change if possible else None,
+                              "explained": explained}  # fmt: skip
         return told

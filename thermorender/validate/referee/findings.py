@@ -1,9 +1,12 @@
-"""What a reader should know first, in sentences: offsets, shifts, emissivities, leaks, and what beats a method."""
+"""What a reader should know first, in sentences: offsets, wrong contrast, shifts, emissivities, leaks, and what beats a
+method."""
 
 # An offset is told from this [K], and where it is this many of its standard errors.
 _OFFSET_K, _SURE = 0.1, 3.0
-# A shift is told from this [px], where pictures correlate so well.
-_SHIFT_PX, _ALIKE = 0.5, 0.5
+# A shift is told from this [px], from the second where a single pose tells no error, where pictures correlate so well.
+_SHIFT_PX, _SINGLE_PX, _ALIKE = 0.5, 1.0, 0.5
+# A wrong contrast is told from this gain off 1, where the pattern is known so well, and where it is most of the error.
+_GAIN, _PATTERN, _MOST = 0.1, 0.8, 0.5
 # A material's error stands apart where it is so many times the median one of the others.
 _APART = 3.0
 
@@ -19,7 +22,9 @@ def of(summary):
         ground = own["errors"]["radiometric"]["ground"]
         found += _offset(label, ground)
         found += _shift(label, own)
-        found += _materials(label, own)
+        contrast = _contrast(label, own)
+        # What a wrong contrast explains asks for no other cause.
+        found += contrast or _materials(label, own)
     found += _beaten(summary)
     return sorted(found, key=lambda each: not each["grave"])
 
@@ -47,15 +52,39 @@ def _shift(label, own):
         shift, against = own["structure"]["shift"], "the reference"
     else:
         shift, against = own["registered"], f"C1 {own['map']}"
-    # Pictures that hardly correlate have their peak anywhere.
-    if shift is None or shift["error_px"] is None or abs(shift["correlation"]) < _ALIKE:
-        return []
-    moved = [(shift[name], error) for name, error in zip(("right_px", "down_px"), shift["error_px"], strict=True)]
-    if not any(abs(value) >= max(_SHIFT_PX, _SURE * error) for value, error in moved):
+    if shift is None or abs(shift["correlation"]) < _ALIKE:
+        # A map may show anything; frames of this very pose have to look like it.
+        return [] if own["letter"] != "foreign" or not _varies(own) else [_told(
+            label, "unlike", f"its pictures do not look like {against} at any shift that is looked for: they are of "
+                             "other poses, far beside, or hardly show what is there")]  # fmt: skip
+    errors = shift["error_px"] or (None, None)
+    moved = [(shift[name], error) for name, error in zip(("right_px", "down_px"), errors, strict=True)]
+    if not any(abs(value) >= (_SINGLE_PX if error is None else max(_SHIFT_PX, _SURE * error))
+               for value, error in moved):  # fmt: skip
         return []
     (right, _), (down, _) = moved
     text = f"its pictures are shifted by {right:+.1f} px to the right and {down:+.1f} px down against {against}"
+    text += "" if shift["error_px"] else " (of a single pose, so without an error)"
     return [_told(label, "shift", text)]
+
+
+def _varies(own):
+    """Whether a method's pictures show any contrast at all."""
+    return own["gain"] is not None
+
+
+def _contrast(label, own):
+    """Whether a method knows the pattern of the ground but shows it too strongly or too weakly."""
+    found = own["gain"]
+    if found is None or own["letter"] in ("D", "E") or found["correlation"] < _PATTERN:
+        return []
+    if abs(found["gain"] - 1.0) < _GAIN or found["explained"] < _MOST:
+        return []
+    text = (
+        f"it shows {found['gain']:.2f} of the reference's contrast, which is {found['explained']:.0%} of its square "
+        f"error about each pose's mean (correlation {found['correlation']:.2f})"
+    )
+    return [_told(label, "contrast", text)]
 
 
 def _materials(label, method):
@@ -69,7 +98,7 @@ def _materials(label, method):
         if not others or abs(own["error_k"]) < _APART * middle:
             continue
         text = f"{name} ({own['share']:.1%} of the ground) is off by {own['error_k']:+.2f} K"
-        if method["letter"] == "foreign":
+        if method["letter"] == "foreign" and own["change"] is not None:
             text += (
                 f", as an emissivity wrong by {own['change']:+.3f} would be (explains {own['explained']:.0%} of its "
                 "square)"

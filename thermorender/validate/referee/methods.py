@@ -10,7 +10,7 @@ No object's true temperature is given to B to O: their own comes from the map, b
 of their material. What does know more than a method could says so in `knows`.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from thermorender.render.heat.conditions import conditions
 from thermorender.render.heat.relief import NAMES, mapped, reliefs
 from thermorender.render.renderer import Renderer
 from thermorender.scene.spec import EmissivitySpec, TemperatureSpec
+from thermorender.scene.surface import scene_kelvin
 
 LETTERS = ("B", "C1", "C2", "D", "E", "F")
 PUBLISHED, REFITTED = "published", "refitted"
@@ -98,6 +99,28 @@ def translated(model, bounds_c=None):
     return made
 
 
+class Remembered:
+    """A map's predictor that translates each orthophoto once, whatever bounds and materials it is asked with.
+
+    Parameters
+    ----------
+    predictor : object
+        Of a TemperatureMap that sees colour only.
+    """
+
+    def __init__(self, predictor):
+        self.needs, self.above_air = predictor.needs, predictor.above_air
+        self._predictor, self._kept = predictor, {}
+
+    def predict(self, inputs, texel_m):
+        """Return what the predictor says of an Inputs, (h, w) float64; kept as long as this is."""
+        key = id(inputs.rgb)
+        if key not in self._kept:
+            # With the picture, so that no other takes its place in memory.
+            self._kept[key] = inputs.rgb, self._predictor.predict(inputs, texel_m)
+        return self._kept[key][1]
+
+
 def rendered(scene, text, model, reference, bounds_c=None, true_materials=True, learned=None, settings=None):
     """Return the C methods of a map in a scene: C1 of each bounds and once told the true objects, C2 of the best.
 
@@ -119,6 +142,8 @@ def rendered(scene, text, model, reference, bounds_c=None, true_materials=True, 
         Passed to Renderer.
     """
     made, settings = [], settings or {}
+    if not model.needs:
+        model = replace(model, predictor=Remembered(model.predictor))
     every = [(_bounds(model), None)]
     if bounds_c is not None and _bounds(model):
         every.append((REFITTED, tuple(bounds_c)))
@@ -132,12 +157,12 @@ def rendered(scene, text, model, reference, bounds_c=None, true_materials=True, 
         ranged = model if limits is None else model.ranged(limits)
         kelvin = object_temperatures(scene, ranged, reference)
         if true_materials:
-            warm = scene.with_temperature(source)
+            warm = scene.with_temperature(source, ranged)
             made.append(method("C1", warm, which, "the materials", kelvin))
     if true_materials and scene.spec.objects:
         made.append(method("C1", warm, which, "the objects", {}))
     if learned is not None:
-        made.append(method("C2", learned.with_temperature(source), which, "", kelvin))
+        made.append(method("C2", learned.with_temperature(source, ranged), which, "", kelvin))
     return made
 
 
@@ -151,7 +176,7 @@ def balanced(scene, reference, settings=None):
 
 def oracle(scene, text, model, reference, settings=None):
     """Return the method O of a scene: a map that is shown the material of each texel, too."""
-    told = scene.with_temperature(TemperatureSpec(source="learned", model=str(text)))
+    told = scene.with_temperature(TemperatureSpec(source="learned", model=str(text)), model)
     kelvin = {item.name: _own_temperature(scene, item) for item in scene.spec.objects}
     (solved,) = mapped(told, [scene.time], reference.baked.geometry, material=True)
     renderer = Renderer(solved.with_object_temperatures(kelvin), like=reference, **(settings or {}))
@@ -202,8 +227,19 @@ class Foreign:
             raise ThermorenderError(f"--foreign {name}={folder} is no folder; give one with pose_0000.tif and so on")
         self.name, self.folder = name, folder
 
-    def check(self, scene_name, count, several):
-        """Refuse a folder that lacks a pose's frame; frames of several scenes lie in folders of their names."""
+    def check(self, scene_name, count, several, shape):
+        """Refuse a folder that lacks a pose's frame, or whose frames cannot be judged.
+
+        Parameters
+        ----------
+        scene_name : str
+        count : int
+            Poses of the scene.
+        several : bool
+            Whether there are other scenes: frames then lie in folders of the scenes' names.
+        shape : (2,) tuple of int
+            Rows and columns of the camera.
+        """
         for index in range(count):
             path = self.path(scene_name, index)
             if not path.is_file() or (several and path.parent == self.folder):
@@ -212,6 +248,10 @@ class Foreign:
                     f"temperature TIFF of each of the {count} poses, in a folder of the scene's name where there are "
                     "several"
                 )
+            kelvin = self._read(path, shape)
+            if np.isfinite(kelvin).any():
+                # Degrees Celsius that call themselves kelvin.
+                scene_kelvin(f"median of {path}", float(np.nanmedian(kelvin)))
 
     def path(self, scene_name, index):
         """Return the path of a pose's frame."""
@@ -222,17 +262,19 @@ class Foreign:
         """Return it as a Method for a scene."""
 
         def paint(view):
-            path = self.path(scene_name, view.index)
-            kelvin = read_temperature(path)
-            if kelvin.shape != view.known.shape:
-                height, width = view.known.shape
-                raise ThermorenderError(
-                    f"{path} has {kelvin.shape[1]}×{kelvin.shape[0]} pixels; the camera has {width}×{height}, give "
-                    "frames of that size"
-                )
-            return band_radiance(kelvin, *band_um)
+            return band_radiance(self._read(self.path(scene_name, view.index), view.known.shape), *band_um)
 
         return Method("foreign", self.name, None, "", paint=paint)
+
+    def _read(self, path, shape):
+        kelvin = read_temperature(path)
+        if kelvin.shape != shape:
+            height, width = shape
+            raise ThermorenderError(
+                f"{path} has {kelvin.shape[1]}×{kelvin.shape[0]} pixels; the camera has {width}×{height}, give frames "
+                "of that size"
+            )
+        return kelvin
 
 
 def object_temperatures(scene, model, reference):

@@ -78,6 +78,41 @@ class PixelClasses:
 
 
 @dataclass
+class Gain:
+    """How much of the reference's contrast a method shows on the ground, over all poses.
+
+    Attributes
+    ----------
+    moments : (3,) array
+        Σs², Σst, Σt² of what it shows (s) and what is true (t) [K²], each less its mean over the pose: an offset of a
+        pose or of a scene is no contrast.
+    """
+
+    moments: np.ndarray = field(default_factory=lambda: np.zeros(3))
+
+    def add(self, seen, truth):
+        """Add the apparent temperatures (n,) of a pose's ground [K]."""
+        both = np.isfinite(seen) & np.isfinite(truth)
+        if both.any():
+            own, true = (values[both].astype(np.float64) for values in (seen, truth))
+            own, true = own - own.mean(), true - true.mean()
+            self.moments += (own @ own, own @ true, true @ true)
+
+    def summary(self):
+        """Return {"gain", "correlation", "explained"} or None where nothing varies.
+
+        The gain is the slope of s on t by least squares, `explained` the share of the square error about each pose's
+        mean that this slope alone takes away.
+        """
+        own, both, true = self.moments
+        if not own > 0.0 or not true > 0.0:
+            return None
+        gain, error = both / true, own - 2.0 * both + true
+        explained = (1.0 - gain) ** 2 * true / error if error > 1e-12 * true else 0.0
+        return {"gain": gain, "correlation": both / np.sqrt(own * true), "explained": explained}
+
+
+@dataclass
 class Tally:
     """What a method errs, over all scenes.
 

@@ -9,8 +9,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-# Side of the square in the middle of a picture whose spectrum is taken, at most [px], and shifts that are looked for.
-_SIDE, _MOST_SHIFT = 512, 16
+# Side of the square in the middle of a picture whose spectrum is taken, at most [px]; shifts are looked for up to so
+# many pixels, and a quarter of the square.
+_SIDE, _MOST_SHIFT = 512, 64
 # Only fine structure tells a shift: broader than this is left out [px].
 _FINE_PX = 6.0
 # Ground points are followed from one frame to the next in each direction every so many pixels, and count where the
@@ -129,7 +130,7 @@ def shift_of(correlations):
 
 
 def correlation(found, reference):
-    """Return (cross-correlation (2 n + 1, 2 n + 1) at shifts of −n…n pixels down and right, n ≤ 16, its scale).
+    """Return (cross-correlation (2 n + 1, 2 n + 1) at shifts of −n…n pixels down and right, n ≤ 64, its scale).
 
     Parameters
     ----------
@@ -148,7 +149,7 @@ def correlation(found, reference):
     high = 1.0 - np.exp(-2.0 * (np.pi * _FINE_PX) ** 2 * radius2)
     one, other = found * high, reference * high
     surface = fft.ifft2(one * np.conj(other)).real
-    most = min(_MOST_SHIFT, (side - 1) // 2)
+    most = max(1, min(_MOST_SHIFT, side // 4))
     near = np.roll(surface, (most, most), (0, 1))[: 2 * most + 1, : 2 * most + 1]
     return near, float(np.sqrt((np.abs(one) ** 2).sum() * (np.abs(other) ** 2).sum())) / (side * side)
 

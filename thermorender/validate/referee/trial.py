@@ -1,0 +1,307 @@
+"""One scene's poses given to all of its methods: every method sees the same View, the same sensor, the same noise."""
+
+import time
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from thermorender.frame import apparent_temperature
+from thermorender.output.record import weather_of
+from thermorender.sensor.chain import sensor_of
+from thermorender.sensor.readout import radiance_from_counts
+from thermorender.units import ZERO_CELSIUS_K, utc_text
+from thermorender.validate.evaluation import sums
+from thermorender.validate.referee import emissivities, methods, provenance, scores, training, views
+from thermorender.validate.referee.structure import Structure, Track, correlation, shift_of, transform
+from thermorender.validate.referee.targets import Targets
+from thermorender.validate.referee.terms import NAMES, Terms
+
+# A material is told whose band emissivity a rendered method has wrong by this on average, where it covers this share.
+_EMISSIVITY, _SHARE = 0.02, 0.01
+
+
+@dataclass
+class Found:
+    """What a method is found to do, over all scenes.
+
+    Attributes
+    ----------
+    method : Method
+        Without its renderers: what is told of it in the end is the same in all scenes.
+    tally, targets, structure, explained
+        Sums over all poses.
+    gain : Gain
+    scene_emissivities : dict of str to (4,) array
+        Of a rendered method, as by `emissivities.of_scenes`.
+    registered : list
+        Correlations of its pictures with the same map rendered.
+    changes : (3,) array
+        Number, sum and square sum of changes of the same ground from pose to pose [K].
+    seconds : list of float
+        What each pose took.
+    circular : list of str
+        Sentences.
+    once_s : float
+        What was needed once for each scene, together [s].
+    """
+
+    method: methods.Method
+    tally: scores.Tally = field(default_factory=scores.Tally)
+    targets: Targets = field(default_factory=Targets)
+    structure: Structure = field(default_factory=Structure)
+    explained: emissivities.Emissivities = field(default_factory=emissivities.Emissivities)
+    gain: scores.Gain = field(default_factory=scores.Gain)
+    scene_emissivities: dict = field(default_factory=dict)
+    registered: list = field(default_factory=list)
+    changes: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    seconds: list = field(default_factory=list)
+    circular: list = field(default_factory=list)
+    once_s: float = 0.0
+
+    def summary(self, origin, seed):
+        """Return what is told of the method, plain numbers.
+
+        Parameters
+        ----------
+        origin : Provenance or None
+        seed : int
+            Of the intervals.
+        """
+        method, scored = self.method, bool(self.tally.poses)
+        wrong = {
+            name: {"share": row[0] / row[3], "used": row[1] / row[0], "true": row[2] / row[0]}
+            for name, row in self.scene_emissivities.items()
+            if abs(row[1] - row[2]) > _EMISSIVITY * row[0] and row[0] > _SHARE * row[3]
+        }
+        return {
+            "letter": method.letter, "map": method.name, "bounds": method.bounds, "knows": method.knows,
+            "range_c": None if method.bounds != methods.PUBLISHED else
+            [limit - ZERO_CELSIUS_K for limit in method.model.range_k],
+            "once_s": self.once_s, "scenes": len({name for _, name in self.tally.scenes}),
+            "errors": self.tally.summary(seed) if scored else None,
+            "groups": self.tally.grouped() if scored else {},
+            "targets": self.targets.summary(), "structure": self.structure.summary(), "gain": self.gain.summary(),
+            "registered": shift_of(self.registered),
+            "emissivities": {"told": self.explained.summary(), "scene": wrong, "error_k": self.explained.errors()},
+            "steadiness_k": _deviation(self.changes),
+            "seconds_per_frame": float(np.median(self.seconds)) if self.seconds else None,
+            "training_s": None if origin is None else origin.told["training_s"],
+            "training": None if origin is None else {**origin.told, "audited": origin.audited},
+            "leaks": [] if origin is None else origin.leaks, "circular": self.circular,
+        }  # fmt: skip
+
+
+class Trial:
+    """One scene's poses given to all of its methods.
+
+    Parameters
+    ----------
+    flight : Flight
+    reference : Renderer
+        Of the true temperatures, or where none are known of the scene as it is.
+    has_truth : bool
+    made : sequence of Method
+    campaign : Training or None
+    found : dict of str to Found
+        By label; gains those of this scene.
+    pictures : Pictures
+    seed : int
+        Of the sensor's noise.
+    arrays : Path or None
+        Folder of the frames that are kept.
+    """
+
+    def __init__(self, flight, reference, has_truth, made, campaign, found, pictures, seed, arrays):
+        self._flight, self._reference, self._has_truth, self._made = flight, reference, has_truth, made
+        self._campaign, self._pictures, self._seed, self._arrays = campaign, pictures, seed, arrays
+        self.scene = reference.scene
+        self._found = {}
+        for method in made:
+            # Renderers go with their scene; what is told of a method in the end is the same in all.
+            plain = replace(method, renderer=None, paint=None)
+            self._found[method.label] = found.setdefault(method.label, Found(plain))
+        self._emissivity = emissivities.band_emissivities(self.scene)
+        self._objects = [item.name for item in self.scene.spec.objects]
+        self._land = training.land_of(self.scene)
+        vertices = np.concatenate([s.vertices[:, :2] for s in self.scene.surfaces[: self.scene.terrain_count]])
+        self._corners = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
+        self._pairs = self._between()
+        self._terms = {name: np.zeros((len(NAMES) + 1, sums.WIDTH)) for name in self._pairs}
+        self._apart = 0.0
+        self._reference_structure, self._changes = Structure(), np.zeros(3)
+        self.photographs = []
+        self._between_methods = {}
+
+    def _between(self):
+        """{map: (its B, its C1, Terms)} by the best bounds that both have."""
+        found = {}
+        for method in self._made:
+            if method.letter == "B":
+                twins = [each for each in self._made if each.letter == "C1" and each.name == method.name
+                         and each.bounds == method.bounds and each.knows == "the materials"]  # fmt: skip
+                if twins:
+                    found[method.name] = method, twins[0]
+        return {name: (flat, solid, Terms(solid)) for name, (flat, solid) in found.items()}
+
+    def run(self, table, say):
+        """Give every pose to every method; `table` gains its rows."""
+        flight, camera = self._flight, self.scene.camera
+        sensor, before, seen_before = sensor_of(camera, self._seed), None, {}
+        chosen = views.evenly(len(flight.times), provenance.PHOTOGRAPHS)
+        self._check_scenes()
+        for method in self._made:
+            self._found[method.label].once_s += method.once_s
+        for index, (time_s, pose) in enumerate(zip(flight.times, flight.poses, strict=True)):
+            say("comparing", index / len(flight.times))
+            view = views.view_of(self._reference, pose, time_s, index, self._has_truth)
+            if index in chosen:
+                self.photographs.append(view.visible)
+            seen, read, counts = {}, {}, {}
+            contrast = (
+                emissivities.contrast(view, self.scene.sky_temperature, camera.band_um) if self._has_truth else None
+            )
+            for method in self._made:
+                began = time.perf_counter()
+                radiance = method.radiance(view)
+                self._found[method.label].seconds.append(time.perf_counter() - began)
+                seen[method.label] = apparent_temperature(radiance, camera.band_um)
+                counts[method.label], read[method.label] = _read(radiance, sensor, camera, index)
+                if self._has_truth and method.letter not in ("D", "E"):
+                    error = seen[method.label] - view.truth
+                    own, ground = self._found[method.label], view.known & (view.object < 0)
+                    own.explained.add(view, contrast, radiance, error, self._emissivity)
+                    own.gain.add(seen[method.label][ground], view.truth[ground])
+            true_read = None
+            if self._has_truth:
+                true_counts = sensor.counts_at_rest(view.truth_radiance, index)
+                true_read = apparent_temperature(radiance_from_counts(true_counts, camera), camera.band_um)
+                self._score(view, seen, read, counts, true_read, table)
+            else:
+                self._differences(view, seen)
+            self._split(view, seen, read)
+            if before is not None:
+                self._follow(Track(before, view, camera), seen_before, seen, before, view)
+            self._pictures.add(self.scene.name, view, seen, index, len(flight.times))
+            if self._arrays is not None:
+                out = self._arrays / "arrays"
+                out.mkdir(exist_ok=True)
+                names = array_names(seen)
+                named = {names[label]: image.astype(np.float32) for label, image in seen.items()}
+                reference = {} if view.truth is None else {"reference": view.truth}
+                np.savez_compressed(out / f"{self.scene.name}_{index:04d}.npz", known=view.known, **reference, **named)
+            before, seen_before = view, seen
+
+    def _score(self, view, seen, read, counts, true_read, table):
+        classes = scores.PixelClasses(view, self._objects, self._corners)
+        reference = transform(view.truth, view.known)
+        self._reference_structure.add(reference, reference)
+        for label, image in seen.items():
+            own = self._found[label]
+            stages = ((scores.RADIOMETRIC, image, view.truth), (scores.SENSOR, read[label], true_read))
+            for stage, picture, truth in stages:
+                error = picture[view.known].astype(np.float64) - truth[view.known]
+                for surface, material, row in own.tally.add(self.scene.name, self._land, view, stage, classes, error):
+                    told = sums.summary(row)
+                    table.append((self.scene.name, self._land, view.index, view.time_s, label, stage, surface, material,
+                                 told["pixels"], told["pixels_without_temperature"], told["me_k"], told["mae_k"],
+                                 told["rmse_k"]))  # fmt: skip
+            own.structure.add(transform(image, view.known), reference)
+            own.targets.add(self.scene.name, view, self._objects, image, counts[label])
+
+    def _split(self, view, seen, read):
+        for name, (flat, solid, terms) in self._pairs.items():
+            parts = terms.of(view, seen[flat.label], seen[solid.label], read[flat.label], read[solid.label])
+            whole = read[solid.label] - read[flat.label]
+            known = view.known & np.isfinite(whole)
+            pair = (transform(image, view.known) for image in (seen[flat.label], seen[solid.label]))
+            self._found[flat.label].registered.append(correlation(*pair))
+            together = sum(parts.values())
+            self._apart = max(self._apart, float(np.abs(together - whole)[known].max(initial=0.0)))
+            for k, image in enumerate((*parts.values(), whole)):
+                self._terms[name][k] += sums.row(image[known])
+
+    def _differences(self, view, seen):
+        labels = list(seen)
+        for k, one in enumerate(labels):
+            for other in labels[k + 1 :]:
+                off = (seen[other] - seen[one])[view.known]
+                row = self._between_methods.setdefault((one, other), np.zeros(sums.WIDTH))
+                row += sums.row(off)
+
+    def _follow(self, track, seen_before, seen, before, view):
+        if self._has_truth:
+            self._changes += _moments(track.change(before.truth, view.truth))
+        for label, image in seen.items():
+            self._found[label].changes += _moments(track.change(seen_before[label], image))
+
+    def _check_scenes(self):
+        """Find emissivities that a rendered method has otherwise than the reference, and a truth that is its own."""
+        if not self._has_truth:
+            return
+        for method in self._made:
+            if method.renderer is None or method.letter == "F":
+                continue
+            own = self._found[method.label]
+            text = provenance.circular(method.renderer.scene, self.scene) if method.letter != "O" else None
+            own.circular += [text] if text else []
+            for name, row in emissivities.of_scenes(method.renderer.scene, self.scene).items():
+                own.scene_emissivities[name] = own.scene_emissivities.get(name, 0.0) + row
+
+    def summary(self):
+        """Return what is told of the scene, plain numbers."""
+        scene, campaign = self.scene, self._campaign
+        pairs = {}
+        for name, (flat, solid, _) in self._pairs.items():
+            rows = [sums.summary(row) for row in self._terms[name]]
+            pairs[name] = {"from": flat.label, "to": solid.label,
+                           "terms": dict(zip((*NAMES, "whole"), rows, strict=True))}  # fmt: skip
+        spectrum = self._reference_structure.summary()["spectrum"] if self._has_truth else None
+        return {
+            "name": scene.name, "title": scene.spec.title, "land": self._land,
+            "time": None if scene.time is None else utc_text(scene.time), **weather_of(scene),
+            "digest": scene.digest(), "poses": len(self._flight.times), "reference": self._has_truth,
+            "campaign": None if campaign is None else vars(campaign), "plan": self._reference.plan.as_dict(),
+            "terms": pairs, "terms_apart_mk": 1e3 * self._apart, "spectrum": spectrum,
+            "steadiness_k": _deviation(self._changes), "maps": _reports(self._made),
+            "differences": [{"one": one, "other": other, **sums.summary(row)}
+                            for (one, other), row in self._between_methods.items()],
+        }  # fmt: skip
+
+
+def _read(radiance, sensor, camera, index):
+    """(Counts, apparent temperature) of radiance (H, W) behind a sensor; NaN where there is none to begin with."""
+    known = np.isfinite(radiance)
+    middle = np.median(radiance[known]) if known.any() else 0.0
+    # What is not there must not chill what is, through the lens.
+    counts = sensor.counts_at_rest(np.where(known, radiance, middle).astype(np.float32), index)
+    seen = apparent_temperature(radiance_from_counts(counts, camera), camera.band_um)
+    return counts, np.where(known, seen, np.float32(np.nan))
+
+
+def _moments(change):
+    finite = change[np.isfinite(change)].astype(np.float64)
+    return np.array([finite.size, finite.sum(), (finite**2).sum()])
+
+
+def _deviation(moments):
+    """Root mean square of changes [K], or None."""
+    return float(np.sqrt(moments[2] / moments[0])) if moments[0] else None
+
+
+def _reports(made):
+    """{label: what the map has to tell of a rendered scene}."""
+    return {method.label: method.renderer.scene.report for method in made
+            if method.renderer is not None and method.renderer.scene.report}  # fmt: skip
+
+
+def array_names(labels):
+    """Return {label: name in a `.npz`}: letters, digits, + and −, else underscores; numbered where two are alike."""
+    found = {}
+    for label in labels:
+        plain = name = "".join(char if char.isalnum() or char in "+-" else "_" for char in label)
+        number = 1
+        while name in (*found.values(), "reference", "known"):
+            number += 1
+            name = f"{plain}_{number}"
+        found[label] = name
+    return found
