@@ -294,7 +294,7 @@ def test_compare_takes_files_and_maps_that_are_told(tmp_path):
     assert summary["methods"]["C1 told"]["errors"]["radiometric"]["ground"]["mae_k"] < TOLERANCE_K
     assert summary["scenes"][0]["maps"]["C1 told"]["told"]["share_outside_0_1"] == 0.0
     shutil.copy(plain, tmp_path / "other.npz")
-    with pytest.raises(ThermorenderError, match="two of the models are called 'plain'; give maps of different names"):
+    with pytest.raises(ThermorenderError, match="two methods are called 'plain'; give maps"):
         compare([flown], tmp_path / "e", [str(plain), str(tmp_path / "other.npz")], rays=4)
     assert not (tmp_path / "e").exists()
 

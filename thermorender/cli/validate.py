@@ -233,6 +233,31 @@ def validate_heat(
     typer.echo(f"table, numbers and figure in {output}")
 
 
+@app.command("closed-loop")
+def validate_closed_loop(
+    output: Annotated[
+        Path, output_option("-o", "--output", help="Folder for the results; runs that it holds are not flown again.")
+    ] = Path("out/closed_loop"),
+    models: Annotated[
+        str, typer.Option(help="Comma-separated learned maps that see colour only: names, or .npz files.")
+    ] = ",".join(reversed(defaults.TEMPERATURE_MAPS)),
+    runs: Annotated[int, typer.Option(help="Landings with each kind of frames.", min=1)] = 104,
+    quality: Annotated[str, typer.Option(help="fast, standard or high: how finely a pixel is sampled.")] = "fast",
+    device: Device = "auto",
+):
+    """Landings on a heated marker by image-based control, the renderer in the loop: rendered and translated frames."""
+    from thermorender.validate.closed_loop import run as study
+    from thermorender.validate.figures.closed_loop import figure
+
+    output.mkdir(parents=True, exist_ok=True)
+    with progress() as tell:
+        found = study.fly(output, split(models), runs, tell, quality=quality, device=device)
+    told = study.write(found, output)
+    figure(output / "closed_loop.png", found)
+    table(study.HEADER, study.rows(told))
+    typer.echo(f"runs, numbers and figure in {output}")
+
+
 @app.command("stability")
 def validate_stability(
     groups: Annotated[
