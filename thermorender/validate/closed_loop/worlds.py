@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from thermorender import defaults
 from thermorender.campaign.worlds import write
 from thermorender.scene.load import load_scene
 from thermorender.synthetic import worlds
@@ -11,12 +12,12 @@ from thermorender.synthetic import worlds
 # The marker: a black disc, its width [m], and what the kinds call one of their own.
 MARKER, MARKER_M, _OTHER = "landing_marker", 0.5, "marker"
 # Kinds by turns, a land and a weather for each; haze by turns.
-KINDS = ("heath", "village")
+KINDS = defaults.SCENES[:2]
 WORLDS, _FIRST_SEED = 8, 401
 HAZES = (None, "rural-23km", "rural-5km", "maritime-23km")
 _AIR = "midlatitude-summer"
 # Sides of the square, of a texel and of a post [m].
-SIZES = {"heath": (96.0, 0.25, 1.0), "village": (96.0, 0.25, 0.5)}
+SIZES = dict(zip(KINDS, ((96.0, 0.25, 1.0), (96.0, 0.25, 0.5)), strict=True))
 # Temperatures that the marker may have in any run [K].
 _RANGE_K = (240.0, 380.0)
 # The marker lies where the ground is most even within so many metres of the middle, over this radius [m].
