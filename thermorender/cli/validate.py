@@ -1,5 +1,7 @@
 """Commands that compare the renderer with references: `thermorender validate …`."""
 
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -11,10 +13,45 @@ from thermorender.cli.terminal import Time, at_time, output_option, progress, sp
 from thermorender.cli.terminal import air as parse_air
 from thermorender.errors import ThermorenderError
 
-app = typer.Typer(help="Compare the renderer with references.", no_args_is_help=True)
+app = typer.Typer(invoke_without_command=True)
 
 Out = Annotated[Path, output_option("-o", "--output", help="Folder for the results.")]
 Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
+
+
+@app.callback()
+def validate(
+    context: typer.Context,
+    output: Annotated[
+        Path, output_option("-o", "--output", help="Folder of all results; what it holds is not run again.")
+    ] = Path("validation"),
+    data: Annotated[Path | None, typer.Option(help="Folder of measured tables, for heat.")] = None,
+    dataset: Annotated[Path | None, typer.Option(help="Folder of a data set, for maps.")] = None,
+):
+    """Compare the renderer with references: one study, or without a command all of them, on one page of verdicts."""
+    if context.invoked_subcommand:
+        return
+    from thermorender.validate.page import HEADER, PAGE, rows, write_page
+    from thermorender.validate.verdicts import gathered
+
+    runs = {
+        "stability": validate_stability, "convergence": convergence, "air": validate_air, "sensor": validate_sensor,
+        "moved": validate_moved, "growth": validate_growth, "closed-loop": validate_closed_loop,
+    }  # fmt: skip
+    # A study without what it needs is left out, and the page says so.
+    runs |= {"heat": partial(validate_heat, data)} if data else {}
+    runs |= {"maps": partial(validate_maps, dataset)} if dataset else {}
+    for study, verdicts, _ in gathered(output):
+        if verdicts is None and study.name in runs:
+            typer.echo(f"{study.name}: {study.title}")
+            # Stability ends with a status where a case fails; the others run all the same.
+            with suppress(typer.Exit):
+                runs[study.name](output=output / Path(study.result).parent)
+    told = write_page(output)
+    table(HEADER, rows(told))
+    typer.echo(f"page in {output / PAGE}")
+    if not all(each.holds for _, verdicts, _ in told for each in verdicts or ()):
+        raise typer.Exit(1)
 
 
 @app.command()

@@ -1,12 +1,11 @@
 """The report: one HTML page that stands alone, its pictures inside, its tables sorted by a click."""
 
-import base64
-import html
 import json
 from pathlib import Path
 
 from thermorender import files
 from thermorender.validate.figures import referee as figures
+from thermorender.validate.html import document, figure, table, text
 from thermorender.validate.referee.terms import NAMES
 
 
@@ -24,16 +23,13 @@ def write_page(path, summary, views):
     here = Path(__file__)
     style, script = (here.with_name(name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
     parts = [
-        "<!doctype html><html lang=en><meta charset=utf-8><title>Comparison of infrared frames</title>",
-        f"<meta name=viewport content='width=device-width'><style>{style}</style>",
         "<h1>2D translation against the radiometric render</h1>", _head(summary), _findings(summary), _errors(summary),
         _pictures(views), _figures(summary), _differences(summary), _terms(summary), _targets(summary),
         _structure(summary), _groups(summary), _training(summary), _scenes(summary), _legend(),
         f"<script type='application/json' id=views>{_json(views)}</script>",
         f"<script type='application/json' id=colours>{_json(figures.colour_tables())}</script>",
-        f"<script>{script}</script>",
     ]  # fmt: skip
-    files.write_text(path, "\n".join(parts))
+    files.write_text(path, document("Comparison of infrared frames", parts, style, script))
 
 
 def _head(summary):
@@ -45,11 +41,11 @@ def _head(summary):
         "applied to the orthophoto and rendered (C1 true materials, C2 learned ones), D a constant, E a mean per "
         "material, F the heat balance, O an oracle."
     )
-    return f"<p>{_text(first)}</p><ul class=note>{''.join(f'<li>{_text(note)}</li>' for note in summary['notes'])}</ul>"
+    return f"<p>{text(first)}</p><ul class=note>{''.join(f'<li>{text(note)}</li>' for note in summary['notes'])}</ul>"
 
 
 def _findings(summary):
-    rows = "".join(f"<li class={'grave' if each['grave'] else 'plain'}>{_text(each['text'])}</li>"
+    rows = "".join(f"<li class={'grave' if each['grave'] else 'plain'}>{text(each['text'])}</li>"
                    for each in summary["findings"])  # fmt: skip
     return f"<h2>What was found</h2><ul>{rows or '<li>Nothing stands out.</li>'}</ul>"
 
@@ -89,13 +85,13 @@ def _errors(summary):
         "Refitted bounds and means of a training part are had only of scenes with others in their hour and weather. "
         "Seconds per scene are those of solving its light, over all scenes."
     )
-    return f"<h2>Errors on ground</h2><p class=note>{words}</p>" + _table(head, rows)
+    return f"<h2>Errors on ground</h2><p class=note>{words}</p>" + table(head, rows)
 
 
 def _pictures(views):
     if not views:
         return ""
-    options = "".join(f"<option value={number}>{_text(view['title'])}</option>" for number, view in enumerate(views))
+    options = "".join(f"<option value={number}>{text(view['title'])}</option>" for number, view in enumerate(views))
     return ("<h2>Frames</h2><p class=note>Point at a picture: it tells kelvin. At half the camera's resolution here; "
             "whole ones lie in the folder pictures.</p><div id=controls><label>pose <select id=pose>" + options +
             "</select></label><label>show <select id=mode><option value=frame>frames</option><option value=error>errors"
@@ -111,7 +107,7 @@ def _figures(summary):
                                    "it invents structure."),
         (figures.roc(summary), "Whether a plain detector of hot spots still finds the targets, behind the sensor."),
     )  # fmt: skip
-    return "".join(_figure(content, words) for content, words in drawn if content)
+    return "".join(figure(content, words) for content, words in drawn if content)
 
 
 def _differences(summary):
@@ -122,7 +118,7 @@ def _differences(summary):
         return ""
     head = ("scene", "method", "against", "mean difference [K]", "mean absolute [K]", "standard deviation [K]")
     return ("<h2>Differences between methods</h2><p class=note>No true temperature is known here: these are no errors."
-            "</p>" + _table(head, rows))  # fmt: skip
+            "</p>" + table(head, rows))  # fmt: skip
 
 
 def _terms(summary):
@@ -144,8 +140,8 @@ def _terms(summary):
         f"{apart:.2g} mK."
     )
     drawn = figures.terms(summary, NAMES)
-    return (f"<h2>Why B and C differ</h2><p class=note>{words}</p>" + _table(head, rows)
-            + (_figure(drawn, "Mean absolute size of each term.") if drawn else ""))  # fmt: skip
+    return (f"<h2>Why B and C differ</h2><p class=note>{words}</p>" + table(head, rows)
+            + (figure(drawn, "Mean absolute size of each term.") if drawn else ""))  # fmt: skip
 
 
 def _targets(summary):
@@ -158,7 +154,7 @@ def _targets(summary):
     if not rows:
         return ""
     head = ("method", "target", "poses", "true contrast [K]", "contrast [K]", "error [K]", "found", "offset [px]")
-    return "<h2>Targets</h2>" + _table(head, rows)
+    return "<h2>Targets</h2>" + table(head, rows)
 
 
 def _structure(summary):
@@ -178,7 +174,7 @@ def _structure(summary):
     words += f" The reference itself, by view and sampling: {max(own):.3f} K." if own else ""
     words += " Shifts are those of B against C1 of the same map, and of foreign frames against the reference."
     head = ("method", "shifted right [px]", "down [px]", "standard error [px]", "change between frames [K]")
-    return f"<h2>Registration and steadiness</h2><p class=note>{_text(words)}</p>" + _table(head, rows)
+    return f"<h2>Registration and steadiness</h2><p class=note>{text(words)}</p>" + table(head, rows)
 
 
 def _groups(summary):
@@ -194,7 +190,7 @@ def _groups(summary):
             found = own["groups"]["radiometric"].get(grouping, {})
             rows.append(((label, *(f"{_number(found[name]['me_k'], '+.2f')} ({_number(found[name]['mae_k'], '.2f')})"
                                    if name in found else "" for name in classes)), False))  # fmt: skip
-        parts.append(f"<h3>By {grouping}</h3>" + _table(("method", *classes), rows))
+        parts.append(f"<h3>By {grouping}</h3>" + table(("method", *classes), rows))
     words = "<p class=note>Mean (and mean absolute) error [K], noise-free.</p>"
     return f"<h2>Where methods err</h2>{words}{''.join(parts)}" if parts else ""
 
@@ -213,7 +209,7 @@ def _training(summary):
     if not rows:
         return ""
     head = ("map", "method", "trained on", "pairs", "seconds", "audit", "leaks")
-    return "<h2>What was trained on what</h2>" + _table(head, rows, words=(2, 5, 6))
+    return "<h2>What was trained on what</h2>" + table(head, rows, words=(2, 5, 6))
 
 
 def _scenes(summary):
@@ -230,7 +226,7 @@ def _scenes(summary):
     settings = ", ".join(f"{key} {value}" for key, value in summary["settings"].items()) or "defaults"
     words = (f"Seed {summary['seed']}; settings: {settings}. Machine: {machine}. Versions: {versions}. "
              f"{summary['seconds']:.0f} s in all.")  # fmt: skip
-    return "<h2>Scenes</h2>" + _table(head, rows, words=(1,)) + f"<p class=note>{_text(words)}</p>"
+    return "<h2>Scenes</h2>" + table(head, rows, words=(1,)) + f"<p class=note>{text(words)}</p>"
 
 
 def _legend():
@@ -242,31 +238,12 @@ def _legend():
     return f"<h2>How to read this</h2><p>{words}</p>"
 
 
-def _table(head, rows, words=()):
-    """A sortable table of rows (cells, whether it is marked)."""
-    body = []
-    for cells, marked in rows:
-        inner = "".join(f"<td{' class=words' if k in words else ''}>{_text(cell)}</td>" for k, cell in enumerate(cells))
-        body.append(f"<tr{' class=grave' if marked else ''}>{inner}</tr>")
-    titles = "".join(f"<th>{_text(name)}</th>" for name in head)
-    return f"<table><thead><tr>{titles}</tr></thead><tbody>{''.join(body)}</tbody></table>"
-
-
-def _figure(content, words):
-    data = base64.b64encode(content).decode()
-    return f"<figure><img src='data:image/png;base64,{data}' alt=''><figcaption>{_text(words)}</figcaption></figure>"
-
-
 def _number(value, form=".3f"):
     return "" if value is None else format(int(value) if form == "d" else value, form)
 
 
 def _range(ends):
     return "" if ends is None else f"{ends[0]:.2f}…{ends[1]:.2f}"
-
-
-def _text(value):
-    return html.escape(str(value))
 
 
 def _json(value):

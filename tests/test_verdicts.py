@@ -1,0 +1,88 @@
+"""The page of every study: cases are read from results, judged, and told."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from thermorender.errors import ThermorenderError
+from thermorender.validate.page import PAGE, rows, write_page
+from thermorender.validate.verdicts import STUDIES, Verdict, gathered
+
+SHIPPED = Path(__file__).parents[1] / "validation"
+
+
+@pytest.mark.parametrize(
+    ("found", "allowed", "holds"),
+    [(1.0, 0.0, True), (1.5, 0.5, True), (0.4, 0.5, False), (1.1, 0.0, False), (np.nan, 1.0, False),
+     (np.inf, 1.0, False)],
+)  # fmt: skip
+def test_a_case_holds_where_its_error_is_allowed(found, allowed, holds):
+    assert Verdict("a scene", "a source", 1.0, found, allowed, None).holds == holds
+
+
+def stability(folder, found_k, raised=None):
+    (folder / "stability").mkdir(exist_ok=True)
+    case = {"group": "air", "name": "a <b>wall</b>", "expected_k": 290.0, "found_k": found_k, "tolerance_k": 1e-3,
+            "seconds": 0.5, "raised": raised}  # fmt: skip
+    (folder / "stability/stability.json").write_text(json.dumps({"cases": [case], "machine": None}))
+
+
+def test_the_page_tells_what_fails_and_what_was_not_run(tmp_path):
+    stability(tmp_path, 290.01)
+    told = rows(write_page(tmp_path))
+    assert told[0] == ("stability", "1", "0", "10.00", "0.5")
+    assert all(row[1] == "not run" for row in told[1:])
+    page = (tmp_path / PAGE).read_text()
+    assert "does not hold" in page and "class=grave" in page and "<b>wall" not in page
+    stability(tmp_path, 290.0005)
+    assert rows(write_page(tmp_path))[0][:3] == ("stability", "1", "1")
+    stability(tmp_path, 290.0, raised="ValueError")
+    assert rows(write_page(tmp_path))[0][2:4] == ("0", "nan")
+
+
+def test_a_result_of_something_else_is_refused(tmp_path):
+    (tmp_path / "heat").mkdir()
+    (tmp_path / "heat/heat.json").write_text('{"sites": 3}')
+    with pytest.raises(ThermorenderError, match=r"heat\.json is no result of `thermorender validate heat`"):
+        gathered(tmp_path)
+
+
+def test_shipped_results_are_read_with_their_figures():
+    """Of every study that has results in the repository, with verdicts where it expects something."""
+    found = {study.name: verdicts for study, verdicts, _ in gathered(SHIPPED)}
+    assert set(found) == {study.name for study in STUDIES}
+    for study in STUDIES:
+        if found[study.name] is not None:
+            assert bool(found[study.name]) == (study.read is not None), study.name
+            assert all(list(SHIPPED.glob(pattern)) for pattern in study.figures), study.name
+    stated = json.loads((SHIPPED / "heat/heat.json").read_text())["sites"]["grass"]
+    night = next(each for each in found["heat"] if each.scene == f"{stated['title']}, night")
+    assert night.found_k == stated["scores"]["balance"]["night"]["mae"] and night.tolerance_k == stated["aim_k"][1]
+
+
+def test_validate_without_a_command_runs_what_is_missing(tmp_path, call, monkeypatch):
+    from thermorender.cli import validate
+
+    ran = []
+
+    def fake(name):
+        def run(output):
+            ran.append((name, output))
+            if name == "stability":
+                output.mkdir()
+                stability(tmp_path, 290.0)
+
+        return run
+
+    for name in ("stability", "air", "sensor", "moved", "growth", "closed_loop"):
+        monkeypatch.setattr(validate, f"validate_{name}", fake(name))
+    monkeypatch.setattr(validate, "convergence", fake("convergence"))
+    status, text, _ = call("validate", "-o", tmp_path)
+    assert {name for name, _ in ran} == {"stability", "convergence", "air", "sensor", "moved", "growth", "closed_loop"}
+    assert dict(ran)["convergence"] == tmp_path and dict(ran)["closed_loop"] == tmp_path / "closed_loop"
+    assert status == 0 and "page in" in text and (tmp_path / PAGE).is_file()
+    ran.clear()
+    call("validate", "-o", tmp_path)
+    assert "stability" not in {name for name, _ in ran}
