@@ -416,7 +416,7 @@ def test_a_shift_is_measured_to_a_tenth_of_a_pixel(right, down, sign):
     for _ in range(2):
         noise = 0.3 * image.std() * rng.normal(size=image.shape)
         found.add(structure.transform(sign * moved + noise, known), structure.transform(image, known))
-    shift = structure.shift_of(found.correlations)
+    shift = found.registration.summary()
     assert shift["right_px"] == pytest.approx(right, abs=0.1) and shift["down_px"] == pytest.approx(down, abs=0.1)
     assert np.sign(shift["correlation"]) == sign and max(shift["error_px"]) < 0.1
 
@@ -567,10 +567,16 @@ def test_a_shift_of_forty_pixels_and_one_of_a_single_pose_are_found(tmp_path):
     image = 290.0 + gaussian_filter(rng.normal(size=(256, 256)), 1.5) * 20.0
     moved = np.roll(image, (25, -40), (0, 1))
     known = np.ones(image.shape, bool)
-    pair = (structure.transform(each, known) for each in (moved, image))
-    found = structure.shift_of([structure.correlation(*pair)])
+    pair = [structure.transform(each, known) for each in (moved, image)]
+    registration = structure.Registration()
+    registration.add(*pair)
+    found = registration.summary()
     assert found["right_px"] == pytest.approx(-40.0, abs=0.1) and found["down_px"] == pytest.approx(25.0, abs=0.1)
     assert found["error_px"] is None and found["correlation"] > 0.5
+    for _ in range(40):
+        registration.add(*pair)
+    assert len(registration.surfaces) < registration.poses == 41
+    assert registration.summary()["right_px"] == pytest.approx(found["right_px"]) and registration.summary()["error_px"]
 
 
 def test_an_emissivity_that_cannot_be_is_not_told():

@@ -11,7 +11,9 @@ import numpy as np
 
 # Side of the square in the middle of a picture whose spectrum is taken, at most [px]; shifts are looked for up to so
 # many pixels, and a quarter of the square.
-_SIDE, _MOST_SHIFT = 512, 64
+_SIDE, _MOST_SHIFT = 512, 48
+# Poses are summed in so many groups.
+_GROUPS = 16
 # Only fine structure tells a shift: broader than this is left out [px].
 _FINE_PX = 6.0
 # Ground points are followed from one frame to the next in each direction every so many pixels, and count where the
@@ -64,6 +66,56 @@ def power(found):
 
 
 @dataclass
+class Registration:
+    """How well pictures lie on others, over all poses.
+
+    Attributes
+    ----------
+    surfaces : list of (2 n + 1, 2 n + 1) array
+        Sums of cross-correlations at small shifts, as by `correlation`, of up to `_GROUPS` groups of poses: what
+        leaving out each in turn changes tells the error.
+    scales : list of float
+        Sums of their scales.
+    poses : int
+    """
+
+    surfaces: list = field(default_factory=list)
+    scales: list = field(default_factory=list)
+    poses: int = 0
+
+    def add(self, found, reference):
+        """Add the transforms of a pose's two pictures."""
+        surface, scale = correlation(found, reference)
+        if self.poses < _GROUPS:
+            self.surfaces.append(surface)
+            self.scales.append(scale)
+        else:
+            self.surfaces[self.poses % _GROUPS] += surface
+            self.scales[self.poses % _GROUPS] += scale
+        self.poses += 1
+
+    def summary(self):
+        """Return {"right_px", "down_px", "error_px", "correlation", "unshifted"}, or None where nothing correlates.
+
+        The peak of the correlations of all poses together, with standard errors by the delete-a-group jackknife (None
+        of a single pose), its height, and how high the correlation is without a shift.
+        """
+        if not self.poses:
+            return None
+        total, scale = sum(self.surfaces), sum(self.scales)
+        found = peak(total, scale)
+        if found is None:
+            return None
+        right, down, height, unshifted = found
+        error = None
+        if len(self.surfaces) > 1:
+            left_out = [peak(total - one, scale - own) for one, own in zip(self.surfaces, self.scales, strict=True)]
+            places = np.array([each[:2] for each in left_out if each is not None])
+            error = np.sqrt((len(places) - 1) * places.var(axis=0)).tolist() if len(places) > 1 else None
+        return {"right_px": right, "down_px": down, "error_px": error, "correlation": height, "unshifted": unshifted}
+
+
+@dataclass
 class Structure:
     """Spectrum and shift of a method, over all poses.
 
@@ -72,21 +124,21 @@ class Structure:
     power, frequency : array or None
         Sum over poses of the power at each frequency [cycles/px].
     poses : int
-    correlations : list of (array, float)
-        Of each pose: cross-correlation with the reference at small shifts, as by `correlation`, and its scale.
+    registration : Registration
+        Against the reference.
     """
 
     power: np.ndarray | None = None
     frequency: np.ndarray | None = None
     poses: int = 0
-    correlations: list = field(default_factory=list)
+    registration: Registration = field(default_factory=Registration)
 
     def add(self, found, reference):
         """Add the transform of a pose, and its correlation with that of the reference."""
         self.frequency, density = power(found)
         self.power = density if self.power is None else self.power + density
         self.poses += 1
-        self.correlations.append(correlation(found, reference))
+        self.registration.add(found, reference)
 
     def summary(self):
         """Return plain numbers: {"shift", "spectrum"}, the spectrum in 24 steps."""
@@ -97,40 +149,11 @@ class Structure:
             rows = [(self.frequency[step == k].mean(), self.power[step == k].mean() / self.poses)
                     for k in range(24) if (step == k).any()]  # fmt: skip
             spectrum = {"cycles_per_px": [float(f) for f, _ in rows], "k2_px2": [float(p) for _, p in rows]}
-        return {"shift": shift_of(self.correlations), "spectrum": spectrum}
-
-
-def shift_of(correlations):
-    """Return {"right_px", "down_px", "error_px", "correlation", "unshifted"} of poses' correlations, or None.
-
-    Parameters
-    ----------
-    correlations : list of (array, float)
-        As by `correlation`.
-
-    Returns
-    -------
-    dict
-        The peak of the correlations of all poses together, with standard errors by leaving out each pose in turn, its
-        height, and how high the correlation is without a shift. None where nothing correlates.
-    """
-    if not correlations:
-        return None
-    surface, scale = (np.array([each[k] for each in correlations]) for k in (0, 1))
-    found = peak(surface.sum(axis=0), scale.sum())
-    if found is None:
-        return None
-    right, down, height, unshifted = found
-    error = None
-    if len(surface) > 1:
-        left_out = [peak(surface.sum(axis=0) - one, scale.sum() - own) for one, own in zip(surface, scale, strict=True)]
-        places = np.array([each[:2] for each in left_out if each is not None])
-        error = np.sqrt((len(places) - 1) * places.var(axis=0)).tolist() if len(places) > 1 else None
-    return {"right_px": right, "down_px": down, "error_px": error, "correlation": height, "unshifted": unshifted}
+        return {"shift": self.registration.summary(), "spectrum": spectrum}
 
 
 def correlation(found, reference):
-    """Return (cross-correlation (2 n + 1, 2 n + 1) at shifts of −n…n pixels down and right, n ≤ 64, its scale).
+    """Return (cross-correlation (2 n + 1, 2 n + 1) at shifts of −n…n pixels down and right, n ≤ 48, its scale).
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ from thermorender.sensor.readout import radiance_from_counts
 from thermorender.units import ZERO_CELSIUS_K, utc_text
 from thermorender.validate.evaluation import sums
 from thermorender.validate.referee import emissivities, methods, provenance, scores, training, views
-from thermorender.validate.referee.structure import Structure, Track, correlation, shift_of, transform
+from thermorender.validate.referee.structure import Registration, Structure, Track, transform
 from thermorender.validate.referee.targets import Targets
 from thermorender.validate.referee.terms import NAMES, Terms
 
@@ -33,8 +33,8 @@ class Found:
     gain : Gain
     scene_emissivities : dict of str to (4,) array
         Of a rendered method, as by `emissivities.of_scenes`.
-    registered : list
-        Correlations of its pictures with the same map rendered.
+    registered : Registration
+        Of its pictures against the same map rendered.
     changes : (3,) array
         Number, sum and square sum of changes of the same ground from pose to pose [K].
     seconds : list of float
@@ -52,7 +52,7 @@ class Found:
     explained: emissivities.Emissivities = field(default_factory=emissivities.Emissivities)
     gain: scores.Gain = field(default_factory=scores.Gain)
     scene_emissivities: dict = field(default_factory=dict)
-    registered: list = field(default_factory=list)
+    registered: Registration = field(default_factory=Registration)
     changes: np.ndarray = field(default_factory=lambda: np.zeros(3))
     seconds: list = field(default_factory=list)
     circular: list = field(default_factory=list)
@@ -81,7 +81,7 @@ class Found:
             "errors": self.tally.summary(seed) if scored else None,
             "groups": self.tally.grouped() if scored else {},
             "targets": self.targets.summary(), "structure": self.structure.summary(), "gain": self.gain.summary(),
-            "registered": shift_of(self.registered),
+            "registered": self.registered.summary(),
             "emissivities": {"told": self.explained.summary(), "scene": wrong, "error_k": self.explained.errors()},
             "steadiness_k": _deviation(self.changes),
             "seconds_per_frame": float(np.median(self.seconds)) if self.seconds else None,
@@ -214,7 +214,7 @@ class Trial:
             whole = read[solid.label] - read[flat.label]
             known = view.known & np.isfinite(whole)
             pair = (transform(image, view.known) for image in (seen[flat.label], seen[solid.label]))
-            self._found[flat.label].registered.append(correlation(*pair))
+            self._found[flat.label].registered.add(*pair)
             together = sum(parts.values())
             self._apart = max(self._apart, float(np.abs(together - whole)[known].max(initial=0.0)))
             for k, image in enumerate((*parts.values(), whole)):
