@@ -19,9 +19,10 @@ from thermorender.learned.temperature_map import Inputs, TemperatureMap, load_mo
 from thermorender.output.photograph import photograph
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.sensor.camera import load_camera, model_path
+from thermorender.validate import detector
 from thermorender.validate.referee import (
-    detector,
     emissivities,
+    frames,
     methods,
     provenance,
     scores,
@@ -620,3 +621,29 @@ def test_an_orthophoto_is_translated_once(ground, tmp_path, monkeypatch):
     compare([flight(each, poses=1) for each in folders], tmp_path / "c", [uniform_map(tmp_path / "m.npz", 0.5)], rays=8)
     texels = tr.load_scene(ground).surfaces[0].colour.shape
     assert asked.count(texels) == len(folders)
+
+
+def test_a_comparison_that_was_stopped_goes_on_with_the_method_it_lacks(ground, tmp_path, monkeypatch):
+    level = uniform_map(tmp_path / "level.npz", 0.5)
+    whole = compare([flight(ground)], tmp_path / "whole", [level], rays=8)
+    plain, lit = frames.Frames.rendered, []
+
+    def stopped(self, method, *rest):
+        if len(lit) == 1:
+            raise KeyboardInterrupt
+        lit.append(method.label)
+        return plain(self, method, *rest)
+
+    monkeypatch.setattr(frames.Frames, "rendered", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        compare([flight(ground)], tmp_path / "c", [level], rays=8)
+    assert not (tmp_path / "c").exists() and (tmp_path / ".c.frames").is_dir()
+    monkeypatch.setattr(frames.Frames, "rendered", plain)
+    built = []
+    monkeypatch.setattr(methods, "Renderer", lambda *given, **more: built.append(1) or tr.Renderer(*given, **more))
+    found = compare([flight(ground)], tmp_path / "c", [level], rays=8)
+    rendered = [label for label in found["methods"] if label.startswith("C")]
+    assert len(built) == len(rendered) - 1 == 1
+    for label in found["methods"]:
+        assert errors(found, label) == errors(whole, label)
+    assert not (tmp_path / ".c.frames").exists()

@@ -9,8 +9,11 @@ import pytest
 from scenes import write_balance
 from thermorender.materials.library import find, load_library
 from thermorender.physics import balance
+from thermorender.render.geometry import Geometry
+from thermorender.render.heat import relief as relief_module
 from thermorender.render.heat.conditions import TYPICAL, conditions
 from thermorender.render.heat.relief import MEMORY_H, NAMES, relief, reliefs
+from thermorender.render.variant import activate
 from thermorender.scene import columns as open_ground
 from thermorender.scene.load import load_scene
 from thermorender.weather.series import Weather
@@ -251,3 +254,15 @@ def test_what_a_station_measures_stands_beside_it():
     assert list(first) == list(found) and len(found) == 12 + 2 * len(TYPICAL)
     assert all(type(value) is float and math.isfinite(value) for each in (first, found) for value in each.values())
     assert first["air_day_k"] == first["rain_day_mm"] == 0.0
+
+
+def test_an_instant_is_traced_once_for_maps_that_ask_in_turn(level, monkeypatch):
+    geometry, asked = Geometry(activate(), level.surfaces), []
+    monkeypatch.setattr(relief_module, "_traced", lambda scene, times, *rest: asked.append(times) or {times[0]: {}})
+    later = level.time + HOUR
+    for time in (level.time, level.time, later, level.time):
+        assert list(reliefs(level, [time], geometry)) == [time]
+    assert asked == [[level.time], [later], [level.time]]
+    other = replace(level, spec=replace(level.spec, weather=replace(level.spec.weather, cloud=0.7)))
+    reliefs(other, [level.time], geometry)
+    assert len(asked) == 4

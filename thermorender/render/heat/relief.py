@@ -5,6 +5,7 @@ sun is looked for by rays from every texel, now and over the hours before, as th
 """
 
 from dataclasses import replace
+from weakref import WeakKeyDictionary
 
 import drjit as dr
 import numpy as np
@@ -27,6 +28,8 @@ _AROUND_M = 15.0
 _RAYS = 64
 # Steps of the past that weigh less are left out.
 _LEAST_SHARE = 1e-4
+# By geometry, the planes of the instant that was asked for last: the maps of a comparison ask for the same in turn.
+_LAST: WeakKeyDictionary = WeakKeyDictionary()
 NAMES = (
     "normal_east", "normal_north", "normal_up", "above_m", "sky_view", "sunlight",
     *(f"sunlight_{hours:g}h" for hours in MEMORY_H),
@@ -65,9 +68,20 @@ def reliefs(scene, times, geometry=None, progress=None):
     ThermorenderError
         No weather.
     """
+    geometry = geometry or Geometry(activate(), scene.surfaces)
+    asked = (*times, repr((scene.spec.weather, scene.frame)))
+    kept, found = _LAST.get(geometry, (None, None))
+    if kept != asked:
+        found = _traced(scene, times, geometry, progress)
+        if len(times) == 1:
+            _LAST[geometry] = asked, found
+    return found
+
+
+def _traced(scene, times, geometry, progress):
+    """The planes of `reliefs`, traced."""
     import cv2
 
-    geometry = geometry or Geometry(activate(), scene.surfaces)
     mi, weather, surface = geometry.mi, scene.weather, scene.surfaces[0]
     shape, texels = surface.material.shape, np.arange(surface.material.size)
     covers = np.minimum(np.array(geometry.face_of_texel())[: texels.size], len(surface.faces) - 1)

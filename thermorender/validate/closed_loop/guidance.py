@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thermorender.validate.referee import detector
+from thermorender.validate import detector
 
 # Responses from which on a spot is looked at and from which on it is still followed, in standard deviations of the
 # picture's own response; pictures in a row until it is taken for the marker, and without it until it is lost.

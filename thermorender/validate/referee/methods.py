@@ -11,6 +11,7 @@ of their material. What does know more than a method could says so in `knows`.
 """
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -48,14 +49,12 @@ class Method:
     knows : str
         What it is told that a translation of a photograph is not.
     model : TemperatureMap or None
-    renderer : Renderer or None
-        Of the scene that is rendered.
+    build : callable or None
+        () → Renderer of the scene that is rendered.
     kelvin : dict of str to float
         Temperatures of the objects in that [K].
     paint : callable or None
         (view) → radiance, for those that are neither translated nor rendered.
-    once_s : float
-        What solving its light took, once for a scene [s].
     """
 
     letter: str
@@ -63,10 +62,9 @@ class Method:
     bounds: str | None = None
     knows: str = ""
     model: Any = None
-    renderer: Any = None
+    build: Any = None
     kelvin: dict = field(default_factory=dict)
     paint: Any = None
-    once_s: float = 0.0
 
     @property
     def label(self):
@@ -76,6 +74,15 @@ class Method:
         told += ["true objects"] if self.knows == "the objects" else []
         return ", ".join(told)
 
+    @cached_property
+    def renderer(self):
+        """The Renderer of a rendered method, until it is closed."""
+        return self.build()
+
+    def close(self):
+        """Let go of the renderer, which holds a lit scene."""
+        self.__dict__.pop("renderer", None)
+
     @property
     def objects(self):
         """Temperatures of the dynamic objects, as `Renderer.frame` takes them."""
@@ -84,7 +91,7 @@ class Method:
 
     def radiance(self, view):
         """Return the band radiance (H, W) that it gives of a View [W m⁻² sr⁻¹]."""
-        if self.renderer is not None:
+        if self.build is not None:
             return self.renderer.radiance(view.pose, view.time_s, self.objects)
         if self.paint is not None:
             return self.paint(view)
@@ -110,6 +117,7 @@ class Remembered:
 
     def __init__(self, predictor):
         self.needs, self.above_air = predictor.needs, predictor.above_air
+        self.header, self.arrays = predictor.header, predictor.arrays
         self._predictor, self._kept = predictor, {}
 
     def predict(self, inputs, texel_m):
@@ -140,6 +148,10 @@ def rendered(scene, text, model, reference, bounds_c=None, true_materials=True, 
         The same with learned materials, for C2.
     settings : dict, optional
         Passed to Renderer.
+
+    Notes
+    -----
+    Nothing is rendered before a method's renderer is asked for.
     """
     made, settings = [], settings or {}
     if not model.needs:
@@ -148,39 +160,48 @@ def rendered(scene, text, model, reference, bounds_c=None, true_materials=True, 
     if bounds_c is not None and _bounds(model):
         every.append((REFITTED, tuple(bounds_c)))
 
-    def method(letter, warm, which, knows, kelvin):
-        renderer = Renderer(warm.with_object_temperatures(kelvin), like=reference, **settings)
-        return Method(letter, model.name, which, knows, ranged, renderer, kelvin)
+    def method(letter, cold, which, knows, kelvin):
+        source, ranged = TemperatureSpec(source="learned", model=str(text), range_c=limits), at_limits
+
+        def build():
+            warm = cold.with_temperature(source, ranged).with_object_temperatures(kelvin)
+            return Renderer(warm, like=reference, **settings)
+
+        return Method(letter, model.name, which, knows, ranged, build, kelvin)
 
     for which, limits in every:
-        source = TemperatureSpec(source="learned", model=str(text), range_c=limits)
-        ranged = model if limits is None else model.ranged(limits)
-        kelvin = object_temperatures(scene, ranged, reference)
+        at_limits = model if limits is None else model.ranged(limits)
+        kelvin = object_temperatures(scene, at_limits, reference)
         if true_materials:
-            warm = scene.with_temperature(source, ranged)
-            made.append(method("C1", warm, which, "the materials", kelvin))
+            made.append(method("C1", scene, which, "the materials", kelvin))
     if true_materials and scene.spec.objects:
-        made.append(method("C1", warm, which, "the objects", {}))
+        made.append(method("C1", scene, which, "the objects", {}))
     if learned is not None:
-        made.append(method("C2", learned.with_temperature(source, ranged), which, "", kelvin))
+        made.append(method("C2", learned, which, "", kelvin))
     return made
 
 
 def balanced(scene, reference, settings=None):
     """Return the method F of a scene: its heat balance with table values."""
-    solved = scene.with_temperature(TemperatureSpec(source="balance"))
     kelvin = {item.name: _own_temperature(scene, item) for item in scene.spec.objects}
-    renderer = Renderer(solved.with_object_temperatures(kelvin), like=reference, **(settings or {}))
-    return Method("F", "heat balance of tables", None, "the materials", renderer=renderer, kelvin=kelvin)
+
+    def build():
+        solved = scene.with_temperature(TemperatureSpec(source="balance"))
+        return Renderer(solved.with_object_temperatures(kelvin), like=reference, **(settings or {}))
+
+    return Method("F", "heat balance of tables", None, "the materials", build=build, kelvin=kelvin)
 
 
 def oracle(scene, text, model, reference, settings=None):
     """Return the method O of a scene: a map that is shown the material of each texel, too."""
-    told = scene.with_temperature(TemperatureSpec(source="learned", model=str(text)), model)
     kelvin = {item.name: _own_temperature(scene, item) for item in scene.spec.objects}
-    (solved,) = mapped(told, [scene.time], reference.baked.geometry, material=True)
-    renderer = Renderer(solved.with_object_temperatures(kelvin), like=reference, **(settings or {}))
-    return Method("O", model.name, None, "the materials", model, renderer, kelvin)
+
+    def build():
+        told = scene.with_temperature(TemperatureSpec(source="learned", model=str(text)), model)
+        (solved,) = mapped(told, [scene.time], reference.baked.geometry, material=True)
+        return Renderer(solved.with_object_temperatures(kelvin), like=reference, **(settings or {}))
+
+    return Method("O", model.name, None, "the materials", model, build, kelvin)
 
 
 def painted(training, band_um):

@@ -1,11 +1,12 @@
 """A comparison from beginning to end: scenes, their campaigns, methods, poses, and what is written.
 
 Two passes. The first reads thermal frames of every scene, for the bounds and means of the campaigns they belong to. The
-second takes the scenes one by one: the reference is baked, each method made, and every pose given to all of them, with
-the same sensor and the same noise.
+second takes the scenes one by one: the reference is baked, the frames of each method are made, and every pose of all of
+them is judged with the same sensor and the same noise.
 """
 
 import csv
+import shutil
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,7 @@ from thermorender.learned.temperature_map import load_model
 from thermorender.render.renderer import Renderer
 from thermorender.validate.bench import machine
 from thermorender.validate.referee import findings, methods, provenance, scores, training, views
+from thermorender.validate.referee.frames import Frames
 from thermorender.validate.referee.page import write_page
 from thermorender.validate.referee.pictures import Pictures
 from thermorender.validate.referee.trial import Trial
@@ -129,6 +131,9 @@ def compare(flights, folder, models, letters=methods.LETTERS, oracle=None, forei
     began = time.perf_counter()
     thermals = _thermals(flights, seed, settings, tell)
     found, told, photographs, table, left_out = {}, [], {}, [], []
+    # Kept where a comparison is stopped: the same one then goes on with what it lacks.
+    work = Path(folder).resolve()
+    work = work.with_name(f".{work.name}.frames")
     with files.atomic_folder(folder) as draft:
         pictures, kept = Pictures(draft), draft if arrays else None
         for number, flight in enumerate(flights):
@@ -145,7 +150,8 @@ def compare(flights, folder, models, letters=methods.LETTERS, oracle=None, forei
             reference = Renderer(truth or flight.scene, progress=say, **settings)
             made, missing = _methods(flight.scene, reference, truth is not None, asked, campaign, say)
             left_out += missing
-            one = Trial(flight, reference, truth is not None, made, campaign, found, pictures, seed, kept)
+            frames = Frames(work, flight, (settings, asked.emissivity))
+            one = Trial(flight, reference, truth is not None, made, campaign, found, pictures, seed, frames, kept)
             one.run(table, say)
             told.append(one.summary())
             photographs[name] = one.photographs
@@ -165,6 +171,7 @@ def compare(flights, folder, models, letters=methods.LETTERS, oracle=None, forei
             writer.writerows(table)
         files.write_json(draft / "comparison.json", summary)
         write_page(draft / "report.html", summary, pictures.views)
+    shutil.rmtree(work, ignore_errors=True)
     return summary
 
 
@@ -235,14 +242,12 @@ def _methods(scene, reference, has_truth, asked, campaign, say):
     if "F" in asked.letters and has_truth and weathered and not scene.balanced:
         say("solving the heat balance of tables", 0.0)
         try:
-            made.append(methods.balanced(scene, reference, settings))
+            one = methods.balanced(scene, reference, settings)
+            # Solved here, where it can be left out.
+            _ = one.renderer
+            made.append(one)
         except ThermorenderError as error:
             left_out.append(f"F, the heat balance of tables, is left out of {scene.name}: {error}")
-    for method in made:
-        if method.renderer is not None:
-            say(f"solving the light of {method.label}", 0.0)
-            # Once for a scene, and so not part of a frame's time.
-            method.once_s = _timed(lambda each=method: each.renderer.baked)
     return made + [other.method(scene.name, scene.camera.band_um) for other in asked.others], left_out
 
 
@@ -256,12 +261,6 @@ def _origins(models, known, photographs):
             pictures.audit(own, photographs)
         found[model.name] = own
     return found
-
-
-def _timed(call):
-    began = time.perf_counter()
-    call()
-    return time.perf_counter() - began
 
 
 def _notes(told):

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from thermorender.validate.referee import detector
+from thermorender.validate import detector
 
 # Objects smaller than this are not asked for [px], and detections within so many sizes, at least so far, are theirs.
 _LEAST_PX, _NEAR_SIZES, _NEAR_PX = 4, 1.5, 3.0

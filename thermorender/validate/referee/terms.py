@@ -18,7 +18,7 @@ import numpy as np
 
 from thermorender.frame import apparent_temperature
 from thermorender.learned.temperature_map import Inputs
-from thermorender.physics.band import emitted_radiance
+from thermorender.physics.band import RadianceTable, emitted_radiance
 from thermorender.physics.planck import band_radiance
 
 NAMES = ("geometry", "emission", "reflection", "air", "sensor")
@@ -56,27 +56,35 @@ class Terms:
                 given.append(kept)
         self._seen, self._given = (np.concatenate(parts).astype(np.float32) for parts in (seen, given))
 
-    def of(self, view, flat, solid, flat_read, solid_read):
-        """Return {name of `NAMES`: (H, W) float32} that add up to the difference of what the sensor reads of C and B.
+    def pictures(self, pose, time_s):
+        """Return the pictures between B and C of a pose, (2 or 3, H, W) float32 apparent temperature [K].
 
-        Parameters
-        ----------
-        view : View
-        flat, solid : (H, W) arrays
-            Apparent temperature of B and of C [K].
-        flat_read, solid_read : (H, W) arrays
-            The same behind the sensor [K].
+        Those of the second and third step, and of the fourth where there is air: without it nothing lies between the
+        surfaces and the camera, and what they send is the frame.
         """
         renderer, method, band = self._renderer, self._method, self._method.model.band_um
-        at = (view.pose, view.time_s, method.objects)
-        pictures = [renderer.pictured(values, *at) for values in (self._seen, self._given)]
-        # Without air nothing lies between the surfaces and the camera, and what they send is the frame.
-        clear = renderer.radiance(*at, through_air=False) if renderer.scene.air is not None else None
-        steps = [flat, *(apparent_temperature(picture, band) for picture in pictures),
-                 solid if clear is None else apparent_temperature(clear, band), solid]  # fmt: skip
-        found = {name: after - before for name, before, after in zip(NAMES, steps, steps[1:], strict=False)}
-        found["sensor"] = (solid_read - solid) - (flat_read - flat)
-        return found
+        at = (pose, time_s, method.objects)
+        made = [renderer.pictured(values, *at) for values in (self._seen, self._given)]
+        made += [renderer.radiance(*at, through_air=False)] if renderer.scene.air is not None else []
+        return np.stack([apparent_temperature(picture, band) for picture in made])
+
+
+def terms_of(pictures, flat, solid, flat_read, solid_read):
+    """Return {name of `NAMES`: (H, W) float32} that add up to the difference of what the sensor reads of C and B.
+
+    Parameters
+    ----------
+    pictures : (2 or 3, H, W) array
+        As by `Terms.pictures`.
+    flat, solid : (H, W) arrays
+        Apparent temperature of B and of C [K].
+    flat_read, solid_read : (H, W) arrays
+        The same behind the sensor [K].
+    """
+    steps = [flat, *pictures, *([solid] if len(pictures) == 2 else []), solid]
+    found = {name: after - before for name, before, after in zip(NAMES, steps, steps[1:], strict=False)}
+    found["sensor"] = (solid_read - solid) - (flat_read - flat)
+    return found
 
 
 def _under_sky(temperature, material, materials, sky_k, band_um):
@@ -84,6 +92,8 @@ def _under_sky(temperature, material, materials, sky_k, band_um):
     found, sky = np.empty(temperature.shape), band_radiance(sky_k, *band_um)
     for number in np.unique(material):
         here, emissivity = material == number, materials[number].emissivity_at
-        found[here] = emitted_radiance(emissivity, temperature[here], *band_um)
-        found[here] += sky - emitted_radiance(emissivity, sky_k, *band_um)
+        own = temperature[here].astype(np.float64)
+        # By table: the spectra of millions of texels would not fit memory.
+        emitted = RadianceTable.of(emissivity, own.min(), own.max(), *band_um)
+        found[here] = emitted(own) + sky - emitted_radiance(emissivity, sky_k, *band_um)
     return found

@@ -14,7 +14,7 @@ from thermorender.validate.evaluation import sums
 from thermorender.validate.referee import emissivities, methods, provenance, scores, training, views
 from thermorender.validate.referee.structure import Registration, Structure, Track, transform
 from thermorender.validate.referee.targets import Targets
-from thermorender.validate.referee.terms import NAMES, Terms
+from thermorender.validate.referee.terms import NAMES, terms_of
 
 # A material is told whose band emissivity a rendered method has wrong by this on average, where it covers this share.
 _EMISSIVITY, _SHARE = 0.02, 0.01
@@ -107,18 +107,21 @@ class Trial:
     pictures : Pictures
     seed : int
         Of the sensor's noise.
+    frames : Frames
+        Of the methods that are rendered.
     arrays : Path or None
         Folder of the frames that are kept.
     """
 
-    def __init__(self, flight, reference, has_truth, made, campaign, found, pictures, seed, arrays):
+    def __init__(self, flight, reference, has_truth, made, campaign, found, pictures, seed, frames, arrays):
         self._flight, self._reference, self._has_truth, self._made = flight, reference, has_truth, made
         self._campaign, self._pictures, self._seed, self._arrays = campaign, pictures, seed, arrays
+        self._frames = frames
         self.scene = reference.scene
         self._found = {}
         for method in made:
             # Renderers go with their scene; what is told of a method in the end is the same in all.
-            plain = replace(method, renderer=None, paint=None)
+            plain = replace(method, build=None, paint=None)
             self._found[method.label] = found.setdefault(method.label, Found(plain))
         self._emissivity = emissivities.band_emissivities(self.scene)
         self._objects = [item.name for item in self.scene.spec.objects]
@@ -130,10 +133,10 @@ class Trial:
         self._apart = 0.0
         self._reference_structure, self._changes = Structure(), np.zeros(3)
         self.photographs = []
-        self._between_methods = {}
+        self._between_methods, self._reports = {}, {}
 
     def _between(self):
-        """{map: (its B, its C1, Terms)} by the best bounds that both have."""
+        """{map: (its B, its C1)} by the best bounds that both have."""
         found = {}
         for method in self._made:
             if method.letter == "B":
@@ -141,16 +144,14 @@ class Trial:
                          and each.bounds == method.bounds and each.knows == "the materials"]  # fmt: skip
                 if twins:
                     found[method.name] = method, twins[0]
-        return {name: (flat, solid, Terms(solid)) for name, (flat, solid) in found.items()}
+        return found
 
     def run(self, table, say):
         """Give every pose to every method; `table` gains its rows."""
         flight, camera = self._flight, self.scene.camera
         sensor, before, seen_before = sensor_of(camera, self._seed), None, {}
         chosen = views.evenly(len(flight.times), provenance.PHOTOGRAPHS)
-        self._check_scenes()
-        for method in self._made:
-            self._found[method.label].once_s += method.once_s
+        self._render(say)
         for index, (time_s, pose) in enumerate(zip(flight.times, flight.poses, strict=True)):
             say("comparing", index / len(flight.times))
             view = views.view_of(self._reference, pose, time_s, index, self._has_truth)
@@ -161,9 +162,12 @@ class Trial:
                 emissivities.contrast(view, self.scene.sky_temperature, camera.band_um) if self._has_truth else None
             )
             for method in self._made:
-                began = time.perf_counter()
-                radiance = method.radiance(view)
-                self._found[method.label].seconds.append(time.perf_counter() - began)
+                if method.build is not None:
+                    radiance = self._frames.radiance(method, index)
+                else:
+                    began = time.perf_counter()
+                    radiance = method.radiance(view)
+                    self._found[method.label].seconds.append(time.perf_counter() - began)
                 seen[method.label] = apparent_temperature(radiance, camera.band_um)
                 counts[method.label], read[method.label] = _read(radiance, sensor, camera, index)
                 if self._has_truth and method.letter not in ("D", "E"):
@@ -209,8 +213,9 @@ class Trial:
             own.targets.add(self.scene.name, view, self._objects, image, counts[label])
 
     def _split(self, view, seen, read):
-        for name, (flat, solid, terms) in self._pairs.items():
-            parts = terms.of(view, seen[flat.label], seen[solid.label], read[flat.label], read[solid.label])
+        for name, (flat, solid) in self._pairs.items():
+            pictures = self._frames.terms(solid, view.index)
+            parts = terms_of(pictures, seen[flat.label], seen[solid.label], read[flat.label], read[solid.label])
             whole = read[solid.label] - read[flat.label]
             known = view.known & np.isfinite(whole)
             pair = (transform(image, view.known) for image in (seen[flat.label], seen[solid.label]))
@@ -234,24 +239,38 @@ class Trial:
         for label, image in seen.items():
             self._found[label].changes += _moments(track.change(seen_before[label], image))
 
-    def _check_scenes(self):
-        """Find emissivities that a rendered method has otherwise than the reference, and a truth that is its own."""
-        if not self._has_truth:
-            return
+    def _render(self, say):
+        """Render the frames of all methods that are rendered, one after the other."""
+        split = [solid.label for _, solid in self._pairs.values()]
         for method in self._made:
-            if method.renderer is None or method.letter == "F":
+            if method.build is None:
                 continue
             own = self._found[method.label]
-            text = provenance.circular(method.renderer.scene, self.scene) if method.letter != "O" else None
-            own.circular += [text] if text else []
-            for name, row in emissivities.of_scenes(method.renderer.scene, self.scene).items():
-                own.scene_emissivities[name] = own.scene_emissivities.get(name, 0.0) + row
+            told = self._frames.rendered(method, self._described, method.label in split, say)
+            own.once_s += told["once_s"]
+            own.seconds += told["seconds"]
+            own.circular += told["circular"]
+            for name, row in told["emissivities"].items():
+                own.scene_emissivities[name] = own.scene_emissivities.get(name, 0.0) + np.array(row)
+            if told["report"]:
+                self._reports[method.label] = told["report"]
+
+    def _described(self, method):
+        """What a rendered method's scene tells: whether the truth is its own, and emissivities beside the true ones."""
+        scene = method.renderer.scene
+        told = {"circular": [], "emissivities": {}, "report": scene.report}
+        if self._has_truth and method.letter != "F":
+            text = provenance.circular(scene, self.scene) if method.letter != "O" else None
+            told["circular"] += [text] if text else []
+            rows = emissivities.of_scenes(scene, self.scene)
+            told["emissivities"] = {name: row.tolist() for name, row in rows.items()}
+        return told
 
     def summary(self):
         """Return what is told of the scene, plain numbers."""
         scene, campaign = self.scene, self._campaign
         pairs = {}
-        for name, (flat, solid, _) in self._pairs.items():
+        for name, (flat, solid) in self._pairs.items():
             rows = [sums.summary(row) for row in self._terms[name]]
             pairs[name] = {"from": flat.label, "to": solid.label,
                            "terms": dict(zip((*NAMES, "whole"), rows, strict=True))}  # fmt: skip
@@ -262,7 +281,7 @@ class Trial:
             "digest": scene.digest(), "poses": len(self._flight.times), "reference": self._has_truth,
             "campaign": None if campaign is None else vars(campaign), "plan": self._reference.plan.as_dict(),
             "terms": pairs, "terms_apart_mk": 1e3 * self._apart, "spectrum": spectrum,
-            "steadiness_k": _deviation(self._changes), "maps": _reports(self._made),
+            "steadiness_k": _deviation(self._changes), "maps": self._reports,
             "differences": [{"one": one, "other": other, **sums.summary(row)}
                             for (one, other), row in self._between_methods.items()],
         }  # fmt: skip
@@ -286,12 +305,6 @@ def _moments(change):
 def _deviation(moments):
     """Root mean square of changes [K], or None."""
     return float(np.sqrt(moments[2] / moments[0])) if moments[0] else None
-
-
-def _reports(made):
-    """{label: what the map has to tell of a rendered scene}."""
-    return {method.label: method.renderer.scene.report for method in made
-            if method.renderer is not None and method.renderer.scene.report}  # fmt: skip
 
 
 def array_names(labels):

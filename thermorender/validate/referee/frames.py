@@ -1,0 +1,92 @@
+"""Rendered frames of methods, made one method after the other and kept on disk until all are scored.
+
+The lit scenes of all methods at once do not fit an ordinary machine's memory, and a comparison that was stopped goes on
+with the first method that was not finished.
+"""
+
+import hashlib
+import json
+import time
+
+import numpy as np
+
+from thermorender import files
+from thermorender.validate.referee.terms import Terms
+from thermorender.versions import versions
+
+
+class Frames:
+    """The frames of one scene.
+
+    Parameters
+    ----------
+    folder : Path
+        Where frames of any scenes are kept.
+    flight : Flight
+    asked : object
+        All else that frames depend on, told by its `repr`.
+    """
+
+    def __init__(self, folder, flight, asked):
+        state = hashlib.blake2b(repr((flight.scene.digest(), asked, versions())).encode(), digest_size=8)
+        for values in (flight.times, flight.poses):
+            state.update(np.ascontiguousarray(values).tobytes())
+        self._folder, self._flight = folder / state.hexdigest(), flight
+
+    def rendered(self, method, describe, split=False, say=None):
+        """Render a Method's frames where they are not there yet, let go of its renderer, and return what is told of it.
+
+        Parameters
+        ----------
+        method : Method
+            A rendered one.
+        describe : callable
+            (Method) → dict of plain values, asked while its scene is there.
+        split : bool
+            Whether the pictures of its terms are kept, too.
+        say : callable, optional
+            Called with (what, share done).
+
+        Returns
+        -------
+        dict
+            As by `describe`, and "once_s", what making its temperatures and solving its light took [s], and "seconds",
+            of each frame.
+        """
+        place = self._place(method)
+        facts = place / "facts.json"
+        if facts.is_file():
+            return json.loads(facts.read_text(encoding="utf-8"))
+        say = say or (lambda what, share: None)
+        say(f"solving the light of {method.label}", 0.0)
+        place.mkdir(parents=True, exist_ok=True)
+        began = time.perf_counter()
+        renderer = method.renderer
+        # Once for a scene, and so not part of a frame's time.
+        _ = renderer.baked
+        told = {"once_s": time.perf_counter() - began, "seconds": []}
+        terms = Terms(method) if split else None
+        for index, (time_s, pose) in enumerate(zip(self._flight.times, self._flight.poses, strict=True)):
+            say(f"rendering {method.label}", index / len(self._flight.times))
+            began = time.perf_counter()
+            radiance = renderer.radiance(pose, time_s, method.objects)
+            told["seconds"].append(time.perf_counter() - began)
+            np.save(place / f"{index:04d}.npy", radiance)
+            if terms:
+                np.save(place / f"{index:04d}_terms.npy", terms.pictures(pose, time_s))
+        told |= describe(method)
+        method.close()
+        files.write_json(facts, told)
+        return told
+
+    def radiance(self, method, index):
+        """Return the band radiance of a Method's frame, (H, W) float32 [W m⁻² sr⁻¹]."""
+        return np.load(self._place(method) / f"{index:04d}.npy", allow_pickle=False)
+
+    def terms(self, method, index):
+        """Return the pictures of a Method's terms, as by `Terms.pictures`."""
+        return np.load(self._place(method) / f"{index:04d}_terms.npy", allow_pickle=False)
+
+    def _place(self, method):
+        own = (method.label, sorted(method.kelvin.items()), method.model.digest() if method.model else None)
+        return self._folder / hashlib.blake2b(repr(own).encode(), digest_size=8).hexdigest()
