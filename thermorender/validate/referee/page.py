@@ -161,20 +161,23 @@ def _structure(summary):
     rows = []
     for label, own in summary["methods"].items():
         shift = own["structure"]["shift"] if own["letter"] == "foreign" else own["registered"]
-        steady = own["steadiness_k"]
-        if shift is None and steady is None:
+        steady, gain = own["steadiness_k"], own["gain"] or {"gain": None, "correlation": None}
+        if shift is None and steady is None and gain["gain"] is None:
             continue
         error = None if shift is None or shift["error_px"] is None else max(shift["error_px"])
         rows.append(((label, _number(shift and shift["right_px"], "+.2f"), _number(shift and shift["down_px"], "+.2f"),
-                      _number(error, ".2f"), _number(steady, ".3f")), False))  # fmt: skip
+                      _number(error, ".2f"), _number(steady, ".3f"), _number(gain["gain"], ".2f"),
+                      _number(gain["correlation"], ".2f")), False))  # fmt: skip
     if not rows:
         return ""
     own = [scene["steadiness_k"] for scene in summary["scenes"] if scene["steadiness_k"] is not None]
     words = "Ground points followed from frame to frame: root mean square of how a method changes its mind about them."
     words += f" The reference itself, by view and sampling: {max(own):.3f} K." if own else ""
     words += " Shifts are those of B against C1 of the same map, and of foreign frames against the reference."
-    head = ("method", "shifted right [px]", "down [px]", "standard error [px]", "change between frames [K]")
-    return f"<h2>Registration and steadiness</h2><p class=note>{text(words)}</p>" + table(head, rows)
+    words += " Contrast is the slope of a method on the reference within a pose's ground, beside their correlation."
+    head = ("method", "shifted right [px]", "down [px]", "standard error [px]", "change between frames [K]", "contrast",
+            "correlation")  # fmt: skip
+    return f"<h2>Registration, steadiness and contrast</h2><p class=note>{text(words)}</p>" + table(head, rows)
 
 
 def _groups(summary):
