@@ -1,6 +1,7 @@
 """Radiance of a real material in a camera's band: fine spectral quadrature, and tables of it against temperature."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -74,10 +75,8 @@ class RadianceTable:
         The ratio to the blackbody varies slowly with temperature, so it is integrated at 257 temperatures and
         interpolated linearly between them, while the blackbody itself is exact at every entry.
         """
-        temperature = cls.grid(coldest, warmest)
-        coarse = np.linspace(temperature[0], temperature[-1], 257)
-        ratio = emitted_radiance(emissivity, coarse, lower_um, upper_um) / band_radiance(coarse, lower_um, upper_um)
-        return cls(temperature, np.interp(temperature, coarse, ratio) * band_radiance(temperature, lower_um, upper_um))
+        temperature, black, coarse, wavelength, share = _blackbody(float(coldest), float(warmest), lower_um, upper_um)
+        return cls(temperature, np.interp(temperature, coarse, share @ emissivity(wavelength)) * black)
 
     @classmethod
     def grid(cls, coldest, warmest):
@@ -92,3 +91,17 @@ class RadianceTable:
     def inverse(self, radiance):
         """Return the temperature [K] that emits `radiance` [W m⁻² sr⁻¹]; NaN outside the table."""
         return np.interp(radiance, self.radiance, self.temperature, left=np.nan, right=np.nan)
+
+
+@lru_cache(maxsize=4)
+def _blackbody(coldest, warmest, lower_um, upper_um):
+    """What tables of all materials share: grid, its radiance, coarse temperatures, wavelengths, and their shares."""
+    temperature = RadianceTable.grid(coldest, warmest)
+    coarse = np.linspace(temperature[0], temperature[-1], 257)
+    wavelength, weight = quadrature(lower_um, upper_um)
+    share = spectral_radiance(wavelength, coarse[:, None]) * weight
+    share /= band_radiance(coarse, lower_um, upper_um)[:, None]
+    found = temperature, band_radiance(temperature, lower_um, upper_um), coarse, wavelength, share
+    for values in found:
+        values.setflags(write=False)
+    return found
