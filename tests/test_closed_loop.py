@@ -98,11 +98,15 @@ def test_landings_are_paired_resumed_and_told(tmp_path):
     assert render["contrast_k"] > 20.0 and render["acquired_s"] < 1.0 and render["right"] > 0.95
     assert render["error_m"] < run.NEAR_M
     lines = (tmp_path / run.LOG).read_text()
+    # A line that was cut short by a kill is no run.
+    (tmp_path / run.LOG).write_text(lines + '{"run": 7, "fra')
     assert run.fly(tmp_path, ["fok-1to1"], 1, sizes=small, quality="fast", rays=8) == json.loads(
         "[" + ",".join(lines.splitlines()) + "]"
     )
     assert (tmp_path / run.LOG).read_text() == lines
     told = run.write(found, tmp_path)
     assert told["A"]["near"] == 1.0 and len(run.rows(told)) == 3
+    with pytest.raises(ThermorenderError, match="holds landings of other settings"):
+        run.fly(tmp_path, ["fok-1to1"], 1, sizes=small, quality="high", rays=8)
     with pytest.raises(ThermorenderError, match="is told hour and weather"):
         run.fly(tmp_path, ["procedural-trees+"], 1)

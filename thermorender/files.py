@@ -293,6 +293,21 @@ def append_json(path, *values):
         ) from None
 
 
+def read_json_lines(path):
+    """Return the values of a file of JSON lines, none where there is no file; a last line cut short is cut away.
+
+    Raises
+    ------
+    ValueError
+        A whole line that is no JSON.
+    """
+    text = read_text(path) if path.exists() else ""
+    whole = text[: text.rfind("\n") + 1]
+    if whole != text:
+        write_text(path, whole)
+    return [json.loads(line) for line in whole.splitlines()]
+
+
 # --- the cache --------------------------------------------------------------------------------------------------
 
 

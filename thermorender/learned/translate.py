@@ -380,13 +380,8 @@ def _begin(folder, settings, resume):
             f"{path} was made with another {other}; continue with the same settings, or give another folder"
         )
     path = folder / DONE
-    text = files.read_text(path) if path.exists() else ""
-    whole = text[: text.rfind("\n") + 1]
-    if whole != text:
-        # Its last line was cut short by an interruption.
-        files.write_text(path, whole)
     try:
-        return {line["source"]: line["bytes"] for line in map(json.loads, whole.splitlines())}
+        return {line["source"]: line["bytes"] for line in files.read_json_lines(path)}
     except (ValueError, KeyError, TypeError):
         raise ThermorenderError(f"{path} is no list of translations; give another folder") from None
 

@@ -6,13 +6,34 @@ with the first method that was not finished.
 
 import hashlib
 import json
+import shutil
 import time
+from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 
 from thermorender import files
+from thermorender.errors import ThermorenderError
 from thermorender.validate.referee.terms import Terms
 from thermorender.versions import versions
+
+
+@contextmanager
+def waiting(output):
+    """Give the folder beside an output in which frames wait until all are scored.
+
+    It goes with the block, and where that is refused; a kill, a full disk or an interruption leaves it, and the same
+    comparison goes on from there.
+    """
+    output = Path(output).resolve()
+    place = output.with_name(f".{output.name}.frames")
+    try:
+        yield place
+    except ThermorenderError:
+        shutil.rmtree(place, ignore_errors=True)
+        raise
+    shutil.rmtree(place, ignore_errors=True)
 
 
 class Frames:
@@ -56,7 +77,9 @@ class Frames:
         place = self._place(method)
         facts = place / "facts.json"
         if facts.is_file():
-            return json.loads(facts.read_text(encoding="utf-8"))
+            told = json.loads(facts.read_text(encoding="utf-8"))
+            if told["split"] or not split:
+                return told
         say = say or (lambda what, share: None)
         say(f"solving the light of {method.label}", 0.0)
         place.mkdir(parents=True, exist_ok=True)
@@ -64,7 +87,7 @@ class Frames:
         renderer = method.renderer
         # Once for a scene, and so not part of a frame's time.
         _ = renderer.baked
-        told = {"once_s": time.perf_counter() - began, "seconds": []}
+        told = {"once_s": time.perf_counter() - began, "seconds": [], "split": split}
         terms = Terms(method) if split else None
         for index, (time_s, pose) in enumerate(zip(self._flight.times, self._flight.poses, strict=True)):
             say(f"rendering {method.label}", index / len(self._flight.times))

@@ -6,7 +6,6 @@ them is judged with the same sensor and the same noise.
 """
 
 import csv
-import shutil
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +19,7 @@ from thermorender.learned.temperature_map import load_model
 from thermorender.render.renderer import Renderer
 from thermorender.validate.bench import machine
 from thermorender.validate.referee import findings, methods, provenance, scores, training, views
-from thermorender.validate.referee.frames import Frames
+from thermorender.validate.referee.frames import Frames, waiting
 from thermorender.validate.referee.page import write_page
 from thermorender.validate.referee.pictures import Pictures
 from thermorender.validate.referee.trial import Trial
@@ -131,10 +130,7 @@ def compare(flights, folder, models, letters=methods.LETTERS, oracle=None, forei
     began = time.perf_counter()
     thermals = _thermals(flights, seed, settings, tell)
     found, told, photographs, table, left_out = {}, [], {}, [], []
-    # Kept where a comparison is stopped: the same one then goes on with what it lacks.
-    work = Path(folder).resolve()
-    work = work.with_name(f".{work.name}.frames")
-    with files.atomic_folder(folder) as draft:
+    with files.atomic_folder(folder) as draft, waiting(folder) as work:
         pictures, kept = Pictures(draft), draft if arrays else None
         for number, flight in enumerate(flights):
             name = flight.scene.name
@@ -171,7 +167,6 @@ def compare(flights, folder, models, letters=methods.LETTERS, oracle=None, forei
             writer.writerows(table)
         files.write_json(draft / "comparison.json", summary)
         write_page(draft / "report.html", summary, pictures.views)
-    shutil.rmtree(work, ignore_errors=True)
     return summary
 
 

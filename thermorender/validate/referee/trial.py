@@ -157,25 +157,7 @@ class Trial:
             view = views.view_of(self._reference, pose, time_s, index, self._has_truth)
             if index in chosen:
                 self.photographs.append(view.visible)
-            seen, read, counts = {}, {}, {}
-            contrast = (
-                emissivities.contrast(view, self.scene.sky_temperature, camera.band_um) if self._has_truth else None
-            )
-            for method in self._made:
-                if method.build is not None:
-                    radiance = self._frames.radiance(method, index)
-                else:
-                    began = time.perf_counter()
-                    radiance = method.radiance(view)
-                    self._found[method.label].seconds.append(time.perf_counter() - began)
-                seen[method.label] = apparent_temperature(radiance, camera.band_um)
-                counts[method.label], read[method.label] = _read(radiance, sensor, camera, index)
-                if self._has_truth and method.letter not in ("D", "E"):
-                    error = seen[method.label] - view.truth
-                    own, ground = self._found[method.label], view.known & (view.object < 0)
-                    own.explained.add(view, contrast, radiance, error, self._emissivity)
-                    own.gain.add(seen[method.label][ground], view.truth[ground])
-            true_read = None
+            seen, read, counts = self._looked(view, sensor)
             if self._has_truth:
                 true_counts = sensor.counts_at_rest(view.truth_radiance, index)
                 true_read = apparent_temperature(radiance_from_counts(true_counts, camera), camera.band_um)
@@ -187,13 +169,39 @@ class Trial:
                 self._follow(Track(before, view, camera), seen_before, seen, before, view)
             self._pictures.add(self.scene.name, view, seen, index, len(flight.times))
             if self._arrays is not None:
-                out = self._arrays / "arrays"
-                out.mkdir(exist_ok=True)
-                names = array_names(seen)
-                named = {names[label]: image.astype(np.float32) for label, image in seen.items()}
-                reference = {} if view.truth is None else {"reference": view.truth}
-                np.savez_compressed(out / f"{self.scene.name}_{index:04d}.npz", known=view.known, **reference, **named)
+                self._keep(view, seen)
             before, seen_before = view, seen
+
+    def _looked(self, view, sensor):
+        """{label: what a method gives of a View}: apparent temperature, the same behind the sensor, and its counts."""
+        seen, read, counts, camera, contrast = {}, {}, {}, self.scene.camera, None
+        if self._has_truth:
+            contrast = emissivities.contrast(view, self.scene.sky_temperature, camera.band_um)
+        for method in self._made:
+            own = self._found[method.label]
+            if method.build is not None:
+                radiance = self._frames.radiance(method, view.index)
+            else:
+                began = time.perf_counter()
+                radiance = method.radiance(view)
+                own.seconds.append(time.perf_counter() - began)
+            image = seen[method.label] = apparent_temperature(radiance, camera.band_um)
+            counts[method.label], read[method.label] = _read(radiance, sensor, camera, view.index)
+            if self._has_truth and method.letter not in ("D", "E"):
+                ground = view.known & (view.object < 0)
+                own.explained.add(view, contrast, radiance, image - view.truth, self._emissivity)
+                own.gain.add(image[ground], view.truth[ground])
+        return seen, read, counts
+
+    def _keep(self, view, seen):
+        """Write the frames of a View."""
+        folder = self._arrays / "arrays"
+        folder.mkdir(exist_ok=True)
+        names = array_names(seen)
+        named = {names[label]: image.astype(np.float32) for label, image in seen.items()}
+        reference = {} if view.truth is None else {"reference": view.truth}
+        path = folder / f"{self.scene.name}_{view.index:04d}.npz"
+        np.savez_compressed(path, known=view.known, **reference, **named)
 
     def _score(self, view, seen, read, counts, true_read, table):
         classes = scores.PixelClasses(view, self._objects, self._corners)
