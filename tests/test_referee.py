@@ -11,13 +11,14 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import thermorender as tr
-from scenes import write_terrain
+from scenes import write_balance, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.footage.radiometric_files import write_tlinear
 from thermorender.learned.correlation import Correlation
 from thermorender.learned.temperature_map import Inputs, TemperatureMap, load_model, save_map
 from thermorender.output.photograph import photograph
 from thermorender.physics.planck import band_radiance, brightness_temperature
+from thermorender.scene.spec import TemperatureSpec
 from thermorender.sensor.camera import load_camera, model_path
 from thermorender.validate import detector
 from thermorender.validate.referee import (
@@ -35,6 +36,14 @@ from thermorender.validate.referee.run import Flight, compare
 
 DOWN = [0.0, 1.0, 0.0, 0.0]
 BAND = (7.5, 13.5)
+WEATHER = """[weather]
+time = 2018-07-28T12:00:00Z
+air_low_c = 12.0
+air_high_c = 24.0
+humidity = 0.7
+wind_m_s = 2.5
+cloud = 0.1
+"""
 
 
 def flight(folder, height=8.0, poses=3, step=0.6):
@@ -647,3 +656,30 @@ def test_a_comparison_that_was_stopped_goes_on_with_the_method_it_lacks(ground, 
     for label in found["methods"]:
         assert errors(found, label) == errors(whole, label)
     assert not (tmp_path / ".c.frames").exists()
+
+
+def test_frames_that_wait_are_those_of_their_hour_weather_truth_and_materials(tmp_path):
+    scene = tr.load_scene(write_balance(tmp_path / "s", WEATHER))
+    scene = scene.with_temperature(TemperatureSpec(source="constant", value=290.0))
+    one = Flight(scene, np.zeros(1), np.eye(4)[None])
+    weather = replace(scene.spec.weather, cloud=0.9)
+    places = [
+        frames.Frames(tmp_path, each, truth, learned, {})._folder
+        for each, truth, learned in (
+            (one, scene, None),
+            (replace(one, scene=replace(scene, spec=replace(scene.spec, weather=weather))), scene, None),
+            (replace(one, scene=replace(scene, time=scene.time + np.timedelta64(3, "h"))), scene, None),
+            (one, scene.with_temperature(TemperatureSpec(source="constant", value=291.0)), None),
+            (one, scene, scene),
+            (replace(one, times=np.ones(1)), scene, None),
+        )
+    ]
+    assert len(set(places)) == len(places)
+
+
+def test_waiting_frames_outlive_a_full_disk_and_not_a_refusal(tmp_path):
+    for error, kept in ((OSError("no space"), True), (None, False)):
+        with pytest.raises(ThermorenderError), frames.waiting(tmp_path / "c") as place:
+            place.mkdir(exist_ok=True)
+            raise ThermorenderError("a sentence") from error
+        assert place.is_dir() == kept

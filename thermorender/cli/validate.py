@@ -41,16 +41,22 @@ def validate(
     # A study without what it needs is left out, and the page says so.
     runs |= {"heat": partial(validate_heat, data)} if data else {}
     runs |= {"maps": partial(validate_maps, dataset)} if dataset else {}
+    failed = []
     for study, verdicts, _ in gathered(output):
-        if verdicts is None and study.name in runs:
+        if study.name in runs and (verdicts is None or study.goes_on):
             typer.echo(f"{study.name}: {study.title}")
             # Stability ends with a status where a case fails; the others run all the same.
             with suppress(typer.Exit):
-                runs[study.name](output=output / Path(study.result).parent)
+                try:
+                    runs[study.name](output=output / Path(study.result).parent)
+                except ThermorenderError as error:
+                    failed.append(f"{study.name}: {error}")
     told = write_page(output)
     table(HEADER, rows(told))
     typer.echo(f"page in {output / PAGE}")
-    if not all(each.holds for _, verdicts, _ in told for each in verdicts or ()):
+    for sentence in failed:
+        typer.echo(sentence, err=True)
+    if failed or not all(each.holds for _, verdicts, _ in told for each in verdicts or ()):
         raise typer.Exit(1)
 
 

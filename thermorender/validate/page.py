@@ -70,4 +70,4 @@ def _section(folder, study, verdicts, machine):
 def _on(machine):
     if not machine:
         return ""
-    return f" · {machine['processor']}, {machine['cores']} cores"
+    return f" · {machine.get('processor')}, {machine.get('cores')} cores"

@@ -65,6 +65,8 @@ class Study:
         Paths or patterns of PNGs there.
     read : callable or None
         (result) → list of Verdict; None where nothing is expected.
+    goes_on : bool
+        Whether its command continues what is there, and costs little where nothing is missing.
     """
 
     name: str
@@ -72,6 +74,7 @@ class Study:
     result: str
     figures: tuple = ()
     read: Callable | None = None
+    goes_on: bool = False
 
 
 def _stability(found):
@@ -101,7 +104,9 @@ def _sensor(found):
     """Lag as a flight follows it, the first setting of each motion; allowed is what the frame states."""
     told = []
     for motion, cases in found["lag"].items():
-        used = next(each for each in cases if each["estimate_mk"] is not None)
+        used = next((each for each in cases if each["estimate_mk"] is not None), None)
+        if used is None:
+            continue
         told.append(Verdict(f"{found['camera']}, {motion}, {used['renders']} renders",
                             "64 renders in a time constant, RMS of a frame", 0.0, _MK * used["all_mk"],
                             _MK * used["estimate_mk"], _MK * used["ms"]))  # fmt: skip
@@ -127,17 +132,17 @@ def _moved(found):
 STUDIES = (
     Study("stability", "Cases at the edge", "stability/stability.json", (), _stability),
     Study("convergence", "Frames against path tracing", "convergence.json", ("figures/convergence_*.png",),
-          _convergence),
+          _convergence, goes_on=True),
     Study("air", "Spectral channels of the air", "air/air.json", ("air/*.png",), _air),
     Study("sensor", "Lag and blur of the camera", "sensor/sensor.json", ("sensor/sensor.png", "sensor/effects.png"),
           _sensor),
     Study("heat", "The heat balance against measurements", "heat/heat.json", ("heat/heat.png",), _heat),
     Study("moved", "Learned maps at another hour", "moved/moved.json", ("moved/moved.png",), _moved),
-    Study("growth", "Cost against size", "growth/growth.json", ("growth/growth.png",)),
-    Study("maps", "Learned maps on land, hours and weathers not trained on", "maps/kinds.json", ("maps/*.png",)),
+    Study("growth", "Cost against size", "growth/growth.json", ("growth/growth.png",), goes_on=True),
+    Study("maps", "Learned maps on land, hours and weathers not trained on", "maps/maps.json", ("maps/*.png",)),
     Study("trainings", "Trainings of networks", "networks/campaign/trainings.json", ("networks/campaign/*.png",)),
     Study("closed-loop", "Landings by rendered and by translated frames", "closed_loop/closed_loop.json",
-          ("closed_loop/closed_loop.png",)),
+          ("closed_loop/closed_loop.png",), goes_on=True),
 )  # fmt: skip
 
 

@@ -69,7 +69,7 @@ def reliefs(scene, times, geometry=None, progress=None):
         No weather.
     """
     geometry = geometry or Geometry(activate(), scene.surfaces)
-    asked = (*times, repr((scene.spec.weather, scene.frame)))
+    asked = (*times, scene.weather_digest())
     kept, found = _LAST.get(geometry, (None, None))
     if kept != asked:
         found = _traced(scene, times, geometry, progress)

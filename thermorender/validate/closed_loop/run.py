@@ -21,7 +21,7 @@ from thermorender.output.photograph import photograph
 from thermorender.render.renderer import Renderer
 from thermorender.sensor.chain import in_sequence, sensor_of
 from thermorender.validate.closed_loop import worlds
-from thermorender.validate.closed_loop.guidance import Steering, Tracker
+from thermorender.validate.closed_loop.guidance import BLIND_M, Steering, Tracker
 from thermorender.validate.closed_loop.vehicle import flown, winds
 from thermorender.validate.referee import methods
 from thermorender.versions import versions
@@ -77,7 +77,13 @@ def fly(folder, models, runs, progress=None, sizes=None, **settings):
                 f"models={model.name!r} is told hour and weather, which a photograph is not; give maps of colour only"
             )
     kinds = ["A", *(f"{letter} {model.name}" for _, model in loaded for letter in "BC")]
-    asked = {"settings": settings, "sizes": sizes, "models": {model.name: model.digest() for _, model in loaded}}
+    names = [model.name for _, model in loaded]
+    if len(set(names)) < len(names):
+        raise ThermorenderError(f"models={','.join(names)} names a map twice; give each once")
+    asked = {
+        "settings": settings, "sizes": sizes or worlds.SIZES, "thermorender": versions()["thermorender"],
+        "models": {model.name: model.digest() for _, model in loaded},
+    }  # fmt: skip
     log, done = folder / LOG, _flown(folder, json.loads(json.dumps(asked)))
     have = {(each["run"], each["frames"]) for each in done}
     for number in range(min(worlds.WORLDS, runs)):
@@ -137,9 +143,11 @@ def _flown(folder, asked):
     """The runs that a folder holds; those of other settings, or of another map of the same name, are refused."""
     path, log = folder / SETTINGS, folder / LOG
     try:
+        if log.is_file() and not path.is_file():
+            raise ValueError("no settings")
         before = json.loads(files.read_text(path)) if path.is_file() else {**asked, "models": {}}
         models = before["models"]
-        same = all(before[name] == asked[name] for name in ("settings", "sizes"))
+        same = all(before[name] == asked[name] for name in asked if name != "models")
         same &= all(models.get(name, digest) == digest for name, digest in asked["models"].items())
         done = files.read_json_lines(log)
     except (ValueError, KeyError, TypeError):
@@ -193,10 +201,10 @@ def _landing(run, kind, made, scene):
         frame_s.append(time.perf_counter() - frame_began)
         moment = in_sequence(camera, step, when)
         counts = sensor.counts(sensor.power(radiance, moment), moment)
-        before = tracker.locked
-        spot = tracker.look(counts, height)
+        # Too near to be seen whole, it is neither followed nor lost.
+        blind, before, offset = height < BLIND_M, tracker.locked, None
+        spot = None if blind else tracker.look(counts, height)
         lost += before and not tracker.locked
-        offset = None
         if spot is not None:
             slope = camera.directions(spot[::-1] + 0.5)
             offset = (_NADIR @ [*slope, 1.0])[:2] * height

@@ -25,6 +25,7 @@ def of(summary):
         contrast = _contrast(label, own)
         # What a wrong contrast explains asks for no other cause.
         found += contrast or _materials(label, own)
+        found += _rendered_with(label, own["emissivities"]["scene"])
     found += _beaten(summary)
     return sorted(found, key=lambda each: not each["grave"])
 
@@ -106,13 +107,16 @@ def _materials(label, method):
             found.append(_told(label, "emissivity", text))
         else:
             found.append(_told(label, "material", f"{text}, the others by {middle:.2f} K in the median"))
-    for name, own in emissivities["scene"].items():
-        text = (
-            f"{name} ({own['share']:.1%} of the ground) is rendered with a band emissivity of {own['used']:.3f} in "
-            f"place of {own['true']:.3f}"
-        )
-        found.append(_told(label, "emissivity", text))
     return found
+
+
+def _rendered_with(label, emissivities):
+    """Materials that a method renders with another emissivity than the reference."""
+    return [
+        _told(label, "emissivity", f"{name} ({own['share']:.1%} of the ground) is rendered with a band emissivity of "
+                                   f"{own['used']:.3f} in place of {own['true']:.3f}")
+        for name, own in emissivities.items()
+    ]  # fmt: skip
 
 
 def _beaten(summary):
@@ -123,11 +127,14 @@ def _beaten(summary):
         return []
     # On the scenes that the constant is had of.
     scenes, told = constant["groups"]["radiometric"]["scene"], []
+    scenes = [name for name, row in scenes.items() if row["pixels"]]
     limit = _over(constant, scenes)
+    if limit is None:
+        return []
     for label, own in methods.items():
         if own["letter"] in ("B", "C1", "C2", "O") and own["errors"]:
             error = _over(own, scenes)
-            if error is not None and limit is not None and error > limit:
+            if error is not None and error > limit:
                 told.append(f"{label} ({error:.2f} K)")
     text = f"one constant of the training part errs by {limit:.2f} K, less than {'; '.join(told)}"
     return [_told("D constant", "constant", text)] if told else []

@@ -21,19 +21,20 @@ from thermorender.versions import versions
 
 @contextmanager
 def waiting(output):
-    """Give the folder beside an output in which frames wait until all are scored.
+    """Give the folder beside an output in which frames wait until all are scored and it is removed.
 
-    It goes with the block, and where that is refused; a kill, a full disk or an interruption leaves it, and the same
+    A comparison that is refused takes it with it; a kill, a full disk or an interruption leaves it, and the same
     comparison goes on from there.
     """
     output = Path(output).resolve()
     place = output.with_name(f".{output.name}.frames")
     try:
         yield place
-    except ThermorenderError:
-        shutil.rmtree(place, ignore_errors=True)
+    except ThermorenderError as error:
+        # What the system refuses it may grant another time.
+        if not isinstance(error.__cause__ or error.__context__, OSError):
+            shutil.rmtree(place, ignore_errors=True)
         raise
-    shutil.rmtree(place, ignore_errors=True)
 
 
 class Frames:
@@ -44,12 +45,18 @@ class Frames:
     folder : Path
         Where frames of any scenes are kept.
     flight : Flight
+    reference, learned : Scene or None
+        The scene at its true temperatures, and with learned materials.
     asked : object
         All else that frames depend on, told by its `repr`.
     """
 
-    def __init__(self, folder, flight, asked):
-        state = hashlib.blake2b(repr((flight.scene.digest(), asked, versions())).encode(), digest_size=8)
+    def __init__(self, folder, flight, reference, learned, asked):
+        scene = flight.scene
+        # A scene with temperatures of its own does not depend on its weather; maps and balances of it do.
+        weather = scene.weather_digest() if scene.spec.weather and scene.frame else None
+        scenes = [each.digest() for each in (scene, reference, learned) if each is not None]
+        state = hashlib.blake2b(repr((scenes, scene.time, weather, asked, versions())).encode(), digest_size=8)
         for values in (flight.times, flight.poses):
             state.update(np.ascontiguousarray(values).tobytes())
         self._folder, self._flight = folder / state.hexdigest(), flight

@@ -6,6 +6,7 @@ them is judged with the same sensor and the same noise.
 """
 
 import csv
+import shutil
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -109,12 +110,16 @@ def compare(flights, folder, models, letters=methods.LETTERS, oracle=None, forei
         if names.count(name) > 1:
             raise ThermorenderError(f"two scenes are called {name!r}; give folders of different names")
     shown = (oracle, load_model(oracle)) if oracle else None
+    shapes = {(flight.scene.camera.height, flight.scene.camera.width): flight.scene.name for flight in flights}
+    if len(shapes) > 1:
+        told = "; ".join(f"{name!r} {width}×{height}" for (height, width), name in shapes.items())
+        raise ThermorenderError(f"the scenes' cameras have different pictures: {told}; compare each camera by itself")
     maps = [(text, load_model(text)) for text in models]
     others = [methods.Foreign(name, Path(place)) for name, place in (foreign or {}).items()]
     if not maps and not others:
         raise ThermorenderError("models is empty; give at least one learned map, or foreign frames")
-    learned = [model for _, model in (*maps, *([shown] if shown else []))]
-    called = [each.name for each in (*learned, *others)]
+    every = [model for _, model in (*maps, *([shown] if shown else []))]
+    called = [each.name for each in (*every, *others)]
     for name in called:
         if called.count(name) > 1:
             raise ThermorenderError(
@@ -144,9 +149,13 @@ def compare(flights, folder, models, letters=methods.LETTERS, oracle=None, forei
                 campaign = training.training_of(thermals[number], rest, flight.scene.camera)
             truth = _truth(flight.scene)
             reference = Renderer(truth or flight.scene, progress=say, **settings)
-            made, missing = _methods(flight.scene, reference, truth is not None, asked, campaign, say)
+            learned = None
+            if "C2" in asked.letters and flight.scene.spec.terrain.orthophoto:
+                say("telling materials from the orthophoto", 0.0)
+                learned = flight.scene.with_learned_materials(asked.emissivity)
+            made, missing = _methods(flight.scene, reference, learned, truth is not None, asked, campaign, say)
             left_out += missing
-            frames = Frames(work, flight, (settings, asked.emissivity))
+            frames = Frames(work, flight, reference.scene, learned, settings)
             one = Trial(flight, reference, truth is not None, made, campaign, found, pictures, seed, frames, kept)
             one.run(table, say)
             told.append(one.summary())
@@ -156,7 +165,7 @@ def compare(flights, folder, models, letters=methods.LETTERS, oracle=None, forei
             "settings": {key: str(value) for key, value in settings.items()}, "versions": versions(),
             "bounds": "refitted: eq. 2 on thermal frames of other lands in the same hour and weather",
         }  # fmt: skip
-        origins = _origins(learned, known, photographs)
+        origins = _origins(every, known, photographs)
         for label, own in found.items():
             summary["methods"][label] = own.summary(origins.get(own.method.name), seed)
         summary["findings"] = findings.of(summary)
@@ -167,6 +176,7 @@ def compare(flights, folder, models, letters=methods.LETTERS, oracle=None, forei
             writer.writerows(table)
         files.write_json(draft / "comparison.json", summary)
         write_page(draft / "report.html", summary, pictures.views)
+    shutil.rmtree(work, ignore_errors=True)
     return summary
 
 
@@ -209,13 +219,10 @@ def _thermals(flights, seed, settings, tell):
     return found
 
 
-def _methods(scene, reference, has_truth, asked, campaign, say):
+def _methods(scene, reference, learned, has_truth, asked, campaign, say):
     """(All Methods of a scene, what had to be left out and why, in sentences)."""
     bounds, settings = None if campaign is None else campaign.bounds_c, asked.settings
-    made, left_out, learned = [], [], None
-    if "C2" in asked.letters and scene.spec.terrain.orthophoto:
-        say("telling materials from the orthophoto", 0.0)
-        learned = scene.with_learned_materials(asked.emissivity)
+    made, left_out = [], []
     weathered = scene.spec.weather is not None and scene.frame is not None
     for text, model in asked.maps:
         say(f"preparing {model.name}", 0.0)

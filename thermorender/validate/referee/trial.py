@@ -229,7 +229,7 @@ class Trial:
             pair = (transform(image, view.known) for image in (seen[flat.label], seen[solid.label]))
             self._found[flat.label].registered.add(*pair)
             together = sum(parts.values())
-            self._apart = max(self._apart, float(np.abs(together - whole)[known].max(initial=0.0)))
+            self._apart = float(np.maximum(self._apart, np.abs(together - whole)[known].max(initial=0.0)))
             for k, image in enumerate((*parts.values(), whole)):
                 self._terms[name][k] += sums.row(image[known])
 
