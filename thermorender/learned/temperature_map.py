@@ -32,8 +32,9 @@ FORMAT = 1
 TEXEL_MARGIN = 1.25
 # Sky assumed where nobody states it: that of a clear mid-latitude summer day in the band [K].
 ASSUMED_SKY_K = 255.0
-# Slopes are those over this share of a radiance, of no less than this share of that at the range's warm end.
-_STEP, _LEAST_OF_COLD = 1e-3, 0.05
+# Slopes are those over this share of a radiance, of no less than this share of that at the range's warm end, in tables
+# of so many entries.
+_STEP, _LEAST_OF_COLD, _ENTRIES = 1e-3, 0.05, 1024
 # The largest network of full width, pix2pixHD's, takes 365 megabytes in half precision.
 _MOST_BYTES = 1 << 30
 # Kinds of predictors: {name in the file: (module, class)}; a module is imported when a map of it is read.
@@ -141,7 +142,7 @@ class TemperatureMap:
         ThermorenderError
             Something that the map needs is missing.
         """
-        return self.translated(inputs)[0]
+        return self._radiance_of(self._predicted(inputs)[0], inputs)
 
     def translated(self, inputs):
         """Return (apparent band radiance, standard deviation of its error), (h, w) float64 [W m⁻² sr⁻¹] and [K].
@@ -149,6 +150,17 @@ class TemperatureMap:
         The second is None where the method tells none for single pixels. It is what the map has found on its training
         pictures: of colours, hours and weathers unlike those it knows nothing.
         """
+        found, spread = self._predicted(inputs)
+        radiance = self._radiance_of(found, inputs)
+        if spread is not None and not self.predictor.above_air:
+            cold, warm = band_radiance(np.array(self.range_k), *self.band_um)
+            # At the range's cold end where no temperature exists.
+            usable = np.maximum(radiance, min(cold, _LEAST_OF_COLD * warm))
+            spread = spread * (warm - cold) * self._kelvin_per_radiance(usable)
+        return radiance, spread
+
+    def _predicted(self, inputs):
+        """What the predictor says of an Inputs, and the standard deviation of that or None."""
         for name in self.needs:
             if getattr(inputs, name) is None or not len(getattr(inputs, name)):
                 raise ThermorenderError(
@@ -156,21 +168,23 @@ class TemperatureMap:
                     "with a scene that has [weather], or take a map that sees colour only"
                 )
         if hasattr(self.predictor, "with_spread"):
-            found, spread = self.predictor.with_spread(inputs)
-        else:
-            found, spread = self.predictor.predict(inputs, self.texel_m), None
+            return self.predictor.with_spread(inputs)
+        return self.predictor.predict(inputs, self.texel_m), None
+
+    def _radiance_of(self, found, inputs):
+        """Band radiance of what the predictor says."""
         if self.predictor.above_air:
-            return self._radiance_at(np.maximum(found + inputs.conditions["air_k"], 1.0)), spread
+            return self._radiance_at(np.maximum(found + inputs.conditions["air_k"], 1.0))
         cold, warm = band_radiance(np.array(self.range_k), *self.band_um)
-        radiance = cold + found * (warm - cold)
-        if spread is not None:
-            # By the slope of temperature on radiance, at the range's cold end where no temperature exists.
-            usable = np.maximum(radiance, min(cold, _LEAST_OF_COLD * warm))
-            step = _STEP * usable
-            slope = (brightness_temperature(usable + step, *self.band_um)
-                     - brightness_temperature(usable - step, *self.band_um)) / (2.0 * step)  # fmt: skip
-            spread = spread * (warm - cold) * slope
-        return radiance, spread
+        return cold + found * (warm - cold)
+
+    def _kelvin_per_radiance(self, radiance):
+        """Slope of temperature on band radiance, by table: from entry to entry it is smooth."""
+        grid = np.geomspace(0.999 * np.nanmin(radiance), 1.001 * np.nanmax(radiance), _ENTRIES)
+        step = _STEP * grid
+        slope = (brightness_temperature(grid + step, *self.band_um)
+                 - brightness_temperature(grid - step, *self.band_um)) / (2.0 * step)  # fmt: skip
+        return np.interp(radiance, grid, slope)
 
     def _radiance_at(self, temperature):
         """Band radiance of temperatures [K], by table where that is shorter than the picture."""
