@@ -2,6 +2,16 @@
 
 import numpy as np
 
+# A day in July of which a balance is told no more.
+WEATHER = """[weather]
+time = 2018-07-28T12:00:00Z
+air_low_c = 12.0
+air_high_c = 24.0
+humidity = 0.7
+wind_m_s = 2.5
+cloud = 0.1
+"""
+
 
 def write_raster(path, bands, step=1.0, crs="EPSG:32634", corner=(500000.0, 5780000.0), **options):
     """Write (bands, h, w) as a north-up GeoTIFF with its upper left corner at `corner`."""

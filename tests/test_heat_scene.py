@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scenes import write_balance
+from scenes import WEATHER, write_balance
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
 from thermorender.materials.mixture import mix
@@ -14,14 +14,6 @@ from thermorender.render.heat import march as heat
 from thermorender.scene import columns as open_ground
 from thermorender.scene.load import load_scene
 
-WEATHER = """[weather]
-time = 2018-07-28T12:00:00Z
-air_low_c = 12.0
-air_high_c = 24.0
-humidity = 0.7
-wind_m_s = 2.5
-cloud = 0.1
-"""
 AT = np.datetime64("2018-07-28T12:00:00")
 HOUR = np.timedelta64(3600, "s")
 

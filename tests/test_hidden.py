@@ -3,20 +3,12 @@
 import numpy as np
 import pytest
 
-from scenes import write_balance
+from scenes import WEATHER, write_balance
 from thermorender.errors import ThermorenderError
 from thermorender.scene import columns as open_ground
 from thermorender.scene.hidden import Hidden
 from thermorender.scene.load import load_scene
 
-WEATHER = """[weather]
-time = 2018-07-28T12:00:00Z
-air_low_c = 12.0
-air_high_c = 24.0
-humidity = 0.7
-wind_m_s = 2.5
-cloud = 0.1
-"""
 AT = np.datetime64("2018-07-28T12:00:00")
 NAMES = ("reflectance", "wetness", "exchange", "inertia")
 FACTORS = {"reflectance": 1.4, "wetness": 2.0, "exchange": 0.7, "inertia": 1.5}

@@ -12,7 +12,7 @@ from thermorender.campaign.dataset import Entry, ThermalScale, Writer, packed, r
 from thermorender.campaign.map_training import train_map
 from thermorender.errors import ThermorenderError
 from thermorender.learned.methods import METHODS
-from thermorender.learned.temperature_map import SHIPPED, Inputs, load_map, load_model
+from thermorender.learned.temperature_map import MODELS, SHIPPED, Inputs, load_map, load_model
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.sensor.camera import load_camera
 from thermorender.sensor.readout import radiance_from_counts
@@ -416,3 +416,22 @@ def test_shipped_maps_translate_and_ask_for_what_they_need(tmp_path, call):
     assert status == 0, errors
     status, _, errors = call("translate", "procedural-trees+", tmp_path / "a.png", "-o", tmp_path / "p")
     assert status == 2 and "procedural-trees+" in errors and not (tmp_path / "p").exists()
+
+
+def test_an_uncertainty_in_kelvin_is_that_of_brightness_temperature():
+    """Half the change of temperature from one standard deviation of intensity below to one above."""
+
+    class Unsure:
+        needs, above_air = (), False
+
+        def with_spread(self, inputs):
+            return np.linspace(-0.2, 1.4, inputs.rgb[..., 0].size).reshape(inputs.rgb.shape[:2]), np.full((8, 9), 1e-3)
+
+    published = MODELS["fok-1to1"]
+    model = replace(published, predictor=Unsure())
+    inputs = Inputs(np.zeros((8, 9, 3), np.uint8))
+    radiance, spread = model.translated(inputs)
+    cold, warm = band_radiance(np.array(model.range_k), *model.band_um)
+    ends = [brightness_temperature(radiance + sign * 1e-3 * (warm - cold), *model.band_um) for sign in (-1.0, 1.0)]
+    assert np.allclose(spread, 0.5 * (ends[1] - ends[0]), rtol=1e-4)
+    assert np.array_equal(model.radiance(inputs), radiance)

@@ -11,7 +11,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import thermorender as tr
-from scenes import write_balance, write_terrain
+from scenes import WEATHER, write_balance, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.footage.radiometric_files import write_tlinear
 from thermorender.learned.correlation import Correlation
@@ -36,14 +36,6 @@ from thermorender.validate.referee.run import Flight, compare
 
 DOWN = [0.0, 1.0, 0.0, 0.0]
 BAND = (7.5, 13.5)
-WEATHER = """[weather]
-time = 2018-07-28T12:00:00Z
-air_low_c = 12.0
-air_high_c = 24.0
-humidity = 0.7
-wind_m_s = 2.5
-cloud = 0.1
-"""
 
 
 def flight(folder, height=8.0, poses=3, step=0.6):

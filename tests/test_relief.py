@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scenes import write_balance
+from scenes import WEATHER, write_balance
 from thermorender.materials.library import find, load_library
 from thermorender.physics import balance
 from thermorender.render.geometry import Geometry
@@ -18,14 +18,6 @@ from thermorender.scene import columns as open_ground
 from thermorender.scene.load import load_scene
 from thermorender.weather.series import Weather
 
-WEATHER = """[weather]
-time = 2018-07-28T12:00:00Z
-air_low_c = 12.0
-air_high_c = 24.0
-humidity = 0.7
-wind_m_s = 2.5
-cloud = 0.1
-"""
 # The sun stands in the south.
 AT = np.datetime64("2018-07-28T10:42:00")
 HOUR = np.timedelta64(3600, "s")

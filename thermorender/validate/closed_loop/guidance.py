@@ -19,8 +19,8 @@ AGREEING, MISSING = 3, 5
 _GATE_SIZES, _GATE_PX = 3.0, 40.0
 # Gains: velocity by offset [1/s], and by its integral [1/s²]; the fastest sideways [m/s].
 _ALONG, _INTEGRAL, _FASTEST_M_S = 1.0, 0.3, 5.0
-# Descent by height [1/s] within limits [m/s], and only while the marker lies within this share of the height.
-_DOWN, _DOWN_M_S, _CONE = 0.25, (0.7, 4.0), 0.25
+# Descent by height [1/s], at most so fast [m/s], and only while the marker lies within this share of the height.
+_DOWN, _DOWN_M_S, _CONE = 0.25, 4.0, 0.25
 # Below this the detector's ring no longer fits the picture: straight down, held against the wind as before [m, m/s].
 BLIND_M, _BLIND_M_S = 4.5, 1.5
 
@@ -106,4 +106,4 @@ class Steering:
         along = along + self.wind_m_s
         along *= min(1.0, _FASTEST_M_S / max(float(np.hypot(*along)), 1e-9))
         inside = np.hypot(*offset_m) < _CONE * height_m
-        return np.array([*along, -float(np.clip(_DOWN * height_m, *_DOWN_M_S)) if inside else 0.0])
+        return np.array([*along, -min(_DOWN * height_m, _DOWN_M_S) if inside else 0.0])
