@@ -172,10 +172,12 @@ def test_stopped_and_resumed_is_the_same(tmp_path, name, at):
 
 def test_killed_at_any_moment_and_resumed_is_the_same(tmp_path):
     """kill −9 of a process at random moments, then resumed until it ends: nothing lost, nothing doubled."""
+    # Every step waits, so that a fast machine is not done before it is killed.
     program = (
         "import sys, torch; torch.set_num_threads(2); sys.path.insert(0, sys.argv[1]);"
         "from test_network_training import *;"
-        "task = task_of('compact', examples(), sys.argv[2], resume=True, **SMALL | MORE);"
+        "slow = lambda what, share: time.sleep(0.05);"
+        "task = task_of('compact', examples(), sys.argv[2], resume=True, progress=slow, **SMALL | MORE);"
         "train_network(task, 'compact')"
     )
     train_network(task_of("compact", examples(), tmp_path / "whole", **SMALL | MORE), "compact")
