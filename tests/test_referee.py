@@ -3,6 +3,7 @@
 import csv
 import json
 import shutil
+import time
 from collections import defaultdict
 from dataclasses import replace
 
@@ -609,19 +610,50 @@ def test_foreign_frames_are_looked_at_before_anything_is_rendered(ground, tmp_pa
     assert not (tmp_path / "c").exists()
 
 
-def test_an_orthophoto_is_translated_once(ground, tmp_path, monkeypatch):
+def test_a_picture_is_translated_once_for_all_bounds_and_each_pays_for_it(tmp_path, monkeypatch):
     asked = []
     plain = Correlation.predict
 
     def counted(self, inputs, texel_m):
         asked.append(inputs.rgb.shape)
+        time.sleep(0.05)
         return plain(self, inputs, texel_m)
 
     monkeypatch.setattr(Correlation, "predict", counted)
-    folders = [ground, write_terrain(tmp_path / "other", height=np.zeros((32, 32)), temperature=structured(5))]
-    compare([flight(each, poses=1) for each in folders], tmp_path / "c", [uniform_map(tmp_path / "m.npz", 0.5)], rays=8)
-    texels = tr.load_scene(ground).surfaces[0].colour.shape
-    assert asked.count(texels) == len(folders)
+    heights = np.random.default_rng(1).uniform(0.0, 0.3, (2, 32, 32))
+    lands = [write_terrain(tmp_path / f"land{k}", heights[k], structured(5 + k), extra=WEATHER) for k in range(2)]
+    flights = [flight(each, poses=2) for each in lands]
+    told = compare(flights, tmp_path / "c", [uniform_map(tmp_path / "m.npz", 0.5)], rays=8)
+    texels = flights[0].scene.surfaces[0].colour.shape
+    photograph_of = (flights[0].scene.camera.height, flights[0].scene.camera.width, 3)
+    assert asked.count(texels) == len(lands) and asked.count(photograph_of) == 2 * len(lands)
+    own = {label: found for label, found in told["methods"].items() if label.endswith(("m", "refitted"))}
+    assert sorted(own) == ["B m", "B m, refitted", "C1 m", "C1 m, refitted", "C2 m, refitted"]
+    for label, found in own.items():
+        assert (found["seconds_per_frame"] if label[0] == "B" else found["once_s"] / len(lands)) >= 0.05, label
+
+
+def test_what_is_remembered_is_told_apart_by_all_that_a_map_is_told():
+    class Told:
+        needs, above_air, header, arrays = frozenset({"terrain", "conditions"}), True, None, None
+        asked = 0
+
+        def predict(self, inputs, texel_m):
+            self.asked += 1
+            return np.full(inputs.rgb.shape[:2], float(self.asked))
+
+    rgb, slope = np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4), np.float32)
+    first = Inputs(rgb, 0.2, {"slope": slope}, {"air_k": 280.0})
+    others = [replace(first, rgb=rgb + 1), replace(first, texel_m=0.3), replace(first, terrain={"slope": slope + 1}),
+              replace(first, conditions={"air_k": 281.0}), replace(first, depth=slope),
+              replace(first, terrain={"height": slope}), replace(first, rgb=rgb.reshape(2, 8, 3))]  # fmt: skip
+    kept = methods.Remembered(Told())
+    for number, inputs in enumerate((first, *others), 1):
+        assert (kept.predict(inputs, 0.2) == number).all()
+    again = replace(first, rgb=rgb.copy(), terrain={"slope": slope.copy()})
+    assert (kept.predict(again, 0.2) == 1).all() and kept.spared_s > 0.0
+    last = methods.Remembered(Told(), most=1)
+    assert [last.predict(each, 0.2)[0, 0] for each in (first, first, others[0], first)] == [1, 1, 2, 3]
 
 
 def test_a_comparison_that_was_stopped_goes_on_with_the_method_it_lacks(ground, tmp_path, monkeypatch):

@@ -59,7 +59,7 @@ class Frames:
         state = hashlib.blake2b(repr((scenes, scene.time, weather, asked, versions())).encode(), digest_size=8)
         for values in (flight.times, flight.poses):
             state.update(np.ascontiguousarray(values).tobytes())
-        self._folder, self._flight = folder / state.hexdigest(), flight
+        self._folder, self._flight, self._places = folder / state.hexdigest(), flight, {}
 
     def rendered(self, method, describe, split=False, say=None):
         """Render a Method's frames where they are not there yet, let go of its renderer, and return what is told of it.
@@ -90,11 +90,11 @@ class Frames:
         say = say or (lambda what, share: None)
         say(f"solving the light of {method.label}", 0.0)
         place.mkdir(parents=True, exist_ok=True)
-        began = time.perf_counter()
+        began = method.clock()
         renderer = method.renderer
         # Once for a scene, and so not part of a frame's time.
         _ = renderer.baked
-        told = {"once_s": time.perf_counter() - began, "seconds": [], "split": split}
+        told = {"once_s": method.clock() - began, "seconds": [], "split": split}
         terms = Terms(method) if split else None
         for index, (time_s, pose) in enumerate(zip(self._flight.times, self._flight.poses, strict=True)):
             say(f"rendering {method.label}", index / len(self._flight.times))
@@ -118,5 +118,7 @@ class Frames:
         return np.load(self._place(method) / f"{index:04d}_terms.npy", allow_pickle=False)
 
     def _place(self, method):
-        own = (method.label, sorted(method.kelvin.items()), method.model.digest() if method.model else None)
-        return self._folder / hashlib.blake2b(repr(own).encode(), digest_size=8).hexdigest()
+        if method.label not in self._places:
+            own = (method.label, sorted(method.kelvin.items()), method.model.digest() if method.model else None)
+            self._places[method.label] = self._folder / hashlib.blake2b(repr(own).encode(), digest_size=8).hexdigest()
+        return self._places[method.label]
