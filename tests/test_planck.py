@@ -129,6 +129,20 @@ def test_inverse_beyond_what_a_blackbody_has():
     assert planck.brightness_temperature(1.7e308, 100.0, 1000.0) == np.inf
 
 
+@pytest.mark.parametrize("band", [BAND, (3.0, 5.0), (10.5, 10.6)])
+def test_slope_of_the_inverse_is_its_difference(band):
+    """Of few values, and of many, which are read from a table: ten decades, kelvin of one part in a million."""
+    top = planck.band_radiance(2000.0, *band)
+    radiance = np.geomspace(1e-10 * top, top, 5001)
+    below, above = (planck.brightness_temperature(radiance * factor, *band) for factor in (1.0 - 1e-5, 1.0 + 1e-5))
+    expected = (above - below) / (2e-5 * radiance)
+    assert planck.kelvin_per_radiance(radiance, *band) == pytest.approx(expected, rel=1e-6)
+    assert planck.kelvin_per_radiance(radiance[::50], *band) == pytest.approx(expected[::50], rel=1e-6)
+    holed = np.where(np.arange(5001) == 7, np.nan, radiance)
+    found = planck.kelvin_per_radiance(holed.reshape(3, -1), *band)
+    assert found.shape == (3, 1667) and np.isnan(found[0, 7]) and np.isfinite(found).sum() == 5000
+
+
 def test_shapes_and_odd_values():
     assert isinstance(planck.band_radiance(300.0, *BAND), float)
     assert planck.band_radiance(np.full((2, 3), 300.0), *BAND).shape == (2, 3)

@@ -22,7 +22,7 @@ from thermorender.defaults import BAND_UM, CAMERA, TRAINED_MAPS
 from thermorender.errors import ThermorenderError
 from thermorender.learned import correlation
 from thermorender.physics.band import RadianceTable
-from thermorender.physics.planck import band_radiance, band_radiance_derivative, brightness_temperature
+from thermorender.physics.planck import band_radiance, kelvin_per_radiance
 from thermorender.schema import did_you_mean, shortened
 from thermorender.units import ZERO_CELSIUS_K
 
@@ -32,8 +32,8 @@ FORMAT = 1
 TEXEL_MARGIN = 1.25
 # Sky assumed where nobody states it: that of a clear mid-latitude summer day in the band [K].
 ASSUMED_SKY_K = 255.0
-# Slopes are of no less than this share of the radiance at the range's warm end, in tables of so many entries.
-_LEAST_OF_COLD, _ENTRIES = 0.05, 1024
+# Slopes are of no less than this share of the radiance at the range's warm end.
+_LEAST_OF_COLD = 0.05
 # The largest network of full width, pix2pixHD's, takes 365 megabytes in half precision.
 _MOST_BYTES = 1 << 30
 # Kinds of predictors: {name in the file: (module, class)}; a module is imported when a map of it is read.
@@ -155,7 +155,7 @@ class TemperatureMap:
             cold, warm = band_radiance(np.array(self.range_k), *self.band_um)
             # At the range's cold end where no temperature exists.
             usable = np.maximum(radiance, min(cold, _LEAST_OF_COLD * warm))
-            spread = spread * (warm - cold) * self._kelvin_per_radiance(usable)
+            spread = spread * (warm - cold) * kelvin_per_radiance(usable, *self.band_um)
         return radiance, spread
 
     def _predicted(self, inputs):
@@ -176,12 +176,6 @@ class TemperatureMap:
             return self._radiance_at(np.maximum(found + inputs.conditions["air_k"], 1.0))
         cold, warm = band_radiance(np.array(self.range_k), *self.band_um)
         return cold + found * (warm - cold)
-
-    def _kelvin_per_radiance(self, radiance):
-        """Slope of temperature on band radiance, by table: from entry to entry it is smooth."""
-        grid = np.geomspace(0.999 * np.nanmin(radiance), 1.001 * np.nanmax(radiance), _ENTRIES)
-        slope = 1.0 / band_radiance_derivative(brightness_temperature(grid, *self.band_um), *self.band_um)
-        return np.interp(radiance, grid, slope)
 
     def _radiance_at(self, temperature):
         """Band radiance of temperatures [K], by table where that is shorter than the picture."""

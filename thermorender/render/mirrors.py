@@ -22,7 +22,7 @@ import drjit as dr
 import numpy as np
 
 from thermorender.physics.fresnel import COSINES
-from thermorender.physics.planck import band_radiance_derivative, brightness_temperature
+from thermorender.physics.planck import band_radiance_derivative, kelvin_per_radiance
 from thermorender.render.air import altitude
 from thermorender.render.geometry import Channels
 from thermorender.render.spectrum import REFERENCE_K
@@ -139,8 +139,8 @@ class _Case:
         least = emitted.min(axis=1) + image.min(axis=1) - glow.max()
         self.effect_mk = float(np.abs([most, least]).max() / band_radiance_derivative(REFERENCE_K, *band_um)) * 1e3
         shown = (black[0].sum() - judged @ black[0])[:, None] + judged @ every.T
-        per_mk = band_radiance_derivative(brightness_temperature(shown, *band_um), *band_um) * 1e-3
-        left = (wanted - known @ fit)[_JUDGED] @ spectrum.solver.sum(axis=0) / per_mk
+        mk_per_radiance = 1e3 * kelvin_per_radiance(shown, *band_um)
+        left = (wanted - known @ fit)[_JUDGED] @ spectrum.solver.sum(axis=0) * mk_per_radiance
         self.error_mk = float((np.abs(left) + np.abs(left[:, :_BLACK]).max(axis=1, keepdims=True)).max())
 
 

@@ -20,12 +20,7 @@ import numpy as np
 from thermorender.atmosphere.model import HIGHEST_CAMERA_M
 from thermorender.errors import ThermorenderError
 from thermorender.physics.band import RadianceTable, emitted_radiance, quadrature
-from thermorender.physics.planck import (
-    band_radiance,
-    band_radiance_derivative,
-    brightness_temperature,
-    spectral_radiance,
-)
+from thermorender.physics.planck import band_radiance, kelvin_per_radiance, spectral_radiance
 
 MOST_NODES = 64
 MOST_CHANNELS = 8
@@ -325,7 +320,7 @@ class _Case:
         """Radiance of a millikelvin of each surface at its coldest that reflects each light, (M, L)."""
         coldest = self.sources[1][0]
         shown = (1.0 - self.spectra) @ self.light.T + (self.spectra @ coldest)[:, None]
-        return _per_mk(shown, self.envelope.band_um)
+        return 1e-3 / kelvin_per_radiance(shown, *self.envelope.band_um)
 
     def wanted(self, basis):
         """What each surface reflects of each light into each channel, (M, K, L)."""
@@ -373,7 +368,7 @@ def _channels(case, tolerance_mk):
     node = case.points.node
     reflected = [_gathered((1.0 - emissivity) * case.light, node) for emissivity in case.spectra]
     shown = np.concatenate([_gathered(case.spectra[m] * black, node) + reflected[m] for m, black in own])
-    shown /= _per_mk(shown.sum(axis=1), case.envelope.band_um)[:, None]
+    shown *= 1e3 * kelvin_per_radiance(shown.sum(axis=1), *case.envelope.band_um)[:, None]
     square = shown.T @ shown
     size, axes = np.linalg.eigh(square)
     left, size, _ = np.linalg.svd(case.passed @ (axes * np.sqrt(np.maximum(size, 0.0))), full_matrices=False)
@@ -395,11 +390,6 @@ def _means(points, spectra, basis, label):
     channels = basis[:, points.node] * inside
     reflected = _gathered((1.0 - spectra)[:, None] * channels, label)
     return _gathered(spectra * inside, label), reflected, _gathered(channels, label)
-
-
-def _per_mk(radiance, band_um):
-    """Radiance of a millikelvin of blackbodies of band radiances [W m⁻² sr⁻¹]."""
-    return band_radiance_derivative(brightness_temperature(radiance, *band_um), *band_um) * 1e-3
 
 
 def _black(points, temperatures):

@@ -13,8 +13,8 @@ from thermorender.validate.referee.views import evenly
 # Steps of a picture's values inside the page, per kelvin; and how much the page may hold of them [bytes].
 STEPS_PER_K = 20.0
 MOST_BYTES = 12_000_000
-# Poses of a scene that are drawn, at most.
-_POSES = 3
+# Poses that are drawn, at most: of a scene, and of all, but one of each.
+_POSES, _ALL = 3, 12
 
 
 @dataclass
@@ -25,17 +25,20 @@ class Pictures:
     ----------
     folder : Path
         Where files go, below `pictures`.
+    scenes : int
+        How many scenes share them.
     views : list of dict
         {"title", "visible", "pictures": [{"label", "source", "reference"}]} of each pose that the page shows.
     """
 
     folder: Path
+    scenes: int = 1
     views: list = field(default_factory=list)
     _bytes: int = 0
 
     def add(self, scene, view, seen, index, count):
         """Add the pictures of a View where it is among those that are drawn: `seen` is {label: (H, W) kelvin}."""
-        if index not in evenly(count, _POSES):
+        if index not in evenly(count, min(_POSES, max(1, _ALL // self.scenes))):
             return
         place = self.folder / "pictures"
         place.mkdir(exist_ok=True)

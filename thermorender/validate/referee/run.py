@@ -136,7 +136,7 @@ def compare(flights, folder, models, letters=methods.LETTERS, oracle=None, forei
     thermals = _thermals(flights, seed, settings, tell)
     found, told, photographs, table, left_out = {}, [], {}, [], []
     with files.atomic_folder(folder) as draft, waiting(folder) as work:
-        pictures, kept = Pictures(draft), draft if arrays else None
+        pictures, kept = Pictures(draft, len(flights)), draft if arrays else None
         for number, flight in enumerate(flights):
             name = flight.scene.name
 
