@@ -8,6 +8,8 @@ from thermorender.units import ZERO_CELSIUS_K
 # Of maps beyond the ten colours, and of the simple methods' lines.
 _MARKERS = "osv^"
 _DASHES = ((1, 1), (4, 1), (1, 4), (8, 2), (4, 1, 1, 1), (8, 1, 1, 1, 1, 1), (12, 4))
+# From so many methods on they stand in three columns.
+_FOLDED = 6
 
 
 def picture(path, view, guesses, share):
@@ -22,31 +24,33 @@ def picture(path, view, guesses, share):
     share : float
         Quantile of the first method's error at which this view lies.
     """
-    plot = pyplot()
-    lines, (height, width) = len(guesses) + 1, view.true.shape
-    size = 11.0, (0.6 + 4.6 * height / width) * lines
-    figure, axes = plot.subplots(lines, 2, figsize=size, layout="constrained", squeeze=False)
+    plot, (height, width) = pyplot(), view.true.shape
+    columns = 1 if len(guesses) < _FOLDED else 3
+    lines = -(-(len(guesses) + 1) // columns)
+    size = 11.0 / columns**0.5 * columns, (0.35 + 4.6 / columns**0.5 * height / width) * lines + 0.8
+    figure, axes = plot.subplots(lines, 2 * columns, figsize=size, layout="constrained", squeeze=False)
+    pairs = axes.reshape(-1, 2)
     true = np.where(view.known, view.true, np.nan) - ZERO_CELSIUS_K
     errors = {name: np.where(view.known, guess - view.true, np.nan) for name, guess in guesses.items()}
     low, high = np.nanpercentile(true, [1, 99])
     every = np.abs(np.concatenate([error[np.isfinite(error)] for error in errors.values()]))
     limit = float(np.percentile(every, 98)) if every.any() else 1.0
-    axes[0, 0].imshow(view.pair.visible)
-    axes[0, 0].set_title(f"{view.pair.entry.key}: visible")
-    shown = axes[0, 1].imshow(true, cmap="inferno", vmin=low, vmax=high)
-    axes[0, 1].set_title(f"true; quantile {share:g} of the first map's error")
-    figure.colorbar(shown, ax=axes[0, 1], label="apparent temperature [°C]", shrink=0.8)
-    for (name, guess), (left, right) in zip(guesses.items(), axes[1:], strict=True):
-        shown = left.imshow(guess - ZERO_CELSIUS_K, cmap="inferno", vmin=low, vmax=high)
-        left.set_title(name)
-        figure.colorbar(shown, ax=left, label="apparent temperature [°C]", shrink=0.8)
-        shown = right.imshow(errors[name], cmap="RdBu_r", vmin=-limit, vmax=limit)
-        figure.colorbar(shown, ax=right, label="error [K]", shrink=0.8)
+    pairs[0, 0].imshow(view.pair.visible)
+    pairs[0, 0].set_title(f"{view.pair.entry.key}: visible", fontsize=10)
+    warm = pairs[0, 1].imshow(true, cmap="inferno", vmin=low, vmax=high)
+    pairs[0, 1].set_title(f"true; quantile {share:g} of the first map's error", fontsize=10)
+    for (name, guess), (left, right) in zip(guesses.items(), pairs[1:], strict=False):
+        left.imshow(guess - ZERO_CELSIUS_K, cmap="inferno", vmin=low, vmax=high)
+        left.set_title(name, fontsize=10)
+        off = right.imshow(errors[name], cmap="RdBu_r", vmin=-limit, vmax=limit)
         finite = errors[name][np.isfinite(errors[name])]
         if finite.size:
-            right.set_title(f"error: ME {finite.mean():+.2f}, MAE {np.abs(finite).mean():.2f} K")
+            right.set_title(f"error: ME {finite.mean():+.2f}, MAE {np.abs(finite).mean():.2f} K", fontsize=10)
     for axis in axes.ravel():
         axis.set_axis_off()
+    below = axes[-1, :columns].tolist(), axes[-1, columns:].tolist()
+    for shown, place, label in ((warm, below[0], "apparent temperature [°C]"), (off, below[1], "error [K]")):
+        figure.colorbar(shown, ax=place, label=label, location="bottom", aspect=40, shrink=0.8)
     save(figure, path)
 
 

@@ -31,7 +31,7 @@ def curves(path, result):
     axis.set(xscale="log", xlabel="training [hours of one core]", ylabel="mean absolute error on validation crops [K]")
     axis.set_ylim(0.0, 1.6 * max(each["curve"][-1][2] for each in result["runs"]))
     axis.grid(alpha=0.3, which="both")
-    axis.legend(fontsize=7, ncols=2, loc="lower left")
+    axis.legend(fontsize=7, bbox_to_anchor=(1.01, 1.0), loc="upper left")
     save(figure, path)
 
 
