@@ -23,7 +23,7 @@ from thermorender.learned.networks.crops import Crops
 from thermorender.learned.networks.loop import train_network
 from thermorender.learned.networks.predictor import Network
 from thermorender.learned.networks.recipes import RECIPES
-from thermorender.learned.networks.runs import read_log
+from thermorender.learned.networks.runs import cut_log, read_log
 from thermorender.learned.temperature_map import Inputs
 
 TESTS = Path(__file__).resolve().parent
@@ -325,9 +325,15 @@ def test_a_pair_without_air_among_others_is_named(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["null\n", "{}\n", '{"crops": "a"}\n', "[]\n", '{"crops": 12, "sec'])
-def test_a_damaged_log_ends_where_it_is_damaged(tmp_path, text):
-    (tmp_path / "log.jsonl").write_text(text, encoding="utf-8")
-    assert read_log(tmp_path) == []
+def test_a_damaged_line_of_a_log_is_passed_over_and_no_other_is_lost(tmp_path, text):
+    epochs = [{"crops": n, "seconds": 1.0, "core_seconds": 1.0, "validation_mae_k": 1.0} for n in (12, 24, 36)]
+    first, *rest = (json.dumps(each) + "\n" for each in epochs)
+    (tmp_path / "log.jsonl").write_text(first + text.rstrip() + "\n" + "".join(rest), encoding="utf-8")
+    assert read_log(tmp_path) == epochs
+    cut_log(tmp_path, 24)
+    assert read_log(tmp_path) == epochs[:2]
+    (tmp_path / "log.jsonl").write_text(first + text, encoding="utf-8")
+    assert read_log(tmp_path) == epochs[:1]
 
 
 def test_stopped_before_the_first_checkpoint_begins_anew(tmp_path, monkeypatch):

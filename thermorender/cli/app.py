@@ -523,7 +523,7 @@ def main():
     except (KeyboardInterrupt, typer.Abort):
         status = 130
     if status == 130:
-        typer.echo("stopped; a flight continues with --resume", err=True)
+        typer.echo("stopped; flights, data sets and trainings go on with --resume", err=True)
     raise SystemExit(status or 0)
 
 

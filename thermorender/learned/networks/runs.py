@@ -33,7 +33,7 @@ def read_settings(folder):
 def read_log(folder):
     """Return the epochs of a run's folder, a list of {crops, seconds, core_seconds, losses, validation_mae_k}.
 
-    What follows a line that was cut short is passed over.
+    A line that was cut short is passed over.
     """
     path = Path(folder) / LOG
     found = []
@@ -43,9 +43,8 @@ def read_log(folder):
             told = isinstance(epoch, dict) and all(isinstance(epoch.get(name), int | float) for name in _EPOCH)
         except ValueError:
             told = False
-        if not told:
-            break
-        found.append(epoch)
+        if told:
+            found.append(epoch)
     return found
 
 

@@ -15,6 +15,8 @@ from thermorender.learned.networks.runs import read_log, read_settings
 HEADER = ("run", "method", "width", "batch", "crops seen", "published", "core hours", "validation [K]", "at crops",
           "at core hours", "last fifth")  # fmt: skip
 PLATEAU = 0.01
+# A curve of fewer epochs before its last fifth says nothing of that.
+_EPOCHS = 4
 # How much sooner one training has to come to another's best error to be called ahead of it.
 SOONER = 10.0
 # Below this no training is ahead [K].
@@ -72,7 +74,7 @@ def _read(folder):
         "published_crops": recipe.published_crops if recipe else None, "curve": curve,
         "best_mae_k": float(errors[best]), "best_crops": int(crops[best]), "best_core_s": float(seconds[best]),
         "core_s": float(seconds[-1]), "crops": int(crops[-1]),
-        "last_fifth": float(1.0 - errors.min() / early.min()) if early.size and early.min() > 0.0 else None,
+        "last_fifth": float(1.0 - errors.min() / early.min()) if early.size >= _EPOCHS and early.min() > 0.0 else None,
     }  # fmt: skip
 
 

@@ -4,7 +4,7 @@ Blocks of 4×4 pixels become channels, so nothing is lost and sixteen times fewe
 residual blocks runs there, and its last channels become pixels again. Where relief and weather are known, what it gives
 is added to a mixture of temperatures whose shares it chooses for each pixel: those of typical materials, as the heat
 balance has them here, and that of a linear map, with which it begins. There is no norm over the picture, so a part of
-it gives the same as the whole, but for the reach of the convolutions.
+it that is cut at multiples of 16 pixels gives the same as the whole, but for the reach of the convolutions.
 """
 
 import torch
