@@ -409,7 +409,7 @@ def compare(
 ):  # fmt: skip
     """Hold learned 2D translation against the radiometric render of the same poses: a page, a table, pictures."""
     from thermorender.campaign.dataset import read_dataset
-    from thermorender.validate.referee import run
+    from thermorender.validate.referee import findings, run
     from thermorender.validate.referee.methods import LETTERS, learned_materials
 
     letters = split(methods)
@@ -431,8 +431,12 @@ def compare(
     rows = run.rows(summary)
     if rows:
         table(run.HEADER, rows)
-    for finding in summary["findings"]:
-        typer.echo(finding["text"])
+    for title, grave, lines in findings.grouped(summary["findings"]):
+        typer.echo(f"{title}:")
+        for line in lines if grave else lines[:3]:
+            typer.echo(f"  {line}")
+        if not grave and len(lines) > 3:
+            typer.echo(f"  and {len(lines) - 3} more in report.html")
     typer.echo(f"report.html, pixels.csv, comparison.json and pictures in {output}")
 
 

@@ -9,15 +9,23 @@ _SHIFT_PX, _SINGLE_PX, _ALIKE = 0.5, 1.0, 0.5
 _GAIN, _PATTERN, _MOST = 0.1, 0.8, 0.5
 # A material's error stands apart where it is so many times the median one of the others.
 _APART = 3.0
+_TITLES = {
+    "leak": "Seen in training", "circular": "Circular", "offset": "An offset is most of the error",
+    "shift": "Shifted", "unlike": "Frames unlike the scene", "contrast": "Wrong contrast",
+    "material": "Materials that err apart", "emissivity": "Wrong emissivity", "constant": "Beaten by a constant",
+}  # fmt: skip
 
 
 def of(summary):
-    """Return [{"grave": bool, "method": label, "kind": word, "text": sentence}] of a comparison's summary."""
+    """Return [{"grave": bool, "method": label, "kind": word, "says": words, "text": both}] of a comparison's summary.
+
+    The row that knows the true objects says of the ground what the row without them says.
+    """
     found = []
     for label, own in summary["methods"].items():
         found += [_told(label, "leak", leak, grave=True) for leak in own["leaks"]]
         found += [_told(label, "circular", text, grave=True) for text in own["circular"]]
-        if not own["errors"]:
+        if not own["errors"] or own["knows"] == "the objects":
             continue
         ground = own["errors"]["radiometric"]["ground"]
         found += _offset(label, ground)
@@ -30,8 +38,17 @@ def of(summary):
     return sorted(found, key=lambda each: not each["grave"])
 
 
-def _told(label, kind, text, grave=False):
-    return {"grave": grave, "method": label, "kind": kind, "text": f"{label}: {text}"}
+def grouped(found):
+    """Return [(title, grave, lines)] of findings by kind; methods of which the same is said share a line."""
+    groups = {}
+    for each in found:
+        groups.setdefault((each["kind"], each["grave"]), {}).setdefault(each["says"], []).append(each["method"])
+    return [(_TITLES[kind], grave, [f"{', '.join(labels)}: {says}" for says, labels in lines.items()])
+            for (kind, grave), lines in groups.items()]  # fmt: skip
+
+
+def _told(label, kind, says, grave=False):
+    return {"grave": grave, "method": label, "kind": kind, "says": says, "text": f"{label}: {says}"}
 
 
 def _offset(label, ground):

@@ -6,7 +6,11 @@ from pathlib import Path
 from thermorender import files
 from thermorender.validate.figures import referee as figures
 from thermorender.validate.html import document, figure, table, text
+from thermorender.validate.referee import findings
 from thermorender.validate.referee.terms import NAMES
+
+# Longer lists of what is not grave are folded.
+_OPEN = 5
 
 
 def write_page(path, summary, views):
@@ -45,9 +49,12 @@ def _head(summary):
 
 
 def _findings(summary):
-    rows = "".join(f"<li class={'grave' if each['grave'] else 'plain'}>{text(each['text'])}</li>"
-                   for each in summary["findings"])  # fmt: skip
-    return f"<h2>What was found</h2><ul>{rows or '<li>Nothing stands out.</li>'}</ul>"
+    parts = []
+    for title, grave, lines in findings.grouped(summary["findings"]):
+        rows = "".join(f"<li class={'grave' if grave else 'plain'}>{text(line)}</li>" for line in lines)
+        opened = " open" if grave or len(lines) <= _OPEN else ""
+        parts.append(f"<details{opened}><summary>{text(title)} ({len(lines)})</summary><ul>{rows}</ul></details>")
+    return f"<h2>What was found</h2>{''.join(parts) or '<p>Nothing stands out.</p>'}"
 
 
 def _errors(summary):
