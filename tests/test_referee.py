@@ -176,14 +176,15 @@ def test_frames_without_a_fault_are_told_to_have_none(planted):
 
 
 def test_what_is_found_is_told_by_kind_and_once_for_all_of_whom_it_is_said():
-    told = [{"grave": grave, "method": method, "kind": kind, "says": says} for grave, method, kind, says in (
-        (True, "B m", "leak", "seen"), (False, "C1 m", "offset", "of 1 K"),
-        (False, "C2 m", "emissivity", "0.9, not 0.8"), (False, "B m", "offset", "of 2 K"), (False, "C2 n", "emissivity", "0.9, not 0.8"),
-    )]  # fmt: skip
+    said = [
+        (True, "B m", "leak", "seen"), (False, "C1 m", "offset", "of 1 K"), (False, "C2 m", "emissivity", "too high"),
+        (False, "B m", "offset", "of 2 K"), (False, "C2 n", "emissivity", "too high"),
+    ]  # fmt: skip
+    told = [dict(zip(("grave", "method", "kind", "says"), each, strict=True)) for each in said]
     assert findings.grouped(told) == [
         ("Seen in training", True, ["B m: seen"]),
         ("An offset is most of the error", False, ["C1 m: of 1 K", "B m: of 2 K"]),
-        ("Wrong emissivity", False, ["C2 m, C2 n: 0.9, not 0.8"]),
+        ("Wrong emissivity", False, ["C2 m, C2 n: too high"]),
     ]
 
 
