@@ -365,6 +365,10 @@ def test_objects_get_no_truth_but_in_the_row_that_says_so(tmp_path):
     }
     assert target["B level"]["true_contrast_k"] > 50.0 and abs(target["B level"]["contrast_k"]) < 0.1
     assert target["C1 level, true objects"]["found"] == 1.0 and target["C1 level, true objects"]["offset_px"] < 2.0
+    known = found["targets"]["objects"]["plate"]
+    assert known["found"] == 1.0 and known["contrast_k"] == known["true_contrast_k"] > 50.0
+    page = (tmp_path / "c" / "report.html").read_text(encoding="utf-8")
+    assert "<td>reference</td>" in page.split("<h2>Targets</h2>")[1]
 
 
 def test_a_scene_without_truth_has_differences_only(ground, tmp_path):

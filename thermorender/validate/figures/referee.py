@@ -8,6 +8,7 @@ from thermorender import files
 from thermorender.units import ZERO_CELSIUS_K
 
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#F0E442", "#000000")
+_STYLE = {"B": "-", "C1": "--", "C2": ":"}
 _LETTER = {"B": "o", "C1": "s", "C2": "D", "D": "x", "E": "+", "F": "^", "O": "*", "foreign": "P"}
 
 
@@ -82,18 +83,17 @@ def against_time(summary):
     figure, pyplot = _figure()
     drawing = figure(figsize=(8.0, 4.6), layout="constrained")
     axis = drawing.subplots()
-    names = list(dict.fromkeys(own["map"] for own, _ in scored))
-    used = set()
+    colours, used = _coloured(own for own, _ in scored), set()
     for own, error in scored:
         ends = (error.get("interval_95") or {}).get("mae_k")
         bars = None if ends is None else [[max(error["mae_k"] - ends[0], 0.0)], [max(ends[1] - error["mae_k"], 0.0)]]
         label = own["map"] if own["map"] not in used else None
         used.add(own["map"])
         axis.errorbar(1e3 * own["seconds_per_frame"], error["mae_k"], yerr=bars, marker=_LETTER[own["letter"]], ls="",
-                      color=_COLOURS[names.index(own["map"]) % len(_COLOURS)], label=label, capsize=2,
+                      color=colours[own["map"]], label=label, capsize=2,
                       mfc="none" if own["bounds"] == "refitted" else None)  # fmt: skip
-    axis.set(xscale="log", yscale="log", xlabel="run time [ms per frame]", ylabel="mean absolute error on ground [K]",
-             title="○ 2D translation  □ rendered  ◇ learned materials; hollow: refitted bounds")  # fmt: skip
+    axis.set(xscale="log", yscale="log", xlabel="run time [ms per frame]", ylabel="mean absolute error on ground [K]")
+    axis.set_title("○ 2D translation  □ rendered  ◇ learned materials; hollow: refitted bounds", fontsize=9)
     axis.grid(alpha=0.3, which="both")
     axis.legend(fontsize=7, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return _png(drawing, pyplot)
@@ -102,10 +102,10 @@ def against_time(summary):
 def spectra(summary):
     """Return a PNG (bytes) of the power of the methods and of the reference against spatial frequency, or None."""
     references = [each["spectrum"] for each in summary["scenes"] if each["spectrum"]]
-    curves = {label: own["structure"]["spectrum"] for label, own in summary["methods"].items()
-              if own["structure"]["spectrum"] and own["letter"] in ("B", "C1", "O", "foreign", "F")}  # fmt: skip
-    # One without any structure has no place on a logarithmic scale.
-    curves = {label: curve for label, curve in curves.items() if min(curve["k2_px2"]) > 0.0}
+    # One without any structure has no place on a logarithmic scale; materials that are learned change little in it.
+    curves = [(own, own["structure"]["spectrum"]) for own in _best(summary)
+              if own["letter"] not in ("C2", "D", "E") and own["structure"]["spectrum"]
+              and min(own["structure"]["spectrum"]["k2_px2"]) > 0.0]  # fmt: skip
     if not references or not curves or not min(references[0]["k2_px2"]) > 0.0:
         return None
     figure, pyplot = _figure()
@@ -115,14 +115,14 @@ def spectra(summary):
     frequency = references[0]["cycles_per_px"]
     mean = np.average([each["k2_px2"] for each in references], axis=0, weights=weight)
     axis.plot(frequency, mean, color="black", lw=2.5, label="reference")
-    for number, (label, curve) in enumerate(curves.items()):
-        axis.plot(curve["cycles_per_px"], curve["k2_px2"], color=_COLOURS[number % 8], lw=1.0,
-                  ls="-" if label[0] == "B" else "--", label=label)  # fmt: skip
+    colours = _coloured(own for own, _ in curves)
+    for own, curve in curves:
+        axis.plot(curve["cycles_per_px"], curve["k2_px2"], lw=1.0, **_line(own, colours))
     axis.set(
         xscale="log", yscale="log", xlabel="spatial frequency [cycles/px]", ylabel="power spectral density [K² px²]"
     )
     axis.grid(alpha=0.3, which="both")
-    axis.legend(fontsize=6, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    _legend(axis, pyplot, [own for own, _ in curves], colours, [("reference", {"color": "black", "lw": 2.5})])
     return _png(drawing, pyplot)
 
 
@@ -154,20 +154,53 @@ def terms(summary, names):
 
 def roc(summary):
     """Return a PNG (bytes) of the share of targets that a plain detector finds, against its false alarms."""
-    curves = {label: own["targets"]["roc"] for label, own in summary["methods"].items() if own["targets"]["roc"]}
+    curves = [(own, own["targets"]["roc"]) for own in _best(summary) if own["targets"]["roc"]]
+    known = summary["targets"]["roc"]
     if not curves:
         return None
     figure, pyplot = _figure()
     drawing = figure(figsize=(8.0, 4.6), layout="constrained")
     axis = drawing.subplots()
-    for number, (label, curve) in enumerate(curves.items()):
+    colours, black = _coloured(own for own, _ in curves), {"color": "black", "lw": 2.5}
+    if known:
+        x, y = np.array(known)[:, :2].T
+        axis.step(np.maximum(x, 1e-2), y, where="post", **black)
+    for own, curve in curves:
         x, y = np.array(curve)[:, :2].T
-        axis.step(np.maximum(x, 1e-2), y, where="post", color=_COLOURS[number % 8], lw=1.0,
-                  ls="-" if label[0] == "B" else "--", label=label)  # fmt: skip
+        axis.step(np.maximum(x, 1e-2), y, where="post", lw=1.0, **_line(own, colours))
     axis.set(xscale="log", xlabel="false alarms per frame", ylabel="share of targets found", ylim=(-0.02, 1.02))
     axis.grid(alpha=0.3)
-    axis.legend(fontsize=6, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    _legend(axis, pyplot, [own for own, _ in curves], colours, [("reference", black)] if known else [])
     return _png(drawing, pyplot)
+
+
+def _best(summary):
+    """The methods that a figure has room for: of each map and letter that with refitted bounds, where there is one."""
+    methods = [own for own in summary["methods"].values() if own["knows"] != "the objects"]
+    refitted = {(own["letter"], own["map"]) for own in methods if own["bounds"] == "refitted"}
+    return [own for own in methods if own["bounds"] == "refitted" or (own["letter"], own["map"]) not in refitted]
+
+
+def _coloured(methods):
+    """{map: colour}."""
+    from matplotlib import colormaps
+
+    names = list(dict.fromkeys(own["map"] for own in methods))
+    palette = _COLOURS if len(names) <= len(_COLOURS) else colormaps["tab20"].colors
+    return {name: palette[number % len(palette)] for number, name in enumerate(names)}
+
+
+def _line(own, colours):
+    return {"color": colours[own["map"]], "ls": _STYLE.get(own["letter"], "-.")}
+
+
+def _legend(axis, pyplot, methods, colours, first=()):
+    """Tell maps by colour, and letters by dashes."""
+    letters = [letter for letter in _STYLE if any(own["letter"] == letter for own in methods)]
+    entries = [*first, *((name, {"color": colour}) for name, colour in colours.items())]
+    entries += [(letter, {"color": "grey", "ls": _STYLE[letter]}) for letter in letters]
+    handles = [pyplot.Line2D([], [], label=name, **look) for name, look in entries]
+    axis.legend(handles=handles, fontsize=7, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
 def _figure():

@@ -153,8 +153,9 @@ def _terms(summary):
 
 def _targets(summary):
     rows = []
-    for label, own in summary["methods"].items():
-        for name, each in own["targets"]["objects"].items():
+    every = {"reference": summary["targets"], **{label: own["targets"] for label, own in summary["methods"].items()}}
+    for label, own in every.items():
+        for name, each in own["objects"].items():
             rows.append(((label, name, str(each["poses"]), _number(each["true_contrast_k"], "+.2f"),
                           _number(each["contrast_k"], "+.2f"), _number(each["contrast_error_k"], "+.2f"),
                           f"{each['found']:.0%}", _number(each["offset_px"], ".2f")), False))  # fmt: skip

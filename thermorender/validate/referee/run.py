@@ -23,6 +23,7 @@ from thermorender.validate.referee import findings, methods, provenance, scores,
 from thermorender.validate.referee.frames import Frames, waiting
 from thermorender.validate.referee.page import write_page
 from thermorender.validate.referee.pictures import Pictures
+from thermorender.validate.referee.targets import Targets
 from thermorender.validate.referee.trial import Trial
 from thermorender.versions import versions
 
@@ -136,7 +137,7 @@ def compare(flights, folder, models, letters=methods.LETTERS, oracle=None, forei
     thermals = _thermals(flights, seed, settings, tell)
     found, told, photographs, table, left_out = {}, [], {}, [], []
     with files.atomic_folder(folder) as draft, waiting(folder) as work:
-        pictures, kept = Pictures(draft, len(flights)), draft if arrays else None
+        pictures, targets, kept = Pictures(draft, len(flights)), Targets(), draft if arrays else None
         for number, flight in enumerate(flights):
             name = flight.scene.name
 
@@ -156,12 +157,14 @@ def compare(flights, folder, models, letters=methods.LETTERS, oracle=None, forei
             made, missing = _methods(flight.scene, reference, learned, truth is not None, asked, campaign, say)
             left_out += missing
             frames = Frames(work, flight, reference.scene, learned, settings)
-            one = Trial(flight, reference, truth is not None, made, campaign, found, pictures, seed, frames, kept)
+            one = Trial(flight, reference, truth is not None, made, campaign, found, targets, pictures, seed, frames,
+                        kept)  # fmt: skip
             one.run(table, say)
             told.append(one.summary())
             photographs[name] = one.photographs
         summary = {
-            "scenes": told, "notes": [*_notes(told), *left_out], "methods": {}, "seed": seed, "machine": machine(),
+            "scenes": told, "notes": [*_notes(told), *left_out], "targets": targets.summary(), "methods": {},
+            "seed": seed, "machine": machine(),
             "settings": {key: str(value) for key, value in settings.items()}, "versions": versions(),
             "bounds": "refitted: eq. 2 on thermal frames of other lands in the same hour and weather",
         }  # fmt: skip

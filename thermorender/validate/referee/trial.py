@@ -103,6 +103,8 @@ class Trial:
     campaign : Training or None
     found : dict of str to Found
         By label; gains those of this scene.
+    targets : Targets
+        Of the reference; gains those of this scene.
     pictures : Pictures
     seed : int
         Of the sensor's noise.
@@ -112,10 +114,11 @@ class Trial:
         Folder of the frames that are kept.
     """
 
-    def __init__(self, flight, reference, has_truth, made, campaign, found, pictures, seed, frames, arrays):
+    def __init__(self, flight, reference, has_truth, made, campaign, found, targets, pictures, seed, frames,
+                 arrays):  # fmt: skip
         self._flight, self._reference, self._has_truth, self._made = flight, reference, has_truth, made
         self._campaign, self._pictures, self._seed, self._arrays = campaign, pictures, seed, arrays
-        self._frames = frames
+        self._targets, self._frames = targets, frames
         self.scene = reference.scene
         self._found = {}
         for method in made:
@@ -160,6 +163,7 @@ class Trial:
             if self._has_truth:
                 true_counts = sensor.counts_at_rest(view.truth_radiance, index)
                 true_read = apparent_temperature(radiance_from_counts(true_counts, camera), camera.band_um)
+                self._targets.add(self.scene.name, view, self._objects, view.truth, true_counts)
                 self._score(view, seen, read, counts, true_read, table)
             else:
                 self._differences(view, seen)
