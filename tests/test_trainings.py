@@ -36,6 +36,8 @@ def test_curves_and_what_they_have_come_to(tmp_path):
     assert one["published_crops"] == 3511 * 200
     rows = {row[0]: row for row in trainings.rows(result)}
     assert rows["flat"][-1] == "−0.5 %, plateau" and rows["falling"][-1] == "−50.0 %"
+    short = trainings.run([write(tmp_path / "short.run", [2.0, 1.0])])
+    assert short["runs"][0]["last_fifth"] is None and trainings.rows(short)[0][-1] == "too short"
     # Both are of one method, which is not held against itself.
     assert not trainings.sentences(result)
 

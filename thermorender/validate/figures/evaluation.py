@@ -27,7 +27,7 @@ def picture(path, view, guesses, share):
     plot, (height, width) = pyplot(), view.true.shape
     columns = 1 if len(guesses) < _FOLDED else 3
     lines = -(-(len(guesses) + 1) // columns)
-    size = 11.0 / columns**0.5 * columns, (0.35 + 4.6 / columns**0.5 * height / width) * lines + 0.8
+    size = 11.0 * columns**0.5, (0.35 + 4.6 / columns**0.5 * height / width) * lines + 0.8
     figure, axes = plot.subplots(lines, 2 * columns, figsize=size, layout="constrained", squeeze=False)
     pairs = axes.reshape(-1, 2)
     true = np.where(view.known, view.true, np.nan) - ZERO_CELSIUS_K

@@ -17,7 +17,7 @@ _TITLES = {
 
 
 def of(summary):
-    """Return [{"grave": bool, "method": label, "kind": word, "says": words, "text": both}] of a comparison's summary.
+    """Return [{"grave": bool, "method": label, "kind": word, "says": words}] of a comparison's summary.
 
     The row that knows the true objects says of the ground what the row without them says.
     """
@@ -48,7 +48,7 @@ def grouped(found):
 
 
 def _told(label, kind, says, grave=False):
-    return {"grave": grave, "method": label, "kind": kind, "says": says, "text": f"{label}: {says}"}
+    return {"grave": grave, "method": label, "kind": kind, "says": says}
 
 
 def _offset(label, ground):
