@@ -34,7 +34,11 @@ def with_option(name):
 def test_the_walk_finds_every_verb():
     assert {("render",), ("fly",), ("train",), ("validate", "air"), ("materials", "merge")} <= set(VERBS)
     assert len(WRITING) >= 18
-    assert with_option("--trajectory") == with_option("--duplicates") >= {("fly",), ("compare",)}
+    logs = with_option("--trajectory")
+    assert logs >= {("fly",), ("compare",)}
+    # A log is read alike wherever one is given.
+    for option in ("--format", "--anchor", "--duplicates", "--clock-offset-s", "--mount", "--lever-arm-m"):
+        assert with_option(option) == logs, option
 
 
 @pytest.mark.parametrize("words", VERBS, ids=" ".join)

@@ -389,6 +389,10 @@ def test_a_scene_without_truth_has_differences_only(ground, tmp_path):
     assert pair["me_k"] == pytest.approx(said[1] - said[0], abs=1e-3)
     page = (tmp_path / "c/report.html").read_text()
     assert "No true temperature is known of real" in page and "Errors on ground" not in page
+    every = len(found["scenes"][0]["differences"])
+    listed = page.split(f"<summary>Every two of them ({every})</summary>")[1].split("</details>")[0]
+    assert every == 15 and listed.count("<tr>") == every + 1
+    assert "Mean absolute difference between every two methods." in page
     # Why B and C differ needs no truth.
     assert found["scenes"][0]["terms"]["cool"]["terms"]["whole"]["pixels"] > 0 and "Why B and C differ" in page
 
@@ -442,6 +446,31 @@ def test_a_shift_is_measured_to_a_tenth_of_a_pixel(right, down, sign):
     shift = found.registration.summary()
     assert shift["right_px"] == pytest.approx(right, abs=0.1) and shift["down_px"] == pytest.approx(down, abs=0.1)
     assert np.sign(shift["correlation"]) == sign and max(shift["error_px"]) < 0.1
+    # What is kept of each of hundreds of methods is small: no view of a whole picture.
+    assert all(one.base is None and one.size < 100**2 for one in found.registration.surfaces)
+
+
+def test_a_log_is_read_as_it_is_to_fly(ground, tmp_path, call, monkeypatch):
+    (tmp_path / "log.csv").write_text(
+        "time_s,east_m,north_m,above_ground_m,yaw_deg,pitch_deg,roll_deg\n0,0,0,60,0,0,0\n9,9,0,60,0,0,0\n"
+    )
+    taken = []
+
+    def told(flights, *_, **__):
+        taken.extend(flights)
+        raise ThermorenderError("seen")
+
+    monkeypatch.setattr("thermorender.validate.referee.run.compare", told)
+    words = ("--mount", "0,-90,0", "--lever-arm-m", "0,0,2", "--clock-offset-s", "10", "--start-s", "12",
+             "--stop-s", "15", "--rate-hz", "1")  # fmt: skip
+    status, _, errors = call("compare", ground, "-o", tmp_path / "c", "--trajectory", tmp_path / "log.csv", *words)
+    assert status != 0 and "seen" in errors
+    (flown,) = taken
+    assert flown.times.tolist() == [12.0, 13.0, 14.0, 15.0]
+    here = flown.scene.ground(np.array([2.0]), np.array([0.0]))[0]
+    # Straight down from two metres below the vehicle.
+    assert flown.poses[0, :3, 3] == pytest.approx([2.0, 0.0, here + 58.0], abs=1e-4)
+    assert flown.poses[0, :3, :3] @ (0.0, 0.0, -1.0) == pytest.approx([0.0, 0.0, -1.0], abs=1e-9)
 
 
 def test_ground_is_followed_from_frame_to_frame(ground, tmp_path):

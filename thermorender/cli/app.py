@@ -396,6 +396,11 @@ def compare(
     format: Format = None,
     anchor: AnchorText = None,
     duplicates: Duplicates = "refuse",
+    clock_offset_s: ClockOffset = 0.0,
+    mount: Mount = None,
+    lever_arm_m: LeverArm = "0,0,0",
+    start_s: Start = None,
+    stop_s: Stop = None,
     rate_hz: Annotated[float, typer.Option(help="Poses per second of flight.")] = 1.0,
     arrays: Annotated[bool, typer.Option("--arrays", help="Keep the frames as .npz, apparent temperature.")] = False,
     air: Air = None,
@@ -420,9 +425,9 @@ def compare(
         flights = []
         for name in scenes:
             loaded = _scene(name, None, None, air, time)
-            path = _trajectory(loaded, trajectory, format, anchor, duplicates)
-            _above_ground(loaded, path, rate_hz, None, None, allow_below_ground)
-            flights.append(run.Flight.of(loaded, path, rate_hz))
+            path = _trajectory(loaded, trajectory, format, anchor, duplicates, clock_offset_s, mount, lever_arm_m)
+            _above_ground(loaded, path, rate_hz, start_s, stop_s, allow_below_ground)
+            flights.append(run.Flight.of(loaded, path, rate_hz, start_s, stop_s))
         summary = run.compare(
             flights, output, split(models), letters, oracle, folders, [read_dataset(one) for one in dataset or ()],
             learned_materials(emissivity, fallback), arrays, seed, tell,
@@ -624,7 +629,7 @@ def _tell_cache(renderer):
         typer.echo(f"note: {renderer.baked.cache_note}", err=True)
 
 
-def _trajectory(scene, files, format, anchor, duplicates, clock_offset_s=0.0, mount=None, lever_arm_m="0,0,0"):
+def _trajectory(scene, files, format, anchor, duplicates, clock_offset_s, mount, lever_arm_m):
     from thermorender.trajectory import parse_anchor, parse_lever_arm, parse_mount, read_trajectory
 
     own = scene.spec.folder / "flight.csv"

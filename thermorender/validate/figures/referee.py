@@ -126,6 +126,39 @@ def spectra(summary):
     return _png(drawing, pyplot)
 
 
+def differences(summary):
+    """Return a PNG (bytes) of the mean absolute difference between every two methods where no truth is known, or
+    None."""
+    total = {}
+    for scene in summary["scenes"]:
+        for each in scene["differences"]:
+            if each["pixels"]:
+                row = total.setdefault((each["one"], each["other"]), np.zeros(2))
+                row += np.array([each["mae_k"], 1.0]) * each["pixels"]
+    labels = list(dict.fromkeys(label for pair in total for label in pair))
+    # Two are told by a line of the table.
+    if len(labels) < 3:
+        return None
+    matrix = np.full((len(labels), len(labels)), np.nan)
+    for (one, other), (kelvin, pixels) in total.items():
+        k, j = labels.index(one), labels.index(other)
+        matrix[k, j] = matrix[j, k] = kelvin / pixels
+    figure, pyplot = _figure()
+    side = 2.6 + 0.24 * max(len(labels), 12)
+    drawing = figure(figsize=(side + 0.6, side), layout="constrained")
+    axis = drawing.subplots()
+    image = axis.imshow(matrix, cmap="viridis")
+    dark = np.nanmin(matrix) + 0.6 * (np.nanmax(matrix) - np.nanmin(matrix))
+    for (k, j), kelvin in np.ndenumerate(matrix):
+        if np.isfinite(kelvin):
+            words = f"{kelvin:.1f}" if kelvin < 9.95 else f"{kelvin:.0f}"
+            axis.text(j, k, words, ha="center", va="center", fontsize=6, color="white" if kelvin < dark else "black")
+    axis.set_xticks(range(len(labels)), labels, rotation=90, fontsize=7)
+    axis.set_yticks(range(len(labels)), labels, fontsize=7)
+    drawing.colorbar(image, ax=axis, label="mean absolute difference [K]", shrink=0.6)
+    return _png(drawing, pyplot)
+
+
 def terms(summary, names):
     """Return a PNG (bytes) of the mean absolute size of the terms between B and C, per map over all scenes."""
     total = {}

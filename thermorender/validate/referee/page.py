@@ -124,8 +124,12 @@ def _differences(summary):
     if not rows:
         return ""
     head = ("scene", "method", "against", "mean difference [K]", "mean absolute [K]", "standard deviation [K]")
+    drawn = figures.differences(summary)
+    listed = (f"<details{' open' * (len(rows) <= _OPEN)}><summary>Every two of them ({len(rows)})</summary>"
+              f"{table(head, rows)}</details>")  # fmt: skip
     return ("<h2>Differences between methods</h2><p class=note>No true temperature is known here: these are no errors."
-            "</p>" + table(head, rows))  # fmt: skip
+            "</p>" + (figure(drawn, "Mean absolute difference between every two methods.") if drawn else "")
+            + listed)  # fmt: skip
 
 
 def _terms(summary):

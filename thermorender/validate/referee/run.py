@@ -51,9 +51,9 @@ class Flight:
     poses: np.ndarray
 
     @classmethod
-    def of(cls, scene, trajectory, rate_hz=1.0):
-        """Return that of a Trajectory, so many poses per second of it."""
-        times = trajectory.frame_times(rate_hz)
+    def of(cls, scene, trajectory, rate_hz=1.0, start_s=None, stop_s=None):
+        """Return that of a Trajectory or a part of it [s], so many poses per second."""
+        times = trajectory.frame_times(rate_hz, start_s, stop_s)
         return cls(scene, times, trajectory.sampled(times).poses())
 
 

@@ -6,6 +6,7 @@ the camera moves.
 """
 
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 
@@ -21,12 +22,21 @@ _FINE_PX = 6.0
 _EVERY, _SAME_DEPTH = 2, 0.02
 
 
+@cache
 def window(shape):
     """Return (rows, columns) slices of the square in the middle of a picture, and its Hann window."""
     side = min(_SIDE, *shape)
     top, left = (shape[0] - side) // 2, (shape[1] - side) // 2
     taper = np.hanning(side + 2)[1:-1]
     return (slice(top, top + side), slice(left, left + side)), np.outer(taper, taper).astype(np.float32)
+
+
+@cache
+def _frequencies(side):
+    """Square of the spatial frequency at each place of a transform (side, side) float32 [cycles²/px²], and its ring."""
+    frequency = np.fft.fftfreq(side)
+    square = frequency[:, None] ** 2 + frequency[None] ** 2
+    return square.astype(np.float32), np.rint(np.sqrt(square) * side).astype(int).ravel()
 
 
 def transform(image, known):
@@ -57,11 +67,9 @@ def power(found):
     side = len(found)
     taper = window((side, side))[1]
     density = np.abs(found) ** 2 / (taper.astype(np.float64) ** 2).sum()
-    frequency = np.fft.fftfreq(side)
-    radius = np.hypot(frequency[:, None], frequency[None])
-    ring = np.rint(radius * side).astype(int)
-    count = np.bincount(ring.ravel())[: side // 2 + 1]
-    total = np.bincount(ring.ravel(), density.ravel())[: side // 2 + 1]
+    _, ring = _frequencies(side)
+    count = np.bincount(ring)[: side // 2 + 1]
+    total = np.bincount(ring, density.ravel())[: side // 2 + 1]
     return np.arange(1, side // 2 + 1) / side, (total / count)[1:]
 
 
@@ -167,14 +175,15 @@ def correlation(found, reference):
     from scipy import fft
 
     side = len(found)
-    frequency = np.fft.fftfreq(side)
-    radius2 = frequency[:, None] ** 2 + frequency[None] ** 2
-    high = 1.0 - np.exp(-2.0 * (np.pi * _FINE_PX) ** 2 * radius2)
+    square, _ = _frequencies(side)
+    high = 1.0 - np.exp(np.float32(-2.0 * (np.pi * _FINE_PX) ** 2) * square)
     one, other = found * high, reference * high
     surface = fft.ifft2(one * np.conj(other)).real
     most = max(1, min(_MOST_SHIFT, side // 4))
-    near = np.roll(surface, (most, most), (0, 1))[: 2 * most + 1, : 2 * most + 1]
-    return near, float(np.sqrt((np.abs(one) ** 2).sum() * (np.abs(other) ** 2).sum())) / (side * side)
+    shifts = np.arange(-most, most + 1)
+    scale = np.sqrt((np.abs(one) ** 2).sum() * (np.abs(other) ** 2).sum())
+    # A copy: the whole surface must not stay in memory.
+    return surface[np.ix_(shifts, shifts)].astype(np.float64), float(scale) / (side * side)
 
 
 def peak(surface, scale):
