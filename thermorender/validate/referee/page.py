@@ -9,7 +9,7 @@ from thermorender.validate.html import document, figure, table, text
 from thermorender.validate.referee import findings
 from thermorender.validate.referee.terms import NAMES
 
-# Longer lists of what is not grave are folded.
+# Longer lists and tables are folded, but for what is grave and for errors.
 _OPEN = 5
 
 
@@ -52,8 +52,7 @@ def _findings(summary):
     parts = []
     for title, grave, lines in findings.grouped(summary["findings"]):
         rows = "".join(f"<li class={'grave' if grave else 'plain'}>{text(line)}</li>" for line in lines)
-        opened = " open" if grave or len(lines) <= _OPEN else ""
-        parts.append(f"<details{opened}><summary>{text(title)} ({len(lines)})</summary><ul>{rows}</ul></details>")
+        parts.append(_folded(title, len(lines), f"<ul>{rows}</ul>", grave))
     return f"<h2>What was found</h2>{''.join(parts) or '<p>Nothing stands out.</p>'}"
 
 
@@ -125,11 +124,9 @@ def _differences(summary):
         return ""
     head = ("scene", "method", "against", "mean difference [K]", "mean absolute [K]", "standard deviation [K]")
     drawn = figures.differences(summary)
-    listed = (f"<details{' open' * (len(rows) <= _OPEN)}><summary>Every two of them ({len(rows)})</summary>"
-              f"{table(head, rows)}</details>")  # fmt: skip
     return ("<h2>Differences between methods</h2><p class=note>No true temperature is known here: these are no errors."
             "</p>" + (figure(drawn, "Mean absolute difference between every two methods.") if drawn else "")
-            + listed)  # fmt: skip
+            + _folded("Every two of them", len(rows), table(head, rows)))  # fmt: skip
 
 
 def _terms(summary):
@@ -151,8 +148,9 @@ def _terms(summary):
         f"{apart:.2g} mK."
     )
     drawn = figures.terms(summary, NAMES)
-    return (f"<h2>Why B and C differ</h2><p class=note>{words}</p>" + table(head, rows)
-            + (figure(drawn, "Mean absolute size of each term.") if drawn else ""))  # fmt: skip
+    return (f"<h2>Why B and C differ</h2><p class=note>{words}</p>"
+            + (figure(drawn, "Mean absolute size of each term.") if drawn else "")
+            + _folded("By scene and map", len(rows), table(head, rows)))  # fmt: skip
 
 
 def _targets(summary):
@@ -251,6 +249,12 @@ def _legend():
         "mean as well. A method in red has seen the test, or made the reference."
     )
     return f"<h2>How to read this</h2><p>{words}</p>"
+
+
+def _folded(title, count, inner, opened=False):
+    """A list or table of so many lines that opens by a click, and is open from the start where they are few."""
+    opened = " open" * (opened or count <= _OPEN)
+    return f"<details{opened}><summary>{text(title)} ({count})</summary>{inner}</details>"
 
 
 def _number(value, form=".3f"):
