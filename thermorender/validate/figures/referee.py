@@ -91,9 +91,9 @@ def against_time(summary):
         used.add(own["map"])
         axis.errorbar(1e3 * own["seconds_per_frame"], error["mae_k"], yerr=bars, marker=_LETTER[own["letter"]], ls="",
                       color=colours[own["map"]], label=label, capsize=2,
-                      mfc="none" if own["bounds"] == "refitted" else None)  # fmt: skip
+                      mfc="none" if own["bounds"] in ("refitted", "calibrated") else None)  # fmt: skip
     axis.set(xscale="log", yscale="log", xlabel="run time [ms per frame]", ylabel="mean absolute error on ground [K]")
-    axis.set_title("○ 2D translation  □ rendered  ◇ learned materials; hollow: refitted bounds", fontsize=9)
+    axis.set_title("○ 2D translation  □ rendered  ◇ learned materials; hollow: refitted, calibrated", fontsize=9)
     axis.grid(alpha=0.3, which="both")
     axis.legend(fontsize=7, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return _png(drawing, pyplot)
@@ -187,7 +187,7 @@ def terms(summary, names):
 
 def roc(summary):
     """Return a PNG (bytes) of the share of targets that a plain detector finds, against its false alarms."""
-    curves = [(own, own["targets"]["roc"]) for own in _best(summary) if own["targets"]["roc"]]
+    curves = [(own, own["targets"]["roc"]) for own in _best(summary) if own["letter"] != "C2" and own["targets"]["roc"]]
     known = summary["targets"]["roc"]
     if not curves:
         return None
@@ -208,10 +208,9 @@ def roc(summary):
 
 
 def _best(summary):
-    """The methods that a figure has room for: of each map and letter that with refitted bounds, where there is one."""
-    methods = [own for own in summary["methods"].values() if own["knows"] != "the objects"]
-    refitted = {(own["letter"], own["map"]) for own in methods if own["bounds"] == "refitted"}
-    return [own for own in methods if own["bounds"] == "refitted" or (own["letter"], own["map"]) not in refitted]
+    """The methods that a figure has room for: of each map and letter that with the best bounds, which stands last."""
+    methods = [own for own in summary["methods"].values() if not own["true_objects"]]
+    return list({(own["letter"], own["map"]): own for own in methods}.values())
 
 
 def _coloured(methods):

@@ -13,8 +13,8 @@ from thermorender.physics.band import RadianceTable
 from thermorender.physics.planck import band_radiance
 from thermorender.render.spectrum import REFERENCE_K
 
-# Told where a material covers this share of the ground, errs by as much [K], and its Δε takes away this share of the
-# mean square error.
+# Told where a material covers this share of the ground and errs by as much [K]; its Δε where that takes away this share
+# of the mean square error.
 LEAST_SHARE, LEAST_K, LEAST_EXPLAINED = 0.005, 0.3, 0.5
 # An emissivity beyond 0…1 by more than this is none: the error has another cause.
 _BEYOND = 0.02
@@ -58,15 +58,19 @@ class Emissivities:
     Attributes
     ----------
     rows : dict of str to (6,) array
+    scenes : dict of str to {str: (2,) array}
+        Of each scene, per material: n, Σ error in kelvin.
     """
 
     rows: dict = field(default_factory=dict)
+    scenes: dict = field(default_factory=dict)
 
-    def add(self, view, contrast, radiance, error_k, emissivity):
+    def add(self, scene, view, contrast, radiance, error_k, emissivity):
         """Add a View's ground.
 
         Parameters
         ----------
+        scene : str
         view : View
         contrast : (H, W) array
             As by `contrast`.
@@ -83,16 +87,28 @@ class Emissivities:
             name = view.material_names[number]
             row = np.array([*(column[number] for column in columns), columns[0][number] * emissivity[number]])
             self.rows[name] = self.rows.get(name, 0.0) + row
+            own = self.scenes.setdefault(scene, {})
+            own[name] = own.get(name, 0.0) + row[[0, 4]]
 
     def errors(self):
         """Return {material: mean error [K]}."""
         return {name: row[4] / row[0] for name, row in self.rows.items()}
 
-    def summary(self):
-        """Return {material: {share, error_k, change, explained}} of those whose error one Δε explains.
+    def _others(self, name):
+        """Median size of the mean errors of the other materials in the scenes that have this one [K], or None."""
+        together = {}
+        for own in self.scenes.values():
+            for other, row in own.items() if name in own else ():
+                together[other] = together.get(other, 0.0) + row
+        together.pop(name, None)
+        return float(np.median([abs(error / count) for count, error in together.values()])) if together else None
 
-        `change` is None where the emissivity would leave 0…1: something else is wrong, such as the temperature under a
-        sky about as warm as the ground, where emissivity hardly counts.
+    def summary(self):
+        """Return {material: {share, error_k, others_k, change, explained}} of those that err.
+
+        `others_k` is the median size of the others' mean errors in the same scenes, None where there are none. `change`
+        is the Δε, None where it does not explain the error or the emissivity would leave 0…1: something else is wrong,
+        such as the temperature.
         """
         total = sum(row[0] for row in self.rows.values())
         told = {}
@@ -101,8 +117,9 @@ class Emissivities:
                 continue
             change, explained = xoff / xx, xoff * xoff / (xx * offoff)
             error = kelvin / count
-            if count >= LEAST_SHARE * total and abs(error) >= LEAST_K and explained >= LEAST_EXPLAINED:
+            if count >= LEAST_SHARE * total and abs(error) >= LEAST_K:
                 possible = -_BEYOND <= emissivity / count + change <= 1.0 + _BEYOND
-                told[name] = {"share": count / total, "error_k": error, "change": change if possible else None,
+                told[name] = {"share": count / total, "error_k": error, "others_k": self._others(name),
+                              "change": change if possible and explained >= LEAST_EXPLAINED else None,
                               "explained": explained}  # fmt: skip
         return told

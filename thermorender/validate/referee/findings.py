@@ -5,14 +5,16 @@ method."""
 _OFFSET_K, _SURE = 0.1, 3.0
 # A shift is told from this [px], from the second where a single pose tells no error, where pictures correlate so well.
 _SHIFT_PX, _SINGLE_PX, _ALIKE = 0.5, 1.0, 0.5
-# A wrong contrast is told from this gain off 1, where the pattern is known so well, and where it is most of the error.
-_GAIN, _PATTERN, _MOST = 0.1, 0.8, 0.5
-# A material's error stands apart where it is so many times the median one of the others.
+# A wrong contrast is told from this gain off 1, where the pattern is known so well, and where it is most of the error;
+# of one that shows less than this there is hardly any.
+_GAIN, _PATTERN, _MOST, _FLAT = 0.1, 0.8, 0.5, 0.2
+# A material's error stands apart where it is so many times the median one of the others in the same scenes.
 _APART = 3.0
 _TITLES = {
     "leak": "Seen in training", "circular": "Circular", "offset": "An offset is most of the error",
     "shift": "Shifted", "unlike": "Frames unlike the scene", "contrast": "Wrong contrast",
-    "material": "Materials that err apart", "emissivity": "Wrong emissivity", "constant": "Beaten by a constant",
+    "flat": "Nearly a constant on each pose's ground", "material": "Materials that err apart",
+    "emissivity": "Wrong emissivity", "constant": "Beaten by a constant",
 }  # fmt: skip
 
 
@@ -25,7 +27,7 @@ def of(summary):
     for label, own in summary["methods"].items():
         found += [_told(label, "leak", leak, grave=True) for leak in own["leaks"]]
         found += [_told(label, "circular", text, grave=True) for text in own["circular"]]
-        if not own["errors"] or own["knows"] == "the objects":
+        if not own["errors"] or own["true_objects"]:
             continue
         ground = own["errors"]["radiometric"]["ground"]
         found += _offset(label, ground)
@@ -57,10 +59,10 @@ def _offset(label, ground):
     if mean is None or ends is None or abs(mean) < _OFFSET_K:
         return []
     error = (ends[1] - ends[0]) / 3.92
-    if abs(mean) < _SURE * error or abs(mean) < 0.5 * ground["rmse_k"]:
+    if abs(mean) < _SURE * error or mean**2 < _MOST * ground["rmse_k"] ** 2:
         return []
-    return [_told(label, "offset", f"an offset of {mean:+.2f} K ({ends[0]:+.2f}…{ends[1]:+.2f}) is most of its error; "
-                                   f"about it errors scatter by {ground['sd_k']:.2f} K")]  # fmt: skip
+    return [_told(label, "offset", f"an offset of {mean:+.2f} K ({ends[0]:+.2f}…{ends[1]:+.2f}) is most of its square "
+                                   f"error; about it errors scatter by {ground['sd_k']:.2f} K")]  # fmt: skip
 
 
 def _shift(label, own):
@@ -92,9 +94,14 @@ def _varies(own):
 
 
 def _contrast(label, own):
-    """Whether a method knows the pattern of the ground but shows it too strongly or too weakly."""
+    """Whether a method knows the pattern of the ground but shows it too strongly or too weakly, or hardly shows any."""
     found = own["gain"]
-    if found is None or own["letter"] in ("D", "E") or found["correlation"] < _PATTERN:
+    if found is None or own["letter"] in ("D", "E"):
+        return []
+    if abs(found["gain"]) < _FLAT:
+        return [_told(label, "flat", f"it shows {found['gain']:.2f} of the reference's contrast (correlation "
+                                     f"{found['correlation']:.2f})")]  # fmt: skip
+    if found["correlation"] < _PATTERN:
         return []
     if abs(found["gain"] - 1.0) < _GAIN or found["explained"] < _MOST:
         return []
@@ -108,14 +115,12 @@ def _contrast(label, own):
 def _materials(label, method):
     """Materials that stand apart: their emissivity, where another program's frames or other materials tell it, else
     their temperature."""
-    found, emissivities = [], method["emissivities"]
-    for name, own in emissivities["told"].items():
-        others = [abs(value) for other, value in emissivities["error_k"].items() if other != name]
-        middle = sorted(others)[len(others) // 2] if others else 0.0
+    found = []
+    for name, own in method["emissivities"]["told"].items():
         # Of a single material none stands apart.
-        if not others or abs(own["error_k"]) < _APART * middle:
+        if own["others_k"] is None or abs(own["error_k"]) < _APART * own["others_k"]:
             continue
-        text = f"{name} ({own['share']:.1%} of the ground) is off by {own['error_k']:+.2f} K"
+        text = f"{name} ({own['share']:.1%} of the ground's pixels) is off by {own['error_k']:+.2f} K"
         if method["letter"] == "foreign" and own["change"] is not None:
             text += (
                 f", as an emissivity wrong by {own['change']:+.3f} would be (explains {own['explained']:.0%} of its "
@@ -123,44 +128,32 @@ def _materials(label, method):
             )
             found.append(_told(label, "emissivity", text))
         else:
-            found.append(_told(label, "material", f"{text}, the others by {middle:.2f} K in the median"))
+            text += f", the others in its scenes by {own['others_k']:.2f} K in the median"
+            found.append(_told(label, "material", text))
     return found
 
 
 def _rendered_with(label, emissivities):
     """Materials that a method renders with another emissivity than the reference."""
     return [
-        _told(label, "emissivity", f"{name} ({own['share']:.1%} of the ground) is rendered with a band emissivity of "
-                                   f"{own['used']:.3f} in place of {own['true']:.3f}")
+        _told(label, "emissivity", f"{name} ({own['share']:.1%} of the ground's texels) is rendered with a band "
+                                   f"emissivity of {own['used']:.3f} in place of {own['true']:.3f}")
         for name, own in emissivities.items()
     ]  # fmt: skip
 
 
 def _beaten(summary):
-    """Which maps the constant beats."""
-    methods = summary["methods"]
-    constant = next((own for label, own in methods.items() if label.startswith("D constant")), None)
-    if constant is None or not constant["errors"]:
+    """Which maps the constant surely beats, of those that are told the hour as it is."""
+    told, limit = [], None
+    for label, own in summary["methods"].items():
+        more = own["more_than_constant"]
+        hour = own["bounds"] != "own" and own["letter"] in ("B", "C1", "C2", "O")
+        if not more or not hour or own["true_objects"] or not more["interval_95"] or not more["interval_95"][0] > 0.0:
+            continue
+        low, high = more["interval_95"]
+        limit = more["other_mae_k"]
+        told.append(f"{label} ({more['own_mae_k']:.2f} K, {low:.2f}…{high:.2f} more)")
+    if not told:
         return []
-    # On the scenes that the constant is had of.
-    scenes, told = constant["groups"]["radiometric"]["scene"], []
-    scenes = [name for name, row in scenes.items() if row["pixels"]]
-    limit = _over(constant, scenes)
-    if limit is None:
-        return []
-    for label, own in methods.items():
-        if own["letter"] in ("B", "C1", "C2", "O") and own["errors"]:
-            error = _over(own, scenes)
-            if error is not None and error > limit:
-                told.append(f"{label} ({error:.2f} K)")
-    text = f"one constant of the training part errs by {limit:.2f} K, less than {'; '.join(told)}"
-    return [_told("D constant", "constant", text)] if told else []
-
-
-def _over(own, scenes):
-    """Mean absolute error of a method over some scenes [K], or None where it lacks one of them."""
-    found = own["groups"]["radiometric"]["scene"]
-    rows = [found[name] for name in scenes if name in found and found[name]["pixels"]]
-    if len(rows) < len(scenes) or not rows:
-        return None
-    return sum(row["mae_k"] * row["pixels"] for row in rows) / sum(row["pixels"] for row in rows)
+    text = f"one constant of the training part errs by {limit:.2f} K, surely less than {'; '.join(told)}"
+    return [_told("D constant", "constant", text)]

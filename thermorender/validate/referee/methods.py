@@ -7,7 +7,10 @@ of other lands in the same hour and weather. *F*, the heat balance of tables and
 oracle: a map told the true material. Frames of another program stand under its own name.
 
 No object's true temperature is given to B to O: their own comes from the map, by their colour, or else from the table
-of their material. What does know more than a method could says so in `knows`.
+of their material. What knows more than a photograph says so in `knows`.
+
+A map of intensities is asked three times: with the bounds that it brings, with bounds refitted to the campaign, and
+calibrated by it, both under the campaign's sky.
 """
 
 import hashlib
@@ -31,7 +34,9 @@ from thermorender.scene.spec import EmissivitySpec, TemperatureSpec
 from thermorender.scene.surface import scene_kelvin
 
 LETTERS = ("B", "C1", "C2", "D", "E", "F")
-PUBLISHED, REFITTED = "published", "refitted"
+OWN, REFITTED, CALIBRATED = "own", "refitted", "calibrated"
+_THERMAL = "thermal frames of other lands"
+_WORDS = {"terrain": "relief", "conditions": "hour and weather", "depth": "depth"}
 # Side of the uniform picture by which a map is asked for an object's temperature: the multiple that networks take [px].
 _PATCH_PX = 256
 
@@ -47,9 +52,11 @@ class Method:
     name : str
         Of the map, or what stands in its place.
     bounds : str or None
-        Whose temperatures intensity 0 and 1 are, "published" or "refitted"; None where there are none.
+        Whose temperatures intensity 0 and 1 are, "own", "refitted" or "calibrated"; None where there are none.
     knows : str
         What it is told that a translation of a photograph is not.
+    true_objects : bool
+        Whether it is told the objects' true temperatures.
     model : TemperatureMap or None
     build : callable or None
         () → Renderer of the scene that is rendered.
@@ -63,6 +70,7 @@ class Method:
     name: str
     bounds: str | None = None
     knows: str = ""
+    true_objects: bool = False
     model: Any = None
     build: Any = None
     kelvin: dict = field(default_factory=dict)
@@ -72,8 +80,8 @@ class Method:
     def label(self):
         """Its name in tables: letter, map, bounds, and what it knows of objects."""
         told = [f"{self.letter} {self.name}"]
-        told += [self.bounds] if self.bounds == REFITTED else []
-        told += ["true objects"] if self.knows == "the objects" else []
+        told += [self.bounds] if self.bounds in (REFITTED, CALIBRATED) else []
+        told += ["true objects"] if self.true_objects else []
         return ", ".join(told)
 
     @cached_property
@@ -104,13 +112,64 @@ class Method:
         return self.model.radiance(Inputs(view.visible, view.texel_m))
 
 
-def translated(model, bounds_c=None):
-    """Return the B methods of a map: with its own bounds, and where given with others [°C]."""
+def translated(model, campaign=None, sky_k=None):
+    """Return the B methods of a map: as it is, and where the campaign's Training is given as that has it, under its sky
+    [K]."""
     model = replace(model, predictor=Remembered(model.predictor, most=1))
-    made = [Method("B", model.name, _bounds(model), model=model)]
-    if bounds_c is not None and _bounds(model):
-        made.append(Method("B", model.name, REFITTED, model=model.ranged(bounds_c)))
-    return made
+    return [Method("B", model.name, bounds, _told(bounds), model=at)
+            for bounds, at, _ in _ways(model, campaign, sky_k)]  # fmt: skip
+
+
+def _ways(model, campaign, sky_k):
+    """[(bounds, the map with them, their °C or None)]: the best last."""
+    if model.predictor.above_air:
+        return [(None, model, None)]
+    found = [(OWN, model, None)]
+    if campaign is not None:
+        at = replace(model.ranged(campaign.bounds_c), sky_temperature=sky_k)
+        found.append((REFITTED, at, tuple(campaign.bounds_c)))
+        if model.name in campaign.calibrations:
+            zero, slope = campaign.calibrations[model.name]
+            # In intensities of the campaign's range, which says what is believed of a surface.
+            first = float(at.intensity(zero))
+            line = Calibrated(model.predictor, first, float(at.intensity(zero + slope)) - first)
+            found.append((CALIBRATED, replace(at, predictor=line), tuple(campaign.bounds_c)))
+    return found
+
+
+def _told(bounds, *more):
+    """What a method knows, in words."""
+    return ", ".join([*filter(None, more), *([_THERMAL] if bounds in (REFITTED, CALIBRATED) else [])])
+
+
+class Calibrated:
+    """A map's predictor with its intensities put on a straight line: `first` where it says 0, `slope` more where 1.
+
+    Parameters
+    ----------
+    predictor : Remembered
+    first, slope : float
+    """
+
+    needs, above_air = (), False
+
+    def __init__(self, predictor, first, slope):
+        self._predictor, self._line = predictor, (first, slope)
+        self.arrays = predictor.arrays
+
+    @property
+    def spared_s(self):
+        """As of `Remembered`."""
+        return self._predictor.spared_s
+
+    def header(self):
+        """Return what tells it apart from the predictor alone."""
+        return {**self._predictor.header(), "calibrated": self._line}
+
+    def predict(self, inputs, texel_m):
+        """Return intensities of an Inputs, (h, w) float64."""
+        first, slope = self._line
+        return first + slope * self._predictor.predict(inputs, texel_m)
 
 
 class Remembered:
@@ -163,8 +222,8 @@ def _content(inputs):
     return state.digest()
 
 
-def rendered(scene, text, model, reference, bounds_c=None, true_materials=True, learned=None, settings=None):
-    """Return the C methods of a map in a scene: C1 of each bounds and once told the true objects, C2 of the best.
+def rendered(scene, text, model, reference, campaign=None, true_materials=True, learned=None, settings=None):
+    """Return the C methods of a map in a scene: C1 of all bounds and once told the true objects, C2 of the best.
 
     Parameters
     ----------
@@ -174,8 +233,7 @@ def rendered(scene, text, model, reference, bounds_c=None, true_materials=True, 
     model : TemperatureMap
     reference : Renderer
         Of the same surfaces.
-    bounds_c : (2,) floats, optional
-        Refitted bounds [°C].
+    campaign : Training, optional
     true_materials : bool
         Whether C1 is among them.
     learned : Scene, optional
@@ -188,29 +246,26 @@ def rendered(scene, text, model, reference, bounds_c=None, true_materials=True, 
     Nothing is rendered before a method's renderer is asked for.
     """
     made, settings = [], settings or {}
-    model = replace(model, predictor=Remembered(model.predictor))
-    every = [(_bounds(model), None)]
-    if bounds_c is not None and _bounds(model):
-        every.append((REFITTED, tuple(bounds_c)))
+    needs = [_WORDS[name] for name in model.needs]
 
-    def method(letter, cold, which, knows, kelvin):
-        source, ranged = TemperatureSpec(source="learned", model=str(text), range_c=limits), at_limits
+    def method(letter, cold, told, kelvin, true_objects=False):
+        bounds, at, limits = way
+        source = TemperatureSpec(source="learned", model=str(text), range_c=limits)
 
         def build():
-            warm = cold.with_temperature(source, ranged).with_object_temperatures(kelvin)
+            warm = cold.with_temperature(source, at).with_object_temperatures(kelvin)
             return Renderer(warm, like=reference, **settings)
 
-        return Method(letter, model.name, which, knows, ranged, build, kelvin)
+        return Method(letter, model.name, bounds, _told(bounds, *told, *needs), true_objects, at, build, kelvin)
 
-    for which, limits in every:
-        at_limits = model if limits is None else model.ranged(limits)
-        kelvin = object_temperatures(scene, at_limits, reference)
+    for way in _ways(replace(model, predictor=Remembered(model.predictor)), campaign, scene.sky_temperature):
+        kelvin = object_temperatures(scene, way[1], reference)
         if true_materials:
-            made.append(method("C1", scene, which, "the materials", kelvin))
+            made.append(method("C1", scene, ("the materials",), kelvin))
     if true_materials and scene.spec.objects:
-        made.append(method("C1", scene, which, "the objects", {}))
+        made.append(method("C1", scene, ("the materials", "the objects"), {}, true_objects=True))
     if learned is not None:
-        made.append(method("C2", learned, which, "", kelvin))
+        made.append(method("C2", learned, (), kelvin))
     return made
 
 
@@ -222,7 +277,8 @@ def balanced(scene, reference, settings=None):
         solved = scene.with_temperature(TemperatureSpec(source="balance"))
         return Renderer(solved.with_object_temperatures(kelvin), like=reference, **(settings or {}))
 
-    return Method("F", "heat balance of tables", None, "the materials", build=build, kelvin=kelvin)
+    return Method("F", "heat balance of tables", None, "the materials, hour and weather, relief", build=build,
+                  kelvin=kelvin)  # fmt: skip
 
 
 def oracle(scene, text, model, reference, settings=None):
@@ -234,7 +290,8 @@ def oracle(scene, text, model, reference, settings=None):
         (solved,) = mapped(told, [scene.time], reference.baked.geometry, material=True)
         return Renderer(solved.with_object_temperatures(kelvin), like=reference, **(settings or {}))
 
-    return Method("O", model.name, None, "the materials", model, build, kelvin)
+    told = _told(None, "the materials", *(_WORDS[name] for name in model.needs))
+    return Method("O", model.name, None, told, model=model, build=build, kelvin=kelvin)
 
 
 def painted(training, band_um):
@@ -250,7 +307,7 @@ def painted(training, band_um):
     made = [Method("D", "the frame's own mean", None, "the reference's mean", paint=own_mean)]
     if training is not None:
         constant = of_kelvin(training.mean_k)
-        made.insert(0, Method("D", "constant", None, "", paint=lambda view: np.full(view.known.shape, constant)))
+        made.insert(0, Method("D", "constant", None, _THERMAL, paint=lambda view: np.full(view.known.shape, constant)))
 
         def per_material(view):
             names = view.material_names
@@ -258,7 +315,8 @@ def painted(training, band_um):
             table = of_kelvin(np.array([*kelvin, training.mean_k]))
             return table[np.minimum(view.material, len(names))]
 
-        made.insert(1, Method("E", "mean per material", None, "the materials", paint=per_material))
+        told = f"the materials, {_THERMAL}"
+        made.insert(1, Method("E", "mean per material", None, told, paint=per_material))
     return made
 
 
@@ -373,11 +431,6 @@ def _texel_of(scene, item):
 def _own_temperature(scene, item):
     """The temperature that an object's material has by its table [K]."""
     return next(each.temperature for each in scene.materials if each.name == item.material)
-
-
-def _bounds(model):
-    """ "published" for a map of intensities, None for one that gives kelvin above the air."""
-    return None if model.predictor.above_air else PUBLISHED
 
 
 def learned_materials(model=EMISSIVITY_MAP, fallback=FALLBACK_MATERIAL):

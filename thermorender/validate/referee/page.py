@@ -40,10 +40,15 @@ def _head(summary):
     scenes, poses = summary["scenes"], sum(each["poses"] for each in summary["scenes"])
     first = (
         f"{len(scenes)} scene{'s' * (len(scenes) > 1)}, {poses} poses, {len(summary['methods'])} methods. All see the "
-        "same poses under the same sun with the same camera; errors are differences of apparent temperature from the "
-        "reference, a render from the true temperatures and materials. By letter: B a map applied to the photograph, C "
-        "applied to the orthophoto and rendered (C1 true materials, C2 learned ones), D a constant, E a mean per "
-        "material, F the heat balance, O an oracle."
+        "same poses with the same camera, and photographs of the same light; errors are differences of apparent "
+        "temperature from the reference, a render from the true temperatures and materials. By letter: B a map applied "
+        "to the photograph, C applied to the orthophoto and rendered (C1 true materials, C2 learned ones), D a "
+        "constant, E a mean per material, F the heat balance, O an oracle. A map of intensities stands here with the "
+        "bounds it brings, refitted (1.5 interquartile ranges of thermal frames of other lands in the same hour and "
+        "weather) and calibrated (a straight line, by least squares, from what it says of their photographs to those "
+        "frames). "
+        "Refitted bounds suit a map trained in one campaign; of one trained in many they leave a fraction of the "
+        "contrast."
     )
     return f"<p>{text(first)}</p><ul class=note>{''.join(f'<li>{text(note)}</li>' for note in summary['notes'])}</ul>"
 
@@ -65,22 +70,23 @@ def _errors(summary):
         ground = own["errors"]["radiometric"]["ground"]
         ends = ground.get("interval_95") or {"me_k": None, "mae_k": None}
         part = lambda stage, name, own=own: own["errors"][stage].get(name, {}).get("mae_k")  # noqa: E731
-        seconds = own["seconds_per_frame"]
+        seconds, limits = own["seconds_per_frame"], own["range_c"]
         cells = {
             "method": label,
-            "scenes": str(own["scenes"]),
             "mean error [°C]": _number(ground["me_k"], "+.3f"),
-            "mean error, 95 %": _range(ends["me_k"]),
+            "95 %": _range(ends["me_k"], "+.2f"),
             "mean absolute error [°C]": _number(ground["mae_k"]),
-            "95 %": _range(ends["mae_k"]),
+            "95 % ": _range(ends["mae_k"]),
             "standard deviation [°C]": _number(ground["sd_k"]),
-            "pixels": _number(ground["pixels"], "d"),
-            "effective": _number(ground.get("effective_pixels"), ".0f"),
-            "with objects": _number(part("radiometric", "with objects")),
             "objects": _number(part("radiometric", "objects")),
+            "with objects": _number(part("radiometric", "with objects")),
             "behind the sensor": _number(part("sensor", "ground")),
             "ms per frame": _number(None if seconds is None else 1e3 * seconds, ".1f"),
             "s per scene": _number(own["once_s"] or None, ".1f"),
+            "scenes": str(own["scenes"]),
+            "pixels": _number(ground["pixels"], "d"),
+            "effective": _number(ground.get("effective_pixels"), ".0f"),
+            "own bounds [°C]": "" if limits is None else f"{limits[0]:.1f}…{limits[1]:.1f}",
             "knows": own["knows"],
         }
         rows.append((tuple(cells.values()), bool(own["leaks"] or own["circular"])))
@@ -88,8 +94,8 @@ def _errors(summary):
     words = (
         "Mean error, mean absolute error and standard deviation as published studies give them, noise-free, on ground "
         "alone; then the mean absolute error with objects, on objects, and behind the same sensor with the same noise. "
-        "Refitted bounds and means of a training part are had only of scenes with others in their hour and weather. "
-        "Seconds per scene are those of solving its light, over all scenes."
+        "What thermal frames of other lands tell is had only of scenes with others in their hour and weather. Seconds "
+        "per scene are those of making its temperatures and solving its light."
     )
     return f"<h2>Errors on ground</h2><p class=note>{words}</p>" + table(head, rows)
 
@@ -108,10 +114,13 @@ def _pictures(views):
 def _figures(summary):
     drawn = (
         (figures.against_time(summary),
-         "Error against run time, on the machine named below; training is not in it."),
+         "Error against run time of a frame, on the machine named below; training is not in it, nor what a rendered "
+         "scene needs once."),
         (figures.spectra(summary), "Power spectra of the frames' middles: below the reference a method blurs, above it "
                                    "it invents structure."),
-        (figures.roc(summary), "Whether a plain detector of hot spots still finds the targets, behind the sensor."),
+        (figures.roc(summary), "Whether a plain detector of spots warmer or colder than around them finds the targets "
+                               "behind the sensor. It measures by each picture's own scatter: in one that shows little "
+                               "else a target is found easily, whatever its contrast."),
     )  # fmt: skip
     return "".join(figure(content, words) for content, words in drawn if content)
 
@@ -143,9 +152,8 @@ def _terms(summary):
     head = ("scene", "map", "from", "to", *(f"{term} [K]" for term in (*NAMES, "whole")))
     words = (
         "Mean (and mean absolute) terms of the way from B to C, behind the sensor, each changing one thing: how the "
-        "map saw the ground, what emits, what is reflected, the air, the sensor. At every pixel they add up to the "
-        "whole to "
-        f"{apart:.2g} mK."
+        "map saw the ground, what emits, what is reflected, the air, the sensor. Steps of one way, they add up to the "
+        f"whole at every pixel, here to {apart:.2g} mK."
     )
     drawn = figures.terms(summary, NAMES)
     return (f"<h2>Why B and C differ</h2><p class=note>{words}</p>"
@@ -182,7 +190,10 @@ def _structure(summary):
         return ""
     own = [scene["steadiness_k"] for scene in summary["scenes"] if scene["steadiness_k"] is not None]
     words = "Ground points followed from frame to frame: root mean square of how a method changes its mind about them."
-    words += f" The reference itself, by view and sampling: {max(own):.3f} K." if own else ""
+    if own:
+        mean = (sum(each * each for each in own) / len(own)) ** 0.5
+        words += f" The reference itself, by view and sampling: {mean:.3f} K."
+    words += " What shows no contrast does not change."
     words += " Shifts are those of B against C1 of the same map, and of foreign frames against the reference."
     words += " Contrast is the slope of a method on the reference within a pose's ground, beside their correlation."
     head = ("method", "shifted right [px]", "down [px]", "standard error [px]", "change between frames [K]", "contrast",
@@ -203,7 +214,8 @@ def _groups(summary):
             found = own["groups"]["radiometric"].get(grouping, {})
             rows.append(((label, *(f"{_number(found[name]['me_k'], '+.2f')} ({_number(found[name]['mae_k'], '.2f')})"
                                    if name in found else "" for name in classes)), False))  # fmt: skip
-        parts.append(f"<h3>By {grouping}</h3>" + table(("method", *classes), rows))
+        of = "scene, ground alone" if grouping == "scene" else f"{grouping}, with objects"
+        parts.append(f"<h3>By {of}</h3>" + table(("method", *classes), rows))
     words = "<p class=note>Mean (and mean absolute) error [K], noise-free.</p>"
     return f"<h2>Where methods err</h2>{words}{''.join(parts)}" if parts else ""
 
@@ -218,7 +230,7 @@ def _training(summary):
         pairs = told["pairs"] or {}
         counts = ", ".join(f"{count} {part}" for part, count in pairs.items())
         rows.append(((own["map"], told["method"], told["source"], counts, _number(told["training_s"], ".0f"),
-                      told["audited"], "; ".join(own["leaks"]) or "none found"), bool(own["leaks"])))  # fmt: skip
+                      told["audited"], "; ".join(own["leaks"])), bool(own["leaks"])))  # fmt: skip
     if not rows:
         return ""
     head = ("map", "method", "trained on", "pairs", "seconds", "audit", "leaks")
@@ -244,9 +256,10 @@ def _scenes(summary):
 
 def _legend():
     words = (
-        "Every number comes from pixels.csv beside this page: sums over poses, methods, surfaces and materials can be "
-        "formed anew from its columns. The effective number of pixels is that of independent ones that would tell the "
-        "mean as well. A method in red has seen the test, or made the reference."
+        "Errors of poses, surfaces, materials and scenes, and their means, can be formed anew from pixels.csv beside "
+        "this page; everything else stands in comparison.json. 1 K is 1 °C of difference. The effective number of "
+        "pixels is that of independent ones that would tell the mean as well. A method in red has seen the test, or "
+        "made the reference."
     )
     return f"<h2>How to read this</h2><p>{words}</p>"
 
@@ -261,8 +274,8 @@ def _number(value, form=".3f"):
     return "" if value is None else format(int(value) if form == "d" else value, form)
 
 
-def _range(ends):
-    return "" if ends is None else f"{ends[0]:.2f}…{ends[1]:.2f}"
+def _range(ends, form=".2f"):
+    return "" if ends is None else "…".join(format(end, form) for end in ends)
 
 
 def _json(value):

@@ -134,7 +134,8 @@ def compare(flights, folder, models, letters=methods.LETTERS, oracle=None, forei
     known = [provenance.TrainingPictures(each, lambda share: tell("sketching training pictures", share))
              for each in datasets]  # fmt: skip
     began = time.perf_counter()
-    thermals = _thermals(flights, seed, settings, tell)
+    lands = training.lands_of([flight.scene for flight in flights])
+    thermals = _thermals(flights, lands, [model for _, model in maps if not model.needs], seed, settings, tell)
     found, told, photographs, table, left_out = {}, [], {}, [], []
     with files.atomic_folder(folder) as draft, waiting(folder) as work:
         pictures, targets, kept = Pictures(draft, len(flights)), Targets(), draft if arrays else None
@@ -157,8 +158,8 @@ def compare(flights, folder, models, letters=methods.LETTERS, oracle=None, forei
             made, missing = _methods(flight.scene, reference, learned, truth is not None, asked, campaign, say)
             left_out += missing
             frames = Frames(work, flight, reference.scene, learned, settings)
-            one = Trial(flight, reference, truth is not None, made, campaign, found, targets, pictures, seed, frames,
-                        kept)  # fmt: skip
+            one = Trial(flight, lands[number], reference, truth is not None, made, campaign, found, targets, pictures,
+                        seed, frames, kept)  # fmt: skip
             one.run(table, say)
             told.append(one.summary())
             photographs[name] = one.photographs
@@ -166,11 +167,14 @@ def compare(flights, folder, models, letters=methods.LETTERS, oracle=None, forei
             "scenes": told, "notes": [*_notes(told), *left_out], "targets": targets.summary(), "methods": {},
             "seed": seed, "machine": machine(),
             "settings": {key: str(value) for key, value in settings.items()}, "versions": versions(),
-            "bounds": "refitted: eq. 2 on thermal frames of other lands in the same hour and weather",
+            "bounds": "of thermal frames of other lands in the same hour and weather; refitted: by eq. 2; calibrated: "
+                      "a straight line from what the map says of their photographs, by least squares",
         }  # fmt: skip
-        origins = _origins(every, known, photographs)
+        origins, constant = _origins(every, known, photographs), found.get("D constant")
         for label, own in found.items():
-            summary["methods"][label] = own.summary(origins.get(own.method.name), seed)
+            summary["methods"][label] = own.summary(origins.get(own.method.name), seed) | {
+                "more_than_constant": None if constant is None else own.tally.more_than(constant.tally, seed)
+            }
         summary["findings"] = findings.of(summary)
         summary["seconds"] = time.perf_counter() - began
         with files.atomic(draft / "pixels.csv") as part, open(part, "w", newline="", encoding="utf-8") as file:
@@ -204,9 +208,9 @@ def _truth(scene):
     return scene.with_temperature(scene.truth_temperature_spec)
 
 
-def _thermals(flights, seed, settings, tell):
+def _thermals(flights, lands, models, seed, settings, tell):
     """The Thermal of each flight's scene; None where it has no truth, or no other scene could learn from it."""
-    keys = [(training.campaign_of(flight.scene), training.land_of(flight.scene)) for flight in flights]
+    keys = [(training.campaign_of(flight.scene, land), land) for flight, land in zip(flights, lands, strict=True)]
     found = []
     for number, (flight, (campaign, land)) in enumerate(zip(flights, keys, strict=True)):
         useful = any(other == campaign and where != land for other, where in keys)
@@ -218,14 +222,13 @@ def _thermals(flights, seed, settings, tell):
         renderer = Renderer(truth, **settings)
         chosen = views.evenly(len(flight.times), training.POSES)
         seen = (views.view_of(renderer, flight.poses[k], flight.times[k], k, True) for k in chosen)
-        found.append(training.thermal_of(truth, seen, seed))
+        found.append(training.thermal_of(truth, land, seen, seed, models))
     return found
 
 
 def _methods(scene, reference, learned, has_truth, asked, campaign, say):
     """(All Methods of a scene, what had to be left out and why, in sentences)."""
-    bounds, settings = None if campaign is None else campaign.bounds_c, asked.settings
-    made, left_out = [], []
+    made, left_out, settings = [], [], asked.settings
     weathered = scene.spec.weather is not None and scene.frame is not None
     for text, model in asked.maps:
         say(f"preparing {model.name}", 0.0)
@@ -235,10 +238,10 @@ def _methods(scene, reference, learned, has_truth, asked, campaign, say):
                 "add [weather], or leave the map out"
             )
         if "B" in asked.letters and not model.needs:
-            made += methods.translated(model, bounds)
+            made += methods.translated(model, campaign, scene.sky_temperature)
         if {"C1", "C2"} & asked.letters:
             true = "C1" in asked.letters
-            made += methods.rendered(scene, text, model, reference, bounds, true, learned, settings)
+            made += methods.rendered(scene, text, model, reference, campaign, true, learned, settings)
     if asked.oracle is not None and weathered:
         made.append(methods.oracle(scene, *asked.oracle, reference, settings))
     if has_truth:
@@ -279,7 +282,15 @@ def _notes(told):
     if alone:
         notes.append(f"No other land in the hour and weather of {', '.join(alone)} is compared: there bounds are not "
                      "refitted, and constant and means per material are left out.")  # fmt: skip
-    lands = len({each["land"] for each in told})
-    notes.append(f"Intervals are 95 %, of poses or of blocks of ground drawn anew, the wider of the two. They hold for "
-                 f"{'this land' if lands == 1 else f'these {lands} lands'}: another land is another draw.")  # fmt: skip
+    dark = [each["name"] for each in told if (each["sun_elevation_deg"] or 0.0) < 0.0]
+    if dark:
+        notes.append("Photographs show the orthophoto as it was lit when it was taken: where the sun is down they are "
+                     f"of another hour, here of {', '.join(dark)}.")  # fmt: skip
+    lands = len({each["land"] for each in told if each["reference"]})
+    if lands:
+        notes.append("Intervals are 95 %, of poses, of blocks of ground or of whole scenes drawn anew, whichever are "
+                     f"widest; {'one land was' if lands == 1 else f'{lands} lands were'} seen.")  # fmt: skip
+        notes.append("A scene of `make-scene` has temperatures by the heat balance, which F is too, with properties "
+                     "drawn from their uncertainty and hidden fields; maps called procedural were trained on such "
+                     "scenes. What all have wrong alike does not show here.")  # fmt: skip
     return notes

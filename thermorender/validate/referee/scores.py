@@ -1,9 +1,10 @@
 """Errors of methods as sums that add up: by pose, material, object, range, view angle and edges, and by ground block.
 
-An error is the apparent temperature that a method gives less the reference's. Pixels of one pose err alike, and so does
-one piece of ground in every pose that sees it; intervals of means are therefore those of whole poses or of whole blocks
-of ground drawn with replacement, whichever are wider (Künsch 1989, doi:10.1214/aos/1176347265, for the blocks). They
-tell what other poses over this land would bring, not what another land would.
+An error is the apparent temperature that a method gives less the reference's. Pixels of one pose err alike, so does one
+piece of ground in every pose that sees it, and so do all poses of one hour; intervals of means are therefore those of
+whole poses, of whole blocks of ground, or where there are several of whole scenes drawn with replacement, whichever are
+widest (Künsch 1989, doi:10.1214/aos/1176347265, for the blocks). Of one scene they tell what other poses over it would
+bring, of many what other lands, hours and weathers like these would.
 """
 
 from dataclasses import dataclass, field
@@ -11,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from thermorender.campaign.map_inputs import NO_MATERIAL
-from thermorender.validate.evaluation import sums
+from thermorender.validate.evaluation import paired, sums
 from thermorender.validate.evaluation.classes import EDGES, edge_class
 
 RADIOMETRIC, SENSOR = "radiometric", "sensor"
@@ -137,7 +138,7 @@ class Tally:
         """Add the error (n,) of a View's known pixels; return its rows: [(surface, material, (5,) sums)]."""
         found = classes.sums(error)
         by_surface = found.reshape(len(classes.surfaces), -1, sums.WIDTH).sum(axis=1)
-        parts = {"ground": by_surface[0], "objects": by_surface[1:].sum(axis=0), "with objects": by_surface.sum(axis=0)}
+        parts = {GROUND: by_surface[0], "objects": by_surface[1:].sum(axis=0), "with objects": by_surface.sum(axis=0)}
         for part, row in parts.items():
             self.poses.setdefault((stage, part), []).append(row)
         _into(self.scenes, (stage, scene), parts["ground"])
@@ -166,10 +167,33 @@ class Tally:
             own = np.array(rows)
             found = sums.summary(own.sum(axis=0))
             if found["pixels"]:
-                blocks = np.array(list(self.blocks.values())) if (stage, part) == (RADIOMETRIC, "ground") else None
-                found |= intervals(own, blocks, found["sd_k"], seed)
+                drawn = {"poses": own}
+                if part == GROUND:
+                    drawn["scenes"] = self._of_scenes(stage)
+                    drawn |= {"ground blocks": list(self.blocks.values())} if stage == RADIOMETRIC else {}
+                found |= intervals(drawn, found["sd_k"], seed)
             told[stage][part] = found
         return told
+
+    def _of_scenes(self, stage):
+        return [row for (own, _), row in self.scenes.items() if own == stage]
+
+    def more_than(self, other, seed):
+        """Return by how much this errs more than another Tally on ground, noise-free, as {"mae_k", "interval_95",
+        "own_mae_k", "other_mae_k"}; None where it lacks a scene of the other's.
+
+        The other's scenes are drawn anew, the same for both; of a single one its poses.
+        """
+        mine, theirs = ({scene: row for (stage, scene), row in each.scenes.items() if stage == RADIOMETRIC and row[0]}
+                        for each in (self, other))  # fmt: skip
+        if not theirs or not set(theirs) <= set(mine):
+            return None
+        rows = [[each[name] for name in theirs] for each in (theirs, mine)]
+        if len(theirs) == 1 and len(mine) == 1:
+            rows = [each.poses[RADIOMETRIC, GROUND] for each in (other, self)]
+        ((_, error, ends),) = paired.differences(rows, [[0], [1]], np.arange(len(rows[0])), seed)
+        own, limit = (sums.summary(np.sum(each, axis=0))["mae_k"] for each in reversed(rows))
+        return {"mae_k": error, "interval_95": ends, "own_mae_k": own, "other_mae_k": limit}
 
     def grouped(self):
         """Return {stage: {grouping: {class: statistics}}}, plain numbers."""
@@ -181,13 +205,13 @@ class Tally:
         return told
 
 
-def intervals(poses, blocks, sd_k, seed):
-    """Return {interval_95: {me_k, mae_k}, drawn, effective_pixels}: those of poses or of ground blocks, the wider.
+def intervals(drawn, sd_k, seed):
+    """Return {interval_95: {me_k, mae_k}, drawn, effective_pixels}: those of what is drawn, the widest.
 
     Parameters
     ----------
-    poses, blocks : (n, 5) arrays of sums
-        `blocks` may be None.
+    drawn : dict of str to sequence of (5,) arrays
+        Sums of each that is drawn, by what they are.
     sd_k : float
         Standard deviation of single pixels [K].
     seed : int
@@ -198,8 +222,9 @@ def intervals(poses, blocks, sd_k, seed):
     mean as well.
     """
     found = []
-    for what, rows in (("poses", poses), ("ground blocks", blocks)):
-        if rows is not None and (rows[:, 0] > 0).sum() > 1:
+    for what, rows in drawn.items():
+        rows = np.asarray(rows, float)
+        if len(rows) and (rows[:, 0] > 0).sum() > 1:
             found.append((what, sums.intervals(rows, np.arange(len(rows)), seed)))
     if not found:
         return {"interval_95": {"me_k": None, "mae_k": None}, "drawn": None, "effective_pixels": None}

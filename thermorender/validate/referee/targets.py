@@ -1,4 +1,9 @@
-"""What each method makes of targets: their contrast, where they are, and whether a plain detector still finds them."""
+"""What each method makes of targets: their contrast, where they are, and whether a plain detector finds them.
+
+A target may be warmer or colder than what is around it: a response of either sign counts. The detector sees the
+method's own picture behind the sensor, in standard deviations of that picture: one that shows little else makes its
+targets easy to find.
+"""
 
 from dataclasses import dataclass, field
 
@@ -7,8 +12,8 @@ import numpy as np
 
 from thermorender.validate import detector
 
-# Objects smaller than this are not asked for [px], and detections within so many sizes, at least so far, are theirs.
-_LEAST_PX, _NEAR_SIZES, _NEAR_PX = 4, 1.5, 3.0
+# Objects smaller than this are not asked for [px], and detections on them or so near are theirs.
+_LEAST_PX, _NEAR_PX = 4, 3
 # The ring around an object that its contrast is told against [px].
 _RING_PX = 6
 # Responses from which on peaks are kept: fewer standard deviations are the background's own.
@@ -41,15 +46,14 @@ class Targets:
             return
         self.frames += 1
         size = np.median([np.sqrt((view.object == number).sum()) for number, _ in present])
-        found = detector.response(counts, size)
+        found = np.abs(detector.response(counts, size))
         rows, columns, values = detector.peaks(found, size, _LEAST)
         theirs = np.zeros(len(rows), bool)
         for number, name in present:
             mask = view.object == number
             centre = np.argwhere(mask).mean(axis=0)
-            near = max(_NEAR_SIZES * np.sqrt(mask.sum()), _NEAR_PX)
             distance = np.hypot(rows - centre[0], columns - centre[1])
-            own = distance <= near
+            own = _widened(mask, _NEAR_PX)[rows, columns]
             theirs |= own
             first = int(np.flatnonzero(own)[0]) if own.any() else None
             self.rows.append({
@@ -69,10 +73,11 @@ class Targets:
             own = [row for row in self.rows if row["object"] == name]
             contrast, true = (np.array([row[key] for row in own], float) for key in ("contrast_k", "true_contrast_k"))
             hit = [row for row in own if row["offset_px"] is not None]
-            finite = np.isfinite(contrast - true)
+            # Of the same poses, so that the three add up.
+            both = np.where(np.isfinite(contrast - true), 1.0, np.nan)
             told[name] = {
-                "poses": len(own), "true_contrast_k": _mean(true), "contrast_k": _mean(contrast),
-                "contrast_error_k": _mean((contrast - true)[finite]),
+                "poses": len(own), "true_contrast_k": _mean(true * both), "contrast_k": _mean(contrast * both),
+                "contrast_error_k": _mean((contrast - true) * both),
                 "found": len(hit) / len(own), "offset_px": _mean([row["offset_px"] for row in hit]),
             }  # fmt: skip
         return {"objects": told, "roc": self.roc(), "frames": self.frames}
@@ -93,13 +98,17 @@ class Targets:
 
 def _contrast(image, mask, view):
     """Mean of an image on a target less that of a ring around it, of known ground [K]."""
-    side = 2 * _RING_PX + 1
-    around = cv2.dilate(mask.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
-    ring = around & view.known & (view.object < 0)
+    ring = _widened(mask, _RING_PX) & view.known & (view.object < 0)
     own = mask & view.known
     if not ring.any() or not own.any():
         return float("nan")
     return float(image[own].mean(dtype=np.float64) - image[ring].mean(dtype=np.float64))
+
+
+def _widened(mask, px):
+    """A mask and so many pixels around it."""
+    side = 2 * px + 1
+    return cv2.dilate(mask.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
 
 
 def _mean(values):

@@ -6,11 +6,12 @@ import numpy as np
 
 from thermorender.frame import apparent_temperature
 from thermorender.output.record import weather_of
+from thermorender.physics.sun import position_at
 from thermorender.sensor.chain import sensor_of
 from thermorender.sensor.readout import radiance_from_counts
 from thermorender.units import ZERO_CELSIUS_K, utc_text
 from thermorender.validate.evaluation import sums
-from thermorender.validate.referee import emissivities, methods, provenance, scores, training, views
+from thermorender.validate.referee import emissivities, methods, provenance, scores, views
 from thermorender.validate.referee.structure import Registration, Structure, Track, transform
 from thermorender.validate.referee.targets import Targets
 from thermorender.validate.referee.terms import NAMES, terms_of
@@ -41,7 +42,8 @@ class Found:
     circular : list of str
         Sentences.
     once_s : float
-        What was needed once for each scene, together [s].
+        What was needed once for each scene, all together [s].
+    in_scenes : int
     """
 
     method: methods.Method
@@ -56,6 +58,7 @@ class Found:
     seconds: list = field(default_factory=list)
     circular: list = field(default_factory=list)
     once_s: float = 0.0
+    in_scenes: int = 0
 
     def summary(self, origin, seed):
         """Return what is told of the method, plain numbers.
@@ -74,9 +77,10 @@ class Found:
         }
         return {
             "letter": method.letter, "map": method.name, "bounds": method.bounds, "knows": method.knows,
-            "range_c": None if method.bounds != methods.PUBLISHED else
+            "true_objects": method.true_objects,
+            "range_c": None if method.bounds != methods.OWN else
             [limit - ZERO_CELSIUS_K for limit in method.model.range_k],
-            "once_s": self.once_s, "scenes": len({name for _, name in self.tally.scenes}),
+            "once_s": self.once_s / max(self.in_scenes, 1), "scenes": len({name for _, name in self.tally.scenes}),
             "errors": self.tally.summary(seed) if scored else None,
             "groups": self.tally.grouped() if scored else {},
             "targets": self.targets.summary(), "structure": self.structure.summary(), "gain": self.gain.summary(),
@@ -96,6 +100,8 @@ class Trial:
     Parameters
     ----------
     flight : Flight
+    land : str
+        As by `training.lands_of`.
     reference : Renderer
         Of the true temperatures, or where none are known of the scene as it is.
     has_truth : bool
@@ -114,7 +120,7 @@ class Trial:
         Folder of the frames that are kept.
     """
 
-    def __init__(self, flight, reference, has_truth, made, campaign, found, targets, pictures, seed, frames,
+    def __init__(self, flight, land, reference, has_truth, made, campaign, found, targets, pictures, seed, frames,
                  arrays):  # fmt: skip
         self._flight, self._reference, self._has_truth, self._made = flight, reference, has_truth, made
         self._campaign, self._pictures, self._seed, self._arrays = campaign, pictures, seed, arrays
@@ -125,9 +131,10 @@ class Trial:
             # Renderers go with their scene; what is told of a method in the end is the same in all.
             plain = replace(method, build=None, paint=None)
             self._found[method.label] = found.setdefault(method.label, Found(plain))
+            self._found[method.label].in_scenes += 1
         self._emissivity = emissivities.band_emissivities(self.scene)
         self._objects = [item.name for item in self.scene.spec.objects]
-        self._land = training.land_of(self.scene)
+        self._land = land
         vertices = np.concatenate([s.vertices[:, :2] for s in self.scene.surfaces[: self.scene.terrain_count]])
         self._corners = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
         self._pairs = self._between()
@@ -143,7 +150,7 @@ class Trial:
         for method in self._made:
             if method.letter == "B":
                 twins = [each for each in self._made if each.letter == "C1" and each.name == method.name
-                         and each.bounds == method.bounds and each.knows == "the materials"]  # fmt: skip
+                         and each.bounds == method.bounds and not each.true_objects]  # fmt: skip
                 if twins:
                     found[method.name] = method, twins[0]
         return found
@@ -192,7 +199,7 @@ class Trial:
             counts[method.label], read[method.label] = _read(radiance, sensor, camera, view.index)
             if self._has_truth and method.letter not in ("D", "E"):
                 ground = view.known & (view.object < 0)
-                own.explained.add(view, contrast, radiance, image - view.truth, self._emissivity)
+                own.explained.add(self.scene.name, view, contrast, radiance, image - view.truth, self._emissivity)
                 own.gain.add(image[ground], view.truth[ground])
         return seen, read, counts
 
@@ -289,6 +296,7 @@ class Trial:
         return {
             "name": scene.name, "title": scene.spec.title, "land": self._land,
             "time": None if scene.time is None else utc_text(scene.time), **weather_of(scene),
+            "sun_elevation_deg": _sun_elevation(scene),
             "digest": scene.digest(), "poses": len(self._flight.times), "reference": self._has_truth,
             "campaign": None if campaign is None else vars(campaign), "plan": self._reference.plan.as_dict(),
             "terms": pairs, "terms_apart_mk": 1e3 * self._apart, "spectrum": spectrum,
@@ -296,6 +304,13 @@ class Trial:
             "differences": [{"one": one, "other": other, **sums.summary(row)}
                             for (one, other), row in self._between_methods.items()],
         }  # fmt: skip
+
+
+def _sun_elevation(scene):
+    """That of the sun at a scene's hour and place [deg], None where these are not known."""
+    if scene.time is None or scene.frame is None:
+        return None
+    return float(position_at(scene.time, scene.frame.latitude_deg, scene.frame.longitude_deg)[1])
 
 
 def _read(radiance, sensor, camera, index):
