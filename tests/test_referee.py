@@ -31,6 +31,7 @@ from thermorender.validate.referee import (
     provenance,
     scores,
     structure,
+    targets,
     training,
     trial,
     views,
@@ -585,6 +586,28 @@ def test_the_detector_finds_a_disc_and_nothing_in_noise():
     row, column, value = (each[0] for each in detector.peaks(found, 5.0, 5.0))
     assert np.hypot(row - 100, column - 200) <= 1.5 and value > 8.0
     assert not len(detector.peaks(detector.response(image, 5.0), 5.0, 6.0)[0])
+
+
+def test_a_cold_target_is_found_as_a_warm_one_is_and_one_beside_it_is_not():
+    from types import SimpleNamespace
+
+    rng = np.random.default_rng(12)
+    rows, columns = np.mgrid[:256, :320]
+    places = {"warm": (100, 200), "cold": (60, 80), "elsewhere": (180, 120)}
+    number, truth = np.full(rows.shape, -1), np.full(rows.shape, 290.0)
+    for k, (name, (row, column)) in enumerate(places.items()):
+        disc = np.hypot(rows - row, columns - column) < 4
+        number[disc] = k
+        # The last one is shown 15 px beside its place.
+        away = 15 if name == "elsewhere" else 0
+        truth[np.hypot(rows - row, columns - column - away) < 4] += -12.0 if name == "cold" else 12.0
+    view = SimpleNamespace(object=number, known=np.ones(rows.shape, bool), truth=truth, index=0)
+    found = targets.Targets()
+    found.add("s", view, list(places), truth, 8000.0 + 25.0 * (truth - 290.0) + rng.normal(0.0, 10.0, rows.shape))
+    told = found.summary()["objects"]
+    assert {name: own["found"] for name, own in told.items()} == {"warm": 1.0, "cold": 1.0, "elsewhere": 0.0}
+    assert told["cold"]["contrast_k"] == told["cold"]["true_contrast_k"] == pytest.approx(-12.0, abs=0.5)
+    assert told["cold"]["offset_px"] < 2.0
 
 
 def test_the_emissivity_that_explains_an_error_is_found():
