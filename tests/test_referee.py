@@ -726,10 +726,14 @@ def test_a_shift_of_forty_pixels_and_one_of_a_single_pose_are_found(tmp_path):
 
 
 def test_a_picture_that_hardly_shows_anything_is_found(ground, tmp_path):
-    frames = frames_of(ground, 3, tmp_path / "grey", lambda kelvin, _: kelvin.mean() + 0.1 * (kelvin - kelvin.mean()))
-    found = compare([flight(ground)], tmp_path / "c", [], foreign={"grey": frames}, rays=8)
-    (told,) = [each["says"] for each in found["findings"] if each["method"] == "foreign grey"]
-    assert told.startswith("it shows 0.10 of the reference's contrast")
+    folders = {
+        name: frames_of(ground, 3, tmp_path / name, lambda kelvin, _, g=g: kelvin.mean() + g * (kelvin - kelvin.mean()))
+        for name, g in (("grey", 0.1), ("turned", -1.0))
+    }
+    found = compare([flight(ground)], tmp_path / "c", [], foreign=folders, rays=8)
+    for name, gain in (("grey", "0.10"), ("turned", "-1.00")):
+        (told,) = [each["says"] for each in found["findings"] if each["method"] == f"foreign {name}"]
+        assert told.startswith(f"it shows {gain} of the reference's contrast")
 
 
 def test_a_material_stands_apart_from_others_of_its_own_scenes():

@@ -6,14 +6,14 @@ _OFFSET_K, _SURE = 0.1, 3.0
 # A shift is told from this [px], from the second where a single pose tells no error, where pictures correlate so well.
 _SHIFT_PX, _SINGLE_PX, _ALIKE = 0.5, 1.0, 0.5
 # A wrong contrast is told from this gain off 1, where the pattern is known so well, and where it is most of the error;
-# of one that shows less than this there is hardly any.
+# less than this is hardly any.
 _GAIN, _PATTERN, _MOST, _FLAT = 0.1, 0.8, 0.5, 0.2
 # A material's error stands apart where it is so many times the median one of the others in the same scenes.
 _APART = 3.0
 _TITLES = {
     "leak": "Seen in training", "circular": "Circular", "offset": "An offset is most of the error",
     "shift": "Shifted", "unlike": "Frames unlike the scene", "contrast": "Wrong contrast",
-    "flat": "Nearly a constant on each pose's ground", "material": "Materials that err apart",
+    "flat": "Hardly any of the contrast, or it turned around", "material": "Materials that err apart",
     "emissivity": "Wrong emissivity", "constant": "Beaten by a constant",
 }  # fmt: skip
 
@@ -94,11 +94,11 @@ def _varies(own):
 
 
 def _contrast(label, own):
-    """Whether a method knows the pattern of the ground but shows it too strongly or too weakly, or hardly shows any."""
+    """Whether a method knows the pattern of the ground but shows it too strongly or too weakly, or hardly shows it."""
     found = own["gain"]
     if found is None or own["letter"] in ("D", "E"):
         return []
-    if abs(found["gain"]) < _FLAT:
+    if found["gain"] < _FLAT:
         return [_told(label, "flat", f"it shows {found['gain']:.2f} of the reference's contrast (correlation "
                                      f"{found['correlation']:.2f})")]  # fmt: skip
     if found["correlation"] < _PATTERN:
