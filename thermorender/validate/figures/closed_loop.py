@@ -24,7 +24,7 @@ def figure(path, found):
     from matplotlib import pyplot
 
     kinds = list(dict.fromkeys(each["frames"] for each in found))
-    drawing, (share, contrast) = pyplot.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
+    drawing, (share, contrast) = pyplot.subplots(1, 2, figsize=(12, 4.2), layout="constrained")
     for number, kind in enumerate(kinds):
         own = [each for each in found if each["frames"] == kind]
         landed = [each for each in own if each["error_m"] is not None]
@@ -40,9 +40,12 @@ def figure(path, found):
               ylabel="share of runs")  # fmt: skip
     contrast.set(xscale="log", ylim=(0.0, _FARTHEST_M * 1.02), xlabel="contrast of the marker to its ground [K]",
                  ylabel="distance of the touch-down [m]")  # fmt: skip
+    ticks = [2, 5, 10, 20, 40]
+    contrast.set_xticks(ticks, [str(tick) for tick in ticks])
+    contrast.set_xticks([], minor=True)
     for panel in (share, contrast):
         panel.grid(True, lw=0.3, color="0.85")
-        panel.legend(fontsize=8)
+    contrast.legend(fontsize=8, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
     with files.atomic(path) as part:
         drawing.savefig(part, dpi=80)
     pyplot.close(drawing)
