@@ -406,6 +406,21 @@ def test_terms_add_up_and_each_is_nothing_where_nothing_changes(tmp_path):
     assert abs(parts["misty"]["air"]["me_k"]) > 0.02
 
 
+def test_what_a_map_gives_no_temperature_is_not_split(tmp_path):
+    """Of bright ground the map says less than no radiance."""
+    colour = np.full((64, 64, 3), 10, np.uint8)
+    colour[:, 36:] = 220
+    dark = Correlation(np.full((1, 1, 3), -4.0), 0.5)
+    steep = TemperatureMap("steep", "correlation-1to1", dark, (280.0, 300.0), BAND,
+                           0.5, (0.01, 5.0), "zenmuse-xt2", 255.0, "a test")  # fmt: skip
+    save_map(steep, tmp_path / "steep.npz")
+    folder = write_terrain(tmp_path / "land", np.zeros((32, 32)), colour=colour)
+    (scene,) = compare([flight(folder)], tmp_path / "c", [str(tmp_path / "steep.npz")], rays=8)["scenes"]
+    own = scene["terms"]["steep"]["terms"]
+    assert scene["terms_apart_mk"] <= 1.0 and 0 < own["whole"]["pixels"] < 0.8 * 3 * 640 * 512
+    assert len({each["pixels"] for each in own.values()}) == 1 and np.isfinite(own["emission"]["mae_k"])
+
+
 def test_objects_get_no_truth_but_in_the_row_that_says_so(tmp_path):
     hot = ('[[object]]\nname = "plate"\nshape = "disc"\nsize = [4.0, 4.0, 0.1]\nposition = [0.0, 0.0, 0.05]\n'
            'temperature = 360.0\nmaterial = "paint_black"\ncolour = [40, 40, 40]\n')  # fmt: skip

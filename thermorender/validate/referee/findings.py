@@ -4,7 +4,7 @@ method."""
 # An offset is told from this [K], and where it is this many of its standard errors.
 _OFFSET_K, _SURE = 0.1, 3.0
 # A shift is told from this [px], from the second where a single pose tells no error, where pictures correlate so well.
-_SHIFT_PX, _SINGLE_PX, _ALIKE = 0.5, 1.0, 0.5
+_SHIFT_PX, _SINGLE_PX, ALIKE = 0.5, 1.0, 0.5
 # A wrong contrast is told from this gain off 1, where the pattern is known so well, and where it is most of the error;
 # less than this is hardly any.
 _GAIN, _PATTERN, _MOST, _FLAT = 0.1, 0.8, 0.5, 0.2
@@ -72,7 +72,7 @@ def _shift(label, own):
         shift, against = own["structure"]["shift"], "the reference"
     else:
         shift, against = own["registered"], f"C1 {own['map']}"
-    if shift is None or abs(shift["correlation"]) < _ALIKE:
+    if shift is None or abs(shift["correlation"]) < ALIKE:
         # A map may show anything; frames of this very pose have to look like it.
         return [] if own["letter"] != "foreign" or not _varies(own) else [_told(
             label, "unlike", f"its pictures do not look like {against} at any shift that is looked for: they are of "

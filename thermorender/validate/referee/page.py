@@ -179,6 +179,8 @@ def _structure(summary):
     rows = []
     for label, own in summary["methods"].items():
         shift = own["structure"]["shift"] if own["letter"] == "foreign" else own["registered"]
+        # What does not look alike has no shift.
+        shift = None if shift is None or abs(shift["correlation"]) < findings.ALIKE else shift
         steady, gain = own["steadiness_k"], own["gain"] or {"gain": None, "correlation": None}
         if shift is None and steady is None and gain["gain"] is None:
             continue

@@ -234,11 +234,11 @@ class Trial:
         for name, (flat, solid) in self._pairs.items():
             pictures = self._frames.terms(solid, view.index)
             parts = terms_of(pictures, seen[flat.label], seen[solid.label], read[flat.label], read[solid.label])
-            whole = read[solid.label] - read[flat.label]
-            known = view.known & np.isfinite(whole)
+            whole, together = read[solid.label] - read[flat.label], sum(parts.values())
+            # Where a step on the way has no temperature, nothing is split.
+            known = view.known & np.isfinite(whole) & np.isfinite(together)
             pair = (transform(image, view.known) for image in (seen[flat.label], seen[solid.label]))
             self._found[flat.label].registered.add(*pair)
-            together = sum(parts.values())
             self._apart = float(np.maximum(self._apart, np.abs(together - whole)[known].max(initial=0.0)))
             for k, image in enumerate((*parts.values(), whole)):
                 self._terms[name][k] += sums.row(image[known])
