@@ -90,10 +90,6 @@ class Emissivities:
             own = self.scenes.setdefault(scene, {})
             own[name] = own.get(name, 0.0) + row[[0, 4]]
 
-    def errors(self):
-        """Return {material: mean error [K]}."""
-        return {name: row[4] / row[0] for name, row in self.rows.items()}
-
     def _others(self, name):
         """Median size of the mean errors of the other materials in the scenes that have this one [K], or None."""
         together = {}

@@ -135,7 +135,8 @@ def compare(flights, folder, models, letters=methods.LETTERS, oracle=None, forei
              for each in datasets]  # fmt: skip
     began = time.perf_counter()
     lands = training.lands_of([flight.scene for flight in flights])
-    thermals = _thermals(flights, lands, [model for _, model in maps if not model.needs], seed, settings, tell)
+    calibrated = [model for _, model in maps if not model.needs] if {"B", "C1", "C2"} & asked.letters else []
+    thermals = _thermals(flights, lands, calibrated, seed, settings, tell)
     found, told, photographs, table, left_out = {}, [], {}, [], []
     with files.atomic_folder(folder) as draft, waiting(folder) as work:
         pictures, targets, kept = Pictures(draft, len(flights)), Targets(), draft if arrays else None

@@ -85,7 +85,7 @@ class Found:
             "groups": self.tally.grouped() if scored else {},
             "targets": self.targets.summary(), "structure": self.structure.summary(), "gain": self.gain.summary(),
             "registered": self.registered.summary(),
-            "emissivities": {"told": self.explained.summary(), "scene": wrong, "error_k": self.explained.errors()},
+            "emissivities": {"told": self.explained.summary(), "scene": wrong},
             "steadiness_k": _deviation(self.changes),
             "seconds_per_frame": float(np.median(self.seconds)) if self.seconds else None,
             "training_s": None if origin is None else origin.told["training_s"],
