@@ -13,8 +13,8 @@ from thermorender.physics.band import emitted_radiance
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.render.geometry import Geometry
 from thermorender.render.light import radiosity
+from thermorender.render.pixels.sampling import edge_step, morton_order
 from thermorender.render.plan import make_plan
-from thermorender.render.sampling import edge_step, morton_order
 from thermorender.render.variant import activate
 from thermorender.scene.surface import BACKGROUND, FILLED, SURFACE
 from thermorender.validate.metrics import converged, rms_mk

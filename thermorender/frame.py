@@ -36,11 +36,14 @@ class Found:
         As by `View.targets`.
     budget : dict or None
         As by `View.budget_mk`.
+    error : (H, W) float32 or None
+        As by `View.error_mk`.
     """
 
     images: dict[str, NDArray[Any]]
     objects: dict[str, dict[str, Any]]
     budget: dict[str, float] | None
+    error: NDArray[np.float32] | None
 
     def truth(self) -> dict[str, NDArray[Any]]:
         """Return what is really there, without the sensor's flags."""
@@ -53,6 +56,10 @@ class Found:
     def budget_mk(self, radiance: NDArray[np.float32], sampling: Any) -> dict[str, float] | None:
         """Return the error budget of the radiance that was pickled."""
         return self.budget
+
+    def error_mk(self, radiance: NDArray[np.float32], sampling: Any) -> NDArray[np.float32] | None:
+        """Return the estimated error of each pixel of the radiance that was pickled."""
+        return self.error
 
 
 # Frames are compared by identity: arrays have no truth value to compare them by.
@@ -94,7 +101,7 @@ class Frame:
         state = dict(vars(self))
         images = state.pop("truth", None) or self._view.truth()
         images = {**images, "mask": images["mask"] & ~np.uint8(SATURATED)}
-        found = Found(images, self.targets, self.budget_mk)
+        found = Found(images, self.targets, self.budget_mk, self.error_mk)
         return {**state, "_view": found, "_sampling": None}
 
     def with_reading(self, counts: NDArray[np.uint16], how: dict[str, Any]) -> "Frame":
@@ -103,16 +110,26 @@ class Frame:
 
     @cached_property
     def budget_mk(self) -> dict[str, float] | None:
-        """Error of the radiance, without the sensor's noise, by its causes: {cause: root mean square [mK]}.
+        """Error of the radiance, without the sensor's noise, by its causes: {cause: root mean square [mK at 300 K]}.
 
-        "nodes": worst error of the spectral nodes over the spectra that the scene may show, and the bound of the
-        solution by its residual; "bake": light between the surfaces that are seen, by two independent halves of its
-        rays; "sampling": rays and texture taps of this frame, by shares fitted on heath, ridge and village; "air":
-        worst error of the spectral channels over the same spectra; "mirrors": worst error of what they reflect, up to
-        80°; "total". Estimates from above, and but for the solution no bounds. None for a frame of the reference
-        engine, whose error is its noise.
+        Over the pixels that show a surface. "nodes": worst error of the spectral nodes over the spectra that the scene
+        may show, and the bound of the solution by its residual; "bake": light between the surfaces that are seen, by
+        two independent halves of its rays; "sampling": rays and texture reads of this frame, by some of its pixels
+        rendered anew; "air": worst error of the spectral channels over the same spectra; "mirrors": worst error of
+        what they reflect, up to 80°; "total". Estimates from above, and but for the solution no bounds: what no ray met
+        and no neighbour of a pixel tells of is not in them. None for a frame of the reference engine, whose error is
+        its noise.
         """
         return self._view.budget_mk(self.radiance, self._sampling)
+
+    @cached_property
+    def error_mk(self) -> NDArray[np.float32] | None:
+        """Estimated error of each pixel by all causes of `budget_mk`, (H, W) float32 [mK at 300 K].
+
+        Its root mean square is that budget's total, but for what differs between all pixels and the sixteenth of them
+        in which the light is looked up there. NaN where no surface is shown; None for a frame of the reference engine.
+        """
+        return self._view.error_mk(self.radiance, self._sampling)
 
     @cached_property
     def targets(self) -> dict[str, dict[str, Any]]:

@@ -53,7 +53,8 @@ Tolerance = Annotated[float, typer.Option(help="Error allowed to the spectral no
 Rays = Annotated[int, typer.Option(help="Rays per face for the light between surfaces.")]
 Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
 Products = Annotated[
-    str, typer.Option(help="Comma-separated: exr, truth, counts, counts-tiff, radiometric, display, video, visible.")
+    str, typer.Option(help="Comma-separated: exr, truth, error, counts, counts-tiff, radiometric, display, video, "
+                           "visible.")
 ]
 Display = Annotated[str, typer.Option(help="linear, plateau or local: how counts become 8 bits.")]
 Palette = Annotated[str, typer.Option(help="white-hot, black-hot or ironbow.")]

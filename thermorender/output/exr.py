@@ -12,17 +12,20 @@ from thermorender.output.record import made_by, record
 from thermorender.sensor.radiometry import thermography_reading
 
 
-def write_exr(path, frame, truth, thermography=None):
+def write_exr(path, frame, truth, thermography=None, error=False):
     """Write a frame's radiance and apparent temperature, and its truth where asked, as one multi-channel EXR.
 
-    With `thermography` settings, what such software reads from the counts stands beside them. The header's
-    `thermorender` attribute holds time, pose, seed, plan, versions, device and units as JSON.
+    With `error`, what each pixel errs by is estimated beside them; with `thermography` settings, what such software
+    reads from the counts stands there. The header's `thermorender` attribute holds time, pose, seed, plan, versions,
+    device and units as JSON.
     """
     import OpenEXR
 
     channels = {"radiance": frame.radiance, "apparent_temperature": frame.apparent_temperature}
     if thermography is not None:
         channels["thermography_temperature"] = thermography_reading(frame.counts, frame.camera, thermography)
+    if error and frame.error_mk is not None:
+        channels["error"] = frame.error_mk
     if truth:
         for name, values in frame.truth.items():
             if values.dtype == np.uint8:
@@ -36,6 +39,7 @@ def write_exr(path, frame, truth, thermography=None):
         "radiance": "W m-2 sr-1",
         "apparent_temperature": "K",
         "thermography_temperature": "K",
+        "error": "mK at 300 K",
         "truth.kinetic_temperature": "K",
         "truth.depth": "m along the optical axis",
         "truth.position": "m, local East-North-Up",

@@ -12,6 +12,8 @@ from thermorender.output.images import write_image
 from thermorender.sensor.radiometry import ThermographySettings, thermography_reading
 
 DEFAULT = ("exr", "truth", "counts", "display", "video")
+# Products that are part of others.
+_PARTS = ("truth", "error", "video")
 
 
 def write_radiometric(path, frame, thermography):
@@ -26,6 +28,7 @@ class _Extras:
     """What products are made of beside the frame: as of `write`."""
 
     truth: bool
+    error: bool
     image: Any
     thermography: Any
     photograph: Any
@@ -33,7 +36,9 @@ class _Extras:
 
 # {product: (end of the file name, writer(path, frame, extras))}
 WRITERS = {
-    "exr": (".exr", lambda path, frame, extras: write_exr(path, frame, extras.truth, extras.thermography)),
+    "exr": (".exr", lambda path, frame, extras: write_exr(
+        path, frame, extras.truth, extras.thermography, extras.error
+    )),
     "counts": ("_counts.png", lambda path, frame, extras: write_image(path, frame.counts)),
     "counts-tiff": ("_counts.tif", lambda path, frame, extras: write_image(path, frame.counts)),
     "radiometric": (
@@ -57,8 +62,8 @@ def check(products, thermography=None, camera=None):
     if "visible" in products and camera is not None and camera.visible_camera is not None:
         products = tuple(dict.fromkeys((*products, "visible-camera")))
     if not products:
-        raise ThermorenderError(f"products is empty; give some of {', '.join((*WRITERS, 'truth', 'video'))}")
-    known = (*WRITERS, "truth", "video")
+        raise ThermorenderError(f"products is empty; give some of {', '.join((*WRITERS, *_PARTS))}")
+    known = (*WRITERS, *_PARTS)
     for name in products:
         if name not in known:
             raise ThermorenderError(f"product {name!r} is unknown; give some of {', '.join(known)}")
@@ -67,8 +72,9 @@ def check(products, thermography=None, camera=None):
             f"product 'visible-camera' needs a visible camera, which {camera.name} does not have; add visible_width "
             "and visible_field_of_view_deg to its file, or take 'visible', registered to the thermal camera"
         )
-    if "truth" in products and "exr" not in products:
-        raise ThermorenderError("product 'truth' is channels of the EXR; add 'exr'")
+    for name in ("truth", "error"):
+        if name in products and "exr" not in products:
+            raise ThermorenderError(f"product {name!r} is channels of the EXR; add 'exr'")
     if "video" in products and "display" not in products:
         raise ThermorenderError("product 'video' is made of the display images; add 'display'")
     if thermography is not None and not {"exr", "radiometric"} & set(products):
@@ -98,7 +104,7 @@ def write(folder, frame, products, image=None, thermography=None, photograph=Non
     photograph : callable, optional
         (camera) → (H, W, 3) uint8, for `visible`.
     """
-    extras = _Extras("truth" in products, image, thermography, photograph)
+    extras = _Extras("truth" in products, "error" in products, image, thermography, photograph)
     files = paths(folder, frame.index, products)
     if image is None and "display" in files:
         extras = replace(extras, image=frame.display)

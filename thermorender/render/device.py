@@ -33,7 +33,7 @@ class DeviceScene:
         mirror = None
         if baked.mirror_black is not None:
             mirror = mirrors.Mirror(mi, tables, flat(scene, "material"), baked.mirror_black)
-        self._outgoing = OutgoingRadiance.of(mi, baked.texels, baked.faces, mirror)
+        self._outgoing = OutgoingRadiance.of(geometry, baked.texels, baked.faces, mirror)
         self._faces, self._light = baked.faces, baked.static_light
         self.face_error = None if baked.face_error is None else mi.Float(baked.face_error)
         self.objects = [DynamicObject(mi, tracked, plan, scene.materials, tables) for tracked in scene.tracked_objects]

@@ -165,7 +165,7 @@ class DynamicObject:
             black = mirrors.black_of(plan, self._tables.number, material, warm)
             mirror = mirrors.Mirror(mi, self._tables, material, black)
         texels = [np.full(self._texel_count, value, np.float32) for value in emitted]
-        return OutgoingRadiance.of(mi, texels, own, mirror), added
+        return OutgoingRadiance.of(self.geometry, texels, own, mirror), added
 
     def box(self, pose):
         """Return the lowest and highest corner of the object at a pose, (2, 3) [m]."""

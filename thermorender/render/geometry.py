@@ -12,6 +12,7 @@ import drjit as dr
 import numpy as np
 
 from thermorender.errors import ThermorenderError
+from thermorender.render.pixels import pyramid
 
 _RAYS_AT_ONCE = 1 << 22
 
@@ -58,6 +59,8 @@ class Geometry:
         Each face's area [m²], and its share of the area of all.
     reach : float
         Greatest distance of a vertex from the origin along an axis [m].
+    levels : int
+        Of the texels' averages over squares, `Geometry.averaged`; 1 where all surfaces have a single texel.
     """
 
     def __init__(self, mi, surfaces):
@@ -82,9 +85,15 @@ class Geometry:
         surface_of[registry] = np.arange(len(registry))
         self._surface_of = mi.UInt32(surface_of)
         self._face_start = mi.UInt32(self.face_start[:-1].astype(np.uint32))
-        self._texel_start = mi.Int32(self.texel_start[:-1].astype(np.int32))
-        shape = np.array([surface.material.shape for surface in surfaces], dtype=np.int32)
-        self._rows, self._columns = mi.Int32(shape[:, 0].copy()), mi.Int32(shape[:, 1].copy())
+        # (levels, surfaces): squares of all surfaces lie behind one another, level after level.
+        shapes = [pyramid.sizes(*surface.material.shape) for surface in surfaces]
+        self.levels = max(map(len, shapes))
+        shapes = np.array([shape + [(1, 1)] * (self.levels - len(shape)) for shape in shapes], dtype=np.int64)
+        shapes = shapes.transpose(1, 0, 2).reshape(-1, 2)
+        start = np.concatenate([[0], np.cumsum(shapes.prod(axis=1))])
+        self._surfaces = len(surfaces)
+        parts = (start[:-1], shapes[:, 0], shapes[:, 1])
+        self._lattice = tuple(mi.Int32(np.ascontiguousarray(part.astype(np.int32))) for part in parts)
         records = [_map_records(surface) for surface in surfaces]
         self._record = mi.Float(np.concatenate(records).astype(np.float32).ravel())
 
@@ -134,10 +143,40 @@ class Geometry:
         j = dr.clip(mi.Int32(dr.floor(column)), 0, columns - 1)
         return mi.UInt32(start + i * columns + j)
 
-    def lattice(self, surface, active=True):
-        """Return (first texel, rows, columns) of surfaces, Int32."""
-        arrays = (self._texel_start, self._rows, self._columns)
-        return tuple(dr.gather(self.mi.Int32, values, surface, active) for values in arrays)
+    def lattice(self, surface, active=True, level=None):
+        """Return (first texel, rows, columns) of surfaces, Int32; or of their squares of 2^level texels a side."""
+        index = surface if level is None else surface + level * self._surfaces
+        return tuple(dr.gather(self.mi.Int32, values, index, active) for values in self._lattice)
+
+    def averaged(self, values):
+        """Return Channels of texels (T, C), and of their means over squares of 2, 4, 8 … texels a side behind them."""
+        values = np.asarray(values, dtype=np.float32)
+        levels = [[] for _ in range(self.levels - 1)]
+        for surface, covered, part in zip(
+            self.surfaces, self.covered, np.split(values, self.texel_start[1:-1]), strict=True
+        ):
+            last = part.reshape(*surface.material.shape, -1)
+            found = list(pyramid.squares(last, covered))
+            for number, level in enumerate(levels):
+                last = found[number] if number < len(found) else (found or [last])[-1]
+                level.append(last.reshape(-1, values.shape[1]))
+        return Channels(self.mi, np.concatenate([values, *(part for level in levels for part in level)]))
+
+    @cached_property
+    def covered(self):
+        """Which texels some face covers, (rows, columns) bool for each surface; None where it is all of them."""
+        found, covers = [], None
+        for number, surface in enumerate(self.surfaces):
+            edge = surface.uv[:, 1:].astype(np.float64) - surface.uv[:, :1]
+            area = 0.5 * np.abs(edge[:, 0, 0] * edge[:, 1, 1] - edge[:, 0, 1] * edge[:, 1, 0]).sum()
+            if abs(area - 1.0) < 1e-6 or surface.material.size == 1:
+                found.append(None)
+                continue
+            if covers is None:
+                covers = self.face_of_texel().numpy() < self.face_count
+            part = covers[self.texel_start[number] : self.texel_start[number + 1]]
+            found.append(part.reshape(surface.material.shape))
+        return found
 
     def corners(self, lattice, column, row):
         """Return the four texels round a position as [(flat number, weight), …]; outside the map, those at its edge."""
@@ -239,7 +278,8 @@ class OutgoingRadiance:
     Attributes
     ----------
     texels : Channels
-        Read at every tap of a pixel: all there is, or the first of the spectral channels, which carries nearly all.
+        From `Geometry.averaged`, read at every tap of a pixel: all there is, or the first of the spectral channels,
+        which carries nearly all.
     rest : Channels or None
         The other spectral channels, read once per ray, as they tell a hundredth of what the first does.
     faces : Channels or None
@@ -254,10 +294,11 @@ class OutgoingRadiance:
     mirror: object = None
 
     @classmethod
-    def of(cls, mi, texels, faces=None, mirror=None):
+    def of(cls, geometry, texels, faces=None, mirror=None):
         """Return what leaves surfaces by spectral channels of texels, K arrays (T,), and of faces, (F, K)."""
-        rest = Channels(mi, np.stack(texels[1:], axis=1)) if len(texels) > 1 else None
-        return cls(Channels(mi, texels[0][:, None]), rest, None if faces is None else Channels(mi, faces), mirror)
+        rest = geometry.averaged(np.stack(texels[1:], axis=1)) if len(texels) > 1 else None
+        own = None if faces is None else Channels(geometry.mi, faces)
+        return cls(geometry.averaged(texels[0][:, None]), rest, own, mirror)
 
     def at_texel(self, texel, face):
         """Return all channels of texels, seen on faces, as a list of Float."""

@@ -10,7 +10,7 @@ from thermorender.physics.band import quadrature
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, spectral_radiance
 from thermorender.physics.sun import irradiance
 from thermorender.render.mirrors import ReflectanceTables, make_tables
-from thermorender.render.sampling import PATTERNS, STAGES
+from thermorender.render.pixels.sampling import PATTERNS, STAGES
 from thermorender.render.spectrum import REFERENCE_K, Envelope, Spectrum, make_spectrum
 
 # Rays per pixel, texture taps per ray, and the error from which on an edge pixel gets more rays [mK].

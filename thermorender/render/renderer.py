@@ -12,12 +12,11 @@ from thermorender.errors import ThermorenderError, shortened
 from thermorender.frame import Frame
 from thermorender.physics.planck import band_radiance
 from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
-from thermorender.render import budget, truth
+from thermorender.render import truth
 from thermorender.render.air import Vacuum
 from thermorender.render.baked import BakedScene, Progress, bake
 from thermorender.render.dynamic import Placement, placements
 from thermorender.render.geometry import (
-    Channels,
     Geometry,
     Layer,
     OutgoingRadiance,
@@ -25,9 +24,10 @@ from thermorender.render.geometry import (
     refuse_other_surfaces,
     view_ray,
 )
+from thermorender.render.pixels import budget
+from thermorender.render.pixels.sampling import CameraRays
+from thermorender.render.pixels.tracer import Sampling, Tracer
 from thermorender.render.plan import Plan, checked, make_plan
-from thermorender.render.sampling import CameraRays
-from thermorender.render.tracer import Sampling, Tracer
 from thermorender.render.variant import activate
 from thermorender.scene.load import Scene
 from thermorender.scene.surface import FILLED, Surface
@@ -196,7 +196,7 @@ class Renderer:
             # The geometry may be that of another scene of the same surfaces, in other colours.
             shapes = [(self._geometry, self.scene.surfaces)]
             shapes += [(Geometry(mi, one.surfaces), one.surfaces) for one in self.scene.tracked_objects]
-            self._coloured = [(shape, _colours(mi, surfaces)) for shape, surfaces in shapes]
+            self._coloured = [(shape, _colours(shape, surfaces)) for shape, surfaces in shapes]
         poses = [np.eye(4), *(placement.pose for placement in placements(self.scene, time_s, objects))]
         layers = [
             Layer(shape, opaque_view(mi, np.linalg.inv(own) @ pose), outgoing)
@@ -258,7 +258,7 @@ class Renderer:
         parts = np.split(np.asarray(values, np.float32), ends[:-1])
         poses = [np.eye(4), *(placement.pose for placement in placements(self.scene, time_s, objects))]
         layers = [
-            Layer(shape, opaque_view(mi, np.linalg.inv(own) @ pose), OutgoingRadiance(Channels(mi, part[:, None])))
+            Layer(shape, opaque_view(mi, np.linalg.inv(own) @ pose), OutgoingRadiance(shape.averaged(part[:, None])))
             for shape, part, own in zip(shapes, parts, poses, strict=True)
         ]
         outside = np.array([self.scene.sky_temperature, self.scene.surroundings_temperature])
@@ -348,7 +348,15 @@ class View:
 
     def budget_mk(self, radiance: NDArray[np.float32], sampling: Sampling | None) -> dict[str, float] | None:
         """Return the error budget, as `Frame.budget_mk` has it, of a radiance image; None without its Sampling."""
-        return None if sampling is None else budget.budget_mk(self.baked, self.rays, self.pose, radiance, sampling)
+        if sampling is None:
+            return None
+        return budget.budget_mk(self.baked, self.tracer(), self.pose, radiance, sampling)
+
+    def error_mk(self, radiance: NDArray[np.float32], sampling: Sampling | None) -> NDArray[np.float32] | None:
+        """Return the estimated error of each pixel, as `Frame.error_mk` has it; None without its Sampling."""
+        if sampling is None:
+            return None
+        return budget.error_mk(self.baked, self.tracer(), self.pose, radiance, sampling)
 
 
 def checked_pose(pose: ArrayLike) -> NDArray[np.float64]:
@@ -366,12 +374,12 @@ def checked_pose(pose: ArrayLike) -> NDArray[np.float64]:
     return pose
 
 
-def _colours(mi: Any, surfaces: Sequence[Surface]) -> OutgoingRadiance:
+def _colours(geometry: Geometry, surfaces: Sequence[Surface]) -> OutgoingRadiance:
     """The linear colour of the surfaces' texels, and 1 where it is known, else 0, as OutgoingRadiance."""
     linear = linear_from_bytes(np.concatenate([surface.colour.reshape(-1, 3) for surface in surfaces]))
     flags = np.concatenate([surface.flags.ravel() for surface in surfaces])
     known = ((flags & FILLED) == 0).astype(np.float32)
-    return OutgoingRadiance(Channels(mi, np.column_stack([linear, known])))
+    return OutgoingRadiance(geometry.averaged(np.column_stack([linear, known])))
 
 
 def _warmed(scene: Scene, like: "Renderer | None", geometry: Geometry, progress: Progress | None) -> Scene:

@@ -5,11 +5,14 @@ one surface hides another. Across one plane the inverse of depth is linear in th
 second difference does not vanish. How much an edge matters is told by the radiance beside it.
 """
 
+from dataclasses import dataclass
+
 import drjit as dr
 import numpy as np
 
-# Sub-pixel offsets (right, down) in 0…1: lattices whose rows and columns are all different.
-_MULTIPLIER = {1: 1, 2: 1, 8: 5, 16: 7}
+# Sub-pixel offsets (right, down) in 0…1: lattices whose rows and columns are all different, with one point in each of
+# the cells that a pixel is cut into.
+_MULTIPLIER = {1: 1, 2: 1, 8: 5, 16: 5}
 PATTERNS = {
     count: tuple(((index * step % count + 0.5) / count, (index + 0.5) / count) for index in range(count))
     for count, step in _MULTIPLIER.items()
@@ -33,25 +36,6 @@ _TYPICAL_EDGE, _SHARP_EDGE = 0.25, 0.37
 _TEXTURE = 0.04
 # Of a step suspected from the neighbours, the share that may be there although no ray of the pixel met it.
 UNSEEN = 0.25
-
-
-def offsets(samples, taps):
-    """Return [(ray, [tap, …]), …], sub-pixel offsets (right, down) in 0…1.
-
-    Single offsets make up one lattice. Where a ray has several, it stands in the middle of a cell of the pixel and
-    they form a lattice in that cell.
-    """
-    if taps == 1:
-        return [(offset, [offset]) for offset in PATTERNS[samples]]
-    rows, columns = _CELLS[samples]
-    return [
-        (
-            ((column + 0.5) / columns, (row + 0.5) / rows),
-            [((column + right) / columns, (row + down) / rows) for right, down in PATTERNS[taps]],
-        )
-        for row in range(rows)
-        for column in range(columns)
-    ]
 
 
 def morton_order(height, width):
@@ -97,23 +81,76 @@ class CameraRays:
 
     def slopes(self, right, down, index=None):
         """Return the slopes (x/z, y/z) of offsets 0…1 in pixels, of all or of those at `index` in the order."""
-        parts = self._parts
-        if index is not None:
-            parts = [[dr.gather(self._mi.Float, values, index) for values in part] for part in parts]
-        middle, across, along = parts
-        return tuple(
-            dr.fma(right - 0.5, across[axis], dr.fma(down - 0.5, along[axis], middle[axis])) for axis in (0, 1)
-        )
+        return self._sloped(right, down, index)[0]
 
-    def edge_slopes(self, position, first, last):
-        """Return the slopes of rays first … last − 1 of the edge pixels at `position`, side by side per pixel."""
+    def footprints(self, samples):
+        """Return the Footprints of `samples` rays of every pixel, a list."""
+        rows, columns = _CELLS[samples]
+        size = dr.opaque(self._mi.Float, 1.0 / columns), dr.opaque(self._mi.Float, 1.0 / rows)
+        found = []
+        for right, down in PATTERNS[samples]:
+            middle = np.floor(right * columns) + 0.5 - right * columns, np.floor(down * rows) + 0.5 - down * rows
+            found.append(self._footprint(right, down, size, [float(value) for value in middle]))
+        return found
+
+    def _footprint(self, right, down, size, middle, index=None):
+        slope, across, along = self._sloped(right, down, index)
+        return Footprint(slope, [size[0] * value for value in across], [size[1] * value for value in along], middle)
+
+    def _sloped(self, right, down, index):
+        """(slope at offsets, its change across pixels, down them)."""
+        middle, across, along = self._parts
+        if index is not None:
+            middle, across, along = (
+                [dr.gather(self._mi.Float, values, index) for values in part] for part in (middle, across, along)
+            )
+        slope = [dr.fma(right - 0.5, across[axis], dr.fma(down - 0.5, along[axis], middle[axis])) for axis in (0, 1)]
+        return slope, across, along
+
+    def finer(self, position, first, last, fresh=False):
+        """Return the Footprints of rays first … last − 1 of the pixels at `position`, side by side per pixel.
+
+        The pixel is cut into as many square cells as `last`, of which each has the one its ray stands in; `fresh`: at
+        other places in these.
+        """
         mi = self._mi
         # Opaque numbers: as literals they would have the kernel compiled anew for each stage.
         count, start = dr.opaque(mi.UInt32, last - first), dr.opaque(mi.UInt32, first)
         ray = dr.arange(mi.UInt32, len(position) * (last - first))
         index = dr.gather(mi.UInt32, mi.UInt32(position.astype(np.uint32)), ray // count)
         right, down = (dr.gather(mi.Float, values, ray % count + start) for values in self._net)
-        return self.slopes(right, down, index)
+        if fresh:
+            right, down = 1.0 - down, right
+        side = dr.opaque(mi.Float, last**0.5)
+        middle = [dr.floor(offset * side) + 0.5 - offset * side for offset in (right, down)]
+        return self._footprint(right, down, (1.0 / side, 1.0 / side), middle, index)
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """A ray and the part of a pixel that it stands for.
+
+    Attributes
+    ----------
+    slope : (x/z, y/z)
+        Of the ray.
+    across, along : (x/z, y/z)
+        How slopes change from one side of the cell to the other.
+    middle : (right, down)
+        Of the cell, from the ray, in sides of the cell.
+    """
+
+    slope: list
+    across: list
+    along: list
+    middle: list
+
+
+def places(count):
+    """Return `count` offsets (right, down) from the middle of a cell, −0.5…0.5, evenly spread."""
+    if count == 16:
+        return [((column - 1.5) / 4.0, (row - 1.5) / 4.0) for row in range(4) for column in range(4)]
+    return [(right - 0.5, down - 0.5) for right, down in PATTERNS[count]]
 
 
 def _net():

@@ -12,7 +12,8 @@ import numpy as np
 
 from thermorender.render import mirrors
 from thermorender.render.geometry import Hit, view_ray
-from thermorender.render.sampling import STAGES, UNSEEN, edge_step, offsets, typical_edge_estimate
+from thermorender.render.pixels.footprint import PLACES, OnMap, Reading
+from thermorender.render.pixels.sampling import STAGES, UNSEEN, edge_step, typical_edge_estimate
 
 
 @dataclass(frozen=True)
@@ -21,6 +22,8 @@ class Sampling:
 
     Attributes
     ----------
+    hit : (H, W) bool
+        Whether a pixel's ray meets a surface.
     step : (H, W) float32 or None
         As by `edge_step`; None where edges were not looked for.
     refined : list of (pixels (n,), step (n,), rays)
@@ -28,6 +31,7 @@ class Sampling:
         entries hold for their pixels.
     """
 
+    hit: np.ndarray
     step: np.ndarray | None
     refined: list = field(default_factory=list)
 
@@ -47,9 +51,11 @@ class Tracer:
     """
 
     def __init__(self, layers, rays, medium, plan):
-        self._layers, self._rays, self._medium = layers, rays, medium
-        self._samples, self._taps = plan.samples, plan.taps
-        self._mi = layers[0].geometry.mi
+        self._layers, self.rays, self._medium = layers, rays, medium
+        self._samples, self._mi = plan.samples, layers[0].geometry.mi
+        many = max(plan.taps, PLACES // plan.samples)
+        self._reading = Reading(self._mi, plan.taps, many, 1.0 / plan.samples)
+        self._once, self._fourfold = Reading(self._mi, 1, 1, 1.0), Reading(self._mi, 4, 4, 1.0)
 
     def image(self, edge_limit):
         """Return (image (channels, H, W) float32, Sampling): the mean over each pixel's rays of what they see.
@@ -60,41 +66,45 @@ class Tracer:
             Error, in the unit of the image's channels added up, from which on a pixel that shows an edge gets more
             rays; infinite: never.
         """
-        mi, rays = self._mi, self._rays
+        mi, rays = self._mi, self.rays
         several = sum(len(layer.geometry.surfaces) for layer in self._layers) > 1
         total = None
-        pattern = offsets(self._samples, self._taps)
-        for offset, taps in pattern:
-            slope = rays.slopes(*offset)
-            taps = [slope if tap == offset else rays.slopes(*tap) for tap in taps]
-            hit, values = self._shade(slope, taps)
+        for cell in rays.footprints(self._samples):
+            hit, values = self._shade(cell, self._reading)
             total = values if total is None else [a + b for a, b in zip(total, values, strict=True)]
         channels = len(total)
-        total = [value / len(pattern) for value in total]
-        if edge_limit < np.inf:
-            # One or two more channels tell where the edges are.
-            x, y = slope
-            total.append(dr.select(hit.valid, dr.sqrt(1.0 + x * x + y * y) / (hit.distance + hit.mirrored), 0.0))
-            if several:
-                total.append(mi.Float(hit.surface))
+        total = [value / self._samples for value in total]
+        # One or two more channels tell where the edges are.
+        x, y = cell.slope
+        total.append(dr.select(hit.valid, dr.sqrt(1.0 + x * x + y * y) / (hit.distance + hit.mirrored), 0.0))
+        if several and edge_limit < np.inf:
+            total.append(mi.Float(hit.surface))
         # A target of its own for each channel: several scatters into one array would each cast the rays again.
         targets = [dr.zeros(mi.Float, rays.width * rays.height) for _ in total]
         for target, value in zip(targets, total, strict=True):
             dr.scatter(target, value, rays.pixel)
         dr.eval(targets)
         image = np.stack([target.numpy() for target in targets]).reshape(-1, rays.height, rays.width)
-        if not edge_limit < np.inf:
-            return image, Sampling(None)
         guide, image = image[channels:], image[:channels]
+        if not edge_limit < np.inf:
+            return image, Sampling(guide[0] > 0.0, None)
         step = edge_step(image.sum(axis=0), *guide)
-        return image, Sampling(step, self._refine(image, step, edge_limit))
+        return image, Sampling(guide[0] > 0.0, step, self._refine(image, step, edge_limit))
+
+    def anew(self, pixels, count):
+        """Return (channels, n): the mean over `count` rays of pixels by flat number, judged by nothing an image judges.
+
+        Rays are other ones than those of `image`, and their cells are read at other places, and more finely.
+        """
+        _, values = self._shade(self.rays.finer(self.rays.position[pixels], 0, count, fresh=True), self._fourfold)
+        return np.stack([np.array(dr.block_sum(value, count)) for value in values]) / count
 
     def slopes(self, sampling):
         """Return the slopes of all rays that an image with this Sampling casts, [(x/z, y/z), …]."""
-        rays, first = self._rays, 0
-        found = [rays.slopes(*offset) for offset, _ in offsets(self._samples, self._taps)]
+        rays, first = self.rays, 0
+        found = [cell.slope for cell in rays.footprints(self._samples)]
         for pixels, _, last in sampling.refined:
-            found.append(rays.edge_slopes(rays.position[pixels], first, last))
+            found.append(rays.finer(rays.position[pixels], first, last).slope)
             first = last
         dr.eval(found)
         return found
@@ -104,7 +114,7 @@ class Tracer:
 
         Returns `Sampling.refined`.
         """
-        rays = self._rays
+        rays = self.rays
         image, refined = image.reshape(len(image), -1), []
         pixels = np.flatnonzero(typical_edge_estimate(step, self._samples) > edge_limit)
         unseen = UNSEEN * step.ravel()[pixels]
@@ -112,8 +122,7 @@ class Tracer:
         for last in STAGES:
             if not pixels.size:
                 break
-            slope = rays.edge_slopes(rays.position[pixels], first, last)
-            _, values = self._shade(slope, [slope])
+            _, values = self._shade(rays.finer(rays.position[pixels], first, last), self._once)
             guide = sum(values)
             dr.eval(values, guide)
             found = [dr.block_sum(value, last - first) for value in values]
@@ -127,13 +136,19 @@ class Tracer:
             pixels, total, low, high, unseen, first = pixels[on], total[:, on], low[on], high[on], unseen[on], last
         return refined
 
-    def _shade(self, slope, taps):
-        """Return (hit, channels): what rays hit, and the mean over their taps of the light that comes from there."""
+    def _shade(self, cell, reading):
+        """Return (hit, channels): what the rays of cells hit, and the mean over these of what comes from there.
+
+        Parameters
+        ----------
+        cell : Footprint
+        reading : Reading
+        """
         layers = self._layers
-        hit, total = self._trace(layers[0], slope, taps)
+        hit, total = self._trace(layers[0], cell, reading)
         surfaces = len(layers[0].geometry.surfaces)
         for layer in layers[1:]:
-            other, values = self._trace(layer, slope, taps)
+            other, values = self._trace(layer, cell, reading)
             nearer = other.distance < hit.distance
             total = [dr.select(nearer, b, a) for a, b in zip(total, values, strict=True)]
             hit = Hit(
@@ -144,38 +159,27 @@ class Tracer:
                 dr.select(nearer, other.mirrored, hit.mirrored),
             )
             surfaces += len(layer.geometry.surfaces)
-        ray = view_ray(self._mi, *layers[0].view, *slope)
+        ray = view_ray(self._mi, *layers[0].view, *cell.slope)
         return hit, self._medium.at_camera(hit, total, ray.o, ray.d)
 
-    def _trace(self, layer, slope, taps):
+    def _trace(self, layer, cell, reading):
         """As `_shade`, of one layer and before the light passes the medium."""
-        mi, geometry = self._mi, layer.geometry
+        mi, geometry, outgoing = self._mi, layer.geometry, layer.outgoing
         rotation, origin = layer.view
-        ray = view_ray(mi, rotation, origin, *slope)
+        ray = view_ray(mi, rotation, origin, *cell.slope)
         hit = geometry.cast(ray, coherent=True)
         record = geometry.record(hit.face, hit.valid)
-        lattice = geometry.lattice(hit.surface, hit.valid)
-        normal = geometry.normal(record)
-        height = hit.distance * dr.dot(normal, ray.d)
-        outgoing, met = layer.outgoing, ray.o + hit.distance * ray.d
-        total = [mi.Float(0.0) for _ in range(outgoing.texels.count)]
-        for tap in taps:
-            if tap is slope:
-                point = met
-            else:
-                # Where the tap's own ray would meet the plane of the face that was hit.
-                along = mi.Vector3f(*(dr.dot(row, mi.Vector3f(*tap, 1.0)) for row in rotation))
-                slant = dr.dot(normal, along)
-                point = origin + dr.select(slant != 0.0, height / slant, 0.0) * along
-            values = geometry.bilinear(outgoing.texels, lattice, *geometry.map_position(record, point), hit.valid)
-            total = [a + b for a, b in zip(total, values, strict=True)]
-        total = [value / len(taps) for value in total]
+        position = geometry.map_position(record, ray.o + hit.distance * ray.d)
+        on_map = OnMap.of(mi, rotation, ray.d, hit.distance, record, cell)
+        total, level = reading.mean(geometry, outgoing.texels, hit, position, on_map, cell.middle)
         if outgoing.rest:
-            total += geometry.bilinear(outgoing.rest, lattice, *geometry.map_position(record, met), hit.valid)
+            total += self._once.mean(geometry, outgoing.rest, hit, position, on_map, cell.middle)[0]
         if outgoing.faces:
-            total = [a + b for a, b in zip(total, outgoing.faces.at(hit.face, hit.valid), strict=True)]
+            # Squares of texels hold many faces, and the light on them.
+            own = outgoing.faces.at(hit.face, hit.valid & (level == 0))
+            total = [a + b for a, b in zip(total, own, strict=True)]
         if outgoing.mirror:
-            texel = geometry.nearest(hit.surface, *geometry.map_position(record, met), hit.valid)
+            texel = geometry.nearest(hit.surface, *position, hit.valid)
             added, mirrored = mirrors.correction(self._layers, layer, ray, hit, texel)
             hit, total = replace(hit, mirrored=mirrored), [a + b for a, b in zip(total, added, strict=True)]
         return hit, total

@@ -1,0 +1,118 @@
+"""The error budget of a frame: an estimate of what its radiance errs by, cause by cause, in mK at 300 K.
+
+What a pixel's sampling errs by is guessed from the image and then measured: some pixels are rendered anew with more
+rays, and the guess is scaled by what they tell. So it holds at any distance, for any texture and relief. It does not
+hold for what no ray met and no neighbour tells of.
+"""
+
+import drjit as dr
+import numpy as np
+
+from thermorender.render.geometry import opaque_view, view_ray
+from thermorender.render.pixels.sampling import STAGES, contrast, edge_estimate, texture_estimate
+
+# Every how many pixels the light's error is looked up.
+_PIXELS = 16
+# Pixels rendered anew, with how many rays: those of the first image, and those that have got more already. Half are
+# drawn evenly, half where the guess is large.
+_AUDITED = ((1024, STAGES[0]), (256, STAGES[-1]))
+# Standard errors of what these tell that are added to it.
+_SURE = 2.0
+# No guess is smaller [mK].
+_LEAST_MK = 1.0
+
+
+def budget_mk(baked, tracer, pose, radiance, sampling):
+    """Return {cause: estimated root mean square error [mK]} of a frame, as `Frame.budget_mk` has it.
+
+    Over the pixels that show a surface.
+
+    Parameters
+    ----------
+    baked : BakedScene
+    tracer : Tracer
+        Of the view.
+    pose : (4, 4) array
+        world_from_camera.
+    radiance : (H, W) float32
+        [W m⁻² sr⁻¹].
+    sampling : Sampling
+    """
+    errors = sampling_error(baked.plan, tracer, radiance, sampling)
+    parts = _everywhere(baked)
+    # Of every so many pixels, for speed.
+    parts["bake"] = _rms(_light(baked, tracer.rays, pose, _PIXELS))
+    parts["sampling"] = _rms(errors[errors > 0.0] / baked.plan.radiance_per_mk)
+    return {**parts, "total": float(np.sqrt(sum(value**2 for value in parts.values())))}
+
+
+def error_mk(baked, tracer, pose, radiance, sampling):
+    """Return the estimated error of each pixel by all causes, (H, W) float32 [mK at 300 K]; NaN without a surface.
+
+    Parameters as of `budget_mk`.
+    """
+    errors = sampling_error(baked.plan, tracer, radiance, sampling)
+    rays, shown = tracer.rays, errors > 0.0
+    light = np.zeros(radiance.size)
+    light[rays.order] = np.nan_to_num(_light(baked, rays, pose, 1))
+    square = light.reshape(radiance.shape) ** 2 + np.square(errors / baked.plan.radiance_per_mk, dtype=np.float64)
+    square += sum(value**2 for value in _everywhere(baked).values())
+    return np.where(shown, np.sqrt(square), np.nan).astype(np.float32)
+
+
+def _everywhere(baked):
+    """{cause: error [mK]} of what errs alike in all pixels."""
+    plan = baked.plan
+    parts = {"nodes": plan.spectrum.nodes_mk + baked.errors_mk["solution"]}
+    if baked.scene.air is not None:
+        parts["air"] = plan.spectrum.channels_mk
+    if plan.specular:
+        parts["mirrors"] = plan.specular.error_mk
+    return parts
+
+
+def _light(baked, rays, pose, every):
+    """Error of the light on what every so many pixels show, in the order of `rays` [mK]; NaN where nothing is hit."""
+    device, mi = baked.device, baked.device.geometry.mi
+    slope = rays.slopes(0.5, 0.5, dr.arange(mi.UInt32, 0, len(rays.order), every))
+    hit = device.geometry.cast(view_ray(mi, *opaque_view(mi, pose), *slope))
+    square = np.zeros(len(slope[0]))
+    if device.face_error is not None:
+        shown = np.array(dr.gather(mi.Float, device.face_error, hit.face, hit.valid), dtype=np.float64)
+        # What differs within the faces is known of the scene only.
+        square = shown / baked.plan.radiance_per_mk**2 + baked.errors_mk["faces"] ** 2
+    return np.where(np.array(hit.valid), np.sqrt(square), np.nan)
+
+
+def _rms(values):
+    values = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(np.square(values, dtype=np.float64)))) if values.size else 0.0
+
+
+def sampling_error(plan, tracer, radiance, sampling):
+    """Return the estimated error of each pixel by its rays and texture, (H, W) float32 [W m⁻² sr⁻¹].
+
+    Zero where a pixel shows no surface. Parameters as of `budget_mk`.
+    """
+    span = contrast(radiance)
+    # Where nothing was asked about edges, any contrast may be one.
+    step = span if sampling.step is None else sampling.step
+    guess = edge_estimate(step, plan.samples) ** 2 + texture_estimate(span - step, plan.samples * plan.taps) ** 2
+    guess, finer = guess.ravel(), np.zeros(radiance.size, dtype=bool)
+    for pixels, left, count in sampling.refined:
+        guess[pixels], finer[pixels] = edge_estimate(left, count) ** 2, True
+    guess += (_LEAST_MK * plan.radiance_per_mk) ** 2
+    found, random = np.zeros(radiance.size, dtype=np.float32), np.random.Generator(np.random.Philox(0))
+    shown = sampling.hit.ravel() | finer
+    for part, (count, again) in zip((shown & ~finer, finer), _AUDITED, strict=True):
+        pixels = np.flatnonzero(part)
+        if not pixels.size:
+            continue
+        known = guess[pixels].astype(np.float64)
+        chance = 0.5 / pixels.size + 0.5 * known / known.sum()
+        drawn = random.choice(pixels.size, count, p=chance)
+        difference = radiance.ravel()[pixels[drawn]] - tracer.anew(pixels[drawn], again)[0]
+        square = difference.astype(np.float64) ** 2 / (chance[drawn] * pixels.size)
+        mean = square.mean() + _SURE * square.std() / np.sqrt(count)
+        found[pixels] = np.sqrt(known * (mean / known.mean()))
+    return found.reshape(radiance.shape)

@@ -1,0 +1,124 @@
+"""A pixel's footprint on a texture: how the cell of a ray lies on the plane that it hit, and where that is read.
+
+A cell is read at a few places, evenly spread over it, each in squares of texels about as large as its share of the
+cell (`thermorender.render.pixels.pyramid`). Places and squares together tell the mean over the cell from any distance,
+and a cell costs the same whether it holds ten texels or ten thousand. Squares are chosen by the area of the footprint:
+at a slant its length is told by the places.
+"""
+
+from dataclasses import dataclass
+
+import drjit as dr
+
+from thermorender.render.pixels.sampling import places
+
+# Places of a pixel that holds more texels a side than this; where it holds fewer the plan's taps do.
+PLACES, _FEW_TEXELS = 16, 1.2
+# Side of the squares read, of the share of the cell that a place has; measured on heath from 20 m to 3 km.
+_SQUARE = 0.7
+# A plane that a cell meets at this share of its middle's distance is met no nearer: it is seen edge-on.
+_NEAREST = 0.5
+
+
+@dataclass(frozen=True)
+class OnMap:
+    """The cell of a ray on the texel map of the plane that the ray hit.
+
+    Attributes
+    ----------
+    across, along : (column, row)
+        How the position changes from one side of the cell to the other, at its middle [texels].
+    nearer : (right, down)
+        How the inverse of the distance changes, as shares of it.
+    """
+
+    across: tuple
+    along: tuple
+    nearer: tuple
+
+    @classmethod
+    def of(cls, mi, rotation, direction, distance, record, cell):
+        """Return that of hits at `distance` [m] along unit `direction`s; `record` as of `Geometry.record`."""
+        x, y = cell.slope
+        column, row = (mi.Vector3f(g.x, g.y, g.z) for g in record)
+        normal = dr.cross(column, row)
+        slant = dr.dot(normal, direction)
+        # Zero where the map is constant.
+        inverse = dr.select(slant != 0.0, 1.0 / slant, 0.0)
+        length = distance * dr.rsqrt(1.0 + x * x + y * y)
+        changes, nearer = [], []
+        for slope in (cell.across, cell.along):
+            turned = length * mi.Vector3f(*(axis.x * slope[0] + axis.y * slope[1] for axis in rotation))
+            share = dr.dot(normal, turned) * inverse
+            step = turned - share * direction
+            changes.append((dr.dot(column, step), dr.dot(row, step)))
+            nearer.append(share / distance)
+        return cls(*changes, tuple(nearer))
+
+    @property
+    def area(self):
+        """Texels that the cell holds."""
+        return dr.abs(self.across[0] * self.along[1] - self.across[1] * self.along[0])
+
+    def moved(self, right, down):
+        """Return (columns, rows) from the ray to a place in the cell [texels], given in sides of the cell."""
+        stretch = 1.0 / dr.maximum(dr.fma(right, self.nearer[0], dr.fma(down, self.nearer[1], 1.0)), _NEAREST)
+        return tuple(
+            stretch * dr.fma(right, self.across[axis], down * self.along[axis]) for axis in (0, 1)
+        )
+
+
+class Reading:
+    """Where the cells of rays are read: at `few` places where they hold a texel or less, else at `many`.
+
+    Parameters
+    ----------
+    mi : module
+    few : int
+    many : int
+    share : float
+        Of a pixel that is a cell.
+    """
+
+    def __init__(self, mi, few, many, share):
+        self._mi, self._few, self._many = mi, few, many
+        self._limit = _FEW_TEXELS**2 * share
+        offsets = places(few) + (places(many) if many != few else [])
+        self._offsets = [mi.Float([place[axis] for place in offsets]) for axis in (0, 1)]
+
+    def level(self, area, count, levels):
+        """Return the level of squares to read at `count` places of a cell that holds `area` texels, UInt32."""
+        level = 0.5 * dr.log2(dr.maximum(area * (_SQUARE**2 / count), 1e-30)) + 0.5
+        return self._mi.UInt32(dr.clip(level, 0.0, levels - 0.5))
+
+    def mean(self, geometry, channels, hit, position, on_map, middle):
+        """Return (the mean of Channels over the cell, a list of Float; the level it was read at)."""
+        mi = self._mi
+        if self._many == self._few == 1:
+            level = self.level(on_map.area, 1.0, geometry.levels)
+            return self._read(geometry, channels, hit, level)(position, on_map, *middle), level
+        several = on_map.area > self._limit
+        count = dr.select(several, mi.UInt32(self._many), self._few)
+        first = dr.select(several, mi.UInt32(len(self._offsets[0]) - self._many), 0)
+        level = self.level(on_map.area, mi.Float(count), geometry.levels)
+        read = self._read(geometry, channels, hit, level)
+        active = hit.valid
+
+        def body(number, *total):
+            right, down = (dr.gather(mi.Float, values, first + number) for values in self._offsets)
+            values = read(position, on_map, right + middle[0], down + middle[1])
+            return (number + 1, *(a + b for a, b in zip(total, values, strict=True)))
+
+        state = (mi.UInt32(0), *(mi.Float(0.0) for _ in range(channels.count)))
+        _, *total = dr.while_loop(state, lambda number, *_: active & (number < count), body)
+        return [value / mi.Float(count) for value in total], level
+
+    def _read(self, geometry, channels, hit, level):
+        lattice = geometry.lattice(hit.surface, hit.valid, level)
+        scale = 1.0 / self._mi.Float(1 << level)
+
+        def read(position, on_map, right, down):
+            column, row = (scale * (at + by) for at, by in zip(position, on_map.moved(right, down), strict=True))
+            return geometry.bilinear(channels, lattice, column, row, hit.valid)
+
+        return read
