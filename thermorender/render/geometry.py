@@ -12,7 +12,7 @@ import drjit as dr
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.render.pixels import pyramid
+from thermorender.render.pixels import pyramid, slender
 
 _RAYS_AT_ONCE = 1 << 22
 
@@ -91,7 +91,7 @@ class Geometry:
         shapes = np.array([shape + [(1, 1)] * (self.levels - len(shape)) for shape in shapes], dtype=np.int64)
         shapes = shapes.transpose(1, 0, 2).reshape(-1, 2)
         start = np.concatenate([[0], np.cumsum(shapes.prod(axis=1))])
-        self._surfaces = len(surfaces)
+        self._surfaces, self._boxes = len(surfaces), {}
         parts = (start[:-1], shapes[:, 0], shapes[:, 1])
         self._lattice = tuple(mi.Int32(np.ascontiguousarray(part.astype(np.int32))) for part in parts)
         records = [_map_records(surface) for surface in surfaces]
@@ -161,6 +161,12 @@ class Geometry:
                 last = found[number] if number < len(found) else (found or [last])[-1]
                 level.append(last.reshape(-1, values.shape[1]))
         return Channels(self.mi, np.concatenate([values, *(part for level in levels for part in level)]))
+
+    def boxes(self, first=0):
+        """Return boxes round the connected parts of the surfaces from number `first` on, as `slender.boxes`."""
+        if first not in self._boxes:
+            self._boxes[first] = slender.boxes(self.surfaces[first:])
+        return self._boxes[first]
 
     @cached_property
     def covered(self):

@@ -101,7 +101,7 @@ class Plan:
             ("spectral nodes", str(self.nodes), f"error up to {self.spectrum.nodes_mk:.3g} mK on the scene's envelope"),
             ("bake rays per face", str(self.rays if self.bake else 0), "sky visibility and inter-reflection"),
             ("rays per pixel", str(self.samples), "band radiance averaged, never temperature"),
-            ("texture taps per ray", str(self.taps), "on the plane of the face that is hit"),
+            ("texture taps per ray", str(self.taps), "on the plane of the face that is hit; 16 a pixel of many texels"),
             edges,
             dynamic,
             *self._air_rows(),

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any, Literal
 
 import drjit as dr
@@ -24,7 +25,7 @@ from thermorender.render.geometry import (
     refuse_other_surfaces,
     view_ray,
 )
-from thermorender.render.pixels import budget
+from thermorender.render.pixels import budget, slender
 from thermorender.render.pixels.sampling import CameraRays
 from thermorender.render.pixels.tracer import Sampling, Tracer
 from thermorender.render.plan import Plan, checked, make_plan
@@ -197,13 +198,16 @@ class Renderer:
             shapes = [(self._geometry, self.scene.surfaces)]
             shapes += [(Geometry(mi, one.surfaces), one.surfaces) for one in self.scene.tracked_objects]
             self._coloured = [(shape, _colours(shape, surfaces)) for shape, surfaces in shapes]
-        poses = [np.eye(4), *(placement.pose for placement in placements(self.scene, time_s, objects))]
+        placed = placements(self.scene, time_s, objects)
+        poses = [np.eye(4), *(placement.pose for placement in placed)]
         layers = [
             Layer(shape, opaque_view(mi, np.linalg.inv(own) @ pose), outgoing)
             for (shape, outgoing), own in zip(self._coloured, poses, strict=True)
         ]
-        nothing = Vacuum(mi, *np.zeros((2, 4)))
-        found, _ = Tracer(layers, self._camera_rays(camera), nothing, self.plan).image(_VISIBLE_EDGE)
+        nothing, rays = Vacuum(mi, *np.zeros((2, 4))), self._camera_rays(camera)
+        parts = _parts(self.scene, self._geometry, [shape for shape, _ in self._coloured[1:]], placed)
+        thin = partial(slender.rectangles, parts, pose, rays.camera)
+        found, _ = Tracer(layers, rays, nothing, self.plan, thin).image(_VISIBLE_EDGE)
         return bytes_from_linear(np.moveaxis(found[:3], 0, -1)), found[3] > 0.999
 
     def texels(self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None) -> NDArray[np.int64]:
@@ -256,14 +260,17 @@ class Renderer:
         shapes = [self._geometry, *(item.geometry for item in self.baked.device.objects)]
         ends = np.cumsum([shape.texel_start[-1] for shape in shapes])
         parts = np.split(np.asarray(values, np.float32), ends[:-1])
-        poses = [np.eye(4), *(placement.pose for placement in placements(self.scene, time_s, objects))]
+        placed = placements(self.scene, time_s, objects)
+        poses = [np.eye(4), *(placement.pose for placement in placed)]
         layers = [
             Layer(shape, opaque_view(mi, np.linalg.inv(own) @ pose), OutgoingRadiance(shape.averaged(part[:, None])))
             for shape, part, own in zip(shapes, parts, poses, strict=True)
         ]
         outside = np.array([self.scene.sky_temperature, self.scene.surroundings_temperature])
         outside = band_radiance(outside, *self.plan.band_um)
-        tracer = Tracer(layers, self._camera_rays(), Vacuum(mi, *outside[:, None]), self.plan)
+        rays, bodies = self._camera_rays(), _parts(self.scene, self._geometry, shapes[1:], placed)
+        thin = partial(slender.rectangles, bodies, pose, rays.camera)
+        tracer = Tracer(layers, rays, Vacuum(mi, *outside[:, None]), self.plan, thin)
         return tracer.image(self.plan.edge_mk * self.plan.radiance_per_mk)[0][0]
 
     def rays(self, pose: ArrayLike) -> list[Sequence[Any]]:
@@ -329,7 +336,11 @@ class View:
         """Return the Tracer of this view."""
         device = self.baked.device
         medium = device.medium(self.pose, self.placements, through_air)
-        return Tracer(device.layers(self.pose, self.placements), self.rays, medium, self.baked.plan)
+        layers = device.layers(self.pose, self.placements)
+        shapes = [item.geometry for item in device.objects]
+        parts = _parts(self.baked.scene, self.baked.geometry, shapes, self.placements)
+        thin = partial(slender.rectangles, parts, self.pose, self.rays.camera)
+        return Tracer(layers, self.rays, medium, self.baked.plan, thin)
 
     def radiance(self, through_air: bool = True) -> tuple[NDArray[np.float32], Sampling]:
         """Return (band radiance (H, W) float32 [W m⁻² sr⁻¹], Sampling)."""
@@ -372,6 +383,17 @@ def checked_pose(pose: ArrayLike) -> NDArray[np.float64]:
             "pose has a rotation that is not orthonormal and right-handed; normalise its quaternion"
         )
     return pose
+
+
+def _parts(
+    scene: Scene, geometry: Geometry, moving: Sequence[Geometry], placed: Sequence[Placement]
+) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """What may be thinner than a pixel, as `slender.rectangles` takes it.
+
+    All but ground made of an elevation raster, which hangs together.
+    """
+    first = scene.terrain_count if scene.spec.terrain.mesh is None else 0
+    return [(geometry.boxes(first), np.eye(4)), *((g.boxes(), p.pose) for g, p in zip(moving, placed, strict=True))]
 
 
 def _colours(geometry: Geometry, surfaces: Sequence[Surface]) -> OutgoingRadiance:

@@ -9,6 +9,9 @@ import numpy as np
 # Longest edge of a triangle on and around an object, and margin around it, as shares of the object's extent.
 _EDGE_SHARE = 1.0 / 16.0
 _MARGIN_SHARE = 0.25
+# A triangle is cut into at most the square of this many equal ones; a longer one is first cut in four, again and again,
+# and of these only those that are beside the object: else a spot on a plain would cut all the plain.
+_EQUAL_PARTS = 32
 
 
 def refined(terrain, objects):
@@ -17,28 +20,52 @@ def refined(terrain, objects):
     Parameters
     ----------
     terrain, objects : sequences of Surface
-        A triangle is split into n² equal ones, with n such that no edge is longer than a 16th of the extent of
-        the object it belongs to or stands beside. The shapes stay what they are.
+        A triangle is split so that no edge is longer than a 16th of the extent of the object it belongs to or stands
+        beside. The shapes stay what they are.
     """
+    terrain = [_quartered(surface, objects) for surface in terrain]
     wanted = [np.full(len(surface.faces), np.inf) for surface in terrain]
     done = []
     for item in objects:
-        low, high = item.vertices.min(axis=0), item.vertices.max(axis=0)
-        extent = float((high - low).max())
-        margin, edge = _MARGIN_SHARE * extent, _EDGE_SHARE * extent
+        box, edge = _around(item)
         for surface, limit in zip(terrain, wanted, strict=True):
-            corner = surface.vertices[surface.faces]
-            near = ((corner.min(axis=1) <= high + margin) & (corner.max(axis=1) >= low - margin)).all(axis=1)
+            near = _near(surface, box)
             limit[near] = np.minimum(limit[near], edge)
         done.append(_split(item, np.full(len(item.faces), edge)))
     return [_split(surface, limit) for surface, limit in zip(terrain, wanted, strict=True)], done
 
 
+def _around(item):
+    """((lowest, highest) corner of what is beside an object, longest edge wanted there [m])."""
+    low, high = item.vertices.min(axis=0), item.vertices.max(axis=0)
+    extent = float((high - low).max())
+    margin = _MARGIN_SHARE * extent
+    return (low - margin, high + margin), _EDGE_SHARE * extent
+
+
+def _near(surface, box):
+    """Which triangles of a surface may lie in a box, (F,)."""
+    corner = surface.vertices[surface.faces]
+    return ((corner.min(axis=1) <= box[1]) & (corner.max(axis=1) >= box[0])).all(axis=1)
+
+
+def _longest(surface):
+    corner = surface.vertices[surface.faces]
+    return np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=-1).max(axis=1)
+
+
+def _quartered(surface, objects):
+    """A surface whose triangles beside objects are cut in four until `_EQUAL_PARTS` suffice."""
+    for box, edge in map(_around, objects):
+        while (far := _near(surface, box) & (_longest(surface) > _EQUAL_PARTS * edge)).any():
+            surface = _split(surface, np.where(far, 0.5 * _longest(surface), np.inf))
+    return surface
+
+
 def _split(surface, limit):
     """A surface whose triangles have no edge longer than `limit` (F,) [m]."""
     corner = surface.vertices[surface.faces]
-    longest = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=-1).max(axis=1)
-    parts = np.ceil(np.where(np.isfinite(limit), longest / limit, 1.0) - 1e-9).astype(int).clip(1)
+    parts = np.ceil(np.where(np.isfinite(limit), _longest(surface) / limit, 1.0) - 1e-9).astype(int).clip(1)
     if (parts == 1).all():
         return surface
     whole = parts == 1

@@ -42,7 +42,7 @@ def budget_mk(baked, tracer, pose, radiance, sampling):
     parts = _everywhere(baked)
     # Of every so many pixels, for speed.
     parts["bake"] = _rms(_light(baked, tracer.rays, pose, _PIXELS))
-    parts["sampling"] = _rms(errors[errors > 0.0] / baked.plan.radiance_per_mk)
+    parts["sampling"] = _rms(errors / baked.plan.radiance_per_mk)
     return {**parts, "total": float(np.sqrt(sum(value**2 for value in parts.values())))}
 
 
@@ -52,12 +52,12 @@ def error_mk(baked, tracer, pose, radiance, sampling):
     Parameters as of `budget_mk`.
     """
     errors = sampling_error(baked.plan, tracer, radiance, sampling)
-    rays, shown = tracer.rays, errors > 0.0
+    rays = tracer.rays
     light = np.zeros(radiance.size)
     light[rays.order] = np.nan_to_num(_light(baked, rays, pose, 1))
     square = light.reshape(radiance.shape) ** 2 + np.square(errors / baked.plan.radiance_per_mk, dtype=np.float64)
     square += sum(value**2 for value in _everywhere(baked).values())
-    return np.where(shown, np.sqrt(square), np.nan).astype(np.float32)
+    return np.sqrt(square).astype(np.float32)
 
 
 def _everywhere(baked):
@@ -92,19 +92,22 @@ def _rms(values):
 def sampling_error(plan, tracer, radiance, sampling):
     """Return the estimated error of each pixel by its rays and texture, (H, W) float32 [W m⁻² sr⁻¹].
 
-    Zero where a pixel shows no surface. Parameters as of `budget_mk`.
+    NaN where a pixel shows no surface. Parameters as of `budget_mk`.
     """
     span = contrast(radiance)
     # Where nothing was asked about edges, any contrast may be one.
     step = span if sampling.step is None else sampling.step
     guess = edge_estimate(step, plan.samples) ** 2 + texture_estimate(span - step, plan.samples * plan.taps) ** 2
     guess, finer = guess.ravel(), np.zeros(radiance.size, dtype=bool)
-    for pixels, left, count in sampling.refined:
-        guess[pixels], finer[pixels] = edge_estimate(left, count) ** 2, True
+    thin = np.zeros_like(finer)
+    for part in sampling.refined:
+        guess[part.pixels], finer[part.pixels] = edge_estimate(part.step, part.last) ** 2, True
+        thin[part.pixels] = part.within is not None
     guess += (_LEAST_MK * plan.radiance_per_mk) ** 2
-    found, random = np.zeros(radiance.size, dtype=np.float32), np.random.Generator(np.random.Philox(0))
-    shown = sampling.hit.ravel() | finer
-    for part, (count, again) in zip((shown & ~finer, finer), _AUDITED, strict=True):
+    random = np.random.Generator(np.random.Philox(0))
+    # What is thinner than a pixel more rays would tell no better of.
+    found = np.where(thin, np.sqrt(guess), np.nan).astype(np.float32)
+    for part, (count, again) in zip((sampling.hit.ravel() & ~finer, finer & ~thin), _AUDITED, strict=True):
         pixels = np.flatnonzero(part)
         if not pixels.size:
             continue

@@ -1,8 +1,9 @@
 """Where a pixel is sampled: offsets in it, their rays, and which pixels show an edge and need more.
 
-Texture inside a face is sampled on the face's plane without rays of its own; what that misses are edges, where
-one surface hides another. Across one plane the inverse of depth is linear in the image, so an edge shows where its
-second difference does not vanish. How much an edge matters is told by the radiance beside it.
+Texture inside a face is read on the face's plane without rays of its own (`thermorender.render.pixels.footprint`);
+what that misses are edges, where one surface hides another. Across one plane the inverse of depth is linear in the
+image, so an edge shows where its second difference does not vanish. How much an edge matters is told by the radiance
+beside it.
 """
 
 from dataclasses import dataclass
@@ -34,6 +35,8 @@ _TYPICAL_EDGE, _SHARP_EDGE = 0.25, 0.37
 # Above what heath and ridge show away from edges: 0.015–0.035, 0.011–0.019, 0.005–0.010 and 0.002–0.004 at 1, 2, 4 and
 # 16 taps.
 _TEXTURE = 0.04
+# Steps from one pixel to the next in which nets are shifted (Roberts 2018).
+_GOLDEN = np.array([0.7548776662466927, 0.5698402909980532])
 # Of a step suspected from the neighbours, the share that may be there although no ray of the pixel met it.
 UNSEEN = 0.25
 
@@ -77,7 +80,8 @@ class CameraRays:
         # Within a pixel a lens is linear to 1e-6 of a pixel.
         parts = (slopes(0.5, 0.5), slopes(1.0, 0.5) - slopes(0.0, 0.5), slopes(0.5, 1.0) - slopes(0.5, 0.0))
         self._parts = [[mi.Float(part[:, axis].astype(np.float32)) for axis in (0, 1)] for part in parts]
-        self._net = [mi.Float(values.astype(np.float32)) for values in _net().T]
+        self._offsets = _net()
+        self._net = [mi.Float(values.astype(np.float32)) for values in self._offsets.T]
 
     def slopes(self, right, down, index=None):
         """Return the slopes (x/z, y/z) of offsets 0…1 in pixels, of all or of those at `index` in the order."""
@@ -107,23 +111,51 @@ class CameraRays:
         slope = [dr.fma(right - 0.5, across[axis], dr.fma(down - 0.5, along[axis], middle[axis])) for axis in (0, 1)]
         return slope, across, along
 
-    def finer(self, position, first, last, fresh=False):
+    def finer(self, position, first, last, within=None, fresh=False):
         """Return the Footprints of rays first … last − 1 of the pixels at `position`, side by side per pixel.
 
-        The pixel is cut into as many square cells as `last`, of which each has the one its ray stands in; `fresh`: at
-        other places in these.
+        The pixel, or its part `within`, is cut into as many cells as `last`, of which each has the one its ray stands
+        in; `fresh`: at other places in these.
+
+        Parameters
+        ----------
+        position : (n,) int
+            In the order of `order`.
+        first, last : int
+        within : Rectangles, optional
+            One for each pixel.
+        fresh : bool
         """
         mi = self._mi
         # Opaque numbers: as literals they would have the kernel compiled anew for each stage.
         count, start = dr.opaque(mi.UInt32, last - first), dr.opaque(mi.UInt32, first)
         ray = dr.arange(mi.UInt32, len(position) * (last - first))
-        index = dr.gather(mi.UInt32, mi.UInt32(position.astype(np.uint32)), ray // count)
-        right, down = (dr.gather(mi.Float, values, ray % count + start) for values in self._net)
+        pixel = ray // count
+        index = dr.gather(mi.UInt32, mi.UInt32(position.astype(np.uint32)), pixel)
+        offset = [dr.gather(mi.Float, values, ray % count + start) for values in self._net]
         if fresh:
-            right, down = 1.0 - down, right
+            offset = [1.0 - offset[1], offset[0]]
+        if within is not None:
+            # A thing stands in the middle of its rectangle, where the same net would err alike each time.
+            shift = (position[:, None] * _GOLDEN) % 1.0
+            shift = [dr.gather(mi.Float, mi.Float(part.astype(np.float32)), pixel) for part in shift.T]
+            offset = [value + by - dr.floor(value + by) for value, by in zip(offset, shift, strict=True)]
         side = dr.opaque(mi.Float, last**0.5)
-        middle = [dr.floor(offset * side) + 0.5 - offset * side for offset in (right, down)]
-        return self._footprint(right, down, (1.0 / side, 1.0 / side), middle, index)
+        middle = [dr.floor(value * side) + 0.5 - value * side for value in offset]
+        size = [1.0 / side, 1.0 / side]
+        if within is not None:
+            corner, sides = (
+                [dr.gather(mi.Float, mi.Float(part[:, axis].astype(np.float32)), pixel) for axis in (0, 1)]
+                for part in (within.corner, within.size)
+            )
+            offset = [dr.fma(value, a, b) for value, a, b in zip(offset, sides, corner, strict=True)]
+            size = [value * part for value, part in zip(size, sides, strict=True)]
+        return self._footprint(*offset, size, middle, index)
+
+    def outside(self, within, count):
+        """Which of the first `count` rays of pixels lie outside of their Rectangles, (n, count) bool."""
+        from_corner = self._offsets[:count] - within.corner[:, None]
+        return ~((from_corner >= 0.0) & (from_corner < within.size[:, None])).all(axis=-1)
 
 
 @dataclass(frozen=True)

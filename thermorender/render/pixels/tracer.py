@@ -14,6 +14,33 @@ from thermorender.render import mirrors
 from thermorender.render.geometry import Hit, view_ray
 from thermorender.render.pixels.footprint import PLACES, OnMap, Reading
 from thermorender.render.pixels.sampling import STAGES, UNSEEN, edge_step, typical_edge_estimate
+from thermorender.render.pixels.slender import Rectangles
+
+# A thing with edges all round errs by more than one edge: of 3000 turned squares and rods 1.3 to 1.4 times.
+_ISLAND = 1.5
+
+
+@dataclass(frozen=True)
+class Refined:
+    """Pixels that got more rays.
+
+    Attributes
+    ----------
+    pixels : (n,) int64
+        Flat numbers.
+    step : (n,)
+        By how much radiance differs in a pixel, at most.
+    first, last : int
+        Number of the first of these rays, and of all that the pixels have got.
+    within : Rectangles or None
+        Parts of the pixels in which these rays are; None where it is all of them.
+    """
+
+    pixels: np.ndarray
+    step: np.ndarray
+    first: int
+    last: int
+    within: Rectangles | None
 
 
 @dataclass(frozen=True)
@@ -26,9 +53,8 @@ class Sampling:
         Whether a pixel's ray meets a surface.
     step : (H, W) float32 or None
         As by `edge_step`; None where edges were not looked for.
-    refined : list of (pixels (n,), step (n,), rays)
-        Flat numbers of the pixels that got more rays, by how much their rays differ, and how many these were; later
-        entries hold for their pixels.
+    refined : list of Refined
+        Pixels that got more rays; later entries hold for their pixels.
     """
 
     hit: np.ndarray
@@ -48,9 +74,12 @@ class Tracer:
         What lies between the camera and what it sees.
     plan : Plan
         How many rays and taps.
+    slender : callable
+        Returns the Rectangles of pixels that may show things thinner than they are.
     """
 
-    def __init__(self, layers, rays, medium, plan):
+    def __init__(self, layers, rays, medium, plan, slender):
+        self._slender = slender
         self._layers, self.rays, self._medium = layers, rays, medium
         self._samples, self._mi = plan.samples, layers[0].geometry.mi
         many = max(plan.taps, PLACES // plan.samples)
@@ -89,7 +118,14 @@ class Tracer:
         if not edge_limit < np.inf:
             return image, Sampling(guide[0] > 0.0, None)
         step = edge_step(image.sum(axis=0), *guide)
-        return image, Sampling(guide[0] > 0.0, step, self._refine(image, step, edge_limit))
+        flat, thin = image.reshape(channels, -1), self._slender()
+        on = typical_edge_estimate(step, self._samples).ravel() > edge_limit
+        on[thin.pixels] = False
+        pixels = np.flatnonzero(on)
+        refined = self._refine(flat, pixels, UNSEEN * step.ravel()[pixels], edge_limit)
+        if thin.pixels.size:
+            refined += self._refine(flat, thin.pixels, np.zeros(len(thin.pixels)), edge_limit, thin)
+        return image, Sampling(guide[0] > 0.0, step, refined)
 
     def anew(self, pixels, count):
         """Return (channels, n): the mean over `count` rays of pixels by flat number, judged by nothing an image judges.
@@ -101,40 +137,78 @@ class Tracer:
 
     def slopes(self, sampling):
         """Return the slopes of all rays that an image with this Sampling casts, [(x/z, y/z), …]."""
-        rays, first = self.rays, 0
+        rays = self.rays
         found = [cell.slope for cell in rays.footprints(self._samples)]
-        for pixels, _, last in sampling.refined:
-            found.append(rays.finer(rays.position[pixels], first, last).slope)
-            first = last
+        for part in sampling.refined:
+            position = rays.position[part.pixels]
+            found.append(rays.finer(position, part.first, part.last, part.within).slope)
+            if part.within is not None and part.first == 0:
+                found.append(rays.finer(position, 0, STAGES[0]).slope)
         dr.eval(found)
         return found
 
-    def _refine(self, image, step, edge_limit):
-        """Replace pixels of an image (channels, H, W) that err too much for their `step` by the mean of more rays.
+    def _refine(self, image, pixels, unseen, edge_limit, within=None):
+        """Replace pixels of an image (channels, H W) by the mean of more rays until these err little enough.
 
-        Returns `Sampling.refined`.
+        Parameters
+        ----------
+        image : (channels, H W) array
+        pixels : (n,) int
+        unseen : (n,) array
+            By how much radiance may differ in a pixel although no ray tells.
+        edge_limit : float
+            As of `image`.
+        within : Rectangles, optional
+            Parts of the pixels to which these rays go; what is outside of them counts by its area.
+
+        Returns
+        -------
+        list of Refined
         """
-        rays = self.rays
-        image, refined = image.reshape(len(image), -1), []
-        pixels = np.flatnonzero(typical_edge_estimate(step, self._samples) > edge_limit)
-        unseen = UNSEEN * step.ravel()[pixels]
-        total, low, high, first = 0.0, np.inf, -np.inf, 0
-        for last in STAGES:
+        refined, total, low, high = [], 0.0, np.inf, -np.inf
+        share, outside, spread = np.ones(len(pixels)), np.zeros((len(image), len(pixels))), np.zeros(len(pixels))
+        if within is not None:
+            share = within.share
+            around, spread = self._outside(pixels, within)
+            outside, spread = (1.0 - share) * around, (1.0 - share) * spread
+        first = 0
+        # What is thin may slip between the first rays: it gets all.
+        for last in STAGES if within is None else STAGES[-1:]:
             if not pixels.size:
                 break
-            _, values = self._shade(rays.finer(rays.position[pixels], first, last), self._once)
-            guide = sum(values)
-            dr.eval(values, guide)
-            found = [dr.block_sum(value, last - first) for value in values]
-            found += [dr.block_reduce(op, guide, last - first) for op in (dr.ReduceOp.Min, dr.ReduceOp.Max)]
-            *sums, least, most = (np.array(value) for value in found)
-            total, low, high = total + np.stack(sums), np.minimum(low, least), np.maximum(high, most)
-            image[:, pixels] = total / last
+            sums, least, most = self._rays_in(pixels, first, last, within)
+            total, low, high = total + sums, np.minimum(low, least), np.maximum(high, most)
+            image[:, pixels] = outside + share * total / last
             left = np.maximum(high - low, unseen)
-            refined.append((pixels, left, last))
+            if within is not None:
+                left = _ISLAND * share * left + spread
+            refined.append(Refined(pixels, left, first, last, within))
             on = typical_edge_estimate(left, last) > edge_limit
-            pixels, total, low, high, unseen, first = pixels[on], total[:, on], low[on], high[on], unseen[on], last
+            pixels, low, high, unseen, share = (a[on] for a in (pixels, low, high, unseen, share))
+            total, outside, first = total[:, on], outside[:, on], last
         return refined
+
+    def _rays_in(self, pixels, first, last, within):
+        """(sums (channels, n), least (n,), most (n,)) of rays first … last − 1 of pixels, or of parts of them."""
+        _, values = self._shade(self.rays.finer(self.rays.position[pixels], first, last, within), self._once)
+        guide = sum(values)
+        dr.eval(values, guide)
+        sums = np.stack([np.array(dr.block_sum(value, last - first)) for value in values])
+        ends = (np.array(dr.block_reduce(op, guide, last - first)) for op in (dr.ReduceOp.Min, dr.ReduceOp.Max))
+        return sums, *ends
+
+    def _outside(self, pixels, within):
+        """(mean (channels, n), span (n,)) of a pixel's rays that lie outside of their Rectangles."""
+        count = STAGES[0]
+        _, values = self._shade(self.rays.finer(self.rays.position[pixels], 0, count), self._once)
+        dr.eval(values)
+        values = np.stack([np.array(value) for value in values]).reshape(len(values), -1, count)
+        out = self.rays.outside(within, count)
+        # A rectangle that is the whole pixel leaves none.
+        number = np.maximum(out.sum(axis=1), 1)
+        guide = values.sum(axis=0)
+        span = np.where(out, guide, -np.inf).max(axis=1) - np.where(out, guide, np.inf).min(axis=1)
+        return (values * out).sum(axis=2) / number, np.where(out.any(axis=1), span, 0.0)
 
     def _shade(self, cell, reading):
         """Return (hit, channels): what the rays of cells hit, and the mean over these of what comes from there.

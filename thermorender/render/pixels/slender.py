@@ -1,0 +1,155 @@
+"""Things thinner than a pixel: where a view may show them, so that rays go where by chance few or none would.
+
+A part of a surface, all that hangs together, is told by a box round it. Seen as a band across the image, it may show
+in the pixels that the band crosses, and in each only within the rectangle that holds the band there. Rays spread over
+that rectangle count by its area, those over the rest of the pixel by theirs: a spot of a thousandth of a pixel is then
+as well sampled as a wall.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+# A band at least this wide is met by the ray in the middle of some pixel [px].
+_WIDE = 1.5
+# A rectangle of more than this share of a pixel is taken for the whole of it.
+_WHOLE = 0.5
+# Parts of which any corner lies nearer than this before the camera are not thin [m].
+_NEAR = 0.05
+# What a square metre counts for beside a cubic one, times the longest side, where boxes are compared.
+_FLAT = 1e-3
+_CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
+# About each axis in steps of 7.5°.
+_TURNS = Rotation.from_rotvec([angle * axis for axis in np.eye(3) for angle in np.arange(12) * np.pi / 24]).as_matrix()
+
+
+@dataclass(frozen=True)
+class Rectangles:
+    """Parts of pixels that show something thin.
+
+    Attributes
+    ----------
+    pixels : (n,) int64
+        Flat numbers, ascending.
+    corner, size : (n, 2) float64
+        Of the rectangle: (right, down) of its upper left corner in the pixel, 0…1, and its sides.
+    """
+
+    pixels: np.ndarray
+    corner: np.ndarray
+    size: np.ndarray
+
+    @property
+    def share(self):
+        """Area of each rectangle [pixels]."""
+        return self.size.prod(axis=1)
+
+    def of(self, which):
+        """Return some of them, by an index or a mask."""
+        return Rectangles(self.pixels[which], self.corner[which], self.size[which])
+
+
+def boxes(surfaces):
+    """Return the corners of boxes round the connected parts of surfaces, (n, 8, 3) [m]."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    found = []
+    for surface in surfaces:
+        # What is cut along an edge of the texture still hangs together.
+        vertices, index = np.unique(np.asarray(surface.vertices, np.float64), axis=0, return_inverse=True)
+        faces = index.reshape(-1)[surface.faces]
+        sides = np.concatenate([faces[:, :2], faces[:, 1:]]).T
+        links = coo_array((np.ones(sides.shape[1], np.int8), sides), shape=(len(vertices),) * 2)
+        count, part = connected_components(links, directed=False)
+        order = np.argsort(part, kind="stable")
+        vertices, part = vertices[order], part[order]
+        first = np.flatnonzero(np.diff(part, prepend=-1))
+        middle = np.add.reduceat(vertices, first) / np.bincount(part)[:, None]
+        offset = vertices - middle[part]
+        axes = np.linalg.eigh(np.add.reduceat(np.einsum("vi,vj->vij", offset, offset), first))[1]
+        # Where a part is as wide as long, its axes are any two: turned about each, the smallest box is taken.
+        least, best = np.full(count, np.inf), np.empty((count, 8, 3))
+        for turn in _TURNS:
+            turned = axes @ turn
+            along = np.einsum("vi,vij->vj", offset, turned[part])
+            low, high = np.minimum.reduceat(along, first), np.maximum.reduceat(along, first)
+            # By volume, and of what is flat by area.
+            side = high - low
+            size = side.prod(axis=1) + _FLAT * side.max(axis=1) * (side.sum(axis=1) ** 2 - (side**2).sum(axis=1))
+            corner = 0.5 * (low + high)[:, None] + 0.5 * side[:, None] * _CORNERS
+            smaller = size < least
+            least[smaller] = size[smaller]
+            best[smaller] = (middle[:, None] + np.einsum("pcj,pij->pci", corner, turned))[smaller]
+        found.append(best)
+    return np.concatenate(found) if found else np.empty((0, 8, 3))
+
+
+def rectangles(parts, pose, camera):
+    """Return the Rectangles of pixels that may show parts seen thinner than a pixel and a half.
+
+    Parameters
+    ----------
+    parts : sequence of (corners (n, 8, 3), world_from_own (4, 4))
+        From `boxes`, and where their frame stands.
+    pose : (4, 4) array
+        world_from_camera.
+    camera : Camera
+    """
+    corners = np.concatenate([corners @ own[:3, :3].T + own[:3, 3] for corners, own in parts])
+    local = (corners - pose[:3, 3]) @ pose[:3, :3]
+    before = (local[..., 2] > _NEAR).all(axis=1)
+    image = camera.project(local[before])
+    middle = image.mean(axis=1)
+    offset = image - middle[:, None]
+    axes = np.linalg.eigh(np.einsum("pci,pcj->pij", offset, offset))[1]
+    across = np.abs(np.einsum("pci,pi->pc", offset, axes[..., 0])).max(axis=1)
+    size = np.array([camera.width, camera.height])
+    low, high = image.min(axis=1), image.max(axis=1)
+    thin = (2.0 * across < _WIDE) & ((high > 0.0) & (low < size)).all(axis=1)
+    return _cut(middle[thin], axes[thin, :, 1], across[thin], low[thin], high[thin], size)
+
+
+def _cut(middle, direction, across, lowest, highest, size):
+    """The Rectangles of bands: `middle`, unit `direction`, half the width (n,), and the box that holds each [px]."""
+    number = np.arange(len(middle))
+    # Cut into lines of pixels along the axis that a band follows more closely, then each piece into pixels.
+    main = np.argmax(np.abs(direction), axis=1)
+    other = 1 - main
+    slope = direction[number, other] / direction[number, main]
+    steep = 1.0 / np.abs(direction[number, main])
+    start, stop = lowest[number, main], highest[number, main]
+    first = np.maximum(np.floor(start), 0.0)
+    lines = np.clip(np.minimum(np.floor(stop), size[main] - 1) - first + 1, 0, None).astype(int)
+    band, line = _ragged(lines)
+    line = first[band] + line
+    low, high = np.maximum(start[band], line), np.minimum(stop[band], line + 1)
+    ends = [middle[band, other[band]] + (at - middle[band, main[band]]) * slope[band] for at in (low, high)]
+    width = across[band] * steep[band]
+    left = np.maximum(np.minimum(*ends) - width, lowest[band, other[band]])
+    right = np.minimum(np.maximum(*ends) + width, highest[band, other[band]])
+    begin = np.maximum(np.floor(left), 0.0)
+    cells = np.clip(np.minimum(np.floor(right), size[other[band]] - 1) - begin + 1, 0, None).astype(int)
+    piece, cell = _ragged(cells)
+    cell = begin[piece] + cell
+    (where, upper, lower), row = np.empty((3, len(piece), 2)), np.arange(len(piece))
+    in_line = line[piece], low[piece], high[piece]
+    in_cell = cell, np.maximum(left[piece], cell), np.minimum(right[piece], cell + 1)
+    for axis, (at, least, most) in ((main, in_line), (other, in_cell)):
+        column = axis[band[piece]]
+        where[row, column], upper[row, column], lower[row, column] = at, least - at, most - at
+    flat = (where[:, 1] * size[0] + where[:, 0]).astype(np.int64)
+    pixels, index = np.unique(flat, return_inverse=True)
+    corner, far = np.ones((len(pixels), 2)), np.zeros((len(pixels), 2))
+    np.minimum.at(corner, index.reshape(-1), upper)
+    np.maximum.at(far, index.reshape(-1), lower)
+    whole = (far - corner).prod(axis=1) > _WHOLE
+    corner[whole], far[whole] = 0.0, 1.0
+    return Rectangles(pixels, corner, far - corner)
+
+
+def _ragged(counts):
+    """(row, number within it) of ragged rows of so many entries."""
+    row = np.repeat(np.arange(len(counts)), counts)
+    return row, np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts)
