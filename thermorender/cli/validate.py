@@ -217,6 +217,28 @@ def validate_growth(output: Out = Path("out/validation"), device: Device = "auto
     typer.echo(f"numbers and figure in {output}")
 
 
+@app.command("budget")
+def validate_budget(
+    output: Out = Path("out/validation"),
+    drawn: Annotated[int, typer.Option(min=0, help="Views to draw between 20 m and 20 km, 10° and 90°.")] = 105,
+    seed: Annotated[int, typer.Option(min=0, help="Of the drawn views and of the made scenes.")] = 0,
+    device: Device = "auto",
+):
+    """What frames state of their sampling error, held against 256 rays per pixel; continues where it was stopped."""
+    from thermorender.validate.budget import study
+
+    with progress() as tell:
+        cases = study.run(output, drawn=drawn, seed=seed, progress=tell, device=device)
+    table(study.HEADER, study.rows(cases))
+    told = study.summary(cases)
+    if told["views"]:
+        typer.echo(
+            f"of {told['views']} drawn views {told['covered']:.0%} err by no more than is stated; in the median "
+            f"{told['median']:.2f} times the error is stated"
+        )
+    typer.echo(f"numbers and figure in {output}")
+
+
 @app.command("footage")
 def validate_footage(
     frames: Frames,

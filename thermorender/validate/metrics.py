@@ -13,6 +13,8 @@ from thermorender.sensor.psf import filtered, gaussian_otf, lens_otf
 
 # Pixels of the converged image per pixel and direction, and rays in each: 256 per pixel.
 FINER, RAYS = 8, 4
+# No edge errs so much; what is thinner than a pixel gets its rays.
+_NO_EDGE_MK = 1e12
 # Keywords of Renderer that decide how a pixel is sampled, and nothing else.
 SAMPLING = ("quality", "samples", "taps", "edge_mk")
 
@@ -45,7 +47,7 @@ def converged(renderer, pose, keywords):
         What the renderer was made with.
     """
     camera = renderer.scene.camera
-    settings = {**keywords, "samples": RAYS, "taps": 1, "edge_mk": np.inf, "like": renderer}
+    settings = {**keywords, "samples": RAYS, "taps": 1, "edge_mk": _NO_EDGE_MK, "like": renderer}
     quarters = []
     for lower in range(2):
         for right in range(2):

@@ -12,10 +12,10 @@ import drjit as dr
 
 from thermorender.render.pixels.sampling import places
 
-# Places of a pixel that holds more texels a side than this; where it holds fewer the plan's taps do.
+# Places of a ray in a pixel that holds more texels a side than this; where it holds fewer the plan's taps do.
 PLACES, _FEW_TEXELS = 16, 1.2
 # Side of the squares read, of the share of the cell that a place has; measured on heath from 20 m to 3 km.
-_SQUARE = 0.7
+SQUARE = 0.7
 # A plane that a cell meets at this share of its middle's distance is met no nearer: it is seen edge-on.
 _NEAREST = 0.5
 
@@ -78,17 +78,19 @@ class Reading:
     many : int
     share : float
         Of a pixel that is a cell.
+    square : float
+        Side of the squares read, of the share of the cell that a place has.
     """
 
-    def __init__(self, mi, few, many, share):
-        self._mi, self._few, self._many = mi, few, many
+    def __init__(self, mi, few, many, share, square=SQUARE):
+        self._mi, self._few, self._many, self._square = mi, few, many, square
         self._limit = _FEW_TEXELS**2 * share
         offsets = places(few) + (places(many) if many != few else [])
         self._offsets = [mi.Float([place[axis] for place in offsets]) for axis in (0, 1)]
 
     def level(self, area, count, levels):
         """Return the level of squares to read at `count` places of a cell that holds `area` texels, UInt32."""
-        level = 0.5 * dr.log2(dr.maximum(area * (_SQUARE**2 / count), 1e-30)) + 0.5
+        level = 0.5 * dr.log2(dr.maximum(area * (self._square**2 / count), 1e-30)) + 0.5
         return self._mi.UInt32(dr.clip(level, 0.0, levels - 0.5))
 
     def mean(self, geometry, channels, hit, position, on_map, middle):

@@ -12,7 +12,7 @@ import numpy as np
 
 from thermorender.render import mirrors
 from thermorender.render.geometry import Hit, view_ray
-from thermorender.render.pixels.footprint import PLACES, OnMap, Reading
+from thermorender.render.pixels.footprint import PLACES, SQUARE, OnMap, Reading
 from thermorender.render.pixels.sampling import STAGES, UNSEEN, edge_step, typical_edge_estimate
 from thermorender.render.pixels.slender import Rectangles
 
@@ -82,9 +82,9 @@ class Tracer:
         self._slender = slender
         self._layers, self.rays, self._medium = layers, rays, medium
         self._samples, self._mi = plan.samples, layers[0].geometry.mi
-        many = max(plan.taps, PLACES // plan.samples)
-        self._reading = Reading(self._mi, plan.taps, many, 1.0 / plan.samples)
-        self._once, self._fourfold = Reading(self._mi, 1, 1, 1.0), Reading(self._mi, 4, 4, 1.0)
+        self._reading = Reading(self._mi, plan.taps, max(plan.taps, PLACES), 1.0 / plan.samples)
+        # To judge others, squares as large as theirs at four times the places: nothing is left out between them.
+        self._once, self._judge = Reading(self._mi, 1, 1, 1.0), Reading(self._mi, 4, 4, 1.0, 2.0 * SQUARE)
 
     def image(self, edge_limit):
         """Return (image (channels, H, W) float32, Sampling): the mean over each pixel's rays of what they see.
@@ -132,7 +132,7 @@ class Tracer:
 
         Rays are other ones than those of `image`, and their cells are read at other places, and more finely.
         """
-        _, values = self._shade(self.rays.finer(self.rays.position[pixels], 0, count, fresh=True), self._fourfold)
+        _, values = self._shade(self.rays.finer(self.rays.position[pixels], 0, count, fresh=True), self._judge)
         return np.stack([np.array(dr.block_sum(value, count)) for value in values]) / count
 
     def slopes(self, sampling):
