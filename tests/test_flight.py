@@ -177,6 +177,20 @@ def test_the_thermography_reading_stands_beside_the_truth(setting, tmp_path):
         fly(renderer, path, tmp_path / "h", products=("counts",), thermography=settings)
 
 
+def test_what_a_pixel_errs_by_stands_beside_it_on_request(setting, tmp_path):
+    renderer, path = setting
+    fly(renderer, path, tmp_path / "f", rate_hz=1.0, products=("exr", "error"))
+    channels, record = read_exr(tmp_path / "f/frame_000001.exr")
+    assert record["units"]["error"] == "mK at 300 K" and "truth.depth" not in channels
+    # The record looks the light up in every sixteenth pixel only.
+    total = float(np.sqrt(np.nanmean(np.square(channels["error"], dtype=np.float64))))
+    assert total == pytest.approx(record["budget_mk"]["total"], rel=0.1)
+    fly(renderer, path, tmp_path / "g", rate_hz=1.0, products=("exr",))
+    assert "error" not in read_exr(tmp_path / "g/frame_000001.exr")[0]
+    with pytest.raises(ThermorenderError, match="product 'error' is channels of the EXR; add 'exr'"):
+        fly(renderer, path, tmp_path / "h", products=("error", "counts"))
+
+
 def test_what_moves_by_itself_is_rendered_at_each_instant(tmp_path):
     folder = write_terrain(tmp_path / "scene", extra=MARKER + 'track = "marker.csv"\n')
     (folder / "marker.csv").write_text("time_s,east_m\n0,-1\n1,1\n")

@@ -8,6 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 import thermorender as tr
+from scenes import write_terrain
 from thermorender.cli import app as cli
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
@@ -25,6 +26,8 @@ from thermorender.validate import (
     sensor,
     sensor_statistics,
 )
+from thermorender.validate.budget import study
+from thermorender.validate.budget.cases import made
 from thermorender.validate.figures.convergence import pareto
 from thermorender.validate.learned import emissivity
 
@@ -221,6 +224,35 @@ def test_growth_measures_each_axis_in_a_process_of_its_own(tmp_path):
     path = tmp_path / "growth.json"
     path.write_text(path.read_text().replace('"bake_s": ', '"bake_s": 1e9, "was": '))
     assert all(case["bake_s"] == 1e9 for case in growth.run(tmp_path, axes, base).values())
+
+
+def test_stated_errors_are_held_against_finer_frames(tmp_path, monkeypatch):
+    folder = write_terrain(tmp_path / "tiny", height=np.random.default_rng(1).uniform(0, 1, (32, 32)))
+    monkeypatch.setattr(study.cases, "CHOSEN", ((12, -90),))
+    monkeypatch.setattr(study.cases, "HEIGHTS_M", (20.0, 60.0))
+    monkeypatch.setattr(study.cases, "made", lambda seed: [])
+    found = study.run(tmp_path / "out", scenes=(str(folder),), drawn=2)
+    assert [(case["drawn"], case["quality"]) for case in found.values()] == [
+        (False, "standard"), (False, "high"), (True, "standard"), (True, "standard")
+    ]  # fmt: skip
+    plain, fine = list(found.values())[:2]
+    assert 0.0 < fine["true_mk"] < plain["true_mk"] < 3.0 * plain["stated_mk"] and plain["pixels"] > 1000
+    assert (tmp_path / "out/budget.png").stat().st_size > 5000 and len(study.rows(found)) == 2
+    assert study.summary(found)["views"] == 2
+    # What is there is not measured again.
+    monkeypatch.setattr(study, "converged", lambda *_: pytest.fail("measured a view that was there"))
+    assert study.run(tmp_path / "out", scenes=(str(folder),), drawn=2) == found
+
+
+def test_made_scenes_are_what_they_are_called():
+    scenes = {scene.name: (scene, views) for scene, views in made()}
+    assert set(scenes) == {"random texels", "brass checker", "fire specks", "posts of 4 cm"}
+    camera = scenes["random texels"][0].camera
+    texels = 120.0 / camera.focal_length_px / scenes["random texels"][0].surfaces[0].texel_m
+    assert texels == pytest.approx(2.5, rel=0.01)
+    posts = scenes["posts of 4 cm"][0]
+    assert posts.terrain_count == 1 and len(posts.surfaces) == 61
+    assert np.ptp(posts.surfaces[1].vertices, axis=0) == pytest.approx([0.04, 0.04, 2.5])
 
 
 # --- the verbs --------------------------------------------------------------------------------------------

@@ -76,11 +76,12 @@ def test_validate_without_a_command_runs_what_is_missing(tmp_path, call, monkeyp
 
         return run
 
-    for name in ("stability", "air", "sensor", "moved", "growth", "closed_loop"):
+    for name in ("stability", "budget", "air", "sensor", "moved", "growth", "closed_loop"):
         monkeypatch.setattr(validate, f"validate_{name}", fake(name))
     monkeypatch.setattr(validate, "convergence", fake("convergence"))
     status, text, _ = call("validate", "-o", tmp_path)
-    assert {name for name, _ in ran} == {"stability", "convergence", "air", "sensor", "moved", "growth", "closed_loop"}
+    every = {"stability", "convergence", "budget", "air", "sensor", "moved", "growth", "closed_loop"}
+    assert {name for name, _ in ran} == every
     assert dict(ran)["convergence"] == tmp_path and dict(ran)["closed_loop"] == tmp_path / "closed_loop"
     assert status == 0 and "page in" in text and (tmp_path / PAGE).is_file()
     ran.clear()

@@ -35,8 +35,9 @@ def validate(
     from thermorender.validate.verdicts import gathered
 
     runs = {
-        "stability": validate_stability, "convergence": convergence, "air": validate_air, "sensor": validate_sensor,
-        "moved": validate_moved, "growth": validate_growth, "closed-loop": validate_closed_loop,
+        "stability": validate_stability, "convergence": convergence, "budget": validate_budget, "air": validate_air,
+        "sensor": validate_sensor, "moved": validate_moved, "growth": validate_growth,
+        "closed-loop": validate_closed_loop,
     }  # fmt: skip
     # A study without what it needs is left out, and the page says so.
     runs |= {"heat": partial(validate_heat, data)} if data else {}

@@ -129,10 +129,20 @@ def _moved(found):
                     each["stated_k"], None) for name, each in found["all"].items()]  # fmt: skip
 
 
+def _budget(found):
+    """Frames of the chosen views against 256 rays per pixel; allowed is what each states of its sampling error."""
+    source = "256 rays per pixel of the same light, RMS"
+    return [Verdict(f"{each['scene']}, {each['view']}, {each['quality']}", source, 0.0, _MK * each["true_mk"],
+                    _MK * each["stated_mk"], _MK * each["frame_ms"])
+            for each in found["cases"].values() if not each["drawn"]]  # fmt: skip
+
+
 STUDIES = (
     Study("stability", "Cases at the edge", "stability/stability.json", (), _stability),
     Study("convergence", "Frames against path tracing", "convergence.json", ("figures/convergence_*.png",),
           _convergence, goes_on=True),
+    Study("budget", "Stated against true sampling error", "budget/budget.json", ("budget/budget.png",), _budget,
+          goes_on=True),
     Study("air", "Spectral channels of the air", "air/air.json", ("air/*.png",), _air),
     Study("sensor", "Lag and blur of the camera", "sensor/sensor.json", ("sensor/sensor.png", "sensor/effects.png"),
           _sensor),

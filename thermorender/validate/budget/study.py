@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 
-from thermorender import files
+from thermorender import defaults, files
 from thermorender.render.renderer import Renderer
 from thermorender.scene.load import load_scene
 from thermorender.validate import bench
@@ -18,13 +18,12 @@ from thermorender.validate.figures.budget import figure
 from thermorender.validate.metrics import converged
 from thermorender.versions import versions
 
-SCENES = ("heath", "village", "ridge")
 QUALITIES = ("standard", "high")
 HEADER = ("scene", "view", "quality", "pixels", "true [mK]", "stated [mK]", "stated ÷ true", "frame [ms]")
 _TURNS = 5
 
 
-def run(folder, scenes=SCENES, drawn=105, seed=0, qualities=QUALITIES, progress=None, device="auto"):
+def run(folder, scenes=defaults.SCENES, drawn=105, seed=0, qualities=QUALITIES, progress=None, device="auto"):
     """Measure what is not yet in `budget.json` of a folder; return its cases {name: record}, as written there.
 
     Parameters
