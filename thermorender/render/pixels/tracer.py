@@ -83,8 +83,8 @@ class Tracer:
         self._layers, self.rays, self._medium = layers, rays, medium
         self._samples, self._mi = plan.samples, layers[0].geometry.mi
         self._reading = Reading(self._mi, plan.taps, max(plan.taps, PLACES), 1.0 / plan.samples)
-        # To judge others, squares as large as theirs at four times the places: nothing is left out between them.
-        self._once, self._judge = Reading(self._mi, 1, 1, 1.0), Reading(self._mi, 4, 4, 1.0, 2.0 * SQUARE)
+        # To judge others: many places, and squares that leave nothing out between them.
+        self._once, self._judge = Reading(self._mi, 1, 1, 1.0), Reading(self._mi, PLACES, PLACES, 1.0, 2.0 * SQUARE)
 
     def image(self, edge_limit):
         """Return (image (channels, H, W) float32, Sampling): the mean over each pixel's rays of what they see.

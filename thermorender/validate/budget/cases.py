@@ -66,13 +66,13 @@ def made(seed=0):
     kinds = random.integers(0, 3, shape)
     ground = [library[name] for name in ("soil_loam", "grass_green", "asphalt")]
     warm = np.array([300.0, 294.0, 312.0])[kinds] + random.normal(0.0, 1.0, shape)
-    texels = in_memory("random texels", [_level(near, kinds, warm)], ground)
+    texels = in_memory("random texels", [level(near, kinds, warm)], ground)
     checker = np.indices(shape).sum(axis=0) % 2
-    brass = in_memory("brass checker", [_level(near, checker, np.full(shape, 300.0))], [ground[0], library["brass"]])
+    brass = in_memory("brass checker", [level(near, checker, np.full(shape, 300.0))], [ground[0], library["brass"]])
     fire = np.where(random.random(shape) < 0.005, 900.0, 295.0)
-    specks = in_memory("fire specks", [_level(far, np.zeros(shape, int), fire)], ground[:1])
-    posts = [_level(far, np.zeros(shape, int), np.full(shape, 295.0))]
-    posts += [_post(f"post {number}", random.uniform(-60.0, 60.0, 2), 0.04, 2.5, 420.0) for number in range(60)]
+    specks = in_memory("fire specks", [level(far, np.zeros(shape, int), fire)], ground[:1])
+    posts = [level(far, np.zeros(shape, int), np.full(shape, 295.0))]
+    posts += [box(f"post {number}", random.uniform(-60.0, 60.0, 2), (0.04, 0.04, 2.5), 420.0) for number in range(60)]
     posts = in_memory("posts of 4 cm", posts, [ground[0], library["paint_black"]])
     above = (View(120, -90), View(120, -45))
     return [
@@ -83,8 +83,8 @@ def made(seed=0):
     ]
 
 
-def _level(texel_m, material, temperature):
-    """Level ground of two triangles."""
+def level(texel_m, material, temperature):
+    """Return level ground of two triangles at 0 m, a Surface; material and temperature [K] are (rows, columns)."""
     half = 0.5 * texel_m * np.array(material.shape[::-1])
     corner = np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]])
     faces = np.array([[0, 3, 1], [1, 3, 2]], np.int32)
@@ -93,14 +93,15 @@ def _level(texel_m, material, temperature):
     return _surface("terrain", vertices, faces, uv, material, temperature, texel_m)
 
 
-def _post(name, place, side, height, kelvin):
+def box(name, place, size, kelvin):
+    """Return a box of `size` [m] on the ground at `place`, (east, north) [m], a Surface of the second material."""
     import trimesh
 
-    solid = trimesh.creation.box(extents=(side, side, height))
-    vertices = np.asarray(solid.vertices) + [*place, 0.5 * height]
+    solid = trimesh.creation.box(extents=size)
+    vertices = np.asarray(solid.vertices) + [*place, 0.5 * size[2]]
     faces = np.asarray(solid.faces, np.int32)
     uv = np.full((len(faces), 3, 2), 0.5, np.float32)
-    return _surface(name, vertices, faces, uv, np.ones((1, 1), int), np.full((1, 1), kelvin), side)
+    return _surface(name, vertices, faces, uv, np.ones((1, 1), int), np.full((1, 1), kelvin), size[0])
 
 
 def _surface(name, vertices, faces, uv, material, temperature, texel_m):

@@ -1,0 +1,84 @@
+"""Stability of pixels: what is far smaller than one, textures of one texel and of thousands along a side."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from thermorender.defaults import BAND_UM
+from thermorender.materials.library import grey, load_library
+from thermorender.physics.band import emitted_radiance
+from thermorender.physics.planck import band_radiance, brightness_temperature
+from thermorender.validate.stability.cases import Found, case
+
+_GROUND_K = 290.0
+# Three standard errors of 64 rays over the rectangle round a small thing, which fills two thirds of it, in its area.
+_RAYS = 0.09
+
+
+def _shown(surfaces, up, second=None, **settings):
+    """(Renderer, pose) of black ground, and of things of a second material on it, from straight above under no sky."""
+    from thermorender.render.renderer import Renderer
+    from thermorender.trajectory.path import pose
+    from thermorender.validate.bench import in_memory
+
+    materials = [grey("black", 1.0), second or grey("black", 1.0)]
+    scene = replace(in_memory("pixels", surfaces, materials, sky=0.0, surroundings=_GROUND_K), terrain_count=1)
+    return Renderer(scene, rays=1, device="cpu", **settings), pose(0.0, 0.0, up, yaw_deg=20.0, pitch_deg=-90.0)
+
+
+@case("pixels", "spot of 1000 K, {:g} of a pixel", (4e-4, 2e-6))
+def spot(share):
+    """From 500 m, and of a centimetre from 5 km: the pixel's radiance rises by its share of the difference."""
+    from thermorender.validate.budget.cases import box, level
+
+    side, up = {4e-4: (0.013, 500.0), 2e-6: (0.01, 5000.0)}[share]
+    ground = level(1.2 * up, np.zeros((1, 1), int), np.full((1, 1), _GROUND_K))
+    paint = load_library()["paint_black"]
+    pixel = up / 764.7
+    thing = box("thing", (0.3 * pixel, 0.4 * pixel), (side, side, 0.1 * side), 1000.0)
+    # The finest: at a rougher setting so little is not worth the rays.
+    renderer, pose = _shown([ground, thing], up, paint, edge_mk=1.0)
+    image = renderer.radiance(pose)
+    share = side**2 * (renderer.scene.camera.focal_length_px / (up - 0.1 * side)) ** 2
+    dark = band_radiance(_GROUND_K, *BAND_UM)
+    rise = share * (emitted_radiance(paint.emissivity_at, 1000.0, *BAND_UM) - dark)
+    found = float((image.astype(np.float64) - dark)[250:262, 314:326].max())
+    expected = float(brightness_temperature(dark + rise, *BAND_UM))
+    tolerance = expected - float(brightness_temperature(dark + (1.0 - _RAYS) * rise, *BAND_UM))
+    return Found(float(brightness_temperature(dark + found, *BAND_UM)), expected, tolerance)
+
+
+@case("pixels", "texture of {:d} rows", (1, 16384))
+def texture(rows):
+    """Black ground of 250 and 350 K in turns, or of one of them: pixels show the mean of their radiance.
+
+    Some thousand pixels of the long one, with stripes across them, six in each: allowed is a hundredth of what these
+    differ by.
+    """
+    from thermorender.validate.budget.cases import level
+
+    shape = (rows, 1 if rows == 1 else 64)
+    stripes = np.where(np.arange(rows)[:, None] % 2, 350.0, 250.0) * np.ones(shape)
+    ground = level(458.0 / rows, np.zeros(shape, int), stripes)
+    renderer, pose = _shown([ground], 120.0)
+    image, number = renderer.radiance(pose), renderer.texels(pose)
+    middle = image[number >= 0].astype(np.float64)
+    both = band_radiance(np.array([250.0, 350.0]), *BAND_UM)
+    expected, allowed = (both.mean(), 0.01 * np.ptp(both)) if rows > 1 else (both[0], 1e-6 * both[0])
+    kelvin = [float(brightness_temperature(value, *BAND_UM)) for value in (middle.mean(), expected, expected + allowed)]
+    return Found(kelvin[0], kelvin[1], kelvin[2] - kelvin[1])
+
+
+@case("pixels", "one texel of 1000 K among 65 536, from {:g} m: error of a frame by what is stated", (120.0, 3000.0))
+def hot_texel(up):
+    """Half a metre: three pixels, and a sixteenth of one. The error of the frame against 256 rays a pixel, RMS."""
+    from thermorender.validate.budget.cases import level
+    from thermorender.validate.metrics import converged
+
+    warm = np.full((256, 256), _GROUND_K)
+    warm[130, 127] = 1000.0
+    renderer, pose = _shown([level(0.5, np.zeros(warm.shape, int), warm)], up)
+    frame = renderer.frame(pose)
+    difference = (frame.radiance - converged(renderer, pose, {"device": "cpu"}))[np.isfinite(frame.error_mk)]
+    found = float(np.sqrt(np.mean(np.square(difference, dtype=np.float64)))) / renderer.plan.radiance_per_mk
+    return Found(1e-3 * found, 0.0, 1e-3 * frame.budget_mk["total"])
