@@ -14,7 +14,7 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 from thermorender.render.pixels import pyramid, slender
 
-_RAYS_AT_ONCE = 1 << 22
+_RAYS_AT_ONCE, _FACES_AT_ONCE = 1 << 22, 1 << 20
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,7 @@ class Geometry:
         self.face_start = np.cumsum([0] + [len(surface.faces) for surface in surfaces])
         self.texel_start = np.cumsum([0] + [surface.material.size for surface in surfaces])
         self.face_count = int(self.face_start[-1])
-        corner = np.concatenate([surface.vertices[surface.faces] for surface in surfaces])
-        self.area = 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+        self.area = 0.5 * np.linalg.norm(of_faces(surfaces, _across, (3,), np.float64), axis=1)
         self.share = self.area / max(self.area.sum(), 1e-300)
         self.reach = max(float(np.abs(surface.vertices).max()) for surface in surfaces)
         meshes = {
@@ -94,8 +93,7 @@ class Geometry:
         self._surfaces, self._boxes = len(surfaces), {}
         parts = (start[:-1], shapes[:, 0], shapes[:, 1])
         self._lattice = tuple(mi.Int32(np.ascontiguousarray(part.astype(np.int32))) for part in parts)
-        records = [_map_records(surface) for surface in surfaces]
-        self._record = mi.Float(np.concatenate(records).astype(np.float32).ravel())
+        self._record = mi.Float(of_faces(surfaces, _map_records, (8,)).ravel())
 
     def cast(self, ray, coherent=False):
         """Return the Hit of rays (an mi.Ray3f)."""
@@ -211,8 +209,7 @@ class Geometry:
     @cached_property
     def normals(self):
         """Unit normals of all faces, Channels; zero where a face has no area."""
-        corner = np.concatenate([surface.vertices[surface.faces] for surface in self.surfaces])
-        normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+        normal = of_faces(self.surfaces, _across, (3,), np.float64)
         return Channels(self.mi, normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300))
 
     def face_of_texel(self):
@@ -348,6 +345,27 @@ def refuse_other_surfaces(known, surfaces):
         )
 
 
+def of_faces(surfaces, job, shape, dtype=np.float32):
+    """Return what `job(surface, faces)` finds of all faces, (F, *shape), asked for a million of them at a time.
+
+    A job works in double precision on all corners, which for all faces at once would be most of the memory of a scene.
+    """
+    found = np.empty((sum(len(surface.faces) for surface in surfaces), *shape), dtype)
+    first = 0
+    for surface in surfaces:
+        for start in range(0, len(surface.faces), _FACES_AT_ONCE):
+            part = slice(start, min(start + _FACES_AT_ONCE, len(surface.faces)))
+            found[first + part.start : first + part.stop] = job(surface, part)
+        first += len(surface.faces)
+    return found
+
+
+def _across(surface, part):
+    """Vectors across faces, twice as long as these are large."""
+    corner = surface.vertices[surface.faces[part]]
+    return np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+
+
 def opaque_view(mi, pose):
     """Return (rows of the rotation, origin) of a pose as Dr.Jit values: a new one reuses the compiled kernel."""
     values = [[dr.opaque(mi.Float, float(value)) for value in row] for row in pose[:3]]
@@ -360,13 +378,13 @@ def view_ray(mi, rotation, origin, x, y):
     return mi.Ray3f(origin, mi.Vector3f(*(dr.dot(row, local) for row in rotation)))
 
 
-def _map_records(surface):
+def _map_records(surface, part):
     """Affine maps (F, 8) from points to texels: gradient and offset of the column, then of the row.
 
     The gradient lies in the face's plane. Faces without area or with a constant map have the gradient 0.
     """
-    corner = surface.vertices[surface.faces]
-    texel = surface.uv.astype(np.float64) * surface.material.shape[::-1]
+    corner = surface.vertices[surface.faces[part]]
+    texel = surface.uv[part].astype(np.float64) * surface.material.shape[::-1]
     edge = corner[:, 1:] - corner[:, :1]
     change = texel[:, 1:] - texel[:, :1]
     gram = edge @ edge.transpose(0, 2, 1)

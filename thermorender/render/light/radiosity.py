@@ -20,6 +20,7 @@ import drjit as dr
 import numpy as np
 
 from thermorender.errors import ThermorenderError
+from thermorender.render.geometry import of_faces
 from thermorender.render.light.gmres import STEPS, gmres
 
 # A cached Transport of another version is not used: count up with every change of what `trace` returns.
@@ -251,7 +252,8 @@ class FaceRays:
     def __init__(self, geometry, half):
         self._mi, self._half = geometry.mi, half
         self._base = [self._mi.Float(column.astype(np.float32)) for column in low_discrepancy(half, 4).T]
-        self._faces = [self._mi.Float(values.astype(np.float32).ravel()) for values in _faces(geometry.surfaces)]
+        found = of_faces(geometry.surfaces, _frames, (4, 3))
+        self._faces = [self._mi.Float(np.ascontiguousarray(found[:, k]).ravel()) for k in range(4)]
         self._lift = 64.0 * 2.0**-24 * (1.0 + geometry.reach)
 
     def __call__(self, first, count, seed):
@@ -293,15 +295,15 @@ def _counted(code, count):
     return np.bincount(first[surface] // rays, minlength=rows), seen[surface], hits[surface], missing
 
 
-def _faces(surfaces):
-    """(corner, first edge, second edge, unit normal), each (F, 3), of all faces."""
-    corners = np.concatenate([surface.vertices[surface.faces] for surface in surfaces])
+def _frames(surface, part):
+    """Corner, first edge, second edge and unit normal of faces, (n, 4, 3)."""
+    corners = surface.vertices[surface.faces[part]]
     edge_u, edge_v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(edge_u, edge_v)
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
     # A face without area sees nothing that matters, but a normal of 0 would make rays without direction.
     normal = np.where(length > 0.0, normal / np.where(length > 0.0, length, 1.0), [0.0, 0.0, 1.0])
-    return corners[:, 0], edge_u, edge_v, normal
+    return np.stack([corners[:, 0], edge_u, edge_v, normal], axis=1)
 
 
 def low_discrepancy(count, dimensions):

@@ -63,9 +63,7 @@ class OnMap:
     def moved(self, right, down):
         """Return (columns, rows) from the ray to a place in the cell [texels], given in sides of the cell."""
         stretch = 1.0 / dr.maximum(dr.fma(right, self.nearer[0], dr.fma(down, self.nearer[1], 1.0)), _NEAREST)
-        return tuple(
-            stretch * dr.fma(right, self.across[axis], down * self.along[axis]) for axis in (0, 1)
-        )
+        return tuple(stretch * dr.fma(right, self.across[axis], down * self.along[axis]) for axis in (0, 1))
 
 
 class Reading:

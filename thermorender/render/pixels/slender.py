@@ -82,7 +82,8 @@ def boxes(surfaces):
             smaller = size < least
             least[smaller] = size[smaller]
             best[smaller] = (middle[:, None] + np.einsum("pcj,pij->pci", corner, turned))[smaller]
-        found.append(best)
+        # A vertex that no face has is nothing.
+        found.append(best[np.bincount(part) > 1])
     return np.concatenate(found) if found else np.empty((0, 8, 3))
 
 
