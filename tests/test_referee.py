@@ -318,7 +318,13 @@ def test_a_land_is_the_same_under_snow_and_no_other_is(tmp_path):
     one, other = rng.uniform(0.0, 2.0, (2, 32, 32))
     snow = np.where(rng.uniform(size=one.shape) < 0.2, 0.03, 0.0)
     heights = {"bare": one, "snowy": one + snow, "other": other, "flat": np.zeros((32, 32))}
-    scenes = [tr.load_scene(write_terrain(tmp_path / name, height)) for name, height in heights.items()]
+    # The ground's mesh is finer beside an object.
+    thing = '[[object]]\nname = "thing"\nshape = "box"\nposition = [1, 2, 0]\ntemperature = 330.0\nmaterial = "brass"\n'
+    scenes = [
+        tr.load_scene(write_terrain(tmp_path / name, height, extra=thing if name == "snowy" else ""))
+        for name, height in heights.items()
+    ]
+    assert len(scenes[0].surfaces[0].vertices) != len(scenes[1].surfaces[0].vertices)
     bare, snowy, *rest = training.lands_of(scenes)
     assert bare == snowy and len({bare, *rest}) == 3
 
