@@ -172,7 +172,7 @@ def _targets(summary):
     if not rows:
         return ""
     head = ("method", "target", "poses", "true contrast [K]", "contrast [K]", "error [K]", "found", "offset [px]")
-    return "<h2>Targets</h2>" + table(head, rows)
+    return "<h2>Targets</h2>" + _folded("By method and target", len(rows), table(head, rows))
 
 
 def _structure(summary):
