@@ -270,12 +270,15 @@ def test_a_map_that_has_seen_the_scene_is_found(tmp_path):
     leaky = uniform_map(tmp_path / "leaky.npz", 0.5, dataset={"name": "theirs"})
     fair = uniform_map(tmp_path / "fair.npz", 0.4, dataset={"name": "others"})
     unknown = uniform_map(tmp_path / "unknown.npz", 0.3)
+    # Of the same name, but more than there is: another data set.
+    larger = uniform_map(tmp_path / "larger.npz", 0.2, dataset={"name": "others"}, pairs=40)
     data = [_Pairs("theirs", [*foreign, taken[1]]), _Pairs("others", list(foreign))]
-    found = compare([flown], tmp_path / "c", [leaky, fair, unknown], datasets=data, rays=2)
+    found = compare([flown], tmp_path / "c", [leaky, fair, unknown, larger], datasets=data, rays=2)
     (text,) = {each["says"] for each in found["findings"] if each["kind"] == "leak"}
     assert text.startswith("training has seen seen: 3 of 3 photographs") and "'p3'" in text
     assert "leak" in kinds(found, "B leaky") and "leak" not in kinds(found, "B fair")
     assert "not audited" in found["methods"]["B unknown"]["training"]["audited"]
+    assert found["methods"]["B larger"]["training"]["audited"].startswith("not audited: it was trained on 40 pairs")
     assert "3 photographs" in found["methods"]["B fair"]["training"]["audited"]
 
 

@@ -68,6 +68,13 @@ class TrainingPictures:
 
     def audit(self, provenance, scenes):
         """Look for photographs {scene: sequence of (H, W, 3)} among the pictures, and tell a Provenance."""
+        pairs = provenance.told["pairs"] or 0
+        if pairs > self.of_all:
+            provenance.audited = (
+                f"not audited: it was trained on {pairs} pairs of a data set called {self.name!r}, and the one given "
+                f"has {self.of_all}"
+            )
+            return
         provenance.audited = (
             f"{sum(len(pictures) for pictures in scenes.values())} photographs of the test held against "
             f"{len(self.entries)} of {self.of_all} pictures of {self.name!r} by content"
