@@ -271,7 +271,7 @@ def test_a_map_that_has_seen_the_scene_is_found(tmp_path):
     fair = uniform_map(tmp_path / "fair.npz", 0.4, dataset={"name": "others"})
     unknown = uniform_map(tmp_path / "unknown.npz", 0.3)
     # Of the same name, but more than there is: another data set.
-    larger = uniform_map(tmp_path / "larger.npz", 0.2, dataset={"name": "others"}, pairs=40)
+    larger = uniform_map(tmp_path / "larger.npz", 0.2, dataset={"name": "others"}, pairs={"train": 36, "validation": 4})
     data = [_Pairs("theirs", [*foreign, taken[1]]), _Pairs("others", list(foreign))]
     found = compare([flown], tmp_path / "c", [leaky, fair, unknown, larger], datasets=data, rays=2)
     (text,) = {each["says"] for each in found["findings"] if each["kind"] == "leak"}

@@ -68,7 +68,7 @@ class TrainingPictures:
 
     def audit(self, provenance, scenes):
         """Look for photographs {scene: sequence of (H, W, 3)} among the pictures, and tell a Provenance."""
-        pairs = provenance.told["pairs"] or 0
+        pairs = sum((provenance.told["pairs"] or {}).values())
         if pairs > self.of_all:
             provenance.audited = (
                 f"not audited: it was trained on {pairs} pairs of a data set called {self.name!r}, and the one given "
