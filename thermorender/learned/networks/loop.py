@@ -46,6 +46,8 @@ _MOST_SIDE = 4096
 _WARMING = 0.1
 # Seeds that PyTorch takes.
 _SEEDS = 1 << 63
+# Base width below which oneDNN is not used.
+_NARROW = 16
 # Of the linear map that a network begins with, that of `correlation+`.
 _BASE_PENALTY = 1e-3
 _SHOWN = 4
@@ -261,7 +263,9 @@ class _Run:
         batch = self._encoded(self.crops.batch(self.done + self.size * _rank(), self.size))
         for part in self.learner.parts.values():
             part.train()
-        with torch.autocast(device(), torch.bfloat16, enabled=bool(self.half)):
+        # On some CPUs oneDNN's gradients of convolutions of so few channels free memory twice (PyTorch 2.13).
+        onednn = torch.backends.mkldnn.flags(enabled=int(self.task.options["width"]) >= _NARROW)
+        with onednn, torch.autocast(device(), torch.bfloat16, enabled=bool(self.half)):
             return {name: _agreed(float(value.detach())) for name, value in self.learner.step(batch).items()}
 
     def _encoded(self, crops):
