@@ -263,10 +263,15 @@ class _Run:
         batch = self._encoded(self.crops.batch(self.done + self.size * _rank(), self.size))
         for part in self.learner.parts.values():
             part.train()
+        onednn = torch.backends.mkldnn
+        before = onednn.enabled
         # On some CPUs oneDNN's gradients of convolutions of so few channels free memory twice (PyTorch 2.13).
-        onednn = torch.backends.mkldnn.flags(enabled=int(self.task.options["width"]) >= _NARROW)
-        with onednn, torch.autocast(device(), torch.bfloat16, enabled=bool(self.half)):
-            return {name: _agreed(float(value.detach())) for name, value in self.learner.step(batch).items()}
+        onednn.enabled = before and int(self.task.options["width"]) >= _NARROW
+        try:
+            with torch.autocast(device(), torch.bfloat16, enabled=bool(self.half)):
+                return {name: _agreed(float(value.detach())) for name, value in self.learner.step(batch).items()}
+        finally:
+            onednn.enabled = before
 
     def _encoded(self, crops):
         encoding = self.encoding
