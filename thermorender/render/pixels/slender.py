@@ -45,10 +45,6 @@ class Rectangles:
         """Area of each rectangle [pixels]."""
         return self.size.prod(axis=1)
 
-    def of(self, which):
-        """Return some of them, by an index or a mask."""
-        return Rectangles(self.pixels[which], self.corner[which], self.size[which])
-
 
 def boxes(surfaces):
     """Return the corners of boxes round the connected parts of surfaces, (n, 8, 3) [m]."""
