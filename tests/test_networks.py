@@ -490,8 +490,10 @@ def test_pictures_of_any_size_and_colour(name, shape):
         assert found.shape == shape and np.isfinite(found).all()
 
 
-def test_a_part_gives_what_the_whole_does():
+def test_a_part_gives_what_the_whole_does(monkeypatch):
     """The compact network, whose reach is bounded: a large picture has no seam where it is cut."""
+    # oneDNN chooses its kernels by the width of the picture; on some CPUs they round by 4.5e-7 of the span differently.
+    monkeypatch.setattr(torch.backends.mkldnn, "enabled", False)
     predictor = network("compact")
     generator = np.random.default_rng(4)
     # Weights so large that what lies far from a pixel shows in it.
