@@ -118,7 +118,7 @@ def test_work_hardly_depends_on_emissivity(cavity):
     products = []
     for emissivity in (EMISSIVITIES, *EMISSIVITIES[:, None]):
         counted = Counting(transport.operator)
-        view = SimpleNamespace(operator=counted, sky=transport.sky, background=transport.background)
+        view = SimpleNamespace(rays=512, operator=counted, sky=transport.sky, background=transport.background)
         assert solved(view, emissivity, tolerance)[2].max() <= tolerance
         products.append(counted.products)
     # Bounces need ln(1e-5) / ln(0.999 · 0.9) = 108 for the last. All together cost no more than the worst alone.
@@ -172,11 +172,11 @@ def test_noise_is_what_more_rays_show(tmp_path):
         assert each.shape == (len(mesh.faces),)
         error = (reflectance * (incident - truth)).sum(axis=1)
         ratios.append(np.sqrt(np.mean(each**2) / np.mean(error**2)))
-    # 1152 draws tell a deviation to 1 / √(2 · 1152) = 2 %.
-    assert all(0.9 < ratio < 1.1 for ratio in ratios), ratios
+    # 1152 draws tell a deviation to 1 / √(2 · 1152) = 2 %. Halves that fill each other's gaps tell too much, never less.
+    assert all(0.94 < ratio < 1.5 for ratio in ratios), ratios
 
 
-def test_halves_are_independent_and_add_up(terrain, tmp_path):
+def test_halves_do_not_err_alike_and_add_up(terrain, tmp_path):
     shares = np.asarray(terrain.operator.sum(axis=1)).ravel() + terrain.sky.sum(axis=1) + terrain.background
     np.testing.assert_allclose(shares, 1.0, atol=1e-12)
     outside = terrain.up.sum(axis=2) + terrain.down
@@ -186,8 +186,8 @@ def test_halves_are_independent_and_add_up(terrain, tmp_path):
     assert np.shares_memory(terrain.halves.indices, terrain.seen)
     better = traced(tmp_path / "s", rough(), 4096)[0]
     error = terrain.up.sum(axis=2) / terrain.rays - better.sky.sum(axis=1)[:, None]
-    # Correlated halves would hide a part of their error from `noise`.
-    assert abs(np.corrcoef(error.T)[0, 1]) < 4.0 / np.sqrt(len(error))
+    # What halves err by together would be hidden from `noise`.
+    assert np.corrcoef(error.T)[0, 1] < 4.0 / np.sqrt(len(error))
 
 
 def test_odd_and_single_rays(tmp_path):

@@ -10,7 +10,6 @@ import drjit as dr
 import numpy as np
 
 from thermorender.physics.band import RadianceTable
-from thermorender.render.light.radiosity import low_discrepancy
 
 # Places per face, and per texel of an average face, from which its mean is taken.
 _FEWEST, _MOST, _PER_TEXEL = 4, 64, 2
@@ -187,4 +186,17 @@ def _pattern(geometry):
         for t, f in zip(texels, faces, strict=True)
     )
     # Square root and product spread the square's points evenly over the triangle.
-    return [(1.0 - np.sqrt(a), np.sqrt(a) * b) for a, b in low_discrepancy(count, 2)]
+    return [(1.0 - np.sqrt(a), np.sqrt(a) * b) for a, b in _low_discrepancy(count, 2)]
+
+
+def _low_discrepancy(count, dimensions):
+    """Return (count, dimensions) points in 0…1: the Kronecker sequence of the generalised golden ratio.
+
+    Roberts (2018), "The unreasonable effectiveness of quasirandom sequences". SciPy has no such sequence; its Sobol
+    points are even for powers of two only, while here it is any number.
+    """
+    ratio = 2.0
+    for _ in range(60):
+        ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1))
+    alpha = ratio ** -np.arange(1.0, dimensions + 1.0)
+    return (np.arange(1, count + 1)[:, None] * alpha) % 1.0
