@@ -172,7 +172,7 @@ def test_noise_is_what_more_rays_show(tmp_path):
         assert each.shape == (len(mesh.faces),)
         error = (reflectance * (incident - truth)).sum(axis=1)
         ratios.append(np.sqrt(np.mean(each**2) / np.mean(error**2)))
-    # 1152 draws tell a deviation to 1 / √(2 · 1152) = 2 %. Halves that fill each other's gaps tell too much, never less.
+    # 1152 draws tell a deviation to 1 / √(2 · 1152) = 2 %. Halves that fill each other's gaps tell too much, not less.
     assert all(0.94 < ratio < 1.5 for ratio in ratios), ratios
 
 

@@ -163,7 +163,12 @@ def test_open_cavity_against_the_closed_form_of_its_polyhedron(emissivity):
     clockwise = np.cross(edges[:, 0], edges[:, 1])[:, 2] < 0.0
     edges[clockwise] = edges[clockwise, ::-1]
     centre, inward, area = ball.triangles_center[kept], -ball.face_normals[kept], ball.area_faces[kept]
-    opening = seen_through(edges, centre, inward)
+    # The mean over each face, from the middles of 16 equal parts: that of its centre alone is 2e-5 too much.
+    corners = ball.triangles[kept]
+    thirds = [(i + k / 3.0, j + k / 3.0) for k in (1, 2) for i in range(4) for j in range(5 - k - i)]
+    sides = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
+    places = [corners[:, 0] + sides @ (np.array(at) / 4.0) for at in thirds]
+    opening = np.mean([seen_through(edges, place, inward) for place in places], axis=0)
     # Every wall shines by nearly the same light m into itself: a share of sky that is the mean over their areas.
     black, sky = (float(band_radiance(t, *CAMERA.band_um)) for t in (300.0, 250.0))
 
@@ -175,9 +180,9 @@ def test_open_cavity_against_the_closed_form_of_its_polyhedron(emissivity):
     share = np.average(opening, weights=area)
     missing = 1.0 - area.sum() / ball.area
     assert np.ptp(opening) < 0.003 and share == pytest.approx(missing, abs=1e-3)
-    # `measure` tells the error against a sphere of whose area as much is missing: the polyhedron's own is a few mK.
+    # `measure` tells the error against a sphere of whose area as much is missing: the polyhedron's own is 1–3 mK.
     own = scale * (wall(share) - wall(missing))
-    assert 1.0 < abs(own) < 6.0
+    assert 0.5 < abs(own) < 6.0
     # A face's error were its rays independent; stratified ones err by less, and by as much from face to face, so the
     # mean over the faces in the picture (45° by 37°) errs by their root's part. The mean light m adds its own error,
     # of all faces, as often as light goes round.

@@ -50,7 +50,7 @@ NewResults = Annotated[
 Seed = Annotated[int, typer.Option(help="Seed of the sensor's noise.")]
 Quality = Annotated[str, typer.Option(help="fast, standard or high: how finely a pixel is sampled.")]
 Tolerance = Annotated[float, typer.Option(help="Error allowed to the spectral nodes [mK].")]
-Rays = Annotated[int, typer.Option(help="Rays per face for the light between surfaces.")]
+Rays = Annotated[int | None, typer.Option(help="Rays per face for the light between surfaces, not the quality's.")]
 Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
 Products = Annotated[
     str, typer.Option(help="Comma-separated: exr, truth, error, counts, counts-tiff, radiometric, display, video, "
@@ -184,7 +184,7 @@ def make_scene(
 
 
 @app.command()
-def plan(scene: SceneName, quality: Quality = "standard", rays: Rays = 128, tolerance_mk: Tolerance = 5.0,
+def plan(scene: SceneName, quality: Quality = "standard", rays: Rays = None, tolerance_mk: Tolerance = 5.0,
          air: Air = None, time: Time = None):  # fmt: skip
     """Print what rendering a scene needs, what is left out, and the error in mK that allows it."""
     from thermorender.render.plan import make_plan
@@ -220,7 +220,7 @@ def render(
     ] = "renderer",
     paths: Annotated[int, typer.Option(help="Paths per pixel of the reference engine.")] = 64,
     quality: Quality = "standard",
-    rays: Rays = 128,
+    rays: Rays = None,
     tolerance_mk: Tolerance = 5.0,
     device: Device = "auto",
 ):
@@ -292,7 +292,7 @@ def fly(
     resume: Annotated[bool, typer.Option("--resume", help="Continue a stopped flight.")] = False,
     seed: Seed = 0,
     quality: Quality = "standard",
-    rays: Rays = 128,
+    rays: Rays = None,
     tolerance_mk: Tolerance = 5.0,
     device: Device = "auto",
 ):
@@ -341,7 +341,7 @@ def day(
     air: Air = None,
     seed: Seed = 0,
     quality: Quality = "standard",
-    rays: Rays = 128,
+    rays: Rays = None,
     tolerance_mk: Tolerance = 5.0,
     device: Device = "auto",
 ):
@@ -409,7 +409,7 @@ def compare(
     allow_below_ground: Below = False,
     seed: Seed = 0,
     quality: Quality = "standard",
-    rays: Rays = 128,
+    rays: Rays = None,
     tolerance_mk: Tolerance = 5.0,
     device: Device = "auto",
 ):  # fmt: skip

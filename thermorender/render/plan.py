@@ -13,8 +13,8 @@ from thermorender.render.mirrors import ReflectanceTables, make_tables
 from thermorender.render.pixels.sampling import PATTERNS, STAGES
 from thermorender.render.spectrum import REFERENCE_K, Envelope, Spectrum, make_spectrum
 
-# Rays per pixel, texture taps per ray, and the error from which on an edge pixel gets more rays [mK].
-QUALITIES = {"fast": (1, 4, 500.0), "standard": (1, 4, 150.0), "high": (4, 4, 24.0)}
+# Rays per pixel, texture taps per ray, the error from which on an edge pixel gets more rays [mK], and rays per face.
+QUALITIES = {"fast": (1, 4, 500.0, 128), "standard": (1, 4, 150.0, 128), "high": (4, 4, 24.0, 512)}
 
 
 @dataclass(frozen=True)
@@ -151,8 +151,8 @@ class Plan:
         }
 
 
-def checked(quality="standard", samples=None, taps=None, edge_mk=None, rays=128, tolerance_mk=5.0):
-    """Return (samples, taps, edge_mk) of a quality and what is given in its place; as `make_plan`, without a scene.
+def checked(quality="standard", samples=None, taps=None, edge_mk=None, rays=None, tolerance_mk=5.0):
+    """Return (samples, taps, edge_mk, rays) of a quality or given in its place; as `make_plan`, without a scene.
 
     Raises
     ------
@@ -161,8 +161,8 @@ def checked(quality="standard", samples=None, taps=None, edge_mk=None, rays=128,
     """
     if quality not in QUALITIES:
         raise ThermorenderError(f"quality={quality!r} is unknown; give one of {', '.join(QUALITIES)}")
-    given = (samples, taps, edge_mk)
-    samples, taps, edge_mk = (a if b is None else b for a, b in zip(QUALITIES[quality], given, strict=True))
+    given = (samples, taps, edge_mk, rays)
+    samples, taps, edge_mk, rays = (a if b is None else b for a, b in zip(QUALITIES[quality], given, strict=True))
     for name, value in (("samples", samples), ("taps", taps)):
         if value not in PATTERNS:
             allowed = ", ".join(map(str, sorted(PATTERNS)))
@@ -173,24 +173,24 @@ def checked(quality="standard", samples=None, taps=None, edge_mk=None, rays=128,
         raise ThermorenderError(f"rays={rays} is not allowed; give 1…65536 rays per face")
     if not tolerance_mk > 0.0:
         raise ThermorenderError(f"tolerance_mk={tolerance_mk:g} is not allowed; give a number of mK above 0")
-    return samples, taps, edge_mk
+    return samples, taps, edge_mk, rays
 
 
-def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, rays=128, tolerance_mk=5.0):
+def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, rays=None, tolerance_mk=5.0):
     """Return the Plan of a scene.
 
     Parameters
     ----------
     scene : Scene
     quality : {"fast", "standard", "high"}
-        Names the three numbers that follow.
+        Names the four numbers that follow.
     samples, taps : int, optional
         Rays per pixel and texture taps per ray (1, 2, 4, 8 or 16) in place of the quality's own.
     edge_mk : float, optional
         Error from which on a pixel that shows an edge gets more rays [mK], in place of the quality's own; infinite:
         never.
-    rays : int
-        Rays per face for the bake.
+    rays : int, optional
+        Rays per face for the bake in place of the quality's own; powers of two serve best.
     tolerance_mk : float
         Largest error on the scene's envelope allowed to the spectral nodes [mK]; reflection that adds less than a tenth
         of it to any pixel, at 300 K, is left out.
@@ -200,7 +200,7 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
     ThermorenderError
         A setting out of range, or a scene whose heat balance is not solved.
     """
-    samples, taps, edge_mk = checked(quality, samples, taps, edge_mk, rays, tolerance_mk)
+    samples, taps, edge_mk, rays = checked(quality, samples, taps, edge_mk, rays, tolerance_mk)
     scene.refuse_unwarmed()
     band = tuple(scene.camera.band_um)
     envelope = _envelope(scene)

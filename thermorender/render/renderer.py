@@ -51,8 +51,8 @@ class Renderer:
     samples, taps, edge_mk : optional
         Rays per pixel, texture taps per ray, and the error from which on a pixel that shows an edge gets more rays
         [mK], in place of the quality's own.
-    rays : int
-        Rays per face of the bake.
+    rays : int, optional
+        Rays per face of the bake, in place of the quality's own.
     tolerance_mk : float
         Error allowed to the spectral nodes and to the solution of the bake [mK].
     seed : int
@@ -88,7 +88,7 @@ class Renderer:
 
     def __init__(
         self, scene: Scene, quality: Literal["fast", "standard", "high"] = "standard", samples: int | None = None,
-        taps: int | None = None, edge_mk: float | None = None, rays: int = 128, tolerance_mk: float = 5.0,
+        taps: int | None = None, edge_mk: float | None = None, rays: int | None = None, tolerance_mk: float = 5.0,
         seed: int = 0, device: Literal["auto", "cpu", "cuda"] = "auto", progress: Progress | None = None,
         like: "Renderer | None" = None,
     ) -> None:  # fmt: skip
@@ -116,7 +116,7 @@ class Renderer:
         self.scene = scene
         if like is None:
             return
-        if like.plan.rays == rays:
+        if like.plan.rays == self.plan.rays:
             self._baked = like.baked.seen_as(scene, self.plan)
             self._like = None if self._baked else like.baked
 

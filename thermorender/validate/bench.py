@@ -132,7 +132,7 @@ def _measure(scene, settings, device, repeats):
     for (renderer, keywords), measured in zip(made, done.values(), strict=True):
         light = {key: value for key, value in keywords.items() if key not in SAMPLING}
         for view, pose in poses.items():
-            key = view, tuple(sorted(light.items()))
+            key = view, renderer.plan.rays, tuple(sorted(light.items()))
             if key not in finest_of:
                 finest_of[key] = converged(renderer, pose, light)
             finest, image = finest_of[key], renderer.radiance(pose)

@@ -98,7 +98,7 @@ MODES = {
             *((4, 4, inf), (16, 4, inf)),
             *((1, 4, 60.0), (1, 16, 150.0), (4, 4, 150.0), (8, 4, 24.0)),
         ),
-        rays=(128, 16, 32, 64, 256),
+        rays=(128, 16, 32, 64, 256, 512),
         tolerances_mk=(5.0, 1.0, 20.0, 100.0, 1000.0),
         emissivities=(0.9, 0.5, 0.1),
         seconds=2.0,
@@ -177,8 +177,9 @@ def _cases(site, mode):
             key = {"scene": site.scene.name, "view": view, "engine": engine, "group": group, "setting": setting}
             yield "/".join(key.values()), lambda key=key: {**key, **site.measure(view=key["view"], **more)}
 
-    named_settings = {numbers: name for name, numbers in QUALITIES.items()}
-    for numbers in dict.fromkeys((*QUALITIES.values(), *mode.sampling)):
+    # Light is that of as many rays per face for all of them.
+    named_settings = {numbers[:3]: name for name, numbers in QUALITIES.items()}
+    for numbers in dict.fromkeys((*named_settings, *mode.sampling)):
         name = named_settings.get(numbers)
         label = f"{numbers[0]} · {numbers[1]} · {numbers[2]:g} mK" + (f" ({name})" if name else "")
         keywords = dict(zip(("samples", "taps", "edge_mk"), numbers, strict=True))

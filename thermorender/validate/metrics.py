@@ -47,7 +47,8 @@ def converged(renderer, pose, keywords):
         What the renderer was made with.
     """
     camera = renderer.scene.camera
-    settings = {**keywords, "samples": RAYS, "taps": 1, "edge_mk": _NO_EDGE_MK, "like": renderer}
+    settings = {"rays": renderer.plan.rays, **keywords}
+    settings |= {"samples": RAYS, "taps": 1, "edge_mk": _NO_EDGE_MK, "like": renderer}
     quarters = []
     for lower in range(2):
         for right in range(2):

@@ -10,9 +10,9 @@ with e and ρ the faces' mean emitted radiance and reflectance. GMRES solves it,
 and the residual bounds the error: see `solve`.
 
 The rays of a face are the points of Sobol' (1967, doi:10.1016/0041-5553(67)90144-9) in four dimensions, two of
-direction and two of place, whose digits each face shifts at random (Owen 2003, doi:10.1145/945511.945518). They come in
-two halves, and what these disagree about tells the Monte Carlo error of their mean, too large rather than too small: see
-`noise`. Normals are those of the flat faces.
+direction and two of place, whose digits each face shifts at random (Owen 2003, doi:10.1145/945511.945518). They come
+in two halves, and what these disagree about tells the Monte Carlo error of their mean, too large rather than too
+small: see `noise`. Normals are those of the flat faces.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ from thermorender.render.geometry import of_faces
 from thermorender.render.light.gmres import STEPS, gmres
 
 # A cached Transport of another version is not used: count up with every change of what `trace` returns.
-VERSION = 3
+VERSION = 4
 # Bins of zenith angle in which rays to the sky are counted, even in the root of its cosine: narrow at the horizon.
 SKY_BINS = 16
 # Some 30 bytes per ray at once.
@@ -38,6 +38,8 @@ _KRYLOV_BYTES = 1 << 30
 _MOST_REFLECTED = 1.0 - 1e-7
 # Accuracy to which the Monte Carlo error itself is wanted.
 _NOISE_ACCURACY = 0.05
+# Steps of the table from which chords of the unit disk are drawn.
+_CHORDS = 4096
 
 
 @dataclass(frozen=True)
@@ -252,7 +254,14 @@ def face_rays(geometry, half):
 
 
 class FaceRays:
-    """The cosine-distributed rays off faces, in two halves of `half` rays."""
+    """The cosine-distributed rays off faces, in two halves of `half` rays.
+
+    Notes
+    -----
+    Cosine-distributed directions stand evenly over the unit disk (Malley's method). That is crossed here by level
+    chords: at angle θ, sin θ off the middle, with shares 1/2 + (θ + sin θ cos θ) / π of the disk below. A far horizon
+    then lies at one share of all chords, whatever the slope, which Sobol's points tell apart to 1 / n.
+    """
 
     def __init__(self, geometry, half):
         from scipy.stats import qmc
@@ -261,6 +270,9 @@ class FaceRays:
         # A power of two of them, which SciPy asks for, of which the first serve.
         points = qmc.Sobol(4, scramble=False).random_base2((2 * half - 1).bit_length())[: 2 * half]
         self._base = [self._mi.UInt32((column * 2.0**24).astype(np.uint32)) for column in points.T]
+        angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 64 * _CHORDS)
+        share = 0.5 + (angle + np.sin(angle) * np.cos(angle)) / np.pi
+        self._chord = self._mi.Float(np.interp(np.linspace(0.0, 1.0, _CHORDS + 1), share, angle).astype(np.float32))
         found = of_faces(geometry.surfaces, _frames, (4, 3))
         self._faces = [self._mi.Float(np.ascontiguousarray(found[:, k]).ravel()) for k in range(4)]
         self._lift = 64.0 * 2.0**-24 * (1.0 + geometry.reach)
@@ -278,10 +290,18 @@ class FaceRays:
         shifts = (*mi.sample_tea_32(face, key, 8), *mi.sample_tea_32(face, key + 1, 8))
         base = (dr.gather(mi.UInt32, values, number) for values in self._base)
         u = [mi.Float(value ^ (shift >> 8)) * 2.0**-24 for value, shift in zip(base, shifts, strict=True)]
-        local = mi.warp.square_to_cosine_hemisphere(mi.Point2f(u[0], u[1]))
+        # A chord of the unit disk across the slope, drawn by its length, and a place along it.
+        at = u[0] * _CHORDS
+        left = dr.minimum(mi.UInt32(at), _CHORDS - 1)
+        angle = dr.lerp(*(dr.gather(mi.Float, self._chord, left + k) for k in (0, 1)), at - mi.Float(left))
+        across, half_chord = dr.sincos(angle)
+        along = (2.0 * u[1] - 1.0) * half_chord
+        out = dr.safe_sqrt((1.0 - dr.square(along)) - dr.square(across))
         spot = mi.warp.square_to_uniform_triangle(mi.Point2f(u[2], u[3]))
         point, lift = corner + spot.x * edge_u + spot.y * edge_v, normal * self._lift
-        towards = mi.Frame3f(mi.Normal3f(normal)).to_world(local)
+        level = mi.Vector3f(-normal.y, normal.x, 0.0)
+        level = dr.normalize(dr.select(dr.squared_norm(level) > 1e-12, level, mi.Vector3f(1.0, 0.0, 0.0)))
+        towards = dr.normalize(along * dr.cross(normal, level) + across * level + out * normal)
         return mi.Point3f(point + lift), towards, mi.Point3f(point - lift), normal
 
 
