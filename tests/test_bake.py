@@ -17,6 +17,7 @@ from thermorender.render.geometry import Geometry
 from thermorender.render.light import cache, radiosity
 from thermorender.render.light.environment import even
 from thermorender.render.variant import activate
+from thermorender.validate import bench
 
 BAND = (7.5, 13.5)
 WALL = band_radiance(300.0, *BAND)
@@ -44,7 +45,7 @@ def traced(folder, mesh, rays, seed=0):
 
 def solved(transport, emissivity, tolerance=1e-6, wall=WALL):
     """(radiance leaving, incident, bounds) of walls of one temperature under a black outside, a node per emissivity."""
-    emitted = np.broadcast_to(wall * np.asarray(emissivity), (len(transport.background), len(emissivity)))
+    emitted = np.broadcast_to(wall * np.asarray(emissivity), (len(transport.up), len(emissivity)))
     reflectance = np.broadcast_to(1.0 - np.asarray(emissivity), emitted.shape)
     outside = even(np.zeros(len(emissivity)), np.zeros(len(emissivity)), len(emitted))
     incident, bounds = radiosity.solve(transport, emitted, reflectance, outside, tolerance)
@@ -118,7 +119,7 @@ def test_work_hardly_depends_on_emissivity(cavity):
     products = []
     for emissivity in (EMISSIVITIES, *EMISSIVITIES[:, None]):
         counted = Counting(transport.operator)
-        view = SimpleNamespace(rays=512, operator=counted, sky=transport.sky, background=transport.background)
+        view = SimpleNamespace(rays=512, operator=counted, up=transport.up, down=transport.down)
         assert solved(view, emissivity, tolerance)[2].max() <= tolerance
         products.append(counted.products)
     # Bounces need ln(1e-5) / ln(0.999 · 0.9) = 108 for the last. All together cost no more than the worst alone.
@@ -197,13 +198,17 @@ def test_odd_and_single_rays(tmp_path):
     assert [traced(tmp_path / f"s{rays}", rough(4), rays)[0].rays for rays in (64, 65)] == [32, 33]
 
 
-def test_blocks_of_nodes_change_nothing(terrain, monkeypatch):
-    emissivity = np.linspace(0.2, 0.9, 7)
-    together, _, _ = solved(terrain, emissivity)
-    monkeypatch.setattr(radiosity, "_KRYLOV_BYTES", 8 * 1152 * 20 * 3)
-    assert [part.stop - part.start for part in radiosity._blocks((1152, 7))] == [3, 3, 1]
-    apart, _, _ = solved(terrain, emissivity)
-    np.testing.assert_allclose(apart, together, atol=2e-6)
+def test_blocks_of_nodes_and_faces_change_nothing(monkeypatch):
+    scene = bench.terrain(2000, 64)
+    together = tr.Renderer(scene, rays=16).baked
+    assert together.plan.spectrum.nodes > 2
+    monkeypatch.setattr(radiosity, "_KRYLOV_BYTES", 8 * together.geometry.face_count * 20 * 2)
+    monkeypatch.setattr(radiosity, "_FACES_AT_ONCE", 300)
+    assert [part.stop - part.start for part in radiosity.blocks(together.geometry.face_count, 5)] == [2, 2, 1]
+    apart = tr.Renderer(scene, rays=16).baked
+    for one, other in zip((*together.texels, together.faces), (*apart.texels, apart.faces), strict=True):
+        np.testing.assert_allclose(other, one, rtol=3e-7, atol=1e-6)
+    assert apart.errors_mk == pytest.approx(together.errors_mk, rel=0.06)
 
 
 def test_light_that_never_leaves_is_refused(tmp_path):

@@ -166,11 +166,23 @@ def bake(
         known, note = cache.traced(geometry, plan.rays, lambda share: tell(what, share))
     tell("solving the light between surfaces", 0.0)
     per_mk = plan.radiance_per_mk
-    emitted, reflectance = texels.face_means(geometry, plan, material, temperature)
     around = environment.of_scene(scene, plan, geometry)
     tolerance = 0.1 * plan.tolerance_mk * per_mk / spectrum.nodes
-    incident, bounds = radiosity.solve(known, emitted, reflectance, around, tolerance)
-    noise = radiosity.noise(known, emitted, reflectance, around, incident)
+    shape, share = (geometry.face_count, spectrum.nodes), geometry.share
+    incident, noise = np.empty(shape, dtype=np.float32), np.zeros(shape[0])
+    bounds, mean_reflectance = np.empty(shape[1]), np.empty(shape[1])
+    static = StaticLight.around(around, *shape) if scene.tracked_objects else None
+    blocks = radiosity.blocks(*shape)
+    means = texels.face_means(geometry, plan, material, temperature, blocks)
+    for nodes, (emitted, reflectance) in zip(blocks, means, strict=True):
+        found, bounds[nodes] = radiosity.solve(known, emitted, reflectance, around.at(nodes), tolerance)
+        noise += radiosity.noise(known, emitted, reflectance, around.at(nodes), found)
+        incident[:, nodes], mean_reflectance[nodes] = found, share @ reflectance
+        if static:
+            static.add(nodes, emitted + reflectance * found, reflectance)
+    del emitted, reflectance, found
+    # As large as the rays it is made of.
+    known.forget_operator()
     face = np.empty((geometry.face_count, spectrum.channels), dtype=np.float32)
     covers = geometry.face_of_texel()
     if spectrum.channels > 1:
@@ -181,9 +193,7 @@ def bake(
         light = texels.light(incident, spectrum.reflected[:, channel])
         texel[channel], face[:, channel], left = texels.bake_channel(geometry, covers, texel[channel], material, light)
     scatter = left if spectrum.channels == 1 else scatter
-    static = StaticLight.of(emitted + reflectance * incident, reflectance, around) if scene.tracked_objects else None
-    share = geometry.share
-    varies = texels.variation(geometry, incident @ (share @ reflectance), noise)
+    varies = texels.variation(geometry, incident @ mean_reflectance.astype(np.float32), noise)
     solution = ((1.0 - spectrum.emissivity).max(axis=0) * bounds).sum()
     rms = [np.sqrt(share @ square) for square in (noise**2, scatter)]
     errors = {"solution": solution, "noise": rms[0], "faces": varies, "texels": rms[1]}

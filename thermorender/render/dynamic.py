@@ -90,11 +90,16 @@ class StaticLight:
     seen: np.ndarray
 
     @classmethod
-    def of(cls, leaving, reflectance, environment):
-        """Return that of faces which radiate `leaving` (F, N) [W m⁻² sr⁻¹] with `reflectance` (F, N)."""
+    def around(cls, environment, faces, nodes):
+        """Return that of a number of faces of which nothing is known yet; see `add`."""
         # As faces beyond the last: rays that hit nothing see these.
-        seen = np.vstack([leaving, environment.sky.mean(axis=0), environment.background])
-        return cls(reflectance.astype(np.float32), seen.astype(np.float32))
+        outside = np.vstack([environment.sky.mean(axis=0), environment.background]).astype(np.float32)
+        return cls(np.zeros((faces, nodes), np.float32), np.vstack([np.zeros((faces, nodes), np.float32), outside]))
+
+    def add(self, nodes, leaving, reflectance):
+        """Tell what faces radiate [W m⁻² sr⁻¹] and reflect at a slice of the nodes, both (F, n)."""
+        self.seen[: len(leaving), nodes] = leaving
+        self.reflectance[:, nodes] = reflectance
 
 
 class DynamicObject:

@@ -171,8 +171,7 @@ class Geometry:
         """Which texels some face covers, (rows, columns) bool for each surface; None where it is all of them."""
         found, covers = [], None
         for number, surface in enumerate(self.surfaces):
-            edge = surface.uv[:, 1:].astype(np.float64) - surface.uv[:, :1]
-            area = 0.5 * np.abs(edge[:, 0, 0] * edge[:, 1, 1] - edge[:, 0, 1] * edge[:, 1, 0]).sum()
+            area = of_faces([surface], _mapped_area, (), np.float64).sum()
             if abs(area - 1.0) < 1e-6 or surface.material.size == 1:
                 found.append(None)
                 continue
@@ -224,22 +223,32 @@ class Geometry:
             rows, columns = surface.material.shape
             if rows * columns == 1:
                 continue
-            corner = surface.uv.reshape(-1, 2).astype(np.float64) * (columns, rows)
-            flat = np.column_stack([corner, np.zeros(len(corner))])
-            mesh = _mesh(mi, "map", flat, np.arange(len(flat)).reshape(-1, 3))
-            caster = mi.load_dict({"type": "scene", "embree_use_robust_intersections": True, "map": mesh})
-            start, first_face = int(self.texel_start[number]), int(self.face_start[number])
-            step = max(1, _RAYS_AT_ONCE // columns)
-            for top in range(0, rows, step):
-                count = min(step, rows - top) * columns
-                index = dr.arange(mi.UInt32, count)
-                origin = mi.Point3f(
-                    mi.Float(index % columns) + 0.5, mi.Float(index // columns + dr.opaque(mi.UInt32, top)) + 0.5, 1.0
-                )
-                hit = caster.ray_intersect_preliminary(mi.Ray3f(origin, mi.Vector3f(0.0, 0.0, -1.0)), coherent=True)
-                face = dr.select(hit.is_valid(), hit.prim_index + first_face, self.face_count)
-                found[start + top * columns :][:count] = np.array(face)
+            here = found[int(self.texel_start[number]) :][: rows * columns].reshape(rows, columns)
+            # The map's triangles, like those of the scene, take 200 bytes each: not all at once.
+            for first in range(0, len(surface.faces), _FACES_AT_ONCE):
+                part = surface.uv[first : first + _FACES_AT_ONCE]
+                self._cover(here, part, int(self.face_start[number]) + first)
         return mi.UInt32(found)
+
+    def _cover(self, found, uv, first_face):
+        """Write into (rows, columns) of texels which of some faces' maps (n, 3, 2) covers each."""
+        mi, (rows, columns) = self.mi, found.shape
+        corner = uv.reshape(-1, 2).astype(np.float64) * (columns, rows)
+        flat = np.column_stack([corner, np.zeros(len(corner))])
+        mesh = _mesh(mi, "map", flat, np.arange(len(flat)).reshape(-1, 3))
+        caster = mi.load_dict({"type": "scene", "embree_use_robust_intersections": True, "map": mesh})
+        highest, lowest = (int(np.clip(edge, 0, rows)) for edge in (corner[:, 1].min(), np.ceil(corner[:, 1].max())))
+        step = max(1, _RAYS_AT_ONCE // columns)
+        for top in range(highest, lowest, step):
+            count = min(step, lowest - top) * columns
+            index = dr.arange(mi.UInt32, count)
+            origin = mi.Point3f(
+                mi.Float(index % columns) + 0.5, mi.Float(index // columns + dr.opaque(mi.UInt32, top)) + 0.5, 1.0
+            )
+            hit = caster.ray_intersect_preliminary(mi.Ray3f(origin, mi.Vector3f(0.0, 0.0, -1.0)), coherent=True)
+            face = np.array(dr.select(hit.is_valid(), hit.prim_index + first_face, self.face_count))
+            texels = found[top : top + step].reshape(-1)[:count]
+            np.copyto(texels, face, where=face < self.face_count)
 
 
 class Channels:
@@ -364,6 +373,12 @@ def _across(surface, part):
     """Vectors across faces, twice as long as these are large."""
     corner = surface.vertices[surface.faces[part]]
     return np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+
+
+def _mapped_area(surface, part):
+    """Areas of faces on the map, whose whole is 1."""
+    edge = surface.uv[part, 1:].astype(np.float64) - surface.uv[part, :1]
+    return 0.5 * np.abs(edge[:, 0, 0] * edge[:, 1, 1] - edge[:, 0, 1] * edge[:, 1, 0])
 
 
 def opaque_view(mi, pose):

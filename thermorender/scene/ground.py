@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 
 from thermorender.scene.surface import Surface
 
+# Some 300 bytes per face at once.
+_FACES_AT_ONCE = 1 << 20
+
 
 class Ground:
     """Callable (east, north) → local height of the terrain [m], NaN where there is none.
@@ -19,25 +22,38 @@ class Ground:
     """
 
     def __init__(self, surfaces: Sequence[Surface]) -> None:
-        corners = np.concatenate([surface.vertices[surface.faces] for surface in surfaces])
-        self._corners = corners
-        low, high = corners[..., :2].min(axis=1), corners[..., :2].max(axis=1)
-        self._origin = low.min(axis=0)
-        extent = high.max(axis=0) - self._origin
+        first_vertex = np.cumsum([0] + [len(surface.vertices) for surface in surfaces])
+        self._vertices = np.concatenate([surface.vertices for surface in surfaces])
+        faces = [surface.faces + first for surface, first in zip(surfaces, first_vertex, strict=False)]
+        self._faces = np.concatenate(faces).astype(np.int32)
+        plan = self._vertices[:, :2]
+        used = np.zeros(len(plan), bool)
+        used[self._faces] = True
+        self._origin = plan[used].min(axis=0)
+        extent = plan[used].max(axis=0) - self._origin
         # Bins about as large as a triangle: each triangle then lies in a few bins.
-        self._bin = max(float(np.median(high - low)) * 1.5, float(extent.max()) / 4096, 1e-9)
+        sides = [np.median(np.ptp(plan[part], axis=1), axis=0) for part in self._parts()]
+        self._bin = max(float(np.median(sides)) * 1.5, float(extent.max()) / 4096, 1e-9)
         self._count = np.floor(extent / self._bin).astype(np.int64) + 1
-        first = np.floor((low - self._origin) / self._bin).astype(np.int64)
-        span = np.floor((high - self._origin) / self._bin).astype(np.int64) - first + 1
-        per_triangle = span.prod(axis=1)
-        triangle = np.repeat(np.arange(len(corners)), per_triangle)
-        step = np.arange(len(triangle)) - np.repeat(np.cumsum(per_triangle) - per_triangle, per_triangle)
-        column = first[triangle, 0] + step % span[triangle, 0]
-        row = first[triangle, 1] + step // span[triangle, 0]
-        bins = row * self._count[0] + column
+        triangles, bins_of = [], []
+        for number, part in enumerate(self._parts()):
+            corner = (plan[part] - self._origin) / self._bin
+            first = np.floor(corner.min(axis=1)).astype(np.int32)
+            span = np.floor(corner.max(axis=1)).astype(np.int32) - first + 1
+            per_triangle = span.prod(axis=1)
+            own = np.repeat(np.arange(len(part), dtype=np.int32), per_triangle)
+            step = np.arange(len(own)) - np.repeat(np.cumsum(per_triangle) - per_triangle, per_triangle)
+            column, row = first[own, 0] + step % span[own, 0], first[own, 1] + step // span[own, 0]
+            triangles.append(own + number * _FACES_AT_ONCE)
+            bins_of.append((row * self._count[0] + column).astype(np.int32))
+        bins = np.concatenate(bins_of)
         order = np.argsort(bins, kind="stable")
-        self._triangle = triangle[order]
-        self._start = np.searchsorted(bins[order], np.arange(self._count.prod() + 1))
+        self._triangle = np.concatenate(triangles)[order]
+        self._start = np.concatenate([[0], np.cumsum(np.bincount(bins, minlength=self._count.prod()))])
+
+    def _parts(self) -> list[NDArray[np.int32]]:
+        """The faces, a few at a time."""
+        return [self._faces[first : first + _FACES_AT_ONCE] for first in range(0, len(self._faces), _FACES_AT_ONCE)]
 
     @overload
     def __call__(self, east: float, north: float) -> float: ...
@@ -57,7 +73,7 @@ class Ground:
         count = np.where(inside, self._start[bins + 1] - self._start[bins], 0)
         which = np.repeat(np.arange(len(point)), count)
         offset = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-        a, b, c = np.moveaxis(self._corners[self._triangle[self._start[bins][which] + offset]], 1, 0)
+        a, b, c = np.moveaxis(self._vertices[self._faces[self._triangle[self._start[bins][which] + offset]]], 1, 0)
         ab, ac, ap = (b - a)[:, :2], (c - a)[:, :2], point[which] - a[:, :2]
         area = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
         with np.errstate(divide="ignore", invalid="ignore"):

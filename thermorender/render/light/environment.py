@@ -39,14 +39,19 @@ class Environment:
     direct: np.ndarray | None = None
 
     def light(self, up, down, part=slice(None)):
-        """Return the radiance on every face, (F, nodes), whose rays see shares of sky (F, B) and background (F,).
+        """Return the radiance on a part of the faces, (n, N), whose rays see shares of sky (n, B) and background (n,).
 
         Without the sun, so that differences of rays may be given too.
         """
-        total = down[:, None] * self.background[part]
-        for level, sky in zip(self.level.T, self.sky, strict=True):
-            total += level[:, None] * (up @ sky[:, part])
+        total = down[:, None] * self.background
+        for level, sky in zip(self.level[part].T, self.sky, strict=True):
+            total += level[:, None] * (up @ sky)
         return total
+
+    def at(self, nodes):
+        """Return the Environment at a slice of the nodes."""
+        direct = None if self.direct is None else self.direct[:, nodes]
+        return Environment(self.sky[..., nodes], self.level, self.background[nodes], direct)
 
 
 def even(sky, background, faces):

@@ -31,6 +31,8 @@ VERSION = 4
 SKY_BINS = 16
 # Some 30 bytes per ray at once.
 _RAYS_AT_ONCE = 1 << 21
+# Some 300 bytes per face at once.
+_FACES_AT_ONCE = 1 << 18
 _SEED = 0x7E44
 # Memory that the vectors of one solution may take.
 _KRYLOV_BYTES = 1 << 30
@@ -91,6 +93,10 @@ class Transport:
         # A row of the sum is both halves' rows one after the other: every second border is left out.
         weight = self.hits / (2.0 * self.rays)
         return csr_array((weight, self.seen, self._borders[::2].copy()), shape=(len(self.up), len(self.up)))
+
+    def forget_operator(self):
+        """Free the operator's memory until it is asked for again."""
+        vars(self).pop("operator", None)
 
     @property
     def halves(self):
@@ -174,44 +180,39 @@ def solve(transport, emitted, reflectance, environment, tolerance):
     -----
     An error δ with the residual r obeys δ = K ρ δ + r, and K ρ has no negative entries, hence
     ‖δ‖∞ ≤ ‖r‖∞ / (1 − max K ρ). The residual is itself rounded, once per number that a row adds up. Nodes are solved
-    side by side, so that the operator is read once for all of them; where that takes too much memory, a few at a time.
+    side by side, so that the operator is read once for all of them; see `blocks` for how many.
     """
-    operator, incident, bounds = transport.operator, np.empty(emitted.shape), np.empty(emitted.shape[1])
-    for part in _blocks(emitted.shape):
-        rho = reflectance[:, part]
-        source = operator @ emitted[:, part] + environment.light(transport.sky, transport.background, part)
-        if environment.direct is not None:
-            source += environment.direct[:, part]
-        reflected = (operator @ rho).max(axis=0, initial=0.0)
-        if reflected.max() > _MOST_REFLECTED:
-            raise ThermorenderError(
-                f"surfaces that face each other reflect {reflected.max():.8f} of the light between them, which never "
-                "leaves; give them an emissivity of 1e-6 or more"
-            )
-        amplification = 1.0 / (1.0 - reflected)
-        wanted = 0.5 * tolerance / amplification
-        rounding = 0.5 * np.finfo(float).eps * (2 * transport.rays + 4)
-        x, residual = np.zeros(source.shape), source
-        for _ in range(6):
-            x += gmres(operator, rho, residual, wanted)
-            residual = source - x + operator @ (rho * x)
-            bound = (np.abs(residual).max(axis=0) + rounding * np.abs(x).max(axis=0, initial=0.0)) * amplification
-            if bound.max() <= tolerance:
-                break
-        else:
-            raise ThermorenderError(
-                f"the light between surfaces does not converge: {bound.max():.3g} W m⁻² sr⁻¹ remain where "
-                f"{tolerance:.3g} are asked; give a larger tolerance"
-            )
-        incident[:, part], bounds[part] = x, bound
-    return incident, bounds
+    operator = transport.operator
+    source = operator @ emitted + _beyond(transport, environment, 1.0)
+    if environment.direct is not None:
+        source += environment.direct
+    reflected = (operator @ reflectance).max(axis=0, initial=0.0)
+    if reflected.max() > _MOST_REFLECTED:
+        raise ThermorenderError(
+            f"surfaces that face each other reflect {reflected.max():.8f} of the light between them, which never "
+            "leaves; give them an emissivity of 1e-6 or more"
+        )
+    amplification = 1.0 / (1.0 - reflected)
+    wanted = 0.5 * tolerance / amplification
+    rounding = 0.5 * np.finfo(float).eps * (2 * transport.rays + 4)
+    x, residual = np.zeros(source.shape), source
+    for _ in range(6):
+        x += gmres(operator, reflectance, residual, wanted)
+        residual = source - x + operator @ (reflectance * x)
+        bound = (np.abs(residual).max(axis=0) + rounding * np.abs(x).max(axis=0, initial=0.0)) * amplification
+        if bound.max() <= tolerance:
+            return x, bound
+    raise ThermorenderError(
+        f"the light between surfaces does not converge: {bound.max():.3g} W m⁻² sr⁻¹ remain where "
+        f"{tolerance:.3g} are asked; give a larger tolerance"
+    )
 
 
 def noise(transport, emitted, reflectance, environment, incident):
-    """Return the Monte Carlo error of each face's reflected radiance, (F,) [W m⁻² sr⁻¹].
+    """Return a draw of the Monte Carlo error of each face's reflected radiance, (F,) [W m⁻² sr⁻¹].
 
-    The sum over nodes, one standard error. That of one face is a single draw and tells little by itself; the root
-    mean square over many faces is an estimate.
+    The sum over nodes. That of one face tells little by itself; the root mean square over many faces is one standard
+    error. Draws of other nodes of the same transport add up with their signs.
 
     Parameters
     ----------
@@ -227,22 +228,29 @@ def noise(transport, emitted, reflectance, environment, incident):
     times as large in scenes of the open. That error is light in its own right and is reflected on:
     δ = K ρ δ + (x₁ − x₂) / 2 to first order, which matters in cavities.
     """
-    operator, halves, total = transport.operator, transport.halves, np.zeros(len(emitted))
-    up, down = ((n[:, 0].astype(np.int32) - n[:, 1]) / (2.0 * transport.rays) for n in (transport.up, transport.down))
-    for part in _blocks(emitted.shape):
-        rho = reflectance[:, part]
-        seen = (halves @ (emitted[:, part] + rho * incident[:, part])).reshape(len(emitted), 2, -1)
-        source = seen[:, 0] - seen[:, 1] + environment.light(up, down, part)
-        size = np.abs(source).max(axis=0)
-        total += (rho * gmres(operator, rho, source, _NOISE_ACCURACY * size)).sum(axis=1)
-    return np.abs(total)
+    seen = (transport.halves @ (emitted + reflectance * incident)).reshape(len(emitted), 2, -1)
+    source = seen[:, 0] - seen[:, 1] + _beyond(transport, environment, -1.0)
+    size = np.abs(source).max(axis=0)
+    return (reflectance * gmres(transport.operator, reflectance, source, _NOISE_ACCURACY * size)).sum(axis=1)
 
 
-def _blocks(shape):
-    """Slices of nodes, as many at a time as _KRYLOV_BYTES has room for, at least one."""
-    count, nodes = shape
-    size = max(1, _KRYLOV_BYTES // (8 * max(count, 1) * (STEPS + 4)))
+def blocks(faces, nodes):
+    """Return slices of nodes, as many at a time as the vectors of a solution have room for, at least one."""
+    size = max(1, _KRYLOV_BYTES // (8 * max(faces, 1) * (STEPS + 4)))
     return [slice(first, min(first + size, nodes)) for first in range(0, nodes, size)]
+
+
+def _beyond(transport, environment, sign):
+    """Light from beyond the surfaces on each face, (F, N): of both halves of its rays, the second times `sign`."""
+    light = np.empty((len(transport.up), len(environment.background)))
+    for first in range(0, len(light), _FACES_AT_ONCE):
+        part = slice(first, first + _FACES_AT_ONCE)
+        up, down = (
+            (counted[part, 0] + sign * counted[part, 1]) / (2.0 * transport.rays)
+            for counted in (transport.up, transport.down)
+        )
+        light[part] = environment.light(up, down, part)
+    return light
 
 
 def face_rays(geometry, half):

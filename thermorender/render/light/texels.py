@@ -16,8 +16,8 @@ _FEWEST, _MOST, _PER_TEXEL = 4, 64, 2
 _TEXELS_AT_ONCE = 1 << 22
 
 
-def face_means(geometry, plan, material, temperature):
-    """Return mean emitted radiance and reflectance of each face at each node, both (F, N) float64.
+def face_means(geometry, plan, material, temperature, blocks):
+    """Yield, for each slice of nodes, mean emitted radiance and reflectance of each face, both (F, n) float64.
 
     Parameters
     ----------
@@ -27,33 +27,36 @@ def face_means(geometry, plan, material, temperature):
         Number of each texel's material.
     temperature : (T,) float32
         Kinetic temperature of each texel [K].
+    blocks : sequence of slice
     """
-    mi = geometry.mi
-    pattern = _pattern(geometry)
-    number = np.empty((geometry.face_count, len(pattern)), dtype=np.uint32)
-    for column, found in enumerate(geometry.points_in_faces(pattern)):
-        number[:, column] = np.array(geometry.nearest(*found))
-    number = mi.UInt32(number.ravel())
-    spectrum = plan.spectrum
+    mi, count, spectrum = geometry.mi, geometry.face_count, plan.spectrum
     grid = RadianceTable.grid(plan.coldest, plan.warmest)
     black = spectrum.black(grid).astype(np.float32)
-    position = (dr.gather(mi.Float, mi.Float(temperature), number) - float(grid[0])) / float(grid[1] - grid[0])
-    lower = mi.UInt32(dr.clip(position, 0.0, float(len(grid) - 2)))
-    weight = position - mi.Float(lower)
-    kind = mi.UInt32(dr.gather(mi.UInt8, mi.UInt8(material), number))
-    dr.eval(lower, weight, kind)
-    emitted = np.empty((geometry.face_count, spectrum.nodes))
-    reflectance = np.empty_like(emitted)
-    for node in range(spectrum.nodes):
-        table = mi.Float(np.ascontiguousarray(black[:, node]))
-        planck = dr.lerp(dr.gather(mi.Float, table, lower), dr.gather(mi.Float, table, lower + 1), weight)
-        epsilon = dr.gather(mi.Float, mi.Float(spectrum.emissivity[:, node].astype(np.float32)), kind)
-        leaving = planck * epsilon
-        dr.eval(leaving, epsilon)
-        sums = [np.array(dr.block_sum(values, len(pattern)), dtype=np.float64) for values in (leaving, epsilon)]
-        emitted[:, node] = sums[0] / len(pattern)
-        reflectance[:, node] = 1.0 - sums[1] / len(pattern)
-    return emitted, reflectance
+    material, temperature = mi.UInt8(material), mi.Float(temperature)
+    # Where each place of each face stands on the grid, and its material: five bytes a place.
+    places = []
+    for found in geometry.points_in_faces(_pattern(geometry)):
+        number = geometry.nearest(*found)
+        position = (dr.gather(mi.Float, temperature, number) - float(grid[0])) / float(grid[1] - grid[0])
+        kind = dr.gather(mi.UInt8, material, number)
+        dr.eval(position, kind)
+        places.append((position, kind))
+    for block in blocks:
+        nodes = range(*block.indices(spectrum.nodes))
+        emitted, reflectance = np.empty((count, len(nodes))), np.empty((count, len(nodes)))
+        for column, node in enumerate(nodes):
+            table = mi.Float(np.ascontiguousarray(black[:, node]))
+            emissivity = mi.Float(spectrum.emissivity[:, node].astype(np.float32))
+            leaving, epsilon = dr.zeros(mi.Float, count), dr.zeros(mi.Float, count)
+            for position, kind in places:
+                lower = mi.UInt32(dr.clip(position, 0.0, float(len(grid) - 2)))
+                planck = dr.lerp(*(dr.gather(mi.Float, table, lower + k) for k in (0, 1)), position - mi.Float(lower))
+                here = dr.gather(mi.Float, emissivity, mi.UInt32(kind))
+                leaving, epsilon = leaving + planck * here, epsilon + here
+                dr.eval(leaving, epsilon)
+            emitted[:, column] = np.array(leaving, dtype=np.float64) / len(places)
+            reflectance[:, column] = 1.0 - np.array(epsilon, dtype=np.float64) / len(places)
+        yield emitted, reflectance
 
 
 def emitted(plan, materials, material, temperature):
@@ -127,9 +130,10 @@ def bake_channel(geometry, covers, emitted, material, light):
 def light(incident, reflected):
     """Return the radiance that each material reflects on each face, (F, M) float32 [W m⁻² sr⁻¹].
 
-    `incident` is that of each face at each node, (F, N) [W m⁻² sr⁻¹], `reflected` a material's share of each, (M, N).
+    `incident` is that of each face at each node, (F, N) float32 [W m⁻² sr⁻¹], `reflected` a material's share of each,
+    (M, N).
     """
-    return (incident @ reflected.T).astype(np.float32)
+    return incident @ reflected.T.astype(np.float32)
 
 
 def variation(geometry, reflected, noise, samples=2000, seed=0):
