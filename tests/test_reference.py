@@ -73,3 +73,21 @@ def test_refusals(tmp_path):
     bent = replace(scene, camera=replace(scene.camera, distortion=(0.01, 0, 0, 0, 0)))
     with pytest.raises(ThermorenderError, match="the reference engine has no distortion"):
         reference.render(bent, np.eye(4))
+
+
+@pytest.mark.parametrize("height_m", [30.0, 3000.0])
+def test_a_wall_reflects_the_same_horizon_from_any_height(tmp_path, height_m):
+    """Half of what a steep wall reflects is sky, whatever the height of the camera that looks at it."""
+    tilt = np.radians(70.0)
+    wall = trimesh.Trimesh([[-20, -20, 0], [20, -20, 0], [20, 20, 0], [-20, 20, 0]], [[0, 1, 2], [0, 2, 3]])
+    wall.apply_transform(trimesh.transformations.rotation_matrix(tilt, [1, 0, 0]))
+    scene = small(tr.load_scene(write_mesh(tmp_path / "s", wall, 300.0, 0.2, sky=220.0)))
+    # A telescope: the wall, seen from above, fills the picture.
+    camera = replace(scene.camera, focal_length_mm=scene.camera.focal_length_mm * height_m / 8.0)
+    scene = replace(scene, camera=camera)
+    radiance = reference.render(scene, tr.pose(0, 0, height_m, pitch_deg=-90), samples=256)
+    sky, around, own = band_radiance(np.array([220.0, scene.surroundings_temperature, 300.0]), *BAND)
+    up = 0.5 * (1.0 + np.cos(tilt))
+    exact = 0.2 * own + 0.8 * (up * sky + (1.0 - up) * around)
+    error = radiance - exact
+    assert abs(error.mean()) < 4 * error.std() / np.sqrt(error.size) + 5.0 * MILLIKELVIN < 40.0 * MILLIKELVIN

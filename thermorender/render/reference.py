@@ -12,6 +12,7 @@ import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import C1L, C2
+from thermorender.render.device import box_of
 from thermorender.render.mirrors import directional
 from thermorender.render.renderer import checked_pose
 from thermorender.render.variant import activate
@@ -119,7 +120,9 @@ def mitsuba_scene(mi, scene, pose, integrator, depth):
     """Return the Mitsuba scene of stock plugins and the thermal texture, for the active spectral variant."""
     scene.refuse_unwarmed()
     name = f"thermal{next(_NAMES)}"
-    _register(mi, name, scene, height=float(pose[2, 3]))
+    limits = box_of(scene)
+    middle = float(limits[:, 2].mean())
+    _register(mi, name, scene, horizon_m=middle)
     camera = scene.camera
     lower, upper = (1e3 * edge for edge in camera.band_um)
     to_world = pose.copy()
@@ -134,7 +137,7 @@ def mitsuba_scene(mi, scene, pose, integrator, depth):
             "fov": camera.field_of_view_deg[0],
             "fov_axis": "x",
             "near_clip": 1e-3,
-            "far_clip": 1e7,
+            "far_clip": 1e9,
             "to_world": mi.ScalarTransform4f(to_world),
             "sampler": {"type": "multijitter"},
             "film": {
@@ -147,12 +150,12 @@ def mitsuba_scene(mi, scene, pose, integrator, depth):
             },
         },
     }
-    # So large that its horizon is that of every point of the scene to 1e-3 rad.
-    reach = 1e3 * max(float(np.abs(surface.vertices).max()) for surface in scene.surfaces)
+    # So large that its horizon is that of the camera and of every point of the scene to 1e-3 rad.
+    reach = 1e3 * max(float(np.abs(limits).max()), float(np.abs(pose[:3, 3]).max()))
     parts["outside"] = {
         "type": "sphere",
         "radius": reach,
-        "center": [0.0, 0.0, float(pose[2, 3])],
+        "center": [0.0, 0.0, middle],
         "flip_normals": True,
         "bsdf": {"type": "diffuse", "reflectance": {"type": "uniform", "value": 0.0}},
         "emitter": {"type": "area", "radiance": {"type": name, "what": "outside", "surface": 0}},
@@ -187,7 +190,7 @@ def _mesh(mi, name, number, surface, terrain_count):
     return mesh
 
 
-def _register(mi, name, scene, height):
+def _register(mi, name, scene, horizon_m):
     """Register the texture: spectral radiance, emissivity or reflectance of a surface's texels."""
     import drjit as dr
 
@@ -216,7 +219,7 @@ def _register(mi, name, scene, height):
         def eval(self, si, active=True):
             wavelength = si.wavelengths * 1e-3
             if self.what == "outside":
-                up = si.p.z >= height
+                up = si.p.z >= horizon_m
                 warm = [planck(wavelength, t) if t > 0.0 else wavelength * 0.0 for t in outside]
                 return dr.select(up, *warm) & active
             (rows, columns), temperature, material = maps[self.surface]
