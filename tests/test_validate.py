@@ -197,15 +197,19 @@ def test_open_cavity_against_the_closed_form_of_its_polyhedron(emissivity):
 def test_convergence_measures_what_is_missing_only(tmp_path, monkeypatch):
     monkeypatch.setattr(convergence, "QUALITIES", {"standard": (1, 4, np.inf)})
     engine = "stock direct, BSDF samples"
-    mode = convergence.Mode((16, 12), ("nadir",), 4, (engine,), (1,), ((1, 1, np.inf),), (4,), (50.0,), (), 0.0)
+    sampling, rays = ((1, 1, np.inf),), (4,)
+    mode = convergence.Mode((16, 12), ("nadir",), (20000.0,), 4, (engine,), (1,), sampling, rays, (50.0,), (), 0.0)
     scene = small(bench.terrain(200))
     first = convergence.convergence((scene,), tmp_path, mode=mode)
-    names = {record["setting"]: record for record in first.values()}
+    names = {record["setting"]: record for record in first.values() if record.get("view") != "20000 m"}
     assert names["1 · 1 · inf mK"]["sampling_mk"] >= 0.0 and names["1 · 1 · inf mK"]["seconds"] > 0.0
     # One path per pixel errs by far more than one ray: its wavelength is random too.
     (stock,) = (record for record in first.values() if record["engine"] == engine)
     assert stock["error_mk"] > 100.0 > names["1 · 1 · inf mK"]["sampling_mk"]
-    assert sum(record.get("default", False) for record in first.values()) == 1
+    assert sum(record.get("default", False) for record in first.values()) == 2
+    # From afar most of the window is void, which has no error and counts for nothing.
+    far = [record for record in first.values() if record.get("view") == "20000 m"]
+    assert {record["group"] for record in far} == {"sampling"} and min(r["sampling_mk"] for r in far) > 200.0
     assert "1 · 1 · inf mK" in (tmp_path / "convergence.md").read_text(encoding="utf-8")
     assert (tmp_path / "figures" / f"convergence_{scene.name}.png").stat().st_size > 5000
     monkeypatch.setattr(convergence._Site, "measure", lambda *_, **__: pytest.fail("measured a case that was there"))

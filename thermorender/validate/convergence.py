@@ -44,6 +44,9 @@ class Mode:
     window : (2,) int
         Width and height of the part of the image, around its middle, whose error is taken [px].
     views : tuple of str
+        Of `bench.views`.
+    far_m : tuple of float
+        Heights from which, straight down, the error against sampling is looked at as well [m].
     reference_paths : int
         Paths per pixel of each of the two reference renders.
     engines, stock : tuples of str and int
@@ -63,6 +66,7 @@ class Mode:
 
     window: tuple
     views: tuple
+    far_m: tuple
     reference_paths: int
     engines: tuple
     stock: tuple
@@ -77,6 +81,7 @@ MODES = {
     "quick": Mode(
         window=(96, 80),
         views=("oblique",),
+        far_m=(),
         reference_paths=256,
         engines=("stock direct, BSDF samples",),
         stock=(1, 4),
@@ -89,6 +94,7 @@ MODES = {
     "full": Mode(
         window=(160, 128),
         views=("oblique",),
+        far_m=(1200.0, 10000.0),
         reference_paths=1024,
         engines=tuple(STOCK),
         stock=(1, 4, 16, 64),
@@ -172,8 +178,8 @@ def _read(path, settings):
 def _cases(site, mode):
     """(name, function that measures it) of every case of a scene."""
 
-    def named(engine, group, setting, **more):
-        for view in mode.views:
+    def named(engine, group, setting, views=mode.views, **more):
+        for view in views:
             key = {"scene": site.scene.name, "view": view, "engine": engine, "group": group, "setting": setting}
             yield "/".join(key.values()), lambda key=key: {**key, **site.measure(view=key["view"], **more)}
 
@@ -183,7 +189,7 @@ def _cases(site, mode):
         name = named_settings.get(numbers)
         label = f"{numbers[0]} · {numbers[1]} · {numbers[2]:g} mK" + (f" ({name})" if name else "")
         keywords = dict(zip(("samples", "taps", "edge_mk"), numbers, strict=True))
-        yield from named(OWN, "sampling", label, keywords=keywords, default=name == DEFAULT)
+        yield from named(OWN, "sampling", label, tuple(site.poses), keywords=keywords, default=name == DEFAULT)
     for rays in mode.rays:
         yield from named(OWN, "bake rays", f"{rays} rays", keywords={"quality": "high", "rays": rays}, anew=True)
     for tolerance in mode.tolerances_mk:
@@ -204,7 +210,8 @@ class _Site:
         self.scene, self.mode, self.device = scene, mode, device
         width, height = mode.window
         self.part = replace(scene, camera=replace(scene.camera, width=width, height=height))
-        self.poses = bench.views(scene)
+        self.poses = {view: bench.views(scene)[view] for view in mode.views}
+        self.poses |= {f"{height:g} m": bench.views(scene, height)["nadir"] for height in mode.far_m}
         self.sigma = optics_sigma_px(scene.camera)
         self.own = {"rays": mode.rays[0], "tolerance_mk": mode.tolerances_mk[0], "device": device}
         self.forget()
@@ -213,6 +220,7 @@ class _Site:
         """Let go of renderers and images."""
         self.base = cache(lambda: Renderer(self.scene, **self.own))
         self.truth = cache(self._truth)
+        self.seen = cache(self._seen)
         self.finest = cache(self._finest)
         self.stock = cache(lambda view: Stock(self.scene, self.poses[view], self.device))
         self._baked = None
@@ -238,7 +246,8 @@ class _Site:
             found = {"seconds": seconds, "bake_s": bake_s, "default": default, "sampling_mk": None, "budget_mk": budget}
         image = self._middle(image)
         if keywords and not anew:
-            found["sampling_mk"] = rms_mk(image, self.finest(view), self.scene.camera)
+            seen = self.seen(view)
+            found["sampling_mk"] = rms_mk(image[seen], self.finest(view)[seen], self.scene.camera)
         return {
             **found, **self._error(image, view, "error", 0.0), **self._error(image, view, "optics_error", self.sigma)
         }  # fmt: skip
@@ -269,17 +278,23 @@ class _Site:
         pose, paths = self.poses[view], self.mode.reference_paths
         return [reference.render(self.part, pose, samples=paths, seed=seed, device=self.device) for seed in (1, 2)]
 
+    def _seen(self, view):
+        """Which pixels of the window show a surface in their middle, bool."""
+        part = Renderer(self.part, **self.own, like=self.base())
+        return np.isfinite(part.frame(self.poses[view]).truth["depth"])
+
     def _finest(self, view):
         part = Renderer(self.part, **self.own, like=self.base())
         return converged(part, self.poses[view], self.own)
 
     def _error(self, image, view, name, sigma):
-        """RMS error [mK], and the lower and upper end of its range of two standard errors."""
+        """RMS error of pixels that show a surface [mK], and its range of two standard errors."""
         images = [np.asarray(image, np.float64), *self.truth(view)]
-        scale = mk_per_radiance(images[1], self.scene.camera.band_um)
+        seen = self.seen(view)
+        scale = mk_per_radiance(images[1][seen], self.scene.camera.band_um)
         if sigma:
             images = [after_optics(one, sigma) for one in images]
-        square, standard_error = reference.squared_error(*images)
+        square, standard_error = reference.squared_error(*(one[seen] for one in images))
         low, middle, high = (float(scale * np.sqrt(max(square + k * standard_error, 0.0))) for k in (-2, 0, 2))
         return {f"{name}_mk": middle, f"{name}_range_mk": [low, high]}
 

@@ -24,12 +24,12 @@ def table(path, cases, settings):
     lines = [
         "# Error against run time",
         "",
-        f"Seconds of a whole frame without noise; RMS error over its middle {width}×{height} pixels against two",
-        f"independent path-traced renders of {paths} paths per pixel, free of their noise, with its range",
-        "of two standard errors. Settings of thermorender are rays per pixel · texture taps per ray · error from",
-        "which on a pixel at an edge gets more rays (inf: never). Sampling: against the same renderer with 256",
-        "rays per pixel. Budget: what the frame itself says of its error. Bold: no other setting is both faster and",
-        "closer.",
+        f"Seconds of a whole frame without noise; RMS error over those of its middle {width}×{height} pixels",
+        f"that show a surface, against two independent path-traced renders of {paths} paths per pixel, free of",
+        "their noise, with its range of two standard errors. Settings of thermorender are rays per pixel · texture",
+        "taps per ray · error from which on a pixel at an edge gets more rays (inf: never). Sampling: against the",
+        "same renderer with 256 rays per pixel. Budget: what the frame itself says of its error. Bold: no other",
+        "setting is both faster and closer.",
     ]
     scenes = {record["scene"]: None for record in cases.values() if "view" in record}
     for scene in scenes:
@@ -83,9 +83,11 @@ def figure(path, cases, scene):
         for axis, name, what in zip(row, ("error", "optics_error"), ("as rendered", "after the lens"), strict=False):
             _scatter(axis, frames, name)
             axis.set(xlabel="seconds per frame [s]", title=f"{scene.name}, {view}: {what}")
-        _bakes(row[2], [record for record in here if record["group"] in ("bake rays", "nodes")])
+        bakes = [record for record in here if record["group"] in ("bake rays", "nodes")]
+        _bakes(row[2], bakes)
         row[2].set(xlabel="seconds of the bake, once [s]", title=f"{scene.name}, {view}: bake, at quality high")
-        for axis in row:
+        row[2].set_visible(bool(bakes))
+        for axis in row[: 2 + bool(bakes)]:
             axis.axhline(netd, color="0.6", lw=1, ls=":")
             axis.set(xscale="log", yscale="log", ylabel="RMS error [mK]")
             axis.grid(True, which="both", lw=0.3, color="0.85")
