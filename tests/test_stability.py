@@ -13,7 +13,7 @@ from thermorender.validate.stability.cases import Found
 
 
 def test_all_but_heat_hold_and_are_written(tmp_path, call):
-    groups = ("light", "sensor", "air", "maps")
+    groups = ("light", "sensor", "air", "maps", "pixels")
     status, output, _ = call("validate", "stability", *groups, "-o", tmp_path)
     assert status == 0 and "0 of " in output and "FAILS" not in output
     result = json.loads((tmp_path / "stability.json").read_text("utf-8"))

@@ -13,9 +13,9 @@ from thermorender.render.pixels.sampling import STAGES, contrast, edge_estimate,
 
 # Every how many pixels the light's error is looked up.
 _PIXELS = 16
-# Pixels rendered anew, with how many rays: those of the first image, and those that have got more already. Half are
-# drawn evenly, half where the guess is large.
-_AUDITED = ((1024, STAGES[0]), (256, STAGES[-1]))
+# Pixels rendered anew, twice, with how many rays each: those of the first image, those that have got more already, and
+# those that may show something thin. Half are drawn evenly, half where the guess is large.
+_AUDITED = ((1024, STAGES[0]), (256, STAGES[-1]), (256, STAGES[-1]))
 # Standard errors of what these tell that are added to it.
 _SURE = 2.0
 # No guess is smaller [mK].
@@ -105,17 +105,19 @@ def sampling_error(plan, tracer, radiance, sampling):
         thin[part.pixels] = part.within is not None
     guess += (_LEAST_MK * plan.radiance_per_mk) ** 2
     random = np.random.Generator(np.random.Philox(0))
-    # What is thinner than a pixel more rays would tell no better of.
-    found = np.where(thin, np.sqrt(guess), np.nan).astype(np.float32)
-    for part, (count, again) in zip((sampling.hit.ravel() & ~finer, finer & ~thin), _AUDITED, strict=True):
+    found = np.full(guess.shape, np.nan, dtype=np.float32)
+    for part, (count, again) in zip((sampling.hit.ravel() & ~finer, finer & ~thin, thin), _AUDITED, strict=True):
         pixels = np.flatnonzero(part)
         if not pixels.size:
             continue
         known = guess[pixels].astype(np.float64)
         chance = 0.5 / pixels.size + 0.5 * known / known.sum()
         drawn = random.choice(pixels.size, count, p=chance)
-        difference = radiance.ravel()[pixels[drawn]] - tracer.anew(pixels[drawn], again)[0]
-        square = difference.astype(np.float64) ** 2 / (chance[drawn] * pixels.size)
-        mean = square.mean() + _SURE * square.std() / np.sqrt(count)
-        found[pixels] = np.sqrt(known * (mean / known.mean()))
+        pixels_drawn = pixels[drawn]
+        off = [radiance.ravel()[pixels_drawn] - tracer.anew(pixels_drawn, again, random)[0] for _ in range(2)]
+        # Rendered twice, what the two err by themselves does not add up; see `reference.squared_error`.
+        square = off[0].astype(np.float64) * off[1] / (chance[drawn] * pixels.size)
+        mean = max(square.mean() + _SURE * square.std() / np.sqrt(count), 0.0)
+        # Rays may miss what is thin, and then tell nothing against the guess.
+        found[pixels] = np.sqrt(known * max(mean / known.mean(), float(part is thin)))
     return found.reshape(radiance.shape)

@@ -76,19 +76,17 @@ class Reading:
     many : int
     share : float
         Of a pixel that is a cell.
-    square : float
-        Side of the squares read, of the share of the cell that a place has.
     """
 
-    def __init__(self, mi, few, many, share, square=SQUARE):
-        self._mi, self._few, self._many, self._square = mi, few, many, square
+    def __init__(self, mi, few, many, share):
+        self._mi, self._few, self._many = mi, few, many
         self._limit = _FEW_TEXELS**2 * share
         offsets = places(few) + (places(many) if many != few else [])
         self._offsets = [mi.Float([place[axis] for place in offsets]) for axis in (0, 1)]
 
     def level(self, area, count, levels):
         """Return the level of squares to read at `count` places of a cell that holds `area` texels, UInt32."""
-        level = 0.5 * dr.log2(dr.maximum(area * (self._square**2 / count), 1e-30)) + 0.5
+        level = 0.5 * dr.log2(dr.maximum(area * (SQUARE**2 / count), 1e-30)) + 0.5
         return self._mi.UInt32(dr.clip(level, 0.0, levels - 0.5))
 
     def mean(self, geometry, channels, hit, position, on_map, middle):

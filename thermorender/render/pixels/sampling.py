@@ -111,11 +111,11 @@ class CameraRays:
         slope = [dr.fma(right - 0.5, across[axis], dr.fma(down - 0.5, along[axis], middle[axis])) for axis in (0, 1)]
         return slope, across, along
 
-    def finer(self, position, first, last, within=None, fresh=False):
+    def finer(self, position, first, last, within=None, shift=None):
         """Return the Footprints of rays first … last − 1 of the pixels at `position`, side by side per pixel.
 
         The pixel, or its part `within`, is cut into as many cells as `last`, of which each has the one its ray stands
-        in; `fresh`: at other places in these.
+        in.
 
         Parameters
         ----------
@@ -124,7 +124,8 @@ class CameraRays:
         first, last : int
         within : Rectangles, optional
             One for each pixel.
-        fresh : bool
+        shift : (n, 2), optional
+            By how much the rays of each pixel are shifted, round it, in sides of it.
         """
         mi = self._mi
         # Opaque numbers: as literals they would have the kernel compiled anew for each stage.
@@ -133,11 +134,10 @@ class CameraRays:
         pixel = ray // count
         index = dr.gather(mi.UInt32, mi.UInt32(position.astype(np.uint32)), pixel)
         offset = [dr.gather(mi.Float, values, ray % count + start) for values in self._net]
-        if fresh:
-            offset = [1.0 - offset[1], offset[0]]
         if within is not None:
             # A thing stands in the middle of its rectangle, where the same net would err alike each time.
             shift = (position[:, None] * _GOLDEN) % 1.0
+        if shift is not None:
             shift = [dr.gather(mi.Float, mi.Float(part.astype(np.float32)), pixel) for part in shift.T]
             offset = [value + by - dr.floor(value + by) for value, by in zip(offset, shift, strict=True)]
         side = dr.opaque(mi.Float, last**0.5)
@@ -176,6 +176,10 @@ class Footprint:
     across: list
     along: list
     middle: list
+
+    def points(self):
+        """Return the same rays with cells that are points."""
+        return Footprint(self.slope, [0.0, 0.0], [0.0, 0.0], [0.0, 0.0])
 
 
 def places(count):

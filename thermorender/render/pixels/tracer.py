@@ -12,7 +12,7 @@ import numpy as np
 
 from thermorender.render import mirrors
 from thermorender.render.geometry import Hit, view_ray
-from thermorender.render.pixels.footprint import PLACES, SQUARE, OnMap, Reading
+from thermorender.render.pixels.footprint import PLACES, OnMap, Reading
 from thermorender.render.pixels.sampling import STAGES, UNSEEN, edge_step, typical_edge_estimate
 from thermorender.render.pixels.slender import Rectangles
 
@@ -83,8 +83,7 @@ class Tracer:
         self._layers, self.rays, self._medium = layers, rays, medium
         self._samples, self._mi = plan.samples, layers[0].geometry.mi
         self._reading = Reading(self._mi, plan.taps, max(plan.taps, PLACES), 1.0 / plan.samples)
-        # To judge others: many places, and squares that leave nothing out between them.
-        self._once, self._judge = Reading(self._mi, 1, 1, 1.0), Reading(self._mi, PLACES, PLACES, 1.0, 2.0 * SQUARE)
+        self._once = Reading(self._mi, 1, 1, 1.0)
 
     def image(self, edge_limit):
         """Return (image (channels, H, W) float32, Sampling): the mean over each pixel's rays of what they see.
@@ -127,12 +126,14 @@ class Tracer:
             refined += self._refine(flat, thin.pixels, np.zeros(len(thin.pixels)), edge_limit, thin)
         return image, Sampling(guide[0] > 0.0, step, refined)
 
-    def anew(self, pixels, count):
-        """Return (channels, n): the mean over `count` rays of pixels by flat number, judged by nothing an image judges.
+    def anew(self, pixels, count, random):
+        """Return (channels, n): the mean over `count` rays of pixels by flat number, read where they hit, nowhere else.
 
-        Rays are other ones than those of `image`, and their cells are read at other places, and more finely.
+        Rays stand where a random generator puts them: the mean errs, but by nothing that an image errs by.
         """
-        _, values = self._shade(self.rays.finer(self.rays.position[pixels], 0, count, fresh=True), self._judge)
+        shift = random.random((len(pixels), 2))
+        rays = self.rays.finer(self.rays.position[pixels], 0, count, shift=shift).points()
+        _, values = self._shade(rays, self._once)
         return np.stack([np.array(dr.block_sum(value, count)) for value in values]) / count
 
     def slopes(self, sampling):
