@@ -99,3 +99,22 @@ def test_the_budget_knows_the_error_from_any_height(tmp_path, up, pitch_deg):
     error = (frame.radiance - converged(renderer, pose, {"rays": 8}))[shown] / renderer.plan.radiance_per_mk
     true = float(np.sqrt((error**2).mean()))
     assert true < frame.budget_mk["sampling"] < 3 * true
+
+
+def test_the_budget_knows_what_footprints_err_by_alike(tmp_path):
+    """Slopes that face the camera are warm and hide cold ones, into which footprints reach from afar."""
+    row = np.arange(256)
+    height = np.broadcast_to(2.0 * (row % 2)[:, None], (256, 256))
+    # Texels half a post wide: two warm rows, two cold ones.
+    warm = np.broadcast_to(np.where(np.arange(512) // 2 % 2 == 0, 320.0, 280.0)[:, None], (512, 512))
+    scene = tr.load_scene(write_terrain(tmp_path / "s", height=height, temperature=warm))
+    renderer, up = tr.Renderer(scene, rays=8), 4000.0
+    for yaw_deg in (0.0, 180.0):
+        away = up / np.tan(np.radians(30.0)) * (-1.0 if yaw_deg == 0.0 else 1.0)
+        pose = tr.pose(0, away, up, yaw_deg=yaw_deg, pitch_deg=-30.0)
+        frame = renderer.frame(pose)
+        shown = np.isfinite(frame.error_mk)
+        error = (frame.radiance - converged(renderer, pose, {"rays": 8}))[shown] / renderer.plan.radiance_per_mk
+        true = float(np.sqrt((error**2).mean()))
+        assert shown.sum() > 200
+        assert abs(error.mean()) > 0.3 * true and true < frame.budget_mk["sampling"] < 3 * true
