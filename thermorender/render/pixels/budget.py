@@ -16,8 +16,8 @@ _PIXELS = 16
 # Pixels rendered anew, twice, with how many rays each: those of the first image, those that have got more already, and
 # those that may show something thin. Half are drawn evenly, half where the guess is large.
 _AUDITED = ((1024, STAGES[0]), (256, STAGES[-1]), (256, STAGES[-1]))
-# Standard errors of what these tell that are added to it.
-_SURE = 2.0
+# Standard errors of what these tell that are added to it: the few that err most are seldom drawn.
+_SURE = 3.0
 # No guess is smaller [mK].
 _LEAST_MK = 1.0
 

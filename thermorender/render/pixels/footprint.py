@@ -14,6 +14,8 @@ from thermorender.render.pixels.sampling import places
 
 # Places of a ray in a pixel that holds more texels a side than this; where it holds fewer the plan's taps do.
 PLACES, _FEW_TEXELS = 16, 1.2
+# A judge reads cells of up to so many texels a side at many places: faces are hardly smaller.
+_JUDGED_TEXELS = 2.5
 # Side of the squares read, of the share of the cell that a place has; measured on heath from 20 m to 3 km.
 SQUARE = 0.7
 # A plane that a cell meets at this share of its middle's distance is met no nearer: it is seen edge-on.
@@ -76,11 +78,14 @@ class Reading:
     many : int
     share : float
         Of a pixel that is a cell.
+    judges : bool
+        Whether texels alone are read, no squares of them, and cells larger than a face may be at the hit alone: what
+        lies round it may be hidden.
     """
 
-    def __init__(self, mi, few, many, share):
-        self._mi, self._few, self._many = mi, few, many
-        self._limit = _FEW_TEXELS**2 * share
+    def __init__(self, mi, few, many, share, judges=False):
+        self._mi, self._few, self._many, self._judges = mi, few, many, judges
+        self._limit = _JUDGED_TEXELS**2 if judges else _FEW_TEXELS**2 * share
         offsets = places(few) + (places(many) if many != few else [])
         self._offsets = [mi.Float([place[axis] for place in offsets]) for axis in (0, 1)]
 
@@ -98,7 +103,9 @@ class Reading:
         several = on_map.area > self._limit
         count = dr.select(several, mi.UInt32(self._many), self._few)
         first = dr.select(several, mi.UInt32(len(self._offsets[0]) - self._many), 0)
-        level = self.level(on_map.area, mi.Float(count), geometry.levels)
+        level = self.level(on_map.area, mi.Float(count), 1 if self._judges else geometry.levels)
+        if self._judges:
+            middle = [dr.select(several, 0.0, value) for value in middle]
         read = self._read(geometry, channels, hit, level)
         active = hit.valid
 

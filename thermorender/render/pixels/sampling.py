@@ -125,7 +125,7 @@ class CameraRays:
         within : Rectangles, optional
             One for each pixel.
         shift : (n, 2), optional
-            By how much the rays of each pixel are shifted, round it, in sides of it.
+            By how much the rays of each pixel are shifted, each round its cell, in sides of that.
         """
         mi = self._mi
         # Opaque numbers: as literals they would have the kernel compiled anew for each stage.
@@ -136,11 +136,13 @@ class CameraRays:
         offset = [dr.gather(mi.Float, values, ray % count + start) for values in self._net]
         if within is not None:
             # A thing stands in the middle of its rectangle, where the same net would err alike each time.
-            shift = (position[:, None] * _GOLDEN) % 1.0
-        if shift is not None:
-            shift = [dr.gather(mi.Float, mi.Float(part.astype(np.float32)), pixel) for part in shift.T]
-            offset = [value + by - dr.floor(value + by) for value, by in zip(offset, shift, strict=True)]
+            offset = _round(mi, offset, (position[:, None] * _GOLDEN) % 1.0, pixel)
         side = dr.opaque(mi.Float, last**0.5)
+        if shift is not None:
+            cell = [dr.floor(value * side) for value in offset]
+            inner = [value * side - first for value, first in zip(offset, cell, strict=True)]
+            inner = _round(mi, inner, shift, pixel)
+            offset = [(first + value) / side for first, value in zip(cell, inner, strict=True)]
         middle = [dr.floor(value * side) + 0.5 - value * side for value in offset]
         size = [1.0 / side, 1.0 / side]
         if within is not None:
@@ -177,9 +179,12 @@ class Footprint:
     along: list
     middle: list
 
-    def points(self):
-        """Return the same rays with cells that are points."""
-        return Footprint(self.slope, [0.0, 0.0], [0.0, 0.0], [0.0, 0.0])
+
+def _round(mi, values, shift, index):
+    """(x, y) in 0…1, shifted by those of `shift` (n, 2) at `index` and round."""
+    by = (dr.gather(mi.Float, mi.Float(part.astype(np.float32)), index) for part in np.asarray(shift).T)
+    total = [value + each for value, each in zip(values, by, strict=True)]
+    return [value - dr.floor(value) for value in total]
 
 
 def places(count):

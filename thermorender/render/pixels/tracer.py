@@ -83,7 +83,7 @@ class Tracer:
         self._layers, self.rays, self._medium = layers, rays, medium
         self._samples, self._mi = plan.samples, layers[0].geometry.mi
         self._reading = Reading(self._mi, plan.taps, max(plan.taps, PLACES), 1.0 / plan.samples)
-        self._once = Reading(self._mi, 1, 1, 1.0)
+        self._once, self._judge = Reading(self._mi, 1, 1, 1.0), Reading(self._mi, PLACES, 1, 1.0, judges=True)
 
     def image(self, edge_limit):
         """Return (image (channels, H, W) float32, Sampling): the mean over each pixel's rays of what they see.
@@ -127,13 +127,12 @@ class Tracer:
         return image, Sampling(guide[0] > 0.0, step, refined)
 
     def anew(self, pixels, count, random):
-        """Return (channels, n): the mean over `count` rays of pixels by flat number, read where they hit, nowhere else.
+        """Return (channels, n): the mean over `count` rays of pixels by flat number, each read as a judge does.
 
         Rays stand where a random generator puts them: the mean errs, but by nothing that an image errs by.
         """
         shift = random.random((len(pixels), 2))
-        rays = self.rays.finer(self.rays.position[pixels], 0, count, shift=shift).points()
-        _, values = self._shade(rays, self._once)
+        _, values = self._shade(self.rays.finer(self.rays.position[pixels], 0, count, shift=shift), self._judge)
         return np.stack([np.array(dr.block_sum(value, count)) for value in values]) / count
 
     def slopes(self, sampling):
