@@ -112,12 +112,13 @@ def sampling_error(plan, tracer, radiance, sampling):
             continue
         known = guess[pixels].astype(np.float64)
         chance = 0.5 / pixels.size + 0.5 * known / known.sum()
-        drawn = random.choice(pixels.size, count, p=chance)
-        pixels_drawn = pixels[drawn]
-        off = [radiance.ravel()[pixels_drawn] - tracer.anew(pixels_drawn, again, random)[0] for _ in range(2)]
+        number = random.choice(pixels.size, count, p=chance)
+        drawn = pixels[number]
+        off = [radiance.ravel()[drawn] - tracer.anew(drawn, again, random)[0] for _ in range(2)]
         # Rendered twice, what the two err by themselves does not add up; see `reference.squared_error`.
-        square = off[0].astype(np.float64) * off[1] / (chance[drawn] * pixels.size)
+        square = off[0].astype(np.float64) * off[1] / (chance[number] * pixels.size)
         mean = max(square.mean() + _SURE * square.std() / np.sqrt(count), 0.0)
         # Rays may miss what is thin, and then tell nothing against the guess.
-        found[pixels] = np.sqrt(known * max(mean / known.mean(), float(part is thin)))
+        least = 1.0 if part is thin else 0.0
+        found[pixels] = np.sqrt(known * max(mean / known.mean(), least))
     return found.reshape(radiance.shape)
