@@ -48,7 +48,7 @@ NewResults = Annotated[
     Path, output_option("-o", "--output", help="New folder for the results.", check=files.check_new_folder)
 ]
 Seed = Annotated[int, typer.Option(help="Seed of the sensor's noise.")]
-Quality = Annotated[str, typer.Option(help="fast, standard or high: how finely pixels and the light on faces are sampled.")]
+Quality = Annotated[str, typer.Option(help="fast, standard or high: how finely pixels and light are sampled.")]
 Tolerance = Annotated[float, typer.Option(help="Error allowed to the spectral nodes [mK].")]
 Rays = Annotated[int | None, typer.Option(help="Rays per face for the light between surfaces, not the quality's.")]
 Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
