@@ -15,6 +15,7 @@ from thermorender.output.exr import read_exr
 from thermorender.output.flight import fly
 from thermorender.output.images import write_image
 from thermorender.scene.spec import TemperatureSpec
+from thermorender.sensor.detector import row_delays
 from thermorender.sensor.display import DisplaySettings
 from thermorender.sensor.radiometry import ThermographySettings
 
@@ -191,17 +192,53 @@ def test_what_a_pixel_errs_by_stands_beside_it_on_request(setting, tmp_path):
         fly(renderer, path, tmp_path / "h", products=("error", "counts"))
 
 
-def test_what_moves_by_itself_is_rendered_at_each_instant(tmp_path):
-    folder = write_terrain(tmp_path / "scene", extra=MARKER + 'track = "marker.csv"\n')
-    (folder / "marker.csv").write_text("time_s,east_m\n0,-1\n1,1\n")
+def flown_over(tmp_path, name, track, path, **keywords):
+    folder = write_terrain(tmp_path / name, extra=MARKER + 'track = "marker.csv"\n')
+    (folder / "marker.csv").write_text(track)
     renderer = tr.Renderer(tr.load_scene(folder), rays=4, samples=1)
+    fly(renderer, path, tmp_path / f"{name} flown", products=("counts",), **keywords)
+    lines = (tmp_path / f"{name} flown" / "frames.jsonl").read_text().splitlines()
+    return renderer, [json.loads(line)["plan"]["sensor"] for line in lines]
+
+
+def test_what_moves_by_itself_is_followed_in_its_part_of_the_image(tmp_path):
     path = tr.Trajectory(np.array([0.0, 1.0]), np.array([[-1.0, 0, 12], [1.0, 0, 12]]), np.array([[0, 1.0, 0, 0]] * 2))
     for name in ("a", "b"):
-        fly(renderer, path, tmp_path / name, rate_hz=2.0, products=("counts",))
-    told = [json.loads(line)["plan"]["sensor"] for line in (tmp_path / "a/frames.jsonl").read_text().splitlines()]
-    # At the start the camera has stood still; from then on it passes over the marker at 1.3 pixels a time constant.
-    assert told[0]["instants"] == 1 and told[1]["renders"] == told[1]["instants"] > 5
-    assert contents(tmp_path / "a") == contents(tmp_path / "b")
+        _, told = flown_over(tmp_path / name, "scene", "time_s,east_m\n0,1\n1,-1\n", path, rate_hz=2.0)
+    # Camera and marker pass each other.
+    assert told[1]["motion_px"] == pytest.approx(1.3, abs=0.1) and told[1]["renders"] >= told[1]["instants"] > 5
+    first, second = (contents(tmp_path / name / "scene flown") for name in ("a", "b"))
+    assert {name for name in first if first[name] != second[name]} == {"flight.json"}
+
+
+@pytest.mark.parametrize("rate_hz", [9.0, 30.0])
+def test_a_marker_that_warms_is_read_by_rows_at_their_own_time(tmp_path, rate_hz):
+    """The same noise in all three flights: what is left of their differences is the marker's."""
+    import cv2
+
+    path = tr.Trajectory(np.array([0.0, 1.0]), np.array([[0.1, 0, 2], [0.1, 0, 2]]), np.array([[0, 1.0, 0, 0]] * 2))
+    frame = int(rate_hz * 0.5)
+    step_s = frame / rate_hz - 0.011
+    tracks = {
+        "cold": "0,300\n",
+        "warm": "0,330\n",
+        "step": f"0,300\n{step_s:.9f},300\n{step_s + 1e-6:.9f},330\n1,330\n",
+    }
+    counts = {}
+    for name, rows in tracks.items():
+        track = "time_s,temperature_k\n" + rows
+        renderer, _ = flown_over(tmp_path, name, track, path, rate_hz=rate_hz, stop_s=(frame + 0.5) / rate_hz)
+        image = cv2.imread(str(tmp_path / f"{name} flown/frame_{frame:06d}_counts.png"), cv2.IMREAD_UNCHANGED)
+        counts[name] = image.astype(float)
+    span = counts["warm"] - counts["cold"]
+    shown = span > 0.95 * span.max()
+    rows = np.flatnonzero(shown.sum(axis=1) > 3)
+    assert len(rows) > 8
+    camera = renderer.scene.camera
+    since = row_delays(camera, 1.0 / rate_hz) + 0.011
+    for row in rows:
+        share = ((counts["step"] - counts["cold"])[row, shown[row]] / span[row, shown[row]]).mean()
+        assert share == pytest.approx(-np.expm1(-max(since[row], 0.0) / camera.time_constant_s), abs=2.0 / span.max())
 
 
 def test_resume_refuses_other_settings(setting, tmp_path):

@@ -159,9 +159,9 @@ def rocket(time_s):
 def exposure(camera, path, rate_hz=30.0, render_px=20.0):
     rendered = []
 
-    def radiance_at(time_s):
+    def radiance_at(time_s, seen_by):
         rendered.append(time_s)
-        return textured(camera, path(time_s))
+        return textured(seen_by, path(time_s))
 
     return Exposure(Sensor(camera, 0), radiance_at, path, lambda pose: 0.0, 1.0 / rate_hz, render_px), rendered
 

@@ -7,6 +7,7 @@ written in turn, until the flight is done; where it is lost, a resume takes the 
 again. Temperatures of a heat balance go with the flight's time; see `thermorender.output.timed`.
 """
 
+import itertools
 import json
 import zipfile
 from collections.abc import Callable, Sequence
@@ -27,9 +28,11 @@ from thermorender.output.photograph import photograph
 from thermorender.output.record import made_by, record, weather_of
 from thermorender.output.timed import STEP_S, TimedRenderer
 from thermorender.scene.load import Scene
+from thermorender.scene.tracks import TrackedObject
 from thermorender.sensor.chain import sensor_of
 from thermorender.sensor.display import DisplaySettings
-from thermorender.sensor.exposure import RENDER_PX, Exposure
+from thermorender.sensor.exposure import Exposure
+from thermorender.sensor.movers import Mover
 from thermorender.sensor.radiometry import ThermographySettings
 from thermorender.trajectory.path import Trajectory
 from thermorender.units import utc_text
@@ -252,18 +255,27 @@ def _exposure(timed: TimedRenderer, renderer: "Renderer", trajectory: Trajectory
 
     return Exposure(
         sensor_of(scene.camera, renderer.seed),
-        lambda time_s: timed.at(time_s).radiance(pose_at(time_s), time_s),
+        lambda time_s, camera: timed.at(time_s).radiance(pose_at(time_s), time_s, camera=camera),
         pose_at,
         ground_at,
         interval_s,
-        # Objects that move by themselves do not move as the ground does.
-        render_px=0.0 if scene.tracked_objects else RENDER_PX,
+        movers=[_mover(tracked, scene) for tracked in scene.tracked_objects],
     )
 
 
-def _taken(
-    timed: TimedRenderer, exposure: Exposure, pose: NDArray[np.float64], time_s: float, index: int
-) -> Frame:
+def _mover(tracked: TrackedObject, scene: Scene) -> Mover:
+    """An object with a track, as the sensor follows it."""
+    corner = np.concatenate([surface.vertices for surface in tracked.surfaces]).astype(np.float64)
+    box = np.array(list(itertools.product(*zip(corner.min(axis=0), corner.max(axis=0), strict=True))))
+
+    def corners_at(time_s: float) -> NDArray[np.float64]:
+        pose = tracked.world_from_own(tracked.at(time_s), scene.ground)
+        return box @ pose[:3, :3].T + pose[:3, 3]
+
+    return Mover(corners_at, lambda time_s: tracked.at(time_s)["temperature_k"], tracked.time_s)
+
+
+def _taken(timed: TimedRenderer, exposure: Exposure, pose: NDArray[np.float64], time_s: float, index: int) -> Frame:
     """One frame of the flight at its own time, with what its sensor reads."""
     frame = timed.at(time_s).frame(pose, time_s=time_s, index=index)
     frame = replace(frame, time=timed.time(time_s))

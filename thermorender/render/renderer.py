@@ -36,6 +36,8 @@ from thermorender.sensor.camera import Camera
 
 # Error from which on edge pixels of a visible view get more rays: a share of white, summed over the colours.
 _VISIBLE_EDGE = 0.03
+# Cameras whose rays are in memory.
+_RAYS_KEPT = 4
 # {name of a dynamic object: {column of its track: value}}.
 Objects = Mapping[str, Mapping[str, float]]
 
@@ -164,13 +166,15 @@ class Renderer:
         return self._frame(view, radiance, time_s, index, self.plan.as_dict(), sampling)
 
     def radiance(
-        self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None, through_air: bool = True
-    ) -> NDArray[np.float32]:
+        self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None, through_air: bool = True,
+        camera: Camera | None = None,
+    ) -> NDArray[np.float32]:  # fmt: skip
         """Return the band radiance of `frame` alone, (H, W) float32 [W m⁻² sr⁻¹], without noise or truth.
 
-        Without `through_air` it is what leaves the surfaces towards the camera, lit through the air as ever.
+        Without `through_air` it is what leaves the surfaces towards the camera, lit through the air as ever. `camera`
+        stands in for the scene's, as one that takes a part of its image does; band and air stay the scene's.
         """
-        return self._view(pose, time_s, objects).radiance(through_air)[0]
+        return self._view(pose, time_s, objects, camera).radiance(through_air)[0]
 
     def frame_of(
         self, radiance: NDArray[np.float32], pose: ArrayLike, plan: dict[str, Any], time_s: float = 0.0, index: int = 0,
@@ -286,8 +290,11 @@ class Renderer:
         dr.eval([cast(view_ray(mi, *view, *slope), coherent=True).t for slope in rays])
         dr.sync_thread()
 
-    def _view(self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None) -> "View":
-        return View(self.baked, self._camera_rays(), checked_pose(pose), placements(self.scene, time_s, objects))
+    def _view(
+        self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None, camera: Camera | None = None
+    ) -> "View":
+        placed = placements(self.scene, time_s, objects)
+        return View(self.baked, self._camera_rays(camera), checked_pose(pose), placed)
 
     def _frame(
         self, view: "View", radiance: NDArray[np.float32], time_s: float, index: int, plan: dict[str, Any],
@@ -309,8 +316,11 @@ class Renderer:
     def _camera_rays(self, camera: Camera | None = None) -> CameraRays:
         camera = camera or self.scene.camera
         if camera not in self._rays_of:
-            self._rays_of[camera] = CameraRays(self._geometry.mi, camera)
-        return self._rays_of[camera]
+            # The latest alone: parts of an image that things move in are other ones with each frame.
+            latest = list(self._rays_of.items())[1 - _RAYS_KEPT :]
+            self._rays_of = dict(latest) | {camera: CameraRays(self._geometry.mi, camera)}
+        self._rays_of[camera] = rays = self._rays_of.pop(camera)
+        return rays
 
 
 @dataclass(frozen=True)

@@ -176,6 +176,13 @@ class Camera:
             focal_length_mm=float(focal_mm), principal_offset_px=(0.0, 0.0), distortion=(0.0,) * 5, visible_width=0,
         )  # fmt: skip
 
+    def part(self, rows, columns):
+        """Return the Camera that takes a part of its image alone, given by slices with both ends, on the same axis."""
+        size = columns.stop - columns.start, rows.stop - rows.start
+        middle = columns.start + 0.5 * size[0], rows.start + 0.5 * size[1]
+        offset = tuple(float(point - at) for point, at in zip(self._principal_point, middle, strict=True))
+        return replace(self, width=size[0], height=size[1], principal_offset_px=offset)
+
     @property
     def count_range_k(self):
         """Apparent temperatures of the lowest and the highest count of the gain in use [K]."""

@@ -148,6 +148,12 @@ class Sensor:
         """Return the absorbed power of a radiance image, (H, W) float32 [W]; with `blurred`, of a blurred one."""
         return _through(OPTICS[blurred:], np.array(radiance, np.float32), self, moment)
 
+    def power_law(self, moment):
+        """Return (power without a scene [W], power by its radiance, blurred [W m² sr W⁻¹]), (H, W) float32 each."""
+        none, one = (np.full(self.illumination.shape, value, np.float32) for value in (0.0, 1.0))
+        none, one = (self.power(image, moment, blurred=True) for image in (none, one))
+        return none, one - none
+
     def counts(self, signal, moment):
         """Return the counts of a signal [W] that the pixels have warmed up to, (H, W) uint16."""
         return _through(READOUT, signal.copy(), self, moment)

@@ -9,6 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+# Share of a difference that pixels no longer show.
+SETTLED = 1e-7
+
 
 def absorbed_power(irradiance, camera):
     """Return the power that heats a pixel [W], in the shape of `irradiance` [W m⁻²]."""
@@ -79,7 +82,7 @@ def steady(time_s, power):
 def stepped(state, time_s, power, time_constant_s):
     """Return the PixelState at `time_s` after the power has been as it is now ever since the last instant."""
     old, _, _ = response_weights(time_s - state.time_s, time_constant_s)
-    if old < 1e-7:
+    if old < SETTLED:
         return steady(time_s, power)
     signal = power + np.float32(old) * (state.signal - power)
     return PixelState(float(time_s), signal, power)

@@ -5,16 +5,27 @@ the pixels remember of the frames before. Sub-pixel motion: that image is moved 
 stand best for the exponential past of each row. Fast motion: the power on the pixels is followed through instants
 close to each other, linear in time between them, and the response to that is exact. Few of these instants need a
 rendered image: between renders, an image is moved as the ground moves, and what comes from the render before and the
-render after is blended.
+render after is blended. Things with a course of their own: the part of the image that they cross is followed through
+rendered instants, whatever the camera does (`thermorender.sensor.movers`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from thermorender.physics.planck import band_radiance_derivative
+from thermorender.sensor import movers
 from thermorender.sensor.chain import in_sequence
-from thermorender.sensor.detector import PixelState, advanced, read_rows, row_delays, steady, stepped
+from thermorender.sensor.detector import (
+    SETTLED,
+    PixelState,
+    advanced,
+    read_rows,
+    response_weights,
+    row_delays,
+    steady,
+    stepped,
+)
 from thermorender.sensor.motion import homography, motion_px, moved, pixel_grid, source_pixels
 from thermorender.sensor.noise import NETD_REFERENCE_K
 
@@ -29,10 +40,14 @@ MEMORY = 8.0
 # Estimated error allowed to the spacing of instants [mK], and motion between two renders [px].
 LAG_MK, RENDER_PX = 10.0, 20.0
 # Empirical estimates, no bounds, of the root mean square error over a frame: fitted from above to heath from 100 and
-# 120 m, where radiance changes by 0.7 K per pixel. Of instants d pixels apart at v pixels per time constant: the first
-# times d² min(1, d/v); of images that are moved: the second; of moving one image to a few ages: the third times v².
+# 120 m, where radiance changes by 0.7 K from pixel to pixel, to which the error is proportional. Of instants d pixels
+# apart at v pixels per time constant: the first times d² min(1, d/v); of images that are moved: the second; of moving
+# one image to a few ages: the third times v².
 _INSTANT_MK, _MOVED_MK, _SUBPIXEL_MK = 12.0, 15.0, 42.0
+_FITTED_GRADIENT_MK = 700.0
 MOST_INSTANTS = 400
+# Of the part of an image that a thing crosses, beyond its box [px]: what the lens spreads and it lights nearby.
+_MARGIN_PX = 6
 
 
 def plan_row(camera):
@@ -75,7 +90,8 @@ class Exposure:
     ----------
     sensor : Sensor
     radiance_at : callable
-        Time [s] → (H, W) float32 band radiance then [W m⁻² sr⁻¹].
+        Time [s], Camera → (H, W) float32 band radiance then [W m⁻² sr⁻¹], as that camera sees it: the sensor's, or a
+        part of it.
     pose_at : callable
         Time [s] → (4, 4) world_from_camera.
     ground_at : callable
@@ -87,10 +103,14 @@ class Exposure:
         rendered.
     lag_mk : float
         Estimated error allowed to the spacing of instants [mK].
+    movers : sequence of Mover
+        Things with a course of their own.
     """
 
-    def __init__(self, sensor, radiance_at, pose_at, ground_at, interval_s, render_px=RENDER_PX, lag_mk=LAG_MK):
-        self.sensor, self.interval_s = sensor, interval_s
+    def __init__(
+        self, sensor, radiance_at, pose_at, ground_at, interval_s, render_px=RENDER_PX, lag_mk=LAG_MK, movers=()
+    ):
+        self.sensor, self.interval_s, self._movers = sensor, interval_s, movers
         self._radiance_at, self._pose_at, self._ground_at = radiance_at, pose_at, ground_at
         self._delays = row_delays(sensor.camera, interval_s)
         self._render_px, self._lag_mk = render_px, lag_mk
@@ -126,23 +146,33 @@ class Exposure:
     def signal(self, moment, time_s, radiance):
         """Return (signal (H, W) float32 [W], how it was made) that the read-out of one frame starts from.
 
-        `how` holds motion_px (within a time constant), instants, renders, and lag_mk: estimated error of the lag, root
-        mean square over the frame [mK].
+        `how` holds motion_px (of the view within a time constant), instants, renders (those of a part of the image
+        too), and lag_mk: estimated error of the lag, root mean square over the frame [mK].
         """
-        views, interpolates = self._views(time_s), bool(self._render_px)
-        motion = motion_px(self.sensor.camera, *views)
+        views, interpolates, before = self._views(time_s), bool(self._render_px), self.pixels
+        motion, gradient_mk = motion_px(self.sensor.camera, *views), _gradient_mk(radiance, self.sensor)
+        contrast = gradient_mk / _FITTED_GRADIENT_MK
         if motion <= STATIC_PX:
             signal = self._static(time_s, self.sensor.power(radiance, moment))
             late = np.hypot(1.0, np.std(self._delays) / (self.sensor.camera.time_constant_s or np.inf))
-            instants, renders, error = 1, 1, motion * late * _gradient_mk(radiance, self.sensor)
+            instants, renders, error = 1, 1, motion * late * gradient_mk
         elif motion <= SUBPIXEL_PX and interpolates and self.sensor.camera.time_constant_s:
             signal = self._subpixel(views, radiance, moment)
-            instants, renders, error = len(_AGES), 1, np.hypot(_MOVED_MK, _SUBPIXEL_MK * motion**2)
+            instants, renders, error = len(_AGES), 1, np.hypot(_MOVED_MK, _SUBPIXEL_MK * motion**2) * contrast
         else:
-            plan = self._schedule(time_s, motion)
+            plan = self._schedule(time_s, motion, contrast, self._since(time_s, before), self._render_px)
             signal = self._fast(plan, radiance, moment)
             instants, renders = len(plan.times_s), len(plan.renders)
-            error = np.hypot(_instants_mk(plan.spacing_px, motion), _MOVED_MK * interpolates)
+            error = np.hypot(_instants_mk(plan.spacing_px, motion), _MOVED_MK * interpolates) * contrast
+        parts = self._parts(time_s, before)
+        if parts:
+            # Pixels that stand still may be read as they are: what is written into the frame is not what they are.
+            signal, square = signal.copy(), error**2
+            for part in parts:
+                count, own = self._follow(part, before, moment, time_s, radiance, signal)
+                renders, instants = renders + count, max(instants, count)
+                square += (own**2 - error**2) * signal[part.rows, part.columns].size / signal.size
+            error = np.sqrt(square)
         made = {"motion_px": round(motion, 3), "instants": instants, "renders": renders}
         return signal, made | {"lag_mk": round(float(error), 1)}
 
@@ -169,20 +199,80 @@ class Exposure:
         now = self._pose_at(time_s)
         return now, self._pose_at(time_s - span) if span else now, self._ground_at(now)
 
-    def _schedule(self, time_s, motion):
-        time_constant_s = self.sensor.camera.time_constant_s
-        since_s = time_s + self._delays[0] - MEMORY * time_constant_s
+    def _since(self, time_s, before):
+        """From when on the power matters to a frame whose pixels were left in the state `before` [s]."""
+        since_s = time_s + self._delays[0] - MEMORY * self.sensor.camera.time_constant_s
+        return since_s if before is None else max(since_s, before.time_s)
+
+    def _schedule(self, time_s, motion, contrast, since_s, render_px):
+        lag_mk = self._lag_mk / max(contrast, 1e-6)
+        return schedule(time_s, self._delays, self.sensor.camera.time_constant_s, motion, since_s, lag_mk, render_px)
+
+    def _parts(self, time_s, before):
+        """Parts of the frame that things with a course of their own change within the pixels' memory."""
+        if not self._movers:
+            return []
+        since_s, until_s = self._since(time_s, before), time_s + self._delays[-1]
+        if since_s >= until_s:
+            return []
+        return movers.parts(self.sensor.camera, self._pose_at, self._movers, since_s, until_s, _MARGIN_PX)
+
+    def _follow(self, part, before, moment, time_s, radiance, signal):
+        """Put the signal of a part of the image into `signal`, followed through rendered instants of its own.
+
+        Returns
+        -------
+        renders : int
+        error_mk : float
+            Estimate: by how much it differs when followed through half the instants, root mean square [mK].
+        """
+        camera, since_s = self.sensor.camera, self._since(time_s, before)
+        span = camera.time_constant_s or self._delays[-1] - self._delays[0]
+        here = part.rows, part.columns
+        contrast = _gradient_mk(radiance[here], self.sensor, 1) / _FITTED_GRADIENT_MK
+        motion = max(part.px_per_s * span, 1e-9)
+        plan = self._schedule(time_s, motion, contrast, since_s, 0.0)
+        times = np.union1d(plan.times_s, part.bends_s)
+        wide = part.around(camera.height, camera.width)
+        inner = tuple(slice(a.start - b.start, a.stop - b.start) for a, b in zip(here, wide, strict=True))
+        part_of = camera.part(*wide)
+        offset, gain = self.sensor.power_law(moment)
+        offset, gain = offset[here], gain[here]
+
+        def powers():
+            for at in times:
+                image = radiance[wide] if at == time_s else self._radiance_at(at, part_of)
+                yield at, offset + gain * self.sensor.blurred(image)[inner]
+
+        state, rows = None, plan.row_times_s[part.rows]
+        if before is not None and before.time_s == times[0]:
+            state = PixelState(before.time_s, before.signal[here], before.power[here])
+        # Both at once, since powers are rendered.
+        fine, coarse = (_Follower(state, rows, camera.time_constant_s, signal[here].shape) for _ in range(2))
+        for number, (at, power) in enumerate(powers()):
+            last = number == len(times) - 1
+            fine.step(at, power, last)
+            if number % 2 == 0 or last:
+                coarse.step(at, power, last)
+        signal[here] = fine.signal
         if self.pixels is not None:
-            since_s = max(since_s, self.pixels.time_s)
-        return schedule(time_s, self._delays, time_constant_s, motion, since_s, self._lag_mk, self._render_px)
+            for name in ("signal", "power"):
+                whole = getattr(self.pixels, name).copy()
+                whole[here] = getattr(fine.pixels, name)
+                self.pixels = replace(self.pixels, **{name: whole})
+        per_mk = gain * (1e-3 * band_radiance_derivative(NETD_REFERENCE_K, *camera.band_um))
+        return len(times), float(np.sqrt(np.mean(((fine.signal - coarse.signal) / per_mk) ** 2)))
 
     def _static(self, time_s, power):
-        time_constant_s = self.sensor.camera.time_constant_s
+        time_constant_s, end_s = self.sensor.camera.time_constant_s, time_s + self._delays[-1]
         if not time_constant_s:
             return power
-        before = self.pixels or steady(time_s, power)
-        self.pixels = stepped(before, time_s, power, time_constant_s)
-        return self.pixels.signal
+        before = self.pixels or steady(end_s, power)
+        self.pixels = stepped(before, end_s, power, time_constant_s)
+        old = response_weights(time_s + self._delays - before.time_s, time_constant_s)[0].astype(np.float32)
+        if old[0] < SETTLED:
+            return power
+        return power + old[:, None] * (before.signal - power)
 
     def _subpixel(self, views, radiance, moment):
         """The signal of each row at its own time, from one image that is moved to a few ages, (H, W) float32 [W]."""
@@ -202,22 +292,12 @@ class Exposure:
 
     def _fast(self, plan, radiance, moment):
         """The signal of each row at its own time, (H, W) float32 [W]."""
-        time_constant_s = self.sensor.camera.time_constant_s
-        signal, done = np.empty_like(radiance), 0
-        if self.pixels is not None and self.pixels.time_s < plan.times_s[0]:
-            self.pixels = None
+        state = self.pixels if self.pixels is not None and self.pixels.time_s >= plan.times_s[0] else None
+        follower = _Follower(state, plan.row_times_s, self.sensor.camera.time_constant_s, radiance.shape)
         for time_s, power in self._powers(plan, radiance, moment):
-            if self.pixels is None:
-                self.pixels = steady(time_s, power)
-            until = len(plan.row_times_s)
-            if time_s < plan.times_s[-1]:
-                until = np.searchsorted(plan.row_times_s, time_s, "right")
-            if until > done:
-                rows = slice(done, until)
-                read_rows(self.pixels, time_s, power, plan.row_times_s[rows], rows, time_constant_s, signal)
-                done = until
-            self.pixels = advanced(self.pixels, time_s, power, time_constant_s)
-        return signal
+            follower.step(time_s, power, time_s == plan.times_s[-1])
+        self.pixels = follower.pixels
+        return follower.signal
 
     def _powers(self, plan, radiance, moment):
         """Yield (time, absorbed power) of each instant of a schedule, in order."""
@@ -227,7 +307,7 @@ class Exposure:
             after = renders[min(np.searchsorted(renders, number), len(renders) - 1)]
             for render in (before, after):
                 if render not in seen:
-                    image = radiance if render == plan.own else self._radiance_at(times[render])
+                    image = radiance if render == plan.own else self._radiance_at(times[render], self.sensor.camera)
                     seen[render] = self.sensor.blurred(image)
             seen = {render: seen[render] for render in (before, after)}
             images = [(times[render], image) for render, image in seen.items()]
@@ -255,6 +335,33 @@ class Exposure:
         second -= first
         second *= weight
         return np.add(first, second, out=first)
+
+
+class _Follower:
+    """Pixels as they are heated from instant to instant, and their rows as they are read in between.
+
+    Attributes
+    ----------
+    pixels : PixelState or None
+        At the last instant; None before the first.
+    signal : (H, W) float32
+        The rows that have been read.
+    """
+
+    def __init__(self, pixels, row_times_s, time_constant_s, shape):
+        self.pixels, self.signal = pixels, np.empty(shape, np.float32)
+        self._row_times_s, self._time_constant_s, self._done = row_times_s, time_constant_s, 0
+
+    def step(self, time_s, power, last):
+        """Go on to an instant at which pixels are heated by `power`; the last reads all rows that are left."""
+        if self.pixels is None:
+            self.pixels = steady(time_s, power)
+        until = len(self._row_times_s) if last else np.searchsorted(self._row_times_s, time_s, "right")
+        if until > self._done:
+            rows = slice(self._done, until)
+            read_rows(self.pixels, time_s, power, self._row_times_s[rows], rows, self._time_constant_s, self.signal)
+            self._done = until
+        self.pixels = advanced(self.pixels, time_s, power, self._time_constant_s)
 
 
 def schedule(time_s, delays, time_constant_s, motion, since_s, lag_mk=LAG_MK, render_px=RENDER_PX):
@@ -312,8 +419,8 @@ def _instants_mk(spacing_px, motion):
     return _INSTANT_MK * spacing_px**2 * min(1.0, spacing_px / motion)
 
 
-def _gradient_mk(radiance, sensor):
-    """Root mean square change of an image from pixel to pixel [mK]."""
-    change = np.diff(radiance[::8]), np.diff(radiance[:, ::8], axis=0)
+def _gradient_mk(radiance, sensor, every=8):
+    """Root mean square change of an image from pixel to pixel [mK]; told by every so many of its rows and columns."""
+    change = np.diff(radiance[::every]), np.diff(radiance[:, ::every], axis=0)
     per_mk = 1e-3 * band_radiance_derivative(NETD_REFERENCE_K, *sensor.camera.band_um)
     return np.sqrt(0.5 * sum(float(np.mean(part**2)) for part in change)) / per_mk

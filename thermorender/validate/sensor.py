@@ -99,8 +99,8 @@ def _lag(renderer, of, flight):
     """Errors and times of one flight's settings; and (one image, reference) of its frame in band radiance."""
     camera, (path, ground_m) = of.camera, _flight(renderer, flight)
 
-    def radiance_at(time_s):
-        return renderer.radiance(path(time_s))
+    def radiance_at(time_s, camera=None):
+        return renderer.radiance(path(time_s), camera=camera)
 
     now = radiance_at(0.0)
     expected, span = _reference(of, radiance_at, row_delays(camera, 1.0 / RATE_HZ))

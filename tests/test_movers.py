@@ -1,0 +1,173 @@
+"""What moves or warms by itself under the camera: the pixels' memory of it, against closed forms and dense instants."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from thermorender.physics.planck import band_radiance, band_radiance_derivative
+from thermorender.sensor import movers
+from thermorender.sensor.camera import load_camera
+from thermorender.sensor.chain import Sensor, in_sequence
+from thermorender.sensor.detector import row_delays
+from thermorender.sensor.exposure import Exposure
+from thermorender.sensor.movers import Mover
+from thermorender.trajectory.path import pose
+
+TAU, HEIGHT_M = 0.010, 120.0
+# As slow a read-out over fewer rows.
+CAMERA = replace(load_camera("zenmuse-xt2"), width=120, height=96, row_time_us=63.5 * 512 / 96, ffc_interval_s=0.0,
+                 diffraction=False, blur_sigma_px=0.0, illumination_exponent=0.0, vignetting=0.0)  # fmt: skip
+GROUND = band_radiance(290.0, *CAMERA.band_um)
+SLOPE = band_radiance_derivative(290.0, *CAMERA.band_um)
+
+
+class Plate:
+    """A plate on level ground, warm by a function of time; seen straight down by cameras that look north."""
+
+    def __init__(self, east, north=lambda t: 0.0, warm=lambda t: 45.0, half_m=1.5, bends=()):
+        self.east, self.north, self.warm, self.half_m = east, north, warm, half_m
+        self.mover = Mover(self.corners, warm, np.array(bends, float))
+        self.rendered = []
+
+    def corners(self, time_s):
+        side = self.half_m * np.array([-1.0, 1.0])
+        return np.array([[self.east(time_s) + x, self.north(time_s) + y, 0.0] for x in side for y in side])
+
+    def radiance(self, time_s, camera, at):
+        """Its share of each pixel, exactly, times what it adds to the ground, (H, W) float32."""
+        self.rendered.append(time_s)
+        middle, scale = camera._principal_point, camera.focal_length_px / HEIGHT_M
+        shares = []
+        for size, point, offset in ((camera.width, middle[0], self.east(time_s) - at[0]),
+                                    (camera.height, middle[1], at[1] - self.north(time_s))):  # fmt: skip
+            low, high = (point + scale * (offset + end) for end in (-self.half_m, self.half_m))
+            edge = np.arange(size + 1)
+            shares.append(np.clip(np.minimum(edge[1:], high) - np.maximum(edge[:-1], low), 0.0, 1.0))
+        return (GROUND + SLOPE * self.warm(time_s) * shares[1][:, None] * shares[0]).astype(np.float32)
+
+
+def flown(plate, flight_mps, rate_hz, frames, camera=CAMERA, told=True):
+    """(signals as radiance of each frame, what was told, Exposure) of a flight north, down, at constant speed."""
+    at = lambda t: (0.0, flight_mps * t)  # noqa: E731
+    path = lambda t: pose(*at(t), HEIGHT_M, 0.0, -90.0)  # noqa: E731
+    sensor = Sensor(camera, 0)
+    taken = Exposure(sensor, lambda t, by: plate.radiance(t, by, at(t)), path, lambda p: 0.0, 1.0 / rate_hz,
+                     movers=[plate.mover] if told else [])  # fmt: skip
+    found, how = [], None
+    for index in range(frames):
+        moment = in_sequence(camera, 0, 0.0)
+        now = plate.radiance(index / rate_hz, camera, at(index / rate_hz))
+        signal, how = taken.signal(moment, index / rate_hz, now)
+        offset, gain = sensor.power_law(moment)
+        found.append((signal - offset) / gain)
+    return found, how, taken
+
+
+def dense(plate, flight_mps, time_s, rate_hz, camera=CAMERA, each=400):
+    """A frame as instants close together make it: every row is an integral over its own past, in float64."""
+    delays = row_delays(camera, 1.0 / rate_hz)
+    age = (np.arange(9 * each) + 0.5) * TAU / each
+    weight = np.exp(-age / TAU)
+    total = np.zeros((camera.height, camera.width))
+    for row in range(camera.height):
+        rows = camera.part(slice(row, row + 1), slice(0, camera.width))
+        when = time_s + delays[row] - age
+        past = [plate.radiance(t, rows, (0.0, flight_mps * t))[0] for t in when[::4]]
+        total[row] = np.average(past, axis=0, weights=weight[::4])
+    return total
+
+
+def middle(image):
+    """Column of a plate's centre of mass."""
+    return (np.maximum(image - GROUND, 0.0).sum(axis=0) * np.arange(CAMERA.width)).sum() / (image - GROUND).sum()
+
+
+def mk(difference):
+    return 1e3 * np.sqrt(np.mean(np.square(difference))) / SLOPE
+
+
+@pytest.mark.parametrize(("flight_mps", "rate_hz"), [(0.0, 9.0), (0.0, 30.0), (0.0, 60.0), (3.0, 9.0), (12.0, 30.0)])
+def test_a_plate_that_moves_trails_under_a_camera_that_hovers_or_flies(flight_mps, rate_hz):
+    plate = Plate(lambda t: 20.0 * t - 3.0, lambda t: flight_mps * t + 1.0)
+    frames = 1 + round(0.2 * rate_hz)
+    found, how, _ = flown(plate, flight_mps, rate_hz, frames)
+    time_s = (frames - 1) / rate_hz
+    expected = dense(plate, flight_mps, time_s, rate_hz)
+    blind = flown(plate, flight_mps, rate_hz, frames, told=False)[0][-1]
+    error = mk(found[-1] - expected)
+    assert mk(blind - expected) > 500.0
+    assert error < 60.0 and error < how["lag_mk"] < 10.0 * error
+    # By its centre of mass it trails by what it goes in a time constant.
+    now = plate.radiance(time_s, CAMERA, (0.0, flight_mps * time_s))
+    trail = 20.0 * TAU * CAMERA.focal_length_px / HEIGHT_M
+    # Rows are read before and after the frame's time; the plate is in the middle ones.
+    assert middle(now) - middle(found[-1]) == pytest.approx(middle(now) - middle(expected), abs=0.02)
+    assert 0.5 * trail < middle(now) - middle(found[-1]) < 1.6 * trail
+
+
+@pytest.mark.parametrize("rate_hz", [9.0, 30.0, 60.0])
+@pytest.mark.parametrize("flight_mps", [0.0, 5.0])
+def test_a_step_of_temperature_is_read_by_rows_at_their_own_time(rate_hz, flight_mps):
+    last = np.ceil(0.5 * rate_hz) / rate_hz
+    step_s = last - 0.012
+    warm = lambda t: 30.0 * float(np.clip((t - step_s) / 1e-6, 0.0, 1.0))  # noqa: E731
+    bends = [0.0, step_s, step_s + 1e-6, 10.0]
+    plate = Plate(lambda t: 0.0, lambda t: flight_mps * last, warm, half_m=20.0, bends=bends)
+    found, _, _ = flown(plate, flight_mps, rate_hz, round(last * rate_hz) + 1)
+    share = (found[-1][:, 60] - GROUND) / (30.0 * SLOPE)
+    since = row_delays(CAMERA, 1.0 / rate_hz) + 0.012
+    expected = np.where(since > 0.0, -np.expm1(-np.maximum(since, 0.0) / TAU), 0.0)
+    np.testing.assert_allclose(share, expected, atol=2e-4)
+
+
+def test_what_is_remembered_of_a_plate_that_has_left():
+    """Pixels of a slow camera go on fading where the plate was frames ago."""
+    slow = replace(CAMERA, time_constant_ms=100.0, row_time_us=0.0)
+    leave_s = 0.1
+    plate = Plate(lambda t: 0.0 if t < leave_s else 1e4, warm=lambda t: 45.0, bends=[leave_s - 1e-7, leave_s])
+    found, how, _ = flown(plate, 0.0, 30.0, 10, slow)
+    for index in range(4, 10):
+        share = (found[index][48, 60] - GROUND) / (45.0 * SLOPE)
+        assert share == pytest.approx(np.exp(-(index / 30.0 - leave_s) / 0.1), abs=2e-4)
+    assert how["renders"] == 1
+
+
+def test_only_the_part_that_changes_is_rendered_again():
+    plate, still = Plate(lambda t: 5.0 * t), Plate(lambda t: 2.0)
+    _, how, _ = flown(still, 0.0, 30.0, 3)
+    assert how["renders"] == 1 and how["lag_mk"] == 0.0
+    path = lambda t: pose(0, 0, HEIGHT_M, 0.0, -90.0)  # noqa: E731
+    (part,) = movers.parts(CAMERA, path, [plate.mover, still.mover], 0.0, 0.1, 6)
+    assert part.px_per_s == pytest.approx(5.0 * CAMERA.focal_length_px / HEIGHT_M, rel=1e-6)
+    size = 3.0 * CAMERA.focal_length_px / HEIGHT_M
+    assert part.rows.stop - part.rows.start == pytest.approx(size + 12, abs=2)
+    # Out of sight, or behind.
+    assert not movers.parts(CAMERA, path, [Plate(lambda t: 500.0 + t).mover], 0.0, 0.1, 6)
+    up = lambda t: pose(0, 0, HEIGHT_M, 0.0, 90.0)  # noqa: E731
+    assert not movers.parts(CAMERA, up, [plate.mover], 0.0, 0.1, 6)
+
+
+def test_parts_that_overlap_are_one():
+    path = lambda t: pose(0, 0, HEIGHT_M, 0.0, -90.0)  # noqa: E731
+    near = [Plate(lambda t, off=off: 5.0 * t + off).mover for off in (0.0, 2.0, -8.0)]
+    found = movers.parts(CAMERA, path, near, 0.0, 0.1, 3)
+    assert len(found) == 2
+    assert sum(part.columns.stop - part.columns.start for part in found) < CAMERA.width
+
+
+def test_a_part_is_blurred_as_in_the_whole_image():
+    camera = replace(load_camera("zenmuse-xt2"), width=243, height=197)
+    sensor, image = Sensor(camera, 0), np.random.default_rng(0).normal(20.0, 5.0, (197, 243)).astype(np.float32)
+    whole = sensor.blurred(image)
+    for top, bottom, left, right in ((60, 83, 101, 140), (0, 9, 230, 243), (180, 197, 3, 50)):
+        rows, columns = slice(top, bottom), slice(left, right)
+        part = movers.Part(rows, columns, 1.0, np.zeros(0))
+        wide = part.around(197, 243)
+        seen = np.zeros_like(image)
+        seen[wide] = sensor.blurred(image[wide])
+        np.testing.assert_allclose(seen[rows, columns], whole[rows, columns], atol=2e-5)
+    # And as a camera of its own it looks where the whole one does.
+    part_of = camera.part(*wide)
+    pixel = np.array([3.2, 4.1])
+    np.testing.assert_allclose(part_of.directions(pixel), camera.directions(pixel + [wide[1].start, wide[0].start]))

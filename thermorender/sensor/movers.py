@@ -1,0 +1,137 @@
+"""Things that move or warm by themselves: which parts of an image they change, and how fast.
+
+What moves with the camera alone moves all over the image, and one image tells much of the others. A thing with a course
+of its own is followed in the part of the image that it crosses, and only there.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from thermorender.sensor.psf import COARSE, STEP
+
+# Evenly spaced times at which things are projected, besides those at which their courses bend.
+_LOOKS = 9
+# Motion over less than this share of a span is a jump: its two ends are instants of their own.
+_JUMP = 0.02
+# How many squares, over which the tails of the lens's blur are summed, reach into a part.
+_REACH = COARSE // 2 + 1
+
+
+@dataclass(frozen=True)
+class Mover:
+    """A thing with a course of its own.
+
+    Attributes
+    ----------
+    corners_at : callable
+        Time [s] → (n, 3) corners of a box round it, in the world [m].
+    temperature_at : callable
+        Time [s] → [K].
+    times_s : (n,) float64
+        Rising; between them its place and temperature change evenly [s].
+    """
+
+    corners_at: Callable
+    temperature_at: Callable
+    times_s: np.ndarray
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part of an image that things change while they are watched.
+
+    Attributes
+    ----------
+    rows, columns : slice
+        Of the image.
+    px_per_s : float
+        How fast they move in the image, at most, jumps apart [px/s].
+    bends_s : (n,) float64
+        When their courses bend, rising [s].
+    """
+
+    rows: slice
+    columns: slice
+    px_per_s: float
+    bends_s: np.ndarray
+
+    def around(self, height, width):
+        """Return (rows, columns) that hold all that the lens spreads into this part, in whole squares of its tails."""
+        found = []
+        for side, n in ((self.rows, height), (self.columns, width)):
+            first, last = side.start // STEP - _REACH, -(-side.stop // STEP) + _REACH
+            found.append(slice(max(first * STEP, 0), min(last * STEP, n)))
+        return tuple(found)
+
+
+def parts(camera, pose_at, movers, since_s, until_s, margin_px):
+    """Return the Parts of an image that things change between two times; none overlap.
+
+    Parameters
+    ----------
+    camera : Camera
+    pose_at : callable
+        Time [s] → (4, 4) world_from_camera.
+    movers : sequence of Mover
+    since_s, until_s : float
+    margin_px : int
+        Of a part beyond the things' boxes.
+    """
+    found = [_part(camera, pose_at, mover, since_s, until_s, margin_px) for mover in movers]
+    found, apart = [part for part in found if part], []
+    while found:
+        part = found.pop()
+        other = next((other for other in found if _overlap(part, other)), None)
+        if other is None:
+            apart.append(part)
+            continue
+        found.remove(other)
+        found.append(
+            Part(
+                *(slice(min(a.start, b.start), max(a.stop, b.stop)) for a, b in _sides(part, other)),
+                max(part.px_per_s, other.px_per_s),
+                np.union1d(part.bends_s, other.bends_s),
+            )
+        )
+    return apart
+
+
+def _part(camera, pose_at, mover, since_s, until_s, margin_px):
+    """That of one thing; None where it stays as it is or is not seen."""
+    bends = mover.times_s[(mover.times_s > since_s) & (mover.times_s < until_s)]
+    times = np.union1d(np.linspace(since_s, until_s, _LOOKS), bends)
+    corners = [mover.corners_at(time_s) for time_s in times]
+    warm = [mover.temperature_at(time_s) for time_s in times]
+    if np.ptp(corners, axis=0).max() == 0.0 and np.ptp(warm) == 0.0:
+        return None
+    pixel = []
+    for time_s, corner in zip(times, corners, strict=True):
+        pose = pose_at(time_s)
+        pixel.append(camera.project((corner - pose[:3, 3]) @ pose[:3, :3]))
+    pixel, size = np.array(pixel), np.array([camera.width, camera.height])
+    hidden = np.isnan(pixel[..., 0])
+    if hidden.all():
+        return None
+    # What is partly beside the camera may be anywhere.
+    least, most = (np.zeros(2), size) if hidden.any() else (pixel.min(axis=(0, 1)), pixel.max(axis=(0, 1)))
+    first = np.clip(np.floor(least) - margin_px, 0, size).astype(int)
+    last = np.clip(np.ceil(most) + margin_px, 0, size).astype(int)
+    if (first >= last).any():
+        return None
+    span = np.diff(times)
+    slow = span > _JUMP * (until_s - since_s)
+    with np.errstate(invalid="ignore"):
+        speed = np.linalg.norm(np.diff(pixel, axis=0), axis=-1)[slow] / span[slow, None]
+    # Of what comes from behind the camera the seen corners tell.
+    fastest = float(np.nanmax(speed)) if not np.isnan(speed).all() else float(size.max() / (until_s - since_s))
+    return Part(slice(first[1], last[1]), slice(first[0], last[0]), fastest, bends)
+
+
+def _sides(one, other):
+    return (one.rows, other.rows), (one.columns, other.columns)
+
+
+def _overlap(one, other):
+    return all(a.start < b.stop and b.start < a.stop for a, b in _sides(one, other))
