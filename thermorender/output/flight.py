@@ -255,7 +255,7 @@ def _exposure(timed: TimedRenderer, renderer: "Renderer", trajectory: Trajectory
 
     return Exposure(
         sensor_of(scene.camera, renderer.seed),
-        lambda time_s, camera: timed.at(time_s).radiance(pose_at(time_s), time_s, camera=camera),
+        lambda time_s, camera, lit_s: timed.at(time_s).radiance(pose_at(time_s), time_s, camera=camera, lit_s=lit_s),
         pose_at,
         ground_at,
         interval_s,
