@@ -330,10 +330,15 @@ def validate_stability(
         list[str] | None, typer.Argument(help="Some of air, heat, light, maps, sensor; default: all.")
     ] = None,
     output: Out = Path("out/validation"),
+    fuzz: Annotated[int, typer.Option(min=0, help="Instead: so many damaged files for each reader.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the damage.")] = 0,
 ):
     """Cases at the edge, each with expected value, tolerance in kelvin and verdict; status 1 where one fails."""
     from thermorender.validate import stability as study
 
+    if fuzz:
+        _fuzzed(groups or (), output, fuzz, seed)
+        return
     with progress() as tell, files.output_folder(output) as folder:
         result = study.run(groups or (), progress=tell)
         files.write_json(folder / "stability.json", result)
@@ -341,6 +346,20 @@ def validate_stability(
     table(study.HEADER, study.rows(result))
     typer.echo(f"{result['failed']} of {len(result['cases'])} cases fail; numbers and table in {output}")
     if result["failed"]:
+        raise typer.Exit(1)
+
+
+def _fuzzed(readers, output, count, seed):
+    """Feed readers with damaged files; status 1 where one did not refuse or accept as it must."""
+    from thermorender.validate.stability import fuzz
+
+    with progress() as tell, files.output_folder(output) as folder:
+        counts, faults = fuzz.run(count, readers, seed, progress=tell)
+        told = {"seed": seed, "counts": {name: dict(of) for name, of in counts.items()}}
+        files.write_json(folder / "fuzz.json", told | {"faults": [vars(fault) for fault in faults]})
+    table(fuzz.HEADER, fuzz.rows(counts))
+    typer.echo(f"{len(faults)} faults; counts and each fault in {output / 'fuzz.json'}")
+    if faults:
         raise typer.Exit(1)
 
 

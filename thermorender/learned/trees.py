@@ -237,6 +237,10 @@ def _lightgbm():
 # --- texts of others -------------------------------------------------------------------------------------------------
 
 
+_LEAVES_TOO = "leaf_weight", "leaf_count"
+_NODES_TOO = "split_gain", "internal_value", "internal_weight", "internal_count"
+
+
 def refuse_broken(text, features):
     """Raise unless a text is a whole LightGBM model of one value over so many features.
 
@@ -280,6 +284,11 @@ def _refuse_tree(values, number, features):
         raise ValueError(f"its tree {number} is none of constant leaves")
     _numbers(values, "leaf_value", leaves, number)
     nodes = leaves - 1
+    # What the trees do not need and LightGBM reads all the same, where it is there.
+    for names, count in ((_LEAVES_TOO, leaves), (_NODES_TOO, nodes), (("shrinkage",), 1)):
+        for name in names:
+            if values.get(name, "").strip():
+                _numbers(values, name, count, number)
     if not nodes:
         return
     feature, left, right, kind = (

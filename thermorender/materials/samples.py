@@ -133,6 +133,13 @@ def read_ecostress(path):
             f"{path} holds {len(pairs)} wavelength and reflectance pairs; order the whole file again"
         )
     wavelength, percent = np.array(pairs).T
+    broken = ~(np.isfinite(wavelength) & np.isfinite(percent) & (wavelength > 0.0))
+    if broken.any():
+        found = pairs[int(broken.argmax())]
+        raise ThermorenderError(
+            f"{path} holds the pair {found[0]:g} µm, {found[1]:g} %, which no spectrum does; order it anew or delete "
+            "the line"
+        )
     unique, where, count = np.unique(wavelength, return_inverse=True, return_counts=True)
     reflectance = np.bincount(where, weights=percent) / count / 100.0
     return Sample(

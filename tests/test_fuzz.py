@@ -1,0 +1,67 @@
+"""Readers under damaged files; and that what must be found there is found."""
+
+import os
+import time
+
+import numpy as np
+import pytest
+
+from thermorender.errors import ThermorenderError
+from thermorender.validate.stability import fuzz
+from thermorender.validate.stability.corpus import READERS, Reader
+
+COUNT = 100
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_the_whole_file_is_read(name, tmp_path):
+    reader = READERS[name]
+    reader.make(tmp_path)
+    assert not list(fuzz._infinite(reader.read(tmp_path / reader.file)))
+
+
+def test_damaged_files_are_refused_in_a_sentence_or_read_as_finite():
+    counts, faults = fuzz.run(COUNT)
+    assert not faults, faults[:5]
+    assert all(sum(of.values()) == COUNT and of["refused"] > 0 for of in counts.values())
+    assert sum(of["accepted"] > 0 for of in counts.values()) > 0.8 * len(counts)
+
+
+def test_an_input_can_be_made_again():
+    whole = b"a = 1.5\nb = [2, 3]\n"
+    found = [fuzz.damaged(whole, "camera", number) for number in range(200)]
+    assert found == [fuzz.damaged(whole, "camera", number) for number in range(200)]
+    assert len(set(found)) > 150 and whole not in found[:3]
+    assert found != [fuzz.damaged(whole, "scene", number) for number in range(200)]
+
+
+def fails(path):
+    """A reader that every third input makes fail, in the way that the file's name tells."""
+    text = path.read_bytes()
+    if sum(text) % 3:
+        raise ThermorenderError("no.")
+    kind = path.stem
+    if kind == "foreign":
+        return int("x")
+    if kind == "crashed":
+        os._exit(3)
+    if kind == "slow":
+        time.sleep(60)
+    return {"a": [np.array([1.0, np.nan])]}
+
+
+@pytest.mark.parametrize("kind", ["foreign", "infinite", "crashed", "slow"])
+def test_what_a_reader_must_not_do_is_found(kind, monkeypatch):
+    make = lambda folder: (folder / f"{kind}.txt").write_text("12, 34")  # noqa: E731
+    monkeypatch.setattr(fuzz, "MOST_S", 1)
+    monkeypatch.setitem(READERS, "faulty", Reader(f"{kind}.txt", make, fails))
+    count = 6 if kind == "slow" else 12
+    counts, faults = fuzz.run(count, ["faulty"])
+    inputs = [fuzz.damaged(b"12, 34", "faulty", number) for number in range(count)]
+    assert [fault.number for fault in faults] == [number for number, text in enumerate(inputs) if sum(text) % 3 == 0]
+    assert {fault.kind for fault in faults} == {kind} and sum(counts["faulty"].values()) == count
+
+
+def test_an_unknown_reader_is_refused():
+    with pytest.raises(ThermorenderError, match="reader 'x' is unknown; give some of camera"):
+        fuzz.run(1, ["x"])
