@@ -1,0 +1,282 @@
+"""Every feature of the renderer beside a second opinion: the path tracer of `path_tracer`, in standard errors.
+
+A case is a scene made for one feature, a camera in it and how many paths to take. The renderer's band radiance is
+compared in blocks of pixels: paths of several seeds tell each pixel's variance, a block's pixels together that of their
+mean. The largest deviation of all blocks must stay below the quantile that, by Student's distribution, one run in a
+thousand exceeds; a deviation means something only where the standard error is small, which is asserted too. Beyond
+noise, the renderer is allowed what it states of itself: its spectral nodes and channels, its directional reflectances,
+the rays of its bake and its sampling.
+
+`python tests/test_second_opinions.py` writes all of it to `validation/second_opinions.md`.
+"""
+
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from path_tracer import PathTracer
+from scipy.stats import t as student
+
+import thermorender as tr
+from scenes import write_mesh, write_terrain
+from thermorender.physics.planck import band_radiance_derivative, brightness_temperature
+
+BAND = (7.5, 13.5)
+AIR = '[atmosphere]\nstandard = "midlatitude-summer"\naerosol = "rural-23km"\n'
+# Share of runs in which right code may fail; standard error of a block up to which a comparison says something [mK].
+FALSE_ALARM, LARGEST_MK = 1e-3, 30.0
+SEEDS, BLOCK = 4, 8
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scene made for one feature, and how it is looked at.
+
+    Attributes
+    ----------
+    scene : Scene
+    pose : (4, 4) array
+    samples : int
+        Paths through each pixel, for each of the seeds.
+    view : dict
+        `time_s` and `objects` of the renderer's frame.
+    """
+
+    scene: object
+    pose: np.ndarray
+    samples: int = 16
+    view: dict = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Opinion:
+    """What a comparison found, in mK; blocks of pixels.
+
+    Attributes
+    ----------
+    deviation_mk, error_mk : float
+        Of the block that stands worst: renderer less path tracer, and the standard error of that.
+    apart, limit : float
+        Standard errors between that block and what the renderer states to err by, and those allowed to the worst of
+        all blocks.
+    stated_mk : float
+        Largest error that the renderer states of its nodes, channels and tables of mirrors.
+    mean_mk, mean_error_mk : float
+        Of the whole image.
+    largest_mk : float
+        Largest standard error of a block by the paths alone.
+    """
+
+    deviation_mk: float
+    error_mk: float
+    apart: float
+    limit: float
+    stated_mk: float
+    mean_mk: float
+    mean_error_mk: float
+    largest_mk: float
+
+
+def opinion(case):
+    """Return the Opinion of the path tracer on the renderer's radiance."""
+    renderer = tr.Renderer(case.scene, quality="high", rays=4096, tolerance_mk=1.0)
+    frame = renderer.frame(case.pose, **case.view)
+    tracer = PathTracer(case.scene, **case.view)
+    images = np.stack([tracer.image(case.pose, case.samples, seed) for seed in range(SEEDS)])
+    exact = _blocks(images.mean(axis=0))
+    per_mk = band_radiance_derivative(brightness_temperature(exact, *BAND), *BAND) * 1e-3
+    # Of a block's mean, by the paths: each pixel's mean has a variance of var / SEEDS, and the block a share of theirs.
+    paths = np.sqrt(_blocks(images.var(axis=0, ddof=1)) / SEEDS) / BLOCK / per_mk
+    budget = dict(frame.budget_mk)
+    everywhere = sum(budget.get(name, 0.0) for name in ("nodes", "air", "mirrors"))
+    # The bake's rays err by as much in a whole face; a pixel's own sampling is its own.
+    known = budget["total"] ** 2 - budget["sampling"] ** 2
+    sampling = np.maximum(_blocks(np.square(np.nan_to_num(frame.error_mk))) - known, 0.0) / BLOCK**2
+    error = np.sqrt(paths**2 + budget["bake"] ** 2 + sampling)
+    deviation = (_blocks(frame.radiance.astype(float)) - exact) / per_mk
+    apart = np.maximum(np.abs(deviation) - everywhere, 0.0) / error
+    worst = np.unravel_index(np.argmax(apart), apart.shape)
+    limit = student.isf(0.5 * FALSE_ALARM / apart.size, BLOCK**2 * (SEEDS - 1))
+    mean_error = np.sqrt((paths**2).mean() / paths.size)
+    found = (deviation[worst], error[worst], apart[worst], limit, everywhere, deviation.mean(), mean_error, paths.max())
+    return Opinion(*map(float, found))
+
+
+def _blocks(image):
+    """Means over squares of BLOCK pixels a side."""
+    height, width = image.shape
+    return image.reshape(height // BLOCK, BLOCK, width // BLOCK, BLOCK).mean(axis=(1, 3))
+
+
+# --- scenes, each for one feature -------------------------------------------------------------------------
+
+
+def small(scene, width=48, height=40, **camera):
+    """The scene with a camera of a few pixels over the same field of view."""
+    shrink = scene.camera.width / width
+    own = replace(scene.camera, width=width, height=height, pixel_pitch_um=scene.camera.pixel_pitch_um * shrink)
+    return replace(scene, camera=replace(own, **camera))
+
+
+def quad(side, up=0.0, cells=1):
+    """A level square of so many cells a side."""
+    at = np.linspace(-0.5 * side, 0.5 * side, cells + 1)
+    x, y = np.meshgrid(at, at)
+    vertices = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, up)])
+    corner = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).ravel()
+    ends = corner + 1, corner + cells + 2, corner + cells + 1
+    faces = np.concatenate([np.stack([corner, ends[0], ends[1]], 1), np.stack([corner, ends[1], ends[2]], 1)])
+    return trimesh.Trimesh(vertices, faces, process=False)
+
+
+def turned(mesh, angle_deg, axis, up=0.0):
+    """The mesh turned about an axis through the origin, and raised."""
+    mesh.apply_transform(trimesh.transformations.rotation_matrix(np.radians(angle_deg), axis))
+    mesh.apply_translation([0.0, 0.0, up])
+    return mesh
+
+
+def thing(name, material, temperature, size, position, rest="", shape="box"):
+    size, position = ([float(value) for value in values] for values in (size, position))
+    return (
+        f'[[object]]\nname = "{name}"\nshape = "{shape}"\nsize = {size}\nposition = {position}\n'
+        f'temperature = {temperature}\nmaterial = "{material}"\n{rest}\n'
+    )
+
+
+def written(folder, mesh, material, temperature=300.0, sky=230.0, air=None, extra=""):
+    """A small scene of one mesh of a material of the library, under a sky of one temperature or under air."""
+    write_mesh(folder, mesh, temperature, sky=sky, extra=extra)
+    path = folder / "scene.toml"
+    text = path.read_text().replace('source = "constant"\nvalue = 0.9', f'source = "material"\nmaterial = "{material}"')
+    path.write_text(text.replace(f"[sky]\ntemperature = {sky}\n", air) if air else text)
+    return small(tr.load_scene(folder))
+
+
+CASES: dict[str, Callable] = {}
+
+
+def case(feature):
+    """Register a function of an empty folder that returns a Case."""
+    return lambda function: CASES.setdefault(feature, function)
+
+
+@case("emission of a raster of temperatures")
+def _(folder):
+    return Case(small(tr.load_scene(write_terrain(folder, sky=0.0))), tr.pose(0, 0, 14, pitch_deg=-80))
+
+
+@case("sky on a slope of quartz sand, from 3 km")
+def _(folder):
+    scene = written(folder, turned(quad(4000.0), 25.0, [1, 0, 0]), "sand_quartz", 305.0)
+    return Case(scene, tr.pose(0, 0, 3000, pitch_deg=-90))
+
+
+@case("light between surfaces: a trench of limestone")
+def _(folder):
+    walls = [turned(quad(4.0, -2.0, 4), angle, axis, 2.0) for angle, axis in
+             ((0, [1, 0, 0]), (90, [1, 0, 0]), (-90, [1, 0, 0]), (90, [0, 1, 0]), (-90, [0, 1, 0]))]  # fmt: skip
+    hot = thing("hot", "paint_black", 420.0, [1, 1, 1], [0.8, -0.8, 0])
+    scene = written(folder, trimesh.util.concatenate(walls), "paint_metallic", extra=hot)
+    return Case(scene, tr.pose(0, 0, 9, pitch_deg=-90), 32)
+
+
+@case("mirror, tilted: what only it shows")
+def _(folder):
+    hot = thing("hot", "paint_black", 420.0, [2, 2, 2], [0, -12, 3])
+    scene = written(folder, turned(quad(30.0), 20.0, [1, 0, 0]), "gold_polished", extra=hot)
+    return Case(scene, tr.pose(0, -16, 12, pitch_deg=-35))
+
+
+@case("mirror of water under air")
+def _(folder):
+    hot = thing("hot", "paint_black", 340.0, [6, 2, 5], [0, 25, 0])
+    return Case(written(folder, quad(80.0), "water_fresnel", 290.0, air=AIR, extra=hot), tr.pose(0, 0, 2, pitch_deg=-10))
+
+
+@case("mirror facing a mirror")
+def _(folder):
+    hot = thing("hot", "paint_black", 400.0, [1, 1, 1], [1.5, 0, 0])
+    plate = thing("plate", "gold_polished", 300.0, [8, 0.1, 8], [0, 6, 0])
+    scene = written(folder, quad(30.0), "gold_polished", extra=hot + plate)
+    return Case(scene, tr.pose(0, -8, 4, pitch_deg=-20))
+
+
+@case("air, straight down from 3 km")
+def _(folder):
+    return Case(written(folder, quad(5000.0), "grass_green", 310.0, air=AIR), tr.pose(0, 0, 3000, pitch_deg=-90), 8)
+
+
+@case("air, at a slant from 30 m over warm ground in cold air")
+def _(folder):
+    air = AIR.replace("midlatitude-summer", "subarctic-winter")
+    scene = written(folder, quad(2000.0), "soil_loam", 300.0, air=air)
+    return Case(scene, tr.pose(0, -900, 30, pitch_deg=-19), 8)
+
+
+@case("air, level from 2 m")
+def _(folder):
+    far = thing("far", "paint_black", 330.0, [500, 20, 250], [0, 1500, 0])
+    scene = written(folder, quad(4000.0), "grass_green", 295.0, air=AIR, extra=far)
+    return Case(scene, tr.pose(0, -900, 2, pitch_deg=0), 8)
+
+
+SUN = "[sun]\nelevation_deg = 40.0\nazimuth_deg = 160.0\n"
+
+
+@case("sun, with shadow")
+def _(folder):
+    roof = thing("roof", "paint_metallic", 300.0, [4, 4, 0.2], [0, 0, 3])
+    return Case(written(folder, quad(16.0, cells=8), "paint_metallic", air=AIR, extra=SUN + roof),
+                tr.pose(0, 0, 30, pitch_deg=-90), 32)  # fmt: skip
+
+
+@case("clouds and sun, from below")
+def _(folder):
+    air = AIR + "cloud_fraction = 0.6\ncloud_base_m = 1200.0\n"
+    scene = written(folder, quad(60.0), "paint_metallic", air=air, extra=SUN)
+    return Case(scene, tr.pose(0, 0, 2, pitch_deg=5), 32)
+
+
+@case("clouds, from above")
+def _(folder):
+    air = AIR + "cloud_fraction = 0.6\ncloud_base_m = 1200.0\n"
+    return Case(written(folder, quad(5000.0), "paint_metallic", air=air), tr.pose(0, 0, 3000, pitch_deg=-70), 16)
+
+
+@case("distortion and principal offset")
+def _(folder):
+    hot = thing("hot", "paint_black", 360.0, [6, 4, 1], [3, 2, 0])
+    scene = written(folder, quad(40.0), "grass_green", extra=hot)
+    bent = {"distortion": (-0.26, 0.10, 7e-4, 3e-4, -0.026), "principal_offset_px": (2.3, -1.7)}
+    return Case(small(scene, **bent), tr.pose(0, 0, 25, pitch_deg=-80))
+
+
+@case("moving object: place, heading and temperature at a time")
+def _(folder):
+    folder.mkdir()
+    track = "time_s,east_m,north_m,yaw_deg,temperature_k\n0,-4,1,350,300\n10,6,3,30,380\n"
+    (folder / "car.csv").write_text(track)
+    car = thing("car", "paint_metallic", 290.0, [3, 5, 2], [0, 0, 0], 'track = "car.csv"')
+    scene = written(folder, quad(40.0, cells=8), "sand_quartz", extra=car)
+    return Case(scene, tr.pose(0, 0, 25, pitch_deg=-75), 32, {"time_s": 6.5})
+
+
+@pytest.mark.parametrize("feature", CASES)
+def test_renderer_and_path_tracer_agree(tmp_path, feature):
+    found = opinion(CASES[feature](tmp_path / "s"))
+    assert found.largest_mk < LARGEST_MK, found
+    assert found.apart < found.limit, found
+
+
+if __name__ == "__main__":
+    for name in sys.argv[1:] or CASES:
+        with tempfile.TemporaryDirectory() as folder:
+            started = time.perf_counter()
+            print(name, opinion(CASES[name](Path(folder) / "s")), round(time.perf_counter() - started, 1), "s")
