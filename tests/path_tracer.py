@@ -29,7 +29,7 @@ SUN_K, SUN_SR = 5036.0, np.pi * (6.957e8 / 1.495978707e11) ** 2
 # Parts of the band where there is no air; altitudes at which the air is tabulated, 0.3 m apart at the ground.
 PARTS, LEVELS_M = 24, 1.5e3 * np.expm1(np.linspace(0.0, np.log1p(TOP_M / 1.5e3), 20001))
 # Steps of a ray through the air to space, the longest step of others [m], and rays at once.
-SKY_STEPS, STEP_M, AT_ONCE = 40, 150.0, 1 << 14
+SKY_STEPS, STEP_M, AT_ONCE = 120, 150.0, 1 << 14
 # Paths that carry less of the light than this end, or go on with more: roulette, which errs by nothing but noise.
 FAINT = 0.1
 
@@ -232,7 +232,9 @@ class PathTracer:
         light = np.zeros_like(passed)
         for k in range(len(parts) - 1):
             far = self._air_at(_risen(start, cosine, parts[k + 1] * length), wavelength)
-            depth = 0.5 * (near[0] + far[0]) * ((parts[k + 1] - parts[k]) * length)[:, None]
+            # The mean of what falls exponentially, after Pólya.
+            mean = (0.5 * (near[0] + far[0]) + 2.0 * np.sqrt(near[0] * far[0])) / 3.0
+            depth = mean * ((parts[k + 1] - parts[k]) * length)[:, None]
             after = np.exp(-depth)
             # The source is linear in depth: ∫ S e^−x dx from 0 to d.
             thin = depth < 1e-4
@@ -283,7 +285,7 @@ class PathTracer:
         start = np.maximum(start, 0.0)
         middle = (RADIUS_M + start) * cosine
         length = -middle + np.sqrt(middle**2 + (top_m - start) * (2.0 * RADIUS_M + top_m + start))
-        return self._along(start, cosine, length, wavelength, np.linspace(0.0, 1.0, SKY_STEPS + 1) ** 3)
+        return self._along(start, cosine, length, wavelength, np.linspace(0.0, 1.0, SKY_STEPS + 1) ** 4)
 
     def _sunlight(self, height):
         """(towards the sun, heights [m], transmittance there (h, N) of what lies above, clouds included)."""
