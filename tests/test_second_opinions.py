@@ -33,6 +33,7 @@ AIR = '[atmosphere]\nstandard = "midlatitude-summer"\naerosol = "rural-23km"\n'
 # Share of runs in which right code may fail; standard error of a block up to which a comparison says something [mK].
 FALSE_ALARM, LARGEST_MK = 1e-3, 30.0
 SEEDS, BLOCK, SIZE = 4, 8, (48, 40)
+QUALITY = {"quality": "high", "rays": 2048, "tolerance_mk": 1.0}
 # What `render.air` and `atmosphere.rays` state of the sky: its table by zenith angle, and the steps of its rays [mK].
 SKY_MK = 5.0 + 4.0
 
@@ -54,6 +55,8 @@ class Case:
         What differs from the ideal camera, beside its few pixels.
     stock : bool
         Whether the reference engine, stock Mitsuba, knows all of it too.
+    less : Path or None
+        Folder of a scene whose light is taken off both, seed by seed: what is left is one cause, and little noise.
     left_out : str
         What the renderer leaves out and says so: here it must stand apart from the path tracer.
     """
@@ -64,6 +67,7 @@ class Case:
     view: dict = field(default_factory=dict)
     camera: dict = field(default_factory=dict)
     stock: bool = False
+    less: Path | None = None
     left_out: str = ""
 
     def scene(self, plain=False):
@@ -119,22 +123,26 @@ def stock(case, seed):
 
 def opinion(case, engine=traced):
     """Return the Opinion of an engine on the renderer's radiance."""
-    renderer = tr.Renderer(case.scene(), quality="high", rays=2048, tolerance_mk=1.0)
+    renderer = tr.Renderer(case.scene(), **QUALITY)
     frame = renderer.frame(case.pose, **case.view)
     images = np.stack([engine(case, seed) for seed in range(SEEDS)])
-    exact = _blocks(images.mean(axis=0))
+    seen, exact = frame.radiance.astype(float), _blocks(images.mean(axis=0))
     per_mk = band_radiance_derivative(brightness_temperature(exact, *BAND), *BAND) * 1e-3
+    if case.less:
+        dark = replace(case, folder=case.less)
+        seen -= tr.Renderer(dark.scene(), **QUALITY).radiance(case.pose, **case.view)
+        images -= np.stack([engine(dark, seed) for seed in range(SEEDS)])
     # Of a block's mean, by the paths: each pixel's mean has a variance of var / SEEDS, and the block a share of theirs.
     paths = np.sqrt(_blocks(images.var(axis=0, ddof=1)) / SEEDS) / BLOCK / per_mk
     everywhere = sum(frame.budget_mk.get(name, 0.0) for name in ("nodes", "air", "mirrors"))
-    everywhere += SKY_MK if renderer.scene.air is not None else 0.0
+    everywhere += SKY_MK if renderer.scene.air is not None and not case.less else 0.0
     own = sampling_error(renderer.plan, frame._view.tracer(), frame.radiance, frame._sampling)
     sampling = np.sqrt(_blocks(np.square(np.nan_to_num(own), dtype=float))) / BLOCK / per_mk
     # The bake's rays err by as much in a whole face; a pixel's own sampling is its own. Mirrors show nothing of the
-    # bake, and light that is constant over faces is no excuse, as blocks hold several.
-    noise = 0.0 if renderer.plan.specular else renderer.baked.errors_mk["noise"]
+    # bake, differences have no such noise, and light that is constant over faces is no excuse, as blocks hold several.
+    noise = 0.0 if renderer.plan.specular or case.less else renderer.baked.errors_mk["noise"]
     error = np.sqrt(paths**2 + noise**2 + sampling**2)
-    deviation = (_blocks(frame.radiance.astype(float)) - exact) / per_mk
+    deviation = _blocks(seen - images.mean(axis=0)) / per_mk
     apart = np.maximum(np.abs(deviation) - everywhere, 0.0) / error
     worst = np.unravel_index(np.argmax(apart), apart.shape)
     limit = student.isf(0.5 * FALSE_ALARM / apart.size, BLOCK**2 * (SEEDS - 1))
@@ -281,22 +289,31 @@ SUN = "[sun]\nelevation_deg = 40.0\nazimuth_deg = 160.0\n"
 
 @case("sun, with shadow")
 def _(folder):
-    roof = thing("roof", "paint_metallic", 300.0, [4, 4, 0.2], [0, 0, 3])
-    scene = written(folder, quad(16.0, cells=24), "paint_metallic", air=AIR, extra=SUN + roof, plain=quad(16.0))
-    return Case(scene, tr.pose(0, 0, 30, pitch_deg=-90), 64)
+    roof = thing("roof", "paint_black", 300.0, [4, 4, 0.2], [0, 0, 3])
+    shapes = quad(16.0, cells=24), "paint_metallic", 300.0, 0.0, AIR
+    dark = written(folder / "dark", *shapes, roof, quad(16.0))
+    scene = written(folder, *shapes, SUN + roof, quad(16.0))
+    return Case(scene, tr.pose(0, 0, 30, pitch_deg=-90), 4, less=dark)
 
 
-@case("clouds and sun, from below")
+CLOUDS = AIR + "cloud_fraction = 0.6\ncloud_base_m = 1200.0\n"
+
+
+@case("sun between clouds")
 def _(folder):
-    air = AIR + "cloud_fraction = 0.6\ncloud_base_m = 1200.0\n"
-    scene = written(folder, quad(60.0), "paint_metallic", air=air, extra=SUN)
-    return Case(scene, tr.pose(0, 0, 2, pitch_deg=5), 32)
+    dark = written(folder / "dark", quad(60.0), "paint_metallic", air=CLOUDS)
+    scene = written(folder, quad(60.0), "paint_metallic", air=CLOUDS, extra=SUN)
+    return Case(scene, tr.pose(0, 0, 2, pitch_deg=-40), 4, less=dark)
+
+
+@case("clouds, from below")
+def _(folder):
+    return Case(written(folder, quad(60.0), "paint_metallic", air=CLOUDS), tr.pose(0, 0, 2, pitch_deg=5), 8)
 
 
 @case("clouds, from above")
 def _(folder):
-    air = AIR + "cloud_fraction = 0.6\ncloud_base_m = 1200.0\n"
-    return Case(written(folder, quad(5000.0), "paint_metallic", air=air), tr.pose(0, 0, 3000, pitch_deg=-70), 16)
+    return Case(written(folder, quad(5000.0), "paint_metallic", air=CLOUDS), tr.pose(0, 0, 3000, pitch_deg=-70), 8)
 
 
 @case("distortion and principal offset")
