@@ -28,7 +28,7 @@ RADIUS_M = MEAN_RADIUS_M / (1.0 - 0.13)
 SUN_K, SUN_SR = 5036.0, np.pi * (6.957e8 / 1.495978707e11) ** 2
 # Parts of the band where there is no air; altitudes at which the air is tabulated, 0.3 m apart at the ground.
 PARTS, LEVELS_M = 24, 1.5e3 * np.expm1(np.linspace(0.0, np.log1p(TOP_M / 1.5e3), 20001))
-# Steps of a ray through the air to space, the longest step of others [m], and rays at once.
+# Steps of a ray through the air to space, which err by up to 5 mK of the sky, longest step of others [m], rays at once.
 SKY_STEPS, STEP_M, AT_ONCE = 120, 150.0, 1 << 14
 # Paths that carry less of the light than this end, or go on with more: roulette, which errs by nothing but noise.
 FAINT = 0.1
@@ -319,7 +319,8 @@ def undistorted(camera, place):
     for _ in range(200):
         x, y = point.T
         square = x * x + y * y
-        shift = np.column_stack([2 * p1 * x * y + p2 * (square + 2 * x * x), p1 * (square + 2 * y * y) + 2 * p2 * x * y])
+        across, down = 2 * p1 * x * y + p2 * (square + 2 * x * x), p1 * (square + 2 * y * y) + 2 * p2 * x * y
+        shift = np.column_stack([across, down])
         before, point = point, (target - shift) / (1 + square * (k1 + square * (k2 + square * k3)))[:, None]
         if np.abs(point - before).max() < 1e-13:
             return point
@@ -354,7 +355,7 @@ def _refractive_index(scene, material):
 
 
 def _placed(scene, tracked, time_s, given):
-    """[(surface, vertices in the scene, temperature)] of an object with a track: turned clockwise, put on the ground."""
+    """[(surface, vertices in the scene, temperature)] of an object with a track: turned clockwise, on the ground."""
     item = tracked.item
     value = dict(zip(("east_m", "north_m", "above_ground_m"), item.position, strict=True))
     value |= {"yaw_deg": item.yaw_deg, "temperature_k": item.temperature}

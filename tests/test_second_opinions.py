@@ -350,22 +350,22 @@ def test_renderer_and_others_agree(tmp_path, feature):
 PAGE = """# Second opinions
 
 Every feature of the renderer beside an engine that is not its own: `tests/path_tracer.py`, float64 NumPy, which shares
-no transport, bake, plan, sampling or lookup with it, and where that knows all of the scene stock Mitsuba. Compared is band radiance, in mK of the temperature that it
-appears as, over blocks of {block}×{block} pixels of made scenes, at quality high with 2048 rays per face. Worst is the
-block that stands most standard errors beyond what the renderer states of its nodes, channels and mirrors; such a test
-fails where that is more than allowed, which right code does once in a thousand runs. `tests/test_second_opinions.py`
-holds each row, and `python tests/test_second_opinions.py` writes this page.
+no transport, bake, plan, sampling or lookup with it, and stock Mitsuba where that knows all of the scene. Compared is
+band radiance, in mK of the temperature that it appears as, over blocks of {block}×{block} pixels of scenes made for the
+feature, at quality high with 2048 rays per face. Worst is the block that stands most standard errors (s.e.) beyond what
+the renderer states of its nodes, channels, mirrors and sky. A test fails where that is more than allowed, which right
+code does once in a thousand runs. `tests/test_second_opinions.py` holds each row, and
+`python tests/test_second_opinions.py` writes this page.
 
-| feature | second opinion | worst block [mK] | its standard error [mK] | stated [mK] | standard errors beyond, allowed | \
-mean of the image [mK] |
-|---|---|---|---|---|---|---|
+| feature | second opinion | worst block ± s.e. [mK] | stated [mK] | s.e. beyond, allowed | whole image [mK] |
+|---|---|---|---|---|---|
 {rows}
-| lag of pixels over what moves or warms | closed forms, dense instants: `tests/test_movers.py` | | | | | |
+| lag of pixels over what moves or warms | closed forms, dense instants: `tests/test_movers.py` | | | | |
 
-Left out by the renderer, and how much that is in a scene made to show it:
+Left out by the renderer, and how much that is where a scene is made to show it:
 
-| what | second opinion | worst block [mK] | its standard error [mK] | mean of the image [mK] |
-|---|---|---|---|---|
+| what | second opinion | worst block ± s.e. [mK] | whole image [mK] |
+|---|---|---|---|
 {left_out}
 """
 
@@ -379,7 +379,8 @@ def page():
             found = {"path tracer": opinion(made)} | ({"stock Mitsuba": opinion(made, stock)} if made.stock else {})
         for name, one in found.items():
             print(feature, name, one, flush=True)
-            block, mean = f"{one.deviation_mk:+.1f} | {one.error_mk:.1f}", f"{one.mean_mk:+.1f} ± {one.mean_error_mk:.1f}"
+            block = f"{one.deviation_mk:+.1f} ± {one.error_mk:.1f}"
+            mean = f"{one.mean_mk:+.1f} ± {one.mean_error_mk:.1f}"
             if made.left_out:
                 left_out.append(f"| {feature}: {made.left_out} | {name} | {block} | {mean} |")
             else:

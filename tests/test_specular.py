@@ -1,11 +1,14 @@
 """Materials that depend on the angle of view, against closed forms, mirrored geometry and Lambertian scenes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
 
 import thermorender as tr
 from scenes import write_mesh, write_terrain
+from thermorender.atmosphere.model import Atmosphere
 from thermorender.atmosphere.rays import MEAN_RADIUS_M
 from thermorender.errors import ThermorenderError
 from thermorender.materials.files import INDEX_COLUMNS
@@ -189,6 +192,21 @@ def test_isothermal_enclosure_with_mirrors_reads_the_wall(tmp_path, material):
     frame = renderer.frame(tr.pose(-1, 0, 0, yaw_deg=60))
     # A leak would show 200 K; what is reflected of black walls is right to a millionth of the worst error of all light.
     assert np.abs(frame.apparent_temperature - 300.0).max() < 1e-3 + 1e-6 * renderer.plan.specular.error_mk
+
+
+@pytest.mark.parametrize("track", [None, "time_s,yaw_deg\n0,0\n"])
+def test_isothermal_air_is_invisible_on_the_way_to_a_mirror_too(tmp_path, track):
+    folder = tmp_path / "s"
+    rest = 'track = "t.csv"' if track else ""
+    wall = thing("wall", "black", 290.0, [200, 2, 60], [0, 150, 0], rest)
+    # Clouds near the ground, so that what is above the wall is as warm.
+    air = '[atmosphere]\nfile = "air.npz"\ncloud_fraction = 1.0\ncloud_base_m = 100.0\n'
+    write(folder, plane(400.0), "water_fresnel", 290.0, air=air, extra=wall)
+    (folder / "t.csv").write_text(track or "")
+    air = Atmosphere.standard("tropical", "rural-5km")
+    replace(air, temperature=np.full_like(air.temperature, 290.0)).save(folder / "air.npz")
+    frame = tr.Renderer(tr.load_scene(folder), rays=16).frame(tr.pose(0, 0, 4, pitch_deg=-15))
+    assert np.abs(frame.apparent_temperature - 290.0).max() < 2e-3
 
 
 def test_dynamic_mirrors_and_dynamic_objects_in_mirrors(tmp_path):
