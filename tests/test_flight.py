@@ -103,6 +103,25 @@ def test_resume_gives_the_same_bytes(setting, tmp_path):
     assert fly(renderer, path, tmp_path / "part", rate_hz=4.0, resume=True)["rendered"] == 0
 
 
+@pytest.mark.parametrize("damage", ["cut", "changed"])
+def test_damaged_files_are_rendered_anew(setting, tmp_path, damage):
+    renderer, path = setting
+    flight = {"rate_hz": 4.0, "products": ("exr", "counts")}
+    fly(renderer, path, tmp_path / "f", **flight)
+    whole = contents(tmp_path / "f")
+    told = json.loads((tmp_path / "f/frames.jsonl").read_text().splitlines()[2])["files"]
+    assert told["frame_000002.exr"][0] == len(whole["frame_000002.exr"]) and len(told) == 2
+    damaged = bytearray(whole["frame_000002.exr"])
+    if damage == "cut":
+        del damaged[20_000:]
+    else:
+        damaged[5_000] ^= 1
+    (tmp_path / "f/frame_000002.exr").write_bytes(damaged)
+    assert fly(renderer, path, tmp_path / "f", resume=True, **flight)["rendered"] == (3 if damage == "cut" else 0)
+    assert fly(renderer, path, tmp_path / "f", verify=True, **flight)["rendered"] == (0 if damage == "cut" else 3)
+    assert contents(tmp_path / "f") == whole
+
+
 def test_a_hovering_flight_starts_as_a_single_frame(setting, tmp_path):
     import cv2
 

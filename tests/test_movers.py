@@ -52,7 +52,7 @@ def flown(plate, flight_mps, rate_hz, frames, camera=CAMERA, told=True):
     at = lambda t: (0.0, flight_mps * t)  # noqa: E731
     path = lambda t: pose(*at(t), HEIGHT_M, 0.0, -90.0)  # noqa: E731
     sensor = Sensor(camera, 0)
-    taken = Exposure(sensor, lambda t, by: plate.radiance(t, by, at(t)), path, lambda p: 0.0, 1.0 / rate_hz,
+    taken = Exposure(sensor, lambda t, by, lit: plate.radiance(t, by, at(t)), path, lambda p: 0.0, 1.0 / rate_hz,
                      movers=[plate.mover] if told else [])  # fmt: skip
     found, how = [], None
     for index in range(frames):

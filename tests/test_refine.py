@@ -1,11 +1,17 @@
 """Finer triangles beside objects: the same shapes and maps, and light that no longer leaks from under them."""
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
+import trimesh
 
 import thermorender as tr
-from scenes import write_terrain
-from thermorender.physics.planck import band_radiance
-from thermorender.scene.refine import _lattice
+from scenes import write_mesh, write_terrain
+from thermorender.physics.planck import band_radiance, band_radiance_derivative
+from thermorender.render import reference
+from thermorender.scene.refine import _lattice, evened
+from thermorender.trajectory.path import pose
 
 DISC = """
 [[object]]
@@ -70,3 +76,66 @@ def test_heat_stays_under_the_plate(tmp_path):
     # (1 − a/√(a² + h²))/2; a round plate fills less. Quartz sand reflects 6.5 % of that.
     share = 0.5 * (1.0 - 0.35 / np.hypot(0.35, 0.07))
     assert 0.0 <= beside - far < share * 0.065 * band_radiance(360.0, 7.5, 13.5)
+
+
+def edges_of(surface):
+    """(ends by place (E, 2), how many triangles have each) of a surface's edges."""
+    _, place = np.unique(surface.vertices, axis=0, return_inverse=True)
+    ends = np.sort(place.reshape(-1)[surface.faces][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    return np.unique(ends, axis=0, return_counts=True)
+
+
+@pytest.mark.parametrize("textured", [False, True])
+def test_the_largest_triangles_are_cut_along_shared_edges(tmp_path, textured):
+    """A closed body of 12 and one of many triangles: closed as before, also where corners are not shared."""
+    surface = tr.load_scene(write_terrain(tmp_path / "a")).surfaces[0]
+    for body in (trimesh.creation.box((40.0, 3.0, 8.0)), trimesh.creation.icosphere(subdivisions=4)):
+        vertices = body.vertices.copy()
+        vertices[vertices[:, 2] > 0.7] *= (1.0, 1.0, 4.0)
+        vertices, faces = vertices.astype(np.float32), body.faces
+        if textured:
+            vertices, faces = vertices[faces].reshape(-1, 3), np.arange(3 * len(faces)).reshape(-1, 3)
+        uv = np.random.default_rng(1).random((len(faces), 3, 2)).astype(np.float32)
+        one = replace(surface, vertices=vertices, faces=faces.astype(np.int32), uv=uv)
+        fine = evened(one)
+        # Neighbours of what is halved are cut with it.
+        more = len(fine.faces) - len(faces)
+        assert 0.5 * max(1000, 0.2 * len(faces)) < more < 2.0 * max(1000, 0.2 * len(faces))
+        assert (edges_of(fine)[1] == 2).all() and area(fine).max() < 0.5 * area(one).max()
+        np.testing.assert_allclose(area(fine).sum(), area(one).sum(), rtol=1e-5)
+        # Wound as before.
+        corner, old = fine.vertices[fine.faces], vertices[faces]
+        volume = [np.linalg.det(each.astype(float)).sum() for each in (corner, old)]
+        assert volume[0] == pytest.approx(volume[1], rel=1e-5) and volume[0] > 0.0
+
+
+def test_equal_triangles_stay_as_they_are(tmp_path):
+    surface = tr.load_scene(write_terrain(tmp_path, height=np.random.default_rng(0).normal(0, 0.2, (60, 60)))).surfaces[
+        0
+    ]
+    assert evened(surface) is surface
+
+
+def test_light_changes_up_a_wall_of_two_triangles(tmp_path):
+    """Metal beside metal ground, four bands of the wall's height against path tracing."""
+    y, height_m, ground_m = 30.0, 8.0, 12.0
+    vertices = [[0, -y, 0], [ground_m, -y, 0], [ground_m, y, 0], [0, y, 0], [0, -y, height_m], [0, y, height_m]]
+    mesh = trimesh.Trimesh(vertices, [[0, 1, 2], [0, 2, 3], [0, 3, 5], [0, 5, 4]], process=False)
+    scene = tr.load_scene(write_mesh(tmp_path, mesh, emissivity=0.3, sky=200.0))
+    camera = replace(scene.camera, width=32, height=24, pixel_pitch_um=scene.camera.pixel_pitch_um * 20)
+    scene = replace(scene, camera=camera)
+    view = pose(14.0, 0.0, 4.0, yaw_deg=270.0)
+    found = tr.Renderer(scene, rays=512, samples=16).radiance(view)
+    paths = np.array([reference.render(scene, view, samples=256, depth=12, seed=seed) for seed in range(4)])
+    height = 4.0 - 14.0 * camera.directions(np.stack([np.full(24, 16.0), np.arange(24) + 0.5], axis=-1))[:, 1]
+    per_mk = 1e-3 * band_radiance_derivative(300.0, *camera.band_um)
+    off = []
+    for low in range(0, 8, 2):
+        band = (height > low + 0.3) & (height < low + 1.7)
+        means = paths[:, band].mean(axis=(1, 2))
+        error_mk = means.std(ddof=1) / 2.0 / per_mk
+        off.append((found[band].mean() - means.mean()) / per_mk)
+        # Light is constant over triangles 1 m large: a tenth of how it changes from one to the next.
+        assert error_mk < 40.0 and abs(off[-1]) < 4.0 * error_mk + 60.0
+    levels = [paths[:, (height > low) & (height < low + 2)].mean() / per_mk for low in (0, 6)]
+    assert abs(levels[0] - levels[1]) > 3000.0

@@ -159,7 +159,7 @@ def rocket(time_s):
 def exposure(camera, path, rate_hz=30.0, render_px=20.0):
     rendered = []
 
-    def radiance_at(time_s, seen_by):
+    def radiance_at(time_s, seen_by, lit_s):
         rendered.append(time_s)
         return textured(seen_by, path(time_s))
 

@@ -280,6 +280,29 @@ def write_json(path, value):
     write_text(path, json.dumps(value, indent=2) + "\n")
 
 
+def on_disk(*paths):
+    """Wait until files are on the disk, and their names in the folders that hold them."""
+    for path in (*paths, *{Path(path).parent for path in paths}):
+        # Windows opens no folder, and syncs nothing that was opened to be read.
+        with suppress(OSError):
+            handle = os.open(path, os.O_RDONLY)
+            try:
+                os.fsync(handle)
+            finally:
+                os.close(handle)
+
+
+def checksum(path):
+    """Return the BLAKE2b checksum of a file's bytes, 32 hexadecimal digits."""
+    import hashlib
+
+    state = hashlib.blake2b(digest_size=16)
+    with open(path, "rb") as file:
+        for block in iter(lambda: file.read(1 << 20), b""):
+            state.update(block)
+    return state.hexdigest()
+
+
 def append_json(path, *values):
     """Append values to a file of JSON lines, at once; they are on the disk when this returns."""
     try:

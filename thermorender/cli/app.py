@@ -290,6 +290,9 @@ def fly(
     air: Air = None,
     allow_below_ground: Below = False,
     resume: Annotated[bool, typer.Option("--resume", help="Continue a stopped flight.")] = False,
+    verify: Annotated[
+        bool, typer.Option("--verify", help="Continue from the first frame whose files are not what was written.")
+    ] = False,
     seed: Seed = 0,
     quality: Quality = "standard",
     rays: Rays = None,
@@ -311,6 +314,7 @@ def fly(
         summary = run(
             renderer, path, output, rate_hz, wanted, start_s, stop_s, resume,
             lambda done, total: tell(f"frame {done} of {total}", done / total), display_settings, settings, tell,
+            verify,
         )  # fmt: skip
     _tell_cache(renderer)
     typer.echo(f"{summary['frames']} frames, {summary['rendered']} rendered now, in {summary['folder']}")

@@ -1,10 +1,11 @@
 """A flight: timed poses to frames on disk, in an order that can be stopped anywhere and resumed.
 
-A frame counts as done when its line stands in `frames.jsonl`; the line is appended after its files have their
-final names. `flight.json` holds everything the bytes depend on, so a resume that would not give the same bytes
-is refused, and at the end how many frames show no terrain. What the sensor's pixels remember is kept in two files,
-written in turn, until the flight is done; where it is lost, a resume takes the frames before once more to have it
-again. Temperatures of a heat balance go with the flight's time; see `thermorender.output.timed`.
+A frame counts as done when its line stands in `frames.jsonl`; the line is appended when its files are on the disk under
+their final names, and tells their sizes and checksums. `flight.json` holds everything the bytes depend on, so a resume
+that would not give the same bytes is refused, and at the end how many frames show no terrain. What the sensor's pixels
+remember is kept in two files, written in turn, until the flight is done; where it is lost, a resume takes the frames
+before once more to have it again. Temperatures of a heat balance go with the flight's time; see
+`thermorender.output.timed`.
 """
 
 import itertools
@@ -65,6 +66,7 @@ def fly(
     display: DisplaySettings | None = None,
     thermography: ThermographySettings | None = None,
     marching: Callable[[str, float], object] | None = None,
+    verify: bool = False,
 ) -> dict[str, Any]:
     """Render a flight into a folder and return its summary.
 
@@ -84,7 +86,7 @@ def fly(
     start_s, stop_s : float, optional
         Part of the trajectory's time to fly [s].
     resume : bool
-        Continue a stopped flight of the same settings.
+        Continue a stopped flight of the same settings, from the first frame whose files are not there in their size.
     progress : callable, optional
         Called with (frames done, frames in all).
     display : DisplaySettings, optional
@@ -93,6 +95,8 @@ def fly(
         For the product radiometric and the EXR: what thermography software then reads.
     marching : callable, optional
         Called with (what, share done) while a heat balance is marched.
+    verify : bool
+        As `resume`, but from the first frame whose files are not what was written, by their checksums.
 
     Returns
     -------
@@ -134,7 +138,7 @@ def fly(
     }
     exposure = _exposure(timed, renderer, trajectory, 1.0 / rate)
     with files.output_folder(folder) as out, files.in_use(out):
-        terrain = _done(out, settings, products, resume)
+        terrain = _done(out, settings, products, resume or verify, verify)
         done, agc = len(terrain), None
 
         def take(index: int, agc: _Memory) -> tuple[Frame, _Memory, Any]:
@@ -148,10 +152,11 @@ def fly(
             # Only now, so that a mistake that shows with the first frame leaves nothing behind.
             if not (out / "flight.json").exists():
                 files.write_json(out / "flight.json", settings)
-            product_files.write(out, frame, products, image, thermography, _photographer(renderer, frame))
-            _save_state(out, exposure, agc, index)
+            written = product_files.write(out, frame, products, image, thermography, _photographer(renderer, frame))
+            files.on_disk(*written.values(), _save_state(out, exposure, agc, index))
             terrain.append(_shows_terrain(renderer.scene, frame))
             told = record(frame) | timed.told(frame.time_s) | {"shows_terrain": terrain[-1]}
+            told["files"] = {path.name: [path.stat().st_size, files.checksum(path)] for path in written.values()}
             files.append_json(out / "frames.jsonl", told)
             if progress:
                 progress(index + 1, len(times))
@@ -172,7 +177,13 @@ def fly(
     }
 
 
-def _done(folder: Path, settings: dict[str, Any], products: Sequence[str], resume: bool) -> list[bool]:
+def _whole(path: Path, known: tuple[int, str], verify: bool) -> bool:
+    """Whether a file is there as its frame's record has it: by its size, and if asked for by its checksum."""
+    size, checksum = known
+    return path.exists() and path.stat().st_size == size and (not verify or files.checksum(path) == checksum)
+
+
+def _done(folder: Path, settings: dict[str, Any], products: Sequence[str], resume: bool, verify: bool) -> list[bool]:
     """Return whether each frame already done shows terrain, after checking the folder and comparing `flight.json`."""
     described, lines = folder / "flight.json", folder / "frames.jsonl"
     if not resume:
@@ -213,11 +224,11 @@ def _done(folder: Path, settings: dict[str, Any], products: Sequence[str], resum
     for number, line in enumerate(text.splitlines()):
         try:
             stored = json.loads(line)
-            index, shows = stored["index"], stored["shows_terrain"]
+            index, shows, known = stored["index"], stored["shows_terrain"], stored["files"]
+            images = product_files.paths(folder, number, products).values()
+            if index != number or not all(_whole(path, known[path.name], verify) for path in images):
+                break
         except (ValueError, KeyError, TypeError):
-            break
-        images = product_files.paths(folder, number, products).values()
-        if index != number or not all(path.exists() for path in images):
             break
         kept.append(line)
         terrain.append(shows)
@@ -255,7 +266,7 @@ def _exposure(timed: TimedRenderer, renderer: "Renderer", trajectory: Trajectory
 
     return Exposure(
         sensor_of(scene.camera, renderer.seed),
-        lambda time_s, camera: timed.at(time_s).radiance(pose_at(time_s), time_s, camera=camera),
+        lambda time_s, camera, lit_s: timed.at(time_s).radiance(pose_at(time_s), time_s, camera=camera, lit_s=lit_s),
         pose_at,
         ground_at,
         interval_s,
@@ -292,11 +303,12 @@ def _state_files(folder: Path) -> tuple[Path, Path]:
     return folder / "sensor_even.npz", folder / "sensor_odd.npz"
 
 
-def _save_state(folder: Path, exposure: Exposure, agc: _Memory, index: int) -> None:
+def _save_state(folder: Path, exposure: Exposure, agc: _Memory, index: int) -> Path:
     """Keep the state of sensor and display beside the frame's line: two files in turn, so that one is always whole."""
-    state = exposure.state() | ({} if agc is None else {"agc": agc})
-    with files.atomic(_state_files(folder)[index % 2]) as part:
+    state, path = exposure.state() | ({} if agc is None else {"agc": agc}), _state_files(folder)[index % 2]
+    with files.atomic(path) as part:
         np.savez(part, index=index, **state)
+    return path
 
 
 def _restored(

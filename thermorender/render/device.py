@@ -46,7 +46,7 @@ class DeviceScene:
             if plan.specular:
                 to_mirrors = AirToMirrors(mi, scene, plan.spectrum, plan.specular.altitude_m, self._corners)
             self._air = Air(mi, scene, plan.spectrum, to_mirrors)
-        self._last_medium = self._last_outgoing = None, None
+        self._last_medium = self._last_light = self._last_outgoing = None, None
 
     def layers(self, pose, placements):
         """Return the Layers that a view from `pose` shows: the static scene and each object at its Placement."""
@@ -76,11 +76,12 @@ class DeviceScene:
         """(OutgoingRadiance of the static scene, [that of each object]) with the objects' light on each other's."""
         if not self.objects:
             return self._outgoing, []
-        key, last = tuple((each.pose.tobytes(), each.temperature) for each in placements), self._last_outgoing
+        lit = [each.lit or each for each in placements]
+        key, last = tuple(each.key for each in lit), self._last_light
         if last[0] != key:
             found = [
-                item.update(placement, self.geometry, self._light)
-                for item, placement in zip(self.objects, placements, strict=True)
+                item.light(placement, self.geometry, self._light)
+                for item, placement in zip(self.objects, lit, strict=True)
             ]
             outgoing = self._outgoing
             if self._light is not None:
@@ -88,8 +89,13 @@ class DeviceScene:
                 for _, (faces, added) in found:
                     light[faces] += added
                 outgoing = replace(outgoing, faces=Channels(self._mi, light))
-            last = self._last_outgoing = key, (outgoing, [own for own, _ in found])
-        return last[1]
+            last = self._last_light = key, (outgoing, [own for own, _ in found])
+        outgoing, light = last[1]
+        key, last = (key, tuple(each.temperature for each in placements)), self._last_outgoing
+        if last[0] != key:
+            each = zip(self.objects, placements, light, strict=True)
+            last = self._last_outgoing = key, [item.outgoing(one.temperature, own) for item, one, own in each]
+        return outgoing, last[1]
 
 
 def flat(scene, name):

@@ -6,7 +6,7 @@ way: light that went twice between object and ground is left out, as is light be
 weaker by the reflectances of the two.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import numpy as np
@@ -29,14 +29,22 @@ class Placement:
         From the object's own frame to the scene's.
     temperature : float
         [K].
+    lit : Placement or None
+        That whose light it gets and gives; None where it is its own.
     """
 
     name: str
     pose: np.ndarray
     temperature: float
+    lit: "Placement | None" = None
+
+    @property
+    def key(self):
+        """What it is but for its light, hashable."""
+        return self.pose.tobytes(), self.temperature
 
 
-def placements(scene, time_s, objects=None):
+def placements(scene, time_s, objects=None, lit_s=None):
     """Return the Placement of each dynamic object of a scene at a time, a tuple in their order.
 
     Parameters
@@ -46,6 +54,8 @@ def placements(scene, time_s, objects=None):
         On their tracks [s].
     objects : dict, optional
         {name: {column of its track: value}} to take instead of the track's.
+    lit_s : float, optional
+        Time whose light they get and give [s], which takes as long as all else: for instants next to that.
 
     Raises
     ------
@@ -71,6 +81,8 @@ def placements(scene, time_s, objects=None):
         values = tracked.at(time_s, **objects.get(tracked.name, {}))
         pose = tracked.world_from_own(values, scene.ground)
         found.append(Placement(tracked.name, pose, values["temperature_k"]))
+    if lit_s is not None and lit_s != time_s:
+        found = [replace(one, lit=lit) for one, lit in zip(found, placements(scene, lit_s, objects), strict=True)]
     return tuple(found)
 
 
@@ -128,49 +140,47 @@ class DynamicObject:
         self._emissivity_at = materials[self._material].emissivity_at
         self._texel_count = sum(surface.material.size for surface in tracked.surfaces)
         self._tables = tables if tables and tables.number[self._material] else None
-        self._last = None, None
 
-    def update(self, placement, geometry, light):
-        """Return (OutgoingRadiance, (faces, light it adds to them)) of the object at a Placement.
+    def light(self, placement, geometry, static):
+        """Return (light that each own face reflects, (faces, light it adds to them)) at a Placement.
 
         Parameters
         ----------
         placement : Placement
         geometry : Geometry
             Of the static scene.
-        light : StaticLight or None
+        static : StaticLight or None
             None where reflection is left out.
 
         Returns
         -------
-        outgoing : OutgoingRadiance
+        own : (F, K)
+            In each channel [W m⁻² sr⁻¹].
         faces : (n,) int64
             Of the static scene.
         added : (n, K) float32
             What these reflect more than without the object, in each channel [W m⁻² sr⁻¹].
         """
-        pose, temperature = placement.pose, placement.temperature
-        key, last = (pose.tobytes(), temperature), self._last
-        if last[0] != key:
-            last = self._last = key, self._updated(pose, temperature, geometry, light)
-        return last[1]
+        if static is None:
+            channels = self._plan.spectrum.channels
+            return np.zeros((self.geometry.face_count, channels)), (
+                np.zeros(0, np.int64),
+                np.zeros((0, channels), np.float32),
+            )
+        return self._light(placement.pose, placement.temperature, geometry, static)
 
-    def _updated(self, pose, temperature, geometry, light):
+    def outgoing(self, temperature, own):
+        """Return the OutgoingRadiance at a temperature [K], with light that its faces reflect as by `light`."""
         mi, plan = self.geometry.mi, self._plan
-        emitted = plan.spectrum.emitted_at(self._emissivity_at, temperature, plan.band_um)
-        channels = plan.spectrum.channels
-        own = np.zeros((self.geometry.face_count, channels))
-        added = np.zeros(0, np.int64), np.zeros((0, channels), np.float32)
-        if light is not None:
-            own, added = self._light(pose, temperature, geometry, light)
         mirror = None
         if self._tables:
             material = np.full(self._texel_count, self._material)
             warm = np.full(self._texel_count, temperature)
             black = mirrors.black_of(plan, self._tables.number, material, warm)
             mirror = mirrors.Mirror(mi, self._tables, material, black)
+        emitted = plan.spectrum.emitted_at(self._emissivity_at, temperature, plan.band_um)
         texels = [np.full(self._texel_count, value, np.float32) for value in emitted]
-        return OutgoingRadiance.of(self.geometry, texels, own, mirror), added
+        return OutgoingRadiance.of(self.geometry, texels, own, mirror)
 
     def box(self, pose):
         """Return the lowest and highest corner of the object at a pose, (2, 3) [m]."""
@@ -178,7 +188,7 @@ class DynamicObject:
         return np.stack([corner.min(axis=0), corner.max(axis=0)])
 
     def _light(self, pose, temperature, geometry, static):
-        """(light that each own face reflects, what `update` says of the static scene's)."""
+        """As `light`."""
         from scipy.sparse import csr_array
 
         mi, plan, count, others = self.geometry.mi, self._plan, self.geometry.face_count, geometry.face_count

@@ -167,14 +167,15 @@ class Renderer:
 
     def radiance(
         self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None, through_air: bool = True,
-        camera: Camera | None = None,
+        camera: Camera | None = None, lit_s: float | None = None,
     ) -> NDArray[np.float32]:  # fmt: skip
         """Return the band radiance of `frame` alone, (H, W) float32 [W m⁻² sr⁻¹], without noise or truth.
 
         Without `through_air` it is what leaves the surfaces towards the camera, lit through the air as ever. `camera`
-        stands in for the scene's, as one that takes a part of its image does; band and air stay the scene's.
+        stands in for the scene's, as one that takes a part of its image does; band and air stay the scene's. With
+        `lit_s` moving objects get and give the light of that time [s], which saves tracing it for instants beside it.
         """
-        return self._view(pose, time_s, objects, camera).radiance(through_air)[0]
+        return self._view(pose, time_s, objects, camera, lit_s).radiance(through_air)[0]
 
     def frame_of(
         self, radiance: NDArray[np.float32], pose: ArrayLike, plan: dict[str, Any], time_s: float = 0.0, index: int = 0,
@@ -291,9 +292,10 @@ class Renderer:
         dr.sync_thread()
 
     def _view(
-        self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None, camera: Camera | None = None
-    ) -> "View":
-        placed = placements(self.scene, time_s, objects)
+        self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None, camera: Camera | None = None,
+        lit_s: float | None = None,
+    ) -> "View":  # fmt: skip
+        placed = placements(self.scene, time_s, objects, lit_s)
         return View(self.baked, self._camera_rays(camera), checked_pose(pose), placed)
 
     def _frame(

@@ -23,7 +23,7 @@ from thermorender.scene import mesh, terrain
 from thermorender.scene.ground import Ground
 from thermorender.scene.material_map import learned_materials
 from thermorender.scene.raster import Grid, bounds_in, grid_of, onto, read_classes, read_colour
-from thermorender.scene.refine import refined
+from thermorender.scene.refine import evened, refined
 from thermorender.scene.spec import (
     AtmosphereSpec,
     EmissivitySpec,
@@ -583,6 +583,7 @@ def load_scene(name: str | PathLike[str]) -> Scene:
     tracked = [one for one in objects if one.item.track]
     along = [surface for one in tracked for values in one.stations() for surface in _in_scene(one, values, scene)]
     terrain_surfaces, done = refined(scene.surfaces, static + along)
+    terrain_surfaces = [evened(surface) for surface in terrain_surfaces]
     static = done[: len(static)]
     tracked_objects = tuple(replace(one, surfaces=tuple(refined((), one.surfaces)[1])) for one in tracked)
     scene = replace(

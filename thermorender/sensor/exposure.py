@@ -90,8 +90,8 @@ class Exposure:
     ----------
     sensor : Sensor
     radiance_at : callable
-        Time [s], Camera → (H, W) float32 band radiance then [W m⁻² sr⁻¹], as that camera sees it: the sensor's, or a
-        part of it.
+        Time [s], Camera, time whose light moving things get and give [s] → (H, W) float32 band radiance [W m⁻² sr⁻¹] as
+        that camera sees it: the sensor's, or a part of it. The light is that of the frame's own time.
     pose_at : callable
         Time [s] → (4, 4) world_from_camera.
     ground_at : callable
@@ -241,7 +241,7 @@ class Exposure:
 
         def powers():
             for at in times:
-                image = radiance[wide] if at == time_s else self._radiance_at(at, part_of)
+                image = radiance[wide] if at == time_s else self._radiance_at(at, part_of, time_s)
                 yield at, offset + gain * self.sensor.blurred(image)[inner]
 
         state, rows = None, plan.row_times_s[part.rows]
@@ -307,7 +307,9 @@ class Exposure:
             after = renders[min(np.searchsorted(renders, number), len(renders) - 1)]
             for render in (before, after):
                 if render not in seen:
-                    image = radiance if render == plan.own else self._radiance_at(times[render], self.sensor.camera)
+                    image = radiance
+                    if render != plan.own:
+                        image = self._radiance_at(times[render], self.sensor.camera, times[plan.own])
                     seen[render] = self.sensor.blurred(image)
             seen = {render: seen[render] for render in (before, after)}
             images = [(times[render], image) for render, image in seen.items()]

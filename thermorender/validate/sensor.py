@@ -99,7 +99,7 @@ def _lag(renderer, of, flight):
     """Errors and times of one flight's settings; and (one image, reference) of its frame in band radiance."""
     camera, (path, ground_m) = of.camera, _flight(renderer, flight)
 
-    def radiance_at(time_s, camera=None):
+    def radiance_at(time_s, camera=None, lit_s=None):
         return renderer.radiance(path(time_s), camera=camera)
 
     now = radiance_at(0.0)
