@@ -229,7 +229,7 @@ def _(folder):
 @case("light between surfaces: a trench")
 def _(folder):
     scene = written(folder, trench(10), "paint_metallic", 300.0, 280.0, plain=trench(1))
-    return Case(scene, tr.pose(0, 0, 9, pitch_deg=-90), 64, stock=True)
+    return Case(scene, tr.pose(0, 0, 9, pitch_deg=-90), 96, stock=True)
 
 
 @case("mirror, tilted: what only it shows")
