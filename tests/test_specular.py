@@ -10,11 +10,9 @@ import thermorender as tr
 from scenes import write_mesh, write_terrain
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.atmosphere.rays import MEAN_RADIUS_M
-from thermorender.errors import ThermorenderError
 from thermorender.materials.files import INDEX_COLUMNS
 from thermorender.physics.band import quadrature
 from thermorender.physics.planck import band_radiance_derivative, brightness_temperature, spectral_radiance
-from thermorender.render import reference
 from thermorender.render.geometry import Geometry
 from thermorender.render.plan import make_plan
 
@@ -264,9 +262,3 @@ def test_plan_leaves_mirrors_out_where_all_is_of_one_temperature(tmp_path):
     for plan, apart in zip(plans[1:], (0.01, 20.0), strict=True):
         share = 1.0 - scene.materials[0].band_emissivity(*BAND, 290.0, np.cos(np.radians(80.0)))
         assert 0.7 * share * apart < plan.specular_mk * 1e-3 < 1.3 * (share + 0.06) * apart
-
-
-def test_the_reference_engine_refuses_them(tmp_path):
-    scene = tr.load_scene(write(tmp_path / "s", plane(9.0), "water_fresnel"))
-    with pytest.raises(ThermorenderError, match="'water_fresnel' depends on the angle of view"):
-        reference.render(scene, tr.pose(0, 0, 5, pitch_deg=-90), samples=1)
