@@ -124,7 +124,9 @@ def test_level_mirror_behind_air(tmp_path, height, pitch, material):
     seen, air = frame.radiance[::61, ::73][pixels], scene.air
     length = height / cosine
     passed, added = air.path(height, (length**2 - height**2) / (2.0 * MEAN_RADIUS_M), length)
-    at_m = np.square(4.0 * height) / MEAN_RADIUS_M
+    # The mean of its triangles' corners, over the round Earth.
+    corner = scene.surfaces[0].vertices[scene.surfaces[0].faces].reshape(-1, 3)
+    at_m = np.square(corner[:, :2]).sum(axis=1).mean() / (2.0 * MEAN_RADIUS_M)
     sky, leaving = air.sky_radiance(at_m, cosine), np.empty((len(cosine), air.nodes))
     for node, limits in enumerate(zip(air.lower_um, air.upper_um, strict=True)):
         wavelength, weight = quadrature(*limits)
