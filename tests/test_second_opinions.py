@@ -322,8 +322,8 @@ def _(folder):
 
 @case("distortion and principal offset")
 def _(folder):
-    hot = thing("hot", "paint_black", 360.0, [6, 4, 1], [3, 2, 0])
-    scene = written(folder, quad(40.0), "grass_green", extra=hot)
+    hot = thing("hot", "paint_black", 360.0, [5, 4, 1], [7.5, 4, 0])
+    scene = written(folder, quad(40.0, cells=40), "grass_green", extra=hot, plain=quad(40.0))
     bent = {"distortion": (-0.26, 0.10, 7e-4, 3e-4, -0.026), "principal_offset_px": (2.3, -1.7)}
     return Case(scene, tr.pose(0, 0, 25, pitch_deg=-80), 64, camera=bent, stock=True)
 
