@@ -141,9 +141,11 @@ def test_sky_bins_on_a_wall_and_on_a_slope(tmp_path):
         turned = trimesh.Trimesh([[-1, -1, 0], [1, -1, 0], [0, 1, 0]], [[0, 1, 2]])
         turned.apply_transform(trimesh.transformations.rotation_matrix(np.radians(tilt), [1, 0, 0]))
         scene = tr.load_scene(write_mesh(tmp_path / f"{tilt}", turned))
-        transport = radiosity.trace(Geometry(activate(), scene.surfaces), 1 << 15)
+        geometry = Geometry(activate(), scene.surfaces)
+        # Triangles that the one is cut into share these rays.
+        transport = radiosity.trace(geometry, (1 << 20) // geometry.face_count)
         light = environment.Environment(environment.sky_bins(air, 0.0)[None], np.ones((1, 1)), np.zeros(air.nodes))
-        found = light.light(transport.sky, transport.background).sum()
+        found = geometry.share @ light.light(transport.sky, transport.background).sum(axis=1)
         # ∫ L cos θ dω / π by zenith angle and azimuth, the cosine to the face's normal clipped at 0.
         azimuth = np.linspace(0.0, 2.0 * np.pi, 4000, endpoint=False)
         sine = np.sqrt(1.0 - cosine**2)[:, None]

@@ -1,17 +1,18 @@
 """Materials that depend on the angle of view, against closed forms, mirrored geometry and Lambertian scenes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
 
 import thermorender as tr
 from scenes import write_mesh, write_terrain
+from thermorender.atmosphere.model import Atmosphere
 from thermorender.atmosphere.rays import MEAN_RADIUS_M
-from thermorender.errors import ThermorenderError
 from thermorender.materials.files import INDEX_COLUMNS
 from thermorender.physics.band import quadrature
 from thermorender.physics.planck import band_radiance_derivative, brightness_temperature, spectral_radiance
-from thermorender.render import reference
 from thermorender.render.geometry import Geometry
 from thermorender.render.plan import make_plan
 
@@ -123,7 +124,9 @@ def test_level_mirror_behind_air(tmp_path, height, pitch, material):
     seen, air = frame.radiance[::61, ::73][pixels], scene.air
     length = height / cosine
     passed, added = air.path(height, (length**2 - height**2) / (2.0 * MEAN_RADIUS_M), length)
-    at_m = np.square(4.0 * height) / MEAN_RADIUS_M
+    # The mean of its triangles' corners, over the round Earth.
+    corner = scene.surfaces[0].vertices[scene.surfaces[0].faces].reshape(-1, 3)
+    at_m = np.square(corner[:, :2]).sum(axis=1).mean() / (2.0 * MEAN_RADIUS_M)
     sky, leaving = air.sky_radiance(at_m, cosine), np.empty((len(cosine), air.nodes))
     for node, limits in enumerate(zip(air.lower_um, air.upper_um, strict=True)):
         wavelength, weight = quadrature(*limits)
@@ -191,6 +194,21 @@ def test_isothermal_enclosure_with_mirrors_reads_the_wall(tmp_path, material):
     assert np.abs(frame.apparent_temperature - 300.0).max() < 1e-3 + 1e-6 * renderer.plan.specular.error_mk
 
 
+@pytest.mark.parametrize("track", [None, "time_s,yaw_deg\n0,0\n"])
+def test_isothermal_air_is_invisible_on_the_way_to_a_mirror_too(tmp_path, track):
+    folder = tmp_path / "s"
+    rest = 'track = "t.csv"' if track else ""
+    wall = thing("wall", "black", 290.0, [200, 2, 60], [0, 150, 0], rest)
+    # Clouds near the ground, so that what is above the wall is as warm.
+    air = '[atmosphere]\nfile = "air.npz"\ncloud_fraction = 1.0\ncloud_base_m = 100.0\n'
+    write(folder, plane(400.0), "water_fresnel", 290.0, air=air, extra=wall)
+    (folder / "t.csv").write_text(track or "")
+    air = Atmosphere.standard("tropical", "rural-5km")
+    replace(air, temperature=np.full_like(air.temperature, 290.0)).save(folder / "air.npz")
+    frame = tr.Renderer(tr.load_scene(folder), rays=16).frame(tr.pose(0, 0, 4, pitch_deg=-15))
+    assert np.abs(frame.apparent_temperature - 290.0).max() < 2e-3
+
+
 def test_dynamic_mirrors_and_dynamic_objects_in_mirrors(tmp_path):
     frames = []
     for track in (None, "time_s,yaw_deg\n0,30\n"):
@@ -246,9 +264,3 @@ def test_plan_leaves_mirrors_out_where_all_is_of_one_temperature(tmp_path):
     for plan, apart in zip(plans[1:], (0.01, 20.0), strict=True):
         share = 1.0 - scene.materials[0].band_emissivity(*BAND, 290.0, np.cos(np.radians(80.0)))
         assert 0.7 * share * apart < plan.specular_mk * 1e-3 < 1.3 * (share + 0.06) * apart
-
-
-def test_the_reference_engine_refuses_them(tmp_path):
-    scene = tr.load_scene(write(tmp_path / "s", plane(9.0), "water_fresnel"))
-    with pytest.raises(ThermorenderError, match="'water_fresnel' depends on the angle of view"):
-        reference.render(scene, tr.pose(0, 0, 5, pitch_deg=-90), samples=1)

@@ -1,9 +1,11 @@
 """The reference engine: stock Mitsuba path tracing of the same scene, to say how wrong the renderer is.
 
 A spectral variant, a `specfilm` with the camera's band as its response, a stock path integrator, stock diffuse
-surfaces and area emitters. The only part of our own is a small texture: Planck radiance of a temperature map
-times its material's emissivity, or the reflectance. It shares no transport, bake, plan or node with the renderer;
-its wavelengths are sampled at random, so its error is noise that falls with the square root of the samples.
+surfaces and area emitters. Three small parts are our own: a texture, Planck radiance of a temperature map times its
+material's emissivity, or the reflectance; surfaces that are diffuse at some texels and mirrors at others, at every
+meeting; and a sensor for cameras of any lens, whose rays start anywhere in a pixel.
+It shares no transport, bake, plan or node with the renderer; its wavelengths are sampled at random, so its error is
+noise that falls with the square root of the samples.
 """
 
 import itertools
@@ -11,6 +13,7 @@ import itertools
 import numpy as np
 
 from thermorender.errors import ThermorenderError
+from thermorender.physics.fresnel import COSINES
 from thermorender.physics.planck import C1L, C2
 from thermorender.render.device import box_of
 from thermorender.render.mirrors import directional
@@ -44,20 +47,10 @@ def render(scene, pose, samples=64, depth=8, seed=0, device="auto", integrator="
     Raises
     ------
     ThermorenderError
-        A camera with distortion, a pose that is no rigid transform, samples below 1, a directional material, air.
+        A pose that is no rigid transform, samples below 1, air.
     """
     pose = checked_pose(pose)
     camera = scene.camera
-    if any(camera.distortion) or any(camera.principal_offset_px):
-        raise ThermorenderError(
-            f"camera {camera.name}: the reference engine has no distortion or principal offset; use another camera"
-        )
-    mirrors = [scene.materials[number].name for number in directional(scene.materials)]
-    if mirrors:
-        raise ThermorenderError(
-            f"material {mirrors[0]!r} depends on the angle of view, which the reference engine does not know; give a "
-            "Lambertian one, such as 'water', 'ice' or 'glass'"
-        )
     if scene.air is not None:
         raise ThermorenderError(
             f"scene {scene.name!r} has [atmosphere], which the reference engine does not know; give it a [sky] instead"
@@ -119,26 +112,20 @@ def squared_error(frame, first, second):
 def mitsuba_scene(mi, scene, pose, integrator, depth):
     """Return the Mitsuba scene of stock plugins and the thermal texture, for the active spectral variant."""
     scene.refuse_unwarmed()
-    name = f"thermal{next(_NAMES)}"
+    number = next(_NAMES)
+    name, lens = f"thermal{number}", f"lens{number}"
     limits = box_of(scene)
     middle = float(limits[:, 2].mean())
     _register(mi, name, scene, horizon_m=middle)
     camera = scene.camera
+    _register_lens(mi, lens, camera, pose)
     lower, upper = (1e3 * edge for edge in camera.band_um)
-    to_world = pose.copy()
-    # Mitsuba's camera looks along +z with x to the left and y up.
-    to_world[:3, :2] *= -1.0
     parts = {
         "type": "scene",
         "embree_use_robust_intersections": True,
         "integrator": {"type": integrator, **({"max_depth": depth, "rr_depth": depth} if integrator == "path" else {})},
         "sensor": {
-            "type": "perspective",
-            "fov": camera.field_of_view_deg[0],
-            "fov_axis": "x",
-            "near_clip": 1e-3,
-            "far_clip": 1e9,
-            "to_world": mi.ScalarTransform4f(to_world),
+            "type": lens,
             "sampler": {"type": "multijitter"},
             "film": {
                 "type": "specfilm",
@@ -160,18 +147,65 @@ def mitsuba_scene(mi, scene, pose, integrator, depth):
         "bsdf": {"type": "diffuse", "reflectance": {"type": "uniform", "value": 0.0}},
         "emitter": {"type": "area", "radiance": {"type": name, "what": "outside", "surface": 0}},
     }
+    mirrors = np.isin(np.arange(len(scene.materials)), directional(scene.materials))
     for number, surface in enumerate(scene.surfaces):
-        parts[f"s{number}"] = _mesh(mi, name, number, surface, scene.terrain_count)
+        parts[f"s{number}"] = _mesh(mi, name, number, surface, scene.terrain_count, mirrors)
     return mi.load_dict(parts)
 
 
-def _mesh(mi, name, number, surface, terrain_count):
-    """A surface as a stock mesh with map coordinates, a two-sided diffuse material and an area emitter."""
+def _register_lens(mi, name, camera, pose):
+    """Register the sensor: a camera's rays through its distortion and principal point, exact at pixels' corners.
+
+    Between these directions are bilinear: within a pixel a lens is linear to 1e-6 of a pixel.
+    """
+    import drjit as dr
+
+    width, height = camera.width, camera.height
+    place = np.stack(np.meshgrid(np.arange(width + 1.0), np.arange(height + 1.0)), axis=-1)
+    slopes = mi.Float(camera.directions(place).astype(np.float32).ravel())
+    rotation, origin = mi.Matrix3f(pose[:3, :3]), mi.Point3f(pose[:3, 3])
+
+    class Lens(mi.Sensor):
+        def sample_ray(self, time, wavelength_sample, position_sample, aperture_sample, active=True):
+            wavelengths, weight = self.sample_wavelengths(
+                dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, active
+            )
+            column, row = position_sample.x * width, position_sample.y * height
+            left = dr.clip(mi.Int32(dr.floor(column)), 0, width - 1)
+            top = dr.clip(mi.Int32(dr.floor(row)), 0, height - 1)
+            corner = mi.UInt32(top * (width + 1) + left)
+            across, down = column - mi.Float(left), row - mi.Float(top)
+            near, far = (
+                dr.lerp(*(dr.gather(mi.Point2f, slopes, corner + line + k, active) for k in (0, 1)), across)
+                for line in (0, width + 1)
+            )
+            slope = dr.lerp(near, far, down)
+            direction = rotation @ dr.normalize(mi.Vector3f(slope.x, slope.y, 1.0))
+            return mi.Ray3f(origin, direction, time, wavelengths), weight
+
+        def sample_ray_differential(self, time, wavelength_sample, position_sample, aperture_sample, active=True):
+            ray, weight = self.sample_ray(time, wavelength_sample, position_sample, aperture_sample, active)
+            return mi.RayDifferential3f(ray), weight
+
+    mi.register_sensor(name, Lens)
+
+
+def _mesh(mi, name, number, surface, terrain_count, mirrors):
+    """A surface as a stock mesh with map coordinates, a two-sided material and an area emitter.
+
+    `mirrors` tells which materials are directional, (M,) bool.
+    """
     properties = mi.Properties()
     texture = {"type": name, "surface": number}
     diffuse = {"type": "diffuse", "reflectance": {**texture, "what": "reflectance"}}
-    properties["bsdf"] = mi.load_dict({"type": "twosided", "bsdf": diffuse})
-    properties["emitter"] = mi.load_dict({"type": "area", "radiance": {**texture, "what": "emission"}})
+    emitter = {"type": "area", "radiance": {**texture, "what": "emission"}}
+    if mirrors[np.unique(surface.material)].any():
+        properties["bsdf"] = mi.load_dict({"type": f"{name}-mirror", "surface": number})
+        # Only where it is met is the angle known at which it shines.
+        emitter["sampling_weight"] = 0.0
+    else:
+        properties["bsdf"] = mi.load_dict({"type": "twosided", "bsdf": diffuse})
+    properties["emitter"] = mi.load_dict(emitter)
     # Corners are not shared, since each face has map coordinates of its own.
     corners, uv = surface.vertices[surface.faces], surface.uv
     if number >= terrain_count:
@@ -191,7 +225,10 @@ def _mesh(mi, name, number, surface, terrain_count):
 
 
 def _register(mi, name, scene, horizon_m):
-    """Register the texture: spectral radiance, emissivity or reflectance of a surface's texels."""
+    """Register what surfaces are made of, by their texels: a texture and a material.
+
+    The texture is spectral radiance, emitted at the angle of view, or the reflectance of diffuse ones.
+    """
     import drjit as dr
 
     outside = scene.spec.sky_temperature, scene.surroundings_temperature
@@ -199,17 +236,59 @@ def _register(mi, name, scene, horizon_m):
     table = np.array([material.emissivity_at(grid) for material in scene.materials])
     spectra = mi.Float(table.astype(np.float32).ravel())
     start, step = float(grid[0]), float(grid[1] - grid[0])
+    # Of each directional material, by angle and wavelength; 0 is none, others are counted from 1.
+    by_angle = directional(scene.materials)
+    row = np.zeros(len(scene.materials), dtype=np.uint32)
+    row[by_angle] = 1 + np.arange(len(by_angle))
+    tables = [scene.materials[k].emissivity_at_angle(grid, COSINES[:, None]) for k in by_angle]
+    angles = mi.Float(np.concatenate([np.zeros(1), *map(np.ravel, tables)]).astype(np.float32))
     maps = [
         (
             surface.material.shape,
             mi.Float(surface.temperature.astype(np.float32).ravel()),
             mi.UInt32(surface.material.astype(np.uint32).ravel()),
+            mi.UInt32(row[surface.material].ravel()),
         )
         for surface in scene.surfaces
     ]
 
     def planck(wavelength, temperature):
         return C1L / wavelength**5 / (dr.exp(C2 / (wavelength * temperature)) - 1.0)
+
+    def spectrum(values, base, wavelength, active):
+        """Values of rows that begin at `base`, linear between wavelengths."""
+        position, found = (wavelength - start) / step, mi.UnpolarizedSpectrum(0.0)
+        for k in range(len(found)):
+            lower = mi.UInt32(dr.clip(position[k], 0.0, len(grid) - 2.0))
+            ends = (dr.gather(mi.Float, values, base + lower + more, active) for more in (0, 1))
+            found[k] = dr.lerp(*ends, position[k] - mi.Float(lower))
+        return found
+
+    def texels(si, surface, active):
+        """Yield (share, temperature, emissivity at the angle of view, whether a mirror) of the four round a point."""
+        (rows, columns), temperature, material, mirror = maps[surface]
+        wavelength, cosine = si.wavelengths * 1e-3, dr.clip(dr.abs(si.wi.z), 0.0, 1.0)
+        place = dr.sqrt(cosine) * (len(COSINES) - 1)
+        below = dr.minimum(mi.UInt32(place), len(COSINES) - 2)
+        square = dr.square(mi.Float(below))
+        across = (place * place - square) / (2.0 * mi.Float(below) + 1.0)
+        x, y = si.uv.x * columns - 0.5, si.uv.y * rows - 0.5
+        left, top = dr.floor(x), dr.floor(y)
+        fx, fy = x - left, y - top
+        corners = ((0, 0, (1 - fx) * (1 - fy)), (0, 1, fx * (1 - fy)), (1, 0, (1 - fx) * fy), (1, 1, fx * fy))
+        for di, dj, share in corners:
+            i = dr.clip(mi.Int32(top) + di, 0, rows - 1)
+            j = dr.clip(mi.Int32(left) + dj, 0, columns - 1)
+            index = mi.UInt32(i * columns + j)
+            number = dr.gather(mi.UInt32, mirror, index, active)
+            shiny = active & (number > 0)
+            base = dr.gather(mi.UInt32, material, index, active) * len(grid)
+            emissivity = spectrum(spectra, base, wavelength, active)
+            if by_angle:
+                base = 1 + ((number - 1) * len(COSINES) + below) * len(grid)
+                ends = (spectrum(angles, base + more, wavelength, shiny) for more in (0, len(grid)))
+                emissivity = dr.select(shiny, dr.lerp(*ends, across), emissivity)
+            yield share, dr.gather(mi.Float, temperature, index, active), emissivity, shiny
 
     class Thermal(mi.Texture):
         def __init__(self, properties):
@@ -222,32 +301,10 @@ def _register(mi, name, scene, horizon_m):
                 up = si.p.z >= horizon_m
                 warm = [planck(wavelength, t) if t > 0.0 else wavelength * 0.0 for t in outside]
                 return dr.select(up, *warm) & active
-            (rows, columns), temperature, material = maps[self.surface]
-            x, y = si.uv.x * columns - 0.5, si.uv.y * rows - 0.5
-            left, top = dr.floor(x), dr.floor(y)
-            fx, fy = x - left, y - top
             result = wavelength * 0.0
-            position = (wavelength - start) / step
-            corners = ((0, 0, (1 - fx) * (1 - fy)), (0, 1, fx * (1 - fy)), (1, 0, (1 - fx) * fy), (1, 1, fx * fy))
-            for di, dj, share in corners:
-                row = dr.clip(mi.Int32(top) + di, 0, rows - 1)
-                column = dr.clip(mi.Int32(left) + dj, 0, columns - 1)
-                index = mi.UInt32(row * columns + column)
-                base = dr.gather(mi.UInt32, material, index, active) * len(grid)
-                epsilon = mi.UnpolarizedSpectrum(0.0)
-                for k in range(len(epsilon)):
-                    lower = mi.UInt32(dr.clip(position[k], 0.0, len(grid) - 2.0))
-                    weight = position[k] - mi.Float(lower)
-                    epsilon[k] = dr.lerp(
-                        dr.gather(mi.Float, spectra, base + lower, active),
-                        dr.gather(mi.Float, spectra, base + lower + 1, active),
-                        weight,
-                    )
-                if self.what == "emission":
-                    value = epsilon * planck(wavelength, dr.gather(mi.Float, temperature, index, active))
-                else:
-                    value = 1.0 - epsilon
-                result += share * value
+            for share, temperature, emissivity, _ in texels(si, self.surface, active):
+                emits = self.what == "emission"
+                result += share * (emissivity * planck(wavelength, temperature) if emits else 1.0 - emissivity)
             return result & active
 
         def mean(self):
@@ -259,4 +316,52 @@ def _register(mi, name, scene, horizon_m):
         def to_string(self):
             return f"Thermal[{self.what}]"
 
+    class Mirror(mi.BSDF):
+        def __init__(self, properties):
+            mi.BSDF.__init__(self, properties)
+            self.surface = int(properties["surface"])
+            both = mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
+            self.m_components = [mi.BSDFFlags.DiffuseReflection | both, mi.BSDFFlags.DeltaReflection | both]
+            self.m_flags = self.m_components[0] | self.m_components[1]
+
+        def _shares(self, si, active):
+            """(diffuse, mirrored share of the light, chance to follow the mirror)."""
+            diffuse, mirrored = mi.UnpolarizedSpectrum(0.0), mi.UnpolarizedSpectrum(0.0)
+            for share, _, emissivity, shiny in texels(si, self.surface, active):
+                diffuse += dr.select(shiny, 0.0, share * (1.0 - emissivity))
+                mirrored += dr.select(shiny, share * (1.0 - emissivity), 0.0)
+            both = dr.mean(diffuse) + dr.mean(mirrored)
+            return diffuse, mirrored, dr.select(both > 0.0, dr.mean(mirrored) / both, 0.0)
+
+        def sample(self, context, si, sample1, sample2, active=True):
+            diffuse, mirrored, chance = self._shares(si, active)
+            follow = sample1 < chance
+            out = mi.warp.square_to_cosine_hemisphere(sample2)
+            pdf = mi.warp.square_to_cosine_hemisphere_pdf(out) * (1.0 - chance)
+            out.z = dr.mulsign(out.z, si.wi.z)
+            found = dr.zeros(mi.BSDFSample3f)
+            found.wo = dr.select(follow, mi.Vector3f(-si.wi.x, -si.wi.y, si.wi.z), out)
+            found.pdf = dr.select(follow, chance, pdf)
+            found.eta = 1.0
+            kinds = mi.BSDFFlags.DeltaReflection, mi.BSDFFlags.DiffuseReflection
+            found.sampled_type = dr.select(follow, *(mi.UInt32(+kind) for kind in kinds))
+            found.sampled_component = dr.select(follow, mi.UInt32(1), mi.UInt32(0))
+            weight = dr.select(follow, mirrored / chance, diffuse / (1.0 - chance))
+            return found, weight & (active & (found.pdf > 0.0))
+
+        def eval(self, context, si, wo, active=True):
+            return self.eval_pdf(context, si, wo, active)[0]
+
+        def pdf(self, context, si, wo, active=True):
+            return self.eval_pdf(context, si, wo, active)[1]
+
+        def eval_pdf(self, context, si, wo, active=True):
+            diffuse, _, chance = self._shares(si, active)
+            cosine = dr.select(si.wi.z * wo.z > 0.0, dr.abs(wo.z), 0.0) / dr.pi
+            return diffuse * cosine & active, dr.select(active, (1.0 - chance) * cosine, 0.0)
+
+        def to_string(self):
+            return "Mirror[]"
+
     mi.register_texture(name, Thermal)
+    mi.register_bsdf(f"{name}-mirror", Mirror)
