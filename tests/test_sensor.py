@@ -397,10 +397,11 @@ def test_low_gain_is_noisier():
 
 def test_the_order_of_the_stages():
     assert [stage.__name__ for stage in chain.OPTICS] == [
-        "point_spread", "irradiance", "case_emission", "narcissus", "absorption",
+        "point_spread", "irradiance", "case_emission", "stray_light", "absorption",
     ]  # fmt: skip
     assert [stage.__name__ for stage in chain.READOUT] == [
-        "temporal_noise", "flat_field", "fixed_pattern", "bad_pixels", "analogue_to_digital", "temperature_linear",
+        "temporal_noise", "wandering", "flat_field", "fixed_pattern", "bad_pixels", "analogue_to_digital",
+        "temperature_linear",
     ]  # fmt: skip
     # By what it does to a single hot pixel: it is spread before it is cut off at the end of the range.
     scene = even(CAMERA)
