@@ -14,7 +14,11 @@ from thermorender.sensor.chain import Sensor, at_rest
 from thermorender.sensor.exposure import Exposure, plan_row, schedule
 from thermorender.trajectory.path import pose
 
-CAMERA = replace(load_camera("zenmuse-xt2"), width=80, height=64, ffc_interval_s=0.0)
+# Nothing of the lens's own, so that powers are proportional to radiance.
+CAMERA = replace(
+    load_camera("zenmuse-xt2"), width=80, height=64, ffc_interval_s=0.0, narcissus_mk=0.0, shading_mk=0.0,
+    shading_mk_per_k=0.0,
+)  # fmt: skip
 TAU = 0.010
 K295 = band_radiance(295.0, *CAMERA.band_um)
 SLOPE = band_radiance_derivative(295.0, *CAMERA.band_um)

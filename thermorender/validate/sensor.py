@@ -105,7 +105,7 @@ def _lag(renderer, of, flight):
     now = radiance_at(0.0)
     expected, span = _reference(of, radiance_at, row_delays(camera, 1.0 / RATE_HZ))
     per_mk = band_radiance_derivative(300.0, *camera.band_um) * 1e-3
-    one = of.power(np.ones_like(now), at_rest(camera), blurred=True)
+    none, one = of.power_law(at_rest(camera))
     smooth = span / per_mk < 1e3 * SMOOTH_K
 
     def errors(image):
@@ -134,7 +134,7 @@ def _lag(renderer, of, flight):
         records.append(
             {
                 "lag_mk": lag_mk, "render_px": render_px, "instants": how["instants"],
-                "renders": how["renders"], "ms": ms, **errors(signal / one), "estimate_mk": how["lag_mk"],
+                "renders": how["renders"], "ms": ms, **errors((signal - none) / one), "estimate_mk": how["lag_mk"],
             }
         )  # fmt: skip
     for record in records:
