@@ -175,10 +175,10 @@ class Camera:
     def check(self, where, given):
         """Refuse noise of frames, rows and columns that leaves nothing of the whole, and a lens that folds."""
         temporal = ("sigma_t_mk", "sigma_tv_mk", "sigma_th_mk")
-        if sum(getattr(self, name) ** 2 for name in temporal) >= self.netd_mk**2:
-            raise where.error(
-                f"{', '.join(temporal)} leave nothing of netd_mk={self.netd_mk:g}, of which they are part; lower them"
-            )
+        if sum(getattr(self, name) ** 2 for name in temporal) >= self.gain_netd_mk**2:
+            name = "netd_mk" if self.gain_netd_mk == self.netd_mk else "low_gain_netd_mk"
+            told = f"{', '.join(temporal)} leave nothing of {name}={self.gain_netd_mk:g}"
+            raise where.error(f"{told}, of which they are part; lower them")
         # A folding distortion would otherwise show with the first frame only, after the scene is baked. Where it
         # folds, Newton's steps run off to infinity before they are refused.
         with np.errstate(all="ignore"):
