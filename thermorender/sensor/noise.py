@@ -1,7 +1,8 @@
 """Noise of the detector by the three-dimensional model: each part is random along some of time, rows and columns.
 
 The parts are those of NVESD's model (D'Agostino and Webb 1991, doi:10.1117/12.45805). All of them are Gaussian, drawn
-by a counter-based generator from the seed and the number of the frame, or of the flat-field correction, alone.
+by a counter-based generator from the seed and the number of the frame, or of the flat-field correction, alone; so are
+the smooth fields that belong to a camera.
 """
 
 from functools import lru_cache
