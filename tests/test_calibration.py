@@ -12,6 +12,7 @@ from thermorender.cli import app as cli
 from thermorender.errors import ThermorenderError
 from thermorender.footage import calibration
 from thermorender.footage.edge_width import edge_widths, sharpest, width_through
+from thermorender.footage.field_statistics import Field
 from thermorender.footage.noise_statistics import Spectra, block_powers, noise_of
 from thermorender.footage.radiometric_files import write_tlinear
 from thermorender.physics.band import RadianceTable
@@ -165,6 +166,21 @@ def test_what_belongs_to_the_whole_image(base, tmp_path, static, frames, fits, t
     assert mean == pytest.approx(netd, abs=3.0 * 1.2 / np.sqrt(takes) + 1.0)
 
 
+def test_shading_is_less_what_changing_scenes_leave():
+    # One mode of 0.4 K, and nine that the scene changes by 0.5 K from frame to frame.
+    draws, rng, found = 400, np.random.default_rng(3), []
+    for _ in range(draws):
+        field = Field((96, 128))
+        field._waves = list(rng.normal(0.0, 0.5, (24, 4, 4)) + np.where(np.arange(16).reshape(4, 4) == 4, 0.4, 0.0))
+        found.append(field.shading())
+    value, uncertainty = np.array(found).T
+    # Of the square, as no root is below zero; a few of it are.
+    square = value**2
+    assert square.mean() == pytest.approx(0.16, abs=3.0 * square.std() / np.sqrt(draws) + 0.01)
+    seen = np.quantile(value, (0.16, 0.84))
+    assert np.median(uncertainty) == pytest.approx(0.5 * np.diff(seen)[0], rel=0.25)
+
+
 def flames(share, most_k, side=16):
     """A share of the picture flickers by up to so many kelvins, in squares."""
 
@@ -198,12 +214,21 @@ def test_a_scene_without_anything_even_is_refused(base, tmp_path):
 
 
 def test_pixels_at_the_end_of_the_range_tell_nothing(base, tmp_path):
-    cold = lambda view, index: np.where(view < 292.0, 251.0, view)  # noqa: E731
+    # The range begins at 293 K; a wedge of four tenths of the picture is colder, and so are some patches.
+    camera = replace(CAMERA, range_c=(20.0, 60.0))
+
+    def cold(view, index):
+        row, column = np.mgrid[:256, :320]
+        return np.where(column + 0.3 * row < 170 + index, 285.0, view)
+
     for static in (False, True):
-        folder = write_frames(tmp_path / f"cold{static}", footage(CAMERA, 5, static=static, change=cold))
+        wedge = (lambda view, index: cold(view, 0)) if static else (lambda view, index: cold(view, 10 * index))
+        folder = write_frames(tmp_path / f"cold{static}", footage(camera, 5, static=static, change=wedge))
         found = calibration.fit_camera([folder], base)
         single = found["netd_mk"].value ** 2 - found["sigma_tv_mk"].value ** 2 - found["sigma_th_mk"].value ** 2
         assert np.sqrt(single) == pytest.approx(43.1, abs=4.5), static
+        # What is cut off is not as warm as the noise's scale takes it.
+        assert float(re.search(r"frames at (\d+) K", found["netd_mk"].how)[1]) >= 296.0
     folder = write_frames(tmp_path / "all", footage(CAMERA, 2, change=lambda view, index: 0.0 * view + 251.0))
     with pytest.raises(ThermorenderError, match="cut off at an end|hold no noise"):
         calibration.fit_camera([folder], base)
