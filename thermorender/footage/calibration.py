@@ -33,9 +33,9 @@ from thermorender.units import ZERO_CELSIUS_K
 _EDGE_FRAMES = 12
 # More values than these in a frame are those of a calculation, not of a converter.
 _MOST_LEVELS = 20000
-# Keys of the base camera that the measured ones are scaled by.
+# Keys of the base camera that go into the measured ones.
 _OPTICS = ("f_number", "netd_f_number", "lens_transmittance", "band_um", "focal_length_mm", "pixel_pitch_um",
-           "illumination_exponent", "vignetting", "frame_rate_hz", "gain")  # fmt: skip
+           "illumination_exponent", "vignetting", "frame_rate_hz", "gain", "sigma_t_mk")  # fmt: skip
 _COMMENT = {"initial_indent": "# ", "subsequent_indent": "# "}
 # Noise over the base camera's from which on low gain is likely: low gain has some four times that of high gain.
 _LOW_GAIN = 2.5
@@ -119,7 +119,7 @@ def fit_camera(paths, base=defaults.CAMERA, scale=None, progress=None):
         _refuse_beyond(path, image, camera)
         cut_off = _cut_off(image)
         spectra.add(image, cut_off)
-        field.add(np.where(np.isfinite(image), image, np.nanmean(image)))
+        field.add(np.where(np.isfinite(image), image, np.nanmean(image)), cut_off)
         steps.append(_step(image))
         means.append(np.nanmean(image[~cut_off]))
         tails += saturated
@@ -259,9 +259,11 @@ def _field_keys(field, noise, camera, scene_k, step_k):
         told = field.wander(camera.frame_rate_hz, np.linalg.norm([sigma / np.sqrt(n) for (sigma, _), n in parts]))
         # As in the middle of frames, where what arises on the detector is raised least.
         scale = 1e3 / noise_scale(camera, scene_k) * float(np.median(relative_illumination(camera)))
-        at = f"in the levels of frames, {camera.frame_rate_hz:g} a second as those of the base"
-        for key, part, what in zip(("sigma_t_mk", "scale_drift_mk"), told or (), ("white", "1/f"), strict=bool(told)):
-            found[key] = Estimate(part[0] * scale, part[1] * scale, f"{what} noise {at}")
+        at = f"noise in the levels of frames, {camera.frame_rate_hz:g} a second as those of the base"
+        if told:
+            (white, error), (wander, wander_error) = told
+            found["sigma_t_mk"] = Estimate(white * scale, error * scale, f"white {at}")
+            found["scale_drift_mk"] = Estimate(wander * scale, wander_error * scale, f"1/f {at}")
         return found
     told = field.shading()
     if told:

@@ -29,11 +29,13 @@ class Field:
 
     def __init__(self, shape):
         self.shape, self._waves, self._levels, self._first = shape, [], [], None
-        self._sum, self._square = np.zeros(shape), np.zeros(shape)
+        self._sum, self._square, self._cut_off = np.zeros(shape), np.zeros(shape), np.zeros(shape, bool)
 
-    def add(self, image):
-        """Add a frame, (H, W) [K], all finite."""
+    def add(self, image, cut_off):
+        """Add a frame, (H, W) [K], all finite, and where its pixels are at an end of their range, (H, W) bool."""
         from scipy.ndimage import uniform_filter
+
+        self._cut_off |= cut_off
 
         down, right = (half_waves(n) for n in self.shape)
         self._waves.append(down @ image @ right.T / image.size)
@@ -73,6 +75,7 @@ class Field:
         A pixel and the mean of its eight neighbours differ by 9/8 of the noise's variance, and by no less over a scene;
         one that is replaced differs by rounding. They are told apart where n frames do that without a false alarm.
         """
+        from scipy.ndimage import binary_dilation
         from scipy.stats import chi2
 
         free = len(self._waves) - 1
@@ -80,6 +83,8 @@ class Field:
             return None
         inner = (slice(1, -1),) * 2
         variance = ((self._square - self._sum**2 / (free + 1)) / free)[inner]
+        # Where all are cut off alike, none has noise.
+        variance = variance[~binary_dilation(self._cut_off, np.ones((3, 3)))[inner]]
         limit = 1.125 * noise_k**2 * chi2.ppf(_FALSE_ALARM / variance.size, free) / free
         if limit < 1.125 * step_k**2 / 12.0 * chi2.ppf(0.999, free) / free:
             return None
