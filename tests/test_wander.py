@@ -8,7 +8,7 @@ import pytest
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.sensor import noise, wander
 from thermorender.sensor.camera import Camera, load_camera
-from thermorender.sensor.chain import Moment, Sensor, at_rest, in_sequence
+from thermorender.sensor.chain import Moment, Sensor, at_rest, in_sequence, sensor_of, wandering
 
 CAMERA = load_camera("zenmuse-xt2")
 BAND = CAMERA.band_um
@@ -30,10 +30,8 @@ def per_mk(sensor):
 
 def wandered(camera, seed, corrected_s, time_s):
     """What `chain.wandering` adds to nothing, in the NETD's millikelvins, (H, W)."""
-    from thermorender.sensor.chain import wandering
-
     moment = Moment(0, 0, 300.0, 300.0, False, time_s, corrected_s)
-    image = wandering(np.zeros((camera.height, camera.width), np.float32), Sensor(camera, seed), moment)
+    image = wandering(np.zeros((camera.height, camera.width), np.float32), sensor_of(camera, seed), moment)
     return image / noise.noise_power(camera, 1.0)
 
 
@@ -178,9 +176,6 @@ def test_any_instant_has_its_value_without_those_before():
     for moment in moments:
         follow.append(sensor.counts(sensor.power(even(camera), moment), moment).tobytes())
     for number in (9, 4, 7):
-        for cached in vars(wander).values():
-            if hasattr(cached, "cache_clear"):
-                cached.cache_clear()
         sensor = Sensor(camera, 2)
         alone = sensor.counts(sensor.power(even(camera), moments[number]), moments[number])
         assert alone.tobytes() == follow[number]
@@ -192,11 +187,12 @@ def test_any_instant_has_its_value_without_those_before():
 
 def test_blinking_pixels_jump_between_two_levels():
     camera = replace(SMALL, bad_pixels=0.03, blinking_pixels=0.03, blinking_mk=400.0, blinking_s=6.0)
-    blinking, bad = wander.blinking_pixels(camera, 1), noise.bad_pixels(camera, 1)
+    of = wander.Wander(camera, 1)
+    blinking, bad = of.blinking_pixels, noise.bad_pixels(camera, 1)
     assert len(blinking) == round(0.03 * 96 * 128) and not set(blinking.tolist()) & set(bad.tolist())
     step, lag = 0.1, np.array([3, 30, 60, 120])
     times = np.arange(0.0, 200.0, step)
-    moved = np.array([wander.blinking(camera, 1, 0.0, time_s) for time_s in times])
+    moved = np.array([of.blinking(0.0, time_s) for time_s in times])
     levels = np.rint(moved / noise.noise_power(camera, 400.0)).astype(int)
     np.testing.assert_allclose(moved, levels * noise.noise_power(camera, 400.0), rtol=1e-6)
     # Against the level at the correction there is the other one alone: up or down.
@@ -218,7 +214,9 @@ def test_blinking_pixels_jump_between_two_levels():
 
 def test_what_a_camera_lacks_is_not_made():
     sensor, moment = Sensor(SMALL, 1), in_sequence(SMALL, 9, 1.0)
-    before = [cached.cache_info().misses for cached in vars(wander).values() if hasattr(cached, "cache_info")]
     sensor.counts(sensor.power(even(SMALL), moment), moment)
-    after = [cached.cache_info().misses for cached in vars(wander).values() if hasattr(cached, "cache_info")]
-    assert before == after and "stray_growth" not in vars(sensor) and sensor.residual_responsivity is None
+    assert not {"wander", "stray_growth"} & set(vars(sensor))
+    assert sensor.residual_responsivity is None and sensor.stray is None
+    drifting = Sensor(replace(SMALL, scale_drift_mk=1.0), 1)
+    drifting.counts(drifting.power(even(SMALL), moment), moment)
+    assert "wander" in vars(drifting)

@@ -17,11 +17,12 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
-from thermorender.sensor import noise, readout, wander
+from thermorender.sensor import noise, readout
 from thermorender.sensor.camera import Camera
 from thermorender.sensor.detector import absorbed_power
 from thermorender.sensor.optics import case_share, detector_irradiance, narcissus_ring, relative_illumination
 from thermorender.sensor.psf import blur_of, blurred
+from thermorender.sensor.wander import Wander
 from thermorender.units import ZERO_CELSIUS_K
 
 
@@ -165,6 +166,11 @@ class Sensor:
         """(bad pixels (n,), their good neighbours (n, 8), and these neighbours' weights (n, 8) float32)."""
         return _replacement(noise.bad_pixels(self.camera, self.seed), self.camera.height, self.camera.width)
 
+    @cached_property
+    def wander(self):
+        """The Wander of what changes from one flat-field correction to the next."""
+        return Wander(self.camera, self.seed)
+
     def pattern(self, moment):
         """Return the fixed pattern that a flat-field correction leaves, (H, W) float32 [W].
 
@@ -260,16 +266,16 @@ def wandering(image, sensor, moment):
     """Add what has wandered since the correction: 1/f noise of pixels and of the whole scale, pixels that blink."""
     import cv2
 
-    camera, span = sensor.camera, (sensor.camera, sensor.seed, moment.corrected_s, moment.time_s)
+    camera, span = sensor.camera, (moment.corrected_s, moment.time_s)
     if moment.time_s == moment.corrected_s:
         return image
     if camera.flicker_mk:
-        for share, values in wander.flicker(*span):
+        for share, values in sensor.wander.flicker(*span):
             image = cv2.scaleAdd(values, share, image, dst=image)
     if camera.scale_drift_mk:
-        image += np.float32(wander.scale_drift(*span))
+        image += np.float32(sensor.wander.scale_drift(*span))
     if camera.blinking_pixels:
-        image.reshape(-1)[wander.blinking_pixels(camera, sensor.seed)] += wander.blinking(*span)
+        image.reshape(-1)[sensor.wander.blinking_pixels] += sensor.wander.blinking(*span)
     return image
 
 

@@ -10,7 +10,7 @@ anew (Voss's, in Gardner 1978, doi:10.1038/scientificamerican0478-16); the holds
 different ticks, and between ticks the sum changes evenly.
 """
 
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -42,42 +42,101 @@ def covariance(lag_s):
     return total
 
 
-def flicker(camera, seed, corrected_s, time_s):
-    """Yield (share, (H, W) float32 [W]) whose products make the flicker of pixels since a correction."""
-    tick, share = _tick(time_s)
-    for number, weight in ((tick, 1.0 - share), (tick + 1, share)):
-        yield weight, _flicker_since(camera, seed, corrected_s, number)
+class Wander:
+    """What wanders in one camera with one seed.
 
+    Parameters
+    ----------
+    camera : Camera
+    seed : int
 
-def scale_drift(camera, seed, corrected_s, time_s):
-    """Return how far the whole scale has wandered since a correction [W]."""
-
-    def at(when_s):
-        tick, share = _tick(when_s)
-        return (1.0 - share) * _scale_at(camera, seed, tick) + share * _scale_at(camera, seed, tick + 1)
-
-    return at(time_s) - at(corrected_s)
-
-
-@lru_cache(maxsize=4)
-def blinking_pixels(camera, seed):
-    """Return the numbers of the pixels that blink, (n,) int64, in order: none that is bad."""
-    count = round(camera.blinking_pixels * camera.height * camera.width)
-    good = np.delete(np.arange(camera.height * camera.width), noise.bad_pixels(camera, seed))
-    generator = np.random.Generator(noise.philox(seed, 0, noise.BLINKING))
-    return np.sort(generator.choice(good, count, replace=False))
-
-
-def blinking(camera, seed, corrected_s, time_s):
-    """Return how far each of `blinking_pixels` has jumped since a correction, (n,) float32 [W].
-
-    Notes
-    -----
-    A random telegraph signal: one of two levels is drawn at the instants of a Poisson process. As every second draw
-    changes nothing, a mean time s at a level takes 2/s draws, and the correlation falls as exp(−2t/s).
+    Attributes
+    ----------
+    blinking_pixels : (n,) int64
+        Numbers of the pixels that blink, in order: none that is bad.
     """
-    jumped = _level(camera, seed, time_s) - _level(camera, seed, corrected_s)
-    return jumped.astype(np.float32) * np.float32(noise.noise_power(camera, camera.blinking_mk))
+
+    def __init__(self, camera, seed):
+        self.camera, self.seed = camera, seed
+        # Kept is what instants that follow each other share.
+        for name, most in (("_scale_at", 8), ("_flicker_since", 4), ("_flicker_before", 2),
+                           ("_flicker_octave", 2 * OCTAVES), ("_level", 4), ("_draws", 4)):  # fmt: skip
+            setattr(self, name, lru_cache(maxsize=most)(getattr(self, name)))
+
+    @cached_property
+    def blinking_pixels(self):
+        camera = self.camera
+        count = round(camera.blinking_pixels * camera.height * camera.width)
+        good = np.delete(np.arange(camera.height * camera.width), noise.bad_pixels(camera, self.seed))
+        generator = np.random.Generator(noise.philox(self.seed, 0, noise.BLINKING))
+        return np.sort(generator.choice(good, count, replace=False))
+
+    def flicker(self, corrected_s, time_s):
+        """Yield (share, (H, W) float32 [W]) whose products make the flicker of pixels since a correction."""
+        tick, share = _tick(time_s)
+        for number, weight in ((tick, 1.0 - share), (tick + 1, share)):
+            yield weight, self._flicker_since(corrected_s, number)
+
+    def scale_drift(self, corrected_s, time_s):
+        """Return how far the whole scale has wandered since a correction [W]."""
+
+        def at(when_s):
+            tick, share = _tick(when_s)
+            return (1.0 - share) * self._scale_at(tick) + share * self._scale_at(tick + 1)
+
+        return at(time_s) - at(corrected_s)
+
+    def blinking(self, corrected_s, time_s):
+        """Return how far each of `blinking_pixels` has jumped since a correction, (n,) float32 [W].
+
+        Notes
+        -----
+        A random telegraph signal: one of two levels is drawn at the instants of a Poisson process. As every second
+        draw changes nothing, a mean time s at a level takes 2/s draws, and the correlation falls as exp(−2t/s).
+        """
+        jumped = self._level(time_s) - self._level(corrected_s)
+        return jumped.astype(np.float32) * np.float32(noise.noise_power(self.camera, self.camera.blinking_mk))
+
+    def _scale_at(self, tick):
+        sigma = np.float32(noise.noise_power(self.camera, self.camera.scale_drift_mk))
+        drawn = (noise.normal(self.seed, draw, noise.SCALE, 1, sigma, octave) for octave, draw in _held(tick))
+        return sum(float(value[0]) for value in drawn)
+
+    def _flicker_since(self, corrected_s, tick):
+        return self._flicker_at(tick) - self._flicker_before(corrected_s)
+
+    def _flicker_before(self, corrected_s):
+        tick, share = _tick(corrected_s)
+        now, then = (self._flicker_at(number) for number in (tick, tick + 1))
+        return now + np.float32(share) * (then - now)
+
+    def _flicker_at(self, tick):
+        return sum(self._flicker_octave(octave, draw) for octave, draw in _held(tick))
+
+    def _flicker_octave(self, octave, draw):
+        shape = self.camera.height, self.camera.width
+        sigma = np.float32(noise.noise_power(self.camera, self.camera.flicker_mk))
+        return noise.normal(self.seed, draw, noise.FLICKER, shape, sigma, octave)
+
+    def _level(self, time_s):
+        """Which of two levels each blinking pixel is at, (n,) of 0 and 1: as drawn last."""
+        span_s = 0.5 * self.camera.blinking_s * _DRAWS
+        block = int(time_s // span_s)
+        level = np.full(len(self.blinking_pixels), -1)
+        while (level < 0).any():
+            instants, drawn = self._draws(block)
+            past = (instants <= time_s / span_s - block).sum(axis=1)
+            found = np.take_along_axis(drawn, np.maximum(past - 1, 0)[:, None], axis=1)[:, 0]
+            level = np.where((level < 0) & (past > 0), found, level)
+            block -= 1
+        return level
+
+    def _draws(self, block):
+        """Instants [blocks] and levels of draws in a block of time, (n, most) each; the block's are those below 1."""
+        generator = np.random.Generator(noise.philox(self.seed, block + _BEFORE, noise.BLINKING, 1))
+        shape = len(self.blinking_pixels), _MOST_DRAWS
+        instants = np.cumsum(generator.exponential(1.0 / _DRAWS, shape), axis=1)
+        return np.where(instants < 1.0, instants, np.inf), generator.integers(0, 2, shape)
 
 
 def _tick(time_s):
@@ -88,55 +147,3 @@ def _tick(time_s):
 def _held(tick):
     """(octave, number of its draw) at a tick: at each tick the shortest and one other octave are drawn anew."""
     return [(octave, (tick + (1 << octave >> 1)) >> octave) for octave in range(OCTAVES)]
-
-
-@lru_cache(maxsize=8)
-def _scale_at(camera, seed, tick):
-    sigma = np.float32(noise.noise_power(camera, camera.scale_drift_mk))
-    return sum(float(noise.normal(seed, draw, noise.SCALE, 1, sigma, octave)[0]) for octave, draw in _held(tick))
-
-
-@lru_cache(maxsize=4)
-def _flicker_since(camera, seed, corrected_s, tick):
-    return _flicker_at(camera, seed, tick) - _flicker_before(camera, seed, corrected_s)
-
-
-@lru_cache(maxsize=2)
-def _flicker_before(camera, seed, corrected_s):
-    tick, share = _tick(corrected_s)
-    now, then = (_flicker_at(camera, seed, number) for number in (tick, tick + 1))
-    return now + np.float32(share) * (then - now)
-
-
-def _flicker_at(camera, seed, tick):
-    return sum(_flicker_octave(camera, seed, octave, number) for octave, number in _held(tick))
-
-
-@lru_cache(maxsize=2 * OCTAVES)
-def _flicker_octave(camera, seed, octave, number):
-    sigma = np.float32(noise.noise_power(camera, camera.flicker_mk))
-    return noise.normal(seed, number, noise.FLICKER, (camera.height, camera.width), sigma, octave)
-
-
-@lru_cache(maxsize=4)
-def _level(camera, seed, time_s):
-    """Which of two levels each blinking pixel is at, (n,) of 0 and 1: as drawn last."""
-    span_s = 0.5 * camera.blinking_s * _DRAWS
-    block = int(time_s // span_s)
-    level = np.full(len(blinking_pixels(camera, seed)), -1)
-    while (level < 0).any():
-        instants, drawn = _draws(camera, seed, block)
-        past = (instants <= time_s / span_s - block).sum(axis=1)
-        found = np.take_along_axis(drawn, np.maximum(past - 1, 0)[:, None], axis=1)[:, 0]
-        level = np.where((level < 0) & (past > 0), found, level)
-        block -= 1
-    return level
-
-
-@lru_cache(maxsize=4)
-def _draws(camera, seed, block):
-    """Instants [blocks] and levels of draws in a block of time, (n, most) each; those beyond 1 are not of the block."""
-    generator = np.random.Generator(noise.philox(seed, block + _BEFORE, noise.BLINKING, 1))
-    shape = len(blinking_pixels(camera, seed)), _MOST_DRAWS
-    instants = np.cumsum(generator.exponential(1.0 / _DRAWS, shape), axis=1)
-    return np.where(instants < 1.0, instants, np.inf), generator.integers(0, 2, shape)
