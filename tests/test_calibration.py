@@ -1,5 +1,6 @@
 """Cameras read back from their footage: noise, fixed pattern, blur, gain control; on simulated frames and real ones."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -11,23 +12,28 @@ from thermorender.cli import app as cli
 from thermorender.errors import ThermorenderError
 from thermorender.footage import calibration
 from thermorender.footage.edge_width import edge_widths, sharpest, width_through
+from thermorender.footage.field_statistics import Field
 from thermorender.footage.noise_statistics import Spectra, block_powers, noise_of
 from thermorender.footage.radiometric_files import write_tlinear
 from thermorender.physics.band import RadianceTable
 from thermorender.physics.planck import band_radiance
 from thermorender.sensor.camera import load_camera
-from thermorender.sensor.chain import Sensor
+from thermorender.sensor.chain import Sensor, in_sequence
 from thermorender.sensor.psf import otf
 from thermorender.sensor.readout import radiance_from_counts
 
 GRID = RadianceTable.grid(250.0, 345.0)
 TABLE = RadianceTable(GRID, band_radiance(GRID, 7.5, 13.5))
 STEP_K = 0.006
-# A small XT2 whose every part is big enough to be told from the others.
+# A small XT2 whose every part is big enough to be told from the others, and nothing of what wanders or shades.
+STEADY = dict.fromkeys(
+    ("narcissus_mk", "shading_mk", "shading_mk_per_k", "flicker_mk", "scale_drift_mk", "blinking_pixels", "case_rise_k",
+     "ffc_interval_s"), 0.0,
+) | {"responsivity_percent": (0.0, 0.0)}  # fmt: skip
 CAMERA = replace(
-    load_camera("zenmuse-xt2"), name="known", width=320, height=256, focal_length_mm=6.5, netd_mk=45.0, sigma_t_mk=0.0,
-    sigma_tv_mk=8.0, sigma_th_mk=10.0, sigma_v_mk=9.0, sigma_h_mk=14.0, sigma_vh_mk=25.0, bad_pixels=0.0,
-    blur_sigma_px=0.4, bits=16, range_c=(-20.0, 60.0),
+    load_camera("zenmuse-xt2"), **STEADY, name="known", width=320, height=256, focal_length_mm=6.5, netd_mk=45.0,
+    sigma_t_mk=0.0, sigma_tv_mk=8.0, sigma_th_mk=10.0, sigma_v_mk=9.0, sigma_h_mk=14.0, sigma_vh_mk=25.0,
+    bad_pixels=0.0, blur_sigma_px=0.4, bits=16, range_c=(-20.0, 60.0),
 )  # fmt: skip
 
 
@@ -46,14 +52,15 @@ def polygons(height, width, seed=0, oversampled=4, count=60):
     return image.reshape(height, oversampled, width, oversampled).mean(axis=(1, 3))
 
 
-def footage(camera, frames, static=False, seed=4):
+def footage(camera, frames, static=False, seed=4, change=lambda view, index: view):
     """Apparent temperatures of a camera over a scene of patches, with a little texture [K]."""
     scene, rng = polygons(2 * camera.height, 2 * camera.width, seed), np.random.default_rng(seed + 1)
     sensor = Sensor(camera, seed)
     for index in range(frames):
         i, j = (0, 0) if static else (int(rng.integers(0, n)) for n in (camera.height, camera.width))
-        view = scene[i : i + camera.height, j : j + camera.width].astype(np.float64)
-        counts = sensor.counts_at_rest(TABLE(view).astype(np.float32), index)
+        view = change(scene[i : i + camera.height, j : j + camera.width].astype(np.float64), index)
+        moment = in_sequence(camera, index, index / camera.frame_rate_hz)
+        counts = sensor.counts(sensor.power(TABLE(view).astype(np.float32), moment), moment)
         yield TABLE.inverse(radiance_from_counts(counts, camera))
 
 
@@ -121,6 +128,145 @@ def test_a_static_camera(base, tmp_path):
     assert found["netd_mk"].value == pytest.approx(CAMERA.netd_mk, abs=CAMERA.netd_mk - without + 3.0 * 0.2)
     # Mean error and spread over 12 takes: (−1.3, 1.8).
     assert found["sigma_vh_mk"].value == pytest.approx(CAMERA.sigma_vh_mk - 1.3, abs=5.4)
+
+
+# As SINGLE_FIT, with the uncertainty that is stated, over 16 takes of 24 frames over scenes without an end, and over 12
+# of 60 of a static camera. That of bad pixels is their share's; neighbours among them are overlooked.
+WHOLE = {"shading_mk": (15.0, 60.0, 80.0), "vignetting": (0.006, 0.022, 0.038), "bad_pixels": (-1e-4, 5e-5, 2.2e-4)}
+LEVELS = {"sigma_t_mk": (0.0, 2.0, 1.5), "scale_drift_mk": (0.0, 8.0, 6.6), "vignetting": (-0.004, 0.01, 0.02)}
+
+
+@pytest.mark.parametrize(
+    ("static", "frames", "fits", "true"),
+    [
+        (False, 24, WHOLE, {"shading_mk": 400.0, "vignetting": 0.25, "bad_pixels": 0.004}),
+        (True, 60, LEVELS, {"sigma_t_mk": 15.0, "scale_drift_mk": 30.0, "vignetting": 0.25}),
+    ],
+)
+def test_what_belongs_to_the_whole_image(base, tmp_path, static, frames, fits, true):
+    # From a seam to the next a scene is another, so that views have no gradient alike.
+    camera, takes = replace(CAMERA, **true), 3
+    found = []
+    for seed in range(takes):
+        rng = np.random.default_rng(100 + seed)
+        shift = (lambda view, index: view) if static else (
+            lambda view, index, rng=rng: np.roll(view, [rng.integers(0, n) for n in view.shape], (0, 1))
+        )  # fmt: skip
+        folder = write_frames(tmp_path / f"{seed}", footage(camera, frames, static, seed, shift))
+        found.append(calibration.fit_camera([folder], base))
+    for key, (offset, spread, told) in fits.items():
+        values, uncertainties = np.array([(each[key].value, each[key].uncertainty) for each in found]).T
+        assert abs(values.mean() - true[key] - offset) < 3.0 * spread / np.sqrt(takes), key
+        assert 0.4 * told < uncertainties.min() and uncertainties.max() < 2.2 * told, key
+    # A camera that stands shows its scene's gradients, one that moves another scene in each frame.
+    assert ("shading_mk" in found[0]) != static and ("scale_drift_mk" in found[0]) == static
+    # Noise is stated for the middle: by the light as it was found to fall.
+    netd = np.hypot(CAMERA.netd_mk, true.get("sigma_t_mk", 0.0)) if static else CAMERA.netd_mk
+    mean = np.mean([each["netd_mk"].value for each in found])
+    assert mean == pytest.approx(netd, abs=3.0 * 1.2 / np.sqrt(takes) + 1.0)
+
+
+def test_shading_is_less_what_changing_scenes_leave():
+    # One mode of 0.4 K, and nine that the scene changes by 0.5 K from frame to frame.
+    draws, rng, found = 400, np.random.default_rng(3), []
+    for _ in range(draws):
+        field = Field((96, 128))
+        field._waves = list(rng.normal(0.0, 0.5, (24, 4, 4)) + np.where(np.arange(16).reshape(4, 4) == 4, 0.4, 0.0))
+        found.append(field.shading())
+    value, uncertainty = np.array(found).T
+    # Of the square, as no root is below zero; a few of it are.
+    square = value**2
+    assert square.mean() == pytest.approx(0.16, abs=3.0 * square.std() / np.sqrt(draws) + 0.01)
+    seen = np.quantile(value, (0.16, 0.84))
+    assert np.median(uncertainty) == pytest.approx(0.5 * np.diff(seen)[0], rel=0.25)
+
+
+def flames(share, most_k, side=16):
+    """A share of the picture flickers by up to so many kelvins, in squares."""
+
+    def change(view, index):
+        rng, (height, width) = np.random.default_rng(index), view.shape
+        glow = np.kron(rng.uniform(0.0, most_k, (height // side, width // side)), np.ones((side, side)))
+        return view + np.where(abs(np.arange(width) / width - 0.5) < 0.5 * share, glow, 0.0)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("share", "most_k", "how"),
+    [(0.1, 6.0, "changing scene"), (1.0, 3.0, "changing scene"), (0.4, 30.0, "flattest tenth")],
+)
+def test_a_scene_that_changes_is_no_noise(base, tmp_path, share, most_k, how):
+    # A little fire before a camera that is seen to stand, and one so large that nothing tells that it does.
+    folder = write_frames(tmp_path / "fire", footage(CAMERA, 3, static=True, change=flames(share, most_k)))
+    found = calibration.fit_camera([folder], base)
+    assert how in found["netd_mk"].how
+    # Three frames' quiet blocks tell single pixels' noise to 1.5 mK; rows and columns are lost in the flames.
+    single = np.sqrt(CAMERA.netd_mk**2 - CAMERA.sigma_tv_mk**2 - CAMERA.sigma_th_mk**2)
+    rest = np.hypot(found["sigma_tv_mk"].value, found["sigma_th_mk"].value)
+    assert np.sqrt(found["netd_mk"].value ** 2 - rest**2) == pytest.approx(single, abs=4.5)
+
+
+def test_a_scene_without_anything_even_is_refused(base, tmp_path):
+    folder = write_frames(tmp_path / "storm", footage(CAMERA, 3, static=True, change=flames(1.0, 12.0, 4)))
+    with pytest.raises(ThermorenderError, match="nothing in the frames is flat or stays as it is"):
+        calibration.fit_camera([folder], base)
+
+
+def test_pixels_at_the_end_of_the_range_tell_nothing(base, tmp_path):
+    # The range begins at 293 K; a wedge of four tenths of the picture is colder, and so are some patches.
+    camera = replace(CAMERA, range_c=(20.0, 60.0))
+
+    def cold(view, index):
+        row, column = np.mgrid[:256, :320]
+        return np.where(column + 0.3 * row < 170 + index, 285.0, view)
+
+    for static in (False, True):
+        wedge = (lambda view, index: cold(view, 0)) if static else (lambda view, index: cold(view, 10 * index))
+        folder = write_frames(tmp_path / f"cold{static}", footage(camera, 8, static=static, change=wedge))
+        found = calibration.fit_camera([folder], base)
+        single = found["netd_mk"].value ** 2 - found["sigma_tv_mk"].value ** 2 - found["sigma_th_mk"].value ** 2
+        assert np.sqrt(single) == pytest.approx(43.1, abs=4.5), static
+        assert found["bad_pixels"].value == 0.0
+        # What is cut off is not as warm as the noise's scale takes it.
+        assert float(re.search(r"frames at (\d+) K", found["netd_mk"].how)[1]) >= 296.0
+    folder = write_frames(tmp_path / "all", footage(CAMERA, 2, change=lambda view, index: 0.0 * view + 251.0))
+    with pytest.raises(ThermorenderError, match="cut off at an end|hold no noise"):
+        calibration.fit_camera([folder], base)
+
+
+def test_frames_without_noise_or_beyond_the_range(base, tmp_path):
+    for number in range(3):
+        write_tlinear(tmp_path / f"even{number}.tif", np.full((256, 320), 290.0))
+    with pytest.raises(ThermorenderError, match="the frames hold no noise"):
+        calibration.fit_camera(sorted(tmp_path.glob("even*.tif")), base)
+    hot = next(footage(CAMERA, 1))
+    hot[100, 100] = 273.15 + 412.0
+    write_tlinear(tmp_path / "hot.tif", hot, 0.04)
+    with pytest.raises(ThermorenderError, match="holds 412 °C, and high gain .* ends at 60 °C; .* gain = \"low\""):
+        calibration.fit_camera([tmp_path / "hot.tif"], base)
+    low = tmp_path / "low.toml"
+    low.write_text(base.read_text(encoding="utf-8") + 'gain = "low"\n', encoding="utf-8")
+    found = calibration.fit_camera([tmp_path / "hot.tif"], low)
+    assert "low_gain_netd_mk" in found and "netd_mk" not in found
+    calibration.write_camera(tmp_path / "mine.toml", low, found)
+    assert load_camera(tmp_path / "mine.toml").gain_netd_mk == found["low_gain_netd_mk"].rounded
+
+
+def test_noise_of_low_gain_is_told(base, tmp_path):
+    folder = write_frames(tmp_path / "low", footage(replace(CAMERA, netd_mk=200.0), 4))
+    assert "low gain is likely" in calibration.fit_camera([folder], base)["netd_mk"].how
+
+
+@pytest.mark.parametrize("frames", [2, 3, 7])
+def test_few_frames_tell_less(base, tmp_path, frames):
+    for static in (False, True):
+        folder = write_frames(tmp_path / f"few{static}", footage(CAMERA, frames, static))
+        found = calibration.fit_camera([folder], base)
+        assert not {"shading_mk", "sigma_t_mk", "scale_drift_mk"} & set(found)
+        # Two frames' neighbours are alike by chance here and there; seven are not.
+        assert ("bad_pixels" in found) == (frames == 7)
+        assert frames < 7 or found["bad_pixels"].value == 0.0
 
 
 def test_one_frame_holds_everything(base, tmp_path):
@@ -259,6 +405,11 @@ def test_the_file_it_writes_is_a_camera(fitted, base, tmp_path, monkeypatch):
         assert getattr(mine, key) == pytest.approx(estimate.value, rel=1e-3)
     text = (tmp_path / "mine.toml").read_text()
     assert "± " in text and text.count("\nnetd_mk =") == 1
+    # What the fitted numbers rest on is told, with its values, and what else is the base's.
+    rest, others = calibration.not_measured(base, estimates)
+    assert "f_number = 1.25" in rest and "lens_transmittance = 0.9" in rest and "small" in rest
+    assert "time_constant_ms" in others and " netd_mk" not in others and "f_number" not in others
+    assert re.sub(r"\n# ", " ", text).count(rest) == 1
     asked = []
     monkeypatch.setattr(calibration, "fit_camera", lambda *arguments: asked.append(arguments) or estimates)
     arguments = ["fit-camera", str(folder), "--base", str(base), "-o", str(tmp_path / "b.toml"), "--scale", "0.04,1"]
@@ -266,6 +417,7 @@ def test_the_file_it_writes_is_a_camera(fitted, base, tmp_path, monkeypatch):
     assert asked == [([folder], str(base), (0.04, 1.0))]
     assert run.exit_code == 0 and (tmp_path / "b.toml").read_text() == text.replace("mine", "b")
     assert f"netd_mk = {estimates['netd_mk'].text} ± " in run.output
+    assert rest in run.output and others in run.output
 
 
 def test_what_is_refused(base, tmp_path):

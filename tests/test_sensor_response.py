@@ -14,7 +14,11 @@ from thermorender.sensor.chain import Sensor, at_rest
 from thermorender.sensor.exposure import Exposure, plan_row, schedule
 from thermorender.trajectory.path import pose
 
-CAMERA = replace(load_camera("zenmuse-xt2"), width=80, height=64, ffc_interval_s=0.0)
+# Nothing of the lens's own, so that powers are proportional to radiance.
+CAMERA = replace(
+    load_camera("zenmuse-xt2"), width=80, height=64, ffc_interval_s=0.0, narcissus_mk=0.0, shading_mk=0.0,
+    shading_mk_per_k=0.0,
+)  # fmt: skip
 TAU = 0.010
 K295 = band_radiance(295.0, *CAMERA.band_um)
 SLOPE = band_radiance_derivative(295.0, *CAMERA.band_um)
@@ -278,6 +282,51 @@ def test_plan_says_what_the_pixels_memory_brings():
     assert plan_row(replace(camera, time_constant_ms=0.0))[1] == "out"
 
 
+@pytest.mark.parametrize("cycles", [0.3, 0.7, 0.9])
+def test_a_wave_is_blurred_before_and_after_it_is_sampled(cycles):
+    from thermorender.sensor.psf import otf
+    from thermorender.validate.sensor import blurred_before_and_after
+
+    camera, times, count = load_camera("zenmuse-xt2"), 4, 160
+    # Cosines with their crests at the border are mirrored by themselves.
+    wave = np.cos(2.0 * np.pi * cycles * (np.arange(times * count) + 0.5) / times) * np.ones((times * count, 1))
+    before, after, sampled = blurred_before_and_after(wave, camera, times)
+    # The lens passes the wave's own frequency; blurred later, that which the samples show.
+    shown = min(cycles, 1.0 - cycles)
+    crest = np.cos(2.0 * np.pi * cycles * (np.arange(count) + 0.5))
+    # Four samples' mean is what pixels average over a fine pixel's own sinc.
+    mean = np.sinc(cycles) / np.sinc(cycles / times)
+    for image, passed in ((sampled, 1.0), (before, otf(camera, cycles)), (after, otf(camera, shown))):
+        amplitude = 2.0 * (image[count // 2] * crest).mean()
+        assert amplitude == pytest.approx(passed * mean, rel=2e-3)
+    assert cycles < 0.5 or abs(after).max() > 2.0 * abs(before).max()
+
+
+def test_finer_pixels_see_the_same():
+    from thermorender.validate.sensor import finer
+
+    whole = replace(load_camera("zenmuse-xt2-9mm"), principal_offset_px=(3.0, -2.0))
+    camera = whole.part(slice(100, 228), slice(40, 168))
+    points = np.array([[-0.3, -0.2, 1.0], [-0.2, 0.1, 1.0], [0.1, 0.3, 2.0]])
+    np.testing.assert_allclose(finer(camera, 4).project(points), 4.0 * camera.project(points), rtol=1e-12)
+    assert (finer(camera, 4).width, finer(camera, 4).height) == (512, 512)
+
+
+def test_small_targets_are_whole_and_err_by_where_they_lie():
+    from thermorender.validate import sensor as validation
+
+    lens = load_camera("zenmuse-xt2")
+    for side in (0.5, 3.0):
+        line = validation._covered(12.25, side, 28)
+        assert line.sum() / validation.DRAWN == pytest.approx(side) and line.max() == pytest.approx(1.0)
+    few = {record["side_px"]: record for record in validation._small_targets(lens)}
+    assert few[0.5]["peak_mk"] < few[1.0]["peak_mk"] < few[3.0]["peak_mk"] < few[3.0]["contrast_mk"]
+    assert all(0.0 < record["error_mk"] < record["worst_mk"] for record in few.values())
+    # A softer lens leaves less of what has been folded down.
+    soft = validation._small_targets(replace(lens, blur_sigma_px=1.2))
+    assert all(record["worst_mk"] < 0.6 * few[record["side_px"]]["worst_mk"] for record in soft)
+
+
 def test_validation_measures_lag_blur_and_chain(tmp_path, monkeypatch):
     from scenes import write_terrain
     from thermorender.validate import sensor as validation
@@ -295,6 +344,9 @@ def test_validation_measures_lag_blur_and_chain(tmp_path, monkeypatch):
     assert flown["all_mk"] < 0.25 * records[0]["all_mk"] and flown["renders"] < flown["instants"]
     errors = {(record["fine"], record["coarse"]): record["error_mk"] for record in result["blur"]}
     assert errors[7, 5] < errors[5, 0] < errors[1, 0]
+    assert all(0.0 <= record["aliasing_mk"] <= record["worst_mk"] for record in result["aliasing"]["views"])
+    page = (tmp_path / "out" / "sensor.md").read_text(encoding="utf-8")
+    assert "## Aliasing" in page and page.count("| 0.5 |") == 1
     assert 0.0 < result["chain"]["standing_ratio"] and 0.0 < result["chain"]["subpixel_ratio"]
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
         "sensor.json", "sensor.md", "sensor.png", "effects.png",

@@ -7,8 +7,9 @@ import pytest
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics import balance, exchange
+from thermorender.sensor import detector, readout
 from thermorender.validate import stability
-from thermorender.validate.stability import cases, heat
+from thermorender.validate.stability import cases, heat, sensor
 from thermorender.validate.stability.cases import Found
 
 
@@ -90,6 +91,45 @@ def test_broken_heat_is_seen(monkeypatch, anew, broken, case):
     with np.errstate(all="ignore"):
         found = heat_cases(case)
     assert found and not all(each["passed"] for each in found.values())
+
+
+def wrapped(patch):
+    """Counts beyond the range that begin anew."""
+
+    def digitised(signal, camera):
+        low, step = readout._scale(camera)
+        return np.rint((signal.astype(float) - low) / step).astype(np.int64).astype(np.uint16) & (2**camera.bits - 1)
+
+    patch.setattr(readout, "digitised", digitised)
+
+
+def forward_euler(patch):
+    """The response as one explicit step."""
+
+    def weights(span_s, time_constant_s):
+        x = np.asarray(span_s, np.float64) / max(time_constant_s, 1e-12)
+        return 1.0 - x, x, 0.0 * x
+
+    patch.setattr(detector, "response_weights", weights)
+    patch.setattr(sensor, "response_weights", weights)
+
+
+def unflagged(patch):
+    """Saturation that is seen at the cold end alone."""
+    patch.setattr(sensor, "saturated", lambda counts, camera: counts == 0)
+
+
+@pytest.mark.parametrize(
+    ("broken", "case"),
+    [(wrapped, "never fall"), (wrapped, "end of the range"), (unflagged, "flagged"), (forward_euler, "step of 10 K"),
+     (forward_euler, "heat of a step")],
+)  # fmt: skip
+def test_a_broken_sensor_is_seen(monkeypatch, broken, case):
+    jobs = [job for group, name, job in cases.CASES if group == "sensor" and case in name]
+    assert jobs and all(stability.judged(job)["passed"] for job in jobs)
+    broken(monkeypatch)
+    with np.errstate(all="ignore"):
+        assert not all(stability.judged(job)["passed"] for job in jobs)
 
 
 def raises():

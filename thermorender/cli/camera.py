@@ -30,6 +30,8 @@ def fit_camera(frames: Frames, output: Output, base: Base = defaults.CAMERA, sca
     calibration.write_camera(output, base, estimates)
     for key, estimate in estimates.items():
         typer.echo(f"{key} = {estimate.text} ± {estimate.uncertainty:.2g}: {estimate.how}")
+    for sentence in calibration.not_measured(base, estimates):
+        typer.echo(sentence)
     typer.echo(str(output))
 
 

@@ -6,6 +6,7 @@ by the optics of a base camera, whose other keys are kept: NETD and its relative
 """
 
 import re
+import textwrap
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,21 +16,31 @@ from thermorender import defaults
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic, check_output_file
 from thermorender.footage.edge_width import edge_widths, sharpest, width_through
+from thermorender.footage.field_statistics import Field, vignetting
 from thermorender.footage.flir_jpeg import read_flir_jpeg
-from thermorender.footage.noise_statistics import Spectra, noise_of
+from thermorender.footage.noise_statistics import FLAT, Spectra, noise_of
 from thermorender.footage.radiometric_files import FLIR_JPEG, SUFFIXES, read_temperature
 from thermorender.physics.planck import band_radiance_derivative
-from thermorender.schema import toml_line, toml_value
+from thermorender.schema import read_toml, toml_line, toml_value
 from thermorender.sensor.camera import load_camera, model_path
 from thermorender.sensor.noise import NETD_REFERENCE_K
 from thermorender.sensor.optics import relative_illumination
 from thermorender.sensor.psf import otf
 from thermorender.sensor.radiometry import ThermographySettings
+from thermorender.units import ZERO_CELSIUS_K
 
 # Edges are looked for in so many of the frames, evenly spread.
 _EDGE_FRAMES = 12
 # More values than these in a frame are those of a calculation, not of a converter.
 _MOST_LEVELS = 20000
+# Keys of the base camera that go into the measured ones.
+_OPTICS = ("f_number", "netd_f_number", "lens_transmittance", "band_um", "focal_length_mm", "pixel_pitch_um",
+           "illumination_exponent", "vignetting", "frame_rate_hz", "gain", "sigma_t_mk")  # fmt: skip
+_COMMENT = {"initial_indent": "# ", "subsequent_indent": "# "}
+# Noise over the base camera's from which on low gain is likely: low gain has some four times that of high gain.
+_LOW_GAIN = 2.5
+# Largest uncertainty of vignetting that tells something, and how far above its range a camera may read [K].
+_WORST_VIGNETTING, _BEYOND_K = 0.1, 5.0
 
 
 @dataclass(frozen=True)
@@ -90,32 +101,60 @@ def fit_camera(paths, base=defaults.CAMERA, scale=None, progress=None):
     Raises
     ------
     ThermorenderError
-        Frames that cannot be read, of different sizes, or of another size than the base camera's.
+        Frames that cannot be read, of different sizes, or of another size than the base camera's; that are warmer than
+        the base camera's range, hold no noise, or show a scene that changes everywhere.
     """
     camera, files = load_camera(base, "base camera"), frame_files(paths)
-    spectra = Spectra((camera.height, camera.width), 1.0 / relative_illumination(camera).astype(np.float64))
+    shape = camera.height, camera.width
+    spectra, field = Spectra(shape, 1.0 / relative_illumination(camera).astype(np.float64)), Field(shape)
     kept, steps, means, tails = [], [], [], []
     every = max(len(files) // _EDGE_FRAMES, 1)
     for number, path in enumerate(files):
         image, saturated = read_frame(path, scale)
-        if image.shape != (camera.height, camera.width):
+        if image.shape != shape:
             raise ThermorenderError(
                 f"{path} is {image.shape[1]}×{image.shape[0]} pixels and the base camera {camera.name} "
                 f"{camera.width}×{camera.height}; give a base camera of that size"
             )
-        spectra.add(image)
+        _refuse_beyond(path, image, camera)
+        cut_off = _cut_off(image)
+        spectra.add(image, cut_off)
+        field.add(np.where(np.isfinite(image), image, np.nanmean(image)), cut_off)
         steps.append(_step(image))
-        means.append(np.nanmean(image))
+        means.append(np.nanmean(image[~cut_off]))
         tails += saturated
         if number % every == 0:
             kept.append(image)
         if progress:
             progress((number + 1) / len(files))
-    noise = noise_of(spectra)
-    found = _noise_keys(noise, camera, float(np.mean(means)), float(np.median(steps)), len(files))
+    noise, step_k, scene_k = noise_of(spectra), float(np.median(steps)), float(np.mean(means))
+    if noise.pixel[0] <= 0.0:
+        raise ThermorenderError(
+            f"the frames hold no noise: pixels that show the same are equal, in steps of {step_k * 1e3:.0f} mK; give "
+            "frames as the camera makes them, in finer steps and before any smoothing"
+        )
+    found = _rims_key(spectra, noise, camera) if len(files) > 1 else {}
+    rims = found.get("vignetting")
+    if rims and abs(rims.value - camera.vignetting) > 3.0 * rims.uncertainty:
+        # Noise was taken for that of the base camera's light.
+        camera = replace(camera, vignetting=rims.rounded)
+        spectra.gain = 1.0 / relative_illumination(camera).astype(np.float64)
+        noise = noise_of(spectra)
+    found |= _field_keys(field, noise, camera, scene_k, step_k)
+    sigma_t = found["sigma_t_mk"].value if "sigma_t_mk" in found else camera.sigma_t_mk
+    found = _noise_keys(noise, camera, scene_k, step_k, len(files), sigma_t) | found
     everywhere = noise.pixel[0] * np.sqrt((spectra.gain**2).mean())
     blur = _blur_key(kept, np.hypot(everywhere, noise.fixed_pixel[0] if noise.fixed_pixel else 0.0), camera)
     return found | blur | _display_key(np.array(tails))
+
+
+def not_measured(base, estimates):
+    """Return what a fitted camera file has from its base, a list of sentences."""
+    given = {key: value for key, value in read_toml(model_path(base)).items() if key not in estimates}
+    optics = [f"{key} = {toml_value(given.pop(key))}" for key in _OPTICS if key in given]
+    name = model_path(base).stem
+    told = [f"Not measured but those of {name}, on which the fitted numbers rest: {', '.join(optics)}."]
+    return told + ([f"Not measured, as in {name}: {', '.join(given)}."] if given else [])
 
 
 def write_camera(path, base, estimates):
@@ -128,7 +167,8 @@ def write_camera(path, base, estimates):
     """
     check_output_file(path, (".toml",))
     text = model_path(base).read_text(encoding="utf-8")
-    text = f"# Fitted to footage; keys without such a note are those of {model_path(base).stem}.\n" + text
+    told = ["Fitted to footage, where a key says so.", *not_measured(base, estimates)]
+    text = "".join(f"{line}\n" for each in told for line in textwrap.wrap(each, 118, **_COMMENT)) + text
     for key, estimate in estimates.items():
         line = toml_line(key, estimate.rounded, f"fitted, ± {estimate.uncertainty:.2g}: {estimate.how}")
         text, replaced = re.subn(rf"(?m)^{key}\s*=.*$", lambda _, line=line: line, text)
@@ -157,7 +197,7 @@ def noise_scale(camera, scene_k):
     return float(slope[0] / slope[1] * lens)
 
 
-def _noise_keys(noise, camera, scene_k, step_k, frames):
+def _noise_keys(noise, camera, scene_k, step_k, frames, sigma_t_mk):
     scale = noise_scale(camera, scene_k)
     # What the converter's steps add is not the detector's; it is even noise as long as the noise spans a step.
     pixel = np.sqrt(max(noise.pixel[0] ** 2 - step_k**2 / 12.0, 0.0))
@@ -165,16 +205,21 @@ def _noise_keys(noise, camera, scene_k, step_k, frames):
     row, column = (value / scale * 1e3 for value, _ in parts[1:])
     whole = np.sqrt(sum(value**2 for value, _ in parts))
     error = np.sqrt(sum((value * uncertainty) ** 2 for value, uncertainty in parts)) / max(whole, 1e-9)
-    netd = np.hypot(whole / scale * 1e3, camera.sigma_t_mk)
+    netd = np.hypot(whole / scale * 1e3, sigma_t_mk)
+    name = "low_gain_netd_mk" if camera.gain == "low" and camera.low_gain_netd_mk else "netd_mk"
     seen = f"{whole * 1e3:.0f} mK in the middle of frames at {scene_k:.0f} K"
     steps = f", without steps of {step_k * 1e3:.0f} mK" if step_k > 0.0 else ""
+    if camera.gain == "high" and netd > _LOW_GAIN * camera.netd_mk:
+        steps += f"; {netd / camera.netd_mk:.1f} times the base's: low gain is likely"
     if frames == 1:
-        return {"netd_mk": Estimate(netd, error / scale * 1e3, f"{seen}, one frame: holds the fixed pattern{steps}")}
+        return {name: Estimate(netd, error / scale * 1e3, f"{seen}, one frame: holds the fixed pattern{steps}")}
     how, lines = "finest detail of the flattest tenth of blocks", "; too high where the scene has such lines"
     if noise.static:
         how, lines = "differences of frames of a static camera", ""
+    if noise.lively:
+        how, lines = "the tenth of blocks in which a changing scene does so least", "; too high as the scene changes"
     found = {
-        "netd_mk": Estimate(netd, error / scale * 1e3, f"{seen}, {how}{steps}"),
+        name: Estimate(netd, error / scale * 1e3, f"{seen}, {how}{steps}"),
         "sigma_tv_mk": Estimate(row, noise.row[1] / scale * 1e3, f"rows, new in each frame{lines}"),
         "sigma_th_mk": Estimate(column, noise.column[1] / scale * 1e3, f"columns, new in each frame{lines}"),
     }
@@ -185,6 +230,72 @@ def _noise_keys(noise, camera, scene_k, step_k, frames):
     ):
         how = f"{what}, the same in all {frames} frames"
         found[key] = Estimate(value / scale * 1e3, uncertainty / scale * 1e3, how)
+    return found
+
+
+def _rims_key(spectra, noise, camera):
+    """{vignetting: Estimate} by the growth of noise towards the corners; empty where frames tell it to no tenth."""
+    light, half = (relative_illumination(replace(camera, vignetting=value)).astype(float) for value in (0.0, 0.5))
+    rims = 2.0 * (1.0 - half / light)
+    if noise.static:
+        told = vignetting(spectra.changes, FLAT if noise.lively else 1.0, light, rims, 0.0)
+    else:
+        told = vignetting(spectra.blocks, FLAT, light, rims, noise.fixed_pixel[0] ** 2)
+    if told is None or told[1] > _WORST_VIGNETTING:
+        return {}
+    how = f"growth of noise towards the corners beside illumination_exponent = {camera.illumination_exponent:g}"
+    return {"vignetting": Estimate(*told, how)}
+
+
+def _field_keys(field, noise, camera, scene_k, step_k):
+    """Estimates of the whole image: of a static camera how its scale wanders, of a moving one its shading."""
+    found = {}
+    replaced = field.replaced(np.sqrt(max(noise.pixel[0] ** 2 - step_k**2 / 12.0, 0.0)), step_k)
+    if replaced:
+        share, uncertainty = replaced
+        found["bad_pixels"] = Estimate(min(share, 0.05), uncertainty, "pixels that are the mean of their neighbours")
+    if noise.static:
+        parts = zip((noise.pixel, noise.row, noise.column), (np.prod(field.shape), *field.shape), strict=True)
+        told = field.wander(camera.frame_rate_hz, np.linalg.norm([sigma / np.sqrt(n) for (sigma, _), n in parts]))
+        # As in the middle of frames, where what arises on the detector is raised least.
+        scale = 1e3 / noise_scale(camera, scene_k) * float(np.median(relative_illumination(camera)))
+        at = f"noise in the levels of frames, {camera.frame_rate_hz:g} a second as those of the base"
+        if told:
+            (white, error), (wander, wander_error) = told
+            found["sigma_t_mk"] = Estimate(white * scale, error * scale, f"white {at}")
+            found["scale_drift_mk"] = Estimate(wander * scale, wander_error * scale, f"1/f {at}")
+        return found
+    told = field.shading()
+    if told:
+        slope = band_radiance_derivative(np.array([scene_k, NETD_REFERENCE_K]), *camera.band_um)
+        scale = 1e3 * float(slope[0] / slope[1])
+        how = "smooth part of the mean frame; too high where all views have a gradient alike"
+        found["shading_mk"] = Estimate(told[0] * scale, told[1] * scale, how)
+        found["shading_mk_per_k"] = Estimate(0.0, 0.0, "in shading_mk, as warm as the camera was")
+    return found
+
+
+def _refuse_beyond(path, image, camera):
+    """Refuse temperatures that high gain cannot read."""
+    warmest, limit = float(np.nanmax(image)), camera.count_range_k[1]
+    # Converters round, and cameras read a little beyond.
+    if warmest > limit + _BEYOND_K:
+        mend = 'gain = "low", if it was taken so, or its own range_c' if camera.gain == "high" else "its own range"
+        raise ThermorenderError(
+            f"{path} holds {warmest - ZERO_CELSIUS_K:.0f} °C, and {camera.gain} gain of the base camera {camera.name} "
+            f"ends at {limit - ZERO_CELSIUS_K:.0f} °C; give a base camera file with {mend}"
+        )
+
+
+def _cut_off(image):
+    """Where pixels sit at an end of their range, (H, W) bool: many with the same value, and few with the one beside."""
+    found = np.zeros(image.shape, bool)
+    values, counts = np.unique(image[np.isfinite(image)], return_counts=True)
+    if len(values) < 2:
+        return found
+    for end, beside in ((0, 1), (-1, -2)):
+        if counts[end] > 4 * counts[beside] + 32:
+            found |= image == values[end]
     return found
 
 

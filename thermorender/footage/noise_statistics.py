@@ -13,12 +13,17 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 
 # Sides of the blocks in which flat parts are looked for [px], and the share of them taken for flat.
-_BLOCK, _FLAT = 32, 0.1
+_BLOCK, FLAT = 32, 0.1
 # What tells flat from not, and where the noise is read [cycles per pixel]: apart, so that choosing blocks by one
 # does not choose the other.
 _TEXTURE, _FINE = (0.1, 0.22), (0.5, 0.71)
 # Share of the power of a scene's texture that passes lens and pixel as finest detail, found on simulated heath.
 _LEAK = 0.0015
+# Power of what differs between a static camera's frames in texture over that in finest detail from which on the scene
+# changes; noise has 1.
+_LIVELY = 1.1
+# Uncertainty over the power of the noise from which on it is not told from the scene.
+_UNTOLD = 0.5
 # Bins beside an axis hold the leakage of its line; those after, its surroundings.
 _LEAKED, _BESIDE = 3, 13
 # Row and column noise is looked for where little of the scene is left [cycles per pixel].
@@ -44,11 +49,14 @@ class Spectra:
         Frames gathered.
     image : (H, W) float64
         Mean frame.
+    lost : (n,) bool
+        Blocks that are cut off at an end of the range in some frame.
     """
 
     def __init__(self, shape, gain=None):
-        self.shape, self.count, self._blocks = shape, 0, []
+        self.shape, self.count, self._blocks, self._changes, self._last = shape, 0, [], [], None
         self.gain = np.ones(shape) if gain is None else gain
+        self.lost = np.zeros((shape[0] // _BLOCK) * (shape[1] // _BLOCK), bool)
         self._image, self._power, self._sum = np.zeros(shape), 0.0, 0.0
         if min(shape) < 3 * _BLOCK:
             raise ThermorenderError(
@@ -56,8 +64,11 @@ class Spectra:
                 f"{3 * _BLOCK}×{3 * _BLOCK}"
             )
 
-    def add(self, image):
-        """Add a frame, (H, W) [K]; NaN takes the frame's mean."""
+    def add(self, image, cut_off=None):
+        """Add a frame, (H, W) [K]; NaN takes the frame's mean.
+
+        `cut_off`, (H, W) bool, says where pixels are at an end of their range: blocks with such are not flat.
+        """
         if image.shape != self.shape:
             raise ThermorenderError(
                 f"a frame is {image.shape[1]}×{image.shape[0]} pixels and the others {self.shape[1]}×{self.shape[0]}; "
@@ -70,7 +81,14 @@ class Spectra:
         self.count += 1
         self._image += image
         self._power, self._sum = self._power + np.abs(spectrum) ** 2, self._sum + spectrum
+        lost = np.zeros(len(self.lost), bool) if cut_off is None else block_means(cut_off.astype(float)) > 0.0
+        self.lost |= lost
         self._blocks.append(block_powers(image))
+        self._blocks[-1][lost] = np.inf
+        if self._last is not None:
+            self._changes.append(block_powers((image - self._last) / np.sqrt(2.0)))
+            self._changes[-1][lost] = np.inf
+        self._last = image
 
     @property
     def image(self):
@@ -92,6 +110,11 @@ class Spectra:
     def blocks(self):
         """Powers of texture and of the finest detail in each block of each frame, (n, 2) [K²]."""
         return np.concatenate(self._blocks)
+
+    @property
+    def changes(self):
+        """The same of the changes from each frame to the next, over √2, (n, 2) [K²]; of two frames or more."""
+        return np.concatenate(self._changes)
 
     def frequencies(self):
         """Return the frequencies (H, 1) down and (1, W//2+1) to the right [cycles per pixel]."""
@@ -118,6 +141,8 @@ class Noise:
         What stays; None of a single frame.
     static : bool
         Whether the camera did not move, so that the scene is in every frame.
+    lively : bool
+        Whether the scene itself changes before a static camera.
     """
 
     pixel: tuple
@@ -127,6 +152,7 @@ class Noise:
     fixed_row: tuple | None = None
     fixed_column: tuple | None = None
     static: bool = False
+    lively: bool = False
 
 
 def noise_of(spectra):
@@ -136,16 +162,27 @@ def noise_of(spectra):
     -----
     From a moving camera the noise of single pixels is that of the flattest tenth of blocks, less what is fixed; it is
     too high where nothing in the pictures is flat. From a static one it is what differs between frames, and
-    the fixed part is read in the flattest blocks of the mean frame. Rows and columns of the scene itself (fields,
-    roofs) pass for temporal row and column noise of a moving camera.
+    the fixed part is read in the flattest blocks of the mean frame. What differs between frames is no noise where it
+    has more power in coarse detail than in the finest: there the scene changes, and the tenth of blocks that changes
+    least coarsely tells the noise. Blocks that are cut off at an end of the range tell nothing. Rows and columns of
+    the scene itself (fields, roofs) pass for temporal row and column noise of a moving camera.
+
+    Raises
+    ------
+    ThermorenderError
+        Nothing of the picture is within the range, or nothing is flat or stays as it is.
     """
     window = _window(spectra.shape) ** 2
     seen_gain = float((window * spectra.gain**2).sum() / window.sum())
     lines = [(value / seen_gain, error / seen_gain) for value, error in _lines(spectra, spectra.total, spectra.count)]
     blocks = spectra.blocks
     gains = np.tile(block_means(spectra.gain**2), spectra.count)
+    if np.isfinite(blocks[:, 0]).mean() < FLAT:
+        raise ThermorenderError(
+            "nine tenths of the frames are cut off at an end of the camera's range; give frames within it"
+        )
     if spectra.count == 1:
-        return Noise(_sigma(*_flat_power(blocks, gains, 0.0)), *(_sigma(*line) for line in lines))
+        return Noise(sigma_of(*_flat_power(blocks, gains, 0.0)), *(sigma_of(*line) for line in lines))
     fine, coarse = (spectra.off_axis(band) for band in (_FINE, _TEXTURE))
     fixed_lines = _lines(spectra, spectra.fixed, None)
     changing = [
@@ -154,11 +191,19 @@ def noise_of(spectra):
     ]
     alone = fine.sum() / _HANN_ALIKE
     static = bool(spectra.fixed[coarse].mean() > 0.5 * spectra.total[coarse].mean())
+    lively = False
     if static:
-        temporal = float((spectra.total - spectra.fixed)[fine].mean()) / seen_gain
+        changing_power = spectra.total - spectra.fixed
+        temporal = float(changing_power[fine].mean()) / seen_gain
         temporal_error = temporal / np.sqrt(alone * (spectra.count - 1))
+        coarse_error = temporal / np.sqrt(coarse.sum() / _HANN_ALIKE * (spectra.count - 1))
+        coarsely = float(changing_power[coarse].mean()) / seen_gain
+        lively = coarsely > _LIVELY * temporal + 5.0 * np.hypot(coarse_error, temporal_error)
+        if lively or spectra.lost.any():
+            gains = gains[: len(spectra.changes)]
+            temporal, temporal_error = _flat_power(spectra.changes, gains, 0.0)
         rest = temporal / spectra.count * block_means(spectra.gain**2)
-        power = block_powers(spectra.image)
+        power = np.where(spectra.lost[:, None], np.inf, block_powers(spectra.image))
         fixed, fixed_error = _flat_power(power, np.ones(len(power)), rest)
     else:
         fixed = float(spectra.fixed[fine].mean())
@@ -167,12 +212,18 @@ def noise_of(spectra):
         fixed_error = np.hypot(spectra.total[fine].mean() / np.sqrt(alone * pairs), fixed / np.sqrt(alone))
         temporal, temporal_error = _flat_power(blocks, gains, fixed)
         temporal_error = np.hypot(temporal_error, fixed_error)
+    if temporal_error > _UNTOLD * max(temporal, 0.0) > 0.0:
+        raise ThermorenderError(
+            "nothing in the frames is flat or stays as it is, so that noise cannot be told from the scene; give frames "
+            "that show some sky, water or even ground"
+        )
     return Noise(
-        _sigma(temporal, temporal_error),
-        *(_sigma(*line) for line in changing),
-        _sigma(fixed, fixed_error),
-        *(_sigma(*line) for line in fixed_lines),
+        sigma_of(temporal, temporal_error),
+        *(sigma_of(*line) for line in changing),
+        sigma_of(fixed, fixed_error),
+        *(sigma_of(*line) for line in fixed_lines),
         static=static,
+        lively=bool(lively),
     )
 
 
@@ -215,19 +266,20 @@ def _spectrum(image):
 
 def _flat_power(blocks, gains, other):
     """(power of the finest detail where it is flat, its uncertainty) [K²], per gain and less the power of others."""
+    fine, whole = np.broadcast_to(blocks[:, 1] - other, gains.shape), np.isfinite(blocks[:, 0])
+    blocks, gains, fine = blocks[whole], gains[whole], fine[whole]
     order = np.argsort(blocks[:, 0] / gains)
-    fine = np.broadcast_to(blocks[:, 1] - other, gains.shape)
 
     def flattest(share):
         chosen = order[: max(int(share * len(order)), 4)]
         spread = fine[chosen].std() / np.sqrt(len(chosen))
         return fine[chosen].mean() / gains[chosen].mean(), spread / gains[chosen].mean()
 
-    power, error = flattest(_FLAT)
+    power, error = flattest(FLAT)
     # How much more comes in with twice, and how much less is left with half the blocks; and where even the flattest
     # have texture, what of it gets through.
-    change = 0.5 * (flattest(2.0 * _FLAT)[0] - flattest(0.5 * _FLAT)[0])
-    chosen = order[: max(int(_FLAT * len(order)), 4)]
+    change = 0.5 * (flattest(2.0 * FLAT)[0] - flattest(0.5 * FLAT)[0])
+    chosen = order[: max(int(FLAT * len(order)), 4)]
     texture = (blocks[chosen, 0] - blocks[chosen, 1]).mean() / gains[chosen].mean()
     return power, float(np.linalg.norm([error, change, _LEAK * max(texture, 0.0)]))
 
@@ -267,7 +319,7 @@ def _gamma_median(count):
     return gammaincinv(count, 0.5) / count
 
 
-def _sigma(variance, error):
-    """(standard deviation, uncertainty) of a variance that may come out below zero."""
+def sigma_of(variance, error):
+    """Return (standard deviation, uncertainty) of a variance, and of its own, that may come out below zero."""
     sigma = np.sqrt(max(variance, 0.0))
     return float(sigma), float(np.sqrt(max(variance, 0.0) + error) - sigma)

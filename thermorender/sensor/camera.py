@@ -68,6 +68,9 @@ class Camera:
         camera does not compensate.
     narcissus_mk, narcissus_radius_px : float
         Apparent temperature of the ring that is the detector's own reflection [mK], and the ring's radius [px].
+    shading_mk, shading_mk_per_k : float
+        Smooth shading that the shutter does not see, as the lens stands before it: apparent temperature, root mean
+        square over the image, at the start [mK], and its growth by each kelvin that the case warms [mK/K].
     absorptance : float
         Share of the irradiance on a pixel's area that heats the pixel.
     time_constant_ms : float
@@ -83,8 +86,18 @@ class Camera:
     drift_mk_per_k : float
         Growth of the fixed pattern by each kelvin that the case has drifted since the last flat-field correction,
         stated as the NETD is [mK/K].
+    responsivity_percent : (2,) floats
+        How far the gains that pixels are corrected with lie off: of single pixels, and of a smooth field over the
+        image, root mean square [%]. It shows by the scene's difference from the shutter, which is as warm as the case.
+    flicker_mk, scale_drift_mk : float
+        1/f noise of single pixels, and of the whole scale, since the last flat-field correction: standard deviation
+        of each of the octaves between holds of 1 s and of 512 s, stated as the NETD is, of which they are no part
+        [mK].
     bad_pixels : float
         Share of the pixels that are dead or hot and are replaced by their neighbours.
+    blinking_pixels, blinking_mk, blinking_s : float
+        Share of the pixels that jump between two levels, their distance, stated as the NETD is [mK], and the mean
+        time at one of them [s]; no part of `bad_pixels`.
     ffc_interval_s, ffc_duration_s : float
         Time from one flat-field correction to the next, 0: none after the start, and how long the image is frozen.
     gain : {"high", "low"}
@@ -130,6 +143,8 @@ class Camera:
     housing_residual: float = key(number(0.0, 1.0), 0.0)
     narcissus_mk: float = key(number(-1e5, 1e5), 0.0)
     narcissus_radius_px: float = key(number(1.0, MOST_PIXELS), 100.0)
+    shading_mk: float = key(_noise_mk, 0.0)
+    shading_mk_per_k: float = key(_noise_mk, 0.0)
     absorptance: float = key(_share, 1.0)
     time_constant_ms: float = key(number(0.0, 1000.0), 0.0)
     row_time_us: float = key(number(0.0, 1e4), 0.0)
@@ -140,7 +155,13 @@ class Camera:
     sigma_h_mk: float = key(_noise_mk, 0.0)
     sigma_vh_mk: float = key(_noise_mk, 0.0)
     drift_mk_per_k: float = key(_noise_mk, 0.0)
+    responsivity_percent: tuple = key(number(0.0, 20.0, count=2), (0.0, 0.0))
+    flicker_mk: float = key(_noise_mk, 0.0)
+    scale_drift_mk: float = key(_noise_mk, 0.0)
     bad_pixels: float = key(number(0.0, 0.05), 0.0)
+    blinking_pixels: float = key(number(0.0, 0.05), 0.0)
+    blinking_mk: float = key(_noise_mk, 0.0)
+    blinking_s: float = key(number(0.01, 1e6), 10.0)
     ffc_interval_s: float = key(number(0.0, 1e6), 0.0)
     ffc_duration_s: float = key(number(0.0, 60.0), 0.0)
     gain: str = key(choice("high", "low"), "high")
@@ -154,10 +175,10 @@ class Camera:
     def check(self, where, given):
         """Refuse noise of frames, rows and columns that leaves nothing of the whole, and a lens that folds."""
         temporal = ("sigma_t_mk", "sigma_tv_mk", "sigma_th_mk")
-        if sum(getattr(self, name) ** 2 for name in temporal) >= self.netd_mk**2:
-            raise where.error(
-                f"{', '.join(temporal)} leave nothing of netd_mk={self.netd_mk:g}, of which they are part; lower them"
-            )
+        if sum(getattr(self, name) ** 2 for name in temporal) >= self.gain_netd_mk**2:
+            name = "netd_mk" if self.gain_netd_mk == self.netd_mk else "low_gain_netd_mk"
+            told = f"{', '.join(temporal)} leave nothing of {name}={self.gain_netd_mk:g}"
+            raise where.error(f"{told}, of which they are part; lower them")
         # A folding distortion would otherwise show with the first frame only, after the scene is baked. Where it
         # folds, Newton's steps run off to infinity before they are refused.
         with np.errstate(all="ignore"):

@@ -6,7 +6,9 @@ single frame is that of a camera at rest.
 
 A flat-field correction makes the image of an even scene even: the signal of each pixel is divided by how much light
 reaches it, and what the case itself sends is taken off as it was when the shutter was last closed. Noise arises
-before that, so it grows towards the corners as the light falls; what the correction leaves does not.
+before that, so it grows towards the corners as the light falls; what the correction leaves does not. The shutter
+stands behind the lens, so it takes off nothing of what the lens itself adds. Effects that a camera's file does not name
+take no time.
 """
 
 from dataclasses import dataclass
@@ -20,6 +22,7 @@ from thermorender.sensor.camera import Camera
 from thermorender.sensor.detector import absorbed_power
 from thermorender.sensor.optics import case_share, detector_irradiance, narcissus_ring, relative_illumination
 from thermorender.sensor.psf import blur_of, blurred
+from thermorender.sensor.wander import Wander
 from thermorender.units import ZERO_CELSIUS_K
 
 
@@ -37,6 +40,8 @@ class Moment:
         Temperature of the case now, and when the correction was made [K].
     frozen : bool
         Whether the shutter is closed, so that the last image stands.
+    time_s, corrected_s : float
+        Since the camera was started, now and when the correction was made [s]; with the seed they decide what wanders.
     """
 
     index: int
@@ -44,6 +49,8 @@ class Moment:
     case_k: float
     corrected_k: float
     frozen: bool = False
+    time_s: float = 0.0
+    corrected_s: float = 0.0
 
     @property
     def drift_k(self):
@@ -72,7 +79,10 @@ def in_sequence(camera, index, elapsed_s):
         rise = -np.expm1(-time_s / camera.case_time_constant_s) * camera.case_rise_k
         return float(camera.case_temperature_c + ZERO_CELSIUS_K + rise)
 
-    return Moment(index, correction, case_k(elapsed_s), case_k(correction * interval), frozen)
+    corrected_s = correction * interval
+    # One that falls on a correction is at it, and not before it.
+    time_s = max(float(elapsed_s), corrected_s)
+    return Moment(index, correction, case_k(elapsed_s), case_k(corrected_s), frozen, time_s, corrected_s)
 
 
 class Sensor:
@@ -98,9 +108,15 @@ class Sensor:
         self._pattern = (None, None)
 
     @cached_property
+    def residual_responsivity(self):
+        """How far the correction's gain lies off, over it, (H, W) float32; None where it does not."""
+        return noise.residual_responsivity(self.camera, self.seed) if any(self.camera.responsivity_percent) else None
+
+    @cached_property
     def flat_field_gain(self):
-        """Gain of the flat-field correction: 1 over the illumination, (H, W) float32."""
-        return 1.0 / self.illumination
+        """Gain of the flat-field correction: 1 over the illumination and what that lies off, (H, W) float32."""
+        gain = 1.0 / self.illumination
+        return gain if self.residual_responsivity is None else gain * (1.0 + self.residual_responsivity)
 
     @cached_property
     def irradiance_gain(self):
@@ -116,13 +132,29 @@ class Sensor:
 
     @cached_property
     def stray(self):
-        """Irradiance of the narcissus ring, (H, W) float32 [W m⁻²]; None without one."""
+        """Irradiance of narcissus ring and shading at the start, (H, W) float32 [W m⁻²]; None without them."""
         camera = self.camera
-        if not camera.narcissus_mk:
+        if not (camera.narcissus_mk or camera.shading_mk):
             return None
-        radiance = camera.narcissus_mk * 1e-3 * band_radiance_derivative(noise.NETD_REFERENCE_K, *camera.band_um)
-        peak = detector_irradiance(radiance, camera.f_number, camera.lens_transmittance)
-        return np.float32(peak) * narcissus_ring(camera)
+        return self._irradiance_of(camera.narcissus_mk * narcissus_ring(camera) + camera.shading_mk * self._shading)
+
+    @cached_property
+    def stray_growth(self):
+        """Growth of the shading with the case's temperature, (H, W) float32 [W m⁻² K⁻¹]."""
+        return self._irradiance_of(self.camera.shading_mk_per_k * self._shading)
+
+    @cached_property
+    def _shading(self):
+        """Shape of the shading as it is read after the flat-field correction, times the illumination, (H, W)."""
+        shape = self.camera.height, self.camera.width
+        return noise.smooth_field(shape, self.seed, noise.SHADING) * self.illumination
+
+    def _irradiance_of(self, difference_mk):
+        """Irradiance of apparent temperatures over 300 K, as the camera's lens would pass them, float32 [W m⁻²]."""
+        camera = self.camera
+        radiance = 1e-3 * band_radiance_derivative(noise.NETD_REFERENCE_K, *camera.band_um)
+        per_mk = detector_irradiance(radiance, camera.f_number, camera.lens_transmittance)
+        return np.float32(per_mk) * np.asarray(difference_mk, np.float32)
 
     @cached_property
     def drift(self):
@@ -134,11 +166,29 @@ class Sensor:
         """(bad pixels (n,), their good neighbours (n, 8), and these neighbours' weights (n, 8) float32)."""
         return _replacement(noise.bad_pixels(self.camera, self.seed), self.camera.height, self.camera.width)
 
-    def pattern(self, correction):
-        """Return the fixed pattern that a flat-field correction leaves, (H, W) float32 [W]."""
-        if self._pattern[0] != correction:
-            self._pattern = (correction, noise.fixed_pattern(self.camera, self.seed, correction))
+    @cached_property
+    def wander(self):
+        """The Wander of what changes from one flat-field correction to the next."""
+        return Wander(self.camera, self.seed)
+
+    def pattern(self, moment):
+        """Return the fixed pattern that a flat-field correction leaves, (H, W) float32 [W].
+
+        Pixels whose gain lies off are right at the shutter's own temperature.
+        """
+        made = moment.correction, moment.corrected_k
+        if self._pattern[0] != made:
+            pattern = noise.fixed_pattern(self.camera, self.seed, moment.correction)
+            if self.residual_responsivity is not None:
+                pattern -= np.float32(self._shutter_power(moment.corrected_k)) * self.residual_responsivity
+            self._pattern = (made, pattern)
         return self._pattern[1]
+
+    def _shutter_power(self, kelvin):
+        """Absorbed power of a shutter as if it were a scene, in the middle of the image [W]."""
+        camera = self.camera
+        radiance = band_radiance(kelvin, *camera.band_um)
+        return absorbed_power(detector_irradiance(radiance, camera.f_number, camera.lens_transmittance), camera)
 
     def blurred(self, radiance):
         """Return a radiance image as the lens blurs it, (H, W) float32: the first stage alone."""
@@ -190,10 +240,13 @@ def case_emission(image, sensor, moment):
     return image
 
 
-def narcissus(image, sensor, moment):
-    """Add the ring of the detector's own reflection; the shutter stands behind the lens, so it is not corrected."""
+def stray_light(image, sensor, moment):
+    """Add narcissus and shading of the lens; the shutter stands behind it, so they are not corrected."""
     if sensor.stray is not None:
         image += sensor.stray
+    risen_k = moment.case_k - sensor.camera.case_temperature_c - ZERO_CELSIUS_K
+    if sensor.camera.shading_mk_per_k and risen_k:
+        image += np.float32(risen_k) * sensor.stray_growth
     return image
 
 
@@ -209,6 +262,23 @@ def temporal_noise(image, sensor, moment):
     return image
 
 
+def wandering(image, sensor, moment):
+    """Add what has wandered since the correction: 1/f noise of pixels and of the whole scale, pixels that blink."""
+    import cv2
+
+    camera, span = sensor.camera, (moment.corrected_s, moment.time_s)
+    if moment.time_s == moment.corrected_s:
+        return image
+    if camera.flicker_mk:
+        for share, values in sensor.wander.flicker(*span):
+            image = cv2.scaleAdd(values, share, image, dst=image)
+    if camera.scale_drift_mk:
+        image += np.float32(sensor.wander.scale_drift(*span))
+    if camera.blinking_pixels:
+        image.reshape(-1)[sensor.wander.blinking_pixels] += sensor.wander.blinking(*span)
+    return image
+
+
 def flat_field(image, sensor, moment):
     """Divide by how much light reaches each pixel."""
     image *= sensor.flat_field_gain
@@ -217,7 +287,7 @@ def flat_field(image, sensor, moment):
 
 def fixed_pattern(image, sensor, moment):
     """Add what the correction left, and what has drifted since."""
-    image += sensor.pattern(moment.correction)
+    image += sensor.pattern(moment)
     if moment.drift_k:
         image += np.float32(moment.drift_k) * sensor.drift
     return image
@@ -242,8 +312,10 @@ def temperature_linear(image, sensor, moment):
     return readout.temperature_linear(image, sensor.camera)
 
 
-OPTICS = (point_spread, irradiance, case_emission, narcissus, absorption)
-READOUT = (temporal_noise, flat_field, fixed_pattern, bad_pixels, analogue_to_digital, temperature_linear)
+OPTICS = (point_spread, irradiance, case_emission, stray_light, absorption)
+READOUT = (
+    temporal_noise, wandering, flat_field, fixed_pattern, bad_pixels, analogue_to_digital, temperature_linear,
+)  # fmt: skip
 
 
 def _through(stages, image, sensor, moment):

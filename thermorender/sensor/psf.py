@@ -1,7 +1,8 @@
 """The lens's blur: its optical transfer function, and the small kernel that applies it to an image of pixels.
 
 A rendered pixel is already the mean over the pixel's area, so the pixel's aperture is in the image; the kernel holds
-what the lens does, and nothing of the pixel.
+what the lens does, and nothing of the pixel. A lens blurs before pixels take their samples: detail finer than they show
+is folded down here before it is blurred, which `thermorender validate sensor` measures.
 """
 
 from functools import lru_cache

@@ -1,8 +1,9 @@
 """What the sensor's short cuts cost and err: instants and renders of a moving view, sizes of the lens's kernel.
 
 The lag is compared with a view followed in 64 renders per time constant, each frame's rows read at their own time; the
-blur against the transfer function itself, applied to the image's cosine series. Times are taken in the same process as
-one Gaussian filter of SciPy, the unit the whole chain is measured in.
+blur against the transfer function itself, applied to the image's cosine series. A lens blurs before pixels take their
+samples, and the chain after it: what that folds down from beyond the pixels' frequencies is told by images that are
+finer. Times are taken in the same process as one Gaussian filter of SciPy, the unit the whole chain is measured in.
 """
 
 import time
@@ -39,6 +40,11 @@ REFERENCE = 64
 SETTINGS = ((10.0, 20.0), (10.0, 80.0), (10.0, 40.0), (10.0, 10.0), (100.0, 20.0), (30.0, 20.0), (1000.0, 0.0),
             (300.0, 0.0), (100.0, 0.0), (30.0, 0.0), (10.0, 0.0))  # fmt: skip
 KERNELS = ((3, 0), (5, 0), (7, 0), (9, 0), (3, 5), (5, 5), (7, 5), (9, 5))
+# How many times finer images are on which the lens blurs first; middle of the image for which they are made [px], and
+# its rim that is left out, as the blur mirrors it.
+FINER, MIDDLE_PX, RIM_PX = 4, 256, 16
+# Square targets [px] on even ground, warmer by so much [K], drawn so many times finer, at so many places a pixel along.
+TARGETS_PX, TARGET_K, DRAWN, PLACES = (0.5, 1.0, 1.5, 2.0, 3.0), 30.0, 16, 4
 # Pixels count that see less than this within a time constant [K].
 SMOOTH_K = 1.0
 
@@ -62,8 +68,11 @@ def sensor(folder, scene=defaults.SCENE, flights=tuple(FLIGHTS), device="auto", 
     dict
         machine, versions, scene, camera; lag: {flight: [{lag_mk, render_px, instants, renders, ms, smooth_mk, all_mk,
         estimate_mk}, …]}, lag_mk None for one image without memory; blur: [{fine, coarse, ms, error_mk, predicted}];
-        chain: {standing_ms, subpixel_ms, gaussian_ms, standing_ratio, subpixel_ratio}. smooth_mk is over pixels that
-        see less than 1 K within a time constant.
+        aliasing: {views: [{view, aliasing_mk, worst_mk, chain_mk}], targets: [{side_px, contrast_mk, peak_mk, error_mk,
+        worst_mk}]}; chain: {standing_ms, subpixel_ms, gaussian_ms, standing_ratio, subpixel_ratio}. smooth_mk is over
+        pixels that see less than 1 K within a time constant. aliasing_mk is the error of a blur after sampling by the
+        transfer function itself, chain_mk by the chain's kernels; of a target, error_mk is that of its brightest pixel
+        over places within a pixel, and worst_mk the largest of any pixel.
     """
     unknown = [name for name in flights if name not in FLIGHTS]
     if unknown:
@@ -84,6 +93,7 @@ def sensor(folder, scene=defaults.SCENE, flights=tuple(FLIGHTS), device="auto", 
         "camera": loaded.camera.name,
         "lag": lags,
         "blur": _blur(renderer, loaded.camera),
+        "aliasing": {"views": _aliasing(renderer, loaded.camera), "targets": _small_targets(loaded.camera)},
         "chain": _chain(renderer, of),
     }
     with files.output_folder(folder) as folder:
@@ -105,7 +115,7 @@ def _lag(renderer, of, flight):
     now = radiance_at(0.0)
     expected, span = _reference(of, radiance_at, row_delays(camera, 1.0 / RATE_HZ))
     per_mk = band_radiance_derivative(300.0, *camera.band_um) * 1e-3
-    one = of.power(np.ones_like(now), at_rest(camera), blurred=True)
+    none, one = of.power_law(at_rest(camera))
     smooth = span / per_mk < 1e3 * SMOOTH_K
 
     def errors(image):
@@ -134,7 +144,7 @@ def _lag(renderer, of, flight):
         records.append(
             {
                 "lag_mk": lag_mk, "render_px": render_px, "instants": how["instants"],
-                "renders": how["renders"], "ms": ms, **errors(signal / one), "estimate_mk": how["lag_mk"],
+                "renders": how["renders"], "ms": ms, **errors((signal - none) / one), "estimate_mk": how["lag_mk"],
             }
         )  # fmt: skip
     for record in records:
@@ -183,6 +193,87 @@ def _blur(renderer, camera):
             }
         )  # fmt: skip
     return records
+
+
+def _aliasing(renderer, camera):
+    """What blurring after sampling errs by in the middle of two views of the scene."""
+    across, along = (0.5 * (n - min(MIDDLE_PX, n)) for n in (camera.width, camera.height))
+    rows, columns = slice(int(along), int(camera.height - along)), slice(int(across), int(camera.width - across))
+    fine = finer(camera.part(rows, columns), FINER)
+    per_mk = band_radiance_derivative(300.0, *camera.band_um) * 1e-3
+    inner = (slice(RIM_PX, -RIM_PX),) * 2
+    records = []
+    for view, at in views(renderer.scene).items():
+        expected, after, image = blurred_before_and_after(renderer.radiance(at, camera=fine), camera, FINER)
+        error = (after - expected)[inner] / per_mk
+        kernels = (psf.blurred(image.astype(np.float32), psf.blur_of(camera)) - expected)[inner] / per_mk
+        records.append(
+            {
+                "view": view, "aliasing_mk": float(np.sqrt(np.mean(error**2))),
+                "worst_mk": float(np.abs(error).max()), "chain_mk": float(np.sqrt(np.mean(kernels**2))),
+            }
+        )  # fmt: skip
+    return records
+
+
+def _small_targets(camera):
+    """What blurring after sampling errs by on squares of a few pixels, wherever within a pixel they lie."""
+    dark, bright = band_radiance(np.array([300.0, 300.0 + TARGET_K]), *camera.band_um)
+    per_mk = band_radiance_derivative(300.0, *camera.band_um) * 1e-3
+    records = []
+    for side in TARGETS_PX:
+        peaks, errors, worst = [], [], 0.0
+        for place in np.ndindex(PLACES, PLACES):
+            down, right = (_covered(12.0 + index / PLACES, side, 28) for index in place)
+            expected, after, _ = blurred_before_and_after((bright - dark) * np.outer(down, right), camera, DRAWN)
+            peaks.append(expected.max() / per_mk)
+            errors.append((after.max() - expected.max()) / per_mk)
+            worst = max(worst, float(np.abs(after - expected).max() / per_mk))
+        records.append(
+            {
+                "side_px": side, "contrast_mk": float((bright - dark) / per_mk), "peak_mk": float(np.mean(peaks)),
+                "error_mk": float(np.sqrt(np.mean(np.square(errors)))), "worst_mk": worst,
+            }
+        )  # fmt: skip
+    return records
+
+
+def finer(camera, times):
+    """Return the Camera of the same view on pixels `times` as fine."""
+    offset = tuple(times * part for part in camera.principal_offset_px)
+    return replace(
+        camera, width=times * camera.width, height=times * camera.height, principal_offset_px=offset,
+        pixel_pitch_um=camera.pixel_pitch_um / times,
+    )  # fmt: skip
+
+
+def blurred_before_and_after(fine, camera, times):
+    """Return (blurred on the fine grid, then sampled; sampled, then blurred; sampled), of the camera's pixels.
+
+    Parameters
+    ----------
+    fine : (times·H, times·W) array
+    camera : Camera
+        Whose lens blurs, by its transfer function itself.
+    times : int
+    """
+    table = np.linspace(0.0, times * np.sqrt(0.5), 4000)
+    transfer = psf.otf(camera, table)
+
+    def sampled(image):
+        height, width = (n // times for n in image.shape)
+        return image.reshape(height, times, width, times).mean(axis=(1, 3))
+
+    pixels = sampled(np.asarray(fine, np.float64))
+    before = psf.filtered(fine, lambda frequency: np.interp(times * frequency, table, transfer))
+    after = psf.filtered(pixels, lambda frequency: np.interp(frequency, table, transfer))
+    return sampled(before), after, pixels
+
+
+def _covered(start, side, count):
+    """Share of each of `DRAWN` parts of `count` pixels in a line that lies in a target, (DRAWN · count,)."""
+    edge = np.arange(DRAWN * count + 1) / DRAWN
+    return np.diff(np.clip(edge - start, 0.0, side)) * DRAWN
 
 
 def _chain(renderer, of):

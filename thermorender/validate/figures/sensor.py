@@ -52,6 +52,22 @@ def table(path, result):
         if (record["fine"], record["coarse"]) == (7, 5):
             cells = [f"**{cell}**" for cell in cells]
         lines.append(f"| {' | '.join(cells)} |")
+    aliasing = result["aliasing"]
+    lines += ["", "## Aliasing: blur after the pixels' samples in place of before", "",
+              "A lens takes away what is finer than pixels show before they sample it; the chain blurs samples. RMS",
+              "error over the middle of views against a blur on pixels a quarter as wide, by the transfer function",
+              "itself and by the chain's kernels.", "",
+              "| view | error [mK] | largest [mK] | of the chain [mK] |", "|---|--:|--:|--:|"]  # fmt: skip
+    for record in aliasing["views"]:
+        values = (record[key] for key in ("aliasing_mk", "worst_mk", "chain_mk"))
+        lines.append(f"| {record['view']} | {' | '.join(f'{value:.1f}' for value in values)} |")
+    lines += ["", "Squares on even ground, at 16 places within a pixel: what the brightest pixel rises by in the mean,",
+              "the RMS error of that over the places, and the largest error of any pixel.", "",
+              "| side [px] | warmer by [mK] | brightest pixel [mK] | error [mK] | largest [mK] |",
+              "|--:|--:|--:|--:|--:|"]  # fmt: skip
+    for record in aliasing["targets"]:
+        values = (record[key] for key in ("contrast_mk", "peak_mk", "error_mk", "worst_mk"))
+        lines.append(f"| {record['side_px']:g} | {' | '.join(f'{value:.0f}' for value in values)} |")
     files.write_text(path, "\n".join(lines) + "\n")
 
 
