@@ -2,8 +2,7 @@
 
 A path from a given camera is told by its length and the altitude it ends at. For each position the air is computed
 on a small grid of both, as wide as the scene can be from there: the weights of the texels' channels and the path
-radiance. Rays look it up; rays that meet nothing look up sky and surroundings by their zenith angle. What a mirror
-shows has passed air before: a grid of both lengths, to the mirror and on, tells how the weights change.
+radiance. Rays look it up; rays that meet nothing look up sky and surroundings by their zenith angle.
 """
 
 import drjit as dr
@@ -15,10 +14,6 @@ from thermorender.errors import ThermorenderError
 
 # A grid's lengths grow by at most this factor from one to the next, and its altitudes are at most this far apart [m].
 _GROWTH = 1.08
-# The same of the grid of paths by way of mirrors, which tells a part of the light alone.
-_COARSE = 1.2
-# Shorter paths count as this long [m].
-_SHORTEST_M = 1.0
 _FEWEST = 4
 _ALTITUDE_M = 100.0
 # Zenith angles of what lies beyond the surfaces, below and above the horizon; densest there. 5 mK of the sky from
@@ -37,8 +32,6 @@ class Vacuum:
     sky, background : (C,) floats
         Channels of rays that meet nothing, above and below the horizon.
     """
-
-    to_mirrors = None
 
     def __init__(self, mi, sky, background):
         rows = (sky, background)
@@ -61,12 +54,10 @@ class Air:
     mi : module
     scene : Scene
     spectrum : Spectrum
-    to_mirrors : AirToMirrors, optional
-        Where the scene has mirrors.
     """
 
-    def __init__(self, mi, scene, spectrum, to_mirrors=None):
-        self._mi, self._air, self._solver, self._to_mirrors = mi, scene.air, spectrum.solver, to_mirrors
+    def __init__(self, mi, scene, spectrum):
+        self._mi, self._air, self._solver = mi, scene.air, spectrum.solver
         self._altitude_m, self._background_k = scene.altitude_m, scene.surroundings_temperature
         self._seen = {}
 
@@ -90,15 +81,24 @@ class Air:
                 f"{HIGHEST_CAMERA_M:.0f} m"
             )
         outside = np.maximum(np.maximum(box[0] - origin, origin - box[1]), 0.0)
-        nearest = max(float(np.linalg.norm(outside)), _SHORTEST_M)
+        nearest = max(float(np.linalg.norm(outside)), 1.0)
         farthest = max(float(np.linalg.norm(np.abs(box - origin).max(axis=0))), 1.01 * nearest)
-        passed, added, frame = _paths(self._air, base, camera, box, nearest, farthest)
+        corner = np.append(np.abs(box[:, :2]).max(axis=0), box[1, 2])
+        low, high = base + box[0, 2], float(altitude(corner, base))
+        columns = max(_FEWEST, 1 + int(np.ceil(np.log(farthest / nearest) / np.log(_GROWTH))))
+        rows = 2 + int((high - low) / _ALTITUDE_M)
+        length = np.geomspace(nearest, farthest, columns)
+        # At each length, from the lowest to the highest point at that distance from the camera.
+        bottom, top = np.maximum(low, camera - length), np.minimum(high, camera + length)
+        end = bottom + np.linspace(0.0, 1.0, rows)[:, None] * np.maximum(top - bottom, 0.0)
+        end = np.clip(end, camera - length, camera + length)
+        passed, added = self._air.path(camera, end, np.broadcast_to(length, end.shape))
         if clear:
             passed, added = np.ones_like(passed), np.zeros_like(added)
         cells = np.concatenate([passed @ self._solver, added.sum(axis=-1, keepdims=True)], axis=-1)
+        frame = (base, low, high, camera, np.log(nearest), (columns - 1) / np.log(farthest / nearest))
         horizon = float(horizon_cos_zenith(camera))
-        to_mirrors = self._to_mirrors and self._to_mirrors.seen_from(camera, nearest, farthest, clear)
-        return AirView(self._mi, PathTable(self._mi, cells, frame), self._background(camera), horizon, to_mirrors)
+        return AirView(self._mi, cells, frame, self._background(camera), horizon)
 
     def _background(self, camera):
         """Band radiance of rays that meet nothing, (2, _BACKGROUND), linear between altitudes of earlier views."""
@@ -118,70 +118,49 @@ class Air:
         return (1.0 - share) * both[0] + share * both[1]
 
 
-class PathTable:
-    """Numbers of the paths from one altitude, by their length and the altitude they end at.
-
-    Parameters
-    ----------
-    mi : module
-    cells : (…, rows, columns, n) array
-        By altitude of the end and length of the path; planes of these one after the other.
-    frame : tuple
-        Altitude of the local frame's origin, of the lowest and the highest end, and of the start [m]; logarithm of
-        the first column's length, and columns per unit of it.
-    """
-
-    def __init__(self, mi, cells, frame):
-        self._mi, (rows, columns, self._count) = mi, cells.shape[-3:]
-        padded = np.pad(cells.reshape(-1, self._count), ((0, 0), (0, -self._count % 4))).astype(np.float32)
-        groups = range(0, padded.shape[1], 4)
-        self._groups = [mi.Float(np.ascontiguousarray(padded[:, k : k + 4]).ravel()) for k in groups]
-        self._numbers = [dr.opaque(mi.Float, float(number)) for number in (*frame, columns, rows - 1)]
-
-    def at(self, point, distance, active, plane=0):
-        """Return the n numbers of paths that end at points of the local frame after distances [m], a list of Float."""
-        mi = self._mi
-        base, low, high, start, first, step, count, rows = self._numbers
-        end = base + point.z + 0.5 / MEAN_RADIUS_M * (point.x * point.x + point.y * point.y)
-        column = dr.clip((dr.log(distance) - first) * step, 0.0, count - 1.001)
-        bottom, top = dr.maximum(low, start - distance), dr.minimum(high, start + distance)
-        row = dr.clip((end - bottom) / dr.maximum(top - bottom, 1e-3), 0.0, 0.9999) * rows
-        left, upper = dr.floor(column), dr.floor(row)
-        across, down = column - left, row - upper
-        cell, below = mi.UInt32(upper * count + left) + plane * mi.UInt32((rows + 1.0) * count), mi.UInt32(count)
-        total = [mi.Float(0.0) for _ in range(self._count)]
-        for index, weight in ((cell, (1 - across) * (1 - down)), (cell + 1, across * (1 - down)),
-                              (cell + below, (1 - across) * down), (cell + below + 1, across * down)):  # fmt: skip
-            found = [value for group in self._groups for value in dr.gather(mi.Vector4f, group, index, active)]
-            total = [a + weight * value for a, value in zip(total, found, strict=False)]
-        return total
-
-
 class AirView:
     """The air seen from one camera position.
 
     Parameters
     ----------
     mi : module
-    paths : PathTable
-        Weights of the channels and path radiance, K + 1 numbers.
+    cells : (rows, columns, K + 1) array
+        Weights of the channels and path radiance, by altitude of the end and length of the path.
+    frame : tuple
+        Altitude of the local frame's origin, of the lowest and the highest end, and of the camera [m]; logarithm of
+        the first column's length, and columns per unit of it.
     background : (2, n) array
         As by `background`.
     horizon : float
         Cosine of the horizon's zenith angle.
-    to_mirrors : MirrorView or None
-        None where the scene has no mirrors.
     """
 
-    def __init__(self, mi, paths, background, horizon, to_mirrors):
-        self._mi, self._paths, self.to_mirrors = mi, paths, to_mirrors
+    def __init__(self, mi, cells, frame, background, horizon):
+        self._mi, (rows, columns, count) = mi, cells.shape
+        padded = np.pad(cells.reshape(-1, count), ((0, 0), (0, -count % 4))).astype(np.float32)
+        self._groups = [mi.Float(np.ascontiguousarray(padded[:, k : k + 4]).ravel()) for k in range(0, count, 4)]
+        self._numbers = [dr.opaque(mi.Float, float(number)) for number in (*frame, columns, rows - 1)]
         self._sky = mi.Float(background.astype(np.float32).ravel())
         self._horizon = dr.opaque(mi.Float, horizon)
 
     def at_camera(self, hit, values, origin, direction):
         """Return what rays bring back, [Float], of the channels `values` where they meet something."""
-        *weights, added = self._paths.at(origin + hit.distance * direction, hit.distance, hit.valid)
-        total = added + sum(weight * value for weight, value in zip(weights, values, strict=True))
+        mi = self._mi
+        base, low, high, camera, first, step, count, rows = self._numbers
+        point = origin + hit.distance * direction
+        end = base + point.z + 0.5 / MEAN_RADIUS_M * (point.x * point.x + point.y * point.y)
+        column = dr.clip((dr.log(hit.distance) - first) * step, 0.0, count - 1.001)
+        bottom, top = dr.maximum(low, camera - hit.distance), dr.minimum(high, camera + hit.distance)
+        row = dr.clip((end - bottom) / dr.maximum(top - bottom, 1e-3), 0.0, 0.9999) * rows
+        left, upper = dr.floor(column), dr.floor(row)
+        across, down = column - left, row - upper
+        cell, below = mi.UInt32(upper * count + left), mi.UInt32(count)
+        factors = [*values, 1.0]
+        total = mi.Float(0.0)
+        for index, weight in ((cell, (1 - across) * (1 - down)), (cell + 1, across * (1 - down)),
+                              (cell + below, (1 - across) * down), (cell + below + 1, across * down)):  # fmt: skip
+            found = [value for group in self._groups for value in dr.gather(mi.Vector4f, group, index, hit.valid)]
+            total += weight * sum(number * factor for number, factor in zip(found, factors, strict=False))
         return [dr.select(hit.valid, total, self._seen_background(direction.z, ~hit.valid))]
 
     def _seen_background(self, cosine, active):
@@ -196,101 +175,6 @@ class AirView:
         index = lower + dr.select(above, _BACKGROUND, 0)
         a, b = (dr.gather(mi.Float, self._sky, index + k, active) for k in (0, 1))
         return dr.lerp(a, b, position - mi.Float(lower))
-
-
-class AirToMirrors:
-    """The air between mirrors and what they show, as if all mirrors lay at one altitude.
-
-    Parameters
-    ----------
-    mi : module
-    scene : Scene
-    spectrum : Spectrum
-    at_m : float
-        Mean altitude of the mirrors [m].
-    box : (2, 3) array
-        Lowest and highest corner of what stands still; ends of paths beyond it count as at its edge [m].
-
-    Notes
-    -----
-    Air as warm as its light is bright, of the blackbody B, makes t L + (1 − t) B = B + t (L − B) of light L. So what a
-    mirror reflects of L − B has passed both paths, and is weighted as light behind the two of them. B is a blackbody at
-    the mirrors, times what makes the air's band radiance right.
-    """
-
-    def __init__(self, mi, scene, spectrum, at_m, box):
-        air, longest = scene.air, max(float(np.linalg.norm(box[1] - box[0])), 2.0 * _SHORTEST_M)
-        self._mi, self._air, self._solver, self._at_m = mi, air, spectrum.solver, at_m
-        self._passed, added, self._frame = _paths(air, scene.altitude_m, at_m, box, _SHORTEST_M, longest, _COARSE)
-        black = air.planck(air.air_temperature(at_m))
-        self._share = added.sum(axis=-1) / ((1.0 - self._passed) @ black)
-        self._black = [dr.opaque(mi.Float, float(value)) for value in spectrum.basis @ black]
-
-    def seen_from(self, camera, nearest, farthest, clear):
-        """Return the MirrorView from a camera's altitude, of mirrors between two distances [m]; `clear` as of `Air`."""
-        count = max(2, 1 + int(np.ceil(np.log(farthest / nearest) / np.log(_COARSE))))
-        length = np.geomspace(nearest, farthest, count)
-        passed = np.ones((count, self._passed.shape[-1]))
-        if not clear:
-            passed = self._air.transmittance(camera, np.clip(self._at_m, camera - length, camera + length), length)
-        less = (passed[:, None, None] * (self._passed - 1.0)) @ self._solver
-        share = np.broadcast_to(self._share[..., None], (*less.shape[:-1], 1))
-        table = PathTable(self._mi, np.concatenate([less, share], axis=-1), self._frame)
-        scale = np.log(nearest), (count - 1) / np.log(farthest / nearest), count
-        return MirrorView(self._mi, table, scale, self._black)
-
-
-class MirrorView:
-    """The air between mirrors and what they show, seen from one camera position.
-
-    Parameters
-    ----------
-    mi : module
-    table : PathTable
-        Change of the channels' weights by the path beyond the mirror and share of the blackbody, K + 1 numbers; a plane
-        for each distance of the mirror.
-    scale : tuple
-        Logarithm of the first distance, planes per unit of it, and their number.
-    black : list of Float
-        Channels of a blackbody as warm as the air at the mirrors.
-    """
-
-    def __init__(self, mi, table, scale, black):
-        self._mi, self._table, self._black = mi, table, black
-        self._scale = [dr.opaque(mi.Float, float(number)) for number in scale]
-
-    def at(self, distance, point, beyond, active):
-        """Return (change of each channel's weight, channels of the air as a blackbody), two lists of Float.
-
-        Parameters
-        ----------
-        distance, beyond : Float
-            Lengths to the mirror and from there on [m].
-        point : Point3f
-            What is shown, in the scene's local frame.
-        active : Bool
-        """
-        first, step, count = self._scale
-        position = dr.clip((dr.log(distance) - first) * step, 0.0, count - 1.001)
-        lower = dr.floor(position)
-        near, far = (self._table.at(point, beyond, active, self._mi.UInt32(lower) + k) for k in (0, 1))
-        *change, share = (dr.lerp(a, b, position - lower) for a, b in zip(near, far, strict=True))
-        return change, [share * value for value in self._black]
-
-
-def _paths(air, base, start, box, nearest, farthest, growth=_GROWTH):
-    """(transmittance, emission (rows, columns, n), frame) of paths from an altitude into a box, for a `PathTable`."""
-    corner = np.append(np.abs(box[:, :2]).max(axis=0), box[1, 2])
-    low, high = base + box[0, 2], float(altitude(corner, base))
-    columns = max(_FEWEST, 1 + int(np.ceil(np.log(farthest / nearest) / np.log(growth))))
-    rows = 2 + int((high - low) / _ALTITUDE_M)
-    length = np.geomspace(nearest, farthest, columns)
-    # At each length, from the lowest to the highest point at that distance.
-    bottom, top = np.maximum(low, start - length), np.minimum(high, start + length)
-    end = bottom + np.linspace(0.0, 1.0, rows)[:, None] * np.maximum(top - bottom, 0.0)
-    end = np.clip(end, start - length, start + length)
-    passed, added = air.path(start, end, np.broadcast_to(length, end.shape))
-    return passed, added, (base, low, high, start, np.log(nearest), (columns - 1) / np.log(farthest / nearest))
 
 
 def altitude(points, altitude_m):

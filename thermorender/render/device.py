@@ -6,7 +6,7 @@ import numpy as np
 
 from thermorender.physics.planck import band_radiance
 from thermorender.render import mirrors
-from thermorender.render.air import Air, AirToMirrors, Vacuum
+from thermorender.render.air import Air, Vacuum
 from thermorender.render.dynamic import DynamicObject
 from thermorender.render.geometry import Channels, Layer, OutgoingRadiance, opaque_view
 
@@ -29,7 +29,6 @@ class DeviceScene:
     def __init__(self, baked, geometry):
         scene, plan, mi = baked.scene, baked.plan, geometry.mi
         self.geometry, self._mi = geometry, mi
-        self._corners = box_of(scene)
         tables = mirrors.DeviceTables(mi, plan.specular) if plan.specular else None
         mirror = None
         if baked.mirror_black is not None:
@@ -38,14 +37,12 @@ class DeviceScene:
         self._faces, self._light = baked.faces, baked.static_light
         self.face_error = None if baked.face_error is None else mi.Float(baked.face_error)
         self.objects = [DynamicObject(mi, tracked, plan, scene.materials, tables) for tracked in scene.tracked_objects]
+        self._corners = box_of(scene)
         if scene.air is None:
             outside = np.array([scene.spec.sky_temperature, scene.surroundings_temperature])
             self._air = Vacuum(mi, *band_radiance(outside, *plan.band_um)[:, None])
         else:
-            to_mirrors = None
-            if plan.specular:
-                to_mirrors = AirToMirrors(mi, scene, plan.spectrum, plan.specular.altitude_m, self._corners)
-            self._air = Air(mi, scene, plan.spectrum, to_mirrors)
+            self._air = Air(mi, scene, plan.spectrum)
         self._last_medium = self._last_light = self._last_outgoing = None, None
 
     def layers(self, pose, placements):

@@ -31,8 +31,6 @@ class Hit:
         Numbers over the whole scene; 0 for a miss.
     mirrored : Float
         From a mirror to what it shows [m]; 0 where there is none.
-    beyond : Float
-        What the air there changes in the band radiance at the camera [W m⁻² sr⁻¹].
     """
 
     valid: object
@@ -40,7 +38,6 @@ class Hit:
     face: object
     surface: object
     mirrored: object = 0.0
-    beyond: object = 0.0
 
 
 class Geometry:

@@ -13,8 +13,7 @@ all this.
 
 A mirror in a mirror shows what the bake makes of it: emission and reflection of a diffuse surface. The mirror's normal
 is that of its flat face, whatever its roughness: roughness raises the emissivity at grazing angles but does not blur
-the image. Air weakens what a mirror shows on the way to it, and adds its own light, from the mean altitude of all
-mirrors. The glint of the sun is left out.
+the image. Air between a mirror and what it shows is left out, as in the bake, and so is the glint of the sun.
 """
 
 from dataclasses import dataclass
@@ -56,8 +55,6 @@ class ReflectanceTables:
         the reflection of no light [W m⁻² sr⁻¹].
     weight : (K,) float64
         Of the channels in the band radiance.
-    altitude_m : float
-        Mean of the materials' altitudes above sea level [m].
     effect_mk : float
         Largest change of what these materials show if they were diffuse, over the envelope's light up to 80°; estimated
         from above, as mirror and diffuse surface may see any two of its lights [mK at 300 K].
@@ -69,7 +66,6 @@ class ReflectanceTables:
     matrix: np.ndarray
     environment: np.ndarray
     weight: np.ndarray
-    altitude_m: float
     effect_mk: float
     error_mk: float
 
@@ -106,7 +102,7 @@ def make_tables(scene, spectrum, envelope):
     stacked = [np.stack([getattr(case, name) for case in cases]) for name in ("matrix", "environment")]
     weight = spectrum.solver.sum(axis=0)
     worst = [max(getattr(case, name) for case in cases) for name in ("effect_mk", "error_mk")]
-    return ReflectanceTables(row, *stacked, weight, float(np.mean([at_m for at_m, *_ in seen.values()])), *worst)
+    return ReflectanceTables(row, *stacked, weight, *worst)
 
 
 class _Case:
@@ -244,8 +240,8 @@ def black_of(plan, number, material, temperature):
     return np.stack([np.interp(warm, grid, channel) for channel in table.T], axis=1)
 
 
-def correction(layers, here, ray, hit, texel, to_mirrors):
-    """Return (channels to be added, [Float], length [m] from a mirror to what it shows, band radiance) of one layer.
+def correction(layers, here, ray, hit, texel):
+    """Return (channels to be added, [Float], length [m] from a mirror to what it shows) for rays of one layer.
 
     Parameters
     ----------
@@ -257,27 +253,20 @@ def correction(layers, here, ray, hit, texel, to_mirrors):
     hit : Hit
     texel : UInt32
         Flat number of the texel at the hit.
-    to_mirrors : MirrorView or None
-        The air beyond mirrors.
-
-    Notes
-    -----
-    The band radiance is what the air beyond the mirror changes at the camera [W m⁻² sr⁻¹]; 0 without air.
     """
     mi, mirror = here.geometry.mi, here.outgoing.mirror
     row = dr.gather(mi.UInt32, mirror.row, texel, hit.valid)
     # A branch: where no ray of a packet meets a mirror nothing of this is computed.
-    count = mirror.black.count
-    added = dr.if_stmt(
+    *added, length = dr.if_stmt(
         (ray.o, ray.d, hit.distance, hit.face, texel, row),
         row > 0,
-        lambda *values: _correction(layers, here, to_mirrors, *values),
-        lambda *values: tuple(mi.Float(0.0) for _ in range(count + (2 if to_mirrors else 1))),
+        lambda *values: _correction(layers, here, *values),
+        lambda *values: tuple(mi.Float(0.0) for _ in range(mirror.black.count + 1)),
     )
-    return added[:count], added[count], added[-1] if to_mirrors else 0.0
+    return added, length
 
 
-def _correction(layers, here, to_mirrors, eye, view, distance, face, texel, row):
+def _correction(layers, here, eye, view, distance, face, texel, row):
     """As `correction`, in one tuple, for rays that meet mirrors: those of the texels `row`, counted from 1."""
     geometry, mirror = here.geometry, here.outgoing.mirror
     mi = geometry.mi
@@ -297,20 +286,13 @@ def _correction(layers, here, to_mirrors, eye, view, distance, face, texel, row)
         nearer = away < nearest
         seen = [dr.select(nearer, a, b) for a, b in zip(values, seen or values, strict=True)]
         nearest = dr.minimum(nearest, away)
+    up = direction.z if here is layers[0] else _transformed(here.view, layers[0].view, origin, direction)[1].z
     valid = nearest < np.inf
-    # In the frame of the scene, where air and sky are.
-    if here is not layers[0]:
-        origin, direction = _transformed(here.view, layers[0].view, origin, direction)
     black = mirror.black.at(row)
     kind = dr.gather(mi.UInt32, mirror.kind, row)
-    reflected = mirror.tables.reflected(kind, cosine, black, seen, valid, direction.z)
+    reflected = mirror.tables.reflected(kind, cosine, black, seen, valid, up)
     diffuse = here.outgoing.at_texel(texel, face)
-    added = (*(a + b - c for a, b, c in zip(black, reflected, diffuse, strict=True)), nearest)
-    if not to_mirrors:
-        return added
-    weights, air = to_mirrors.at(distance, origin + nearest * direction, nearest, valid)
-    passing = mirror.tables.reflected(kind, cosine, air, seen, valid, direction.z)
-    return *added, dr.select(valid, sum(w * value for w, value in zip(weights, passing, strict=True)), 0.0)
+    return (*(a + b - c for a, b, c in zip(black, reflected, diffuse, strict=True)), nearest)
 
 
 def _bent(radiance):

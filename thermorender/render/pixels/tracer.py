@@ -231,12 +231,10 @@ class Tracer:
                 dr.select(nearer, other.face, hit.face),
                 dr.select(nearer, other.surface + surfaces, hit.surface),
                 dr.select(nearer, other.mirrored, hit.mirrored),
-                dr.select(nearer, other.beyond, hit.beyond) if self._medium.to_mirrors else 0.0,
             )
             surfaces += len(layer.geometry.surfaces)
         ray = view_ray(self._mi, *layers[0].view, *cell.slope)
-        total = self._medium.at_camera(hit, total, ray.o, ray.d)
-        return hit, [value + hit.beyond for value in total] if self._medium.to_mirrors else total
+        return hit, self._medium.at_camera(hit, total, ray.o, ray.d)
 
     def _trace(self, layer, cell, reading):
         """As `_shade`, of one layer and before the light passes the medium."""
@@ -256,8 +254,6 @@ class Tracer:
             total = [a + b for a, b in zip(total, own, strict=True)]
         if outgoing.mirror:
             texel = geometry.nearest(hit.surface, *position, hit.valid)
-            to_mirrors = self._medium.to_mirrors
-            added, mirrored, beyond = mirrors.correction(self._layers, layer, ray, hit, texel, to_mirrors)
-            hit = replace(hit, mirrored=mirrored, beyond=beyond)
-            total = [a + b for a, b in zip(total, added, strict=True)]
+            added, mirrored = mirrors.correction(self._layers, layer, ray, hit, texel)
+            hit, total = replace(hit, mirrored=mirrored), [a + b for a, b in zip(total, added, strict=True)]
         return hit, total
