@@ -275,6 +275,35 @@ def test_clouds_warm_the_sky(tmp_path):
     assert found[1] < scene.air.air_temperature(0.0)
 
 
+def test_what_lies_above_the_base_of_clouds_is_refused_before_any_work(tmp_path, monkeypatch):
+    air = AIR + "cloud_fraction = 0.3\ncloud_base_m = 500.0\naltitude_m = 400.0\n"
+    scene = tr.load_scene(write(tmp_path / "s", plane(4.0), air, emissivity=0.9))
+    renderer = tr.Renderer(scene, rays=16)
+    monkeypatch.setattr("thermorender.render.renderer.bake", lambda *_: pytest.fail("baked in vain"))
+    words = r"pose: the camera is 500\.1\d* m above sea level, above the base of the clouds at 500 m.*cloud_fraction to 0"
+    with pytest.raises(ThermorenderError, match=words):
+        renderer.radiance(tr.pose(0, 0, 100.1, **DOWN))
+    up = tr.Trajectory(np.array([0.0, 1.0]), np.array([[0, 0, 50.0], [0, 0, 101.0]]), np.array([[0, 1.0, 0, 0]] * 2))
+    with pytest.raises(ThermorenderError, match="pose: the camera is 501 m above sea level, above the base"):
+        tr.fly(renderer, up, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    monkeypatch.undo()
+    # Right below the base only the cloud is left of the sky.
+    over = tr.load_scene(write(tmp_path / "over", plane(4.0), air.replace("0.3", "1.0"), emissivity=0.9))
+    seen = tr.Renderer(over, rays=16).frame(tr.pose(0, 0, 99.9, pitch_deg=60.0)).apparent_temperature
+    assert np.abs(seen - over.air.air_temperature(500.0)).max() < 0.005
+    roof = '[[object]]\nname = "roof"\nshape = "box"\nsize = [4.0, 4.0, 0.2]\nposition = [0, 0, 99.9]\n'
+    roof += 'temperature = 300.0\nmaterial = "paint_metallic"\n'
+    high = write(tmp_path / "high", plane(4.0), air, extra=roof)
+    words = r"scene.toml: the highest surface is 500\.\d+ m above sea level, above the base of the clouds at 500 m"
+    with pytest.raises(ThermorenderError, match=words):
+        tr.load_scene(high)
+    (high / "scene.toml").write_text((high / "scene.toml").read_text() + 'track = "up.csv"\n')
+    (high / "up.csv").write_text("time_s,above_ground_m\n0,0\n1,150\n")
+    with pytest.raises(ThermorenderError, match=r"the highest surface is 550\.\d* m above"):
+        tr.load_scene(high)
+
+
 def test_standard_air_in_place_of_a_scenes_sky(tmp_path):
     scene = tr.load_scene(write_mesh(tmp_path / "s", plane(10.0), emissivity=1.0))
     told = tr.load_scene(write(tmp_path / "t", plane(10.0)))

@@ -278,9 +278,22 @@ def test_sky_of_clouds():
     mixed = 0.5 * (clear.sky_radiance(0.0, direction) + overcast.sky_radiance(0.0, direction))
     assert half.sky_radiance(0.0, direction) == pytest.approx(mixed, rel=1e-12)
     assert np.all(overcast.sky_radiance(0.0, direction).sum(-1) > clear.sky_radiance(0.0, direction).sum(-1))
-    # From above the base none is seen, even down to the horizon.
-    assert overcast.sky_radiance(2000.0, -0.022) == pytest.approx(clear.sky_radiance(2000.0, -0.022), rel=1e-12)
-    assert overcast.sky_radiance(2000.0, direction) == pytest.approx(clear.sky_radiance(2000.0, direction), rel=1e-12)
+    # At the base itself the cloud is all there is; the other sky goes on as it was.
+    assert overcast.sky_radiance(1500.0, direction) == pytest.approx(np.tile(base, (3, 1)), rel=1e-12)
+
+
+def test_nothing_is_seen_from_above_the_base_of_clouds():
+    clear = Atmosphere.standard("us-1976").in_band(8.0, 14.0)
+    cloudy = clear.clouded(0.01, 1500.0)
+    words = "above the base of the clouds at 1500 m, which are known from below only; stay below it, raise cloud_base_m"
+    for ask in (lambda air: air.sky_radiance(1500.1, 1.0), lambda air: air.path(1500.1, 0.0, 3000.0),
+                lambda air: air.transmittance([0.0, 10.0], 2000.0, 3000.0), lambda air: air.sky_temperature(2000.0)):
+        with pytest.raises(ThermorenderError, match=words):
+            ask(cloudy)
+        ask(clear.clouded(0.0, 1500.0))
+    for air, ceiling in ((clear, 3e4), (cloudy, 1500.0)):
+        assert air.ceiling_m == ceiling
+        assert np.isfinite(air.sky_radiance(ceiling, [1.0, 0.0, horizon_cos_zenith(ceiling)])).all()
 
 
 def test_sky_is_continuous_down_to_the_horizon():

@@ -23,6 +23,19 @@ _BACKGROUND = 64
 _LOWEST_M, _STEP, _KEPT = 0.1, 1.03, 16
 
 
+def refuse_camera(scene, positions):
+    """Refuse cameras at positions (..., 3) of a scene's local frame that are above the range of its air, or clouds."""
+    if scene.air is None:
+        return
+    camera = float(np.max(altitude(positions, scene.altitude_m)))
+    scene.air.refuse_above_clouds("pose: the camera", camera)
+    if camera > HIGHEST_CAMERA_M:
+        raise ThermorenderError(
+            f"pose: the camera is {camera:.0f} m above sea level, out of range of the air; give up to "
+            f"{HIGHEST_CAMERA_M:.0f} m"
+        )
+
+
 class Vacuum:
     """No air: channels arrive as they left, from sky and surroundings as they are.
 
@@ -75,11 +88,6 @@ class Air:
         """
         base = self._altitude_m
         camera = float(altitude(origin, base))
-        if camera > HIGHEST_CAMERA_M:
-            raise ThermorenderError(
-                f"pose: the camera is {camera:.0f} m above sea level, out of range of the air; give up to "
-                f"{HIGHEST_CAMERA_M:.0f} m"
-            )
         outside = np.maximum(np.maximum(box[0] - origin, origin - box[1]), 0.0)
         nearest = max(float(np.linalg.norm(outside)), 1.0)
         farthest = max(float(np.linalg.norm(np.abs(box - origin).max(axis=0))), 1.01 * nearest)
@@ -103,18 +111,17 @@ class Air:
     def _background(self, camera):
         """Band radiance of rays that meet nothing, (2, _BACKGROUND), linear between altitudes of earlier views."""
         height = max(camera - self._altitude_m, _LOWEST_M)
-        position = np.log(height / _LOWEST_M) / np.log(_STEP)
-        lower = int(position)
-        both = []
+        lower = int(np.log(height / _LOWEST_M) / np.log(_STEP))
+        level, both = [], []
         for number in (lower, lower + 1):
+            level.append(min(_LOWEST_M * _STEP**number, self._air.ceiling_m - self._altitude_m))
             if number not in self._seen:
                 if len(self._seen) >= _KEPT:
                     self._seen.pop(next(iter(self._seen)))
-                at = min(self._altitude_m + _LOWEST_M * _STEP**number, HIGHEST_CAMERA_M)
-                parts = np.linspace(0.0, 1.0, _BACKGROUND)
+                at, parts = self._altitude_m + level[-1], np.linspace(0.0, 1.0, _BACKGROUND)
                 self._seen[number] = background(self._air, at, self._altitude_m, self._background_k, parts)
             both.append(self._seen[number])
-        share = (height / _LOWEST_M / _STEP**lower - 1.0) / (_STEP - 1.0)
+        share = (height - level[0]) / max(level[1] - level[0], 1e-6)
         return (1.0 - share) * both[0] + share * both[1]
 
 
