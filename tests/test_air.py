@@ -280,7 +280,7 @@ def test_what_lies_above_the_base_of_clouds_is_refused_before_any_work(tmp_path,
     scene = tr.load_scene(write(tmp_path / "s", plane(4.0), air, emissivity=0.9))
     renderer = tr.Renderer(scene, rays=16)
     monkeypatch.setattr("thermorender.render.renderer.bake", lambda *_: pytest.fail("baked in vain"))
-    words = r"pose: the camera is 500\.1\d* m above sea level, above the base of the clouds at 500 m.*cloud_fraction to 0"
+    words = r"pose: the camera is 500\.1\d* m above sea level, above the base of the clouds at 500 m.*to 0"
     with pytest.raises(ThermorenderError, match=words):
         renderer.radiance(tr.pose(0, 0, 100.1, **DOWN))
     up = tr.Trajectory(np.array([0.0, 1.0]), np.array([[0, 0, 50.0], [0, 0, 101.0]]), np.array([[0, 1.0, 0, 0]] * 2))
