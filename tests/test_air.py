@@ -242,7 +242,7 @@ def test_plan_says_what_air_brings(tmp_path):
         ('[atmosphere]\nstandard = "tropical"\nvisibility_km = 5\n', "atmosphere.visibility_km"),
         ('[atmosphere]\nstandard = "tropical"\nclouds = 1\n', "did you mean 'cloud"),
         ('[atmosphere]\nstandard = "tropical"\ncloud_fraction = 40\n', "cloud_fraction=40 is out of range"),
-        ('[atmosphere]\nfile = "scene.toml"\n', "is no table of an atmosphere"),
+        ('[atmosphere]\nfile = "scene.toml"\n', "is no .npz file with its arrays"),
         (AIR + "[sun]\nelevation_deg = 100\nazimuth_deg = 0\n", "sun.elevation_deg"),
         ("[sky]\ntemperature = 250.0\n[sun]\nelevation_deg = 10\nazimuth_deg = 0\n", "add [atmosphere]"),
     ],

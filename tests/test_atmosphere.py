@@ -350,7 +350,7 @@ def test_saved_atmosphere_is_the_same(tmp_path):
     with pytest.raises(ThermorenderError, match="cannot be read"):
         Atmosphere.load(tmp_path / "none.npz")
     (tmp_path / "text.npz").write_text("not a table")
-    with pytest.raises(ThermorenderError, match="is no table of an atmosphere; give a file written by Atmosphere.save"):
+    with pytest.raises(ThermorenderError, match="is no .npz file with its arrays; give a file written by"):
         Atmosphere.load(tmp_path / "text.npz")
 
 

@@ -13,10 +13,12 @@ from thermorender.errors import ThermorenderError
 from thermorender.units import ZERO_CELSIUS_K
 
 # CODATA 2018, exact in the 2019 SI.
-_H, _C, _K = 6.62607015e-34, 299792458.0, 1.380649e-23
+_H, _C = 6.62607015e-34, 299792458.0
+# Boltzmann's constant [J K⁻¹].
+BOLTZMANN = 1.380649e-23
 # First radiation constant for radiance, 2hc² [W m⁻² sr⁻¹ µm⁴], and second radiation constant hc/k [µm K].
 C1L = 2.0 * _H * _C**2 * 1e24
-C2 = _H * _C / _K * 1e6
+C2 = _H * _C / BOLTZMANN * 1e6
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
 _NODES = 0.5 * (_NODES + 1.0)
