@@ -29,7 +29,7 @@ class DeviceScene:
     def __init__(self, baked, geometry):
         scene, plan, mi = baked.scene, baked.plan, geometry.mi
         self.geometry, self._mi = geometry, mi
-        tables = mirrors.DeviceTables(mi, plan.specular) if plan.specular else None
+        tables = mirrors.DeviceTables(mi, plan.specular, scene, plan.spectrum) if plan.specular else None
         mirror = None
         if baked.mirror_black is not None:
             mirror = mirrors.Mirror(mi, tables, flat(scene, "material"), baked.mirror_black)

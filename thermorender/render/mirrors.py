@@ -13,7 +13,8 @@ all this.
 
 A mirror in a mirror shows what the bake makes of it: emission and reflection of a diffuse surface. The mirror's normal
 is that of its flat face, whatever its roughness: roughness raises the emissivity at grazing angles but does not blur
-the image. Air between a mirror and what it shows is left out, as in the bake, and so is the glint of the sun.
+the image. Light from what a mirror shows passes the air up to it, from the mean altitude of the scene's mirrors; the
+glint of the sun is left out.
 """
 
 from dataclasses import dataclass
@@ -23,7 +24,7 @@ import numpy as np
 
 from thermorender.physics.fresnel import COSINES
 from thermorender.physics.planck import band_radiance_derivative, kelvin_per_radiance
-from thermorender.render.air import altitude
+from thermorender.render.air import PathGrid, altitude
 from thermorender.render.geometry import Channels
 from thermorender.render.spectrum import REFERENCE_K
 
@@ -60,6 +61,8 @@ class ReflectanceTables:
         from above, as mirror and diffuse surface may see any two of its lights [mK at 300 K].
     error_mk : float
         Largest error of `matrix`, over the envelope's light up to 80° [mK].
+    at_m : float
+        Mean altitude of the mirrors above sea level [m].
     """
 
     number: np.ndarray
@@ -68,6 +71,7 @@ class ReflectanceTables:
     weight: np.ndarray
     effect_mk: float
     error_mk: float
+    at_m: float
 
 
 def directional(materials):
@@ -102,7 +106,7 @@ def make_tables(scene, spectrum, envelope):
     stacked = [np.stack([getattr(case, name) for case in cases]) for name in ("matrix", "environment")]
     weight = spectrum.solver.sum(axis=0)
     worst = [max(getattr(case, name) for case in cases) for name in ("effect_mk", "error_mk")]
-    return ReflectanceTables(row, *stacked, weight, *worst)
+    return ReflectanceTables(row, *stacked, weight, *worst, float(np.mean([at_m for at_m, *_ in seen.values()])))
 
 
 class _Case:
@@ -169,10 +173,20 @@ class Mirror:
 
 
 class DeviceTables:
-    """Tables on the render side."""
+    """Tables on the render side.
 
-    def __init__(self, mi, tables):
-        self.number, self._mi = tables.number, mi
+    Parameters
+    ----------
+    mi : module
+    tables : ReflectanceTables
+    scene : Scene
+    spectrum : Spectrum
+    """
+
+    def __init__(self, mi, tables, scene, spectrum):
+        self.number, self._mi, self._path = tables.number, mi, None
+        if scene.air is not None:
+            self._path, self._at_m = _paths(mi, tables.at_m, scene, spectrum), dr.opaque(mi.Float, tables.at_m)
         self.count = tables.matrix.shape[-2]
         self._weight = [dr.opaque(mi.Float, float(value)) for value in tables.weight]
         self._directions = tables.environment.shape[2] - 1
@@ -216,6 +230,18 @@ class DeviceTables:
             added[k] + sum(m * value for m, value in zip(matrix[k * len(light) :], light, strict=False))
             for k in range(count)
         ]
+
+    def through_air(self, light, distance, up, valid):
+        """Return light, [Float] by channel, at a mirror as far below what sends it: length [m], cosine of zenith."""
+        if self._path is None:
+            return light
+        total = [self._mi.Float(0.0) for _ in light]
+        for weight, found in self._path.corners(distance, self._at_m + up * distance, valid):
+            for k in range(self.count):
+                *row, added = found[k * (self.count + 1) : (k + 1) * (self.count + 1)]
+                passed = sum(number * value for number, value in zip(row, light, strict=True))
+                total[k] += weight * (passed + added)
+        return total
 
     def _band(self, light):
         """Band radiance of light given by its channels."""
@@ -288,11 +314,26 @@ def _correction(layers, here, eye, view, distance, face, texel, row):
         nearest = dr.minimum(nearest, away)
     up = direction.z if here is layers[0] else _transformed(here.view, layers[0].view, origin, direction)[1].z
     valid = nearest < np.inf
+    seen = mirror.tables.through_air(seen, nearest, up, valid)
     black = mirror.black.at(row)
     kind = dr.gather(mi.UInt32, mirror.kind, row)
     reflected = mirror.tables.reflected(kind, cosine, black, seen, valid, up)
     diffuse = here.outgoing.at_texel(texel, face)
     return (*(a + b - c for a, b, c in zip(black, reflected, diffuse, strict=True)), nearest)
+
+
+def _paths(mi, at_m, scene, spectrum):
+    """PathGrid from mirrors: of each channel, its share of each channel that is sent, and what the air adds to it."""
+    box = np.array([limit([limit(surface.vertices, axis=0) for surface in scene.surfaces], axis=0)
+                    for limit in (np.min, np.max)])  # fmt: skip
+    low, high = (min(at_m, scene.altitude_m + box[0, 2]), max(at_m, scene.altitude_m + box[1, 2]))
+
+    def cells(passed, added):
+        # Light of a basis behind a path is itself a sum over channels, as the band's is.
+        shares = np.einsum("kn,...n,nj->...kj", spectrum.basis, passed, spectrum.solver)
+        return np.concatenate([shares, (added @ spectrum.basis.T)[..., None]], -1).reshape(*passed.shape[:-1], -1)
+
+    return PathGrid(mi, scene.air, at_m, (low, high), (1.0, max(float(np.linalg.norm(box[1] - box[0])), 2.0)), cells)
 
 
 def _bent(radiance):
