@@ -154,7 +154,7 @@ def test_what_a_mirror_shows_lies_behind_the_air_between(tmp_path, material, tra
     grids = 2.0 * np.log(1.08) ** 2 / 8.0 * 0.161 * (plate - air).sum() / band_radiance_derivative(350.0, *BAND)
     limit = grids + 1e-3 * (plan.spectrum.channels_mk + plan.specular.error_mk)
     error = np.abs(kelvin_apart(seen, exact)).max()
-    assert error < limit < 0.05, (error, limit)
+    assert error < limit < 0.1, (error, limit)
     assert np.abs(kelvin_apart(without, exact)).min() > 5.0
 
 

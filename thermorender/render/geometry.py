@@ -336,6 +336,12 @@ class Layer:
     outgoing: OutgoingRadiance | None
 
 
+def box_of(scene):
+    """Return the lowest and the highest corner of a scene's surfaces, (2, 3) [m]."""
+    corner = [limit(surface.vertices, axis=0) for limit in (np.min, np.max) for surface in scene.surfaces]
+    return np.stack([np.min(corner, axis=0), np.max(corner, axis=0)])
+
+
 def refuse_other_surfaces(known, surfaces):
     """Raise unless two sequences of surfaces have the same geometry: vertices, faces, and where texels lie on them."""
     differ = None

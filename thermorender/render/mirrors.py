@@ -25,7 +25,7 @@ import numpy as np
 from thermorender.physics.fresnel import COSINES
 from thermorender.physics.planck import band_radiance_derivative, kelvin_per_radiance
 from thermorender.render.air import PathGrid, altitude
-from thermorender.render.geometry import Channels
+from thermorender.render.geometry import Channels, box_of
 from thermorender.render.spectrum import REFERENCE_K
 
 # Directions of the sky, even in the root of the cosine of zenith angle: 5 mK of the sky.
@@ -36,6 +36,8 @@ _JUDGED = np.flatnonzero(COSINES >= _GRAZING)[::8]
 # Blackbodies between the coldest and the warmest texel, and how much more than other light they count in the fit of
 # what is reflected: they are what a mirror emits, and nearly what most of the ground does.
 _BLACK, _TRUST = 5, 10.0
+# Paths behind which that light is reflected too, as parts of the scene's size.
+_SEEN_BEHIND = np.array([0.01, 0.1, 0.5])
 # Of the light's variation, the share below which that fit takes no notice: float32 does not tell it.
 _SMALLEST = 1e-4
 
@@ -85,7 +87,7 @@ def make_tables(scene, spectrum, envelope):
     Notes
     -----
     What a channel reflects depends on spectra that channels tell only in part. `matrix` is the least-squares fit, over
-    the scene's envelope of light in relative terms, of what is reflected: a constant, a share of each channel, and a
+    the scene's envelope of light, bare and behind its air, in relative terms, of what is reflected: a constant, a share of each channel, and a
     share of b ln b, which bends as the reflection of blackbodies of very different temperatures does. The constant
     falls out of differences and is kept in `environment`.
     """
@@ -123,6 +125,11 @@ class _Case:
         limits = min(coldest, *envelope.ground), max(warmest, *envelope.ground)
         black = points.planck(np.linspace(*limits, _BLACK))
         every = np.concatenate([black, light[len(environment) :]])
+        if scene.air is not None:
+            # What surfaces send, behind the air of paths to the mirror: no longer of a blackbody's colours.
+            paths = scene.air.path(at_m, at_m, _farthest(scene) * _SEEN_BEHIND)
+            behind = [every * passed[points.node] + points.spread(added) for passed, added in zip(*paths, strict=True)]
+            every = np.concatenate([every, *behind])
         every = every[every.sum(axis=1) > 0.0]
         size, channels = every.sum(axis=1), every @ channel.T
         known = np.column_stack([channels, _bent(channels @ spectrum.solver.sum(axis=0)), np.full(len(size), size[0])])
@@ -324,8 +331,7 @@ def _correction(layers, here, eye, view, distance, face, texel, row):
 
 def _paths(mi, at_m, scene, spectrum):
     """PathGrid from mirrors: of each channel, its share of each channel that is sent, and what the air adds to it."""
-    box = np.array([limit([limit(surface.vertices, axis=0) for surface in scene.surfaces], axis=0)
-                    for limit in (np.min, np.max)])  # fmt: skip
+    box = box_of(scene)
     low, high = (min(at_m, scene.altitude_m + box[0, 2]), max(at_m, scene.altitude_m + box[1, 2]))
 
     def cells(passed, added):
@@ -333,7 +339,12 @@ def _paths(mi, at_m, scene, spectrum):
         shares = np.einsum("kn,...n,nj->...kj", spectrum.basis, passed, spectrum.solver)
         return np.concatenate([shares, (added @ spectrum.basis.T)[..., None]], -1).reshape(*passed.shape[:-1], -1)
 
-    return PathGrid(mi, scene.air, at_m, (low, high), (1.0, max(float(np.linalg.norm(box[1] - box[0])), 2.0)), cells)
+    return PathGrid(mi, scene.air, at_m, (low, high), (1.0, _farthest(scene)), cells)
+
+
+def _farthest(scene):
+    """Length of the longest path between surfaces of a scene [m], from 2 m on."""
+    return max(float(np.linalg.norm(np.diff(box_of(scene), axis=0))), 2.0)
 
 
 def _bent(radiance):
