@@ -217,6 +217,12 @@ def test_plan_says_what_air_brings(tmp_path):
     scene = tr.load_scene(write(tmp_path / "s", plane(10.0), emissivity=0.95))
     rows = {row[0]: row for row in make_plan(scene).rows()}
     assert "channels" in rows["air"][1] and "kilometre" in rows["air"][2] and rows["sun"][1] == "out"
+    # Of 5 % that surfaces of 300 K reflect, the change over the 14 m across: air of the ground's 294 K.
+    through, added = scene.air.path(0.0, 0.0, np.sqrt(200.0))
+    change = (through - 1.0) @ scene.air.planck(300.0) + added.sum()
+    sent = make_plan(scene)
+    assert sent.between_mk == pytest.approx(0.05 * abs(change) / sent.radiance_per_mk, rel=0.02)
+    assert rows["air between surfaces"][1] == "out" and f"{sent.between_mk:.3g} mK" in rows["air between surfaces"][2]
     sunny = '[sun]\nelevation_deg = 40\nazimuth_deg = 180\n'
     lit = tr.load_scene(write(tmp_path / "lit", plane(10.0), emissivity=0.95, extra=sunny))
     assert make_plan(lit).sun and 5.0 < make_plan(lit).sun_mk < 100.0

@@ -342,6 +342,11 @@ def box_of(scene):
     return np.stack([np.min(corner, axis=0), np.max(corner, axis=0)])
 
 
+def farthest(scene):
+    """Return the length of the longest path between surfaces of a scene [m], from 2 m on."""
+    return max(float(np.linalg.norm(np.diff(box_of(scene), axis=0))), 2.0)
+
+
 def refuse_other_surfaces(known, surfaces):
     """Raise unless two sequences of surfaces have the same geometry: vertices, faces, and where texels lie on them."""
     differ = None

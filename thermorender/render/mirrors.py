@@ -25,7 +25,7 @@ import numpy as np
 from thermorender.physics.fresnel import COSINES
 from thermorender.physics.planck import band_radiance_derivative, kelvin_per_radiance
 from thermorender.render.air import PathGrid, altitude
-from thermorender.render.geometry import Channels, box_of
+from thermorender.render.geometry import Channels, box_of, farthest
 from thermorender.render.spectrum import REFERENCE_K
 
 # Directions of the sky, even in the root of the cosine of zenith angle: 5 mK of the sky.
@@ -87,9 +87,9 @@ def make_tables(scene, spectrum, envelope):
     Notes
     -----
     What a channel reflects depends on spectra that channels tell only in part. `matrix` is the least-squares fit, over
-    the scene's envelope of light, bare and behind its air, in relative terms, of what is reflected: a constant, a share of each channel, and a
-    share of b ln b, which bends as the reflection of blackbodies of very different temperatures does. The constant
-    falls out of differences and is kept in `environment`.
+    the scene's envelope of light, bare and behind its air, in relative terms, of what is reflected: a constant, a share
+    of each channel, and a share of b ln b, which bends as the reflection of blackbodies of very different temperatures
+    does. The constant falls out of differences and is kept in `environment`.
     """
     points = spectrum.points
     seen = {number: texels for number in directional(scene.materials) if (texels := _texels(scene, number, envelope))}
@@ -127,7 +127,7 @@ class _Case:
         every = np.concatenate([black, light[len(environment) :]])
         if scene.air is not None:
             # What surfaces send, behind the air of paths to the mirror: no longer of a blackbody's colours.
-            paths = scene.air.path(at_m, at_m, _farthest(scene) * _SEEN_BEHIND)
+            paths = scene.air.path(at_m, at_m, farthest(scene) * _SEEN_BEHIND)
             behind = [every * passed[points.node] + points.spread(added) for passed, added in zip(*paths, strict=True)]
             every = np.concatenate([every, *behind])
         every = every[every.sum(axis=1) > 0.0]
@@ -339,12 +339,7 @@ def _paths(mi, at_m, scene, spectrum):
         shares = np.einsum("kn,...n,nj->...kj", spectrum.basis, passed, spectrum.solver)
         return np.concatenate([shares, (added @ spectrum.basis.T)[..., None]], -1).reshape(*passed.shape[:-1], -1)
 
-    return PathGrid(mi, scene.air, at_m, (low, high), (1.0, _farthest(scene)), cells)
-
-
-def _farthest(scene):
-    """Length of the longest path between surfaces of a scene [m], from 2 m on."""
-    return max(float(np.linalg.norm(np.diff(box_of(scene), axis=0))), 2.0)
+    return PathGrid(mi, scene.air, at_m, (low, high), (1.0, farthest(scene)), cells)
 
 
 def _bent(radiance):
