@@ -9,7 +9,6 @@ from thermorender.errors import ThermorenderError
 from thermorender.physics.band import quadrature
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, spectral_radiance
 from thermorender.physics.sun import irradiance
-from thermorender.render.geometry import farthest
 from thermorender.render.mirrors import ReflectanceTables, make_tables
 from thermorender.render.pixels.sampling import PATTERNS, STAGES
 from thermorender.render.spectrum import REFERENCE_K, Envelope, Spectrum, make_spectrum
@@ -47,10 +46,6 @@ class Plan:
         Objects with a track.
     air_mk : float or None
         What a kilometre of the scene's air changes a surface of 300 K by [mK]; None without air.
-    between_mk : float or None
-        Estimate from above of what air between surfaces, which light from one to another passes without, would change
-        a diffuse surface by: as if all it sees of others were as far away as the scene is wide [mK at 300 K]; None
-        without air.
     sun_mk : float or None
         Upper bound of the sun's own light off any diffuse surface, facing it above the air [mK at 300 K]; None where
         the scene declares no sun.
@@ -76,7 +71,6 @@ class Plan:
     warmest: float
     dynamic: int
     air_mk: float | None
-    between_mk: float | None
     sun_mk: float | None
     sun: bool
     specular_mk: float | None
@@ -135,8 +129,7 @@ class Plan:
                 sun = f"adds at most {_kelvin(self.sun_mk)} to a diffuse surface at 300 K"
         return [
             ("air", f"{spectrum.channels} channels", f"{why}{spectrum.channels_mk:.3g} mK"),
-            ("air between surfaces", "out", f"would change what they reflect of each other by {_kelvin(self.between_mk)} "
-                                            "at most, from as far away as the scene is wide"),
+            ("air between surfaces", "out", "of what they reflect of each other; the light's error counts it"),
             ("sun", "in" if self.sun else "out", sun),
         ]
 
@@ -154,7 +147,6 @@ class Plan:
             "edge_mk": self.edge_mk if self.edge_mk < np.inf else None,
             "channels": self.spectrum.channels,
             "channels_mk": round(self.spectrum.channels_mk, 4),
-            "between_mk": None if self.between_mk is None else round(self.between_mk, 4),
             "sun": self.sun,
             "specular": self.specular is not None,
         }
@@ -221,7 +213,7 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
     brightest = max([warmest, *([] if scene.air is None else [scene.air.temperature.max()])])
     reflection_mk = float((reflectance @ (spectral_radiance(wavelength, brightest) * weight)).max() / per_mk)
     bake = reflection_mk > 0.1 * tolerance_mk
-    air_mk = between_mk = sun_mk = None
+    air_mk = sun_mk = None
     if scene.air is not None:
         below = scene.altitude_m
         passed, added = (values[0] for values in scene.air.path(below, below, [1000.0]))
@@ -231,8 +223,6 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
         light = irradiance(wavelength) / np.pi * (scene.spec.sun.elevation_deg > 0.0)
         sun_mk = float((reflectance @ (light * weight)).max() / per_mk)
     spectrum = make_spectrum(scene.materials, envelope, tolerance_mk, bake)
-    if scene.air is not None:
-        between_mk = _between_surfaces(scene, spectrum, envelope) / per_mk
     specular = make_tables(scene, spectrum, envelope)
     return Plan(
         band_um=band,
@@ -248,22 +238,11 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
         warmest=warmest,
         dynamic=len(scene.tracked_objects),
         air_mk=air_mk,
-        between_mk=between_mk,
         sun_mk=sun_mk,
         sun=sun_mk is not None and sun_mk > 0.1 * tolerance_mk,
         specular_mk=specular.effect_mk if specular else None,
         specular=specular if specular and specular.effect_mk > 0.1 * tolerance_mk else None,
     )
-
-
-def _between_surfaces(scene, spectrum, envelope):
-    """Largest change of radiance that a surface reflects if what surfaces send it came through the scene's air."""
-    points = spectrum.points
-    emissivity = np.array([material.emissivity_at(points.wavelength_um) for material in scene.materials])
-    outside, *own = envelope.sources(points)
-    sent = envelope.light(emissivity, outside, *own)[len(outside) :]
-    passed, added = scene.air.path(envelope.altitude_m[0], envelope.altitude_m[0], farthest(scene))
-    return float(np.abs((1.0 - emissivity) @ ((passed - 1.0)[points.node] * sent + points.spread(added)).T).max())
 
 
 def _envelope(scene):
