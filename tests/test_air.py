@@ -23,6 +23,7 @@ from thermorender.physics.planck import (
 from thermorender.render import reference
 from thermorender.render.geometry import Geometry
 from thermorender.render.light import environment, radiosity
+from thermorender.render.light.absorbed import left_out
 from thermorender.render.plan import make_plan
 from thermorender.render.variant import activate
 
@@ -219,6 +220,7 @@ def test_plan_says_what_air_brings(tmp_path):
     scene = tr.load_scene(write(tmp_path / "s", plane(10.0), emissivity=0.95))
     rows = {row[0]: row for row in make_plan(scene).rows()}
     assert "channels" in rows["air"][1] and "kilometre" in rows["air"][2] and rows["sun"][1] == "out"
+    assert rows["air between surfaces"][1] == "out"
     sunny = '[sun]\nelevation_deg = 40\nazimuth_deg = 180\n'
     lit = tr.load_scene(write(tmp_path / "lit", plane(10.0), emissivity=0.95, extra=sunny))
     assert make_plan(lit).sun and 5.0 < make_plan(lit).sun_mk < 100.0
@@ -233,6 +235,27 @@ def test_plan_says_what_air_brings(tmp_path):
     assert make_plan(without).spectrum.channels == 1 and make_plan(without).air_mk is None
 
 
+def test_what_light_between_surfaces_leaves_out_is_stated(tmp_path):
+    """A floor under a roof 60 m above: what it sees of that, by what the air changes over 60 m, by reflectance."""
+    roof = '[[object]]\nname = "roof"\nshape = "box"\nsize = [60.0, 60.0, 0.2]\nposition = [0, 0, 60.0]\n'
+    roof += 'temperature = 340.0\nmaterial = "asphalt"\n'
+    scene = tr.load_scene(write(tmp_path / "s", plane(4.0), emissivity=0.8, extra=roof))
+    renderer = tr.Renderer(scene, rays=1024)
+    baked = renderer.baked
+    passed, added = scene.air.path(0.0, 0.0, 60.0)
+    change = abs(passed @ scene.air.planck(340.0) + added.sum() - scene.air.planck(340.0).sum())
+    seen = np.asarray(baked.transport.operator[[0, 1]].sum(axis=1))
+    assert seen == pytest.approx(0.24, abs=0.05)
+    reflected = [left_out(scene, baked.transport, np.full(baked.geometry.face_count, r)) for r in (0.2, 0.4)]
+    # The roof's faces lie 60 to 70 m from the middle.
+    assert np.all(reflected[0][:2] > 0.2 * seen * change) and np.all(reflected[0][:2] < 0.2 * seen * change * 70 / 60)
+    assert reflected[1] == pytest.approx(2.0 * reflected[0])
+    # The budget of a frame of the floor holds it, beside the noise of the rays.
+    stated = renderer.frame(tr.pose(0, 0, 2.0, **DOWN)).budget_mk["bake"]
+    assert stated > reflected[0][:2].min() / renderer.plan.radiance_per_mk
+    assert baked.errors_mk["air"] > 0.0 and "air" not in tr.Renderer(tr.load_scene("heath"), rays=2).baked.errors_mk
+
+
 @pytest.mark.parametrize(
     ("air", "words"),
     [
@@ -244,7 +267,7 @@ def test_plan_says_what_air_brings(tmp_path):
         ('[atmosphere]\nstandard = "tropical"\nvisibility_km = 5\n', "atmosphere.visibility_km"),
         ('[atmosphere]\nstandard = "tropical"\nclouds = 1\n', "did you mean 'cloud"),
         ('[atmosphere]\nstandard = "tropical"\ncloud_fraction = 40\n', "cloud_fraction=40 is out of range"),
-        ('[atmosphere]\nfile = "scene.toml"\n', "is no table of an atmosphere"),
+        ('[atmosphere]\nfile = "scene.toml"\n', "is no .npz file with its arrays"),
         (AIR + "[sun]\nelevation_deg = 100\nazimuth_deg = 0\n", "sun.elevation_deg"),
         ("[sky]\ntemperature = 250.0\n[sun]\nelevation_deg = 10\nazimuth_deg = 0\n", "add [atmosphere]"),
     ],
@@ -275,6 +298,35 @@ def test_clouds_warm_the_sky(tmp_path):
         found.append(tr.Renderer(scene).frame(tr.pose(0, 0, 2.0, pitch_deg=80.0)).apparent_temperature[256, 320])
     assert found[1] > found[0] + 20.0
     assert found[1] < scene.air.air_temperature(0.0)
+
+
+def test_what_lies_above_the_base_of_clouds_is_refused_before_any_work(tmp_path, monkeypatch):
+    air = AIR + "cloud_fraction = 0.3\ncloud_base_m = 500.0\naltitude_m = 400.0\n"
+    scene = tr.load_scene(write(tmp_path / "s", plane(4.0), air, emissivity=0.9))
+    renderer = tr.Renderer(scene, rays=16)
+    monkeypatch.setattr("thermorender.render.renderer.bake", lambda *_: pytest.fail("baked in vain"))
+    words = r"pose: the camera is 500\.1\d* m above sea level, above the base of the clouds at 500 m.*to 0"
+    with pytest.raises(ThermorenderError, match=words):
+        renderer.radiance(tr.pose(0, 0, 100.1, **DOWN))
+    up = tr.Trajectory(np.array([0.0, 1.0]), np.array([[0, 0, 50.0], [0, 0, 101.0]]), np.array([[0, 1.0, 0, 0]] * 2))
+    with pytest.raises(ThermorenderError, match="pose: the camera is 501 m above sea level, above the base"):
+        tr.fly(renderer, up, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    monkeypatch.undo()
+    # Right below the base only the cloud is left of the sky.
+    over = tr.load_scene(write(tmp_path / "over", plane(4.0), air.replace("0.3", "1.0"), emissivity=0.9))
+    seen = tr.Renderer(over, rays=16).frame(tr.pose(0, 0, 99.9, pitch_deg=60.0)).apparent_temperature
+    assert np.abs(seen - over.air.air_temperature(500.0)).max() < 0.005
+    roof = '[[object]]\nname = "roof"\nshape = "box"\nsize = [4.0, 4.0, 0.2]\nposition = [0, 0, 99.9]\n'
+    roof += 'temperature = 300.0\nmaterial = "paint_metallic"\n'
+    high = write(tmp_path / "high", plane(4.0), air, extra=roof)
+    words = r"scene.toml: the highest surface is 500\.\d+ m above sea level, above the base of the clouds at 500 m"
+    with pytest.raises(ThermorenderError, match=words):
+        tr.load_scene(high)
+    (high / "scene.toml").write_text((high / "scene.toml").read_text() + 'track = "up.csv"\n')
+    (high / "up.csv").write_text("time_s,above_ground_m\n0,0\n1,150\n")
+    with pytest.raises(ThermorenderError, match=r"the highest surface is 550\.\d* m above"):
+        tr.load_scene(high)
 
 
 def test_standard_air_in_place_of_a_scenes_sky(tmp_path):

@@ -143,6 +143,47 @@ def test_slope_of_the_inverse_is_its_difference(band):
     assert found.shape == (3, 1667) and np.isnan(found[0, 7]) and np.isfinite(found).sum() == 5000
 
 
+@pytest.mark.parametrize("temperature", [3.0, 30.0, 300.0, 2e4])
+@pytest.mark.parametrize("width_um", [1e-3, 1e-6])
+def test_bands_of_a_nanometre_and_of_a_picometre(temperature, width_um):
+    band = (10.0, 10.0 + width_um)
+    with mpmath.workdps(60):
+        assert abs(planck.band_radiance(temperature, *band) / exact_band_radiance(temperature, *band) - 1) < 1e-12
+
+
+@pytest.mark.parametrize("band", [BAND, (8.0, 8.001), (1e-3, 1e7)])
+def test_any_temperature_is_answered_without_a_warning(band):
+    """Straight in temperature where Rayleigh and Jeans hold, across the border to it, up to the end of float64."""
+    border = 1e6 * planck.C2 / band[0]
+    kelvin = border * np.array([1.0 - 1e-9, 1.0 + 1e-9, 1e3, 1e60])
+    value, slope = (f(kelvin, *band) for f in (planck.band_radiance, planck.band_radiance_derivative))
+    assert value[1] / value[0] - 1.0 == pytest.approx(2e-9, rel=1e-3)
+    assert value[2:] / kelvin[2:] == pytest.approx(slope[0], rel=1e-6) and slope == pytest.approx(slope[0], rel=1e-12)
+    assert np.abs(planck.brightness_temperature(value, *band) / kelvin - 1.0).max() < 1e-12
+    odd = np.array([0.0, 1e-300, 5e-324, 1e308, np.inf, np.nan])
+    for found in (planck.band_radiance(odd, *band), [planck.band_radiance(each, *band) for each in odd]):
+        assert list(found[:3]) == [0.0, 0.0, 0.0] and found[3] > 1e300 and found[4] == np.inf and np.isnan(found[5])
+
+
+@pytest.mark.parametrize("kind", [float, np.float32, np.float64])
+@pytest.mark.parametrize("radiance", [1e-320, 1e-45, 1e-30, 1e38, 1e300])
+def test_faint_and_bright_radiances_of_any_type(kind, radiance):
+    if kind is np.float32:
+        radiance = np.clip(radiance, 1e-45, 3e38)
+    alone = planck.brightness_temperature(kind(radiance), *BAND)
+    assert 0.0 < alone < np.inf
+    among = planck.brightness_temperature(np.full((2, 3), radiance, kind), *BAND)
+    assert among.shape == (2, 3) and np.abs(among / alone - 1.0).max() < 1e-14
+    # T rises with L: slower than L itself, faster than not at all.
+    assert 0.0 < planck.kelvin_per_radiance(kind(radiance), *BAND) <= np.inf
+
+
+def test_slope_at_what_no_blackbody_has():
+    for count in (1, 2000):
+        found = planck.kelvin_per_radiance(np.tile([0.0, -1.0, np.nan, np.inf, 1.0, 2.0, 3.0], count), *BAND)
+        assert found[0] == np.inf and np.isnan(found[1:4]).all() and np.isfinite(found[4:7]).all()
+
+
 def test_shapes_and_odd_values():
     assert isinstance(planck.band_radiance(300.0, *BAND), float)
     assert planck.band_radiance(np.full((2, 3), 300.0), *BAND).shape == (2, 3)

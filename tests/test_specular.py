@@ -111,6 +111,53 @@ def test_level_mirror_under_an_isotropic_sky(tmp_path, material):
     assert np.abs(frame.truth["emissivity"][hit][::97][::400] - wanted).max() < 4e-4
 
 
+def even_air(folder, absorption=(2e-3, 1e-2)):
+    """A scene's [atmosphere] of 290 K and one density up to 2 km; 0.6 and 0.4 of the light with two absorptions."""
+    Atmosphere(
+        lower_um=np.full(2, BAND[0]), upper_um=np.full(2, BAND[1]), weight=np.array([0.6, 0.4]), tilt=np.zeros(2),
+        altitude_m=np.array([0.0, 2e3, 2001.0]), temperature=np.full(3, 290.0), density=np.array([[1.0, 1.0, 0.0]]),
+        absorption=np.array(absorption)[:, None],
+    ).save(folder / "air.npz")  # fmt: skip
+    return '[atmosphere]\nfile = "air.npz"\naltitude_m = 500.0\n'
+
+
+@pytest.mark.parametrize("track", ["", 'track = "still.csv"'])
+@pytest.mark.parametrize("material", ["gold_polished", "sheen"])
+def test_what_a_mirror_shows_lies_behind_the_air_between(tmp_path, material, track):
+    """A level mirror, a black roof of 400 K above it, and a camera between them, all in air of one density."""
+    roof = thing("roof", "black", 400.0, (400, 400, 1), (0, 0, 60), track)
+    folder = write(tmp_path / "s", plane(100.0), material, 300.0, extra=roof)
+    (folder / "still.csv").write_text("time_s,yaw_deg\n0,0\n1,0\n")
+    (folder / "scene.toml").write_text(
+        (folder / "scene.toml").read_text().replace("[sky]\ntemperature = 250.0\n", even_air(folder))
+    )
+    scene = tr.load_scene(folder)
+    renderer, pose = tr.Renderer(scene, rays=2), tr.pose(0, 0, 30, pitch_deg=-45)
+    frame = renderer.frame(pose)
+    cosine = -directions(scene.camera, pose)[100:400:50, 50:600:50, 2].ravel()
+    hit = np.isfinite(frame.truth["depth"])[100:400:50, 50:600:50].ravel()
+    assert hit.all() and cosine.min() < 0.6
+    wavelength, weight = quadrature(*BAND)
+    emissivity = scene.materials[0].emissivity_at_angle(wavelength, cosine[:, None])
+    own, plate, air = (spectral_radiance(wavelength, t) * weight for t in (300.0, 400.0, 290.0))
+    exact = np.zeros(len(cosine))
+    without = exact.copy()
+    for share, absorption in ((0.6, 2e-3), (0.4, 1e-2)):
+        near, far = (np.exp(-absorption * up / cosine)[:, None] for up in (30.0, 60.0))
+        for total, through in ((exact, far), (without, 1.0)):
+            image = emissivity * own + (1.0 - emissivity) * (through * plate + (1.0 - through) * air)
+            total += share * (near * image + (1.0 - near) * air).sum(axis=1)
+    seen = frame.radiance[100:400:50, 50:600:50].ravel()
+    plan = renderer.plan
+    # Of two grids, straight in the logarithm of lengths that are 1.08 apart: ln² 1.08 / 8 of the largest bend of
+    # e^(−kd), 0.16, is the share of plate and air's difference; channels and their fit as planned.
+    grids = 2.0 * np.log(1.08) ** 2 / 8.0 * 0.161 * (plate - air).sum() / band_radiance_derivative(350.0, *BAND)
+    limit = grids + 1e-3 * (plan.spectrum.channels_mk + plan.specular.error_mk)
+    error = np.abs(kelvin_apart(seen, exact)).max()
+    assert error < limit < 0.1, (error, limit)
+    assert np.abs(kelvin_apart(without, exact)).min() > 5.0
+
+
 @pytest.mark.parametrize(("height", "pitch"), [(1.5, -14.0), (120.0, -45.0), (3000.0, -60.0)])
 @pytest.mark.parametrize("material", ["water_fresnel", "silica_fused"])
 def test_level_mirror_behind_air(tmp_path, height, pitch, material):

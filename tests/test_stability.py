@@ -5,8 +5,11 @@ import json
 import numpy as np
 import pytest
 
+from thermorender.atmosphere import model, rays
+from thermorender.atmosphere.model import Atmosphere
 from thermorender.errors import ThermorenderError
 from thermorender.physics import balance, exchange
+from thermorender.render.mirrors import DeviceTables
 from thermorender.sensor import detector, readout
 from thermorender.validate import stability
 from thermorender.validate.stability import cases, heat, sensor
@@ -34,17 +37,17 @@ def anew():
         each.cache_clear()
 
 
-def heat_cases(*words):
-    """The heat cases whose name holds one of some words, as {name: what `judged` tells}."""
+def own_cases(*words, group="heat"):
+    """The cases of a group whose name holds one of some words, as {name: what `judged` tells}."""
     return {
         name: stability.judged(job)
-        for group, name, job in cases.CASES
-        if group == "heat" and any(word in name for word in words)
+        for own, name, job in cases.CASES
+        if own == group and any(word in name for word in words)
     }
 
 
 def test_heat_holds(anew):
-    found = heat_cases("")
+    found = own_cases("")
     assert len(found) > 40 and [name for name, each in found.items() if not each["passed"]] == []
 
 
@@ -89,7 +92,39 @@ def no_floor(patch):
 def test_broken_heat_is_seen(monkeypatch, anew, broken, case):
     broken(monkeypatch)
     with np.errstate(all="ignore"):
-        found = heat_cases(case)
+        found = own_cases(case)
+    assert found and not all(each["passed"] for each in found.values())
+
+
+def seen_through_clouds(patch):
+    """What lies above their base is answered as clear air."""
+    patch.setattr(Atmosphere, "refuse_above_clouds", lambda *_: None)
+
+
+def dark_air(patch):
+    """Air between mirrors takes light and gives none."""
+    patch.setattr(DeviceTables, "through_air", lambda self, light, *_: [0.99 * each for each in light])
+
+
+def thin_air(patch):
+    """A thousandth of the absorbers is lost."""
+    amounts = model.amounts
+    patch.setattr(model, "amounts", lambda *arguments: 0.999 * amounts(*arguments))
+
+
+def parallel_rays(patch):
+    """An observer's horizon lies on the level, whatever his height."""
+    patch.setattr(rays, "horizon_cos_zenith", lambda at: np.zeros(np.shape(at)))
+
+
+@pytest.mark.parametrize(
+    ("broken", "case"),
+    [(seen_through_clouds, "a cloud is refused"), (dark_air, "depth 0.1 per metre"), (thin_air, "optical depth 1"),
+     (thin_air, "straight down from"), (parallel_rays, "from the horizon to")],
+)  # fmt: skip
+def test_broken_air_is_seen(monkeypatch, broken, case):
+    broken(monkeypatch)
+    found = own_cases(case, group="air")
     assert found and not all(each["passed"] for each in found.values())
 
 

@@ -79,8 +79,13 @@ def exponential(altitude, levels, values):
     Below the levels it is as on the lowest of them, above them 0.
     """
     upper = np.clip(np.searchsorted(levels, altitude), 1, len(levels) - 1)
-    part = np.maximum((altitude - levels[upper - 1]) / (levels[upper] - levels[upper - 1]), 0.0)
+    part = np.clip((altitude - levels[upper - 1]) / (levels[upper] - levels[upper - 1]), 0.0, 1.0)
     first, last = values[:, upper - 1], values[:, upper]
-    both = (first > 0.0) & (last > 0.0)
-    ratio = np.where(both, last, 1.0) / np.where(both, first, 1.0)
-    return np.where(altitude > levels[-1], 0.0, np.where(both, first * ratio**part, first + (last - first) * part))
+    return np.where(altitude > levels[-1], 0.0, between(first, last, part))
+
+
+def between(first, last, part):
+    """Return what lies a part of the way from first to last, exponentially, or linearly where one of them is 0."""
+    # Powers of each: a ratio of the two may leave float64.
+    powers = first ** (1.0 - part) * last**part
+    return np.where((first > 0.0) & (last > 0.0), powers, first + (last - first) * part)

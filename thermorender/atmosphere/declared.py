@@ -1,5 +1,6 @@
-"""The air a scene file declares: a standard atmosphere, a table or a measured profile, limited to the camera's band."""
+"""The air a scene file declares: a standard atmosphere, a table or a profile, limited to the camera's band."""
 
+from thermorender.atmosphere.absorption import from_absorption
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.atmosphere.profile import from_profile
 from thermorender.errors import ThermorenderError
@@ -27,6 +28,8 @@ def declared_air(spec, band_um, where):
     try:
         if spec.file:
             air = Atmosphere.load(spec.file).clouded(**clouds)
+        elif spec.absorption:
+            air = from_absorption(spec.absorption, spec.profile, **clouds)
         elif spec.profile:
             air = from_profile(spec.profile, spec.aerosol, spec.visibility_km, **clouds)
         else:

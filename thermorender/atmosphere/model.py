@@ -58,7 +58,9 @@ class Atmosphere:
 
     Notes
     -----
-    Paths are valid from sea level (the air below is that at sea level) to 100 km, for chords of a sphere.
+    Paths are valid from sea level (the air below is that at sea level) to 100 km, for chords of a sphere. Clouds are
+    known from below only: a share of the sky says neither where they are nor how thick, which is what decides what is
+    seen from above or from within. So under clouds nothing may lie above their base, neither camera nor ground.
     """
 
     lower_um: np.ndarray
@@ -116,7 +118,8 @@ class Atmosphere:
         cloud_fraction : float
             Share of the sky covered by black clouds, 0 … 1.
         cloud_base_m : float
-            Altitude of their base above sea level, 0 … 15 km; they are as warm as the air there.
+            Altitude of their base above sea level, 0 … 15 km; they are as warm as the air there. Under clouds whose
+            share is not 0 cameras, ground and objects stay below it.
         table : dict, optional
             As from `read_table`, in place of the shipped one.
 
@@ -229,6 +232,20 @@ class Atmosphere:
         )
 
     @property
+    def ceiling_m(self):
+        """Highest altitude of a camera above sea level [m]: 30 km, or the base of the clouds where there are any."""
+        return min(HIGHEST_CAMERA_M, self.cloud_base_m) if self.cloud_fraction else HIGHEST_CAMERA_M
+
+    def refuse_above_clouds(self, what, altitude_m):
+        """Refuse altitudes above sea level [m] that lie above the base of the clouds; `what` begins the sentence."""
+        highest = np.max(altitude_m, initial=-np.inf)
+        if self.cloud_fraction and highest > self.cloud_base_m:
+            raise ThermorenderError(
+                f"{what} is {highest:.7g} m above sea level, above the base of the clouds at {self.cloud_base_m:g} m, "
+                "which are known from below only; stay below it, raise cloud_base_m or set cloud_fraction to 0"
+            )
+
+    @property
     def nodes(self):
         """Number of spectral nodes N."""
         return len(self.weight)
@@ -284,7 +301,7 @@ class Atmosphere:
         Raises
         ------
         ThermorenderError
-            A path shorter than its altitudes are apart, or altitudes out of range.
+            A path shorter than its altitudes are apart, or altitudes out of range or above the base of clouds.
 
         Notes
         -----
@@ -330,7 +347,7 @@ class Atmosphere:
         Parameters
         ----------
         at_m : array
-            Altitude of the observer above sea level [m], up to 30 km.
+            Altitude of the observer above sea level [m], up to 30 km, and to the base of clouds.
         cos_zenith : array
             Cosine of the zenith angle of the direction looked in: 1 straight up, slightly negative for a raised
             observer looking between the level and his horizon (`rays.horizon_cos_zenith`).
@@ -342,15 +359,14 @@ class Atmosphere:
 
         Notes
         -----
-        Clouds are black at their base, behind the air below it; an observer above the base sees none.
+        Clouds are black at their base, behind the air below it.
         """
-        at, cosine = np.broadcast_arrays(np.float64(at_m), np.float64(cos_zenith))
-        _, sky = self._column(at, cosine, TOP_M)
-        below = at < self.cloud_base_m
-        if self.cloud_fraction and below.any():
-            through, light = self._column(at[below], cosine[below], self.cloud_base_m)
+        self.refuse_above_clouds("at_m", at_m)
+        _, sky = self._column(at_m, cos_zenith, TOP_M)
+        if self.cloud_fraction:
+            through, light = self._column(at_m, cos_zenith, self.cloud_base_m)
             cloudy = light + through * self.planck(self.air_temperature(self.cloud_base_m))
-            sky[below] = (1.0 - self.cloud_fraction) * sky[below] + self.cloud_fraction * cloudy
+            sky = (1.0 - self.cloud_fraction) * sky + self.cloud_fraction * cloudy
         return sky
 
     def sun_transmittance(self, at_m, cos_zenith):
@@ -360,8 +376,9 @@ class Atmosphere:
     def _along(self, from_m, to_m, range_m, function, step=_STEP):
         """Values (..., n) of a function of (altitude, length) from `rays.chord`, a few hundred paths at a time."""
         first, last, distance = np.broadcast_arrays(*(np.float64(value) for value in (from_m, to_m, range_m)))
-        _altitudes("from_m", first, TOP_M)
-        _altitudes("to_m", last, TOP_M)
+        for name, values in (("from_m", first), ("to_m", last)):
+            _altitudes(name, values, TOP_M)
+            self.refuse_above_clouds(name, values)
         short = ~(np.abs(last - first) <= distance * (1.0 + 1e-6) + 1e-6)
         if short.any():
             raise ThermorenderError(

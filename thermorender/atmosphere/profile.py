@@ -91,6 +91,45 @@ def read_profile(path):
 
     Formats and errors as `from_profile`.
     """
+    values, sounding = _read_columns(path, COLUMNS, _SOUNDING)
+    if sounding:
+        values[2] += ZERO_CELSIUS_K
+    altitude, pressure, temperature, humidity = values
+    _check(path, altitude, pressure, temperature, humidity)
+    if humidity.min() < 0.0 or humidity.max() > 110.0:
+        worst = humidity.min() if humidity.min() < 0.0 else humidity.max()
+        raise ThermorenderError(
+            f"profile {path}: relative_humidity_percent={worst:g} is out of range; give percent over liquid water, "
+            "0 … 110"
+        )
+    if 0.0 < humidity.max() <= 1.0:
+        raise ThermorenderError(
+            f"profile {path}: relative_humidity_percent is {humidity.max():g} at most, drier than any air at the "
+            "ground; give percent, not a share: multiply by 100"
+        )
+    return altitude, pressure, temperature, humidity
+
+
+def read_gases(path, gases):
+    """Return (altitude [m], pressure [hPa], temperature [K], each (n,), gases (M, n) [ppm]) of a profile file.
+
+    Its columns are altitude_m, pressure_hpa, temperature_k, and the name of each gas with _ppm; errors as
+    `from_profile`.
+    """
+    names = [f"{gas}_ppm" for gas in gases]
+    (altitude, pressure, temperature, *ppm), _ = _read_columns(path, (*COLUMNS[:3], *names))
+    _check(path, altitude, pressure, temperature, *ppm)
+    for name, values in zip(names, ppm, strict=True):
+        if values.min() < 0.0 or values.max() > 1e6:
+            worst = values.min() if values.min() < 0.0 else values.max()
+            raise ThermorenderError(
+                f"profile {path}: {name}={worst:g} is out of range; give parts per million of all molecules, 0 … 1e6"
+            )
+    return altitude, pressure, temperature, np.array(ppm)
+
+
+def _read_columns(path, names, of_sounding=()):
+    """([values (n,) of each column], whether it is a sounding list, whose columns have the other names)."""
     try:
         with open(path, encoding="utf-8-sig") as file:
             numbered = [(number, line.strip()) for number, line in enumerate(file, start=1)]
@@ -99,8 +138,8 @@ def read_profile(path):
     # Empty lines, comments and the rules of a sounding list.
     lines = [(number, line) for number, line in numbered if line.strip("-") and not line.startswith("#")]
     header = lines[0][1].replace(",", " ").split() if lines else []
-    sounding = "PRES" in header
-    wanted = _SOUNDING if sounding else COLUMNS
+    sounding = bool(of_sounding) and "PRES" in header
+    wanted = of_sounding if sounding else names
     if lines and ";" in lines[0][1] and "," not in lines[0][1]:
         raise ThermorenderError(
             f"profile {path} is separated by semicolons; save it comma-separated with a point as decimal mark"
@@ -111,7 +150,7 @@ def read_profile(path):
         raise ThermorenderError(f"profile {path} has the column {twice[0]} twice; rename or delete one of them")
     if missing:
         raise ThermorenderError(
-            f"profile {path} has no column {missing[0]}; its first line must name the columns {', '.join(COLUMNS)}"
+            f"profile {path} has no column {missing[0]}; its first line must name the columns {', '.join(names)}"
         )
     columns = [header.index(name) for name in wanted]
     rows = []
@@ -130,18 +169,14 @@ def read_profile(path):
                 f"profile {path}, line {number}: {line[:60]!r} is no row of numbers; give {len(header)} numbers with a "
                 "point as decimal mark"
             ) from None
-    values = np.array(rows, dtype=np.float64).reshape(-1, 4).T
-    if sounding:
-        values[2] += ZERO_CELSIUS_K
-    _check(path, *values)
-    return tuple(values)
+    return list(np.array(rows, dtype=np.float64).reshape(-1, len(wanted)).T), sounding
 
 
-def _check(path, altitude, pressure, temperature, humidity):
+def _check(path, altitude, pressure, temperature, *others):
     """Refuse profiles in other units or in disorder."""
     if len(altitude) < 2:
         raise ThermorenderError(f"profile {path} has {len(altitude)} levels; give at least 2")
-    if not np.isfinite([altitude, pressure, temperature, humidity]).all():
+    if not np.isfinite([altitude, pressure, temperature, *others]).all():
         raise ThermorenderError(f"profile {path} has a value that is not finite; leave such levels out")
     falls = np.flatnonzero(np.diff(altitude) <= 0.0)
     if falls.size:
@@ -161,17 +196,6 @@ def _check(path, altitude, pressure, temperature, humidity):
             f"add {ZERO_CELSIUS_K} to °C"
         )
     _check_pressure(path, altitude, pressure, temperature)
-    if humidity.min() < 0.0 or humidity.max() > 110.0:
-        worst = humidity.min() if humidity.min() < 0.0 else humidity.max()
-        raise ThermorenderError(
-            f"profile {path}: relative_humidity_percent={worst:g} is out of range; give percent over liquid water, "
-            "0 … 110"
-        )
-    if 0.0 < humidity.max() <= 1.0:
-        raise ThermorenderError(
-            f"profile {path}: relative_humidity_percent is {humidity.max():g} at most, drier than any air at the "
-            "ground; give percent, not a share: multiply by 100"
-        )
     _check_balance(path, altitude, pressure, temperature)
 
 

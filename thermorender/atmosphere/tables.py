@@ -11,6 +11,8 @@ _AXES = {
     "density": "JL", "absorption": "NJ", "cloud": "2",
 }  # fmt: skip
 NAMES = tuple(name for name in _AXES if name != "cloud")
+# Between them lies all thermal light [µm].
+_SHORTEST_UM, _LONGEST_UM = 0.1, 1e4
 _TABLE = __file__.removesuffix("tables.py") + "standard.npz"
 
 
@@ -28,53 +30,100 @@ def read_saved(path):
     ThermorenderError
         The file is missing or no table, or an array is missing, of another type or shape, or impossible.
     """
-    try:
-        with open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:
-            values = {name: stored[name] for name in _AXES if name in stored.files}
-    except OSError as error:
-        raise ThermorenderError(f"atmosphere {path} cannot be read ({error.strerror or error}); give a file "
-                                "written by Atmosphere.save") from None
-    except Exception:
-        values = {}
-    if not values:
-        raise ThermorenderError(f"atmosphere {path} is no table of an atmosphere; give a file written by "
-                                "Atmosphere.save")
-    wrong = _first_wrong(values)
-    if wrong:
-        raise ThermorenderError(f"atmosphere {path}: {wrong}; give a file written by Atmosphere.save")
-    values = {name: np.float64(value) for name, value in values.items()}
+    values = read_arrays(path, "atmosphere", _AXES, _first_wrong, "a file written by Atmosphere.save")
     cloud = values.pop("cloud")
     return values, (float(cloud[0]), float(cloud[1]))
 
 
-def _first_wrong(values):
-    """What is wrong with the first array that is out of order, as a clause; None where all are as they must be."""
+def read_arrays(path, kind, axes, first_wrong, give):
+    """Return the arrays of an .npz file by name; numbers are float64.
+
+    Parameters
+    ----------
+    path : str or Path
+    kind, give : str
+        What such a file is called, and what to give in its place, for messages.
+    axes : dict
+        {array: letters of its axes}; an axis has the length of the first array that names it, a digit its own. The
+        array `gas` holds text, others finite numbers.
+    first_wrong : callable
+        Returns what else is wrong with the first array that is out of order, as a clause, or None.
+
+    Raises
+    ------
+    ThermorenderError
+        The file is missing or no .npz file, or an array is missing, of another type or shape, or impossible.
+    """
+    try:
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:
+            values = {name: stored[name] for name in axes if name in stored.files}
+    except OSError as error:
+        raise ThermorenderError(f"{kind} {path} cannot be read ({error.strerror or error}); give {give}") from None
+    except Exception:
+        values = {}
+    if not values:
+        raise ThermorenderError(f"{kind} {path} is no .npz file with its arrays; give {give}")
+    wrong = _misshapen(values, axes)
+    if not wrong:
+        values = {name: value if name == "gas" else np.float64(value) for name, value in values.items()}
+        wrong = first_wrong(values)
+    if wrong:
+        raise ThermorenderError(f"{kind} {path}: {wrong}; give {give}")
+    return values
+
+
+def _misshapen(values, axes):
+    """What is wrong with the type or shape of the first array for which it is, as a clause, or None."""
     length = {"2": (2, None)}
-    for name, axes in _AXES.items():
+    for name, letters in axes.items():
         if name not in values:
             return f"it has no array {name}"
-        value = values[name]
-        if value.dtype.kind not in "fiu":
-            return f"{name} is of type {value.dtype}, where real numbers are needed"
-        if value.ndim != len(axes) or (axes == "2" and len(value) != 2):
-            return f"{name} is {value.shape}, where {_shape(axes)} is needed"
-        for size, axis in zip(value.shape, axes, strict=True):
+        value, text = values[name], name == "gas"
+        if value.dtype.kind not in ("U" if text else "fiu"):
+            return f"{name} is of type {value.dtype}, where {'text is' if text else 'real numbers are'} needed"
+        if value.ndim != len(letters) or (letters == "2" and len(value) != 2):
+            return f"{name} is {value.shape}, where {_shape(letters)} is needed"
+        for size, axis in zip(value.shape, letters, strict=True):
             known, other = length.setdefault(axis, (size, name))
             if size != known:
                 return f"{name} is {value.shape} where {other} is {values[other].shape}; both share the axis {axis}"
-        if not np.isfinite(value).all():
+        if not text and not np.isfinite(value).all():
             return f"{name} holds {value[~np.isfinite(value)][0]:g}; numbers must be finite"
-    for axis, fewest in (("N", 1), ("L", 2)):
-        if length[axis][0] < fewest:
-            return f"{length[axis][1]} holds {length[axis][0]} numbers, where at least {fewest} are needed"
+    for axis, (size, name) in length.items():
+        fewest = 2 if axis == "L" else 1
+        if size < fewest:
+            return f"{name} has {size} on its axis {axis}, where at least {fewest} are needed"
+    return None
+
+
+def wrong_sub_bands(lower, upper):
+    """What is wrong with limits (S,) of sub-bands [µm], as a clause, or None where they adjoin."""
+    bands = np.unique(np.stack([lower, upper], axis=1), axis=0)
+    apart = (bands[:, 0] >= bands[:, 1]).any() or (np.abs(bands[1:, 0] - bands[:-1, 1]) > 1e-9).any()
+    if apart or bands.min() < _SHORTEST_UM or bands.max() > _LONGEST_UM:
+        found = ", ".join(f"{low:g}–{high:g}" for low, high in bands)
+        return f"lower_um and upper_um make no sub-bands that adjoin ({found} µm)"
+    return None
+
+
+def not_rising(name, values):
+    """What is wrong with an array (n,) that has to rise, as a clause, or None."""
+    falls = np.flatnonzero(np.diff(values) <= 0.0)
+    if falls.size:
+        return f"{name} does not rise: {values[falls[0] + 1]:g} follows {values[falls[0]]:g}"
+    return None
+
+
+def _first_wrong(values):
+    """What is wrong with the first array of an Atmosphere that is out of order, as a clause, or None."""
     for name in ("weight", "density", "absorption"):
         if (values[name] < 0.0).any():
             return f"{name} holds {values[name].min():g}; it must not be negative"
     lower, upper, altitude = values["lower_um"], values["upper_um"], values["altitude_m"]
+    wrong = wrong_sub_bands(lower, upper) or not_rising("altitude_m", altitude)
+    if wrong:
+        return wrong
     bands, which = np.unique(np.stack([lower, upper], axis=1), axis=0, return_inverse=True)
-    if bands.min() <= 0.0 or (bands[:, 0] >= bands[:, 1]).any() or (np.abs(bands[1:, 0] - bands[:-1, 1]) > 1e-9).any():
-        found = ", ".join(f"{low:g}–{high:g}" for low, high in bands)
-        return f"lower_um and upper_um make no sub-bands that adjoin ({found} µm)"
     total = np.bincount(which.reshape(-1), values["weight"])
     worst = np.argmax(np.abs(total - 1.0))
     # Single precision is enough: shares are normalised again wherever they are used.
@@ -83,9 +132,6 @@ def _first_wrong(values):
     far = np.abs(values["tilt"]) >= 1.0 / upper
     if far.any():
         return f"tilt holds {values['tilt'][far][0]:g}; it must be smaller than 1/upper_um, a wavenumber in µm⁻¹"
-    falls = np.flatnonzero(np.diff(altitude) <= 0.0)
-    if falls.size:
-        return f"altitude_m does not rise: {altitude[falls[0] + 1]:g} follows {altitude[falls[0]]:g}"
     warm = values["temperature"]
     odd = (warm < 100.0) | (warm > 1000.0)
     if odd.any():

@@ -107,13 +107,14 @@ def fly(
     ------
     ThermorenderError
         Unknown products, a folder that is in use (by another process too) or cannot be written, a resume with other
-        settings, or weather that ends before the flight.
+        settings, weather that ends before the flight, or a camera above the range of the air or above its clouds.
     """
     products = product_files.check(products, thermography, renderer.scene.camera)
     display = replace(display or DisplaySettings(), tails_percent=renderer.scene.camera.agc_tails_percent)
     rate = renderer.scene.camera.frame_rate_hz if rate_hz is None else float(rate_hz)
     times = trajectory.frame_times(rate, start_s, stop_s)
     poses = trajectory.sampled(times).poses()
+    renderer.refuse_camera(poses[:, :3, 3])
     timed = TimedRenderer(renderer, *trajectory.span_s, marching)
     start = timed.time(trajectory.span_s[0])
     settings = {

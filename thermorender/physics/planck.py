@@ -3,7 +3,8 @@
 Everything is in terms of wavelength in micrometres; band radiance is the integral of spectral radiance
 over a wavelength interval. The integral is taken in x = c₂/(λT), where the integrand is x³/(eˣ−1) at every
 temperature, and is cut where the remaining tail is below 1e-20 of it: 64 Gauss–Legendre nodes then hold
-1e-12 relative from 1 K (where float64 still holds the value) to 1e6 K.
+1e-12 relative from 1 K (where float64 still holds the value) up, in bands of any width. Where x is below 1e-6 all
+over the band Rayleigh and Jeans' law stands for it, as exactly, to the end of float64.
 """
 
 import numpy as np
@@ -12,10 +13,12 @@ from thermorender.errors import ThermorenderError
 from thermorender.units import ZERO_CELSIUS_K
 
 # CODATA 2018, exact in the 2019 SI.
-_H, _C, _K = 6.62607015e-34, 299792458.0, 1.380649e-23
+_H, _C = 6.62607015e-34, 299792458.0
+# Boltzmann's constant [J K⁻¹].
+BOLTZMANN = 1.380649e-23
 # First radiation constant for radiance, 2hc² [W m⁻² sr⁻¹ µm⁴], and second radiation constant hc/k [µm K].
 C1L = 2.0 * _H * _C**2 * 1e24
-C2 = _H * _C / _K * 1e6
+C2 = _H * _C / BOLTZMANN * 1e6
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(64)
 _NODES = 0.5 * (_NODES + 1.0)
@@ -23,6 +26,8 @@ _WEIGHTS = 0.5 * _WEIGHTS
 _TAIL = 50.0
 # Limits of the band radiance [W m⁻² sr⁻¹] and of λT/c₂ between which it is inverted by its integral.
 _FAINTEST, _HOTTEST = 1e-290, 1e6
+# λT/c₂ below which a blackbody's radiance, e^(−10 000), is 0 in float64.
+_COLDEST = 1e-4
 _WIEN = np.polynomial.Polynomial([6.0, 6.0, 3.0, 1.0])
 _CHUNK = 4096
 # Entries of a table of slopes.
@@ -75,7 +80,8 @@ def band_radiance(temperature, lower_um, upper_um):
 
     Notes
     -----
-    Relative error at or below 1e-12 wherever the value is a normal float64.
+    Relative error at or below 1e-12 wherever the value is a normal float64, in bands from 1 pm wide; below the range
+    of float64 it is 0, above it infinite.
     """
     return _band_integral(temperature, lower_um, upper_um, 0)
 
@@ -94,8 +100,8 @@ def brightness_temperature(radiance, lower_um, upper_um):
     Parameters
     ----------
     radiance : array
-        Band radiance [W m⁻² sr⁻¹], any positive float64. Zero gives 0 K; negative values, infinities and NaN
-        give NaN, since no blackbody has them; a temperature beyond float64 is infinite.
+        Band radiance [W m⁻² sr⁻¹], any positive float64, or float32. Zero gives 0 K; negative values, infinities and
+        NaN give NaN, since no blackbody has them; a temperature beyond float64 is infinite.
     lower_um, upper_um : float
         Limits of the band [µm].
 
@@ -143,7 +149,8 @@ def kelvin_per_radiance(radiance, lower_um, upper_um):
     Parameters
     ----------
     radiance : array
-        Band radiance [W m⁻² sr⁻¹], positive; NaN gives NaN.
+        Band radiance [W m⁻² sr⁻¹]. Zero gives infinity, and so do values so faint that the slope leaves float64; what
+        no blackbody has gives NaN.
     lower_um, upper_um : float
         Limits of the band [µm].
 
@@ -154,14 +161,18 @@ def kelvin_per_radiance(radiance, lower_um, upper_um):
     """
 
     def exact(values):
-        return 1.0 / band_radiance_derivative(brightness_temperature(values, lower_um, upper_um), lower_um, upper_um)
+        kelvin = brightness_temperature(values, lower_um, upper_um)
+        with np.errstate(divide="ignore", over="ignore"):
+            return np.divide(1.0, band_radiance_derivative(kelvin, lower_um, upper_um))
 
     radiance = np.asarray(radiance, dtype=np.float64)
-    if radiance.size <= _SLOPES:
+    positive = (radiance > 0.0) & (radiance < np.inf)
+    if np.count_nonzero(positive) <= _SLOPES:
         return exact(radiance)
-    log = np.log(radiance)
+    log = np.log(radiance, where=positive, out=np.full(radiance.shape, np.nan))
     grid = np.linspace(np.nanmin(log), np.nanmax(log), _SLOPES)
-    return np.exp(np.interp(log, grid, np.log(exact(np.exp(grid)))))
+    slope = np.exp(np.interp(log, grid, np.log(exact(np.exp(grid)))))
+    return np.where(radiance == 0.0, np.inf, slope)
 
 
 def _faint_inverse(radiance, lower, upper):
@@ -177,13 +188,23 @@ def _faint_inverse(radiance, lower, upper):
 
 def _slope_of_hot(lower, upper):
     """Band radiance per kelvin by Rayleigh and Jeans' law, 2ck/λ⁴ [W m⁻² sr⁻¹ K⁻¹]."""
-    return C1L / C2 * (lower**-3 - upper**-3) / 3.0
+    # lower⁻³ − upper⁻³, without its cancellation.
+    ratio = lower / upper
+    return C1L / C2 * (upper - lower) / upper * (1.0 + ratio + ratio**2) / (3.0 * lower**3)
+
+
+def _offset_of_hot(lower, upper):
+    """What is taken off Rayleigh and Jeans' law [W m⁻² sr⁻¹] where x = c₂/(λT) < 1/`_HOTTEST`.
+
+    There x³/(eˣ−1) is x² (1 − x/2) to 1e-13.
+    """
+    return C1L * (lower**-4 - upper**-4) / 8.0
 
 
 def _hot_inverse(radiance, lower, upper):
-    """Temperature of radiances where x = c₂/(λT) < 1/`_HOTTEST`: x³/(eˣ−1) is x² (1 − x/2) to 1e-13."""
+    """Temperature of radiances where x = c₂/(λT) < 1/`_HOTTEST`."""
     with np.errstate(over="ignore"):
-        return (radiance + C1L * (lower**-4 - upper**-4) / 8.0) / _slope_of_hot(lower, upper)
+        return (radiance + _offset_of_hot(lower, upper)) / _slope_of_hot(lower, upper)
 
 
 def _checked(temperature):
@@ -214,10 +235,11 @@ def _integrals(temperature, lower, upper):
     value, slope = np.empty(temperature.shape), np.empty(temperature.shape)
     for start in range(0, temperature.size, _CHUNK):
         part = slice(start, start + _CHUNK)
-        cold = temperature[part] == 0.0
-        warm = np.where(cold, 1.0, temperature[part])
+        cold, hot = temperature[part] < _COLDEST * C2 / upper, temperature[part] > _HOTTEST * C2 / lower
+        warm = np.where(cold | hot, 1.0, temperature[part])
         first = C2 / (upper * warm)
-        width = np.minimum(C2 / (lower * warm) - first, _TAIL)
+        # c₂/(lower T) less the first, without its cancellation.
+        width = np.minimum((upper - lower) / lower * first, _TAIL)
         x = first[:, None] + width[:, None] * _NODES
         with np.errstate(under="ignore"):
             # 1/(eˣ−1), and eˣ/(eˣ−1)² = n(n+1), without an overflow.
@@ -226,4 +248,9 @@ def _integrals(temperature, lower, upper):
             scale = C1L * (warm / C2) ** 4 * width
             value[part] = np.where(cold, 0.0, scale * (integrand @ _WEIGHTS))
             slope[part] = np.where(cold, 0.0, scale / warm * ((x * integrand * (1.0 + occupation)) @ _WEIGHTS))
+        if hot.any():
+            straight = _slope_of_hot(lower, upper)
+            with np.errstate(over="ignore"):
+                value[part][hot] = straight * temperature[part][hot] - _offset_of_hot(lower, upper)
+            slope[part][hot] = straight
     return value, slope

@@ -23,6 +23,19 @@ _BACKGROUND = 64
 _LOWEST_M, _STEP, _KEPT = 0.1, 1.03, 16
 
 
+def refuse_camera(scene, positions):
+    """Refuse cameras at positions (..., 3) of a scene's local frame that are above the range of its air, or clouds."""
+    if scene.air is None:
+        return
+    camera = float(np.max(altitude(positions, scene.altitude_m)))
+    scene.air.refuse_above_clouds("pose: the camera", camera)
+    if camera > HIGHEST_CAMERA_M:
+        raise ThermorenderError(
+            f"pose: the camera is {camera:.0f} m above sea level, out of range of the air; give up to "
+            f"{HIGHEST_CAMERA_M:.0f} m"
+        )
+
+
 class Vacuum:
     """No air: channels arrive as they left, from sky and surroundings as they are.
 
@@ -75,47 +88,87 @@ class Air:
         """
         base = self._altitude_m
         camera = float(altitude(origin, base))
-        if camera > HIGHEST_CAMERA_M:
-            raise ThermorenderError(
-                f"pose: the camera is {camera:.0f} m above sea level, out of range of the air; give up to "
-                f"{HIGHEST_CAMERA_M:.0f} m"
-            )
         outside = np.maximum(np.maximum(box[0] - origin, origin - box[1]), 0.0)
         nearest = max(float(np.linalg.norm(outside)), 1.0)
         farthest = max(float(np.linalg.norm(np.abs(box - origin).max(axis=0))), 1.01 * nearest)
         corner = np.append(np.abs(box[:, :2]).max(axis=0), box[1, 2])
-        low, high = base + box[0, 2], float(altitude(corner, base))
-        columns = max(_FEWEST, 1 + int(np.ceil(np.log(farthest / nearest) / np.log(_GROWTH))))
-        rows = 2 + int((high - low) / _ALTITUDE_M)
-        length = np.geomspace(nearest, farthest, columns)
-        # At each length, from the lowest to the highest point at that distance from the camera.
-        bottom, top = np.maximum(low, camera - length), np.minimum(high, camera + length)
-        end = bottom + np.linspace(0.0, 1.0, rows)[:, None] * np.maximum(top - bottom, 0.0)
-        end = np.clip(end, camera - length, camera + length)
-        passed, added = self._air.path(camera, end, np.broadcast_to(length, end.shape))
-        if clear:
-            passed, added = np.ones_like(passed), np.zeros_like(added)
-        cells = np.concatenate([passed @ self._solver, added.sum(axis=-1, keepdims=True)], axis=-1)
-        frame = (base, low, high, camera, np.log(nearest), (columns - 1) / np.log(farthest / nearest))
+        limits = base + box[0, 2], float(altitude(corner, base))
+
+        def cells(passed, added):
+            if clear:
+                passed, added = np.ones_like(passed), np.zeros_like(added)
+            return np.concatenate([passed @ self._solver, added.sum(axis=-1, keepdims=True)], axis=-1)
+
+        grid = PathGrid(self._mi, self._air, camera, limits, (nearest, farthest), cells)
         horizon = float(horizon_cos_zenith(camera))
-        return AirView(self._mi, cells, frame, self._background(camera), horizon)
+        return AirView(self._mi, grid, base, self._background(camera), horizon)
 
     def _background(self, camera):
         """Band radiance of rays that meet nothing, (2, _BACKGROUND), linear between altitudes of earlier views."""
         height = max(camera - self._altitude_m, _LOWEST_M)
-        position = np.log(height / _LOWEST_M) / np.log(_STEP)
-        lower = int(position)
-        both = []
+        lower = int(np.log(height / _LOWEST_M) / np.log(_STEP))
+        level, both = [], []
         for number in (lower, lower + 1):
+            level.append(min(_LOWEST_M * _STEP**number, self._air.ceiling_m - self._altitude_m))
             if number not in self._seen:
                 if len(self._seen) >= _KEPT:
                     self._seen.pop(next(iter(self._seen)))
-                at = min(self._altitude_m + _LOWEST_M * _STEP**number, HIGHEST_CAMERA_M)
-                parts = np.linspace(0.0, 1.0, _BACKGROUND)
+                at, parts = self._altitude_m + level[-1], np.linspace(0.0, 1.0, _BACKGROUND)
                 self._seen[number] = background(self._air, at, self._altitude_m, self._background_k, parts)
             both.append(self._seen[number])
-        share = (height / _LOWEST_M / _STEP**lower - 1.0) / (_STEP - 1.0)
+        share = (height - level[0]) / max(level[1] - level[0], 1e-6)
         return (1.0 - share) * both[0] + share * both[1]
+
+
+class PathGrid:
+    """Numbers of the paths from one altitude, by the length of a path and the altitude of its end.
+
+    Parameters
+    ----------
+    mi : module
+    air : Atmosphere
+    from_m : float
+        Altitude that paths begin at above sea level [m].
+    limits : (2,) floats
+        Lowest and highest altitude that they end at [m].
+    lengths : (2,) floats
+        Shortest and longest of them [m].
+    cells : callable
+        Returns (..., C) numbers of the (transmittances, path radiances) of paths, each (..., n).
+    """
+
+    def __init__(self, mi, air, from_m, limits, lengths, cells):
+        (low, high), (nearest, farthest) = limits, lengths
+        columns = max(_FEWEST, 1 + int(np.ceil(np.log(farthest / nearest) / np.log(_GROWTH))))
+        rows = 2 + int((high - low) / _ALTITUDE_M)
+        length = np.geomspace(nearest, farthest, columns)
+        # At each length, from the lowest to the highest point at that distance.
+        bottom, top = np.maximum(low, from_m - length), np.minimum(high, from_m + length)
+        end = bottom + np.linspace(0.0, 1.0, rows)[:, None] * np.maximum(top - bottom, 0.0)
+        end = np.clip(end, from_m - length, from_m + length)
+        values = cells(*air.path(from_m, end, np.broadcast_to(length, end.shape)))
+        self._mi, self._count = mi, values.shape[-1]
+        padded = np.pad(values.reshape(-1, self._count), ((0, 0), (0, -self._count % 4))).astype(np.float32)
+        self._groups = [mi.Float(np.ascontiguousarray(padded[:, k : k + 4]).ravel()) for k in range(0, self._count, 4)]
+        frame = (low, high, from_m, np.log(nearest), (columns - 1) / np.log(farthest / nearest), columns, rows - 1)
+        self._numbers = [dr.opaque(mi.Float, float(number)) for number in frame]
+
+    def corners(self, distance, end, valid):
+        """Return [(weight, [number (Float), …]), …] of the cells round paths of lengths and altitudes of their ends."""
+        mi = self._mi
+        low, high, start, first, step, count, rows = self._numbers
+        column = dr.clip((dr.log(distance) - first) * step, 0.0, count - 1.001)
+        bottom, top = dr.maximum(low, start - distance), dr.minimum(high, start + distance)
+        row = dr.clip((end - bottom) / dr.maximum(top - bottom, 1e-3), 0.0, 0.9999) * rows
+        left, upper = dr.floor(column), dr.floor(row)
+        across, down = column - left, row - upper
+        cell, below = mi.UInt32(upper * count + left), mi.UInt32(count)
+        found = []
+        for index, weight in ((cell, (1 - across) * (1 - down)), (cell + 1, across * (1 - down)),
+                              (cell + below, (1 - across) * down), (cell + below + 1, across * down)):  # fmt: skip
+            parts = [value for group in self._groups for value in dr.gather(mi.Vector4f, group, index, valid)]
+            found.append((weight, parts[: self._count]))
+        return found
 
 
 class AirView:
@@ -124,43 +177,30 @@ class AirView:
     Parameters
     ----------
     mi : module
-    cells : (rows, columns, K + 1) array
-        Weights of the channels and path radiance, by altitude of the end and length of the path.
-    frame : tuple
-        Altitude of the local frame's origin, of the lowest and the highest end, and of the camera [m]; logarithm of
-        the first column's length, and columns per unit of it.
+    grid : PathGrid
+        Of the weights of the channels and the path radiance, K + 1 numbers.
+    base : float
+        Altitude of the local frame's origin [m].
     background : (2, n) array
         As by `background`.
     horizon : float
         Cosine of the horizon's zenith angle.
     """
 
-    def __init__(self, mi, cells, frame, background, horizon):
-        self._mi, (rows, columns, count) = mi, cells.shape
-        padded = np.pad(cells.reshape(-1, count), ((0, 0), (0, -count % 4))).astype(np.float32)
-        self._groups = [mi.Float(np.ascontiguousarray(padded[:, k : k + 4]).ravel()) for k in range(0, count, 4)]
-        self._numbers = [dr.opaque(mi.Float, float(number)) for number in (*frame, columns, rows - 1)]
+    def __init__(self, mi, grid, base, background, horizon):
+        self._mi, self._grid, self._base = mi, grid, dr.opaque(mi.Float, float(base))
         self._sky = mi.Float(background.astype(np.float32).ravel())
         self._horizon = dr.opaque(mi.Float, horizon)
 
     def at_camera(self, hit, values, origin, direction):
         """Return what rays bring back, [Float], of the channels `values` where they meet something."""
         mi = self._mi
-        base, low, high, camera, first, step, count, rows = self._numbers
         point = origin + hit.distance * direction
-        end = base + point.z + 0.5 / MEAN_RADIUS_M * (point.x * point.x + point.y * point.y)
-        column = dr.clip((dr.log(hit.distance) - first) * step, 0.0, count - 1.001)
-        bottom, top = dr.maximum(low, camera - hit.distance), dr.minimum(high, camera + hit.distance)
-        row = dr.clip((end - bottom) / dr.maximum(top - bottom, 1e-3), 0.0, 0.9999) * rows
-        left, upper = dr.floor(column), dr.floor(row)
-        across, down = column - left, row - upper
-        cell, below = mi.UInt32(upper * count + left), mi.UInt32(count)
+        end = self._base + point.z + 0.5 / MEAN_RADIUS_M * (point.x * point.x + point.y * point.y)
         factors = [*values, 1.0]
         total = mi.Float(0.0)
-        for index, weight in ((cell, (1 - across) * (1 - down)), (cell + 1, across * (1 - down)),
-                              (cell + below, (1 - across) * down), (cell + below + 1, across * down)):  # fmt: skip
-            found = [value for group in self._groups for value in dr.gather(mi.Vector4f, group, index, hit.valid)]
-            total += weight * sum(number * factor for number, factor in zip(found, factors, strict=False))
+        for weight, found in self._grid.corners(hit.distance, end, hit.valid):
+            total += weight * sum(number * factor for number, factor in zip(found, factors, strict=True))
         return [dr.select(hit.valid, total, self._seen_background(direction.z, ~hit.valid))]
 
     def _seen_background(self, cosine, active):

@@ -17,7 +17,9 @@ from thermorender.render.device import DeviceScene, flat
 from thermorender.render.dynamic import StaticLight
 from thermorender.render.geometry import Geometry, refuse_other_surfaces
 from thermorender.render.light import cache, environment, radiosity, texels
+from thermorender.render.light.absorbed import left_out
 from thermorender.render.plan import Plan, make_plan
+from thermorender.render.spectrum import REFERENCE_K
 from thermorender.render.variant import activate
 from thermorender.scene.load import Scene
 
@@ -49,7 +51,8 @@ class BakedScene:
     errors_mk : dict
         Errors of the reflected light [mK at 300 K]: "solution", from the bound that its residual sets, and root mean
         squares over the surfaces: "noise" of the rays, from independent halves, "faces", of light taken as constant
-        over a face, and "texels", of baking it to texels.
+        over a face, and "texels", of baking it to texels; with air "air" too, from above, of leaving it out between
+        surfaces.
     cache_note : str or None
         Why the traced light could not be kept on disk, where it could not.
     """
@@ -170,7 +173,8 @@ def bake(
     tolerance = 0.1 * plan.tolerance_mk * per_mk / spectrum.nodes
     shape, share = (geometry.face_count, spectrum.nodes), geometry.share
     incident, noise = np.empty(shape, dtype=np.float32), np.zeros(shape[0])
-    bounds, mean_reflectance = np.empty(shape[1]), np.empty(shape[1])
+    bounds, mean_reflectance, shiny = np.empty(shape[1]), np.empty(shape[1]), np.zeros(shape[0])
+    black_share = spectrum.black([REFERENCE_K])[0] / spectrum.black([REFERENCE_K]).sum()
     static = StaticLight.around(around, *shape) if scene.tracked_objects else None
     blocks = radiosity.blocks(*shape)
     means = texels.face_means(geometry, plan, material, temperature, blocks)
@@ -178,9 +182,11 @@ def bake(
         found, bounds[nodes] = radiosity.solve(known, emitted, reflectance, around.at(nodes), tolerance)
         noise += radiosity.noise(known, emitted, reflectance, around.at(nodes), found)
         incident[:, nodes], mean_reflectance[nodes] = found, share @ reflectance
+        shiny += reflectance @ black_share[nodes]
         if static:
             static.add(nodes, emitted + reflectance * found, reflectance)
     del emitted, reflectance, found
+    lost = 0.0 if scene.air is None else left_out(scene, known, shiny)
     # As large as the rays it is made of.
     known.forget_operator()
     face = np.empty((geometry.face_count, spectrum.channels), dtype=np.float32)
@@ -197,8 +203,10 @@ def bake(
     solution = ((1.0 - spectrum.emissivity).max(axis=0) * bounds).sum()
     rms = [np.sqrt(share @ square) for square in (noise**2, scatter)]
     errors = {"solution": solution, "noise": rms[0], "faces": varies, "texels": rms[1]}
+    if scene.air is not None:
+        errors["air"] = np.sqrt(share @ lost**2)
     errors = {name: float(value / per_mk) for name, value in errors.items()}
     tell("solving the light between surfaces", 1.0)
     # Of each face, for the budget of a frame that shows some of them.
-    square = (noise**2 + scatter).astype(np.float32)
+    square = (noise**2 + scatter + lost**2).astype(np.float32)
     return BakedScene(scene, plan, known, tuple(texel), face, square, black, static, errors, note, uploaded)

@@ -8,7 +8,7 @@ from thermorender.physics.planck import band_radiance
 from thermorender.render import mirrors
 from thermorender.render.air import Air, Vacuum
 from thermorender.render.dynamic import DynamicObject
-from thermorender.render.geometry import Channels, Layer, OutgoingRadiance, opaque_view
+from thermorender.render.geometry import Channels, Layer, OutgoingRadiance, box_of, opaque_view
 
 
 class DeviceScene:
@@ -29,7 +29,7 @@ class DeviceScene:
     def __init__(self, baked, geometry):
         scene, plan, mi = baked.scene, baked.plan, geometry.mi
         self.geometry, self._mi = geometry, mi
-        tables = mirrors.DeviceTables(mi, plan.specular) if plan.specular else None
+        tables = mirrors.DeviceTables(mi, plan.specular, scene, plan.spectrum) if plan.specular else None
         mirror = None
         if baked.mirror_black is not None:
             mirror = mirrors.Mirror(mi, tables, flat(scene, "material"), baked.mirror_black)
@@ -99,9 +99,3 @@ def flat(scene, name):
     """Return an attribute of all texels of a scene, (T,); that of a single surface is not copied: it may be large."""
     images = [getattr(surface, name) for surface in scene.surfaces]
     return images[0].reshape(-1) if len(images) == 1 else np.concatenate([image.ravel() for image in images])
-
-
-def box_of(scene):
-    """Return the lowest and the highest corner of a scene's surfaces, (2, 3) [m]."""
-    corner = [limit(surface.vertices, axis=0) for limit in (np.min, np.max) for surface in scene.surfaces]
-    return np.stack([np.min(corner, axis=0), np.max(corner, axis=0)])

@@ -336,6 +336,17 @@ class Layer:
     outgoing: OutgoingRadiance | None
 
 
+def box_of(scene):
+    """Return the lowest and the highest corner of a scene's surfaces, (2, 3) [m]."""
+    corner = [limit(surface.vertices, axis=0) for limit in (np.min, np.max) for surface in scene.surfaces]
+    return np.stack([np.min(corner, axis=0), np.max(corner, axis=0)])
+
+
+def farthest(scene):
+    """Return the length of the longest path between surfaces of a scene [m], from 2 m on."""
+    return max(float(np.linalg.norm(np.diff(box_of(scene), axis=0))), 2.0)
+
+
 def refuse_other_surfaces(known, surfaces):
     """Raise unless two sequences of surfaces have the same geometry: vertices, faces, and where texels lie on them."""
     differ = None

@@ -13,7 +13,8 @@ all this.
 
 A mirror in a mirror shows what the bake makes of it: emission and reflection of a diffuse surface. The mirror's normal
 is that of its flat face, whatever its roughness: roughness raises the emissivity at grazing angles but does not blur
-the image. Air between a mirror and what it shows is left out, as in the bake, and so is the glint of the sun.
+the image. Light from what a mirror shows passes the air up to it, from the mean altitude of the scene's mirrors; the
+glint of the sun is left out.
 """
 
 from dataclasses import dataclass
@@ -23,8 +24,8 @@ import numpy as np
 
 from thermorender.physics.fresnel import COSINES
 from thermorender.physics.planck import band_radiance_derivative, kelvin_per_radiance
-from thermorender.render.air import altitude
-from thermorender.render.geometry import Channels
+from thermorender.render.air import PathGrid, altitude
+from thermorender.render.geometry import Channels, box_of, farthest
 from thermorender.render.spectrum import REFERENCE_K
 
 # Directions of the sky, even in the root of the cosine of zenith angle: 5 mK of the sky.
@@ -35,6 +36,8 @@ _JUDGED = np.flatnonzero(COSINES >= _GRAZING)[::8]
 # Blackbodies between the coldest and the warmest texel, and how much more than other light they count in the fit of
 # what is reflected: they are what a mirror emits, and nearly what most of the ground does.
 _BLACK, _TRUST = 5, 10.0
+# Paths behind which that light is reflected too, as parts of the scene's size.
+_SEEN_BEHIND = np.array([0.01, 0.1, 0.5])
 # Of the light's variation, the share below which that fit takes no notice: float32 does not tell it.
 _SMALLEST = 1e-4
 
@@ -60,6 +63,8 @@ class ReflectanceTables:
         from above, as mirror and diffuse surface may see any two of its lights [mK at 300 K].
     error_mk : float
         Largest error of `matrix`, over the envelope's light up to 80° [mK].
+    at_m : float
+        Mean altitude of the mirrors above sea level [m].
     """
 
     number: np.ndarray
@@ -68,6 +73,7 @@ class ReflectanceTables:
     weight: np.ndarray
     effect_mk: float
     error_mk: float
+    at_m: float
 
 
 def directional(materials):
@@ -81,9 +87,9 @@ def make_tables(scene, spectrum, envelope):
     Notes
     -----
     What a channel reflects depends on spectra that channels tell only in part. `matrix` is the least-squares fit, over
-    the scene's envelope of light in relative terms, of what is reflected: a constant, a share of each channel, and a
-    share of b ln b, which bends as the reflection of blackbodies of very different temperatures does. The constant
-    falls out of differences and is kept in `environment`.
+    the scene's envelope of light, bare and behind its air, in relative terms, of what is reflected: a constant, a share
+    of each channel, and a share of b ln b, which bends as the reflection of blackbodies of very different temperatures
+    does. The constant falls out of differences and is kept in `environment`.
     """
     points = spectrum.points
     seen = {number: texels for number in directional(scene.materials) if (texels := _texels(scene, number, envelope))}
@@ -102,7 +108,7 @@ def make_tables(scene, spectrum, envelope):
     stacked = [np.stack([getattr(case, name) for case in cases]) for name in ("matrix", "environment")]
     weight = spectrum.solver.sum(axis=0)
     worst = [max(getattr(case, name) for case in cases) for name in ("effect_mk", "error_mk")]
-    return ReflectanceTables(row, *stacked, weight, *worst)
+    return ReflectanceTables(row, *stacked, weight, *worst, float(np.mean([at_m for at_m, *_ in seen.values()])))
 
 
 class _Case:
@@ -119,6 +125,11 @@ class _Case:
         limits = min(coldest, *envelope.ground), max(warmest, *envelope.ground)
         black = points.planck(np.linspace(*limits, _BLACK))
         every = np.concatenate([black, light[len(environment) :]])
+        if scene.air is not None:
+            # What surfaces send, behind the air of paths to the mirror: no longer of a blackbody's colours.
+            paths = scene.air.path(at_m, at_m, farthest(scene) * _SEEN_BEHIND)
+            behind = [every * passed[points.node] + points.spread(added) for passed, added in zip(*paths, strict=True)]
+            every = np.concatenate([every, *behind])
         every = every[every.sum(axis=1) > 0.0]
         size, channels = every.sum(axis=1), every @ channel.T
         known = np.column_stack([channels, _bent(channels @ spectrum.solver.sum(axis=0)), np.full(len(size), size[0])])
@@ -169,10 +180,20 @@ class Mirror:
 
 
 class DeviceTables:
-    """Tables on the render side."""
+    """Tables on the render side.
 
-    def __init__(self, mi, tables):
-        self.number, self._mi = tables.number, mi
+    Parameters
+    ----------
+    mi : module
+    tables : ReflectanceTables
+    scene : Scene
+    spectrum : Spectrum
+    """
+
+    def __init__(self, mi, tables, scene, spectrum):
+        self.number, self._mi, self._path = tables.number, mi, None
+        if scene.air is not None:
+            self._path, self._at_m = _paths(mi, tables.at_m, scene, spectrum), dr.opaque(mi.Float, tables.at_m)
         self.count = tables.matrix.shape[-2]
         self._weight = [dr.opaque(mi.Float, float(value)) for value in tables.weight]
         self._directions = tables.environment.shape[2] - 1
@@ -216,6 +237,18 @@ class DeviceTables:
             added[k] + sum(m * value for m, value in zip(matrix[k * len(light) :], light, strict=False))
             for k in range(count)
         ]
+
+    def through_air(self, light, distance, up, valid):
+        """Return light, [Float] by channel, at a mirror as far below what sends it: length [m], cosine of zenith."""
+        if self._path is None:
+            return light
+        total = [self._mi.Float(0.0) for _ in light]
+        for weight, found in self._path.corners(distance, self._at_m + up * distance, valid):
+            for k in range(self.count):
+                *row, added = found[k * (self.count + 1) : (k + 1) * (self.count + 1)]
+                passed = sum(number * value for number, value in zip(row, light, strict=True))
+                total[k] += weight * (passed + added)
+        return total
 
     def _band(self, light):
         """Band radiance of light given by its channels."""
@@ -288,11 +321,25 @@ def _correction(layers, here, eye, view, distance, face, texel, row):
         nearest = dr.minimum(nearest, away)
     up = direction.z if here is layers[0] else _transformed(here.view, layers[0].view, origin, direction)[1].z
     valid = nearest < np.inf
+    seen = mirror.tables.through_air(seen, nearest, up, valid)
     black = mirror.black.at(row)
     kind = dr.gather(mi.UInt32, mirror.kind, row)
     reflected = mirror.tables.reflected(kind, cosine, black, seen, valid, up)
     diffuse = here.outgoing.at_texel(texel, face)
     return (*(a + b - c for a, b, c in zip(black, reflected, diffuse, strict=True)), nearest)
+
+
+def _paths(mi, at_m, scene, spectrum):
+    """PathGrid from mirrors: of each channel, its share of each channel that is sent, and what the air adds to it."""
+    box = box_of(scene)
+    low, high = (min(at_m, scene.altitude_m + box[0, 2]), max(at_m, scene.altitude_m + box[1, 2]))
+
+    def cells(passed, added):
+        # Light of a basis behind a path is itself a sum over channels, as the band's is.
+        shares = np.einsum("kn,...n,nj->...kj", spectrum.basis, passed, spectrum.solver)
+        return np.concatenate([shares, (added @ spectrum.basis.T)[..., None]], -1).reshape(*passed.shape[:-1], -1)
+
+    return PathGrid(mi, scene.air, at_m, (low, high), (1.0, farthest(scene)), cells)
 
 
 def _bent(radiance):

@@ -129,6 +129,7 @@ class Plan:
                 sun = f"adds at most {_kelvin(self.sun_mk)} to a diffuse surface at 300 K"
         return [
             ("air", f"{spectrum.channels} channels", f"{why}{spectrum.channels_mk:.3g} mK"),
+            ("air between surfaces", "out", "of what they reflect of each other; the light's error counts it"),
             ("sun", "in" if self.sun else "out", sun),
         ]
 

@@ -15,7 +15,7 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 from thermorender.physics.fresnel import COSINES
 from thermorender.physics.planck import C1L, C2
-from thermorender.render.device import box_of
+from thermorender.render.geometry import box_of
 from thermorender.render.mirrors import directional
 from thermorender.render.renderer import checked_pose
 from thermorender.render.variant import activate

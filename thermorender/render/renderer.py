@@ -14,7 +14,7 @@ from thermorender.frame import Frame
 from thermorender.physics.planck import band_radiance
 from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
 from thermorender.render import truth
-from thermorender.render.air import Vacuum
+from thermorender.render.air import Vacuum, refuse_camera
 from thermorender.render.baked import BakedScene, Progress, bake
 from thermorender.render.dynamic import Placement, placements
 from thermorender.render.geometry import (
@@ -177,6 +177,10 @@ class Renderer:
         """
         return self._view(pose, time_s, objects, camera, lit_s).radiance(through_air)[0]
 
+    def refuse_camera(self, positions: ArrayLike) -> None:
+        """Refuse cameras at positions (…, 3) of the local frame that are above the range of the air, or its clouds."""
+        refuse_camera(self.scene, positions)
+
     def frame_of(
         self, radiance: NDArray[np.float32], pose: ArrayLike, plan: dict[str, Any], time_s: float = 0.0, index: int = 0,
         objects: Objects | None = None,
@@ -295,8 +299,9 @@ class Renderer:
         self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None, camera: Camera | None = None,
         lit_s: float | None = None,
     ) -> "View":  # fmt: skip
-        placed = placements(self.scene, time_s, objects, lit_s)
-        return View(self.baked, self._camera_rays(camera), checked_pose(pose), placed)
+        placed, pose = placements(self.scene, time_s, objects, lit_s), checked_pose(pose)
+        self.refuse_camera(pose[:3, 3])
+        return View(self.baked, self._camera_rays(camera), pose, placed)
 
     def _frame(
         self, view: "View", radiance: NDArray[np.float32], time_s: float, index: int, plan: dict[str, Any],

@@ -17,7 +17,6 @@ from functools import cached_property
 
 import numpy as np
 
-from thermorender.atmosphere.model import HIGHEST_CAMERA_M
 from thermorender.errors import ThermorenderError
 from thermorender.physics.band import RadianceTable, emitted_radiance, quadrature
 from thermorender.physics.planck import band_radiance, kelvin_per_radiance, spectral_radiance
@@ -242,7 +241,8 @@ class Envelope:
         if self.air is None:
             return np.ones((1, 1))
         low, high = self.altitude_m
-        height = np.geomspace(1.0, HIGHEST_CAMERA_M - high, 14)
+        height = np.geomspace(1.0, max(self.air.ceiling_m - high, 2.0), 14)
+        height = height[high + height <= self.air.ceiling_m]
         height, cosine, to = (a.ravel() for a in np.meshgrid(height, _PATH_COSINES, (low, high)))
         length = (high + height - to) / cosine
         kept = length <= _LONGEST_PATH_M

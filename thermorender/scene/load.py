@@ -582,6 +582,9 @@ def load_scene(name: str | PathLike[str]) -> Scene:
     static = [surface for one in objects if not one.item.track for surface in _in_scene(one, one.at(0.0), scene)]
     tracked = [one for one in objects if one.item.track]
     along = [surface for one in tracked for values in one.stations() for surface in _in_scene(one, values, scene)]
+    if scene.air is not None:
+        highest = max(surface.vertices[:, 2].max() for surface in (*scene.surfaces, *static, *along))
+        scene.air.refuse_above_clouds(f"{where}: the highest surface", scene.altitude_m + float(highest))
     terrain_surfaces, done = refined(scene.surfaces, static + along)
     terrain_surfaces = [evened(surface) for surface in terrain_surfaces]
     static = done[: len(static)]

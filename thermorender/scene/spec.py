@@ -206,6 +206,7 @@ class AtmosphereSpec:
     standard: str | None = key(text, None)
     file: Path | None = key(file_inside, None)
     profile: Path | None = key(file_inside, None)
+    absorption: Path | None = key(file_inside, None)
     aerosol: str = key(text, "none")
     visibility_km: float = key(number(), 23.0)
     temperature_offset_k: float = key(number(), 0.0)
@@ -218,10 +219,14 @@ class AtmosphereSpec:
         """Refuse none or two kinds of air, and what another kind would pass over."""
         kind = where.exactly_one(given, ("standard", "file", "profile"))
         only = {"aerosol": ("standard", "profile"), "visibility_km": ("profile",),
-                "temperature_offset_k": ("standard",), "humidity_factor": ("standard",)}  # fmt: skip
+                "temperature_offset_k": ("standard",), "humidity_factor": ("standard",),
+                "absorption": ("profile",)}  # fmt: skip
         for name, kinds in only.items():
             if name in given and kind not in kinds:
                 where.of(name).refuse(given[name], f"it with {' or '.join(kinds)} only, not with {kind}")
+        for name in ("aerosol", "visibility_km"):
+            if name in given and "absorption" in given:
+                where.of(name).refuse(given[name], "it without absorption only, whose gases are all there is")
 
 
 @dataclass(frozen=True)

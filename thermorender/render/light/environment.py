@@ -93,10 +93,9 @@ def _sunlight(scene, spectrum, geometry, at_m):
     """The sun's irradiance on each face over π, (F, N) [W m⁻²]."""
     mi, towards = geometry.mi, sun.direction(scene.spec.sun.elevation_deg, scene.spec.sun.azimuth_deg)
     passed = scene.air.sun_transmittance(at_m, towards[2])
-    clear = 1.0 - scene.air.cloud_fraction * (at_m < scene.air.cloud_base_m)
     points = spectrum.points
     share = points.air.shares(sun.BRIGHTNESS_TEMPERATURE_K)[points.node]
-    light = clear * sun.irradiance(points.wavelength_um) * points.weight * share
+    light = (1.0 - scene.air.cloud_fraction) * sun.irradiance(points.wavelength_um) * points.weight * share
     light = spectrum.gathered(light * passed[points.node]) / np.pi
     rays_of, seen = radiosity.FaceRays(geometry, _SUN_POINTS // 2), np.empty(geometry.face_count)
     direction = mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in towards))

@@ -1,0 +1,51 @@
+"""What light from one surface to another would lose to the air between them, or get from it, which is left out."""
+
+import numpy as np
+
+from thermorender.physics.planck import band_radiance
+from thermorender.render.geometry import farthest
+
+# Lengths at which the change is known, from a metre on; and faces handled at a time.
+_LENGTHS = 24
+_FACES_AT_ONCE = 1 << 16
+
+
+def left_out(scene, transport, reflectance):
+    """Return the change of what faces reflect of each other if it passed the air, (F,) [W m⁻² sr⁻¹], from above.
+
+    Parameters
+    ----------
+    scene : Scene
+        With air.
+    transport : Transport
+    reflectance : (F,) array
+        Of each face, mean over the band.
+
+    Notes
+    -----
+    Over each distance between the middles of two faces the air changes black light of the coldest or of the warmest
+    texel of a surface by some radiance; the larger of these is what light of its faces is taken to change by.
+    """
+    length = np.geomspace(1.0, farthest(scene), _LENGTHS)
+    low = scene.altitude_m + min(float(surface.vertices[:, 2].min()) for surface in scene.surfaces)
+    passed, added = scene.air.path(low, low, length)
+    limits = np.array([[each.temperature.min(), each.temperature.max()] for each in scene.surfaces], np.float64)
+    seen = scene.air.planck(limits) @ passed.T + added.sum(axis=-1)
+    change = np.abs(seen - band_radiance(limits, *scene.camera.band_um)[..., None]).max(axis=1)
+    # By surface and length, none at none.
+    change, length = np.pad(change, ((0, 0), (1, 0))), np.append(0.0, length)
+    middle = np.concatenate([each.vertices[each.faces].mean(axis=1) for each in scene.surfaces]).astype(np.float32)
+    surface = np.repeat(np.arange(len(scene.surfaces)), [len(each.faces) for each in scene.surfaces])
+    result, operator = np.empty(len(middle)), transport.operator
+    for first in range(0, len(middle), _FACES_AT_ONCE):
+        rows = slice(first, min(first + _FACES_AT_ONCE, len(middle)))
+        ends = operator.indptr[rows.start : rows.stop + 1]
+        face = np.repeat(np.arange(rows.start, rows.stop), np.diff(ends))
+        within = slice(ends[0], ends[-1])
+        other = transport.seen[within]
+        place = np.interp(np.linalg.norm(middle[face] - middle[other], axis=1), length, np.arange(len(length)))
+        lower = np.minimum(place.astype(np.intp), len(length) - 2)
+        first_end, last_end = (change[surface[other], lower + k] for k in (0, 1))
+        lost = operator.data[within] * (first_end + (place - lower) * (last_end - first_end))
+        result[rows] = reflectance[rows] * np.bincount(face - first, lost, rows.stop - first)
+    return result
