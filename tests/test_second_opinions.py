@@ -315,11 +315,6 @@ def _(folder):
     return Case(written(folder, quad(60.0), "paint_metallic", air=CLOUDS), tr.pose(0, 0, 2, pitch_deg=5), 8)
 
 
-@case("clouds, from above")
-def _(folder):
-    return Case(written(folder, quad(5000.0), "paint_metallic", air=CLOUDS), tr.pose(0, 0, 3000, pitch_deg=-70), 8)
-
-
 @case("distortion and principal offset")
 def _(folder):
     hot = thing("hot", "paint_black", 360.0, [5, 4, 1], [7.5, 4, 0])
