@@ -35,7 +35,10 @@ def campaign(tmp_path_factory):
     for before, after in (("width = 640", "width = 160"), ("height = 512", "height = 128"), ("um = 12.0", "um = 48.0")):
         assert text.count(before) == 1
         text = text.replace(before, after)
-    (folder / "small.toml").write_text(text, encoding="utf-8")
+    # What lies smoothly over the image has tests of its own, and would hide what is asked for here.
+    smooth = ("narcissus_mk", "shading_mk", "responsivity_percent")
+    lines = [line for line in text.splitlines() if not line.startswith(smooth)]
+    (folder / "small.toml").write_text("\n".join(lines), encoding="utf-8")
 
     def pair(*given):
         seen.append(SimpleNamespace(**dict(zip(NAMED, given, strict=True))))

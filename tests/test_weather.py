@@ -561,7 +561,7 @@ def test_weather_of_a_scene(tmp_path):
 
 def test_the_guide_names_the_columns_there_are():
     text = (Path(__file__).resolve().parents[1] / "docs" / "architecture.md").read_text("utf-8")
-    table = text.partition("## Weather")[2].partition("## Three")[0].partition("| quantity |")[2]
+    table = text.partition("## Weather")[2].partition("\n## ")[0].partition("| quantity |")[2]
     named, last = set(), ""
     for name in re.findall(r"`([^`]+)`", table):
         # "_hpa" stands for the name before it with that ending.

@@ -81,10 +81,16 @@ def reliefs(scene, times, geometry=None, progress=None):
 def _traced(scene, times, geometry, progress):
     """The planes of `reliefs`, traced."""
     import cv2
+    from scipy.ndimage import distance_transform_edt
 
     mi, weather, surface = geometry.mi, scene.weather, scene.surfaces[0]
     shape, texels = surface.material.shape, np.arange(surface.material.size)
-    covers = np.minimum(np.array(geometry.face_of_texel())[: texels.size], len(surface.faces) - 1)
+    covers = np.array(geometry.face_of_texel())[: texels.size]
+    bare = covers >= len(surface.faces)
+    if bare.any() and not bare.all():
+        # Beyond the outermost posts and in holes: as the nearest texel that a face covers.
+        nearest = distance_transform_edt(bare.reshape(shape), return_distances=False, return_indices=True)
+        covers = covers[np.ravel_multi_index(tuple(nearest), shape).ravel()]
     corner = surface.vertices[surface.faces]
     across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     normal = (across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)).astype(np.float32)[covers]
