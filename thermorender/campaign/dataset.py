@@ -368,6 +368,11 @@ def _inside(shard):
     return re.fullmatch(r"shards/[A-Za-z0-9_-]+\.tar", shard) is not None
 
 
+def _names(folder):
+    """Names of what lies in a folder, but for what others try or write there at this moment."""
+    return {each.name for each in folder.iterdir() if not each.name.startswith(".")}
+
+
 class Writer:
     """Writes a data set, shard by shard; what is whole stays, so that it can be continued.
 
@@ -394,8 +399,8 @@ class Writer:
         # {key: shard} of the index as far as it was read: the file's number and how many bytes of it.
         self._known, self._read = {}, (0, 0)
         path, shards = self.folder / "card.json", self.folder / "shards"
-        names = {each.name for each in self.folder.iterdir() if not each.name.startswith(".")}
-        strange = names - {"shards"} or (names and any(shards.iterdir()))
+        names = _names(self.folder)
+        strange = names - {"shards"} or (names and _names(shards))
         if strange and not path.exists():
             raise ThermorenderError(f"{self.folder} is not empty and holds no data set; give a new folder")
         files.make_folder(shards)
