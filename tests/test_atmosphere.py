@@ -397,6 +397,7 @@ def spoilt(values, index, value):
         ("altitude_m", lambda v: spoilt(v, 5, v[4]), "altitude_m does not rise: 2500 follows 2500"),
         ("altitude_m", lambda v: v[::-1], "altitude_m does not rise"),
         ("altitude_m", lambda v: v[:1], r"temperature is \(37,\) where altitude_m is \(1,\)"),
+        ("absorption", lambda v: 1e308 * (v > 0.0), "give an extinction of .* per metre; air has up to 1e.06"),
         ("temperature", lambda v: v - 273.15, "temperature holds 26.55, no air temperature in kelvin"),
         ("temperature", lambda v: v[:-1], r"temperature is \(36,\) where altitude_m is \(37,\)"),
         ("density", lambda v: -v, "density holds -.*; it must not be negative"),

@@ -13,6 +13,8 @@ _AXES = {
 NAMES = tuple(name for name in _AXES if name != "cloud")
 # Between them lies all thermal light [µm].
 _SHORTEST_UM, _LONGEST_UM = 0.1, 1e4
+# A micrometre of it is opaque [1/m].
+_MOST_EXTINCTION = 1e6
 _TABLE = __file__.removesuffix("tables.py") + "standard.npz"
 
 
@@ -132,6 +134,10 @@ def _first_wrong(values):
     far = np.abs(values["tilt"]) >= 1.0 / upper
     if far.any():
         return f"tilt holds {values['tilt'][far][0]:g}; it must be smaller than 1/upper_um, a wavenumber in µm⁻¹"
+    with np.errstate(over="ignore"):
+        most = (values["absorption"] @ values["density"]).max()
+    if not most <= _MOST_EXTINCTION:
+        return f"absorption and density give an extinction of {most:g} per metre; air has up to {_MOST_EXTINCTION:g}"
     warm = values["temperature"]
     odd = (warm < 100.0) | (warm > 1000.0)
     if odd.any():

@@ -3,7 +3,7 @@
 A reader has a small whole file, which is changed at random: bytes, cuts and repeats; in texts also numbers and lines,
 in archives of arrays these. The seed, the reader's name and the input's number decide each input, so that any of them
 can be made again. A process of its own reads them, with limits to memory and time, so that one that crashes or hangs is
-counted and passed over.
+counted and passed over. Some of what is accepted is put to use, likewise: rendered, and what is seen is finite.
 """
 
 import io
@@ -18,37 +18,43 @@ import zipfile
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.validate.stability.corpus import READERS
+from thermorender.validate.stability.uses import USES
 
-# What reading one input may take [s, bytes].
-MOST_S, MOST_BYTES = 5, 1 << 30
+# What reading one input may take [s, bytes], and rendering one, where the first compiles kernels.
+READING, RENDERING = (5, 1 << 30), (60, 1 << 32)
 # Values that numbers of a text are replaced by.
 _NUMBERS = (
     "nan", "inf", "-inf", "1e308", "-1e308", "1e-320", "0", "-0.0", "-1", "9" * 25, "1e999", "0x10", "1_000", "",
     "true", '"x"', "[]", "1.5.2", "٣", "−5", "1,5",
 )  # fmt: skip
-HEADER = ("reader", "inputs", "refused", "accepted", "foreign errors", "not finite", "too slow", "crashed")
+HEADER = (
+    "reader", "refused", "accepted", "foreign errors", "not finite", "too slow", "crashed", "rendered", "refused then",
+)  # fmt: skip
 _KINDS = ("refused", "accepted", "foreign", "infinite", "slow", "crashed")
+# What these are called where what was accepted is used.
+_USED = {"refused": "unfit", "accepted": "rendered"}
+_FINE = {*_USED, *_USED.values()}
 
 
 @dataclass(frozen=True)
-class Fault:
-    """An input that was neither refused in a sentence nor accepted as finite.
+class End:
+    """What became of an input.
 
     Attributes
     ----------
     reader, number : str, int
         Which makes it again.
     kind : str
-        foreign, infinite, slow or crashed.
+        refused or accepted; unfit or rendered where it was used; faults: foreign, infinite, slow or crashed.
     what : str
-        Error or place of the value.
+        Of a fault, the error or the place of the value.
     """
 
     reader: str
@@ -57,8 +63,13 @@ class Fault:
     what: str
 
 
-def run(count: int, names: Iterable[str] = (), seed: int = 0, progress: Callable | None = None):
-    """Return ({reader: {kind: inputs}}, [Fault, …]) of `count` damaged files for each of some readers, or of all.
+def run(
+    count: int, names: Iterable[str] = (), seed: int = 0, progress: Callable | None = None, rendered: int = 100
+):  # fmt: skip
+    """Return ({reader: {kind: inputs}}, [End, …]) of `count` damaged files for each of some readers, or of all.
+
+    Kinds are refused, accepted, foreign, infinite, slow, crashed: each input is one; and of those accepted rendered and
+    unfit: refused only when used.
 
     Parameters
     ----------
@@ -68,6 +79,8 @@ def run(count: int, names: Iterable[str] = (), seed: int = 0, progress: Callable
     seed : int
     progress : callable, optional
         Called with (what, share done).
+    rendered : int
+        How many of the accepted inputs of each reader are rendered.
     """
     names = list(names) or list(READERS)
     for name in names:
@@ -77,14 +90,23 @@ def run(count: int, names: Iterable[str] = (), seed: int = 0, progress: Callable
     for number, name in enumerate(names):
         if progress:
             progress(name, number / len(names))
-        counts[name], found = _read_all(name, count, seed)
-        faults += found
+        ends = _ends(name, READERS[name].read, range(count), seed, READING)
+        counts[name] = Counter(end.kind for end in ends)
+        rest = [end.number for end in ends if end.kind == "accepted"] if name in USES else []
+        while rest and counts[name]["rendered"] < rendered:
+            some = rendered - counts[name]["rendered"]
+            used, rest = _ends(name, USES[name], rest[:some], seed, RENDERING), rest[some:]
+            found = [replace(end, kind=_USED.get(end.kind, end.kind)) for end in used]
+            counts[name].update(end.kind for end in found)
+            ends += found
+        faults += [end for end in ends if end.kind not in _FINE]
     return counts, faults
 
 
 def rows(counts):
     """Return the rows of a table, as `HEADER` names them."""
-    return [(name, str(sum(of.values())), *(str(of.get(kind, 0)) for kind in _KINDS)) for name, of in counts.items()]
+    kinds = (*_KINDS, "rendered", "unfit")
+    return [(name, *(str(of.get(kind, 0)) for kind in kinds)) for name, of in counts.items()]
 
 
 def damaged(whole: bytes, reader: str, number: int, seed: int = 0) -> bytes:
@@ -96,26 +118,25 @@ def damaged(whole: bytes, reader: str, number: int, seed: int = 0) -> bytes:
     return whole
 
 
-def _read_all(name, count, seed):
-    """(Counter of kinds, faults) of one reader."""
+def _ends(name, job, numbers, seed, limits):
+    """What becomes of each of some inputs of a reader in a job: [End, …]."""
     # Of a process without threads: LightGBM's would be missing in a copy of one that has used them.
     context = multiprocessing.get_context("forkserver")
-    kinds, faults, done = Counter(), [], 0
+    numbers, ends, (most_s, _) = list(numbers), [], limits
     with tempfile.TemporaryDirectory(prefix="thermorender-fuzz-") as folder:
         path = Path(folder) / READERS[name].file
         READERS[name].make(path.parent)
         whole = path.read_bytes()
-        while done < count:
+        while len(ends) < len(numbers):
             here, there = context.Pipe(duplex=False)
-            worker = context.Process(
-                target=_work, args=(there, name, READERS[name].read, path, whole, range(done, count), seed, MOST_S)
-            )
+            rest = numbers[len(ends) :]
+            worker = context.Process(target=_work, args=(there, name, job, path, whole, rest, seed, limits))
             worker.start()
             there.close()
-            while done < count:
+            for number in rest:
                 try:
                     # Twice the limit: what hangs in foreign code is not interrupted by a signal.
-                    if not here.poll(2 * MOST_S + 10):
+                    if not here.poll(2 * most_s + 10):
                         raise EOFError
                     kind, what = here.recv()
                 except (EOFError, OSError):
@@ -125,20 +146,18 @@ def _read_all(name, count, seed):
                     worker.kill()
                     worker.join()
                     kind, what = ("slow", "") if hung else ("crashed", f"status {worker.exitcode}")
-                kinds[kind] += 1
-                if kind not in ("refused", "accepted"):
-                    faults.append(Fault(name, done, kind, what))
-                done += 1
+                ends.append(End(name, number, kind, what))
                 if kind in ("slow", "crashed") and not worker.is_alive():
                     break
             worker.join()
-    return kinds, faults
+    return ends
 
 
-def _work(pipe, name, read, path, whole, numbers, seed, most_s):
-    """Read inputs and send what became of each."""
+def _work(pipe, name, job, path, whole, numbers, seed, limits):
+    """Do the job on inputs and send what became of each."""
+    most_s, most_bytes = limits
     used = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
-    resource.setrlimit(resource.RLIMIT_AS, (used + MOST_BYTES, resource.RLIM_INFINITY))
+    resource.setrlimit(resource.RLIMIT_AS, (used + most_bytes, resource.RLIM_INFINITY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     # Libraries in C tell of damage on their own.
     for stream in (1, 2):
@@ -150,7 +169,7 @@ def _work(pipe, name, read, path, whole, numbers, seed, most_s):
         path.write_bytes(damaged(whole, name, number, seed))
         signal.alarm(most_s)
         try:
-            wrong = next(_infinite(read(path)), None)
+            wrong = next(_infinite(job(path)), None)
             sent = ("infinite", wrong) if wrong else ("accepted", "")
         except ThermorenderError as error:
             sent = ("refused", "") if _is_sentence(str(error)) else ("foreign", f"words: {str(error)[:200]!r}")
