@@ -9,7 +9,11 @@ from thermorender.atmosphere import model, rays
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.errors import ThermorenderError
 from thermorender.physics import balance, exchange
+from thermorender.physics.geodesy import LocalFrame
+from thermorender.render import truth
+from thermorender.render.geometry import Geometry
 from thermorender.render.mirrors import DeviceTables
+from thermorender.scene import mesh, terrain
 from thermorender.sensor import detector, readout
 from thermorender.validate import stability
 from thermorender.validate.stability import cases, heat, sensor
@@ -17,7 +21,7 @@ from thermorender.validate.stability.cases import Found
 
 
 def test_all_but_heat_hold_and_are_written(tmp_path, call):
-    groups = ("light", "sensor", "air", "maps", "pixels")
+    groups = ("light", "sensor", "air", "maps", "pixels", "geometry")
     status, output, _ = call("validate", "stability", *groups, "-o", tmp_path)
     assert status == 0 and "0 of " in output and "FAILS" not in output
     result = json.loads((tmp_path / "stability.json").read_text("utf-8"))
@@ -128,6 +132,64 @@ def test_broken_air_is_seen(monkeypatch, broken, case):
     assert found and not all(each["passed"] for each in found.values())
 
 
+def touching(patch):
+    """Rays that begin in a face's plane are taken to end there."""
+    patch.setattr(Geometry, "seen", lambda self, ray: self.cast(ray, coherent=True))
+
+
+def fronts(patch):
+    """Backs are shown as if they were fronts."""
+    patch.setattr(truth, "BEHIND", 0)
+
+
+def clipped(patch):
+    """A texture's edge goes on and on."""
+    patch.setattr(mesh, "_repeated", lambda uv, colour, path: (np.clip(uv, 0.0, 1.0), colour))
+
+
+def flat_earth(patch):
+    """Up is the height above the ellipsoid, wherever."""
+    local = LocalFrame.enu_from_geodetic
+
+    def level(self, latitude_deg, longitude_deg, height_m):
+        found = local(self, latitude_deg, longitude_deg, height_m)
+        found[..., 2] = np.asarray(height_m) - self.height_m
+        return found
+
+    patch.setattr(LocalFrame, "enu_from_geodetic", level)
+
+
+def stepped_fill(patch):
+    """Islands get the height of the nearest post."""
+    from scipy import interpolate
+
+    patch.setattr(interpolate, "LinearNDInterpolator", interpolate.NearestNDInterpolator)
+
+
+def untold_fill(patch):
+    """What was filled is not flagged."""
+    filled = terrain.filled
+    patch.setattr(terrain, "filled", lambda height: (filled(height)[0], np.zeros(height.shape, bool)))
+
+
+def anywhere(patch):
+    """Vertices may lie as far away as a map's coordinates are large."""
+    patch.setattr(mesh, "FARTHEST_M", 2e7)
+
+
+@pytest.mark.parametrize(
+    ("broken", "case"),
+    [(touching, "on the ground, looking down"), (touching, "in their plane"), (fronts, "normals that look down"),
+     (fronts, "camera in a box"), (clipped, "map coordinates"), (flat_earth, "land of 100 km"),
+     (stepped_fill, "on a slope, filled"), (untold_fill, "on a slope, filled"), (anywhere, "a mesh at easting")],
+)  # fmt: skip
+def test_broken_geometry_is_seen(monkeypatch, broken, case):
+    broken(monkeypatch)
+    with np.errstate(all="ignore"):
+        found = own_cases(case, group="geometry")
+    assert found and not all(each["passed"] for each in found.values())
+
+
 def wrapped(patch):
     """Counts beyond the range that begin anew."""
 
@@ -187,5 +249,5 @@ def test_verdicts(job, passed, tmp_path, monkeypatch, call):
 
 
 def test_an_unknown_group_is_named():
-    with pytest.raises(ThermorenderError, match="group 'heats' is unknown; give some of air, heat, light, maps"):
+    with pytest.raises(ThermorenderError, match="group 'heats' is unknown; give some of air, geometry, heat, light"):
         stability.run(["heats"])
