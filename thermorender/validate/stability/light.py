@@ -81,8 +81,9 @@ def line(kelvin):
     middle, width = 0.5 * (band[0] + band[1]), band[1] - band[0]
     slope = band_radiance_derivative(kelvin, *band)
     x = max(5.0, C2 / (10.0 * kelvin))
-    off = band_radiance(kelvin, *band) - width * spectral_radiance(middle, kelvin)
-    return Found(float(off / slope), 0.0, float((x * ROUNDING + (1e-7 * x) ** 2 / 24.0) * band_radiance(kelvin, *band) / slope))
+    radiance = band_radiance(kelvin, *band)
+    off = radiance - width * spectral_radiance(middle, kelvin)
+    return Found(float(off / slope), 0.0, float((x * ROUNDING + (1e-7 * x) ** 2 / 24.0) * radiance / slope))
 
 
 @case("light", "all wavelengths against Stefan and Boltzmann, {:g} K", (1.0, 10.0, 300.0, 10000.0))
