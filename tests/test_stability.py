@@ -5,19 +5,25 @@ import json
 import numpy as np
 import pytest
 
+from thermorender import units
 from thermorender.atmosphere import model, rays
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.errors import ThermorenderError
-from thermorender.physics import balance, exchange
+from thermorender.physics import balance, exchange, planck
+from thermorender.physics.geodesy import LocalFrame
+from thermorender.render import truth
+from thermorender.render.geometry import Geometry
+from thermorender.render.light import radiosity
 from thermorender.render.mirrors import DeviceTables
-from thermorender.sensor import detector, readout
+from thermorender.scene import mesh, terrain
+from thermorender.sensor import detector, exposure, readout
 from thermorender.validate import stability
-from thermorender.validate.stability import cases, heat, sensor
+from thermorender.validate.stability import cases, heat, light, sensor
 from thermorender.validate.stability.cases import Found
 
 
 def test_all_but_heat_hold_and_are_written(tmp_path, call):
-    groups = ("light", "sensor", "air", "maps", "pixels")
+    groups = ("light", "sensor", "air", "maps", "pixels", "geometry", "motion", "solver")
     status, output, _ = call("validate", "stability", *groups, "-o", tmp_path)
     assert status == 0 and "0 of " in output and "FAILS" not in output
     result = json.loads((tmp_path / "stability.json").read_text("utf-8"))
@@ -128,6 +134,160 @@ def test_broken_air_is_seen(monkeypatch, broken, case):
     assert found and not all(each["passed"] for each in found.values())
 
 
+def touching(patch):
+    """Rays that begin in a face's plane are taken to end there."""
+    patch.setattr(Geometry, "seen", lambda self, ray: self.cast(ray, coherent=True))
+
+
+def fronts(patch):
+    """Backs are shown as if they were fronts."""
+    patch.setattr(truth, "BEHIND", 0)
+
+
+def clipped(patch):
+    """A texture's edge goes on and on."""
+    patch.setattr(mesh, "_repeated", lambda uv, colour, path: (np.clip(uv, 0.0, 1.0), colour))
+
+
+def flat_earth(patch):
+    """Up is the height above the ellipsoid, wherever."""
+    local = LocalFrame.enu_from_geodetic
+
+    def level(self, latitude_deg, longitude_deg, height_m):
+        found = local(self, latitude_deg, longitude_deg, height_m)
+        found[..., 2] = np.asarray(height_m) - self.height_m
+        return found
+
+    patch.setattr(LocalFrame, "enu_from_geodetic", level)
+
+
+def stepped_fill(patch):
+    """Islands get the height of the nearest post."""
+    from scipy import interpolate
+
+    patch.setattr(interpolate, "LinearNDInterpolator", interpolate.NearestNDInterpolator)
+
+
+def untold_fill(patch):
+    """What was filled is not flagged."""
+    filled = terrain.filled
+    patch.setattr(terrain, "filled", lambda height: (filled(height)[0], np.zeros(height.shape, bool)))
+
+
+def anywhere(patch):
+    """Vertices may lie as far away as a map's coordinates are large."""
+    patch.setattr(mesh, "FARTHEST_M", 2e7)
+
+
+@pytest.mark.parametrize(
+    ("broken", "case"),
+    [(touching, "on the ground, looking down"), (touching, "in their plane"), (fronts, "normals that look down"),
+     (fronts, "camera in a box"), (clipped, "map coordinates"), (flat_earth, "land of 100 km"),
+     (stepped_fill, "on a slope, filled"), (untold_fill, "on a slope, filled"), (anywhere, "a mesh at easting")],
+)  # fmt: skip
+def test_broken_geometry_is_seen(monkeypatch, broken, case):
+    broken(monkeypatch)
+    with np.errstate(all="ignore"):
+        found = own_cases(case, group="geometry")
+    assert found and not all(each["passed"] for each in found.values())
+
+
+def silent_zero(patch):
+    """What is far in Wien's limit shines not at all."""
+    patch.setattr(planck, "_COLDEST", 1e-2)
+
+
+def short_of_wien(patch):
+    """Faint radiances are inverted without the lower powers of x."""
+    patch.setattr(planck, "_WIEN", np.polynomial.Polynomial([0.0, 0.0, 0.0, 1.0]))
+
+
+def no_end(patch):
+    """Light that never leaves is solved for all the same."""
+    patch.setattr(radiosity, "_MOST_REFLECTED", 2.0)
+
+
+def heaped(patch):
+    """A mix is as the first of its parts."""
+    patch.setattr(light, "mix", lambda parts: parts[0][0])
+
+
+@pytest.mark.parametrize(
+    ("broken", "case"),
+    [(silent_zero, "Planck's law and back, 2 K, 7.5"), (short_of_wien, "radiance of 1e-320"),
+     (no_end, "emissivity 0 is refused"), (heaped, "a quarter a mirror's")],
+)  # fmt: skip
+def test_broken_light_is_seen(monkeypatch, broken, case):
+    broken(monkeypatch)
+    with np.errstate(all="ignore"):
+        found = own_cases(case, group="light")
+    assert found and not all(each["passed"] for each in found.values())
+
+
+def bare_residual(patch):
+    """The bound forgets that light goes to and fro."""
+    solve = radiosity.solve
+
+    def stated(transport, emitted, reflectance, environment, tolerance):
+        found, bound = solve(transport, emitted, reflectance, environment, tolerance)
+        return found, bound * (1.0 - reflectance.max())
+
+    patch.setattr(radiosity, "solve", stated)
+
+
+def hasty(patch):
+    """One step of GMRES, and whatever that leaves is claimed as solved."""
+    patch.setattr(radiosity, "gmres", lambda operator, rho, source, wanted: source)
+    solve = radiosity.solve
+    patch.setattr(radiosity, "solve", lambda *given: (solve(*given[:4], 1e9)[0], np.array([given[4]])))
+
+
+@pytest.mark.parametrize(
+    ("broken", "case"),
+    [(bare_residual, "its error by its bound"), (hasty, "its error by its bound"), (hasty, "picokelvin"),
+     (no_end, "a system of emissivity 0")],
+)  # fmt: skip
+def test_a_broken_solver_is_seen(monkeypatch, broken, case):
+    broken(monkeypatch)
+    with np.errstate(all="ignore"):
+        found = own_cases(case, group="solver")
+    assert found and not all(each["passed"] for each in found.values())
+
+
+def forgetful(patch):
+    """Pixels start at rest an eighth of their memory ago."""
+    patch.setattr(exposure, "MEMORY", 1.0)
+
+
+def linear_lag(patch):
+    """The response as one explicit step, as of the sensor."""
+    forward_euler(patch)
+    patch.setattr(exposure, "response_weights", detector.response_weights)
+
+
+@pytest.mark.parametrize(
+    ("broken", "case"),
+    [(forgetful, "turns once a second, a pixel of 10 ms"), (forgetful, "crosses"), (linear_lag, "blinks")],
+)  # fmt: skip
+def test_broken_motion_is_seen(monkeypatch, broken, case):
+    broken(monkeypatch)
+    with np.errstate(all="ignore"):
+        found = own_cases(case, group="motion")
+    assert found and not all(each["passed"] for each in found.values())
+
+
+def any_kelvin(patch):
+    """No temperature is too cold."""
+    patch.setattr(units, "LOWEST_KELVIN", -1e9)
+
+
+@pytest.mark.parametrize("case", ["typed as temperature.value", "typed as sky", "typed as object", "a raster of -273"])
+def test_celsius_taken_for_kelvin_is_seen(monkeypatch, case):
+    any_kelvin(monkeypatch)
+    found = own_cases(case, group="pixels")
+    assert found and not any(each["passed"] for each in found.values())
+
+
 def wrapped(patch):
     """Counts beyond the range that begin anew."""
 
@@ -187,5 +347,5 @@ def test_verdicts(job, passed, tmp_path, monkeypatch, call):
 
 
 def test_an_unknown_group_is_named():
-    with pytest.raises(ThermorenderError, match="group 'heats' is unknown; give some of air, heat, light, maps"):
+    with pytest.raises(ThermorenderError, match="group 'heats' is unknown; give some of air, geometry, heat, light"):
         stability.run(["heats"])

@@ -13,9 +13,10 @@ from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene import terrain
 from thermorender.scene.ground import Ground
 from thermorender.scene.import_terrain import import_terrain
+from thermorender.scene.load import load_scene
 from thermorender.scene.mesh import load, primitive
 from thermorender.scene.raster import Grid
-from thermorender.scene.surface import fill, nearest_valid
+from thermorender.scene.surface import FILLED, fill, nearest_valid
 
 UTM = CRS.from_epsg(32634)
 # On the central meridian, where the grid's north is true north.
@@ -107,6 +108,30 @@ def test_a_raster_that_runs_west_is_imported_like_one_that_runs_east(tmp_path):
         import_terrain(tmp_path / f"{name}.tif", tmp_path / "o.tif", tmp_path / name)
         found.append(terrain.read_elevation(tmp_path / name / "elevation.tif")[0])
     np.testing.assert_allclose(found[1], found[0], atol=1e-3)
+
+
+def test_import_fills_islands_but_no_edge(tmp_path, call):
+    """A slope goes on through an island; what reaches the edge stays a hole; texels of filled cells are flagged."""
+    row, column = np.mgrid[:10, :10]
+    height = 100.0 + 0.5 * column - 0.25 * row
+    shown = height.copy()
+    shown[4:7, 3:6] = shown[:3, 8:] = np.nan
+    for name, bands, grid in (("e", shown[None].astype(np.float32), NORTH_UP), ("o", np.full((3, 40, 40), 90), TEXELS)):
+        kind = "float32" if name == "e" else "uint8"
+        with rasterio.open(
+            tmp_path / f"{name}.tif", "w", driver="GTiff", count=len(bands), dtype=kind, height=grid.height,
+            width=grid.width, crs=UTM, transform=grid.transform,
+        ) as file:  # fmt: skip
+            file.write(bands.astype(kind))
+    status, output, _ = call("import-terrain", tmp_path / "e.tif", tmp_path / "o.tif", "--fill", "-o", tmp_path / "s")
+    assert status == 0 and "6.0% without height, 9.0% filled" in output
+    found, made = terrain.filled(terrain.read_elevation(tmp_path / "s" / "elevation.tif")[0])
+    np.testing.assert_allclose(found, np.where(np.isnan(shown) & (column > 7), np.nan, height), atol=1e-5)
+    assert made[3:8, 2:7].all() and made.sum() == 25
+    scene = load_scene(tmp_path / "s")
+    flagged = (scene.surfaces[0].flags & FILLED) > 0
+    assert flagged[12:32, 8:28].all() and flagged.sum() == 400
+    assert np.isfinite(scene.ground(-1.0, -1.0)) and np.isnan(scene.ground(8.5, 8.5))
 
 
 @pytest.mark.parametrize(

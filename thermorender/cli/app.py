@@ -132,6 +132,7 @@ def import_terrain(
     model: Annotated[str, typer.Option(help="Learned map for the temperatures.")] = defaults.TEMPERATURE_MAP,
     material: Annotated[str, typer.Option(help="Material of the ground.")] = "soil_loam",
     sky_temperature: Annotated[float, typer.Option(help="[K]")] = 255.0,
+    fill: Annotated[bool, typer.Option("--fill", help="Fill islands of missing heights from around.")] = False,
 ):
     """Make a scene from an elevation model and an orthophoto."""
     from thermorender.scene.import_terrain import import_terrain as run
@@ -139,10 +140,11 @@ def import_terrain(
     if height_reference not in (None, "ellipsoid", "geoid"):
         raise ThermorenderError(f"--height-reference={height_reference!r} is not allowed; give ellipsoid or geoid")
     summary = run(elevation, orthophoto, output, max_vertices, max_texels, height_reference, geoid_undulation_m, model,
-                  material, sky_temperature)  # fmt: skip
+                  material, sky_temperature, fill)  # fmt: skip
     typer.echo(f"{output}: {summary['posts'][1]}×{summary['posts'][0]} posts of {summary['post_m']:.3g} m, "
                f"{summary['texels'][1]}×{summary['texels'][0]} texels of {summary['texel_m']:.3g} m; "
                f"{summary['share_without_height']:.1%} without height, "
+               + (f"{summary['share_filled']:.1%} filled, " if fill else "") +
                f"{summary['share_without_colour']:.1%} without colour; "
                f"heights above the {summary['height_reference']}")  # fmt: skip
 

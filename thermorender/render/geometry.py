@@ -15,6 +15,8 @@ from thermorender.errors import ThermorenderError
 from thermorender.render.pixels import pyramid, slender
 
 _RAYS_AT_ONCE, _FACES_AT_ONCE = 1 << 22, 1 << 20
+# A direction upwards that hardly a face's plane holds.
+_ASIDE = (0.3717, 0.4693, 0.8010)
 
 
 @dataclass(frozen=True)
@@ -97,12 +99,30 @@ class Geometry:
 
     def cast(self, ray, coherent=False):
         """Return the Hit of rays (an mi.Ray3f)."""
+        return self._hit(self.caster.ray_intersect_preliminary(ray, coherent=coherent))
+
+    def _hit(self, found):
         mi = self.mi
-        found = self.caster.ray_intersect_preliminary(ray, coherent=coherent)
         valid = found.is_valid()
         surface = dr.gather(mi.UInt32, self._surface_of, dr.reinterpret_array(mi.UInt32, found.shape), valid)
         face = dr.gather(mi.UInt32, self._face_start, surface, valid) + found.prim_index
         return Hit(valid, found.t, dr.select(valid, face, 0), surface)
+
+    def seen(self, ray):
+        """Return the Hit of a view's rays (an mi.Ray3f), with no distance of 0.
+
+        Embree answers that for a camera on a surface, which has no picture, and for a ray in the plane of a triangle,
+        wherever this lies. Such rays, and they alone, are cast anew from a hair's breadth aside.
+        """
+        hit = self.cast(ray, coherent=True)
+        touches = hit.valid & (hit.distance <= 0.0)
+        aside = 64.0 * 2.0**-24 * (1.0 + self.reach) * self.mi.Vector3f(*_ASIDE)
+        beside = self.mi.Ray3f(ray.o + aside, ray.d)
+        found = self._hit(self.caster.ray_intersect_preliminary(beside, coherent=True, active=touches))
+        return Hit(
+            dr.select(touches, found.valid, hit.valid), dr.select(touches, found.distance, hit.distance),
+            dr.select(touches, found.face, hit.face), dr.select(touches, found.surface, hit.surface),
+        )  # fmt: skip
 
     def record(self, face, active=True):
         """Return the records of faces, as two Vector4f: the gradient of the column and its offset, and the row's."""
@@ -208,8 +228,7 @@ class Geometry:
     @cached_property
     def normals(self):
         """Unit normals of all faces, Channels; zero where a face has no area."""
-        normal = of_faces(self.surfaces, _across, (3,), np.float64)
-        return Channels(self.mi, normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300))
+        return Channels(self.mi, of_faces(self.surfaces, _unit_across, (3,)))
 
     def face_of_texel(self):
         """Return the face that covers each texel's centre, UInt32 over all texels; `face_count` where there is none.
@@ -384,6 +403,12 @@ def _across(surface, part):
     """Vectors across faces, twice as long as these are large."""
     corner = surface.vertices[surface.faces[part]]
     return np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+
+
+def _unit_across(surface, part):
+    """Unit normals of faces; zero where a face has no area."""
+    normal = _across(surface, part)
+    return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
 
 
 def _mapped_area(surface, part):

@@ -13,7 +13,7 @@ from thermorender.physics.planck import band_radiance, spectral_radiance
 from thermorender.render.geometry import view_ray
 from thermorender.render.mirrors import directional
 from thermorender.render.spectrum import REFERENCE_K
-from thermorender.scene.surface import BACKGROUND
+from thermorender.scene.surface import BACKGROUND, BEHIND
 
 NO_MATERIAL = 255
 
@@ -33,7 +33,7 @@ def truth(baked, rays, pose, placements):
     scene, camera, layers = baked.scene, rays.camera, baked.device.layers(pose, placements)
     warm = [placement.temperature for placement in placements]
     by_angle = directional(scene.materials)
-    valid, number, up, cosine, depth, position = pixel_middles(layers, rays, bool(by_angle))
+    valid, number, up, cosine, depth, position = pixel_middles(layers, rays, facing=True)
     dynamic = [surface for tracked in scene.tracked_objects for surface in tracked.surfaces]
     flags, material = (
         np.concatenate([getattr(surface, which).ravel() for surface in (*scene.surfaces, *dynamic)])[number]
@@ -49,18 +49,18 @@ def truth(baked, rays, pose, placements):
         wavelength, weight = quadrature(*band_um)
         share = spectral_radiance(wavelength, REFERENCE_K) * weight / band_radiance(REFERENCE_K, *band_um)
         table = scene.materials[one].emissivity_at_angle(wavelength, COSINES[:, None]) @ share
-        emissivity[here] = np.interp(cosine[here], COSINES, table)
+        emissivity[here] = np.interp(np.abs(cosine[here]), COSINES, table)
     return {
         "kinetic_temperature": np.where(valid, temperature, np.nan).astype(np.float32),
         "emissivity": np.where(valid, emissivity, np.nan).astype(np.float32),
         "material": np.where(valid, material, NO_MATERIAL).astype(np.uint8),
         "depth": np.where(valid, depth, np.inf).astype(np.float32),
         "position": np.where(valid[..., None], np.stack(position, axis=-1), np.nan).astype(np.float32),
-        "mask": np.where(valid, flags, np.where(up, 0, BACKGROUND)).astype(np.uint8),
+        "mask": np.where(valid, flags | np.where(cosine < 0, BEHIND, 0), np.where(up, 0, BACKGROUND)).astype(np.uint8),
     }
 
 
-def pixel_middles(layers, rays, by_angle=False):
+def pixel_middles(layers, rays, facing=False):
     """Return what the middles of pixels show, as images (H, W): valid, texel, up, cosine, depth, position.
 
     Parameters
@@ -68,7 +68,7 @@ def pixel_middles(layers, rays, by_angle=False):
     layers : sequence of Layer
         Of a view: the static scene's and those of dynamic objects.
     rays : CameraRays
-    by_angle : bool
+    facing : bool
         Whether the cosine between normal and view is asked for.
 
     Returns
@@ -80,7 +80,7 @@ def pixel_middles(layers, rays, by_angle=False):
     up : bool
         Whether the ray does not point below the horizon.
     cosine, depth : float32
-        Of the angle at the surface; along the optical axis [m], infinity where nothing is hit.
+        Of the angle at the surface, below 0 on its back; along the optical axis [m], infinity where nothing is hit.
     position : list of three float32
         In the local frame [m].
     """
@@ -91,13 +91,13 @@ def pixel_middles(layers, rays, by_angle=False):
     for layer in layers:
         geometry = layer.geometry
         ray = view_ray(mi, *layer.view, *slope)
-        hit = geometry.cast(ray, coherent=True)
+        hit = geometry.seen(ray)
         column, row = geometry.map_position(geometry.record(hit.face, hit.valid), ray.o + hit.distance * ray.d)
         nearer = hit.distance < distance
         found = first + geometry.nearest(hit.surface, column, row, hit.valid)
         texel, distance = dr.select(nearer, found, texel), dr.minimum(distance, hit.distance)
-        if by_angle:
-            slant = dr.abs(dr.dot(mi.Vector3f(*geometry.normals.at(hit.face, hit.valid)), ray.d))
+        if facing:
+            slant = -dr.dot(mi.Vector3f(*geometry.normals.at(hit.face, hit.valid)), ray.d)
             cosine = dr.select(nearer, slant, cosine)
         valid |= nearer
         first += int(geometry.texel_start[-1])

@@ -2,7 +2,7 @@
 
 Both are brought onto the elevation's map (or the UTM zone, where that is in degrees), cut to the area they
 share, and thinned where they exceed the size limits. What is empty stays marked: NaN heights leave holes in the
-mesh, and the orthophoto's empty borders become its mask.
+mesh, unless the scene fills their islands, and the orthophoto's empty borders become its mask.
 """
 
 from pathlib import Path
@@ -14,7 +14,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.files import atomic_folder, check_new_folder, write_text
 from thermorender.scene.raster import Grid, bounds_in, grid_of, lon_lat, onto, read_colour
 from thermorender.scene.surface import scene_kelvin
-from thermorender.scene.terrain import read_elevation
+from thermorender.scene.terrain import filled, read_elevation
 from thermorender.schema import toml_text
 
 DEFAULT_VERTICES = 4_000_000
@@ -23,7 +23,7 @@ DEFAULT_TEXELS = 8192
 
 def import_terrain(elevation, orthophoto, folder, max_vertices=DEFAULT_VERTICES, max_texels=DEFAULT_TEXELS,
                    height_reference=None, geoid_undulation_m=None, model=defaults.TEMPERATURE_MAP, material="soil_loam",
-                   sky_temperature=255.0):  # fmt: skip
+                   sky_temperature=255.0, fill=False):  # fmt: skip
     """Write a scene folder and return a summary of what was done to the rasters.
 
     Parameters
@@ -46,11 +46,14 @@ def import_terrain(elevation, orthophoto, folder, max_vertices=DEFAULT_VERTICES,
         Material of the ground.
     sky_temperature : float
         [K].
+    fill : bool
+        Whether the scene fills islands of missing heights from around and flags them in the truth mask.
 
     Returns
     -------
     dict
-        crs, posts, post_m, texels, texel_m, share_without_height, share_without_colour.
+        crs, posts, post_m, texels, texel_m, height_reference, share_without_height, share_filled (of the posts),
+        share_without_colour.
 
     Raises
     ------
@@ -109,11 +112,14 @@ def import_terrain(elevation, orthophoto, folder, max_vertices=DEFAULT_VERTICES,
     if not valid.any():
         raise ThermorenderError(f"{orthophoto} is empty where {elevation} lies; give an orthophoto of the same area")
 
+    known = np.isfinite(height)
+    after = np.isfinite(filled(height)[0]) if fill else known
     text = toml_text(
         {
             "title": Path(folder).resolve().name,
             "terrain": {"elevation": "elevation.tif", "orthophoto": "orthophoto.tif",
-                        "height_reference": height_reference, "geoid_undulation_m": geoid_undulation_m},
+                        "height_reference": height_reference, "geoid_undulation_m": geoid_undulation_m,
+                        "fill": fill or None},
             "temperature": {"source": "learned", "model": model},
             "emissivity": {"source": "material", "material": material},
             "sky": {"temperature": sky_temperature},
@@ -132,7 +138,8 @@ def import_terrain(elevation, orthophoto, folder, max_vertices=DEFAULT_VERTICES,
         "texels": [texels.height, texels.width],
         "texel_m": _step(crs, texels),
         "height_reference": height_reference,
-        "share_without_height": float(1.0 - np.isfinite(height).mean()),
+        "share_without_height": float(1.0 - after.mean()),
+        "share_filled": float((after & ~known).mean()),
         "share_without_colour": float(1.0 - valid.mean()),
     }
 

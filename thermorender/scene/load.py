@@ -628,6 +628,7 @@ def _raster_terrain(
     height, grid = terrain.read_elevation(source.elevation)
     if source.height_reference == "geoid":
         height = height + (source.geoid_undulation_m or 0.0)
+    height, made = terrain.filled(height) if source.fill else (height, None)
     frame = LocalFrame(*spec.frame) if spec.frame else terrain.frame_of(height, grid)
     texels = _texel_grid(spec, grid)
     if texels.crs != grid.crs:
@@ -672,6 +673,8 @@ def _raster_terrain(
     if not valid.all():
         index = nearest_valid(valid)
         colour, material = fill(colour, index), fill(material, index)
+    if made is not None:
+        valid &= onto(made.astype(np.float32), grid, texels, "max") != 1.0
     surface = Surface(
         name="terrain",
         vertices=vertices,

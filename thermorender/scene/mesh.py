@@ -12,12 +12,11 @@ import numpy as np
 
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.paths import inside
+from thermorender.physics.geodesy import FARTHEST_M
 from thermorender.scene.surface import MOST_TEXELS
 
 # Archives, which trimesh would read too, bring files of their own.
 FORMATS = (".obj", ".glb", ".gltf", ".ply", ".stl", ".off")
-# Farther away than any coordinate on a map of the Earth.
-_FARTHEST_M = 2e7
 # Kinds of Pillow's images; it would run a program of the machine for some others. None is made by trimesh.
 _IMAGE_FORMATS = ("PNG", "JPEG", "MPO", "WEBP", "TIFF", "BMP", "GIF", "TGA", None)
 _IMAGE = f"give a whole PNG or JPEG image of up to {MOST_TEXELS} pixels"
@@ -57,8 +56,9 @@ def load(path, folder=None):
     Raises
     ------
     ThermorenderError
-        A file trimesh cannot read, one without triangles of any area, an image texture without map coordinates,
-        or a file that is named but missing, broken, too large or elsewhere.
+        A file trimesh cannot read, one without triangles of any area, vertices 100 km from the origin, an image texture
+        without map coordinates or repeated too often, or a file that is named but missing, broken, too large or
+        elsewhere.
     """
     path = Path(path)
     if path.suffix.lower() not in FORMATS:
@@ -169,14 +169,12 @@ def _parts(path, named):
         faces = np.array(geometry.faces, dtype=np.int32)
         if np.linalg.det(matrix[:3, :3]) < 0.0:
             faces = faces[:, ::-1]
-        if not (np.abs(vertices) <= _FARTHEST_M).all():
+        if not (np.abs(vertices) <= FARTHEST_M).all():
             raise ThermorenderError(
-                f"{path} has a vertex that is not finite or lies beyond {_FARTHEST_M / 1e3:g} km; export the mesh "
-                "again, in metres"
+                f"{path} has a vertex that is not finite or lies more than {FARTHEST_M / 1e3:g} km from its origin; "
+                "export the mesh again, in metres, and if in coordinates of a map, with an origin beside it"
             )
         uv, colour = _texture(geometry, faces, path)
-        if not np.isfinite(uv).all():
-            raise ThermorenderError(f"{path} has a map coordinate that is not finite; export the mesh again")
         parts.append(Part(f"{path.stem}:{node}", vertices, faces, uv, colour))
     if not any(_has_area(part) for part in parts):
         raise ThermorenderError(f"{path} holds no triangles of any area; give a mesh with faces")
@@ -226,7 +224,27 @@ def _texture(geometry, faces, path):
         raise ThermorenderError(f"{path} has a texture but no map coordinates for it; export the mesh with UVs")
     uv = np.array(visual.uv, dtype=np.float32)[faces]
     uv[..., 1] = 1.0 - uv[..., 1]
-    return uv, _pixels(image, path)
+    if not np.isfinite(uv).all():
+        raise ThermorenderError(f"{path} has a map coordinate that is not finite; export the mesh again")
+    return _repeated(uv, _pixels(image, path), path)
+
+
+def _repeated(uv, colour, path):
+    """(uv within 0…1, colour image): beyond, the image goes on from its other side, as often as any face spans it."""
+    size = np.array(colour.shape[1::-1])
+    # Up to half a texel outside nothing but the texel at the edge is shown.
+    slack = 0.5 / size
+    if ((uv >= -slack) & (uv <= 1.0 + slack)).all():
+        return np.clip(uv, 0.0, 1.0), colour
+    uv = uv - np.floor(uv.min(axis=1, keepdims=True) + slack)
+    times = np.maximum(np.ceil(uv.max(axis=(0, 1)) - slack), 1.0)
+    if not (size * times).prod() <= MOST_TEXELS:
+        raise ThermorenderError(
+            f"{path} has a face over {times[0]:.0f}×{times[1]:.0f} repeats of its texture, {size[0]}×{size[1]}, where "
+            f"{MOST_TEXELS} texels are the most; bake the texture, or cut the faces"
+        )
+    columns, rows = times.astype(int)
+    return np.clip(uv / times, 0.0, 1.0).astype(np.float32), np.tile(colour, (rows, columns, 1))
 
 
 def _pixels(image, name):

@@ -108,17 +108,23 @@ def _needed(where, values, needs):
 
 @dataclass(frozen=True)
 class TerrainSpec:
-    """Ground of the scene: an elevation raster with an orthophoto, or one textured mesh."""
+    """Ground of the scene: an elevation raster with an orthophoto, or one textured mesh.
+
+    `fill` has islands of missing heights filled from around, and flagged in the truth mask; else they are holes.
+    """
 
     elevation: Path | None = key(raster_inside, None)
     mesh: Path | None = key(file_inside, None)
     orthophoto: Path | None = key(raster_inside, None)
     height_reference: str = key(choice("ellipsoid", "geoid"), "ellipsoid")
     geoid_undulation_m: float | None = key(number(), None)
+    fill: bool = key(flag, False)
 
     def check(self, where, given):
-        """Refuse none or two kinds of ground."""
+        """Refuse none or two kinds of ground, and islands of heights to fill where there is no raster of them."""
         where.exactly_one(given, ("elevation", "mesh"))
+        if self.mesh and self.fill:
+            raise where.error("terrain.fill fills islands of an elevation raster, and this is a mesh; leave it out")
         if self.mesh and self.orthophoto:
             raise where.error("terrain.orthophoto needs 'elevation'; a mesh brings its own texture")
 

@@ -9,12 +9,13 @@ from thermorender.units import kelvin
 
 # Flags of texels, and of the pixels that show them (the truth mask of a frame).
 SURFACE = 1  # something of the scene is there
-FILLED = 2  # no colour or material is known here; the nearest valid texel stands in
+FILLED = 2  # no colour, material or height is known here; the nearest valid texel, or the posts around, stand in
 FALLBACK = 4  # no temperature could be had here: the nearest one, or the material's own where a learned map fails
 SATURATED = 8  # the sensor's range is exceeded
 BACKGROUND = 16  # no surface is hit but the ray points below the horizon: the black background beyond the terrain
 UNKNOWN = 32  # a learned emissivity map does not know this material: the scene's fallback stands in
 UNMOVED = 64  # a map could not be moved to this instant: the heat balance stands in, or the map tells little
+BEHIND = 128  # a surface's back: the camera is below ground or in a body, or normals are flipped; light is the front's
 
 # Pixels of a raster or a texture, 23 170²: what reading needs of them at once, up to 30 bytes each, fits into 16 GB.
 MOST_TEXELS = 2**29

@@ -41,6 +41,27 @@ def read_elevation(path):
     return height, grid
 
 
+def filled(height):
+    """Return (heights (h, w) with their islands filled, posts of the cells that this makes (h, w) bool).
+
+    An island is missing posts that known ones enclose; what reaches the raster's edge stays missing. Heights are linear
+    on the triangles (Delaunay's) of the posts round the islands, so that a slope goes on as it is.
+    """
+    from scipy.interpolate import LinearNDInterpolator
+    from scipy.ndimage import binary_dilation, label
+
+    missing, near = ~np.isfinite(height), np.ones((3, 3))
+    areas, _ = label(missing, near)
+    edge = np.concatenate([areas[0], areas[-1], areas[:, 0], areas[:, -1]])
+    island = missing & ~np.isin(areas, edge)
+    if not island.any():
+        return height, island
+    made = binary_dilation(island, near)
+    rim, height = made & ~missing, height.copy()
+    height[island] = LinearNDInterpolator(np.argwhere(rim), height[rim])(np.argwhere(island))
+    return height, made
+
+
 def frame_of(height, grid):
     """Return the LocalFrame at the centre of an elevation raster, at its median height rounded to metres."""
     x, y = grid.to_map(grid.width / 2, grid.height / 2)

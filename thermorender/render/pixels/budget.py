@@ -75,7 +75,7 @@ def _light(baked, rays, pose, every):
     """Error of the light on what every so many pixels show, in the order of `rays` [mK]; NaN where nothing is hit."""
     device, mi = baked.device, baked.device.geometry.mi
     slope = rays.slopes(0.5, 0.5, dr.arange(mi.UInt32, 0, len(rays.order), every))
-    hit = device.geometry.cast(view_ray(mi, *opaque_view(mi, pose), *slope))
+    hit = device.geometry.seen(view_ray(mi, *opaque_view(mi, pose), *slope))
     square = np.zeros(len(slope[0]))
     if device.face_error is not None:
         shown = np.array(dr.gather(mi.Float, device.face_error, hit.face, hit.valid), dtype=np.float64)

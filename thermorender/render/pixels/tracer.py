@@ -241,7 +241,7 @@ class Tracer:
         mi, geometry, outgoing = self._mi, layer.geometry, layer.outgoing
         rotation, origin = layer.view
         ray = view_ray(mi, rotation, origin, *cell.slope)
-        hit = geometry.cast(ray, coherent=True)
+        hit = geometry.seen(ray)
         record = geometry.record(hit.face, hit.valid)
         position = geometry.map_position(record, ray.o + hit.distance * ray.d)
         on_map = OnMap.of(mi, rotation, ray.d, hit.distance, record, cell)

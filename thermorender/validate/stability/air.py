@@ -7,7 +7,7 @@ import numpy as np
 
 from thermorender.atmosphere.emission import TOP_M
 from thermorender.atmosphere.model import HIGHEST_CAMERA_M, Atmosphere
-from thermorender.atmosphere.rays import horizon_cos_zenith
+from thermorender.atmosphere.rays import EARTH_RADIUS_M, horizon_cos_zenith
 from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
@@ -58,13 +58,24 @@ def path(range_m):
     return Found(seen(isothermal(), KELVIN, 2e4, 2e4, range_m), KELVIN, ROUNDING_K)
 
 
+@case("air", "isothermal air, path {}", ("that grazes the ground, from 10 km to 10 km",
+      "from the ground straight up to 30 km", "along the horizon of 2 m"))  # fmt: skip
+def grazing(which):
+    """As above: τ B + L_path = B; the first is 714 km long and touches sea level, as a chord of the Earth does."""
+    reach = np.sqrt(1e4 * (2.0 * EARTH_RADIUS_M + 1e4))
+    ends = {"that": (1e4, 1e4, 2.0 * reach), "from": (0.0, 3e4, 3e4),
+            "along": (2.0, 0.0, np.sqrt(2.0 * (2.0 * EARTH_RADIUS_M + 2.0)))}  # fmt: skip
+    return Found(seen(isothermal(), KELVIN, *ends[which.partition(" ")[0]]), KELVIN, ROUNDING_K)
+
+
 @case("air", "black wall of 310 K through {:g} m of air of 290 K", (0.0, 1e-6))
 def near(range_m):
     """Nothing lies between: the wall is seen as it is."""
     return Found(seen(isothermal(), _WALL_K, 1000.0, 1000.0, range_m), _WALL_K, ROUNDING_K)
 
 
-@case("air", "black wall of 310 K behind even air of 290 K, optical depth {:g}", (0.0, 1e-12, 1e-3, 1.0, 30.0, 1e4))
+@case("air", "black wall of 310 K behind even air of 290 K, optical depth {:g}",
+      (0.0, 1e-12, 1e-9, 1e-3, 1.0, 30.0, 50.0, 1e4))  # fmt: skip
 def depth(thick):
     """e^(−d) B(310 K) + (1 − e^(−d)) B(290 K), level over a kilometre."""
     wall, air = band_radiance(np.array([_WALL_K, KELVIN]), *BAND_UM)

@@ -1,33 +1,103 @@
 """Stability of radiance: Planck's law and its inverse, light in cavities, terrain far from the origin."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
 from thermorender.defaults import BAND_UM
 from thermorender.materials.library import grey
+from thermorender.materials.mixture import mix
+from thermorender.physics.balance import STEFAN_BOLTZMANN
 from thermorender.physics.band import emitted_radiance
-from thermorender.physics.planck import band_radiance, band_radiance_derivative, brightness_temperature
+from thermorender.physics.planck import (
+    C2,
+    band_radiance,
+    band_radiance_derivative,
+    brightness_temperature,
+    spectral_radiance,
+)
 from thermorender.physics.surface import kinetic_temperature, reflected_radiance
+from thermorender.validate.stability.air import refused
 from thermorender.validate.stability.cases import Found, case
 
 # Some ulp of radiance: what its integral may err by in the 64 terms of its sum.
 ROUNDING = 64.0 * np.finfo(float).eps
+# A line, the camera's band and nearly all there is [µm].
+_WHOLE = (1e-3, 10.0), (10.0, 1e7)
+_LAWS = [(kelvin, band) for kelvin in (2.0, 10.0, 100.0, 300.0, 3000.0, 1e4)
+         for band in ((10.0, 10.000001), BAND_UM, (1e-3, 1e7))] + [(1.0, (1e-3, 1e7))]  # fmt: skip
 
 
-@case("light", "Planck's law and back, {:g} K", (2.0, 10.0, 100.0, 300.0, 3000.0, 10000.0))
-def there_and_back(kelvin):
+def _kelvin(radiance):
+    return float(brightness_temperature(radiance, *BAND_UM))
+
+
+@case("light", "Planck's law and back, {0[0]:g} K, {0[1][0]:g} to {0[1][1]:.8g} µm", _LAWS)
+def there_and_back(law):
     """An error of radiance δL/L is one of T δL / (dL/dT), here for its rounding."""
+    kelvin, band = law
+    radiance = band_radiance(kelvin, *band)
+    allowed = (np.spacing(radiance) + ROUNDING * radiance) / band_radiance_derivative(kelvin, *band)
+    return Found(float(brightness_temperature(radiance, *band)), kelvin, float(allowed))
+
+
+@case("light", "Planck's law and back, 1 K in the camera's band, whose radiance float64 does not hold")
+def too_faint():
+    """0, and back 0 K; allowed is the temperature of the least number there is."""
+    return Found(brightness_temperature(band_radiance(1.0, *BAND_UM), *BAND_UM), 1.0, _kelvin(5e-324))
+
+
+@case("light", "Planck's law and back, in single precision, {:g} K", (100.0, 300.0, 3000.0, 10000.0))
+def single_precision(kelvin):
+    """Half an ulp of radiance, 2⁻²⁴ of it."""
     radiance = band_radiance(kelvin, *BAND_UM)
-    allowed = ROUNDING * radiance / band_radiance_derivative(kelvin, *BAND_UM)
-    return Found(float(brightness_temperature(radiance, *BAND_UM)), kelvin, float(allowed))
+    allowed = 2.0**-24 * radiance / band_radiance_derivative(kelvin, *BAND_UM)
+    return Found(_kelvin(np.float32(radiance)), kelvin, float(allowed))
 
 
-@case("light", "all wavelengths against Stefan and Boltzmann, {:g} K", (10.0, 300.0, 10000.0))
+@case("light", "blackbody of a radiance of {:.0e} W m⁻² sr⁻¹, and back", (0.0, 1e-320, 1e-300, 1.0, 1e300))
+def any_radiance(radiance):
+    """Error of radiance, as kelvin. Allowed is its ulp, 64 ulp of the logarithm it is inverted by, and that of e⁻ˣ.
+
+    Of 1e-320 there are 2000 ulp, and of its e⁻ˣ 400.
+    """
+    kelvin = brightness_temperature(radiance, *BAND_UM)
+    if not radiance:
+        return Found(kelvin, 0.0, 0.0)
+    slope = band_radiance_derivative(kelvin, *BAND_UM)
+    least = np.spacing(0.0) / np.exp(-C2 / (BAND_UM[1] * kelvin))
+    allowed = np.spacing(radiance) + (max(1.0, -np.log(radiance)) * ROUNDING + least) * radiance
+    return Found(float((band_radiance(kelvin, *BAND_UM) - radiance) / slope), 0.0, float(allowed / slope))
+
+
+@case("light", "a band of 1 pm against the line in its middle, {:g} K", (3.0, 300.0, 10000.0))
+def line(kelvin):
+    """Its radiance is the line's times its width: nothing cancels. With x = c₂/(λT) e⁻ˣ errs by x ulp, and bends.
+
+    The mean over a width of w is off by (x w/λ)²/24.
+    """
+    band = 10.0, 10.0 + 1e-6
+    middle, width = 0.5 * (band[0] + band[1]), band[1] - band[0]
+    slope = band_radiance_derivative(kelvin, *band)
+    x = max(5.0, C2 / (10.0 * kelvin))
+    radiance = band_radiance(kelvin, *band)
+    off = radiance - width * spectral_radiance(middle, kelvin)
+    return Found(float(off / slope), 0.0, float((x * ROUNDING + (1e-7 * x) ** 2 / 24.0) * radiance / slope))
+
+
+@case("light", "all wavelengths against Stefan and Boltzmann, {:g} K", (1.0, 10.0, 300.0, 10000.0))
 def whole_spectrum(kelvin):
     """π L = σ T⁴, to a part in 10⁹: what lies beyond 1 nm and 10 m."""
-    total = sum(band_radiance(kelvin, *band) for band in ((1e-3, 10.0), (10.0, 1e7)))
-    return Found(float((np.pi * total / 5.670374419e-8) ** 0.25), kelvin, 0.25e-9 * kelvin)
+    total = sum(band_radiance(kelvin, *band) for band in _WHOLE)
+    return Found(float((np.pi * total / STEFAN_BOLTZMANN) ** 0.25), kelvin, 0.25e-9 * kelvin)
+
+
+@case("light", "slope over all wavelengths against Stefan and Boltzmann, {:g} K", (1.0, 300.0, 10000.0))
+def whole_slope(kelvin):
+    """π dL/dT = 4 σ T³, as the temperature that has this slope."""
+    total = sum(band_radiance_derivative(kelvin, *band) for band in _WHOLE)
+    return Found(float((np.pi * total / (4.0 * STEFAN_BOLTZMANN)) ** (1.0 / 3.0)), kelvin, 1e-9 / 3.0 * kelvin)
 
 
 @case("light", "kinetic temperature behind a reflected sky, emissivity {:g}", (0.98, 0.5, 0.2))
@@ -41,7 +111,34 @@ def inversion(emissivity):
     return Found(float(kinetic_temperature(seen, same, 250.0, BAND_UM, (200.0, 400.0))), 300.0, 1e-3 / emissivity)
 
 
-@case("light", "closed cavity of 300 K, emissivity {:g}", (0.9, 0.1, 0.001))
+@case("light", "level ground of 300 K under a sky of 255 K, emissivity {:g}", (0.0, 1e-6, 1e-3, 0.5, 1.0))
+def plane(emissivity):
+    """ε B(T) + (1 − ε) B(T_sky), the solver asked for a millikelvin; in single precision."""
+    return _plane(grey("ground", emissivity), emissivity)
+
+
+@case("light", "level ground of 300 K under a sky of 255 K, a quarter a mirror's emissivity of 0, the rest black")
+def mixture():
+    """A mix is as its mean emissivity by area."""
+    return _plane(mix([(grey("dark", 1.0), 0.75), (grey("bright", 0.0), 0.25)]), 0.75)
+
+
+def _plane(material, emissivity):
+    from thermorender.render.renderer import Renderer
+    from thermorender.trajectory.path import pose
+    from thermorender.validate.bench import in_memory
+    from thermorender.validate.budget.cases import level
+
+    ground = level(200.0, np.zeros((1, 1), int), np.full((1, 1), 300.0))
+    scene = in_memory("plane", (ground,), (material,), sky=255.0, surroundings=280.0)
+    image = Renderer(scene, rays=64, tolerance_mk=1.0, device="cpu").radiance(pose(0.0, 0.0, 30.0, pitch_deg=-90.0))
+    black, sky = band_radiance(np.array([300.0, 255.0]), *BAND_UM)
+    expected = emissivity * black + (1.0 - emissivity) * sky
+    worst = image.flat[np.argmax(np.abs(image - expected))]
+    return Found(_kelvin(float(worst)), _kelvin(expected), 1e-3)
+
+
+@case("light", "closed cavity of 300 K, emissivity {:g}", (0.9, 0.1, 0.001, 1e-6))
 def closed(emissivity):
     """A wall of any emissivity looks black; the solver is asked for 1 mK, where 0.001 needs thousands of bounces."""
     from thermorender.validate.cavity import measure
@@ -49,25 +146,75 @@ def closed(emissivity):
     return Found(300.0 + 1e-3 * measure("closed", 0.0, emissivity, 16, "cpu")["error_mk"], 300.0, 1e-3)
 
 
-@case("light", "cavity with a tenth open to 250 K, emissivity {:g}", (0.9, 0.1, 0.001))
-def open_cavity(emissivity):
-    """Closed form of the sphere; four standard errors of the share s of 0.1 that the rays of all faces see open.
+@case("light", "closed cavity of emissivity 0 is refused")
+def closed_mirror():
+    """It has no temperature of its own to be seen."""
+    from thermorender.validate.cavity import measure
+
+    with np.errstate(invalid="ignore"):
+        return refused(lambda: measure("closed", 0.0, 0.0, 16, "cpu"), "never leaves")
+
+
+@case("light", "cavity with {0[0]:g} of its wall open to 250 K, emissivity {0[1]:g}",
+      list(product((0.1, 1e-3), (0.9, 0.1, 0.001))))  # fmt: skip
+def open_cavity(setting):
+    """Closed form of the sphere; four standard errors of the share s that the rays of all faces see open.
 
     With emissivity ε and N rays s errs by √(s(1−s)/N), the radiance by its slope in s times that; a millikelvin more
     for the solver.
     """
     from thermorender.validate.cavity import measure
 
-    found = measure("open", 0.1, emissivity, 64, "cpu")["mean_mk"]
+    share, emissivity = setting
+    found = measure("open", share, emissivity, 64, "cpu")["mean_mk"]
     black, sky = band_radiance(300.0, *BAND_UM), band_radiance(250.0, *BAND_UM)
 
     def wall(s):
         received = ((1 - s) * emissivity * black + s * sky) / (1 - (1 - emissivity) * (1 - s))
         return emissivity * black + (1 - emissivity) * received
 
-    rays = 64 * 5120 * 0.9
-    noise = 4.0 * np.sqrt(0.1 * 0.9 / rays) * abs(wall(0.1005) - wall(0.0995)) / 1e-3
+    rays = 64 * 5120 * (1.0 - share)
+    noise = 4.0 * np.sqrt(share * (1.0 - share) / rays) * abs(wall(1.005 * share) - wall(0.995 * share))
+    noise /= 0.01 * share
     return Found(1e-3 * found, 0.0, float(noise / band_radiance_derivative(300.0, *BAND_UM)) + 1e-3)
+
+
+@case("light", "cavity of 3000 K and emissivity 0.5, closed by a black wall of 100 K: {}", ("the wall", "the cavity"))
+def fire_and_ice(which):
+    """The wall is black and shows none of the cavity's light, a million times its own; the cavity lacks what it takes.
+
+    x = ((1−s) ε B₁ + s B₂) / (1 − (1−ε)(1−s)) of a sphere; four standard errors of s, and an ulp of single precision.
+    """
+    import trimesh
+
+    from thermorender.render.renderer import Renderer
+    from thermorender.trajectory.path import pose
+    from thermorender.validate.bench import in_memory
+    from thermorender.validate.stability.geometry import mesh
+
+    ball = trimesh.creation.icosphere(subdivisions=4)
+    ball.invert()
+    wall = ball.triangles_center[:, 2] < -0.8
+    hot, cold = (
+        replace(mesh(ball.vertices, ball.faces[part], kelvin=((kelvin,),), name=name),
+                material=np.full((1, 1), number, np.uint8))
+        for number, (name, part, kelvin) in enumerate((("cavity", ~wall, 3000.0), ("wall", wall, 100.0)))
+    )  # fmt: skip
+    scene = in_memory("fire", (hot, cold), (grey("cavity", 0.5), grey("wall", 1.0)), sky=250.0, surroundings=250.0)
+    looks = pose(0.0, 0.0, 0.0, pitch_deg=-90.0 if which == "the wall" else 90.0)
+    image = Renderer(scene, rays=64, tolerance_mk=1.0, device="cpu").radiance(looks)
+    fire, ice = band_radiance(np.array([3000.0, 100.0]), *BAND_UM)
+    if which == "the wall":
+        allowed = 2.0**-23 * ice / band_radiance_derivative(100.0, *BAND_UM)
+        return Found(_kelvin(float(image.max())), 100.0, float(allowed))
+    share = float(ball.area_faces[wall].sum() / ball.area)
+
+    def seen(s):
+        return 0.5 * (fire + ((1.0 - s) * 0.5 * fire + s * ice) / (1.0 - 0.5 * (1.0 - s)))
+
+    expected, noise = seen(share), 4.0 * np.sqrt(share * (1.0 - share) / (64 * 5120))
+    allowed = _kelvin(expected) - _kelvin(seen(share + noise))
+    return Found(_kelvin(image.mean(dtype=np.float64)), _kelvin(expected), allowed)
 
 
 @case("light", "terrain {:g} km from the origin, straight down", (5.0, 50.0))

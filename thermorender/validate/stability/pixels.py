@@ -1,13 +1,20 @@
-"""Stability of pixels: what is far smaller than one, textures of one texel and of thousands along a side."""
+"""Stability of pixels: what is far smaller than one, textures of one texel and of thousands along a side, °C as K."""
 
+import tempfile
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from thermorender.defaults import BAND_UM
+from thermorender.files import write_text
 from thermorender.materials.library import grey, load_library
 from thermorender.physics.band import emitted_radiance
 from thermorender.physics.planck import band_radiance, brightness_temperature
+from thermorender.scene.load import load_scene
+from thermorender.schema import toml_text
+from thermorender.sensor.display import DisplaySettings
+from thermorender.validate.stability.air import refused
 from thermorender.validate.stability.cases import Found, case
 
 _GROUND_K = 290.0
@@ -82,3 +89,40 @@ def hot_texel(up):
     difference = (frame.radiance - converged(renderer, pose, {"device": "cpu"}))[np.isfinite(frame.error_mk)]
     found = float(np.sqrt(np.mean(np.square(difference, dtype=np.float64)))) / renderer.plan.radiance_per_mk
     return Found(1e-3 * found, 0.0, 1e-3 * frame.budget_mk["total"])
+
+
+@case("pixels", "-273 typed as {} is refused",
+      ("temperature.value", "temperature.materials", "sky", "surroundings", "object"))  # fmt: skip
+def celsius(where):
+    """In one sentence, which tells to add 273.15; 0 K is a sky's alone."""
+    wrong = dict.fromkeys(("value", "sky", "surroundings", "object"), 290.0) | {where.rpartition(".")[2]: -273.0}
+    temperature = {"source": "constant", "value": wrong["value"]}
+    if where == "temperature.materials":
+        temperature = {"source": "material", "materials": {"soil_loam": -273.0}}
+    text = {
+        "title": "typed", "terrain": {"mesh": "ground.obj"}, "temperature": temperature,
+        "emissivity": {"source": "material", "material": "soil_loam"}, "sky": {"temperature": wrong["sky"]},
+        "surroundings": {"temperature": wrong["surroundings"]},
+        "object": [{"name": "box", "shape": "box", "size": [1.0, 1.0, 1.0], "position": [0.0, 0.0, 0.0],
+                    "temperature": wrong["object"], "material": "paint_black"}],
+    }  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        write_text(Path(folder) / "ground.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+        write_text(Path(folder) / "scene.toml", toml_text(text))
+        return refused(lambda: load_scene(folder), "add 273.15 to °C")
+
+
+@case("pixels", "a raster of -273 is refused")
+def celsius_raster():
+    """As one of °C is that somebody took for kelvin."""
+    from thermorender.validate.stability.geometry import land
+
+    return refused(lambda: land(np.zeros((4, 4)), np.full((4, 4), -273.0), 1.0, (5e5, 5e6)), "add 273.15 to °C")
+
+
+@case("pixels", "a constant image displayed by {}: how far apart its darkest and its brightest byte are",
+      ("linear", "plateau", "local"))  # fmt: skip
+def constant(mode):
+    """Nothing is divided by a range of nothing; the counts are all the same, and so is what is shown."""
+    counts = np.full((64, 80), 7000, np.uint16)
+    return Found(float(np.ptp(DisplaySettings(mode=mode).image(counts)[1].astype(float))), 0.0, 0.0)
