@@ -192,9 +192,8 @@ class Exposure:
         """Return {name: array} of what the next frame depends on."""
         arrays = {"counts": self.last_counts} if self.sensor.camera.ffc_interval_s else {}
         if self.pixels is not None:
-            arrays |= {"time_s": np.float64(self.pixels.time_s)}
+            arrays |= {name: np.float64(getattr(self.pixels, name)) for name in ("time_s", "error_mk")}
             arrays |= {"signal": self.pixels.signal, "power": self.pixels.power}
-            arrays |= {"error_mk": np.float64(self.pixels.error_mk)}
         return arrays
 
     def restore(self, arrays):
@@ -202,7 +201,8 @@ class Exposure:
         self.last_counts = arrays.get("counts")
         self.pixels = None
         if "signal" in arrays:
-            self.pixels = PixelState(float(arrays["time_s"]), arrays["signal"], arrays["power"], float(arrays["error_mk"]))
+            time_s, error_mk = (float(arrays[name]) for name in ("time_s", "error_mk"))
+            self.pixels = PixelState(time_s, arrays["signal"], arrays["power"], error_mk)
 
     def _span_s(self):
         """A time constant; without one only the read-out of the rows takes time [s]."""

@@ -110,16 +110,18 @@ def _part(camera, pose_at, mover, since_s, until_s, margin_px, moved_s):
     warm = [mover.temperature_at(time_s) for time_s in times]
     if np.ptp(corners, axis=0).max() == 0.0 and np.ptp(warm) == 0.0:
         return None
-    pixel, size = [], np.array([camera.width, camera.height])
+    shown, size = [], np.array([camera.width, camera.height])
     for late_s in (0.0, -moved_s, moved_s) if moved_s else (0.0,):
         poses = [pose_at(time_s + late_s) for time_s in times]
         seen = [(corner - pose[:3, 3]) @ pose[:3, :3] for pose, corner in zip(poses, corners, strict=True)]
-        pixel.append(camera.project(np.array(seen)))
-    hidden, ghosts, pixel = np.isnan(pixel[0][..., 0]), pixel, pixel[0]
+        shown.append(camera.project(np.array(seen)))
+    pixel = shown[0]
+    hidden = np.isnan(pixel[..., 0])
     if hidden.all():
         return None
     # What is partly beside the camera may be anywhere.
-    least, most = (np.zeros(2), size) if hidden.any() else (end(ghosts, axis=(0, 1, 2)) for end in (np.nanmin, np.nanmax))
+    beside = hidden.any()
+    least, most = (np.zeros(2), size) if beside else (end(shown, axis=(0, 1, 2)) for end in (np.nanmin, np.nanmax))
     first = np.clip(np.floor(least) - margin_px, 0, size).astype(int)
     last = np.clip(np.ceil(most) + margin_px, 0, size).astype(int)
     if (first >= last).any():
