@@ -254,7 +254,8 @@ class Exposure:
         -------
         instants : int
         error_mk : float
-            Estimate: by how much it differs when followed through half the instants, root mean square [mK].
+            Estimate, root mean square: by how much it differs when followed through half the instants between bends; not
+            below that of their spacing [mK].
         """
         camera, since_s = self.sensor.camera, self._since(time_s, before)
         here = part.rows, part.columns
@@ -278,13 +279,14 @@ class Exposure:
         state, rows = None, plan.row_times_s[part.rows]
         if before is not None and before.time_s == times[0]:
             state = PixelState(before.time_s, before.signal[here], before.power[here])
-        # All at once, since powers are rendered; instants next to each other tell nothing of those left out.
+        # All at once, since powers are rendered; of two instants next to each other only one tells something.
+        kept = np.isin(times, [times[0], *part.bends_s])
         fine, *coarser = (_Follower(state, rows, camera.time_constant_s, signal[here].shape) for _ in range(3))
         for number, (at, power) in enumerate(powers()):
             last = number == len(times) - 1
             fine.step(at, power, last)
             for odd, coarse in enumerate(coarser):
-                if number % 2 == odd or number == 0 or last:
+                if number % 2 == odd or kept[number] or last:
                     coarse.step(at, power, last)
         signal[here] = fine.signal
         if self.pixels is not None:
@@ -294,7 +296,7 @@ class Exposure:
                 self.pixels = replace(self.pixels, **{name: whole})
         per_mk = gain * (1e-3 * band_radiance_derivative(NETD_REFERENCE_K, *camera.band_um))
         apart = [np.mean(((fine.signal - coarse.signal) / per_mk) ** 2) for coarse in coarser]
-        return len(times), float(np.sqrt(max(apart)))
+        return len(times), max(float(np.sqrt(max(apart))), _instants_mk(plan.spacing_px, motion) * contrast)
 
     def _static(self, time_s, power):
         time_constant_s, end_s = self.sensor.camera.time_constant_s, time_s + self._delays[-1]
