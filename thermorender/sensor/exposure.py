@@ -254,7 +254,7 @@ class Exposure:
         -------
         instants : int
         error_mk : float
-            Estimate, root mean square: by how much it differs when followed through half the instants between bends; not
+            Estimate, root mean square: by how much it differs through half the instants between bends, and not
             below that of their spacing [mK].
         """
         camera, since_s = self.sensor.camera, self._since(time_s, before)
