@@ -174,8 +174,9 @@ def test_what_warms_fast_is_followed_along_the_curve_of_its_radiance():
     kelvin = lambda t: float(np.interp(t, bends, [300.0, 500.0]))  # noqa: E731
     plate = Plate(lambda t: 0.0, warm=lambda t: (band_radiance(kelvin(t), *CAMERA.band_um) - GROUND) / SLOPE)
     plate.mover = Mover(plate.corners, kelvin, bends)
-    found, _, _ = flown(plate, 0.0, 9.0, 2)
+    found, how, _ = flown(plate, 0.0, 9.0, 2)
     expected = dense(plate, 0.0, 1.0 / 9.0, 9.0)
+    assert mk(found[-1] - expected) < how["lag_mk"]
     # A straight line over 0.1 s would err by 13 K; over 3 K nowhere by more than ⅛ 3² of a curvature of 0.0113 per K.
     assert np.abs(found[-1] - expected).max() / SLOPE < 9 / 8 * 0.0113 + 1e-3
 
@@ -242,7 +243,7 @@ def test_a_part_is_blurred_as_in_the_whole_image():
     whole = sensor.blurred(image)
     for top, bottom, left, right in ((60, 83, 101, 140), (0, 9, 230, 243), (180, 197, 3, 50)):
         rows, columns = slice(top, bottom), slice(left, right)
-        part = movers.Part(rows, columns, 1.0, np.zeros(0))
+        part = movers.Part(rows, columns, 1.0, np.zeros(0), np.zeros(0))
         wide = part.around(197, 243)
         seen = np.zeros_like(image)
         seen[wide] = sensor.blurred(image[wide])

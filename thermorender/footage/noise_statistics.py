@@ -321,5 +321,6 @@ def _gamma_median(count):
 
 def sigma_of(variance, error):
     """Return (standard deviation, uncertainty) of a variance, and of its own, that may come out below zero."""
-    sigma = np.sqrt(max(variance, 0.0))
-    return float(sigma), float(np.sqrt(max(variance, 0.0) + error) - sigma)
+    least, sigma, most = np.sqrt(np.maximum([variance - error, variance, max(variance, 0.0) + error], 0.0))
+    # A root falls faster than it grows.
+    return float(sigma), float(max(most - sigma, 0.5 * (most - least)))

@@ -264,7 +264,7 @@ class Exposure:
         # Behind what goes with the camera, the ground moves.
         motion = max(part.px_per_s * self._span_s(), motion, 1e-9)
         plan = self._schedule(time_s, motion, contrast, since_s, 0.0)
-        times = np.union1d(plan.times_s, part.bends_s)
+        times = np.unique([*plan.times_s, *part.bends_s, *part.warming_s])
         wide = part.around(camera.height, camera.width)
         inner = tuple(slice(a.start - b.start, a.stop - b.start) for a, b in zip(here, wide, strict=True))
         part_of = camera.part(*wide)

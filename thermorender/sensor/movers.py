@@ -51,13 +51,16 @@ class Part:
     px_per_s : float
         How fast they move in the image, at most, jumps apart [px/s].
     bends_s : (n,) float64
-        When their courses bend, and between that as they warm, rising [s].
+        When their courses bend, rising [s].
+    warming_s : (n,) float64
+        Between that, where they warm so much that their radiance curves, rising [s].
     """
 
     rows: slice
     columns: slice
     px_per_s: float
     bends_s: np.ndarray
+    warming_s: np.ndarray
 
     def around(self, height, width):
         """Return (rows, columns) that hold all that the lens spreads into this part, in whole squares of its tails."""
@@ -97,6 +100,7 @@ def parts(camera, pose_at, movers, since_s, until_s, margin_px, moved_s=0.0):
                 *(slice(min(a.start, b.start), max(a.stop, b.stop)) for a, b in _sides(part, other)),
                 max(part.px_per_s, other.px_per_s),
                 np.union1d(part.bends_s, other.bends_s),
+                np.union1d(part.warming_s, other.warming_s),
             )
         )
     return apart
@@ -129,13 +133,13 @@ def _part(camera, pose_at, mover, since_s, until_s, margin_px, moved_s):
     span = np.diff(times)
     lasting = np.minimum(span / (camera.time_constant_s or span), 1.0)
     steps = np.ceil(np.abs(np.diff(warm)) / _WARMING_K * np.sqrt(lasting)).astype(int)
-    between = [np.linspace(*ends, n, endpoint=False)[1:] for *ends, n in zip(times[:-1], times[1:], steps, strict=True)]
+    warming = [np.linspace(*ends, n, endpoint=False)[1:] for *ends, n in zip(times[:-1], times[1:], steps, strict=True)]
     slow = span > _JUMP * (until_s - since_s)
     with np.errstate(invalid="ignore"):
         speed = np.linalg.norm(np.diff(pixel, axis=0), axis=-1)[slow] / span[slow, None]
     # Of what comes from behind the camera the seen corners tell.
     fastest = float(np.nanmax(speed)) if not np.isnan(speed).all() else float(size.max() / (until_s - since_s))
-    return Part(slice(first[1], last[1]), slice(first[0], last[0]), fastest, np.union1d(bends, np.concatenate(between)))
+    return Part(slice(first[1], last[1]), slice(first[0], last[0]), fastest, bends, np.concatenate(warming))
 
 
 def _sides(one, other):
