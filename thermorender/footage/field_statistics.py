@@ -107,8 +107,9 @@ class Field:
         -----
         Likelihood of the levels of up to 600 frames, whose covariance is that of `sensor.wander.covariance` and of
         white noise: along the eigenvectors of the first that are free of the mean the two variances add up. A span of
-        k ticks has about k draws of the wander, however many frames, which tell its variance to √(2/k) at best. The median
-        over blocks of what differs from the first frame has 2π/3 of the mean's variance that is not the first frame's.
+        k ticks has about k draws of the wander, however many frames: they tell its variance to √(2/k) at best. The
+        median over blocks of what differs from the first frame has 2π/3 of the mean's variance, the first frame's own
+        noise apart.
         """
         from scipy.optimize import minimize
 
