@@ -238,6 +238,18 @@ def test_a_scene_that_changes_is_no_noise(base, tmp_path, share, most_k, how):
     assert np.sqrt(found["netd_mk"].value ** 2 - rest**2) == pytest.approx(single, abs=4.5)
 
 
+def test_a_correction_between_frames_is_no_noise(base, tmp_path):
+    # Every 1 s at 9 Hz a new pattern, of half the noise of single pixels.
+    camera = replace(CAMERA, ffc_interval_s=1.0, ffc_duration_s=0.0)
+    folder = write_frames(tmp_path / "static", footage(camera, 24, static=True))
+    with pytest.raises(ThermorenderError, match="changes from 008.tif to 009.tif, as by a flat-field correction"):
+        calibration.fit_camera([folder], base)
+    between = calibration.fit_camera(sorted(folder.iterdir())[9:18], base)
+    assert abs(between["sigma_vh_mk"].value - CAMERA.sigma_vh_mk) < 3.0 * between["sigma_vh_mk"].uncertainty
+    folder = write_frames(tmp_path / "moving", footage(camera, 12))
+    assert "too low where a flat-field correction fell" in calibration.fit_camera([folder], base)["sigma_vh_mk"].how
+
+
 def test_a_scene_without_anything_even_is_refused(base, tmp_path):
     folder = write_frames(tmp_path / "storm", footage(CAMERA, 3, static=True, change=flames(1.0, 12.0, 4)))
     with pytest.raises(ThermorenderError, match="nothing in the frames is flat or stays as it is"):

@@ -132,7 +132,7 @@ class Field:
         variance = found.x[0] + found.x[1] * each + known
         weights = np.array([np.ones_like(each), each]) / variance
         error = np.sqrt(np.diag(np.linalg.inv(0.5 * weights @ weights.T)))
-        error[1] = max(error[1], found.x[1] * np.sqrt(2.0 * TICK_S / time_s[-1]))
+        error[1] = np.hypot(error[1], found.x[1] * np.sqrt(2.0 * TICK_S / time_s[-1]))
         return tuple(sigma_of(*pair) for pair in zip(found.x * unit, error * unit, strict=True))
 
 
