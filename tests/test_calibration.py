@@ -19,8 +19,10 @@ from thermorender.physics.band import RadianceTable
 from thermorender.physics.planck import band_radiance
 from thermorender.sensor.camera import load_camera
 from thermorender.sensor.chain import Sensor, in_sequence
+from thermorender.sensor.noise import noise_power
 from thermorender.sensor.psf import otf
 from thermorender.sensor.readout import radiance_from_counts
+from thermorender.sensor.wander import Wander
 
 GRID = RadianceTable.grid(250.0, 345.0)
 TABLE = RadianceTable(GRID, band_radiance(GRID, 7.5, 13.5))
@@ -181,6 +183,35 @@ def test_shading_is_less_what_changing_scenes_leave():
     assert np.median(uncertainty) == pytest.approx(0.5 * np.diff(seen)[0], rel=0.25)
 
 
+@pytest.mark.parametrize(("frames", "rate_hz"), [(60, 9.0), (60, 30.0), (300, 9.0)])
+def test_a_wandering_scale_is_told_as_well_as_its_draws_tell(frames, rate_hz):
+    # Levels as a camera's own scale makes them, from anywhere on its course: whole ticks of 1 s have new draws.
+    camera, rng, takes = replace(CAMERA, scale_drift_mk=1.0), np.random.default_rng(5), 80
+    one_k, time_s, found = noise_power(camera, 1.0), np.arange(frames) / rate_hz, []
+    for seed in range(takes):
+        course, start_s, field = Wander(camera, seed), rng.uniform(0.0, 1000.0), Field((96, 96))
+        drift = [course.scale_drift(start_s, start_s + t) / one_k for t in time_s]
+        field._levels = list(0.03 * np.array(drift) + rng.normal(0.0, 0.01, frames))
+        found.append(field.wander(rate_hz, 0.0))
+    for (value, told), true in zip(np.moveaxis(found, 0, -1), (0.01, 0.03), strict=True):
+        error, stated = (np.sqrt(np.mean(np.square(values))) for values in (value - true, told))
+        # A root mean square of 80 draws errs by 8 %, one with tails as long as these by twice that.
+        assert 0.75 * error < stated < 2.0 * error
+
+
+def test_levels_of_even_frames_have_no_noise_of_their_own():
+    # Rows, columns and pixels leave noise in a frame's level, and in a median over its blocks more than in its mean.
+    rng, found = np.random.default_rng(2), []
+    for _ in range(24):
+        field = Field((192, 192))
+        for _ in range(40):
+            field.add(290.0 + rng.normal(0.0, 0.5, (192, 192)), np.zeros((192, 192), bool))
+        found.append(field.wander(9.0, 0.5 / 192)[0][0])
+    # 40 levels tell their variance, 2π/3 of a mean's, to √(2/39): 0.47. Half of the fits are 0, the others' roots about
+    # 0.6, and the mean of 24 errs by 0.08.
+    assert np.mean(found) < (0.5 * 0.6 + 2.0 * 0.08) * 0.5 / 192, found
+
+
 def flames(share, most_k, side=16):
     """A share of the picture flickers by up to so many kelvins, in squares."""
 
@@ -205,6 +236,18 @@ def test_a_scene_that_changes_is_no_noise(base, tmp_path, share, most_k, how):
     single = np.sqrt(CAMERA.netd_mk**2 - CAMERA.sigma_tv_mk**2 - CAMERA.sigma_th_mk**2)
     rest = np.hypot(found["sigma_tv_mk"].value, found["sigma_th_mk"].value)
     assert np.sqrt(found["netd_mk"].value ** 2 - rest**2) == pytest.approx(single, abs=4.5)
+
+
+def test_a_correction_between_frames_is_no_noise(base, tmp_path):
+    # Every 1 s at 9 Hz a new pattern, of half the noise of single pixels.
+    camera = replace(CAMERA, ffc_interval_s=1.0, ffc_duration_s=0.0)
+    folder = write_frames(tmp_path / "static", footage(camera, 24, static=True))
+    with pytest.raises(ThermorenderError, match="changes from 008.tif to 009.tif, as by a flat-field correction"):
+        calibration.fit_camera([folder], base)
+    between = calibration.fit_camera(sorted(folder.iterdir())[9:18], base)
+    assert abs(between["sigma_vh_mk"].value - CAMERA.sigma_vh_mk) < 3.0 * between["sigma_vh_mk"].uncertainty
+    folder = write_frames(tmp_path / "moving", footage(camera, 12))
+    assert "too low where a flat-field correction fell" in calibration.fit_camera([folder], base)["sigma_vh_mk"].how
 
 
 def test_a_scene_without_anything_even_is_refused(base, tmp_path):

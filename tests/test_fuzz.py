@@ -29,6 +29,32 @@ def test_damaged_files_are_refused_in_a_sentence_or_read_as_finite():
     assert sum(of["accepted"] > 0 for of in counts.values()) > 0.8 * len(counts)
 
 
+# Of ten thousand each, those that once broke a reader (True: what used it); none may again.
+BROKE = [
+    ("track", True, [106, 400, 459]),
+    ("thermal properties", False, [2437]),
+    ("atmosphere", False, [3786, 4549, 5976, 8611]),
+    ("atmosphere", True, [83, 163, 2623]),
+    ("map correlation+", False, [882, 1056, 2267, 4772]),
+    ("map correlation+", True, [414]),
+    ("map palette", False, [266, 2432, 2897]),
+    ("map trees", False, [1113, 1683, 2030, 3177, 1868]),
+    ("map trees", True, [1154]),
+    ("emissivity map", False, [9069, 9327]),
+    ("elevation", False, [1468]),
+    ("scene", True, [793, 1520, 3206]),
+    ("EXR", False, [824, 2044, 4653]),
+    ("mesh glb", False, [1711, 2632, 3852]),
+]
+
+
+@pytest.mark.parametrize(("name", "used", "numbers"), BROKE)
+def test_what_once_broke_a_reader_is_refused_or_read(name, used, numbers):
+    job, limits = (fuzz.USES[name], fuzz.RENDERING) if used else (READERS[name].read, fuzz.READING)
+    ends = fuzz._ends(name, job, numbers, 0, limits)
+    assert {end.kind for end in ends} <= {"refused", "accepted"}, ends
+
+
 def test_an_input_can_be_made_again():
     whole = b"a = 1.5\nb = [2, 3]\n"
     found = [fuzz.damaged(whole, "camera", number) for number in range(200)]

@@ -64,18 +64,28 @@ def flown(plate, flight_mps, rate_hz, frames, camera=CAMERA, told=True):
     return found, how, taken
 
 
-def dense(plate, flight_mps, time_s, rate_hz, camera=CAMERA, each=400):
+def dense(plate, flight_mps, time_s, rate_hz, camera=CAMERA, each=100):
     """A frame as instants close together make it: every row is an integral over its own past, in float64."""
-    delays = row_delays(camera, 1.0 / rate_hz)
-    age = (np.arange(9 * each) + 0.5) * TAU / each
-    weight = np.exp(-age / TAU)
+    delays, tau = row_delays(camera, 1.0 / rate_hz), camera.time_constant_s
+    age = (np.arange(12 * each) + 0.5) * tau / each
+    weight = np.exp(-age / tau)
     total = np.zeros((camera.height, camera.width))
     for row in range(camera.height):
         rows = camera.part(slice(row, row + 1), slice(0, camera.width))
         when = time_s + delays[row] - age
-        past = [plate.radiance(t, rows, (0.0, flight_mps * t))[0] for t in when[::4]]
-        total[row] = np.average(past, axis=0, weights=weight[::4])
+        past = [plate.radiance(t, rows, (0.0, flight_mps * t))[0] for t in when]
+        total[row] = np.average(past, axis=0, weights=weight)
     return total
+
+
+class Both:
+    """Two plates in one picture, of which the first has a course of its own."""
+
+    def __init__(self, first, second):
+        self.plates, self.mover = (first, second), first.mover
+
+    def radiance(self, *view):
+        return sum(plate.radiance(*view) for plate in self.plates) - np.float32(GROUND)
 
 
 def middle(image):
@@ -133,6 +143,89 @@ def test_what_is_remembered_of_a_plate_that_has_left():
     assert how["renders"] == 1
 
 
+@pytest.mark.parametrize("flight_mps", [60.0, 300.0])
+def test_what_goes_with_the_camera_stays_in_its_place_while_the_ground_passes(flight_mps):
+    """Images that are moved between renders as the ground moves show it elsewhere; ground behind it has its own lag."""
+    along = lambda t: flight_mps * t  # noqa: E731
+    plates = Both(Plate(lambda t: 0.0, along), Plate(lambda t: 1.0, lambda t: 2.0, half_m=0.7))
+    found, how, _ = flown(plates, flight_mps, 9.0, 2)
+    frame = dense(plates, flight_mps, 1 / 9.0, 9.0)
+    alone = dense(plates.plates[0], flight_mps, 1 / 9.0, 9.0)
+    assert mk(found[-1] - frame) < 60.0 and mk(found[-1] - frame) < how["lag_mk"], how
+    # Where it is not, nothing of it is seen: of 45 K no more than e⁻⁸.
+    found, how, _ = flown(plates.plates[0], flight_mps, 9.0, 2)
+    assert np.abs(found[-1] - alone).max() / SLOPE < 0.02, how
+
+
+def test_what_crosses_the_picture_between_two_frames_is_told():
+    # It has left the picture of even ground when the frame is taken.
+    leave_s = 1.0 / 9.0 - 0.017
+    plate = Plate(lambda t: float(np.interp(t, [leave_s - 0.1, leave_s], [-25.0, 25.0])), half_m=3.0,
+                  bends=[leave_s - 0.1, leave_s])  # fmt: skip
+    found, how, _ = flown(plate, 0.0, 9.0, 2)
+    expected = dense(plate, 0.0, 1.0 / 9.0, 9.0)
+    assert (plate.radiance(1.0 / 9.0, CAMERA, (0.0, 0.0)) == np.float32(GROUND)).all()
+    error = mk(found[-1] - expected)
+    assert error < 0.2 * mk(expected - GROUND) and error < how["lag_mk"]
+
+
+def test_what_warms_fast_is_followed_along_the_curve_of_its_radiance():
+    bends = np.array([0.02, 0.12])
+    kelvin = lambda t: float(np.interp(t, bends, [300.0, 500.0]))  # noqa: E731
+    plate = Plate(lambda t: 0.0, warm=lambda t: (band_radiance(kelvin(t), *CAMERA.band_um) - GROUND) / SLOPE)
+    plate.mover = Mover(plate.corners, kelvin, bends)
+    found, how, _ = flown(plate, 0.0, 9.0, 2)
+    expected = dense(plate, 0.0, 1.0 / 9.0, 9.0)
+    assert mk(found[-1] - expected) < how["lag_mk"]
+    # A straight line over 0.1 s would err by 13 K; over 3 K nowhere by more than ⅛ 3² of a curvature of 0.0113 per K.
+    assert np.abs(found[-1] - expected).max() / SLOPE < 9 / 8 * 0.0113 + 1e-3
+
+
+@pytest.mark.parametrize("flight_mps", [0.0, 4.0, 30.0])
+def test_pixels_that_are_fast_beside_the_reading_of_rows(flight_mps):
+    fast = replace(CAMERA, time_constant_ms=0.1)
+    plate = Plate(lambda t: 20.0 * t - 3.0, lambda t: 1.0)
+    found, how, _ = flown(plate, flight_mps, 9.0, 2, fast)
+    expected = dense(plate, flight_mps, 1.0 / 9.0, 9.0, fast)
+    at = plate.radiance(1.0 / 9.0, CAMERA, (0.0, flight_mps / 9.0))
+    error = mk(found[-1] - expected)
+    assert error < 0.1 * mk(at - expected) and error < how["lag_mk"], how
+    # Where nothing moves by itself, rows are read at their own time too; moved images blur the plate's edges.
+    still = Plate(lambda t: 0.0, lambda t: 1.0)
+    found, how, _ = flown(still, flight_mps, 9.0, 1, fast)
+    expected = dense(still, flight_mps, 0.0, 9.0, fast)
+    at = still.radiance(0.0, CAMERA, (0.0, 0.0))
+    assert mk(found[-1] - expected) < 0.3 * mk(at - expected) + 0.1, how
+
+
+def test_pixels_that_are_slow_keep_what_was_told_of_their_error():
+    slow = replace(CAMERA, time_constant_ms=500.0)
+    plate = Plate(lambda t: 8.0 * t, bends=[-20.0, 20.0])
+    seen, path = lambda t, by, lit: plate.radiance(t, by, (0.0, 0.0)), lambda t: pose(0, 0, HEIGHT_M, 0.0, -90.0)
+    taken = Exposure(Sensor(slow, 0), seen, path, lambda p: 0.0, 1.0 / 60.0, movers=[plate.mover])
+    told = []
+    for index in range(4):
+        now = plate.radiance(index / 60.0, slow, (0.0, 0.0))
+        told.append(taken.signal(in_sequence(slow, 0, 0.0), index / 60.0, now)[1]["lag_mk"])
+    # It fades with the pixels' memory, and what each frame adds is little.
+    assert told[0] > 20.0 and told[3] == pytest.approx(told[0] * np.exp(-3 / 60.0 / 0.5), rel=0.1)
+    again = Exposure(Sensor(slow, 0), *[None] * 3, 1.0 / 60.0)
+    again.restore(taken.state())
+    assert again.pixels.error_mk == taken.pixels.error_mk > 0.0
+
+
+@pytest.mark.parametrize("turns_per_s", [1.0, 2.0, 3.0])
+def test_a_view_that_comes_back_within_a_time_constant_has_moved(turns_per_s):
+    camera = replace(CAMERA, time_constant_ms=1000.0)
+    path = lambda t: pose(0.0, 0.0, HEIGHT_M, 360.0 * turns_per_s * t, -90.0)  # noqa: E731
+    image = (GROUND + np.zeros((camera.height, camera.width))).astype(np.float32)
+    taken = Exposure(Sensor(camera, 0), lambda t, by, lit: image, path, lambda p: 0.0, 0.1)
+    _, how = taken.signal(in_sequence(camera, 0, 0.0), 0.0, image)
+    # Corners go round; over a fiftieth of a second the chord is up to 0.6 % shorter than the way.
+    way_px = 2.0 * np.pi * turns_per_s * np.hypot(camera.width, camera.height) / 2.0
+    assert 0.99 * way_px < how["motion_px"] < 1.02 * way_px
+
+
 def test_only_the_part_that_changes_is_rendered_again():
     plate, still = Plate(lambda t: 5.0 * t), Plate(lambda t: 2.0)
     _, how, _ = flown(still, 0.0, 30.0, 3)
@@ -162,7 +255,7 @@ def test_a_part_is_blurred_as_in_the_whole_image():
     whole = sensor.blurred(image)
     for top, bottom, left, right in ((60, 83, 101, 140), (0, 9, 230, 243), (180, 197, 3, 50)):
         rows, columns = slice(top, bottom), slice(left, right)
-        part = movers.Part(rows, columns, 1.0, np.zeros(0))
+        part = movers.Part(rows, columns, 1.0, np.zeros(0), np.zeros(0))
         wide = part.around(197, 243)
         seen = np.zeros_like(image)
         seen[wide] = sensor.blurred(image[wide])

@@ -13,6 +13,7 @@ import shutil
 import sys
 import time
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
 from thermorender.errors import ThermorenderError
@@ -314,6 +315,25 @@ def append_json(path, *values):
         raise ThermorenderError(
             f"{path} cannot be written: {error.strerror}; make room and continue with --resume"
         ) from None
+
+
+def finite_json(text):
+    """Return the value of a JSON text.
+
+    Raises
+    ------
+    ValueError
+        It is no JSON, or a number in it is none of 64 bits: NaN, an infinity or a longer whole number.
+    """
+
+    def number(kind, digits):
+        value = kind(digits)
+        if not abs(value) < 2.0**63:
+            raise ValueError(f"{digits[:20]} is no number of 64 bits")
+        return value
+
+    kinds = {"parse_int": int, "parse_float": float, "parse_constant": float}
+    return json.loads(text, **{name: partial(number, kind) for name, kind in kinds.items()})
 
 
 def read_json_lines(path):

@@ -102,7 +102,8 @@ def fit_camera(paths, base=defaults.CAMERA, scale=None, progress=None):
     ------
     ThermorenderError
         Frames that cannot be read, of different sizes, or of another size than the base camera's; that are warmer than
-        the base camera's range, hold no noise, or show a scene that changes everywhere.
+        the base camera's range, hold no noise, show a scene that changes everywhere, or, of a camera that stands, have
+        a flat-field correction between them.
     """
     camera, files = load_camera(base, "base camera"), frame_files(paths)
     shape = camera.height, camera.width
@@ -132,6 +133,12 @@ def fit_camera(paths, base=defaults.CAMERA, scale=None, progress=None):
         raise ThermorenderError(
             f"the frames hold no noise: pixels that show the same are equal, in steps of {step_k * 1e3:.0f} mK; give "
             "frames as the camera makes them, in finer steps and before any smoothing"
+        )
+    if noise.static and spectra.corrected():
+        first = spectra.corrected()[0]
+        raise ThermorenderError(
+            f"the fixed pattern changes from {files[first - 1].name} to {files[first].name}, as by a flat-field "
+            "correction; give frames between two of them"
         )
     found = _rims_key(spectra, noise, camera) if len(files) > 1 else {}
     rims = found.get("vignetting")
@@ -218,6 +225,8 @@ def _noise_keys(noise, camera, scene_k, step_k, frames, sigma_t_mk):
         how, lines = "differences of frames of a static camera", ""
     if noise.lively:
         how, lines = "the tenth of blocks in which a changing scene does so least", "; too high as the scene changes"
+    # The scene of a moving camera hides it.
+    unseen = "" if noise.static else "; too low where a flat-field correction fell between them"
     found = {
         name: Estimate(netd, error / scale * 1e3, f"{seen}, {how}{steps}"),
         "sigma_tv_mk": Estimate(row, noise.row[1] / scale * 1e3, f"rows, new in each frame{lines}"),
@@ -228,7 +237,7 @@ def _noise_keys(noise, camera, scene_k, step_k, frames, sigma_t_mk):
         ("sigma_h_mk", noise.fixed_column, "columns"),
         ("sigma_vh_mk", noise.fixed_pixel, "single pixels"),
     ):
-        how = f"{what}, the same in all {frames} frames"
+        how = f"{what}, the same in all {frames} frames{unseen}"
         found[key] = Estimate(value / scale * 1e3, uncertainty / scale * 1e3, how)
     return found
 

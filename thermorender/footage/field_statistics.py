@@ -9,7 +9,7 @@ import numpy as np
 
 from thermorender.footage.noise_statistics import block_means, sigma_of
 from thermorender.sensor.noise import half_waves
-from thermorender.sensor.wander import covariance
+from thermorender.sensor.wander import TICK_S, covariance
 
 # Fewest frames to tell shading and the scale's wander from, and the most for the latter.
 _FEWEST, _MOST = 8, 600
@@ -106,7 +106,10 @@ class Field:
         Notes
         -----
         Likelihood of the levels of up to 600 frames, whose covariance is that of `sensor.wander.covariance` and of
-        white noise: along the eigenvectors of the first that are free of the mean the two variances add up.
+        white noise: along the eigenvectors of the first that are free of the mean the two variances add up. A span of
+        k ticks has about k draws of the wander, however many frames: they tell its variance to √(2/k) at best. The
+        median over blocks of what differs from the first frame has 2π/3 of the mean's variance, the first frame's own
+        noise apart.
         """
         from scipy.optimize import minimize
 
@@ -118,16 +121,18 @@ class Field:
         each, along = np.linalg.eigh(contrast @ covariance(time_s[:, None] - time_s) @ contrast.T)
         square, each = (along.T @ (contrast @ level)) ** 2, np.maximum(each, 0.0)
         unit = max(square.mean(), 1e-18)
+        known = 2.0 / 3.0 * np.pi * known_k**2 / unit + 1e-9
 
         def unlikeliness(p):
-            variance = (p[0] + p[1] * each) + known_k**2 / unit + 1e-9
+            variance = p[0] + p[1] * each + known
             return 0.5 * float((np.log(variance) + square / unit / variance).sum())
 
         starts = [(share, (1.0 - share) / max(each.mean(), 1e-9)) for share in (0.99, 0.5, 0.01)]
         found = min((minimize(unlikeliness, start, bounds=[(0.0, None)] * 2) for start in starts), key=lambda f: f.fun)
-        variance = found.x[0] + found.x[1] * each + known_k**2 / unit + 1e-9
+        variance = found.x[0] + found.x[1] * each + known
         weights = np.array([np.ones_like(each), each]) / variance
         error = np.sqrt(np.diag(np.linalg.inv(0.5 * weights @ weights.T)))
+        error[1] = np.hypot(error[1], found.x[1] * np.sqrt(2.0 * TICK_S / time_s[-1]))
         return tuple(sigma_of(*pair) for pair in zip(found.x * unit, error * unit, strict=True))
 
 

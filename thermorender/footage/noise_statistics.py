@@ -22,6 +22,9 @@ _LEAK = 0.0015
 # Power of what differs between a static camera's frames in texture over that in finest detail from which on the scene
 # changes; noise has 1.
 _LIVELY = 1.1
+# Frames whose difference from the frame before has so much more power in finest detail than others', over their median
+# and in deviations of single ones (by the median of these), have another fixed pattern; the fewest that tell.
+_ANOTHER, _APART, _FEWEST = 1.05, 5.0, 4
 # Uncertainty over the power of the noise from which on it is not told from the scene.
 _UNTOLD = 0.5
 # Bins beside an axis hold the leakage of its line; those after, its surroundings.
@@ -115,6 +118,18 @@ class Spectra:
     def changes(self):
         """The same of the changes from each frame to the next, over √2, (n, 2) [K²]; of two frames or more."""
         return np.concatenate(self._changes)
+
+    def corrected(self):
+        """Return the numbers of the frames before which a flat-field correction changed the pattern, a list of ints.
+
+        Of a camera that stands; by the finest detail of most blocks, from five frames on.
+        """
+        if len(self._changes) < _FEWEST or self.lost.all():
+            return []
+        power = np.array([np.median(change[~self.lost, 1]) for change in self._changes])
+        middle = np.median(power)
+        spread = 1.48 * np.median(np.abs(power - middle))
+        return (1 + np.flatnonzero(power > np.maximum(_ANOTHER * middle, middle + _APART * spread))).tolist()
 
     def frequencies(self):
         """Return the frequencies (H, 1) down and (1, W//2+1) to the right [cycles per pixel]."""

@@ -60,7 +60,7 @@ class Palette:
     def of(cls, header, arrays):
         """Return the Palette of `header` and `arrays`."""
         found = cls(float(header["cell"]), np.asarray(arrays["value"], np.float64), arrays["count"])
-        if not _FINEST <= found.cell <= _COARSEST or not np.isfinite(found.value).all():
+        if not _FINEST <= found.cell <= _COARSEST or not np.isfinite([found.value, found.count]).all():
             raise ValueError("it has no cells, or values that are not finite")
         if found.value.shape != found.count.shape or found.value.shape != (cells_along(found.cell),) * 3:
             raise ValueError("no palette")

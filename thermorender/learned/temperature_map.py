@@ -35,6 +35,7 @@ ASSUMED_SKY_K = 255.0
 # Slopes are of no less than this share of the radiance at the range's warm end.
 _LEAST_OF_COLD = 0.05
 # The largest network of full width, pix2pixHD's, takes 365 megabytes in half precision.
+_HOTTEST_K = 1e4
 _MOST_BYTES = 1 << 30
 # Kinds of predictors: {name in the file: (module, class)}; a module is imported when a map of it is read.
 PREDICTORS = {
@@ -267,7 +268,7 @@ def load_map(path):
     try:
         with open(path, "rb") as file:
             arrays = _arrays(file)
-        header = json.loads(str(arrays.pop("header")))
+        header = files.finite_json(str(arrays.pop("header")))
         if header.pop("format") != FORMAT:
             raise ValueError("another format")
         module, name = PREDICTORS[header.pop("predictor")]
@@ -310,6 +311,8 @@ def _usable(model):
             raise ValueError(f"{name} is not two numbers above 0")
         if value[0] > value[1] or (value[0] == value[1] and name != "texel_range_m"):
             raise ValueError(f"{name} does not rise")
+    if model.range_k[1] > _HOTTEST_K:
+        raise ValueError(f"range_k ends above {_HOTTEST_K:g} K")
     for name in ("texel_m", "sky_temperature"):
         if not _positive(getattr(model, name)):
             raise ValueError(f"{name} is no number above 0")

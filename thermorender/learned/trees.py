@@ -263,7 +263,7 @@ def refuse_broken(text, features):
     ):
         raise ValueError(f"its trees do not describe {features} features")
     # LightGBM counts bytes; all that it writes is plain.
-    if not text.isascii():
+    if not (text.isascii() and text.replace("\n", "").isprintable()):
         raise ValueError("its trees hold letters that LightGBM does not write")
     start = len(head) + 2
     for number, size in enumerate(sizes):

@@ -89,8 +89,9 @@ def read_table(path, columns, directory=None):
     header = [cell.strip() for cell in table[0]] if table else []
     missing = [column for column in columns if column not in header]
     if missing:
+        found = shortened(" ".join(", ".join(header).split())) or "nothing"
         raise ThermorenderError(
-            f"{path}, row 1 lacks column {', '.join(missing)} (found: {shortened(', '.join(header)) or 'nothing'}); "
+            f"{path}, row 1 lacks column {', '.join(missing)} (found: {found}); "
             f"the first row must hold {', '.join(columns)}"
         )
     twice = [column for column in dict.fromkeys(header) if column and header.count(column) > 1]

@@ -65,7 +65,7 @@ def read_exr(path):
         with OpenEXR.File(str(path), separate_channels=True) as file:
             channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
             return channels, json.loads(file.header().get("thermorender", "{}"))
-    except (RuntimeError, ValueError) as error:
+    except (RuntimeError, ValueError, TypeError) as error:
         raise ThermorenderError(
             f"{path} cannot be read as EXR: {error}; give a whole file written by thermorender"
         ) from None

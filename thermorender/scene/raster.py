@@ -80,7 +80,7 @@ def opened(path):
                         "so cut or thin it, for example with `rio warp`"
                     )
                 yield dataset
-    except RasterioError as error:
+    except (RasterioError, UnicodeDecodeError) as error:
         # A failed read says only that it failed; its cause, GDAL's own error, says where.
         reason = error.__cause__ or error
         raise ThermorenderError(

@@ -14,6 +14,7 @@ import numpy as np
 from thermorender import defaults, units
 from thermorender.errors import ThermorenderError
 from thermorender.paths import inside
+from thermorender.physics.geodesy import FARTHEST_M
 from thermorender.scene.raster import FORMATS, files_of
 from thermorender.scene.surface import scene_kelvin
 from thermorender.schema import (
@@ -190,8 +191,8 @@ class ObjectSpec:
     name: str = key(text)
     shape: str | None = key(choice("disc", "box", "sphere"), None)
     file: Path | None = key(file_inside, None)
-    size: tuple[float, float, float] = key(number(0.0, above=True, count=3, unit="m"), (1.0, 1.0, 1.0))
-    position: tuple[float, float, float] = key(number(count=3, unit="m"))
+    size: tuple[float, float, float] = key(number(0.0, FARTHEST_M, above=True, count=3, unit="m"), (1.0, 1.0, 1.0))
+    position: tuple[float, float, float] = key(number(-FARTHEST_M, FARTHEST_M, count=3, unit="m"))
     yaw_deg: float = key(number(), 0.0)
     temperature: float = key(kelvin)
     material: str = key(text)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thermorender.errors import ThermorenderError, shortened
+from thermorender.physics.geodesy import FARTHEST_M
 from thermorender.scene.spec import ObjectSpec
 from thermorender.scene.surface import Surface, scene_kelvin
 
@@ -151,6 +152,12 @@ def read_track(path):
     if (np.diff(time_s) <= 0.0).any():
         row = int(np.argmax(np.diff(time_s) <= 0.0)) + 3
         raise ThermorenderError(f"{path}, row {row}: time_s does not rise; sort the rows and leave each time once")
+    for name in COLUMNS[:3]:
+        far = np.abs(columns.get(name, np.zeros(1))) > FARTHEST_M
+        if far.any():
+            raise ThermorenderError(
+                f"{path}: {name}={columns[name][far][0]:g} is out of range; give metres, up to {FARTHEST_M:g}"
+            )
     if "yaw_deg" in columns:
         # The smaller of the two turns between two rows.
         columns["yaw_deg"] = np.unwrap(columns["yaw_deg"], period=360.0)

@@ -67,11 +67,14 @@ class PixelState:
         What each pixel would be read as [W].
     power : (H, W) float32
         What heats each pixel [W].
+    error_mk : float
+        Estimated error of the signal by what was followed in parts of the image, root mean square over all [mK].
     """
 
     time_s: float
     signal: np.ndarray
     power: np.ndarray
+    error_mk: float = 0.0
 
 
 def steady(time_s, power):

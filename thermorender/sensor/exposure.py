@@ -46,8 +46,12 @@ LAG_MK, RENDER_PX = 10.0, 20.0
 _INSTANT_MK, _MOVED_MK, _SUBPIXEL_MK = 12.0, 15.0, 42.0
 _FITTED_GRADIENT_MK = 700.0
 MOST_INSTANTS = 400
+# Over which a view's speed is told: it does not turn round in so short a time [s].
+_SHORT_S = 0.02
 # Of the part of an image that a thing crosses, beyond its box [px]: what the lens spreads and it lights nearby.
 _MARGIN_PX = 6
+# Images that are moved show such a thing where it was not: age [time constants] up to which that counts.
+_GHOST_AGE = 4.0
 
 
 def plan_row(camera):
@@ -150,29 +154,39 @@ class Exposure:
         too), and lag_mk: estimated error of the lag, root mean square over the frame [mK].
         """
         views, interpolates, before = self._views(time_s), bool(self._render_px), self.pixels
-        motion, gradient_mk = motion_px(self.sensor.camera, *views), _gradient_mk(radiance, self.sensor)
-        contrast = gradient_mk / _FITTED_GRADIENT_MK
-        if motion <= STATIC_PX:
+        motion, gradient_mk = self._motion_px(views, time_s), _gradient_mk(radiance, self.sensor)
+        contrast, moved_s = gradient_mk / _FITTED_GRADIENT_MK, 0.0
+        # What moves little in a short time constant may move more while the rows are read.
+        late = np.std(self._delays) / (self.sensor.camera.time_constant_s or np.inf)
+        reading = motion * max(late, 1.0)
+        if reading <= STATIC_PX:
             signal = self._static(time_s, self.sensor.power(radiance, moment))
-            late = np.hypot(1.0, np.std(self._delays) / (self.sensor.camera.time_constant_s or np.inf))
-            instants, renders, error = 1, 1, motion * late * gradient_mk
-        elif motion <= SUBPIXEL_PX and interpolates and self.sensor.camera.time_constant_s:
+            instants, renders, error = 1, 1, motion * np.hypot(1.0, late) * gradient_mk
+        elif reading <= SUBPIXEL_PX and interpolates and self.sensor.camera.time_constant_s:
             signal = self._subpixel(views, radiance, moment)
+            moved_s = _AGES[-1] * self.sensor.camera.time_constant_s - self._delays[0]
             instants, renders, error = len(_AGES), 1, np.hypot(_MOVED_MK, _SUBPIXEL_MK * motion**2) * contrast
         else:
             plan = self._schedule(time_s, motion, contrast, self._since(time_s, before), self._render_px)
             signal = self._fast(plan, radiance, moment)
-            instants, renders = len(plan.times_s), len(plan.renders)
+            instants, renders, moved_s = len(plan.times_s), len(plan.renders), self._moved_s(plan)
             error = np.hypot(_instants_mk(plan.spacing_px, motion), _MOVED_MK * interpolates) * contrast
-        parts = self._parts(time_s, before)
+        parts = self._parts(time_s, before, moved_s)
+        followed = self._remembered_mk(time_s, before) ** 2
+        square = error**2 + followed
         if parts:
             # Pixels that stand still may be read as they are: what is written into the frame is not what they are.
-            signal, square = signal.copy(), error**2
+            signal = signal.copy()
             for part in parts:
-                count, own = self._follow(part, before, moment, time_s, radiance, signal)
-                renders, instants = renders + count, max(instants, count)
-                square += (own**2 - error**2) * signal[part.rows, part.columns].size / signal.size
-            error = np.sqrt(square)
+                count, own = self._follow(part, motion, before, moment, time_s, radiance, signal)
+                # The frame's own image is among its instants.
+                renders, instants = renders + count - 1, max(instants, count)
+                share = signal[part.rows, part.columns].size / signal.size
+                square += (own**2 - error**2) * share
+                followed += own**2 * share
+        error = np.sqrt(square)
+        if self.pixels is not None:
+            self.pixels = replace(self.pixels, error_mk=float(np.sqrt(followed)))
         made = {"motion_px": round(motion, 3), "instants": instants, "renders": renders}
         return signal, made | {"lag_mk": round(float(error), 1)}
 
@@ -180,7 +194,7 @@ class Exposure:
         """Return {name: array} of what the next frame depends on."""
         arrays = {"counts": self.last_counts} if self.sensor.camera.ffc_interval_s else {}
         if self.pixels is not None:
-            arrays |= {"time_s": np.float64(self.pixels.time_s)}
+            arrays |= {name: np.float64(getattr(self.pixels, name)) for name in ("time_s", "error_mk")}
             arrays |= {"signal": self.pixels.signal, "power": self.pixels.power}
         return arrays
 
@@ -189,15 +203,33 @@ class Exposure:
         self.last_counts = arrays.get("counts")
         self.pixels = None
         if "signal" in arrays:
-            self.pixels = PixelState(float(arrays["time_s"]), arrays["signal"], arrays["power"])
+            time_s, error_mk = (float(arrays[name]) for name in ("time_s", "error_mk"))
+            self.pixels = PixelState(time_s, arrays["signal"], arrays["power"], error_mk)
+
+    def _span_s(self):
+        """A time constant; without one only the read-out of the rows takes time [s]."""
+        return self.sensor.camera.time_constant_s or self._delays[-1] - self._delays[0]
 
     def _views(self, time_s):
         """(pose now, pose a time constant ago, height of the ground [m])."""
-        camera = self.sensor.camera
-        # Without a time constant only the read-out of the rows takes time.
-        span = camera.time_constant_s or self._delays[-1] - self._delays[0]
+        span = self._span_s()
         now = self._pose_at(time_s)
         return now, self._pose_at(time_s - span) if span else now, self._ground_at(now)
+
+    def _motion_px(self, views, time_s):
+        """Motion of the view in a time constant: between its ends or, as it may come back, by its speed [px]."""
+        camera, span, (now, _, ground) = self.sensor.camera, self._span_s(), views
+        motion = motion_px(camera, *views)
+        if span <= _SHORT_S:
+            return motion
+        return max(motion, motion_px(camera, now, self._pose_at(time_s - _SHORT_S), ground) * span / _SHORT_S)
+
+    def _remembered_mk(self, time_s, before):
+        """How much of the error of the state `before` pixels remember at the end of a frame [mK]."""
+        if before is None:
+            return 0.0
+        passed = time_s + self._delays[-1] - before.time_s
+        return before.error_mk * float(response_weights(passed, self.sensor.camera.time_constant_s)[0])
 
     def _since(self, time_s, before):
         """From when on the power matters to a frame whose pixels were left in the state `before` [s]."""
@@ -208,31 +240,41 @@ class Exposure:
         lag_mk = self._lag_mk / max(contrast, 1e-6)
         return schedule(time_s, self._delays, self.sensor.camera.time_constant_s, motion, since_s, lag_mk, render_px)
 
-    def _parts(self, time_s, before):
+    def _moved_s(self, plan):
+        """How far in time images are moved between the renders of a Schedule, where that is not long forgotten [s]."""
+        if not self._render_px:
+            return 0.0
+        rendered = np.union1d(plan.times_s[[0, -1]], plan.times_s[plan.renders])
+        ages = plan.row_times_s[0] - rendered[1:]
+        return float(np.diff(rendered)[ages <= _GHOST_AGE * self.sensor.camera.time_constant_s].max())
+
+    def _parts(self, time_s, before, moved_s):
         """Parts of the frame that things with a course of their own change within the pixels' memory."""
         if not self._movers:
             return []
         since_s, until_s = self._since(time_s, before), time_s + self._delays[-1]
         if since_s >= until_s:
             return []
-        return movers.parts(self.sensor.camera, self._pose_at, self._movers, since_s, until_s, _MARGIN_PX)
+        return movers.parts(self.sensor.camera, self._pose_at, self._movers, since_s, until_s, _MARGIN_PX, moved_s)
 
-    def _follow(self, part, before, moment, time_s, radiance, signal):
+    def _follow(self, part, motion, before, moment, time_s, radiance, signal):
         """Put the signal of a part of the image into `signal`, followed through rendered instants of its own.
 
         Returns
         -------
-        renders : int
+        instants : int
         error_mk : float
-            Estimate: by how much it differs when followed through half the instants, root mean square [mK].
+            Estimate, root mean square: by how much it differs through half the instants between bends, and not
+            below that of their spacing [mK].
         """
         camera, since_s = self.sensor.camera, self._since(time_s, before)
-        span = camera.time_constant_s or self._delays[-1] - self._delays[0]
         here = part.rows, part.columns
-        contrast = _gradient_mk(radiance[here], self.sensor, 1) / _FITTED_GRADIENT_MK
-        motion = max(part.px_per_s * span, 1e-9)
+        # What crosses the part between two frames is not in their own images.
+        contrast = max(_gradient_mk(radiance[here], self.sensor, 1) / _FITTED_GRADIENT_MK, 1.0)
+        # Behind what goes with the camera, the ground moves.
+        motion = max(part.px_per_s * self._span_s(), motion, 1e-9)
         plan = self._schedule(time_s, motion, contrast, since_s, 0.0)
-        times = np.union1d(plan.times_s, part.bends_s)
+        times = np.unique([*plan.times_s, *part.bends_s, *part.warming_s])
         wide = part.around(camera.height, camera.width)
         inner = tuple(slice(a.start - b.start, a.stop - b.start) for a, b in zip(here, wide, strict=True))
         part_of = camera.part(*wide)
@@ -247,13 +289,15 @@ class Exposure:
         state, rows = None, plan.row_times_s[part.rows]
         if before is not None and before.time_s == times[0]:
             state = PixelState(before.time_s, before.signal[here], before.power[here])
-        # Both at once, since powers are rendered.
-        fine, coarse = (_Follower(state, rows, camera.time_constant_s, signal[here].shape) for _ in range(2))
+        # All at once, since powers are rendered; of two instants next to each other only one tells something.
+        kept = np.isin(times, [times[0], *part.bends_s])
+        fine, *coarser = (_Follower(state, rows, camera.time_constant_s, signal[here].shape) for _ in range(3))
         for number, (at, power) in enumerate(powers()):
             last = number == len(times) - 1
             fine.step(at, power, last)
-            if number % 2 == 0 or last:
-                coarse.step(at, power, last)
+            for odd, coarse in enumerate(coarser):
+                if number % 2 == odd or kept[number] or last:
+                    coarse.step(at, power, last)
         signal[here] = fine.signal
         if self.pixels is not None:
             for name in ("signal", "power"):
@@ -261,7 +305,8 @@ class Exposure:
                 whole[here] = getattr(fine.pixels, name)
                 self.pixels = replace(self.pixels, **{name: whole})
         per_mk = gain * (1e-3 * band_radiance_derivative(NETD_REFERENCE_K, *camera.band_um))
-        return len(times), float(np.sqrt(np.mean(((fine.signal - coarse.signal) / per_mk) ** 2)))
+        apart = [np.mean(((fine.signal - coarse.signal) / per_mk) ** 2) for coarse in coarser]
+        return len(times), max(float(np.sqrt(max(apart))), _instants_mk(plan.spacing_px, motion) * contrast)
 
     def _static(self, time_s, power):
         time_constant_s, end_s = self.sensor.camera.time_constant_s, time_s + self._delays[-1]
@@ -269,7 +314,8 @@ class Exposure:
             return power
         before = self.pixels or steady(end_s, power)
         self.pixels = stepped(before, end_s, power, time_constant_s)
-        old = response_weights(time_s + self._delays - before.time_s, time_constant_s)[0].astype(np.float32)
+        passed = np.maximum(time_s + self._delays - before.time_s, 0.0)
+        old = response_weights(passed, time_constant_s)[0].astype(np.float32)
         if old[0] < SETTLED:
             return power
         return power + old[:, None] * (before.signal - power)

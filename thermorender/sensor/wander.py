@@ -49,11 +49,6 @@ class Wander:
     ----------
     camera : Camera
     seed : int
-
-    Attributes
-    ----------
-    blinking_pixels : (n,) int64
-        Numbers of the pixels that blink, in order: none that is bad.
     """
 
     def __init__(self, camera, seed):
@@ -65,6 +60,7 @@ class Wander:
 
     @cached_property
     def blinking_pixels(self):
+        """Numbers of the pixels that blink, (n,) int64, in order: none that is bad."""
         camera = self.camera
         count = round(camera.blinking_pixels * camera.height * camera.width)
         good = np.delete(np.arange(camera.height * camera.width), noise.bad_pixels(camera, self.seed))
