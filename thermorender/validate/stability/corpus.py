@@ -289,7 +289,7 @@ def _elevation(path):
 
 
 def _write_colour(path):
-    _write_raster(path, np.random.default_rng(0).integers(0, 255, (24, 24, 3)).astype(np.uint8), compress="deflate")
+    _write_raster(path, np.random.default_rng(0).integers(0, 255, (24, 24, 3)).astype(np.uint8))
 
 
 @_reader("orthophoto", "orthophoto.tif", _write_colour)
@@ -353,13 +353,13 @@ def _exr(path):
     return read_exr(path)[1]
 
 
-def _write_png(path):
+def _write_picture(path):
     import cv2
 
     cv2.imwrite(str(path), np.random.default_rng(0).integers(0, 255, (64, 80, 3)).astype(np.uint8))
 
 
-@_reader("picture", "picture.png", _write_png)
+@_reader("picture", "picture.jpg", _write_picture)
 def _picture(path):
     from thermorender.campaign.pictures import read_visible
 
