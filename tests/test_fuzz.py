@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from thermorender.errors import ThermorenderError
-from thermorender.validate.stability import fuzz
-from thermorender.validate.stability.corpus import READERS, Reader
+from thermorender.validate import fuzz
+from thermorender.validate.fuzz.corpus import READERS, Reader
 
 COUNT = 100
 

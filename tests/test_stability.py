@@ -1,5 +1,6 @@
 """Stability cases hold, can fail, and are told on one page."""
 
+import importlib
 import json
 
 import numpy as np
@@ -23,7 +24,7 @@ from thermorender.validate.stability.cases import Found
 
 
 def test_all_but_heat_hold_and_are_written(tmp_path, call):
-    groups = ("light", "sensor", "air", "maps", "pixels", "geometry", "motion", "solver")
+    groups = ("light", "sensor", "air", "maps", "pixels", "precision", "geometry", "motion", "solver")
     status, output, _ = call("validate", "stability", *groups, "-o", tmp_path)
     assert status == 0 and "0 of " in output and "FAILS" not in output
     result = json.loads((tmp_path / "stability.json").read_text("utf-8"))
@@ -344,6 +345,25 @@ def test_verdicts(job, passed, tmp_path, monkeypatch, call):
     json.loads((tmp_path / "stability.json").read_text("utf-8"))
     if job is raises:
         assert "ZeroDivisionError: by nothing" in output
+
+
+@pytest.mark.parametrize(
+    ("place", "name", "words"),
+    [("render.geometry", "Channels", "places on the map"), ("render.light.texels", "light", "light between"),
+     ("sensor.detector", "advanced", "of 16.7 ms")],
+)  # fmt: skip
+def test_half_precision_is_told_by_the_cases_of_precision(place, name, words, monkeypatch):
+    module = importlib.import_module(f"thermorender.{place}")
+    whole = getattr(module, name)
+
+    def halved(*given):
+        real = [isinstance(each, np.ndarray) and each.dtype.kind == "f" for each in given]
+        halves = [each.astype(np.float16).astype(each.dtype) if half else each for each, half in zip(given, real)]
+        return whole(*halves)
+
+    assert all(found["passed"] for found in own_cases(words, group="precision").values())
+    monkeypatch.setattr(module, name, halved)
+    assert not any(found["passed"] for found in own_cases(words, group="precision").values())
 
 
 def test_an_unknown_group_is_named():

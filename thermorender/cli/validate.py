@@ -351,7 +351,7 @@ def validate_stability(
 
 def _fuzzed(readers, output, count, seed):
     """Feed readers with damaged files; status 1 where one did not refuse or accept as it must."""
-    from thermorender.validate.stability import fuzz
+    from thermorender.validate import fuzz
 
     with progress() as tell, files.output_folder(output) as folder:
         counts, faults = fuzz.run(count, readers, seed, progress=tell)

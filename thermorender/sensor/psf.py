@@ -132,12 +132,12 @@ def blur_of(camera, fine=FINE, coarse=COARSE):
 
 
 def blurred(image, blur):
-    """Return an image (H, W) float32 after a Blur, mirrored at its borders; without one, the image itself."""
+    """Return an image (H, W) after a Blur, in its own precision, mirrored at its borders; itself without one."""
     import cv2
 
     if blur is None:
         return image
-    near = cv2.filter2D(image, cv2.CV_32F, blur.fine, borderType=cv2.BORDER_REFLECT)
+    near = cv2.filter2D(image, -1, blur.fine, borderType=cv2.BORDER_REFLECT)
     if not blur.coarse.size:
         return near
     height, width = image.shape
@@ -146,7 +146,7 @@ def blurred(image, blur):
         image = cv2.copyMakeBorder(image, 0, down, 0, right, cv2.BORDER_REFLECT)
     size = (image.shape[1] // STEP, image.shape[0] // STEP)
     squares = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    squares = cv2.filter2D(squares, cv2.CV_32F, blur.coarse, borderType=cv2.BORDER_REFLECT)
+    squares = cv2.filter2D(squares, -1, blur.coarse, borderType=cv2.BORDER_REFLECT)
     far = cv2.resize(squares, (image.shape[1], image.shape[0]), interpolation=cv2.INTER_LINEAR)
     near += far[:height, :width]
     return near

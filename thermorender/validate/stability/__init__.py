@@ -10,11 +10,11 @@ import numpy as np
 from thermorender import files
 from thermorender.errors import ThermorenderError
 from thermorender.validate.bench import machine
-from thermorender.validate.stability import air, geometry, heat, light, maps, motion, pixels, sensor, solver
+from thermorender.validate.stability import air, geometry, heat, light, maps, motion, pixels, precision, sensor, solver
 from thermorender.validate.stability.cases import CASES
 from thermorender.versions import versions
 
-_GROUPS = (air, geometry, heat, light, maps, motion, pixels, sensor, solver)
+_GROUPS = (air, geometry, heat, light, maps, motion, pixels, precision, sensor, solver)
 HEADER = ("case", "expected [K]", "found [K]", "error [K]", "allowed [K]", "verdict", "time [s]")
 _FORMS = (("expected_k", "{:.6g}"), ("found_k", "{:.6g}"), ("error_k", "{:.1e}"), ("tolerance_k", "{:.1e}"))
 

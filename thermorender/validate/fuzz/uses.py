@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from thermorender.validate.stability import corpus
+from thermorender.validate.fuzz import corpus
 
 _WEATHER = """[weather]
 time = "2018-07-29T12:00:00Z"

@@ -24,8 +24,8 @@ from pathlib import Path
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.validate.stability.corpus import READERS
-from thermorender.validate.stability.uses import USES
+from thermorender.validate.fuzz.corpus import READERS
+from thermorender.validate.fuzz.uses import USES
 
 # What reading one input may take [s, bytes], and rendering one, where the first compiles kernels.
 READING, RENDERING = (5, 1 << 30), (60, 1 << 32)
