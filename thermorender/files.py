@@ -2,9 +2,10 @@
 
 What is written has a temporary name of its own beside its place, and takes its name when it is complete. Neither a
 failure nor an interruption leaves half of it, and processes that write the same file do not meet: the last one's is
-there. Also here: text and JSON, and the cache, with a folder of its own for each kind of file.
+there. Also here: text, JSON, pictures and rasters, and the cache, with a folder of its own for each kind of file.
 """
 
+import errno
 import json
 import os
 import re
@@ -281,15 +282,26 @@ def write_json(path, value):
 
 
 def on_disk(*paths):
-    """Wait until files are on the disk, and their names in the folders that hold them."""
+    """Wait until files are on the disk, and their names in the folders that hold them.
+
+    Raises
+    ------
+    ThermorenderError
+        The disk is full after all, or broken.
+    """
     for path in (*paths, *{Path(path).parent for path in paths}):
-        # Windows opens no folder, and syncs nothing that was opened to be read.
-        with suppress(OSError):
+        try:
             handle = os.open(path, os.O_RDONLY)
             try:
                 os.fsync(handle)
             finally:
                 os.close(handle)
+        except OSError as error:
+            # Windows opens no folder, and syncs nothing that was opened to be read; some file systems sync no folder.
+            if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
+                raise ThermorenderError(
+                    f"{path} did not reach the disk: {error.strerror}; check the disk and continue with --resume"
+                ) from error
 
 
 def checksum(path):
@@ -329,6 +341,33 @@ def read_json_lines(path):
     if whole != text:
         write_text(path, whole)
     return [json.loads(line) for line in whole.splitlines()]
+
+
+# --- pictures and rasters: made in memory, since neither OpenCV nor GDAL tells that a disk is full ------------------
+
+
+def write_image(path, image):
+    """Write (H, W) uint8 or uint16, or (H, W, 3) uint8 RGB, as PNG or TIFF by the path's suffix."""
+    import cv2
+    import numpy as np
+
+    ordered = image[..., ::-1] if image.ndim == 3 else image
+    with atomic(path) as part:
+        encoded, data = cv2.imencode(Path(path).suffix, np.ascontiguousarray(ordered))
+        if not encoded:
+            raise OSError(f"no encoder took a {image.dtype} image")
+        part.write_bytes(data)
+
+
+@contextmanager
+def atomic_raster(path):
+    """As `atomic`, for GDAL: give the name of a file in memory, which is written when the block ends without error."""
+    from rasterio.io import MemoryFile
+
+    with MemoryFile(ext=Path(path).suffix) as memory:
+        yield memory.name
+        with atomic(path) as part:
+            part.write_bytes(memory.getbuffer())
 
 
 # --- the cache --------------------------------------------------------------------------------------------------
