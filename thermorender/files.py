@@ -59,21 +59,24 @@ def atomic_folder(path, overwrite=False):
     ThermorenderError
         The folder is in use or cannot be made; nothing is left behind, and an old folder stays as it was.
     """
-    _refuse_used_folder(path, overwrite)
+    given = path
     # Resolved, so that "." has a name and a folder above it.
     path = Path(path).resolve()
+    _recover(path)
+    _refuse_used_folder(given, overwrite)
     with _beside(path) as part:
         part.mkdir()
-        yield part
-        old = part.with_name(f"{part.name}.old")
-        try:
-            if path.exists():
-                os.replace(path, old)
-            os.replace(part, path)
-        finally:
-            if old.exists() and not path.exists():
-                os.replace(old, path)
-            shutil.rmtree(old, ignore_errors=True)
+        with in_use(part):
+            yield part
+            old = part.with_name(f"{part.name}.old")
+            try:
+                if path.exists():
+                    os.replace(path, old)
+                os.replace(part, path)
+            finally:
+                if old.exists() and not path.exists():
+                    os.replace(old, path)
+                shutil.rmtree(old, ignore_errors=True)
 
 
 @contextmanager
@@ -95,6 +98,36 @@ def _beside(path):
         shutil.rmtree(part, ignore_errors=True)
         _remove(part)
         _remove_empty(made)
+
+
+def _recover(path):
+    """Remove what killed processes left of a folder beside its place; bring an old one back that has no new one."""
+    name = re.compile(rf"(\.{re.escape(path.stem)}\.[0-9a-f]{{8}}\.part{re.escape(path.suffix)})(\.old)?")
+    with suppress(OSError):
+        for each in list(path.parent.iterdir()):
+            found = name.fullmatch(each.name)
+            part = found and each.with_name(found[1])
+            if found and each.is_dir() and (not part.exists() or _abandoned(part)):
+                if found[2] and not path.exists():
+                    os.replace(each, path)
+                shutil.rmtree(each, ignore_errors=True)
+
+
+def _abandoned(folder):
+    """Whether no process has a folder, as by `in_use`; False where the system does not tell."""
+    try:
+        import fcntl
+
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    except (ImportError, OSError):
+        return False
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return True
+    except OSError:
+        return False
+    finally:
+        os.close(handle)
 
 
 def remove_parts(folder, name=r".+", older_s=0.0):

@@ -371,7 +371,7 @@ def _refuse_clashes(outputs, resume):
 
 
 def _begin(folder, settings, resume):
-    """Write the record, or hold it against that of before; return {path: (bytes, `_sizes`)} of the files that are done."""
+    """Write the record, or hold it against that of before; return {path: (bytes, `_sizes`)} of what is done."""
     path = folder / RECORD
     # As it is read back.
     settings = json.loads(json.dumps(settings))

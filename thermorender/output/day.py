@@ -14,9 +14,9 @@ from thermorender import files
 from thermorender.errors import ThermorenderError
 from thermorender.output import products as product_files
 from thermorender.output.day_figure import figure
-from thermorender.output.video import write_video
 from thermorender.output.record import made_by, record, weather_of
 from thermorender.output.timed import solved_in_parts
+from thermorender.output.video import write_video
 from thermorender.scene.surface import FILLED
 from thermorender.sensor.display import DisplaySettings
 from thermorender.units import instant, utc_text

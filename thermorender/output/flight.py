@@ -198,6 +198,7 @@ def _done(folder: Path, settings: dict[str, Any], products: Sequence[str], resum
                 f"{folder} already holds {other.name}, which a flight would overwrite; give another folder"
             )
         return []
+    files.remove_parts(folder)
     if not described.exists():
         if lines.exists():
             raise ThermorenderError(
@@ -234,7 +235,6 @@ def _done(folder: Path, settings: dict[str, Any], products: Sequence[str], resum
         kept.append(line)
         terrain.append(shows)
     files.write_text(lines, "".join(line + "\n" for line in kept))
-    files.remove_parts(folder)
     return terrain
 
 

@@ -10,11 +10,11 @@ import numpy as np
 from thermorender import files
 from thermorender.errors import ThermorenderError
 from thermorender.validate.bench import machine
-from thermorender.validate.stability import air, heat, light, maps, pixels, sensor
+from thermorender.validate.stability import air, faults, heat, light, maps, pixels, sensor
 from thermorender.validate.stability.cases import CASES
 from thermorender.versions import versions
 
-_GROUPS = (air, heat, light, maps, pixels, sensor)
+_GROUPS = (air, faults, heat, light, maps, pixels, sensor)
 HEADER = ("case", "expected [K]", "found [K]", "error [K]", "allowed [K]", "verdict", "time [s]")
 _FORMS = (("expected_k", "{:.6g}"), ("found_k", "{:.6g}"), ("error_k", "{:.1e}"), ("tolerance_k", "{:.1e}"))
 
@@ -25,7 +25,7 @@ def run(groups=(), progress=None):
     Parameters
     ----------
     groups : sequence of str
-        Some of "air", "heat", "light", "maps", "sensor"; none: all.
+        Some of "air", "faults", "heat", "light", "maps", "sensor"; none: all.
     progress : callable, optional
         Called with (what, share done).
 
