@@ -187,5 +187,5 @@ def test_verdicts(job, passed, tmp_path, monkeypatch, call):
 
 
 def test_an_unknown_group_is_named():
-    with pytest.raises(ThermorenderError, match="group 'heats' is unknown; give some of air, heat, light, maps"):
+    with pytest.raises(ThermorenderError, match="group 'heats' is unknown; give some of air, faults, heat, light"):
         stability.run(["heats"])
