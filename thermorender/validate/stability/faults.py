@@ -478,7 +478,7 @@ def steady():
 
 @case("faults", "{}, then dropped: growth of memory [MB each]", ("scenes loaded and flown", "frames path traced"))
 def dropped(what):
-    """Of what would be kept: a scene's arrays and kernels' inputs, and a path-traced frame's texels."""
+    """Of what would be kept: a scene's arrays and kernels' inputs, and what a path-traced frame's lens is told by."""
     memory = told(*(("scenes", 30) if what.startswith("scenes") else ("references", 30)))
     # What is made once is made by then.
     later = memory[len(memory) // 2 :]

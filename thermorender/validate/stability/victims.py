@@ -337,7 +337,8 @@ def references(folder, count):
     from thermorender.render import reference
     from thermorender.scene.load import load_scene
 
-    scene, told = small(load_scene(folder.parent / "scene")), []
+    # Wide enough that what its lens is told by, 8 bytes a pixel, would show if it were kept.
+    scene, told = small(load_scene(folder.parent / "scene"), 400, 320), []
     for _ in range(int(count)):
         reference.render(scene, _path(1.0).pose(0.5), samples=1, depth=2)
         told.append(memory_mb())
