@@ -98,10 +98,14 @@ def test_what_a_killed_process_left_of_a_folder_goes_and_that_of_a_living_one_st
     assert [path.name for path in tmp_path.iterdir()] == ["a"] and (target / "whole").exists()
 
 
-def test_a_flight_killed_at_its_first_file_leaves_nothing(tmp_path):
+def test_a_flight_killed_at_its_first_files_leaves_nothing(tmp_path, monkeypatch):
     victims.write_scene(tmp_path / "scene")
-    (tmp_path / "work" / "out").mkdir(parents=True)
+    # Before its folder is tried to the end, and while its first file is written.
+    with monkeypatch.context() as killed:
+        killed.setattr(files, "_remove", lambda path: None)
+        files.make_folder(tmp_path / "work" / "out")
     (tmp_path / "work" / "out" / ".flight.01234567.part.json").write_text("{")
+    assert len(list((tmp_path / "work" / "out").iterdir())) == 2
     victims.flight(tmp_path / "work", products=("counts",))
     assert not [path.name for path in (tmp_path / "work" / "out").iterdir() if path.name.startswith(".")]
 

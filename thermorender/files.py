@@ -208,7 +208,8 @@ def make_folder(path):
             f"output folder {path} cannot be made: {error.strerror}; give a folder that can be written"
         ) from None
     # Tried, since permissions do not tell all: of a file system that is read-only, or of one that takes no files.
-    trial = path / f".{secrets.token_hex(4)}.part"
+    # Named as other temporary files are, by which it is removed where a process is killed here.
+    trial = path / f".trial.{secrets.token_hex(4)}.part"
     try:
         trial.touch()
     except OSError as error:

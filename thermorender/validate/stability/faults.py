@@ -22,10 +22,18 @@ from unittest.mock import patch
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.validate.stability import victims
 from thermorender.validate.stability.cases import Found, case
 from thermorender.validate.stability.corpus import READERS
-from thermorender.validate.stability.victims import FRAMES, sentence
+from thermorender.validate.stability.victims import (
+    FRAMES,
+    images,
+    learner,
+    renderer,
+    sentence,
+    write_checkpoint,
+    write_picture,
+    write_scene,
+)  # fmt: skip
 
 # Lives that a job is killed in, and the longest any of them may take [s]: what takes longer hangs.
 KILLS, _MOST_S = 5, 120.0
@@ -42,7 +50,7 @@ def _place(balance=False):
     with tempfile.TemporaryDirectory(prefix="thermorender-faults-") as folder:
         # For nobody, too.
         os.chmod(folder, 0o755)
-        victims.write_scene(Path(folder) / "scene", balance)
+        write_scene(Path(folder) / "scene", balance)
         (Path(folder) / "work").mkdir()
         yield Path(folder) / "work"
 
@@ -249,9 +257,9 @@ def worker(which):
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.mp4"
         if which.startswith("the encoder"):
-            images = victims.images(Path(folder))
+            made = images(Path(folder))
             with patch.object(subprocess, "Popen", _Killed):
-                wrong = _ends_in_a_sentence(lambda: write_video(path, images, 8.0), "the encoder ended with status -9")
+                wrong = _ends_in_a_sentence(lambda: write_video(path, made, 8.0), "the encoder ended with status -9")
             return Found(wrong + path.exists(), 0.0, 0.0)
         return Found(_ends_in_a_sentence(lambda: apart(os._exit, 3), "was killed before it was done"), 0.0, 0.0)
 
@@ -281,7 +289,7 @@ def light(how):
         stack.callback(_restore, "THERMORENDER_CACHE", before)
         os.environ["THERMORENDER_CACHE"] = str(folder)
         kept.WORTH_RAYS = 0
-        geometry = victims.renderer(folder.parent / "scene").baked.geometry
+        geometry = renderer(folder.parent / "scene").baked.geometry
         true, name = radiosity.trace(geometry, 64), kept.key(geometry, 64)
         kept.store(name, true)
         path, wrong = folder / "light" / f"{name}.npz", 0
@@ -352,7 +360,7 @@ def lowtran():
 def _read_checkpoint(path):
     from thermorender.learned.networks import checkpoint
 
-    checkpoint.load(path, victims.learner())
+    checkpoint.load(path, learner())
 
 
 def _read_weights(path):
@@ -367,11 +375,10 @@ def _read_picture(path):
     read_picture(path)
 
 
-# {reader: (makes a file at a path, reads it)} beside those of `corpus`.
 _MORE = {
-    "checkpoint": (victims.write_checkpoint, _read_checkpoint),
-    "weights": (victims.write_checkpoint, _read_weights),
-    "photograph": (victims.write_picture, _read_picture),
+    "checkpoint": (write_checkpoint, _read_checkpoint),
+    "weights": (write_checkpoint, _read_weights),
+    "photograph": (write_picture, _read_picture),
 }
 
 
@@ -401,9 +408,9 @@ def _readers():
     found = {name: (each.file, lambda path, each=each: each.make(path.parent), each.read)
              for name, each in READERS.items()}  # fmt: skip
     return found | {
-        "checkpoint": ("a.safetensors", victims.write_checkpoint, _read_checkpoint),
-        "weights": ("b.safetensors", victims.write_checkpoint, _read_weights),
-        "photograph": ("c.png", victims.write_picture, _read_picture),
+        "checkpoint": ("a.safetensors", write_checkpoint, _read_checkpoint),
+        "weights": ("b.safetensors", write_checkpoint, _read_weights),
+        "photograph": ("c.png", write_picture, _read_picture),
     }
 
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from thermorender import files
 from thermorender.errors import ThermorenderError
-from thermorender.validate.stability import corpus
+from thermorender.validate.stability.corpus import write_colour, write_elevation
 
 FRAMES = 12
 _PRODUCTS = ("exr", "truth", "counts", "radiometric", "display", "video")
@@ -56,8 +56,8 @@ def write_scene(folder, balance=False):
     folder.mkdir(parents=True, exist_ok=True)
     source = {"source": "balance", "value": ""} if balance else {"source": "constant", "value": "value = 290.0"}
     (folder / "scene.toml").write_text(_SCENE.format(**source), encoding="utf-8")
-    corpus.write_elevation(folder / "elevation.tif")
-    corpus.write_colour(folder / "orthophoto.tif")
+    write_elevation(folder / "elevation.tif")
+    write_colour(folder / "orthophoto.tif")
     return folder
 
 
