@@ -6,7 +6,8 @@ import pytest
 from conftest import shared_data
 
 from thermorender.errors import ThermorenderError
-from thermorender.output.images import write_image, write_video
+from thermorender.files import write_image
+from thermorender.output.video import write_video
 from thermorender.sensor.display import MODES, DisplaySettings
 from thermorender.sensor.palettes import PALETTES, palette
 

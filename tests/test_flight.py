@@ -11,10 +11,10 @@ import trimesh
 import thermorender as tr
 from scenes import write_mesh, write_terrain
 from thermorender.errors import ThermorenderError
+from thermorender.files import write_image
 from thermorender.footage.radiometric_files import read_temperature
 from thermorender.output.exr import read_exr
 from thermorender.output.flight import fly
-from thermorender.output.images import write_image
 from thermorender.scene.spec import TemperatureSpec
 from thermorender.sensor.detector import row_delays
 from thermorender.sensor.display import DisplaySettings

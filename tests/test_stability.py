@@ -358,7 +358,7 @@ def test_half_precision_is_told_by_the_cases_of_precision(place, name, words, mo
 
     def halved(*given):
         real = [isinstance(each, np.ndarray) and each.dtype.kind == "f" for each in given]
-        halves = [each.astype(np.float16).astype(each.dtype) if half else each for each, half in zip(given, real)]
+        halves = [each.astype(np.float16).astype(each.dtype) if half else each for each, half in zip(given, real, strict=True)]
         return whole(*halves)
 
     assert all(found["passed"] for found in own_cases(words, group="precision").values())
@@ -367,5 +367,5 @@ def test_half_precision_is_told_by_the_cases_of_precision(place, name, words, mo
 
 
 def test_an_unknown_group_is_named():
-    with pytest.raises(ThermorenderError, match="group 'heats' is unknown; give some of air, geometry, heat, light"):
+    with pytest.raises(ThermorenderError, match="group 'heats' is unknown; give some of air, faults, geometry, heat"):
         stability.run(["heats"])

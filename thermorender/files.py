@@ -2,9 +2,10 @@
 
 What is written has a temporary name of its own beside its place, and takes its name when it is complete. Neither a
 failure nor an interruption leaves half of it, and processes that write the same file do not meet: the last one's is
-there. Also here: text and JSON, and the cache, with a folder of its own for each kind of file.
+there. Also here: text, JSON, pictures and rasters, and the cache, with a folder of its own for each kind of file.
 """
 
+import errno
 import json
 import os
 import re
@@ -59,21 +60,24 @@ def atomic_folder(path, overwrite=False):
     ThermorenderError
         The folder is in use or cannot be made; nothing is left behind, and an old folder stays as it was.
     """
-    _refuse_used_folder(path, overwrite)
+    given = path
     # Resolved, so that "." has a name and a folder above it.
     path = Path(path).resolve()
+    _recover(path)
+    _refuse_used_folder(given, overwrite)
     with _beside(path) as part:
         part.mkdir()
-        yield part
-        old = part.with_name(f"{part.name}.old")
-        try:
-            if path.exists():
-                os.replace(path, old)
-            os.replace(part, path)
-        finally:
-            if old.exists() and not path.exists():
-                os.replace(old, path)
-            shutil.rmtree(old, ignore_errors=True)
+        with in_use(part):
+            yield part
+            old = part.with_name(f"{part.name}.old")
+            try:
+                if path.exists():
+                    os.replace(path, old)
+                os.replace(part, path)
+            finally:
+                if old.exists() and not path.exists():
+                    os.replace(old, path)
+                shutil.rmtree(old, ignore_errors=True)
 
 
 @contextmanager
@@ -95,6 +99,36 @@ def _beside(path):
         shutil.rmtree(part, ignore_errors=True)
         _remove(part)
         _remove_empty(made)
+
+
+def _recover(path):
+    """Remove what killed processes left of a folder beside its place; bring an old one back that has no new one."""
+    name = re.compile(rf"(\.{re.escape(path.stem)}\.[0-9a-f]{{8}}\.part{re.escape(path.suffix)})(\.old)?")
+    with suppress(OSError):
+        for each in list(path.parent.iterdir()):
+            found = name.fullmatch(each.name)
+            part = found and each.with_name(found[1])
+            if found and each.is_dir() and (not part.exists() or _abandoned(part)):
+                if found[2] and not path.exists():
+                    os.replace(each, path)
+                shutil.rmtree(each, ignore_errors=True)
+
+
+def _abandoned(folder):
+    """Whether no process has a folder, as by `in_use`; False where the system does not tell."""
+    try:
+        import fcntl
+
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    except (ImportError, OSError):
+        return False
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return True
+    except OSError:
+        return False
+    finally:
+        os.close(handle)
 
 
 def remove_parts(folder, name=r".+", older_s=0.0):
@@ -175,7 +209,8 @@ def make_folder(path):
             f"output folder {path} cannot be made: {error.strerror}; give a folder that can be written"
         ) from None
     # Tried, since permissions do not tell all: of a file system that is read-only, or of one that takes no files.
-    trial = path / f".{secrets.token_hex(4)}.part"
+    # Named as other temporary files are, by which it is removed where a process is killed here.
+    trial = path / f".trial.{secrets.token_hex(4)}.part"
     try:
         trial.touch()
     except OSError as error:
@@ -282,15 +317,26 @@ def write_json(path, value):
 
 
 def on_disk(*paths):
-    """Wait until files are on the disk, and their names in the folders that hold them."""
+    """Wait until files are on the disk, and their names in the folders that hold them.
+
+    Raises
+    ------
+    ThermorenderError
+        The disk is full after all, or broken.
+    """
     for path in (*paths, *{Path(path).parent for path in paths}):
-        # Windows opens no folder, and syncs nothing that was opened to be read.
-        with suppress(OSError):
+        try:
             handle = os.open(path, os.O_RDONLY)
             try:
                 os.fsync(handle)
             finally:
                 os.close(handle)
+        except OSError as error:
+            # Windows opens no folder, and syncs nothing that was opened to be read; some file systems sync no folder.
+            if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
+                raise ThermorenderError(
+                    f"{path} did not reach the disk: {error.strerror}; check the disk and continue with --resume"
+                ) from error
 
 
 def checksum(path):
@@ -349,6 +395,33 @@ def read_json_lines(path):
     if whole != text:
         write_text(path, whole)
     return [json.loads(line) for line in whole.splitlines()]
+
+
+# --- pictures and rasters: made in memory, since neither OpenCV nor GDAL tells that a disk is full ------------------
+
+
+def write_image(path, image):
+    """Write (H, W) uint8 or uint16, or (H, W, 3) uint8 RGB, as PNG or TIFF by the path's suffix."""
+    import cv2
+    import numpy as np
+
+    ordered = image[..., ::-1] if image.ndim == 3 else image
+    with atomic(path) as part:
+        encoded, data = cv2.imencode(Path(path).suffix, np.ascontiguousarray(ordered))
+        if not encoded:
+            raise OSError(f"no encoder took a {image.dtype} image")
+        part.write_bytes(data)
+
+
+@contextmanager
+def atomic_raster(path):
+    """As `atomic`, for GDAL: give the name of a file in memory, which is written when the block ends without error."""
+    from rasterio.io import MemoryFile
+
+    with MemoryFile(ext=Path(path).suffix) as memory:
+        yield memory.name
+        with atomic(path) as part:
+            part.write_bytes(memory.getbuffer())
 
 
 # --- the cache --------------------------------------------------------------------------------------------------

@@ -532,6 +532,7 @@ class Writer:
                 info.size = len(told)
                 tar.addfile(info, io.BytesIO(told))
                 entries.append(entry)
+        files.on_disk(self.folder / shard)
         self._append(shard, entries)
         return tuple(entries)
 

@@ -73,7 +73,7 @@ def convergence(
     """Error against run time, beside stock Mitsuba, against the path-traced reference."""
     from thermorender.validate.convergence import convergence as run
 
-    with progress() as tell:
+    with progress() as tell, _alone(output):
         loaded = [at_time(name, time) for name in scenes or defaults.SCENES]
         run(loaded, output, tell, "quick" if quick else "full", overwrite, device)
     typer.echo(f"table, numbers and figures in {output}")
@@ -212,7 +212,7 @@ def validate_growth(output: Out = Path("out/validation"), device: Device = "auto
     """How time and memory grow with triangles, texels and spectral nodes; continues where it was stopped."""
     from thermorender.validate import growth as study
 
-    with progress() as tell:
+    with progress() as tell, _alone(output):
         cases = study.run(output, progress=tell, device=device)
     table(study.HEADER, study.rows(cases))
     typer.echo(f"numbers and figure in {output}")
@@ -228,7 +228,7 @@ def validate_budget(
     """What frames state of their sampling error, held against 256 rays per pixel; continues where it was stopped."""
     from thermorender.validate.budget import study
 
-    with progress() as tell:
+    with progress() as tell, _alone(output):
         cases = study.run(output, drawn=drawn, seed=seed, progress=tell, device=device)
     table(study.HEADER, study.rows(cases))
     told = study.summary(cases)
@@ -315,8 +315,7 @@ def validate_closed_loop(
     from thermorender.validate.closed_loop import run as study
     from thermorender.validate.figures.closed_loop import figure
 
-    output.mkdir(parents=True, exist_ok=True)
-    with progress() as tell:
+    with progress() as tell, _alone(output):
         found = study.fly(output, split(models), runs, tell, quality=quality, device=device)
     told = study.write(found, output)
     figure(output / "closed_loop.png", found)
@@ -327,7 +326,7 @@ def validate_closed_loop(
 @app.command("stability")
 def validate_stability(
     groups: Annotated[
-        list[str] | None, typer.Argument(help="Some of air, heat, light, maps, sensor; default: all.")
+        list[str] | None, typer.Argument(help="Some of air, faults, heat, light, maps, pixels, sensor; default: all.")
     ] = None,
     output: Out = Path("out/validation"),
     fuzz: Annotated[int, typer.Option(min=0, help="Instead: so many damaged files for each reader.")] = 0,
@@ -347,6 +346,11 @@ def validate_stability(
     typer.echo(f"{result['failed']} of {len(result['cases'])} cases fail; numbers and table in {output}")
     if result["failed"]:
         raise typer.Exit(1)
+
+
+def _alone(folder):
+    """Keep other processes out of a folder of results that is continued."""
+    return files.in_use(files.make_folder(folder))
 
 
 def _fuzzed(readers, output, count, seed):

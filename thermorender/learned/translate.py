@@ -187,7 +187,7 @@ def translate(model, paths, output, texel_m=None, palette="white-hot", inner=Fal
         before = _begin(folder, settings, resume)
         for number, source in enumerate(sources):
             name, size = str(source.resolve()), source.stat().st_size
-            if before.get(name) == size and all(path.exists() for path in outputs[source]):
+            if before.get(name) == (size, _sizes(outputs[source])):
                 passed += 1
                 continue
 
@@ -203,7 +203,8 @@ def translate(model, paths, output, texel_m=None, palette="white-hot", inner=Fal
             except UnreadableError as error:
                 failed[source] = str(error)
                 continue
-            written = [path.name for path in outputs[source]]
+            written = _sizes(outputs[source])
+            files.on_disk(*outputs[source])
             files.append_json(folder / DONE, {"source": name, "bytes": size, "files": written, **facts})
             done += 1
     return {"done": done, "passed over": passed, "failed": failed, "warning": model.texel_warning(texel_m)}
@@ -293,9 +294,23 @@ def _video(how, source, outputs, told):
             outside += how.share_outside(counts)
             told(number / max(declared, number))
             whole, image = reader.read()
+        writer.release()
+        _refuse_cut(part, number)
         if number < declared - max(1.0, _MISSING_FRAMES * declared):
             raise UnreadableError(f"{source} breaks off after {number} of {declared} frames; give the whole video")
     return {"shape": list(counts.shape), "frames": number, "rate_hz": rate_hz, "share_outside_0_1": outside / number}
+
+
+def _refuse_cut(path, frames):
+    """Refuse a video that does not hold the frames written to it: OpenCV does not tell that a disk is full."""
+    import cv2
+
+    reader, found = cv2.VideoCapture(str(path)), 0
+    while reader.grab():
+        found += 1
+    reader.release()
+    if found != frames:
+        raise OSError(f"{found} of {frames} frames reached the disk")
 
 
 def _refuse_empty(source, counts, shows):
@@ -306,14 +321,9 @@ def _refuse_empty(source, counts, shows):
 
 
 def _write_counts(how, counts, tiff, png):
-    import cv2
-
-    with files.atomic(tiff) as part:
+    with files.atomic_raster(tiff) as part:
         write_tlinear_counts(part, counts)
-    shown = how.picture(counts)
-    with files.atomic(png) as part:
-        if not cv2.imwrite(str(part), np.ascontiguousarray(shown[..., ::-1] if shown.ndim == 3 else shown)):
-            raise OSError("no encoder took the image")
+    files.write_image(png, how.picture(counts))
 
 
 # --- files and record -------------------------------------------------------------------------------------------
@@ -361,7 +371,7 @@ def _refuse_clashes(outputs, resume):
 
 
 def _begin(folder, settings, resume):
-    """Write the record, or hold it against that of before; return {path: bytes} of the files that are done."""
+    """Write the record, or hold it against that of before; return {path: (bytes, `_sizes`)} of what is done."""
     path = folder / RECORD
     # As it is read back.
     settings = json.loads(json.dumps(settings))
@@ -381,9 +391,17 @@ def _begin(folder, settings, resume):
         )
     path = folder / DONE
     try:
-        return {line["source"]: line["bytes"] for line in files.read_json_lines(path)}
+        return {line["source"]: (line["bytes"], line["files"]) for line in files.read_json_lines(path)}
     except (ValueError, KeyError, TypeError):
         raise ThermorenderError(f"{path} is no list of translations; give another folder") from None
+
+
+def _sizes(outputs):
+    """{name: bytes} of files, of a folder how many it holds; without those that are not there."""
+    return {
+        path.name: len(list(path.iterdir())) if path.is_dir() else path.stat().st_size
+        for path in outputs if path.exists()
+    }  # fmt: skip
 
 
 def _told(model):

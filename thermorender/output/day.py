@@ -14,9 +14,9 @@ from thermorender import files
 from thermorender.errors import ThermorenderError
 from thermorender.output import products as product_files
 from thermorender.output.day_figure import figure
-from thermorender.output.images import write_image, write_video
 from thermorender.output.record import made_by, record, weather_of
 from thermorender.output.timed import solved_in_parts
+from thermorender.output.video import write_video
 from thermorender.scene.surface import FILLED
 from thermorender.sensor.display import DisplaySettings
 from thermorender.units import instant, utc_text
@@ -185,7 +185,7 @@ def _show(folder, display, counts, video):
     measured = display.measure(counts)
     images = [product_files.paths(folder, index, ("display",))["display"] for index in range(len(counts))]
     for path, one in zip(images, counts, strict=True):
-        write_image(path, display.shown(one, measured))
+        files.write_image(path, display.shown(one, measured))
     if video:
         write_video(folder / "day.mp4", images, RATE_HZ)
 

@@ -51,8 +51,9 @@ def write_exr(path, frame, truth, thermography=None, error=False):
             {**record(frame), **made_by(), "thermography": thermography and asdict(thermography), "units": units}
         ),
     }
-    with atomic(path) as part:
-        OpenEXR.File(header, channels).write(str(part))
+    # A file opened here, since OpenEXR's own does not tell where its last bytes found no room.
+    with atomic(path) as part, open(part, "wb") as file:
+        OpenEXR.File(header, channels).write(file)
 
 
 def read_exr(path):

@@ -24,10 +24,10 @@ from thermorender import files
 from thermorender.errors import ThermorenderError
 from thermorender.frame import Frame
 from thermorender.output import products as product_files
-from thermorender.output.images import write_video
 from thermorender.output.photograph import photograph
 from thermorender.output.record import made_by, record, weather_of
 from thermorender.output.timed import STEP_S, TimedRenderer
+from thermorender.output.video import write_video
 from thermorender.scene.load import Scene
 from thermorender.scene.tracks import TrackedObject
 from thermorender.sensor.chain import sensor_of
@@ -198,6 +198,7 @@ def _done(folder: Path, settings: dict[str, Any], products: Sequence[str], resum
                 f"{folder} already holds {other.name}, which a flight would overwrite; give another folder"
             )
         return []
+    files.remove_parts(folder)
     if not described.exists():
         if lines.exists():
             raise ThermorenderError(
@@ -234,7 +235,6 @@ def _done(folder: Path, settings: dict[str, Any], products: Sequence[str], resum
         kept.append(line)
         terrain.append(shows)
     files.write_text(lines, "".join(line + "\n" for line in kept))
-    files.remove_parts(folder)
     return terrain
 
 

@@ -5,10 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from thermorender.errors import ThermorenderError
-from thermorender.files import atomic
+from thermorender.files import atomic_raster, write_image
 from thermorender.footage.radiometric_files import write_tlinear
 from thermorender.output.exr import write_exr
-from thermorender.output.images import write_image
 from thermorender.sensor.radiometry import ThermographySettings, thermography_reading
 
 DEFAULT = ("exr", "truth", "counts", "display", "video")
@@ -19,7 +18,7 @@ _PARTS = ("truth", "error", "video")
 def write_radiometric(path, frame, thermography):
     """Write what thermography software reads as a 16-bit TIFF of 0.04 K per count."""
     reading = thermography_reading(frame.counts, frame.camera, thermography or ThermographySettings())
-    with atomic(path) as part:
+    with atomic_raster(path) as part:
         write_tlinear(part, reading)
 
 

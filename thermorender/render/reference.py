@@ -9,6 +9,7 @@ noise that falls with the square root of the samples.
 """
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from thermorender.physics.planck import C1L, C2
 from thermorender.render.geometry import box_of
 from thermorender.render.mirrors import directional
 from thermorender.render.renderer import checked_pose
-from thermorender.render.variant import activate
+from thermorender.render.variant import activate, switch
 
 VARIANTS = {"llvm_ad_mono": "llvm_ad_spectral", "cuda_ad_mono": "cuda_ad_spectral"}
 _NAMES = itertools.count()
@@ -59,7 +60,7 @@ def render(scene, pose, samples=64, depth=8, seed=0, device="auto", integrator="
         raise ThermorenderError(f"samples={samples} is not allowed; give at least 1 path per pixel")
     mi = activate(device)
     before = mi.variant()
-    mi.set_variant(VARIANTS[before])
+    switch(mi, VARIANTS[before])
     try:
         world = mitsuba_scene(mi, scene, pose, integrator, depth)
         total, done = np.zeros((camera.height, camera.width)), 0
@@ -74,7 +75,7 @@ def render(scene, pose, samples=64, depth=8, seed=0, device="auto", integrator="
         # The film integrates over nanometres what is radiance per micrometre.
         return total / samples * 1e-3
     finally:
-        mi.set_variant(before)
+        switch(mi, before)
 
 
 def frame(renderer, pose, samples=64, depth=8, progress=None):
@@ -116,9 +117,12 @@ def mitsuba_scene(mi, scene, pose, integrator, depth):
     name, lens = f"thermal{number}", f"lens{number}"
     limits = box_of(scene)
     middle = float(limits[:, 2].mean())
-    _register(mi, name, scene, horizon_m=middle)
+    # Mitsuba keeps what is registered as long as the process lives. So what is large belongs to the instances, which
+    # end with their scene, and is here only until they are made.
+    loaded = SimpleNamespace()
+    _register(mi, name, scene, middle, loaded)
     camera = scene.camera
-    _register_lens(mi, lens, camera, pose)
+    _register_lens(mi, lens, camera, pose, loaded)
     lower, upper = (1e3 * edge for edge in camera.band_um)
     parts = {
         "type": "scene",
@@ -150,10 +154,12 @@ def mitsuba_scene(mi, scene, pose, integrator, depth):
     mirrors = np.isin(np.arange(len(scene.materials)), directional(scene.materials))
     for number, surface in enumerate(scene.surfaces):
         parts[f"s{number}"] = _mesh(mi, name, number, surface, scene.terrain_count, mirrors)
-    return mi.load_dict(parts)
+    world = mi.load_dict(parts)
+    vars(loaded).clear()
+    return world
 
 
-def _register_lens(mi, name, camera, pose):
+def _register_lens(mi, name, camera, pose, loaded):
     """Register the sensor: a camera's rays through its distortion and principal point, exact at pixels' corners.
 
     Between these directions are bilinear: within a pixel a lens is linear to 1e-6 of a pixel.
@@ -162,10 +168,14 @@ def _register_lens(mi, name, camera, pose):
 
     width, height = camera.width, camera.height
     place = np.stack(np.meshgrid(np.arange(width + 1.0), np.arange(height + 1.0)), axis=-1)
-    slopes = mi.Float(camera.directions(place).astype(np.float32).ravel())
+    loaded.slopes = mi.Float(camera.directions(place).astype(np.float32).ravel())
     rotation, origin = mi.Matrix3f(pose[:3, :3]), mi.Point3f(pose[:3, 3])
 
     class Lens(mi.Sensor):
+        def __init__(self, properties):
+            mi.Sensor.__init__(self, properties)
+            self.slopes = loaded.slopes
+
         def sample_ray(self, time, wavelength_sample, position_sample, aperture_sample, active=True):
             wavelengths, weight = self.sample_wavelengths(
                 dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, active
@@ -176,7 +186,7 @@ def _register_lens(mi, name, camera, pose):
             corner = mi.UInt32(top * (width + 1) + left)
             across, down = column - mi.Float(left), row - mi.Float(top)
             near, far = (
-                dr.lerp(*(dr.gather(mi.Point2f, slopes, corner + line + k, active) for k in (0, 1)), across)
+                dr.lerp(*(dr.gather(mi.Point2f, self.slopes, corner + line + k, active) for k in (0, 1)), across)
                 for line in (0, width + 1)
             )
             slope = dr.lerp(near, far, down)
@@ -224,7 +234,7 @@ def _mesh(mi, name, number, surface, terrain_count, mirrors):
     return mesh
 
 
-def _register(mi, name, scene, horizon_m):
+def _register(mi, name, scene, horizon_m, loaded):
     """Register what surfaces are made of, by their texels: a texture and a material.
 
     The texture is spectral radiance, emitted at the angle of view, or the reflectance of diffuse ones.
@@ -290,10 +300,13 @@ def _register(mi, name, scene, horizon_m):
                 emissivity = dr.select(shiny, dr.lerp(*ends, across), emissivity)
             yield share, dr.gather(mi.Float, temperature, index, active), emissivity, shiny
 
+    loaded.texels = texels
+
     class Thermal(mi.Texture):
         def __init__(self, properties):
             mi.Texture.__init__(self, properties)
             self.what, self.surface = properties["what"], int(properties["surface"])
+            self.texels = loaded.texels
 
         def eval(self, si, active=True):
             wavelength = si.wavelengths * 1e-3
@@ -302,7 +315,7 @@ def _register(mi, name, scene, horizon_m):
                 warm = [planck(wavelength, t) if t > 0.0 else wavelength * 0.0 for t in outside]
                 return dr.select(up, *warm) & active
             result = wavelength * 0.0
-            for share, temperature, emissivity, _ in texels(si, self.surface, active):
+            for share, temperature, emissivity, _ in self.texels(si, self.surface, active):
                 emits = self.what == "emission"
                 result += share * (emissivity * planck(wavelength, temperature) if emits else 1.0 - emissivity)
             return result & active
@@ -319,7 +332,7 @@ def _register(mi, name, scene, horizon_m):
     class Mirror(mi.BSDF):
         def __init__(self, properties):
             mi.BSDF.__init__(self, properties)
-            self.surface = int(properties["surface"])
+            self.surface, self.texels = int(properties["surface"]), loaded.texels
             both = mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
             self.m_components = [mi.BSDFFlags.DiffuseReflection | both, mi.BSDFFlags.DeltaReflection | both]
             self.m_flags = self.m_components[0] | self.m_components[1]
@@ -327,7 +340,7 @@ def _register(mi, name, scene, horizon_m):
         def _shares(self, si, active):
             """(diffuse, mirrored share of the light, chance to follow the mirror)."""
             diffuse, mirrored = mi.UnpolarizedSpectrum(0.0), mi.UnpolarizedSpectrum(0.0)
-            for share, _, emissivity, shiny in texels(si, self.surface, active):
+            for share, _, emissivity, shiny in self.texels(si, self.surface, active):
                 diffuse += dr.select(shiny, 0.0, share * (1.0 - emissivity))
                 mirrored += dr.select(shiny, share * (1.0 - emissivity), 0.0)
             both = dr.mean(diffuse) + dr.mean(mirrored)

@@ -11,6 +11,7 @@ import re
 import shutil
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 from thermorender.errors import ThermorenderError
@@ -114,8 +115,19 @@ def activate(device="auto"):
         raise ThermorenderError("device='cuda' finds no usable NVIDIA GPU; give device='cpu' or install its driver")
     if device == "cpu" and not llvm:
         raise ThermorenderError(f"this machine has no LLVM library of version {OLDEST_LLVM} or newer; {_INSTALL_HINT}")
-    mi.set_variant(DEVICES[device])
+    switch(mi, DEVICES[device])
     return mi
+
+
+def switch(mi, variant):
+    """Make a variant of Mitsuba the active one.
+
+    Mitsuba then compiles its integrators in Python anew (0.1 s; none is used here), of which Dr.Jit warns in a process
+    that switches often.
+    """
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "The AST-transforming decorator", RuntimeWarning)
+        mi.set_variant(variant)
 
 
 def active_device():

@@ -4,7 +4,7 @@ import numpy as np
 
 from thermorender import defaults
 from thermorender.errors import ThermorenderError
-from thermorender.files import write_text
+from thermorender.files import atomic_raster, write_text
 from thermorender.schema import toml_text
 from thermorender.units import utc_text
 
@@ -58,8 +58,8 @@ def _raster(scene, path, bands, texel_m, scale=None, **options):
 
     count, height, width = bands.shape
     transform = rasterio.Affine(texel_m, 0.0, scene.corner[0], 0.0, -texel_m, scene.corner[1])
-    with rasterio.open(
-        path, "w", driver="GTiff", width=width, height=height, count=count, dtype=bands.dtype, transform=transform,
+    with atomic_raster(path) as part, rasterio.open(
+        part, "w", driver="GTiff", width=width, height=height, count=count, dtype=bands.dtype, transform=transform,
         crs=f"EPSG:{scene.epsg}", tiled=True, blockxsize=512, blockysize=512, **options,
     ) as file:  # fmt: skip
         file.write(bands)

@@ -5,9 +5,12 @@ machine slows all alike; ratios are medians of the ratios of each turn. The erro
 renderer with 256 rays per pixel: what sampling alone leaves, once as it is and once behind the camera's optics.
 """
 
+import multiprocessing
 import os
 import platform
 import time
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from pathlib import Path
 
@@ -286,6 +289,24 @@ def machine():
     with suppress(AttributeError, OSError, ValueError):
         memory = round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1)
     return {"processor": processor, "cores": os.cpu_count(), "memory_gib": memory, "system": platform.system()}
+
+
+def apart(function, *arguments):
+    """Return what a function returns in a process of its own, whose memory and time are that function's alone.
+
+    Raises
+    ------
+    ThermorenderError
+        The process is killed before it is done.
+    """
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        try:
+            return pool.submit(function, *arguments).result()
+        except BrokenProcessPool:
+            raise ThermorenderError(
+                "a process that measures was killed before it was done, perhaps for want of memory; free some and "
+                "start again"
+            ) from None
 
 
 def forget_peak_memory():

@@ -20,7 +20,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.render import reference
 from thermorender.render.plan import QUALITIES
 from thermorender.render.renderer import Renderer
-from thermorender.render.variant import activate
+from thermorender.render.variant import activate, switch
 from thermorender.scene.load import load_scene
 from thermorender.validate import bench, cavity
 from thermorender.validate.figures import convergence as convergence_report
@@ -314,15 +314,15 @@ class Stock:
         self._mi = activate(device)
         self._mono = self._mi.variant()
         self._shape = scene.camera.height, scene.camera.width
-        self._mi.set_variant(reference.VARIANTS[self._mono])
+        switch(self._mi, reference.VARIANTS[self._mono])
         try:
             self._world = reference.mitsuba_scene(self._mi, scene, pose, "path", 8)
         finally:
-            self._mi.set_variant(self._mono)
+            switch(self._mi, self._mono)
 
     def render(self, integrator, samples, seed=0):
         """Return band radiance, (H, W) float64 [W m⁻² sr⁻¹], of an integrator (a dict of Mitsuba's)."""
-        self._mi.set_variant(reference.VARIANTS[self._mono])
+        switch(self._mi, reference.VARIANTS[self._mono])
         try:
             method = self._mi.load_dict(integrator)
             total = np.zeros(self._shape)
@@ -333,7 +333,7 @@ class Stock:
             # The film integrates over nanometres what is radiance per micrometre.
             return total / samples * 1e-3
         finally:
-            self._mi.set_variant(self._mono)
+            switch(self._mi, self._mono)
 
 
 def _seconds(job, budget):

@@ -5,9 +5,7 @@ making of the terrain. Nodes are given in number, not by a tolerance.
 """
 
 import json
-import multiprocessing
 import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -49,15 +47,13 @@ def run(folder, axes=AXES, base=BASE, progress=None, device="auto"):
     jobs = [
         (axis, dict(zip(names, base, strict=True)) | {axis: value}) for axis, values in axes.items() for value in values
     ]
-    context = multiprocessing.get_context("spawn")
     for number, (axis, case) in enumerate(jobs):
         name = "/".join((axis, *(str(value) for value in case.values())))
         if progress:
             progress(name, number / len(jobs))
         if name in kept:
             continue
-        with ProcessPoolExecutor(1, context) as pool:
-            kept[name] = {"varied": axis, **case, **pool.submit(_measure, *case.values(), device).result()}
+        kept[name] = {"varied": axis, **case, **bench.apart(_measure, *case.values(), device)}
         record = {"machine": bench.machine(), "versions": versions(), "rays": RAYS, "cases": kept}
         files.write_json(path, record)
         figure(folder / "growth.png", kept)

@@ -183,7 +183,7 @@ def write_overlay(path, visible, thermal, rig):
     """
     import cv2
 
-    from thermorender.output.images import write_image
+    from thermorender.files import write_image
 
     colours, _ = warped(visible, rig, thermal.shape)
     low, high = np.nanpercentile(thermal, (1.0, 99.0))

@@ -3,7 +3,7 @@
 import json
 
 import torch
-from safetensors import safe_open
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
 from thermorender import files
@@ -23,7 +23,11 @@ def save(path, learner, facts):
                 tensors[f"optimiser/{name}/{index}/{key}"] = torch.as_tensor(value).cpu().contiguous()
         groups[name] = [{k: v for k, v in group.items() if k != "params"} for group in kept["param_groups"]]
     with files.atomic(path) as part:
-        save_file(tensors, part, {"facts": json.dumps(facts), "groups": json.dumps(groups)})
+        try:
+            save_file(tensors, part, {"facts": json.dumps(facts), "groups": json.dumps(groups)})
+        except SafetensorError as error:
+            raise OSError(str(error)) from error
+    files.on_disk(path)
 
 
 def load(path, learner):

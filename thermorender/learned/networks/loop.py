@@ -226,6 +226,10 @@ class _Run:
                     "encoding": self.encoding.header()}  # fmt: skip
         settings = json.loads(json.dumps(settings))
         path, last = self.folder / runs.SETTINGS, self.folder / LAST
+        if self.first:
+            for each in (self.folder, self.folder / runs.SAMPLES):
+                if each.is_dir():
+                    files.remove_parts(each)
         if not self.first:
             pass
         elif path.exists() or last.exists():

@@ -11,8 +11,6 @@ _GAP = 4
 
 def write(path, crops, true_k, found_k):
     """Write a PNG of crops with their true and translated temperatures, (side, side) [K] each; NaN is shown black."""
-    import cv2
-
     rows = []
     for crop, true, found in zip(crops, true_k, found_k, strict=True):
         known = np.isfinite(true)
@@ -22,6 +20,4 @@ def write(path, crops, true_k, found_k):
         error = np.stack([1.0 + np.minimum(off, 0.0), 1.0 - np.abs(off), 1.0 - np.maximum(off, 0.0)], axis=-1)
         tiles = [crop.inputs.rgb, *(np.repeat(255.0 * each[..., None], 3, axis=-1) for each in grey), 255.0 * error]
         rows.append(np.concatenate([np.pad(np.uint8(tile), ((_GAP, 0), (_GAP, 0), (0, 0))) for tile in tiles], axis=1))
-    with files.atomic(path) as part:
-        if not cv2.imwrite(str(part), np.concatenate(rows)[..., ::-1]):
-            raise OSError("no encoder took the image")
+    files.write_image(path, np.concatenate(rows))

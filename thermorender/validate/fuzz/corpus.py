@@ -275,11 +275,11 @@ def _write_raster(path, values, **more):
         file.write(values)
 
 
-def _write_elevation(path):
+def write_elevation(path):
     _write_raster(path, np.random.default_rng(0).uniform(0.0, 3.0, (24, 24)).astype(np.float32), nodata=-9999.0)
 
 
-@_reader("elevation", "elevation.tif", _write_elevation)
+@_reader("elevation", "elevation.tif", write_elevation)
 def _elevation(path):
     from thermorender.scene.terrain import read_elevation
 
@@ -288,11 +288,11 @@ def _elevation(path):
     return height[~np.isnan(height)]
 
 
-def _write_colour(path):
+def write_colour(path):
     _write_raster(path, np.random.default_rng(0).integers(0, 255, (24, 24, 3)).astype(np.uint8))
 
 
-@_reader("orthophoto", "orthophoto.tif", _write_colour)
+@_reader("orthophoto", "orthophoto.tif", write_colour)
 def _orthophoto(path):
     from thermorender.scene.raster import read_colour
 
@@ -301,8 +301,8 @@ def _orthophoto(path):
 
 def _write_scene(path):
     path.write_text(_SCENE)
-    _write_elevation(path.with_name("elevation.tif"))
-    _write_colour(path.with_name("orthophoto.tif"))
+    write_elevation(path.with_name("elevation.tif"))
+    write_colour(path.with_name("orthophoto.tif"))
 
 
 @_reader("scene", "scene.toml", _write_scene)

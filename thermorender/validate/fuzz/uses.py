@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from thermorender.validate.fuzz import corpus
+from thermorender.validate.fuzz.corpus import READERS
 
 _WEATHER = """[weather]
 time = "2018-07-29T12:00:00Z"
@@ -33,7 +33,7 @@ def _load(folder, terrain=_RASTERS, temperature=_WARM, emissivity=_GREY, around=
 
     folder = Path(folder)
     for name in ("elevation", "orthophoto"):
-        reader = corpus.READERS[name]
+        reader = READERS[name]
         if not (folder / reader.file).exists():
             reader.make(folder)
     text = f"[terrain]\n{terrain}[temperature]\n{temperature}[emissivity]\n{emissivity}{around}{more}"
@@ -113,7 +113,7 @@ def _mapped(path):
 
 def _through(path):
     """A frame through an atmosphere, by a camera of its band."""
-    camera = corpus.READERS["camera"]
+    camera = READERS["camera"]
     camera.make(path.parent)
     table = path.with_name(camera.file)
     table.write_text(re.sub("band_um = .*", "band_um = [9.0, 10.0]", table.read_text()))

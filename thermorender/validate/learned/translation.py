@@ -7,9 +7,7 @@ alone, once as pix2pix applies itself (statistics of each square, and dropout, t
 `translate` gives it.
 """
 
-import multiprocessing
 import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +20,7 @@ from thermorender.frame import apparent_temperature
 from thermorender.learned.networks.recipes import RECIPES
 from thermorender.learned.temperature_map import Inputs, load_model
 from thermorender.scene.load import load_scene
-from thermorender.validate.bench import forget_peak_memory, machine, peak_memory_mib
+from thermorender.validate.bench import apart, forget_peak_memory, machine, peak_memory_mib
 from thermorender.versions import versions
 
 HEADER = ("map", "load [s]", "640×512 [s]", "peak [MiB]", "picture", "squares [K]", "elsewhere [K]",
@@ -66,12 +64,11 @@ def run(models, dataset, scene=defaults.SCENE, pictures=6, progress=None):
         raise ThermorenderError(f"pictures={pictures} is not allowed; give 1 or more")
     for model in models:
         load_model(model)
-    found, context = {}, multiprocessing.get_context("spawn")
+    found = {}
     for number, model in enumerate(models):
         if progress:
             progress(str(model), number / len(models))
-        with ProcessPoolExecutor(1, context) as pool:
-            found[str(model)] = pool.submit(_measure, str(model), dataset, scene, pictures).result()
+        found[str(model)] = apart(_measure, str(model), dataset, scene, pictures)
     return {"maps": found, "size": list(SIZE), "side": SIDE, "machine": machine(), "versions": versions()}
 
 

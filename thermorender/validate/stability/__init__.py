@@ -10,11 +10,23 @@ import numpy as np
 from thermorender import files
 from thermorender.errors import ThermorenderError
 from thermorender.validate.bench import machine
-from thermorender.validate.stability import air, geometry, heat, light, maps, motion, pixels, precision, sensor, solver
+from thermorender.validate.stability import (
+    air,
+    faults,
+    geometry,
+    heat,
+    light,
+    maps,
+    motion,
+    pixels,
+    precision,
+    sensor,
+    solver,
+)
 from thermorender.validate.stability.cases import CASES
 from thermorender.versions import versions
 
-_GROUPS = (air, geometry, heat, light, maps, motion, pixels, precision, sensor, solver)
+_GROUPS = (air, faults, geometry, heat, light, maps, motion, pixels, precision, sensor, solver)
 HEADER = ("case", "expected [K]", "found [K]", "error [K]", "allowed [K]", "verdict", "time [s]")
 _FORMS = (("expected_k", "{:.6g}"), ("found_k", "{:.6g}"), ("error_k", "{:.1e}"), ("tolerance_k", "{:.1e}"))
 
@@ -93,8 +105,8 @@ def table(path, result):
         "# Stability",
         "",
         f"{held} of {len(result['cases'])} cases hold, in {result['seconds']:.0f} s. A case holds where what it finds",
-        "differs from what is expected by no more than is allowed, in kelvin; each says in its code where that comes",
-        "from. Errors of steps are the largest of a day, and of some winds.",
+        "differs from what is expected by no more than is allowed, in kelvin or in what its name says; each says in",
+        "its code where that comes from. Errors of steps are the largest of a day, and of some winds.",
     ]
     for group in dict.fromkeys(case["group"] for case in result["cases"]):
         lines += ["", f"## {group}", "", f"| {' | '.join(HEADER)} |", "|---" + "|--:" * 4 + "|---|--:|"]
