@@ -358,7 +358,8 @@ def test_half_precision_is_told_by_the_cases_of_precision(place, name, words, mo
 
     def halved(*given):
         real = [isinstance(each, np.ndarray) and each.dtype.kind == "f" for each in given]
-        halves = [each.astype(np.float16).astype(each.dtype) if half else each for each, half in zip(given, real, strict=True)]
+        parts = zip(given, real, strict=True)
+        halves = [each.astype(np.float16).astype(each.dtype) if half else each for each, half in parts]
         return whole(*halves)
 
     assert all(found["passed"] for found in own_cases(words, group="precision").values())

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from thermorender import defaults
+from thermorender import defaults, files
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic_folder, check_new_folder, write_text
 from thermorender.scene.raster import Grid, bounds_in, grid_of, lon_lat, onto, read_colour
@@ -214,8 +214,8 @@ def _cut(values, grid, bounds):
 def _write(path, bands, grid, mask=None, **options):
     import rasterio
 
-    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), rasterio.open(
-        path, "w", driver="GTiff", count=len(bands), dtype=bands.dtype, height=grid.height, width=grid.width,
+    with files.atomic_raster(path) as part, rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), rasterio.open(
+        part, "w", driver="GTiff", count=len(bands), dtype=bands.dtype, height=grid.height, width=grid.width,
         crs=grid.crs, transform=grid.transform, compress="deflate", tiled=True, **options,
     ) as dataset:  # fmt: skip
         dataset.write(bands)

@@ -143,7 +143,7 @@ def write_map(folder, output, model=EMISSIVITY_MAP, fallback=FALLBACK_MATERIAL, 
                           ("materials", ".png"), ("emissivity", ".toml"))
     }  # fmt: skip
     with (
-        files.atomic(paths["probabilities"]) as part,
+        files.atomic_raster(paths["probabilities"]) as part,
         rasterio.open(part, "w", count=len(model.materials), **profile) as file,
     ):
         file.descriptions = model.materials
@@ -158,10 +158,10 @@ def write_map(folder, output, model=EMISSIVITY_MAP, fallback=FALLBACK_MATERIAL, 
     classes = np.where(unknown, UNKNOWN_CLASS, mapped.index[..., 0] + 1)
     classes = np.where(valid, classes, 0).astype(np.uint8)
     colours = _legend_colours({n: library[name] for n, name in enumerate(model.materials, 1) if name in library})
-    with files.atomic(paths["classes"]) as part, rasterio.open(part, "w", count=1, **profile) as file:
+    with files.atomic_raster(paths["classes"]) as part, rasterio.open(part, "w", count=1, **profile) as file:
         file.write(classes, 1)
         file.write_colormap(1, {0: (0, 0, 0, 0), UNKNOWN_CLASS: _UNKNOWN_COLOUR, **colours})
-    with files.atomic(paths["confidence"]) as part, rasterio.open(part, "w", count=1, **profile) as file:
+    with files.atomic_raster(paths["confidence"]) as part, rasterio.open(part, "w", count=1, **profile) as file:
         file.write(np.where(valid, np.rint(255.0 * mapped.confidence), 0).astype(np.uint8), 1)
         file.scales = (1.0 / 255.0,)
     present = [int(value) for value in np.unique(classes[classes > 0])]

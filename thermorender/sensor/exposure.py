@@ -155,7 +155,8 @@ class Exposure:
         """
         views, interpolates, before = self._views(time_s), bool(self._render_px), self.pixels
         motion, gradient_mk = self._motion_px(views, time_s), _gradient_mk(radiance, self.sensor)
-        contrast, moved_s = gradient_mk / _FITTED_GRADIENT_MK, 0.0
+        # The next frame starts from pixels that were followed through instants, and from what they err by.
+        contrast, moved_s, carried = gradient_mk / _FITTED_GRADIENT_MK, 0.0, 0.0
         # What moves little in a short time constant may move more while the rows are read.
         late = np.std(self._delays) / (self.sensor.camera.time_constant_s or np.inf)
         reading = motion * max(late, 1.0)
@@ -171,9 +172,11 @@ class Exposure:
             signal = self._fast(plan, radiance, moment)
             instants, renders, moved_s = len(plan.times_s), len(plan.renders), self._moved_s(plan)
             error = np.hypot(_instants_mk(plan.spacing_px, motion), _MOVED_MK * interpolates) * contrast
+            carried = error**2
         parts = self._parts(time_s, before, moved_s)
-        followed = self._remembered_mk(time_s, before) ** 2
-        square = error**2 + followed
+        remembered = self._remembered_mk(time_s, before) ** 2
+        square = error**2 + remembered
+        followed = remembered + carried
         if parts:
             # Pixels that stand still may be read as they are: what is written into the frame is not what they are.
             signal = signal.copy()
@@ -183,7 +186,7 @@ class Exposure:
                 renders, instants = renders + count - 1, max(instants, count)
                 share = signal[part.rows, part.columns].size / signal.size
                 square += (own**2 - error**2) * share
-                followed += own**2 * share
+                followed += (own**2 - carried) * share
         error = np.sqrt(square)
         if self.pixels is not None:
             self.pixels = replace(self.pixels, error_mk=float(np.sqrt(followed)))
