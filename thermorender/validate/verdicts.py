@@ -137,8 +137,20 @@ def _budget(found):
             for each in found["cases"].values() if not each["drawn"]]  # fmt: skip
 
 
+def _fuzz(found):
+    """Damaged files by reader; allowed is no fault: no foreign error, number that is not finite, hanging or crash."""
+    told = []
+    for reader, of in found["counts"].items():
+        ends = sum(count for kind, count in of.items() if kind not in ("rendered", "unfit"))
+        what = f"{reader}: {ends} damaged files, {of.get('accepted', 0)} read, {of.get('rendered', 0)} rendered"
+        faults = sum(fault["reader"] == reader for fault in found["faults"])
+        told.append(Verdict(what, "a sentence or finite numbers; how many gave neither", 0.0, faults, 0.0, None))
+    return told
+
+
 STUDIES = (
     Study("stability", "Cases at the edge", "stability/stability.json", (), _stability),
+    Study("stability --fuzz", "Damaged files", "fuzz/fuzz.json", (), _fuzz),
     Study("convergence", "Frames against path tracing", "convergence.json", ("figures/convergence_*.png",),
           _convergence, goes_on=True),
     Study("budget", "Stated against true sampling error", "budget/budget.json", ("budget/budget.png",), _budget,
