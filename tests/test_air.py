@@ -358,3 +358,10 @@ def test_a_dynamic_object_in_air_is_as_a_static_one(tmp_path):
     # Noise of the rays, on the car's 0.59 of reflected light; a wrong sky or channel would be kelvins.
     assert np.sqrt(np.mean(np.square(difference))) < 0.06
     assert images[0].apparent_temperature.std() > 1.0
+
+
+@pytest.mark.parametrize("up", [-2000.0, 4e4])
+def test_a_camera_beyond_the_range_of_the_air_is_refused_by_its_pose(up):
+    scene = tr.load_scene("heath").with_air("us-1976")
+    with pytest.raises(ThermorenderError, match=r"pose: the camera is -?\d+ m above .* give −500 … 30000 m"):
+        tr.Renderer(scene, "fast", rays=4, device="cpu").radiance(tr.pose(0.0, 0.0, up, pitch_deg=-90.0))

@@ -25,7 +25,7 @@ from thermorender.physics.planck import C2, spectral_radiance
 
 # Temperature at which nodes' weights are shares of their sub-band.
 REFERENCE_K = 285.0
-HIGHEST_CAMERA_M = 3.0e4
+LOWEST_M, HIGHEST_CAMERA_M = -500.0, 3.0e4
 # Steps of a path in ln(3 km + altitude); finer ones change no result by more than 6 mK, and near the ground by 1 mK.
 _STEP = 0.08
 # Paths handled at a time, so that intermediate values stay in the processor's cache.
@@ -427,8 +427,8 @@ def check_within(name, value, lowest, highest, unit):
 
 def _altitudes(name, values, highest):
     """Refuse altitudes that are not finite, deep below sea level or above the table."""
-    bad = ~((values >= -500.0) & (values <= highest))
+    bad = ~((values >= LOWEST_M) & (values <= highest))
     if bad.any():
         raise ThermorenderError(
-            f"{name}={values[bad].flat[0]:g} is out of range; give metres above sea level, −500 … {highest:g}"
+            f"{name}={values[bad].flat[0]:g} is out of range; give metres above sea level, −{-LOWEST_M:g} … {highest:g}"
         )

@@ -8,7 +8,7 @@ radiance. Rays look it up; rays that meet nothing look up sky and surroundings b
 import drjit as dr
 import numpy as np
 
-from thermorender.atmosphere.model import HIGHEST_CAMERA_M
+from thermorender.atmosphere.model import HIGHEST_CAMERA_M, LOWEST_M
 from thermorender.atmosphere.rays import EARTH_RADIUS_M, MEAN_RADIUS_M, horizon_cos_zenith
 from thermorender.errors import ThermorenderError
 
@@ -27,11 +27,14 @@ def refuse_camera(scene, positions):
     """Refuse cameras at positions (..., 3) of a scene's local frame that are above the range of its air, or clouds."""
     if scene.air is None:
         return
-    camera = float(np.max(altitude(positions, scene.altitude_m)))
+    heights = altitude(positions, scene.altitude_m)
+    camera = float(np.max(heights))
     scene.air.refuse_above_clouds("pose: the camera", camera)
-    if camera > HIGHEST_CAMERA_M:
+    lowest = float(np.min(heights))
+    if camera > HIGHEST_CAMERA_M or lowest < LOWEST_M:
+        outside = lowest if lowest < LOWEST_M else camera
         raise ThermorenderError(
-            f"pose: the camera is {camera:.0f} m above sea level, out of range of the air; give up to "
+            f"pose: the camera is {outside:.0f} m above sea level, out of range of the air; give −{-LOWEST_M:.0f} … "
             f"{HIGHEST_CAMERA_M:.0f} m"
         )
 
