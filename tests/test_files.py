@@ -259,3 +259,19 @@ def test_each_kind_of_kept_files_has_its_folder(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
     assert files.cache_folder("light") == tmp_path / "xdg" / "thermorender" / "light"
+
+
+def test_a_folder_that_another_process_is_about_to_fill_is_left_to_it(tmp_path):
+    fcntl = pytest.importorskip("fcntl")
+    folder = tmp_path / "new" / "flight"
+    with pytest.raises(ThermorenderError, match="is being written by another process"):  # noqa: SIM117
+        with files.output_folder(folder) as out:
+            other = os.open(out, os.O_RDONLY)
+            fcntl.flock(other, fcntl.LOCK_EX)
+            with files.in_use(out):
+                pass
+    assert folder.is_dir()
+    os.close(other)
+    with pytest.raises(RuntimeError), files.output_folder(tmp_path / "more" / "flight"):
+        raise RuntimeError
+    assert not (tmp_path / "more").exists()

@@ -49,7 +49,7 @@ def test_the_header_that_the_others_are_made_of_is_a_map(tmp_path):
         ({"range_k": [300.0, 300.0]}, "range_k does not rise"),
         ({"range_k": ["a", "b"]}, "range_k is not two numbers"),
         ({"range_k": [300.0]}, "range_k is not two numbers"),
-        ({"range_k": [float("nan"), 300.0]}, "range_k is not two numbers"),
+        ({"range_k": [float("nan"), 300.0]}, "it holds NaN, which is not finite"),
         ({"band_um": [13.5, 7.5]}, "band_um does not rise"),
         ({"texel_m": 0.0}, "texel_m is no number above 0"),
         ({"texel_range_m": [0.6, 0.4]}, "texel_range_m does not rise"),

@@ -108,25 +108,27 @@ def _recover(path):
         for each in list(path.parent.iterdir()):
             found = name.fullmatch(each.name)
             part = found and each.with_name(found[1])
-            if found and each.is_dir() and (not part.exists() or _abandoned(part)):
+            if found and each.is_dir() and (not part.exists() or _held(part) is False):
                 if found[2] and not path.exists():
                     os.replace(each, path)
                 shutil.rmtree(each, ignore_errors=True)
 
 
-def _abandoned(folder):
-    """Whether no process has a folder, as by `in_use`; False where the system does not tell."""
+def _held(folder):
+    """Whether a process has a folder, as by `in_use`; None where the system does not tell."""
     try:
         import fcntl
 
         handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     except (ImportError, OSError):
-        return False
+        return None
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return False
+    except BlockingIOError:
         return True
     except OSError:
-        return False
+        return None
     finally:
         os.close(handle)
 
@@ -274,8 +276,10 @@ def _missing(path):
 
 
 def _remove_empty(folders):
-    """Remove those folders that are empty, in the order given."""
+    """Remove those folders that are empty, in the order given, but for one that another process is about to fill."""
     for folder in folders:
+        if _held(folder):
+            return
         with suppress(OSError):
             folder.rmdir()
 
@@ -369,13 +373,13 @@ def finite_json(text):
     Raises
     ------
     ValueError
-        It is no JSON, or a number in it is none of 64 bits: NaN, an infinity or a longer whole number.
+        It is no JSON, or a number in it is not finite or takes more than 64 bits.
     """
 
     def number(kind, digits):
         value = kind(digits)
-        if not abs(value) < 2.0**63:
-            raise ValueError(f"{digits[:20]} is no number of 64 bits")
+        if not abs(value) < (2**63 if kind is int else float("inf")):
+            raise ValueError(f"it holds {digits[:20]}, which is not finite or takes more than 64 bits")
         return value
 
     kinds = {"parse_int": int, "parse_float": float, "parse_constant": float}

@@ -326,7 +326,7 @@ def validate_closed_loop(
 @app.command("stability")
 def validate_stability(
     groups: Annotated[
-        list[str] | None, typer.Argument(help="Some groups of cases, such as air, faults, heat, precision; default: all.")
+        list[str] | None, typer.Argument(help="Some groups, such as air, faults, heat, precision; default: all.")
     ] = None,
     output: Out = Path("out/validation"),
     fuzz: Annotated[int, typer.Option(min=0, help="Instead: so many damaged files for each reader.")] = 0,

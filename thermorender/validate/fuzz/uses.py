@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from thermorender.defaults import TEMPERATURE_MAPS
 from thermorender.validate.fuzz.corpus import READERS
 
 _WEATHER = """[weather]
@@ -130,7 +131,7 @@ def _translated(path):
     from thermorender.campaign.pictures import read_visible
     from thermorender.learned.temperature_map import Inputs, load_model
 
-    return (load_model("fok-9to1").radiance(Inputs(read_visible(path)[0])),)
+    return (load_model(TEMPERATURE_MAPS[-1]).radiance(Inputs(read_visible(path)[0])),)
 
 
 def _shown(path, **tables):
@@ -172,7 +173,7 @@ USES = {
     "map trees": partial(_shown, temperature=_LEARNED),
     "emissivity map": partial(_shown, emissivity='source = "learned"\nmodel = "map.npz"\nfallback = "asphalt"\n'),
     "elevation": _shown,
-    "orthophoto": partial(_shown, temperature='source = "learned"\nmodel = "fok-9to1"\n'),
+    "orthophoto": partial(_shown, temperature=f'source = "learned"\nmodel = "{TEMPERATURE_MAPS[-1]}"\n'),
     "scene": _whole_scene,
     "classes": partial(_shown, emissivity=_CLASSES),
     "picture": _translated,

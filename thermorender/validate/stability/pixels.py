@@ -14,10 +14,12 @@ from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.scene.load import load_scene
 from thermorender.schema import toml_text
 from thermorender.sensor.display import DisplaySettings
+from thermorender.units import ZERO_CELSIUS_K
 from thermorender.validate.stability.air import refused
 from thermorender.validate.stability.cases import Found, case
 
 _GROUND_K = 290.0
+_ADD = f"add {ZERO_CELSIUS_K} to °C"
 # Three standard errors of 64 rays over the rectangle round a small thing, which fills two thirds of it, in its area.
 _RAYS = 0.09
 
@@ -94,7 +96,7 @@ def hot_texel(up):
 @case("pixels", "-273 typed as {} is refused",
       ("temperature.value", "temperature.materials", "sky", "surroundings", "object"))  # fmt: skip
 def celsius(where):
-    """In one sentence, which tells to add 273.15; 0 K is a sky's alone."""
+    """In one sentence, which tells what to add; 0 K is a sky's alone."""
     wrong = dict.fromkeys(("value", "sky", "surroundings", "object"), 290.0) | {where.rpartition(".")[2]: -273.0}
     temperature = {"source": "constant", "value": wrong["value"]}
     if where == "temperature.materials":
@@ -109,7 +111,7 @@ def celsius(where):
     with tempfile.TemporaryDirectory() as folder:
         write_text(Path(folder) / "ground.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
         write_text(Path(folder) / "scene.toml", toml_text(text))
-        return refused(lambda: load_scene(folder), "add 273.15 to °C")
+        return refused(lambda: load_scene(folder), _ADD)
 
 
 @case("pixels", "a raster of -273 is refused")
@@ -117,7 +119,7 @@ def celsius_raster():
     """As one of °C is that somebody took for kelvin."""
     from thermorender.validate.stability.geometry import land
 
-    return refused(lambda: land(np.zeros((4, 4)), np.full((4, 4), -273.0), 1.0, (5e5, 5e6)), "add 273.15 to °C")
+    return refused(lambda: land(np.zeros((4, 4)), np.full((4, 4), -273.0), 1.0, (5e5, 5e6)), _ADD)
 
 
 @case("pixels", "a constant image displayed by {}: how far apart its darkest and its brightest byte are",
