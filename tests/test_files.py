@@ -10,6 +10,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from thermorender import files
@@ -275,3 +276,22 @@ def test_a_folder_that_another_process_is_about_to_fill_is_left_to_it(tmp_path):
     with pytest.raises(RuntimeError), files.output_folder(tmp_path / "more" / "flight"):
         raise RuntimeError
     assert not (tmp_path / "more").exists()
+
+
+def test_kept_arrays_are_whole_or_absent(tmp_path):
+    """Each bit of the file flipped, the file cut anywhere, or written for something else."""
+    path, arrays = tmp_path / "a.npz", {"signal": np.arange(6.0).reshape(2, 3), "time_s": np.float64(2.5)}
+    assert files.read_arrays(path, 3) is None
+    files.write_arrays(path, 3, arrays)
+    assert files.read_arrays(path, 4) is None
+    whole = path.read_bytes()
+    for place in range(8 * len(whole)):
+        damaged = bytearray(whole)
+        damaged[place // 8] ^= 1 << place % 8
+        path.write_bytes(damaged)
+        found = files.read_arrays(path, 3)
+        # Of what no reader uses, as a member's date, a bit may fall.
+        assert found is None or all(np.array_equal(found.pop(name), arrays[name]) for name in arrays) and not found
+    for size in range(0, len(whole), 7):
+        path.write_bytes(whole[:size])
+        assert files.read_arrays(path, 3) is None

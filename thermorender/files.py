@@ -2,7 +2,7 @@
 
 What is written has a temporary name of its own beside its place, and takes its name when it is complete. Neither a
 failure nor an interruption leaves half of it, and processes that write the same file do not meet: the last one's is
-there. Also here: text, JSON, pictures and rasters, and the cache, with a folder of its own for each kind of file.
+there. Also here: text, JSON, arrays, pictures and rasters, and the cache, with a folder of its own for each kind of file.
 """
 
 import errno
@@ -426,6 +426,47 @@ def atomic_raster(path):
         yield memory.name
         with atomic(path) as part:
             part.write_bytes(memory.getbuffer())
+
+
+# --- arrays of our own --------------------------------------------------------------------------------------------
+
+
+def write_arrays(path, what, arrays):
+    """Write {name: array} to be read by `read_arrays` alone; `what` tells of what they are the arrays."""
+    import numpy as np
+
+    with atomic(path) as part:
+        np.savez(part, **arrays, checksum=_digest(what, arrays))
+
+
+def read_arrays(path, what):
+    """Return the {name: array} that `write_arrays` wrote, or None where they are absent, damaged or of something else.
+
+    A ZIP's own checksums do not tell of members that its table lacks.
+    """
+    import numpy as np
+
+    # Damage shows as nearly any exception of zipfile's and NumPy's parsers. Opened here, because NumPy leaves a file
+    # open that it cannot read.
+    with suppress(Exception), open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:
+        arrays = dict(stored)
+        if str(arrays.pop("checksum")) == _digest(what, arrays):
+            return arrays
+    return None
+
+
+def _digest(what, arrays):
+    """Checksum of named arrays; of their types and shapes too, as equal bytes may mean other numbers."""
+    import hashlib
+
+    import numpy as np
+
+    digest = hashlib.blake2b(repr(what).encode(), digest_size=16)
+    for name, values in arrays.items():
+        values = np.ascontiguousarray(values)
+        digest.update(f"{name} {values.dtype.str} {np.shape(arrays[name])}".encode())
+        digest.update(values.reshape(-1).view(np.uint8))
+    return digest.hexdigest()
 
 
 # --- the cache --------------------------------------------------------------------------------------------------

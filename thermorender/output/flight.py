@@ -10,7 +10,6 @@ before once more to have it again. Temperatures of a heat balance go with the fl
 
 import itertools
 import json
-import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from os import PathLike
@@ -307,8 +306,7 @@ def _state_files(folder: Path) -> tuple[Path, Path]:
 def _save_state(folder: Path, exposure: Exposure, agc: _Memory, index: int) -> Path:
     """Keep the state of sensor and display beside the frame's line: two files in turn, so that one is always whole."""
     state, path = exposure.state() | ({} if agc is None else {"agc": agc}), _state_files(folder)[index % 2]
-    with files.atomic(path) as part:
-        np.savez(part, index=index, **state)
+    files.write_arrays(path, index, state)
     return path
 
 
@@ -320,15 +318,11 @@ def _restored(
     `take` is called with a frame's index and the display's state, and returns the frame and the state after it.
     """
     last = done - 1
-    try:
-        with open(_state_files(folder)[last % 2], "rb") as file, np.load(file) as kept:
-            arrays = dict(kept)
-        if arrays.pop("index") == last:
-            agc = arrays.pop("agc", None)
-            exposure.restore(arrays)
-            return agc
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-        pass
+    arrays = files.read_arrays(_state_files(folder)[last % 2], last)
+    if arrays is not None:
+        agc = arrays.pop("agc", None)
+        exposure.restore(arrays)
+        return agc
     agc = None
     for index in range(done):
         _, agc, _ = take(index, agc)

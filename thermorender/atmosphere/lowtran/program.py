@@ -19,7 +19,6 @@ import shutil
 import subprocess
 import tempfile
 import threading
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -236,13 +235,12 @@ def cache_folder():
 
 def cached(key, make):
     """Return the array that `make()` returns, read from the cache folder where it was made before under this key."""
-    stored = cache_folder() / f"lowtran7-{hashlib.blake2b(key.encode(), digest_size=12).hexdigest()}.npy"
-    # What is absent or damaged is made anew.
-    with suppress(OSError, ValueError, EOFError), open(stored, "rb") as file:
-        return np.load(file, allow_pickle=False)
+    stored = cache_folder() / f"lowtran7-{hashlib.blake2b(key.encode(), digest_size=12).hexdigest()}.npz"
+    found = files.read_arrays(stored, key)
+    if found is not None:
+        return found["result"]
     result = make()
-    with files.atomic(stored) as part:
-        np.save(part, result)
+    files.write_arrays(stored, key, {"result": result})
     return result
 
 

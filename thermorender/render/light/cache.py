@@ -26,7 +26,6 @@ WORTH_RAYS = 1 << 22
 _NAME = r"[0-9a-f]{40}"
 # A temporary file this old [s] is left over from a process that was killed.
 _STALE_S = 3600.0
-_ARRAYS = tuple(field.name for field in fields(radiosity.Transport) if field.name != "rays")
 
 
 def traced(geometry, rays, progress=None, seed=0):
@@ -61,15 +60,13 @@ def load(name):
     """Return the Transport stored under `name`, or None where there is none that is whole."""
     try:
         path = files.cache_folder("light") / f"{name}.npz"
-        # Opened here, because NumPy leaves a file open that it cannot read.
-        with open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:
-            found = {which: stored[which] for which in ("rays", *_ARRAYS, "checksum")}
-        transport = radiosity.Transport(int(found["rays"]), *(found[which] for which in _ARRAYS))
-        if str(found["checksum"]) != _checksum(name, transport):
-            return None
-    except Exception:
-        # Absent, or damaged, which shows as nearly any exception of zipfile's and NumPy's parsers: trace again.
+    except RuntimeError:
+        # There is no home folder.
         return None
+    found = files.read_arrays(path, name)
+    if found is None:
+        return None
+    transport = radiosity.Transport(**found | {"rays": int(found["rays"])})
     try:
         # The time of change tells when a file was last used.
         os.utime(path)
@@ -89,15 +86,14 @@ def store(name, transport, limit=None):
         Bytes that all files together may take; LIMIT where None. The longest unused are removed.
     """
     limit = LIMIT if limit is None else limit
-    arrays = {which: getattr(transport, which) for which in _ARRAYS}
+    arrays = {field.name: np.asarray(getattr(transport, field.name)) for field in fields(transport)}
     size = sum(values.nbytes for values in arrays.values())
     if size > limit:
         return f"traced light is not kept: its {size / 1e9:.2g} GB are more than the {limit / 1e9:.2g} GB of the cache"
     folder = "the cache folder"
     try:
         folder = files.cache_folder("light")
-        with files.atomic(folder / f"{name}.npz") as part:
-            np.savez(part, rays=transport.rays, checksum=_checksum(name, transport), **arrays)
+        files.write_arrays(folder / f"{name}.npz", name, arrays)
         _trim(folder, limit, keep=f"{name}.npz")
     except (OSError, RuntimeError, ThermorenderError) as error:
         # RuntimeError: there is no home folder.
@@ -126,13 +122,6 @@ def _trim(folder, limit, keep):
             path.unlink()
         total -= size
     files.remove_parts(folder, _NAME, _STALE_S)
-
-
-def _checksum(name, transport):
-    digest = hashlib.blake2b(f"{name} {transport.rays}".encode(), digest_size=20)
-    for which in _ARRAYS:
-        _feed(digest, getattr(transport, which))
-    return digest.hexdigest()
 
 
 def _feed(digest, values):
