@@ -95,3 +95,18 @@ temperature = {sky}
         encoding="utf-8",
     )
     return folder
+
+
+def plane_depth(ground_m=0.0, slope=(0.0, 0.0)):
+    """What tells (pose, Camera) → depth along the axis of the ground that height + slope · (east, north) gives [m]."""
+
+    def depth(pose, camera):
+        row, column = np.mgrid[: camera.height, : camera.width] + 0.5
+        ray = camera.directions(np.stack([column, row], axis=-1))
+        ray = np.concatenate([ray, np.ones((*column.shape, 1))], axis=-1) @ pose[:3, :3].T
+        up = np.array([-slope[0], -slope[1], 1.0])
+        with np.errstate(divide="ignore"):
+            found = (ground_m - up @ pose[:3, 3]) / (ray @ up)
+        return np.where(found > 0.0, found, np.inf)
+
+    return depth

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from scenes import plane_depth
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.sensor import movers
 from thermorender.sensor.camera import load_camera
@@ -52,7 +53,7 @@ def flown(plate, flight_mps, rate_hz, frames, camera=CAMERA, told=True):
     at = lambda t: (0.0, flight_mps * t)  # noqa: E731
     path = lambda t: pose(*at(t), HEIGHT_M, 0.0, -90.0)  # noqa: E731
     sensor = Sensor(camera, 0)
-    taken = Exposure(sensor, lambda t, by, lit: plate.radiance(t, by, at(t)), path, lambda p: 0.0, 1.0 / rate_hz,
+    taken = Exposure(sensor, lambda t, by, lit: plate.radiance(t, by, at(t)), path, plane_depth(), 1.0 / rate_hz,
                      movers=[plate.mover] if told else [])  # fmt: skip
     found, how = [], None
     for index in range(frames):
@@ -202,7 +203,7 @@ def test_pixels_that_are_slow_keep_what_was_told_of_their_error():
     slow = replace(CAMERA, time_constant_ms=500.0)
     plate = Plate(lambda t: 8.0 * t, bends=[-20.0, 20.0])
     seen, path = lambda t, by, lit: plate.radiance(t, by, (0.0, 0.0)), lambda t: pose(0, 0, HEIGHT_M, 0.0, -90.0)
-    taken = Exposure(Sensor(slow, 0), seen, path, lambda p: 0.0, 1.0 / 60.0, movers=[plate.mover])
+    taken = Exposure(Sensor(slow, 0), seen, path, plane_depth(), 1.0 / 60.0, movers=[plate.mover])
     told = []
     for index in range(4):
         now = plate.radiance(index / 60.0, slow, (0.0, 0.0))
@@ -219,11 +220,11 @@ def test_a_view_that_comes_back_within_a_time_constant_has_moved(turns_per_s):
     camera = replace(CAMERA, time_constant_ms=1000.0)
     path = lambda t: pose(0.0, 0.0, HEIGHT_M, 360.0 * turns_per_s * t, -90.0)  # noqa: E731
     image = (GROUND + np.zeros((camera.height, camera.width))).astype(np.float32)
-    taken = Exposure(Sensor(camera, 0), lambda t, by, lit: image, path, lambda p: 0.0, 0.1)
+    taken = Exposure(Sensor(camera, 0), lambda t, by, lit: image, path, plane_depth(), 0.1)
     _, how = taken.signal(in_sequence(camera, 0, 0.0), 0.0, image)
-    # Corners go round; over a fiftieth of a second the chord is up to 0.6 % shorter than the way.
+    # Corners go round; of the way of all but a fiftieth, the chord of a fiftieth of a second is up to 0.6 % short.
     way_px = 2.0 * np.pi * turns_per_s * np.hypot(camera.width, camera.height) / 2.0
-    assert 0.99 * way_px < how["motion_px"] < 1.02 * way_px
+    assert 0.85 * way_px < how["motion_px"] < way_px
 
 
 def test_only_the_part_that_changes_is_rendered_again():

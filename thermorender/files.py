@@ -2,7 +2,7 @@
 
 What is written has a temporary name of its own beside its place, and takes its name when it is complete. Neither a
 failure nor an interruption leaves half of it, and processes that write the same file do not meet: the last one's is
-there. Also here: text, JSON, arrays, pictures and rasters, and the cache, with a folder of its own for each kind of file.
+there. Also here: text, JSON, arrays, pictures, rasters, and the cache, with a folder of its own for each kind of file.
 """
 
 import errno

@@ -255,20 +255,14 @@ def _exposure(timed: TimedRenderer, renderer: "Renderer", trajectory: Trajectory
     """The Exposure of a flight: the sensor with what it keeps from frame to frame."""
     scene = renderer.scene
     first, last = trajectory.span_s
-    terrain = np.concatenate([surface.vertices[:, 2] for surface in scene.surfaces[: scene.terrain_count]])
-
     def pose_at(time_s: float) -> NDArray[np.float64]:
         return trajectory.pose(min(max(time_s, first), last))
-
-    def ground_at(pose: NDArray[np.float64]) -> float:
-        height = float(scene.ground(*pose[:2, 3]))
-        return height if np.isfinite(height) else float(terrain.min())
 
     return Exposure(
         sensor_of(scene.camera, renderer.seed),
         lambda time_s, camera, lit_s: timed.at(time_s).radiance(pose_at(time_s), time_s, camera=camera, lit_s=lit_s),
         pose_at,
-        ground_at,
+        renderer.depth,
         interval_s,
         movers=[_mover(tracked, scene) for tracked in scene.tracked_objects],
     )

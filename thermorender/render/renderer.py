@@ -238,6 +238,12 @@ class Renderer:
         valid, _, up, *_ = truth.pixel_middles(layers, self._camera_rays(camera))
         return ~valid & up
 
+    def depth(self, pose: ArrayLike, camera: Camera | None = None) -> NDArray[np.float32]:
+        """Return how far along the axis each pixel's middle shows the scene at rest, (H, W); infinite where it shows
+        nothing [m]. `camera` as of `visible`."""
+        at_rest = Layer(self._geometry, opaque_view(self._geometry.mi, checked_pose(pose)), None)
+        return np.asarray(truth.pixel_middles([at_rest], self._camera_rays(camera))[4], np.float32)
+
     def objects_seen(
         self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None
     ) -> tuple[NDArray[np.int64], list[str]]:

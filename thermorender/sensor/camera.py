@@ -204,6 +204,13 @@ class Camera:
         offset = tuple(float(point - at) for point, at in zip(self._principal_point, middle, strict=True))
         return replace(self, width=size[0], height=size[1], principal_offset_px=offset)
 
+    def coarser(self, by):
+        """Return the Camera whose pixels are `by` times as wide: as many as its image has room for from its corner."""
+        width, height = (max(count // by, 1) for count in (self.width, self.height))
+        offset = tuple(map(float, self._principal_point / by - (0.5 * width, 0.5 * height)))
+        pitch_um = by * self.pixel_pitch_um
+        return replace(self, width=width, height=height, pixel_pitch_um=pitch_um, principal_offset_px=offset)
+
     @property
     def count_range_k(self):
         """Apparent temperatures of the lowest and the highest count of the gain in use [K]."""

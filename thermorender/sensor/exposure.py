@@ -26,7 +26,7 @@ from thermorender.sensor.detector import (
     steady,
     stepped,
 )
-from thermorender.sensor.motion import homography, motion_px, moved, pixel_grid, source_pixels
+from thermorender.sensor.motion import Relief, grid_camera, guess_of, moved, pixel_grid
 from thermorender.sensor.noise import NETD_REFERENCE_K
 
 # Motion within a time constant up to which a frame is one image [px].
@@ -39,12 +39,19 @@ _AGES, _WEIGHTS = np.polynomial.laguerre.laggauss(2)
 MEMORY = 8.0
 # Estimated error allowed to the spacing of instants [mK], and motion between two renders [px].
 LAG_MK, RENDER_PX = 10.0, 20.0
-# Empirical estimates, no bounds, of the root mean square error over a frame: fitted from above to heath from 100 and
-# 120 m, where radiance changes by 0.7 K from pixel to pixel, to which the error is proportional. Of instants d pixels
-# apart at v pixels per time constant: the first times d² min(1, d/v); of images that are moved: the second; of moving
-# one image to a few ages: the third times v².
-_INSTANT_MK, _MOVED_MK, _SUBPIXEL_MK = 12.0, 15.0, 42.0
-_FITTED_GRADIENT_MK = 700.0
+# By these instants are chosen: at v pixels per time constant, d pixels apart, they err by about the first times
+# d² min(1, d/v), and moving one image to a few ages by the second times v², where radiance changes by the third from
+# pixel to pixel; fitted to heath from 100 and 120 m, proportional to that change.
+_INSTANT_MK, _SUBPIXEL_MK, _FITTED_GRADIENT_MK = 12.0, 42.0, 700.0
+# What they do err by is told by half of them. Trapezoids err by a third of what those twice as wide differ by, where
+# the power bends gently, and by more of it where it bends from pixel to pixel.
+_BY_HALF = 0.5
+# An image that is moved lacks what is finer than its pixels. Estimate, no bound, of the root mean square error that
+# this makes: so much of what interpolation between every other pixel misses of the image, over √(1 + v/8), as a pixel
+# that sees many averages. Fitted from above to three scenes from 15 m to 1 km.
+_MOVED, _AVERAGING_PX = 0.35, 8.0
+# Every so many rows and columns tell the error of a frame.
+_SAMPLED = 4
 MOST_INSTANTS = 400
 # Over which a view's speed is told: it does not turn round in so short a time [s].
 _SHORT_S = 0.02
@@ -98,8 +105,9 @@ class Exposure:
         that camera sees it: the sensor's, or a part of it. The light is that of the frame's own time.
     pose_at : callable
         Time [s] → (4, 4) world_from_camera.
-    ground_at : callable
-        Pose → height of the ground seen from there, taken as level [m, local up].
+    depth_at : callable
+        Pose, Camera → (h, w) depth along the axis of what the middles of that camera's pixels show of what stands
+        still, infinite where there is nothing [m].
     interval_s : float
         From one frame to the next [s].
     render_px : float
@@ -112,10 +120,11 @@ class Exposure:
     """
 
     def __init__(
-        self, sensor, radiance_at, pose_at, ground_at, interval_s, render_px=RENDER_PX, lag_mk=LAG_MK, movers=()
+        self, sensor, radiance_at, pose_at, depth_at, interval_s, render_px=RENDER_PX, lag_mk=LAG_MK, movers=()
     ):
         self.sensor, self.interval_s, self._movers = sensor, interval_s, movers
-        self._radiance_at, self._pose_at, self._ground_at = radiance_at, pose_at, ground_at
+        self._radiance_at, self._pose_at, self._depth_at = radiance_at, pose_at, depth_at
+        self._grid_camera = grid_camera(sensor.camera)
         self._delays = row_delays(sensor.camera, interval_s)
         self._render_px, self._lag_mk = render_px, lag_mk
         self.pixels, self.last_counts = None, None
@@ -153,8 +162,8 @@ class Exposure:
         `how` holds motion_px (of the view within a time constant), instants, renders (those of a part of the image
         too), and lag_mk: estimated error of the lag, root mean square over the frame [mK].
         """
-        views, interpolates, before = self._views(time_s), bool(self._render_px), self.pixels
-        motion, gradient_mk = self._motion_px(views, time_s), _gradient_mk(radiance, self.sensor)
+        relief, interpolates, before = self._relief(time_s), bool(self._render_px), self.pixels
+        motion, gradient_mk = self._motion_px(relief, time_s), _gradient_mk(radiance, self.sensor)
         # The next frame starts from pixels that were followed through instants, and from what they err by.
         contrast, moved_s, carried = gradient_mk / _FITTED_GRADIENT_MK, 0.0, 0.0
         # What moves little in a short time constant may move more while the rows are read.
@@ -164,14 +173,18 @@ class Exposure:
             signal = self._static(time_s, self.sensor.power(radiance, moment))
             instants, renders, error = 1, 1, motion * np.hypot(1.0, late) * gradient_mk
         elif reading <= SUBPIXEL_PX and interpolates and self.sensor.camera.time_constant_s:
-            signal = self._subpixel(views, radiance, moment)
+            image = self.sensor.blurred(radiance)
+            signal = self._subpixel(relief, time_s, image, moment)
             moved_s = _AGES[-1] * self.sensor.camera.time_constant_s - self._delays[0]
-            instants, renders, error = len(_AGES), 1, np.hypot(_MOVED_MK, _SUBPIXEL_MK * motion**2) * contrast
+            error = np.hypot(_moved_mk(image, self.sensor, motion), _SUBPIXEL_MK * motion**2 * contrast)
+            instants, renders = len(_AGES), 1
         else:
             plan = self._schedule(time_s, motion, contrast, self._since(time_s, before), self._render_px)
-            signal = self._fast(plan, radiance, moment)
+            image = self.sensor.blurred(radiance)
+            signal, error = self._fast(plan, relief, image, moment)
             instants, renders, moved_s = len(plan.times_s), len(plan.renders), self._moved_s(plan)
-            error = np.hypot(_instants_mk(plan.spacing_px, motion), _MOVED_MK * interpolates) * contrast
+            if len(plan.renders) < len(plan.times_s):
+                error = np.hypot(error, _moved_mk(image, self.sensor, motion))
             carried = error**2
         parts = self._parts(time_s, before, moved_s)
         remembered = self._remembered_mk(time_s, before) ** 2
@@ -213,19 +226,18 @@ class Exposure:
         """A time constant; without one only the read-out of the rows takes time [s]."""
         return self.sensor.camera.time_constant_s or self._delays[-1] - self._delays[0]
 
-    def _views(self, time_s):
-        """(pose now, pose a time constant ago, height of the ground [m])."""
-        span = self._span_s()
-        now = self._pose_at(time_s)
-        return now, self._pose_at(time_s - span) if span else now, self._ground_at(now)
+    def _relief(self, time_s):
+        """What the view at a time shows, as far as that moves its image."""
+        pose = self._pose_at(time_s)
+        return Relief(self.sensor.camera, pose, self._depth_at(pose, self._grid_camera))
 
-    def _motion_px(self, views, time_s):
+    def _motion_px(self, relief, time_s):
         """Motion of the view in a time constant: between its ends or, as it may come back, by its speed [px]."""
-        camera, span, (now, _, ground) = self.sensor.camera, self._span_s(), views
-        motion = motion_px(camera, *views)
+        span = self._span_s()
+        motion = relief.motion_px(self._pose_at(time_s - span))
         if span <= _SHORT_S:
             return motion
-        return max(motion, motion_px(camera, now, self._pose_at(time_s - _SHORT_S), ground) * span / _SHORT_S)
+        return max(motion, relief.motion_px(self._pose_at(time_s - _SHORT_S)) * span / _SHORT_S)
 
     def _remembered_mk(self, time_s, before):
         """How much of the error of the state `before` pixels remember at the end of a frame [mK]."""
@@ -307,7 +319,7 @@ class Exposure:
                 whole = getattr(self.pixels, name).copy()
                 whole[here] = getattr(fine.pixels, name)
                 self.pixels = replace(self.pixels, **{name: whole})
-        per_mk = gain * (1e-3 * band_radiance_derivative(NETD_REFERENCE_K, *camera.band_um))
+        per_mk = gain * _per_mk(self.sensor)
         apart = [np.mean(((fine.signal - coarse.signal) / per_mk) ** 2) for coarse in coarser]
         return len(times), max(float(np.sqrt(max(apart))), _instants_mk(plan.spacing_px, motion) * contrast)
 
@@ -323,11 +335,11 @@ class Exposure:
             return power
         return power + old[:, None] * (before.signal - power)
 
-    def _subpixel(self, views, radiance, moment):
+    def _subpixel(self, relief, time_s, image, moment):
         """The signal of each row at its own time, from one image that is moved to a few ages, (H, W) float32 [W]."""
-        camera, image = self.sensor.camera, self.sensor.blurred(radiance)
+        camera = self.sensor.camera
         column, row = pixel_grid(camera)
-        right, down = source_pixels(camera, homography(*views))
+        right, down = relief.source_pixels(self._pose_at(time_s), self._pose_at(time_s - camera.time_constant_s))
         right -= column
         down -= row
         total = np.zeros_like(image)
@@ -339,53 +351,78 @@ class Exposure:
         self.pixels = None
         return self.sensor.power(total, moment, blurred=True)
 
-    def _fast(self, plan, radiance, moment):
-        """The signal of each row at its own time, (H, W) float32 [W]."""
-        state = self.pixels if self.pixels is not None and self.pixels.time_s >= plan.times_s[0] else None
-        follower = _Follower(state, plan.row_times_s, self.sensor.camera.time_constant_s, radiance.shape)
-        for time_s, power in self._powers(plan, radiance, moment):
-            follower.step(time_s, power, time_s == plan.times_s[-1])
-        self.pixels = follower.pixels
-        return follower.signal
+    def _fast(self, plan, relief, image, moment):
+        """The signal of each row at its own time from the image at the frame's time, and the error of its lag.
 
-    def _powers(self, plan, radiance, moment):
-        """Yield (time, absorbed power) of each instant of a schedule, in order."""
-        times, renders, seen = plan.times_s, plan.renders, {}
+        Returns
+        -------
+        signal : (H, W) float32
+            [W]
+        error_mk : float
+            Root mean square, on every so many rows and columns: of the instants, by half of them, and of what no image
+            saw [mK].
+        """
+        camera, times = self.sensor.camera, plan.times_s
+        state = self.pixels if self.pixels is not None and self.pixels.time_s >= times[0] else None
+        follower = _Follower(state, plan.row_times_s, camera.time_constant_s, image.shape)
+        here = tuple(np.unique(np.linspace(0, count - 1, -(-count // _SAMPLED)).round().astype(int))
+                     for count in image.shape)  # fmt: skip
+        rows, here = plan.row_times_s[here[0]], np.ix_(*here)
+        if state is not None:
+            state = PixelState(state.time_s, state.signal[here], state.power[here])
+        shape = image[here].shape
+        *coarser, unseen = (_Follower(one, rows, camera.time_constant_s, shape) for one in (state, state, None))
+        for number, (time_s, power, guess) in enumerate(self._powers(plan, relief, image, moment, here)):
+            last = number == len(times) - 1
+            follower.step(time_s, power, last)
+            for odd, one in enumerate(coarser):
+                if number % 2 == odd or number == 0 or last:
+                    one.step(time_s, power[here], last)
+            unseen.step(time_s, guess, last)
+        self.pixels = follower.pixels
+        per_mk = self.sensor.power_law(moment)[1] * _per_mk(self.sensor)
+        per_mk = np.broadcast_to(per_mk, image.shape)[here]
+        apart = [np.mean(((follower.signal[here] - one.signal) / per_mk) ** 2) for one in coarser]
+        guessed = np.mean((unseen.signal / _per_mk(self.sensor)) ** 2)
+        return follower.signal, float(np.sqrt(_BY_HALF**2 * max(apart) + guessed))
+
+    def _powers(self, plan, relief, image, moment, here):
+        """Yield (time, absorbed power, and of some pixels what radiance is guessed by) of each instant, in order."""
+        times, renders, seen = plan.times_s, plan.renders, {plan.own: image}
         for number, time_s in enumerate(times):
             before = renders[max(np.searchsorted(renders, number, "right") - 1, 0)]
             after = renders[min(np.searchsorted(renders, number), len(renders) - 1)]
             for render in (before, after):
                 if render not in seen:
-                    image = radiance
-                    if render != plan.own:
-                        image = self._radiance_at(times[render], self.sensor.camera, times[plan.own])
-                    seen[render] = self.sensor.blurred(image)
-            seen = {render: seen[render] for render in (before, after)}
-            images = [(times[render], image) for render, image in seen.items()]
-            yield time_s, self.sensor.power(self._interpolated(images, time_s), moment, blurred=True)
+                    made = self._radiance_at(times[render], self.sensor.camera, times[plan.own])
+                    seen[render] = self.sensor.blurred(made)
+            images = [(times[render], seen[render]) for render in dict.fromkeys((before, after))]
+            seen = {render: made for render, made in seen.items() if render >= before}
+            interpolated, guess = self._interpolated(images, relief, time_s, here)
+            yield time_s, self.sensor.power(interpolated, moment, blurred=True), guess
 
-    def _interpolated(self, images, time_s):
-        """The image at a time, from one or two images (time, (H, W) float32) of before and after."""
+    def _interpolated(self, images, relief, time_s, here):
+        """The image at a time, from one or two images (time, (H, W) float32) of before and after, and `guess_of` it."""
         if images[0][0] == time_s:
-            return images[0][1]
+            return images[0][1], np.zeros_like(images[0][1][here])
         camera, wanted = self.sensor.camera, self._pose_at(time_s)
-        ground_m = self._ground_at(wanted)
         found = []
         for at, image in images:
-            column, row = source_pixels(camera, homography(self._pose_at(at), wanted, ground_m))
+            column, row = relief.source_pixels(self._pose_at(at), wanted)
             inside = (np.abs(column + 0.5 - 0.5 * camera.width) <= 0.5 * camera.width) & (
                 np.abs(row + 0.5 - 0.5 * camera.height) <= 0.5 * camera.height
             )
-            found.append((moved(image, column, row), inside))
+            found.append((moved(image, column, row), inside, guess_of(image, column[here], row[here])))
         if len(found) == 1:
-            return found[0][0]
-        (first, in_first), (second, in_second) = found
+            return found[0][0], found[0][2]
+        (first, in_first, guess), (second, in_second, other) = found
         share = (time_s - images[0][0]) / (images[1][0] - images[0][0])
         # Where one of them does not see the point, the other counts alone.
         weight = np.where(in_first == in_second, np.float32(share), in_second.astype(np.float32))
         second -= first
         second *= weight
-        return np.add(first, second, out=first)
+        guess += weight[here] * (other - guess)
+        return np.add(first, second, out=first), guess
 
 
 class _Follower:
@@ -470,8 +507,22 @@ def _instants_mk(spacing_px, motion):
     return _INSTANT_MK * spacing_px**2 * min(1.0, spacing_px / motion)
 
 
+def _per_mk(sensor):
+    """Band radiance of a millikelvin [W m⁻² sr⁻¹]."""
+    return 1e-3 * band_radiance_derivative(NETD_REFERENCE_K, *sensor.camera.band_um)
+
+
 def _gradient_mk(radiance, sensor, every=8):
     """Root mean square change of an image from pixel to pixel [mK]; told by every so many of its rows and columns."""
     change = np.diff(radiance[::every]), np.diff(radiance[:, ::every], axis=0)
-    per_mk = 1e-3 * band_radiance_derivative(NETD_REFERENCE_K, *sensor.camera.band_um)
-    return np.sqrt(0.5 * sum(float(np.mean(part**2)) for part in change)) / per_mk
+    return np.sqrt(0.5 * sum(float(np.mean(part**2)) for part in change)) / _per_mk(sensor)
+
+
+def _moved_mk(image, sensor, motion, every=8):
+    """Estimated error of an image that is moved [mK], by what cubic interpolation from every other pixel misses."""
+    square = 0.0
+    for lines in (image[::every], image[:, ::every].T):
+        pixel = np.pad(lines, ((0, 0), (3, 3)), mode="edge")
+        near, far = pixel[:, 2:-4] + pixel[:, 4:-2], pixel[:, :-6] + pixel[:, 6:]
+        square += 0.5 * float(np.mean((lines - (9.0 * near - far) / 16.0) ** 2))
+    return _MOVED * np.sqrt(square / (1.0 + motion / _AVERAGING_PX)) / _per_mk(sensor)

@@ -1,89 +1,114 @@
-"""How the image moves between two poses over level ground, and an image moved so."""
+"""How the image of what lies at known depths moves between poses, and an image moved so."""
 
 from functools import lru_cache
 
 import numpy as np
 
-# Pixels along a cell of the grid on which positions are exact: between them they err by less than 0.02 pixels.
-_CELL = 8
-# A ray that meets the ground farther than this, over the height above it, sees the sky or what moves like it.
-_FARTHEST = 50.0
+# Cells across the grid on which positions are exact, and the most pixels along a cell: over level ground they err
+# between by less than 0.02 pixels.
+_CELLS, _CELL = 80, 8
+# Depth that is not nothing, as of a camera that lies on the ground [m].
 _LEAST_M = 0.1
+# Rounds in which a point of another view is looked for in the own.
+_ROUNDS = 2
 
 
-def motion_px(camera, pose, other, ground_m):
-    """Return how far the image moves from one pose to another, the most over nine points of the image [px].
-
-    Parameters
-    ----------
-    camera : Camera
-    pose, other : (4, 4) arrays
-        world_from_camera.
-    ground_m : float
-        Height of the ground, taken as level [m, local up].
-    """
-    across, along = np.array([0.5, 0.25, 0.0]) * camera.width, np.array([0.5, 0.25, 0.0]) * camera.height
-    pixel = np.stack(np.meshgrid(camera.width - 2 * across, camera.height - 2 * along), axis=-1).reshape(-1, 2)
-    slope = camera.directions(pixel)
-    ray = np.column_stack([slope, np.ones(len(slope))]) @ pose[:3, :3].T
-    height = _off(pose[2, 3] - ground_m)
-    down = -ray[:, 2] * np.sign(height)
-    length = abs(height) / np.maximum(down, 1e-9)
-    far = length > _FARTHEST * abs(height)
-    # What is far away turns with the camera and does not shift.
-    start = np.where(far[:, None], 0.0, pose[:3, 3] - other[:3, 3])
-    seen = (start + np.where(far, 1.0, length)[:, None] * ray) @ other[:3, :3]
-    moved = np.linalg.norm(camera.project(seen) - pixel, axis=1)
-    # What leaves the view behind the camera has crossed the whole image.
-    return float(np.nan_to_num(moved, nan=np.hypot(camera.width, camera.height)).max())
-
-
-def _off(height):
-    """A height above the ground that is not nothing, as of a camera that lies on it."""
-    return np.copysign(max(abs(height), _LEAST_M), height)
-
-
-def homography(seen_from, wanted_from, ground_m):
-    """Return the (3, 3) matrix from slopes (x/z, y/z, 1) in one view to those in another, for points of level ground.
-
-    Parameters
-    ----------
-    seen_from, wanted_from : (4, 4) arrays
-        world_from_camera of the view whose slopes come out, and of that whose go in.
-    ground_m : float
-        Height of the ground [m, local up].
-    """
-    rotation = seen_from[:3, :3].T @ wanted_from[:3, :3]
-    shift = seen_from[:3, :3].T @ (wanted_from[:3, 3] - seen_from[:3, 3])
-    normal, distance = wanted_from[2, :3], -_off(wanted_from[2, 3] - ground_m)
-    return rotation + np.outer(shift, normal) / distance
-
-
-def source_pixels(camera, matrix):
-    """Return where each pixel finds its value in an image seen through a homography, exact on a grid, linear between.
+class Relief:
+    """What a view shows, as far as that moves its image: how far away, on a grid, linear in 1/depth between.
 
     Parameters
     ----------
     camera : Camera
-    matrix : (3, 3) array
-        As by `homography`.
-
-    Returns
-    -------
-    column, row : (H, W) float32
-        Of the image's array; whole numbers are middles of pixels. Far outside where nothing was in view.
+    pose : (4, 4) array
+        world_from_camera of the view.
+    depth : (h, w) array
+        Along the optical axis, of the middles of the pixels of `grid_camera(camera)`; infinite where nothing is [m].
     """
-    import cv2
 
-    grid, farthest = _grid(camera)
-    x, y, w = matrix @ grid.reshape(-1, 3).T
-    # Outside the image the model of the distortion holds no longer.
-    outside = (w <= 0.0) | (np.hypot(x, y) > 1.02 * farthest * w)
-    point = np.stack([np.where(outside, 0.0, x), np.where(outside, 0.0, y), np.where(outside, 1.0, w)], axis=-1)
-    pixel = np.where(outside[:, None], -1e4, camera.project(point) - 0.5).reshape(*grid.shape[:2], 2)
-    fine = cv2.resize(pixel.astype(np.float32), None, fx=_CELL, fy=_CELL, interpolation=cv2.INTER_LINEAR)
-    part = fine[_CELL : _CELL + camera.height, _CELL : _CELL + camera.width]
-    return np.ascontiguousarray(part[..., 0]), np.ascontiguousarray(part[..., 1])
+    def __init__(self, camera, pose, depth):
+        import cv2
+
+        self._camera, self._pose = camera, np.asarray(pose)
+        self._slope, self._farthest = _grid(camera)
+        near = (1.0 / np.maximum(depth, _LEAST_M)).astype(np.float32)
+        # The rim of what stands before nothing moves with it.
+        near = np.where(near > 0.0, near, cv2.dilate(near, np.ones((3, 3), np.uint8)))
+        more = [(1, grid - 1 - told) for grid, told in zip(self._slope.shape, near.shape, strict=False)]
+        self._near = np.pad(near, more, mode="edge")
+
+    def motion_px(self, other):
+        """Return how far the image moves from its pose to another, the most over all but a fiftieth of it [px]."""
+        inner = np.s_[1:-1, 1:-1]
+        turn, shift = _between(other, self._pose)
+        seen = self._slope[inner] @ turn.T + self._near[inner][..., None] * shift
+        way = self._camera.project(seen) - self._camera.project(self._slope[inner])
+        # What leaves the view behind the camera has crossed the whole image.
+        most = np.hypot(self._camera.width, self._camera.height)
+        return float(np.percentile(np.nan_to_num(np.linalg.norm(way, axis=-1), nan=most), 98.0))
+
+    def source_pixels(self, seen_from, wanted_from):
+        """Return where each pixel of a view finds its value in another's image, exact on a grid, linear between.
+
+        Parameters
+        ----------
+        seen_from, wanted_from : (4, 4) arrays
+            world_from_camera of the view that an image is of, and of that which is wanted; both near the own pose.
+
+        Returns
+        -------
+        column, row : (H, W) float32
+            Of the image's array; whole numbers are middles of pixels. Far outside where nothing was in view.
+        """
+        import cv2
+
+        turn, shift = _between(seen_from, wanted_from)
+        x, outside = self._seen(turn, shift, self._from(wanted_from))
+        pixel = np.where(outside[..., None], -1e4, self._camera.project(x) - 0.5)
+        cell = _cell(self._camera)
+        fine = cv2.resize(pixel.astype(np.float32), None, fx=cell, fy=cell, interpolation=cv2.INTER_LINEAR)
+        part = fine[cell : cell + self._camera.height, cell : cell + self._camera.width]
+        return np.ascontiguousarray(part[..., 0]), np.ascontiguousarray(part[..., 1])
+
+    def _from(self, wanted_from):
+        """1/depth on the grid as seen from another pose: found in the own view, by where it is thought to lie there."""
+        import cv2
+
+        near = self._near
+        if np.array_equal(wanted_from, self._pose):
+            return near
+        turn, shift = _between(self._pose, wanted_from)
+        for _ in range(_ROUNDS):
+            x, outside = self._seen(turn, shift, near)
+            place = (self._camera.project(x) / _cell(self._camera) + 0.5).astype(np.float32)
+            edge = cv2.BORDER_REPLICATE
+            found = cv2.remap(self._near, place[..., 0], place[..., 1], cv2.INTER_LINEAR, borderMode=edge)
+            # Depth along the wanted axis, times what was found.
+            deep = (x / x[..., 2:] - found[..., None] * shift) @ turn[:, 2]
+            near = np.where(outside | (deep <= 0.0), near, found / np.where(deep <= 0.0, 1.0, deep))
+        return near
+
+    def _seen(self, turn, shift, near):
+        """(Points of the grid in another view's axes, over their depth here; which of them are not in that view)."""
+        x = self._slope @ turn.T + near[..., None] * shift
+        # Outside the image the model of the distortion holds no longer.
+        outside = (x[..., 2] <= 0.0) | (np.hypot(x[..., 0], x[..., 1]) > 1.02 * self._farthest * x[..., 2])
+        return np.where(outside[..., None], (0.0, 0.0, 1.0), x), outside
+
+
+def grid_camera(camera):
+    """Return the Camera that has a pixel for each cell of the grid that a Relief is told on."""
+    return camera.coarser(_cell(camera))
+
+
+def _cell(camera):
+    """Pixels along a cell of the grid."""
+    return min(max(camera.width // _CELLS, 1), _CELL)
+
+
+def _between(seen_from, wanted_from):
+    """(Rotation, shift) from the axes of one camera, `wanted_from`, to those of another."""
+    turn = seen_from[:3, :3].T
+    return turn @ wanted_from[:3, :3], turn @ (wanted_from[:3, 3] - seen_from[:3, 3])
 
 
 def moved(image, column, row, coarsely=False):
@@ -98,6 +123,16 @@ def moved(image, column, row, coarsely=False):
         return cv2.remap(image, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     column, row = _straight(column), _straight(row)
     return cv2.remap(image, column, row, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+
+
+def guess_of(image, column, row):
+    """Return how uncertain the values of an image are at positions beyond it, where `moved` gives its nearest border:
+    by how much that differs from what lies as far within; 0 at positions within."""
+    import cv2
+
+    borders = (cv2.BORDER_REPLICATE, cv2.BORDER_REFLECT_101)
+    nearest, within = (cv2.remap(image, column, row, cv2.INTER_LINEAR, borderMode=border) for border in borders)
+    return np.abs(nearest - within)
 
 
 def _straight(position):
@@ -133,8 +168,9 @@ def pixel_grid(camera):
 @lru_cache(maxsize=2)
 def _grid(camera):
     """(slopes with a third 1, (h, w, 3), at the middles of cells, one cell more on each side; the largest slope)."""
-    count = [-(-n // _CELL) + 2 for n in (camera.height, camera.width)]
-    row, column = ((np.arange(n) - 0.5) * _CELL for n in count)
+    cell = _cell(camera)
+    count = [-(-n // cell) + 2 for n in (camera.height, camera.width)]
+    row, column = ((np.arange(n) - 0.5) * cell for n in count)
     inside = [np.clip(position, 0.0, n) for position, n in ((column, camera.width), (row, camera.height))]
     pixel = np.stack(np.meshgrid(*inside), axis=-1)
     outside = np.stack(np.meshgrid(column, row), axis=-1) - pixel

@@ -107,7 +107,7 @@ def sensor(folder, scene=defaults.SCENE, flights=tuple(FLIGHTS), device="auto", 
 
 def _lag(renderer, of, flight):
     """Errors and times of one flight's settings; and (one image, reference) of its frame in band radiance."""
-    camera, (path, ground_m) = of.camera, _flight(renderer, flight)
+    camera, path = of.camera, _flight(renderer, flight)
 
     def radiance_at(time_s, camera=None, lit_s=None):
         return renderer.radiance(path(time_s), camera=camera)
@@ -134,7 +134,7 @@ def _lag(renderer, of, flight):
         }
     ]  # fmt: skip
     for lag_mk, render_px in SETTINGS:
-        taken = exposure.Exposure(of, radiance_at, path, lambda pose: ground_m, 1.0 / RATE_HZ, render_px, lag_mk)
+        taken = exposure.Exposure(of, radiance_at, path, renderer.depth, 1.0 / RATE_HZ, render_px, lag_mk)
         start = time.perf_counter()
         signal, how = taken.signal(at_rest(camera), 0.0, now)
         ms = 1e3 * (time.perf_counter() - start)
@@ -280,11 +280,11 @@ def _chain(renderer, of):
     """Times from radiance to counts of a camera that stands and of a drone's, over one Gaussian filter's."""
     from scipy.ndimage import gaussian_filter
 
-    flight, ground_m = _flight(renderer, FLIGHTS["drone, down"])
+    flight = _flight(renderer, FLIGHTS["drone, down"])
     image = renderer.radiance(flight(0.0))
     # With drift and pattern, as in a flight that has lasted.
     moment = in_sequence(of.camera, 900, 100.0)
-    taken = exposure.Exposure(of, None, flight, lambda pose: ground_m, 1.0 / RATE_HZ)
+    taken = exposure.Exposure(of, None, flight, renderer.depth, 1.0 / RATE_HZ)
     # In turns, so that a busy machine slows all alike.
     jobs = {
         "standing": lambda: of.counts(of.power(image, moment), moment),
@@ -303,10 +303,10 @@ def _chain(renderer, of):
 
 
 def _flight(renderer, flight):
-    """(time [s] → pose, height of the ground [m]) of a flight."""
+    """Time [s] → pose, of a flight."""
     speed, roll, height_m, pitch = flight
-    ground_m = float(renderer.scene.ground(0.0, 0.0))
-    return lambda time_s: pose(0.0, speed * time_s, height_m + ground_m, 0.0, pitch, roll * time_s), ground_m
+    up_m = height_m + float(renderer.scene.ground(0.0, 0.0))
+    return lambda time_s: pose(0.0, speed * time_s, up_m, 0.0, pitch, roll * time_s)
 
 
 def _ms(job, repeats=25):

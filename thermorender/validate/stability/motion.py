@@ -33,10 +33,16 @@ def _camera(time_constant_ms):
 
 def _places(camera, at):
     """(east, north) of the ground that pixels' middles show from a pose, each (H, W) [m]."""
+    ray, depth = _rays(camera, at)
+    return tuple(at[axis, 3] + depth * ray[..., axis] for axis in (0, 1))
+
+
+def _rays(camera, at):
+    """(Directions of pixels' middles from a pose, (H, W, 3), how many of them it is to level ground, (H, W))."""
     row, column = np.mgrid[: camera.height, : camera.width] + 0.5
     slope = camera.directions(np.stack([column, row], axis=-1))[..., :2]
     ray = np.concatenate([slope, np.ones((*column.shape, 1))], axis=-1) @ at[:3, :3].T
-    return tuple(at[axis, 3] - at[2, 3] * ray[..., axis] / ray[..., 2] for axis in (0, 1))
+    return ray, -at[2, 3] / ray[..., 2]
 
 
 def _read(pace, warm, path, movers=()):
@@ -51,7 +57,7 @@ def _read(pace, warm, path, movers=()):
         return (ground + slope * warm(*_places(seen, path(time_s)), time_s)).astype(np.float32)
 
     sensor = sensor_of(camera, 0)
-    taken = Exposure(sensor, radiance, path, lambda at: 0.0, span_s, movers=movers)
+    taken = Exposure(sensor, radiance, path, lambda at, seen: _rays(seen, at)[1], span_s, movers=movers)
     moment = in_sequence(camera, 0, 0.0)
     for now in span_s * np.arange(_FRAMES):
         signal, how = taken.signal(moment, now, radiance(now, camera))
