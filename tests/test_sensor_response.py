@@ -284,6 +284,16 @@ def test_the_error_of_the_lag_is_told(slope, finer, speed):
     assert error < 1.2 * how["lag_mk"] < 6.0 * error, how
 
 
+@pytest.mark.parametrize("size", [(2, 1), (1, 9), (7, 50), (300, 3)])
+@pytest.mark.parametrize("speed", [0.0, 5.0, 60.0, 300.0])
+@pytest.mark.filterwarnings("error")
+def test_a_camera_of_few_pixels_is_told_an_error(size, speed):
+    camera = replace(COARSE, width=size[0], height=size[1])
+    path = lambda time_s: pose(speed * time_s, 0.0, 100.0, 0.0, -80.0)  # noqa: E731
+    signal, how = exposure(camera, path)[0].signal(at_rest(camera), 0.0, textured(camera, path(0.0)))
+    assert np.isfinite(signal).all() and np.isfinite(how["lag_mk"])
+
+
 def test_steep_ground_moves_by_its_depth():
     """Told as level, it is seen where it is not."""
     depth = plane_depth(0.0, (0.7, -0.5))

@@ -515,7 +515,8 @@ def _per_mk(sensor):
 def _gradient_mk(radiance, sensor, every=8):
     """Root mean square change of an image from pixel to pixel [mK]; told by every so many of its rows and columns."""
     change = np.diff(radiance[::every]), np.diff(radiance[:, ::every], axis=0)
-    return np.sqrt(0.5 * sum(float(np.mean(part**2)) for part in change)) / _per_mk(sensor)
+    # An image one pixel wide changes one way alone.
+    return np.sqrt(0.5 * sum(float(np.mean(part**2)) for part in change if part.size)) / _per_mk(sensor)
 
 
 def _moved_mk(image, sensor, motion, every=8):
