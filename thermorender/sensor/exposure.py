@@ -339,9 +339,10 @@ class Exposure:
         """The signal of each row at its own time, from one image that is moved to a few ages, (H, W) float32 [W]."""
         camera = self.sensor.camera
         column, row = pixel_grid(camera)
-        right, down = relief.source_pixels(self._pose_at(time_s), self._pose_at(time_s - camera.time_constant_s))
-        right -= column
-        down -= row
+        # So little motion is the same to and fro.
+        right, down = relief.source_pixels(self._pose_at(time_s - camera.time_constant_s), self._pose_at(time_s))
+        np.subtract(column, right, out=right)
+        np.subtract(row, down, out=down)
         total = np.zeros_like(image)
         for age, weight in zip(_AGES, _WEIGHTS.astype(np.float32), strict=True):
             ago = (age - self._delays / camera.time_constant_s).astype(np.float32)[:, None]
