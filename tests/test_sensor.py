@@ -67,6 +67,7 @@ def test_light_falls_with_the_fourth_power_of_the_cosine_and_by_the_rims():
     rims = optics.relative_illumination(replace(PLAIN, vignetting=0.2))
     assert rims[-1, -1] == pytest.approx(0.8, rel=1e-6) and rims[255, 319] == pytest.approx(1.0, abs=1e-5)
     assert (optics.relative_illumination(PLAIN) == 1.0).all()
+    assert optics.relative_illumination(replace(PLAIN, width=1, height=1, vignetting=0.2)) == 1.0
 
 
 def test_lens_and_housing_at_the_temperature_of_the_scene_make_an_enclosure():

@@ -37,7 +37,8 @@ def relative_illumination(camera):
     x, y = camera.width / 2 + camera.principal_offset_px[0], camera.height / 2 + camera.principal_offset_px[1]
     row, column = np.mgrid[: camera.height, : camera.width] + 0.5
     radius2 = ((column - x) ** 2 + (row - y) ** 2) / camera.focal_length_px**2
-    rims = 1.0 - camera.vignetting * radius2 / radius2.max()
+    # A single pixel is on the axis.
+    rims = 1.0 - camera.vignetting * radius2 / (radius2.max() or 1.0)
     return (rims * (1.0 + radius2) ** (-0.5 * camera.illumination_exponent)).astype(np.float32)
 
 
