@@ -305,7 +305,7 @@ def test_steep_ground_moves_by_its_depth():
         expected = past_of(COARSE, path, taken._delays, rows, depth=depth)
         found.append(1e3 / SLOPE * np.sqrt(np.mean((radiance_of(signal, taken)[list(rows)] - expected) ** 2)))
     # What is left is of the spacing of instants.
-    assert found[0] < 0.35 * found[1]
+    assert found[0] < 0.5 * found[1]
 
 
 def test_a_slow_view_is_one_image_with_the_memory_of_those_before():

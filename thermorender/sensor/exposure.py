@@ -181,6 +181,7 @@ class Exposure:
         else:
             plan = self._schedule(time_s, motion, contrast, self._since(time_s, before), self._render_px)
             image = self.sensor.blurred(radiance)
+            plan = self._seen(plan, relief, image) if interpolates else plan
             signal, error = self._fast(plan, relief, image, moment)
             instants, renders, moved_s = len(plan.times_s), len(plan.renders), self._moved_s(plan)
             if len(plan.renders) < len(plan.times_s):
@@ -254,6 +255,27 @@ class Exposure:
     def _schedule(self, time_s, motion, contrast, since_s, render_px):
         lag_mk = self._lag_mk / max(contrast, 1e-6)
         return schedule(time_s, self._delays, self.sensor.camera.time_constant_s, motion, since_s, lag_mk, render_px)
+
+    def _seen(self, plan, relief, image):
+        """A Schedule that renders also what the images before and after do not see: of its last instant, of its first
+        row's, and of that a time constant before."""
+        times, here, renders = plan.times_s, _sample(image.shape), plan.renders
+        for age in (None, 0.0, 1.0):
+            number = len(times) - 1
+            if age is not None:
+                since = plan.row_times_s[0] - age * self.sensor.camera.time_constant_s
+                number = max(int(np.searchsorted(times, since, "right")) - 1, 0)
+            after = np.searchsorted(renders, number)
+            unseen = np.exp(-(age or 0.0))
+            for at in {renders[max(after - 1, 0)], renders[min(after, len(renders) - 1)], plan.own}:
+                column, row = relief.source_pixels(self._pose_at(times[at]), self._pose_at(times[number]))
+                column, row = column[here], row[here]
+                guess = guess_of(image, column, row)
+                # What the frame's own image has on its rim tells how much is not known beyond another's.
+                unseen = unseen * (guess if at == plan.own else guess > 0.0)
+            if number not in renders and np.sqrt(np.mean(unseen**2)) > self._lag_mk * _per_mk(self.sensor):
+                renders = np.union1d(renders, number)
+        return replace(plan, renders=renders)
 
     def _moved_s(self, plan):
         """How far in time images are moved between the renders of a Schedule, where that is not long forgotten [s]."""
@@ -366,9 +388,8 @@ class Exposure:
         camera, times = self.sensor.camera, plan.times_s
         state = self.pixels if self.pixels is not None and self.pixels.time_s >= times[0] else None
         follower = _Follower(state, plan.row_times_s, camera.time_constant_s, image.shape)
-        here = tuple(np.unique(np.linspace(0, count - 1, -(-count // _SAMPLED)).round().astype(int))
-                     for count in image.shape)  # fmt: skip
-        rows, here = plan.row_times_s[here[0]], np.ix_(*here)
+        here = _sample(image.shape)
+        rows = plan.row_times_s[here[0][:, 0]]
         if state is not None:
             state = PixelState(state.time_s, state.signal[here], state.power[here])
         shape = image[here].shape
@@ -506,6 +527,11 @@ def schedule(time_s, delays, time_constant_s, motion, since_s, lag_mk=LAG_MK, re
 def _instants_mk(spacing_px, motion):
     """Estimated error of instants [mK] that are `spacing_px` apart at `motion` pixels per time constant."""
     return _INSTANT_MK * spacing_px**2 * min(1.0, spacing_px / motion)
+
+
+def _sample(shape):
+    """Every so many rows and columns of an image, with the first and last, to index it by."""
+    return np.ix_(*(np.unique(np.linspace(0, n - 1, -(-n // _SAMPLED)).round().astype(int)) for n in shape))
 
 
 def _per_mk(sensor):
