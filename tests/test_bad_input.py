@@ -446,6 +446,20 @@ def test_a_raster_on_the_command_line_may_be_a_mosaic(scene, call, tmp_path):
     assert (status, errors) == (0, "")
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="makes a pipe, and a name of bytes")
+def test_a_raster_on_the_command_line_is_an_ordinary_file_with_a_name(scene, refused, tmp_path):
+    """A pipe would be waited for without end, and GDAL takes no name that is not Unicode."""
+    os.mkfifo(tmp_path / "pipe.tif")
+    odd = tmp_path / os.fsdecode(b"\xff.tif")
+    (scene / "elevation.tif").rename(odd)
+    for path, words in (
+        (tmp_path / "pipe.tif", "pipe.tif is a folder or no ordinary file; give a raster file"),
+        (scene, "tiny is a folder or no ordinary file; give a raster file"),
+        (odd, "this name is not valid Unicode, which GDAL needs; rename it"),
+    ):
+        refused(words, "import-terrain", path, scene / "orthophoto.tif")
+
+
 @pytest.mark.parametrize("name", ["scene.toml", "flight.csv", "materials", "elevation.tif", "small.toml"])
 def test_links_out_of_a_scene_are_not_followed(scene, refused, name):
     if name == "materials":
@@ -838,9 +852,9 @@ def test_wrong_logs(scene, refused, text, words):
 
 
 def test_missing_and_binary_logs(scene, refused, tmp_path):
-    refused(["none.csv: cannot be read", "No such file"], "fly", scene, "--trajectory", tmp_path / "none.csv", *QUICK)
+    refused(["none.csv cannot be read", "No such file"], "fly", scene, "--trajectory", tmp_path / "none.csv", *QUICK)
     (scene / "flight.csv").write_bytes(b"\xff\xfe\x00")
-    refused("flight.csv: is not a CSV file in UTF-8", "fly", scene, *QUICK)
+    refused("flight.csv is not UTF-8 text", "fly", scene, *QUICK)
     (scene / "flight.csv").unlink()
     refused("flight.csv does not exist, and no other log is given; add --trajectory", "fly", scene, *QUICK)
 

@@ -302,7 +302,10 @@ def read_text(path, kind="UTF-8"):
         What programs call such a file, for the message.
     """
     try:
-        return Path(path).read_text(encoding="utf-8-sig")
+        text = Path(path).read_text(encoding="utf-8-sig")
+        if "\0" in text:
+            raise ThermorenderError(f"{path} is not UTF-8 text (it holds zero bytes); save it as {kind}")
+        return text
     except UnicodeDecodeError as error:
         raise ThermorenderError(f"{path} is not UTF-8 text ({error.reason}); save it as {kind}") from error
     except OSError as error:
