@@ -587,7 +587,7 @@ def test_garbage_and_empty_meshes(scene, refused, suffix):
         (QUAD + "v 0 -6 0\nf 1 2 3 5 4\n", "has a polygon that is hollow"),
         (QUAD + "v 0 -6 0\nf -5 -4 -3 \\\n-1 -2\n", "has a polygon that is hollow"),
         (QUAD + "v 4 -4 0\nf 3 5 1 2\n", "has a polygon that is hollow"),
-        (QUAD.replace(" 0\n", " 0 0 0 1\n").replace("0 0 1", "1 0 0", 1) + FACES, "is coloured by vertex or face, which"),
+        (QUAD.replace(" 0\n", " 0 0 0 1\n").replace("0 0 1", "1 0 0", 1) + FACES, "is coloured by vertex or face"),
     ],
 )
 def test_wrong_obj(scene, refused, text, words):

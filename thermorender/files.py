@@ -69,6 +69,8 @@ def atomic_folder(path, overwrite=False):
         part.mkdir()
         with in_use(part):
             yield part
+            # Another process may have been quicker.
+            _refuse_used_folder(given, overwrite)
             old = part.with_name(f"{part.name}.old")
             try:
                 if path.exists():
