@@ -166,6 +166,9 @@ def test_a_render_says_what_made_it(scene, call, tmp_path):
 def test_missing_scene(refused, tmp_path):
     refused([f"scene '{tmp_path / 'none'}' does not exist", "heath"], "render", tmp_path / "none")
     refused(["scene.toml does not exist"], "render", tmp_path / "none" / "scene.toml")
+    refused([f"scene '{tmp_path}' holds no scene.toml; give a folder with"], "render", tmp_path)
+    (tmp_path / "file").write_text("")
+    refused([f"scene '{tmp_path / 'file'}' is a file; give a folder with a scene.toml"], "render", tmp_path / "file")
 
 
 @pytest.mark.parametrize(
@@ -446,6 +449,20 @@ def test_a_raster_on_the_command_line_may_be_a_mosaic(scene, call, tmp_path):
     assert (status, errors) == (0, "")
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="makes a pipe, and a name of bytes")
+def test_a_raster_on_the_command_line_is_an_ordinary_file_with_a_name(scene, refused, tmp_path):
+    """A pipe would be waited for without end, and GDAL takes no name that is not Unicode."""
+    os.mkfifo(tmp_path / "pipe.tif")
+    odd = tmp_path / os.fsdecode(b"\xff.tif")
+    (scene / "elevation.tif").rename(odd)
+    for path, words in (
+        (tmp_path / "pipe.tif", "pipe.tif is a folder or no ordinary file; give a raster file"),
+        (scene, "tiny is a folder or no ordinary file; give a raster file"),
+        (odd, "this name is not valid Unicode, which GDAL needs; rename it"),
+    ):
+        refused(words, "import-terrain", path, scene / "orthophoto.tif")
+
+
 @pytest.mark.parametrize("name", ["scene.toml", "flight.csv", "materials", "elevation.tif", "small.toml"])
 def test_links_out_of_a_scene_are_not_followed(scene, refused, name):
     if name == "materials":
@@ -566,6 +583,11 @@ def test_garbage_and_empty_meshes(scene, refused, suffix):
         (QUAD + "v 1e300 0 0\nf 1 2 5\n", "a vertex that is not finite or lies more than 100 km from its origin"),
         ("mtllib good.mtl\nmtllib deep.mtl\n" + QUAD + FACES_UV, "names the material libraries good.mtl, deep.mtl"),
         ("mtllib " + 300 * "x" + "\n" + QUAD + FACES, "which cannot be read (File name too long)"),
+        ("\ufeffmtllib good.mtl\n" + QUAD + FACES_UV, "begins with a byte order mark, which hides its first line"),
+        (QUAD + "v 0 -6 0\nf 1 2 3 5 4\n", "has a polygon that is hollow"),
+        (QUAD + "v 0 -6 0\nf -5 -4 -3 \\\n-1 -2\n", "has a polygon that is hollow"),
+        (QUAD + "v 4 -4 0\nf 3 5 1 2\n", "has a polygon that is hollow"),
+        (QUAD.replace(" 0\n", " 0 0 0 1\n").replace("0 0 1", "1 0 0", 1) + FACES, "is coloured by vertex or face"),
     ],
 )
 def test_wrong_obj(scene, refused, text, words):
@@ -602,6 +624,33 @@ def test_a_good_obj_passes(scene, call, tmp_path):
     status, _, errors = call("render", scene, "-o", tmp_path / "o", "--pose", "0,0,20,0,-90,0", *QUICK)
     assert (status, errors) == (0, "")
     assert load_scene(scene).surfaces[0].colour.shape == (4, 4, 3)
+
+
+def test_polygons_that_bulge_pass(scene):
+    mesh_scene(scene, "model.obj", QUAD + "v 0 12 0\nf 1 2 3 5 4\n")
+    first = load_scene(scene).surfaces[0]
+    a, b, c = np.moveaxis(first.vertices[first.faces].astype(np.float64), 1, 0)
+    assert np.isclose(0.5 * np.cross(b - a, c - a)[:, 2].sum(), 16.0**2 + 32.0, rtol=1e-6)
+    # A hollow one whose triangles from the first corner fill it.
+    mesh_scene(scene, "model.obj", QUAD + "v 4 -4 0\nf 5 1 2 3\n")
+    first = load_scene(scene).surfaces[0]
+    a, b, c = np.moveaxis(first.vertices[first.faces].astype(np.float64), 1, 0)
+    assert np.isclose(0.5 * np.abs(np.cross(b - a, c - a)[:, 2]).sum(), 64.0, rtol=1e-6)
+
+
+def test_a_part_without_image_has_its_material_s_colour(scene):
+    import trimesh
+
+    (scene / "plain.mtl").write_text("newmtl a\nKd 0.2 0.4 0.8\n")
+    mesh_scene(scene, "model.obj", "mtllib plain.mtl\n" + QUAD + FACES_UV)
+    assert load_scene(scene).surfaces[0].colour.tolist() == [[[51, 102, 204]]]
+    square = trimesh.Trimesh([[0, 0, 0], [9, 0, 0], [9, 0, -9]], [[0, 1, 2]])
+    for factor, told in (([51, 102, 204, 255], [[[124, 170, 231]]]), (None, [[[255, 255, 255]]])):
+        material = trimesh.visual.material.PBRMaterial(baseColorFactor=factor)
+        square.visual = trimesh.visual.TextureVisuals(material=material)
+        mesh_scene(scene, "model.glb", square.export(file_type="glb"))
+        # Linear light there: 0.2, 0.4 and 0.8 are sRGB 0.485, 0.665 and 0.906.
+        assert load_scene(scene).surfaces[0].colour.tolist() == told
 
 
 def test_wrong_glb(scene, refused):
@@ -838,9 +887,9 @@ def test_wrong_logs(scene, refused, text, words):
 
 
 def test_missing_and_binary_logs(scene, refused, tmp_path):
-    refused(["none.csv: cannot be read", "No such file"], "fly", scene, "--trajectory", tmp_path / "none.csv", *QUICK)
+    refused(["none.csv cannot be read", "No such file"], "fly", scene, "--trajectory", tmp_path / "none.csv", *QUICK)
     (scene / "flight.csv").write_bytes(b"\xff\xfe\x00")
-    refused("flight.csv: is not a CSV file in UTF-8", "fly", scene, *QUICK)
+    refused("flight.csv is not UTF-8 text", "fly", scene, *QUICK)
     (scene / "flight.csv").unlink()
     refused("flight.csv does not exist, and no other log is given; add --trajectory", "fly", scene, *QUICK)
 

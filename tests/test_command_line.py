@@ -1,6 +1,10 @@
 """All verbs alike: what their help says, and outputs that are refused before the work."""
 
 import re
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -103,3 +107,16 @@ def test_outputs_of_another_kind_are_refused_before_the_work(words, output, told
     assert status == 2 and printed == "" and str(tmp_path / output) in errors and told in errors, errors
     assert (tmp_path / "full" / "file").read_text() == "precious"
     assert [path.name for path in tmp_path.rglob("*")] == ["full", "file"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
+def test_a_process_that_is_told_to_end_cleans_up(tmp_path):
+    """As `timeout`, `docker stop` and systemd tell it."""
+    folder = tmp_path / "new"
+    command = [sys.executable, "-m", "thermorender", "make-scene", "heath", "--size-m", "60", "-o", folder / "scene"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    while process.poll() is None and not any(folder.glob(".scene.*.part/*")):
+        time.sleep(1e-3)
+    process.send_signal(signal.SIGTERM)
+    _, errors = process.communicate(timeout=60)
+    assert (process.returncode, errors) == (128 + signal.SIGTERM, b"") and not folder.exists()

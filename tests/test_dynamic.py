@@ -111,6 +111,9 @@ def test_a_track_is_part_of_the_scene(tmp_path):
         ("time_s,yaw_deg\n0,x\n", "row 2: '0,x' is not 2 finite numbers"),
         ("time_s,yaw_deg\n0,1,2\n", "row 2"),
         ("time_s,yaw_deg\n0,1\n0,2\n", "row 3: time_s does not rise"),
+        ("time_s,yaw_deg\n\n0,1\n\n0,2\n", "row 5: time_s does not rise"),
+        ("time_s,yaw_deg\n\n0,x\n", "row 3: '0,x' is not 2 finite"),
+        ("time_s,yaw_deg\n0,1\0\n", "track.csv is not UTF-8 text .it holds zero bytes.; save it as CSV UTF-8"),
         ("time_s,temperature_k\n0,20\n", "20 is below 100 K"),
     ],
 )

@@ -81,6 +81,16 @@ def test_a_folder_is_whole_or_as_it_was(there, tmp_path):
     assert names(tmp_path) == ["a"] and names(target) == ["new"]
 
 
+def test_a_folder_of_a_quicker_process_stays(tmp_path):
+    target = tmp_path / "a"
+    with pytest.raises(ThermorenderError, match="a exists and is not empty; give a new folder"):
+        with files.atomic_folder(target) as part:
+            (part / "slow").write_text("x")
+            with files.atomic_folder(target) as other:
+                (other / "quick").write_text("x")
+    assert names(tmp_path) == ["a"] and names(target) == ["quick"]
+
+
 @pytest.mark.parametrize("error", [OSError("no room"), KeyboardInterrupt()])
 def test_the_old_folder_comes_back(error, tmp_path, monkeypatch):
     (tmp_path / "a").mkdir()

@@ -213,6 +213,10 @@ def test_a_stopped_data_set_is_continued(tmp_path, call, monkeypatch):
         assert one.entry == other.entry and (one.thermal == other.thermal).all()
     assert "now" in prepared(call, tmp_path, "--resume", "--texel-m", "0.2", status=2)
     assert "not empty" in prepared(call, tmp_path, status=2)
+    # Another picture of the same name and size.
+    path = sorted((tmp_path / "visible").iterdir())[0]
+    cv2.imwrite(str(path), 255 - cv2.imread(str(path)))
+    assert "card.json has checksum=" in prepared(call, tmp_path, "--resume", status=2)
 
 
 def test_sequences_by_name_by_pattern_and_by_gaps(tmp_path, call):

@@ -124,6 +124,11 @@ def test_what_is_no_toml_names_file_and_line(tmp_path, data, words):
         read_toml(tmp_path / "x.toml", "mine")
 
 
+def test_a_byte_order_mark_is_passed_over(tmp_path):
+    (tmp_path / "x.toml").write_bytes(b"\xef\xbb\xbfa = 1\n")
+    assert read_toml(tmp_path / "x.toml") == {"a": 1}
+
+
 def test_a_file_that_cannot_be_read_is_named(tmp_path):
     with pytest.raises(ThermorenderError, match=re.escape(f"{tmp_path} cannot be read: Is a directory")):
         read_toml(tmp_path)

@@ -408,7 +408,13 @@ LOCAL = "time_s,east_m,north_m,up_m"
         ),
         (f"{LOCAL}\n0,0,0,nan\n", {}, "row 2, column 'up_m': 'nan' is not a finite number"),
         (f"{LOCAL}\n0,0,,0\n", {}, "row 2, column 'north_m': '' is not a finite number; fill the cell"),
-        (f"{LOCAL}\n0,0,0\n", {}, "row 2: 3 cells where row 1 names 4 columns"),
+        (f"{LOCAL}\n0,0,0\n", {}, "row 2: 3 cells where row 1 names 4 columns; give each column one cell"),
+        (f"{LOCAL}\n0,0,0,2,5\n", {}, "row 2: 5 cells where row 1 names 4 columns; give each column one cell, with a"),
+        (f'{LOCAL}\n0,0,0,"2,5"\n', {}, "column 'up_m': '2,5' is not a finite number; write it with a point as"),
+        (f"{LOCAL}\n0,0,0,20\n".replace(",", ";"), {}, "flight.csv is separated by semicolons; save it comma"),
+        (f"{LOCAL}\n0,0,0,20\n".replace(",", "\t"), {}, "flight.csv is separated by tabs; save it comma-separated"),
+        (f"\n{LOCAL}\n0,0,0,20\n", {}, "flight.csv: row 1 is blank; row 1 must name the columns"),
+        (f"{LOCAL}\n0,0,0,20\0\n", {}, "it holds zero bytes.; save it as CSV UTF-8"),
         (f"{LOCAL},up_m\n0,0,0,0,0\n", {}, "row 1 names column 'up_m' 2 times"),
         (
             f"{LOCAL}\n0,0,0,0\n2,0,0,0\n\n1.5,0,0,0\n",
@@ -538,10 +544,10 @@ def test_messages(tmp_path, text, options, message):
 
 
 def test_missing_and_binary_files(tmp_path):
-    with pytest.raises(ThermorenderError, match=r"none\.csv: cannot be read \(No such file"):
+    with pytest.raises(ThermorenderError, match=r"none\.csv cannot be read \(No such file"):
         read_trajectory(tmp_path / "none.csv")
     (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00\x81")
-    with pytest.raises(ThermorenderError, match=r"binary\.csv: is not a CSV file in UTF-8"):
+    with pytest.raises(ThermorenderError, match=r"binary\.csv is not UTF-8 text .*; save it as CSV UTF-8"):
         read_trajectory(tmp_path / "binary.csv")
     with pytest.raises(ThermorenderError, match="paths is empty"):
         read_trajectory([])

@@ -1,6 +1,7 @@
 """Pictures and videos translated by learned maps: counts, kinds of files, what is damaged, what is continued."""
 
 import json
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -236,6 +237,22 @@ def test_a_damaged_file_is_named_and_the_others_are_done(tmp_path, call):
     assert (status, errors) == (0, "") and "1 translated, 2 done before, in " in output
     assert (tmp_path / "out" / "a.tif").stat().st_mtime_ns == before
     assert len((tmp_path / "out" / "translated.jsonl").read_text().splitlines()) == 3
+
+
+def test_what_a_killed_process_left_goes_and_a_changed_picture_is_done_anew(tmp_path, call):
+    # Pictures of one size in bytes.
+    path, other = write(tmp_path / "a.bmp", photograph()), photograph(seed=9)
+    assert call("translate", "fok-1to1", path, "-o", tmp_path / "out")[0] == 0
+    (tmp_path / "out" / ".clip.0123abcd.part.mp4").write_bytes(b"half")
+    before = path.stat()
+    write(path, other)
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+    assert path.stat().st_size == before.st_size
+    status, output, _ = call("translate", "fok-1to1", path, "-o", tmp_path / "out", "--resume")
+    assert status == 0 and output.startswith("1 translated, in ")
+    assert np.array_equal(shown(tmp_path / "out" / "a.tif"), Translation(ONE).counts(other))
+    names = {each.name for each in (tmp_path / "out").iterdir()}
+    assert names == {"a.tif", "a.png", "translate.json", "translated.jsonl"}
 
 
 def test_a_map_of_a_file_and_one_changed_in_between(tmp_path, call):

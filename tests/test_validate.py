@@ -235,6 +235,14 @@ def test_growth_measures_each_axis_in_a_process_of_its_own(tmp_path):
     assert all(case["bake_s"] == 1e9 for case in growth.run(tmp_path, axes, base).values())
 
 
+@pytest.mark.parametrize("text", ["{", "[1]", '{"cases": 3}', "\0"])
+def test_kept_cases_that_are_damaged_are_told(tmp_path, text):
+    for name, run in (("growth", growth.run), ("budget", study.run)):
+        (tmp_path / f"{name}.json").write_text(text)
+        with pytest.raises(ThermorenderError, match=f"{name}.json is damaged; remove it, or give another folder"):
+            run(tmp_path)
+
+
 def test_stated_errors_are_held_against_finer_frames(tmp_path, monkeypatch):
     folder = write_terrain(tmp_path / "tiny", height=np.random.default_rng(1).uniform(0, 1, (32, 32)))
     monkeypatch.setattr(study.cases, "CHOSEN", ((12, -90),))

@@ -69,6 +69,8 @@ def atomic_folder(path, overwrite=False):
         part.mkdir()
         with in_use(part):
             yield part
+            # Another process may have been quicker.
+            _refuse_used_folder(given, overwrite)
             old = part.with_name(f"{part.name}.old")
             try:
                 if path.exists():
@@ -302,7 +304,10 @@ def read_text(path, kind="UTF-8"):
         What programs call such a file, for the message.
     """
     try:
-        return Path(path).read_text(encoding="utf-8-sig")
+        text = Path(path).read_text(encoding="utf-8-sig")
+        if "\0" in text:
+            raise ThermorenderError(f"{path} is not UTF-8 text (it holds zero bytes); save it as {kind}")
+        return text
     except UnicodeDecodeError as error:
         raise ThermorenderError(f"{path} is not UTF-8 text ({error.reason}); save it as {kind}") from error
     except OSError as error:

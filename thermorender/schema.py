@@ -287,7 +287,7 @@ def entry(name, read_value, default=MISSING):
 
 
 def read_toml(path, name=None):
-    """Return the dict of a TOML file; messages call it `name`, or by its path.
+    """Return the dict of a TOML file, with or without a byte order mark; messages call it `name`, or by its path.
 
     Raises
     ------
@@ -297,7 +297,7 @@ def read_toml(path, name=None):
     name = path if name is None else name
     try:
         data = path.read_bytes()
-        return tomllib.loads(data.decode("utf-8"))
+        return tomllib.loads(data.decode("utf-8-sig"))
     except OSError as error:
         raise ThermorenderError(f"{name} cannot be read: {error.strerror}") from None
     except UnicodeDecodeError as error:

@@ -121,7 +121,7 @@ def _burnt(path, grid):
     from rasterio.warp import transform_geom
 
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_text(encoding="utf-8-sig"))
         features = content["features"]
         crs = CRS.from_user_input(content["crs"]["properties"]["name"] if "crs" in content else "OGC:CRS84")
     except OSError as error:

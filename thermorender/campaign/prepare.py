@@ -4,6 +4,7 @@ All pictures are read and judged before anything is written; what cannot be used
 listed.
 """
 
+import hashlib
 import re
 from collections import Counter
 from dataclasses import asdict, dataclass, replace
@@ -157,6 +158,7 @@ def prepare(source, output, registered=None, cut=None, split="sequence", shares=
         "name": output.resolve().name, "licence": licence, "texel_m": texel_m, "pairs": len(kept), "grey": grey,
         "source": f"pictures of {Path(source.visible_folder).name} and {Path(source.thermal_folder).name}",
         "left_out": left_out, "rig": None if laid is None else asdict(laid), "bounds": asdict(bounds),
+        "checksum": _checksum(kept),
         "settings": {
             "visible": source.visible, "thermal": source.thermal, "valid": source.valid, "scale": source.scale,
             "sequence": source.sequence, "gap": source.gap, "split": split, "shares": list(shares), **asdict(cut),
@@ -188,6 +190,13 @@ def prepare(source, output, registered=None, cut=None, split="sequence", shares=
         "parts": {part: sum(each == part for each in parts.values()) for part in PARTS},
         "sequences": len({sequence_of[pair.name] for pair in kept}), "bounds": bounds, "rig": laid, "scale": scale,
     }  # fmt: skip
+
+
+def _checksum(pairs):
+    """That of all pictures, by which a data set that is continued tells whether they are the same."""
+    paths = [path for pair in pairs for path in (pair.visible, pair.thermal, pair.valid) if path is not None]
+    told = "".join(path.name + files.checksum(path) for path in paths)
+    return hashlib.blake2b(told.encode(errors="surrogateescape"), digest_size=16).hexdigest()
 
 
 # --- judgement --------------------------------------------------------------------------------------------------

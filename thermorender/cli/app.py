@@ -1,5 +1,6 @@
 """The command line: one verb per job; it parses, calls and prints."""
 
+import signal
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -525,7 +526,8 @@ UsageError = typer.BadParameter.__base__
 
 
 def main():
-    """Run the command line: a user's mistake is one sentence and status 2."""
+    """Run the command line: a user's mistake is one sentence and status 2; what is asked to end cleans up first."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
     try:
         status = app(args=arguments or ["--help"], standalone_mode=False)

@@ -186,8 +186,8 @@ def translate(model, paths, output, texel_m=None, palette="white-hot", inner=Fal
     with files.output_folder(output) as folder, files.in_use(folder):
         before = _begin(folder, settings, resume)
         for number, source in enumerate(sources):
-            name, size = str(source.resolve()), source.stat().st_size
-            if before.get(name) == (size, _sizes(outputs[source])):
+            name, checksum = str(source.resolve()), _checksum(source)
+            if before.get(name) == (checksum, _sizes(outputs[source])):
                 passed += 1
                 continue
 
@@ -205,7 +205,7 @@ def translate(model, paths, output, texel_m=None, palette="white-hot", inner=Fal
                 continue
             written = _sizes(outputs[source])
             files.on_disk(*outputs[source])
-            files.append_json(folder / DONE, {"source": name, "bytes": size, "files": written, **facts})
+            files.append_json(folder / DONE, {"source": name, "checksum": checksum, "files": written, **facts})
             done += 1
     return {"done": done, "passed over": passed, "failed": failed, "warning": model.texel_warning(texel_m)}
 
@@ -389,11 +389,20 @@ def _begin(folder, settings, resume):
         raise ThermorenderError(
             f"{path} was made with another {other}; continue with the same settings, or give another folder"
         )
+    files.remove_parts(folder)
     path = folder / DONE
     try:
-        return {line["source"]: (line["bytes"], line["files"]) for line in files.read_json_lines(path)}
+        return {line["source"]: (line["checksum"], line["files"]) for line in files.read_json_lines(path)}
     except (ValueError, KeyError, TypeError):
         raise ThermorenderError(f"{path} is no list of translations; give another folder") from None
+
+
+def _checksum(source):
+    try:
+        return files.checksum(source)
+    except OSError:
+        # Which is told when it is read.
+        return None
 
 
 def _sizes(outputs):

@@ -543,7 +543,8 @@ def scene_folder(name: str | PathLike[str]) -> Path:
     if (shipped / str(name) / "scene.toml").is_file() and len(Path(name).parts) == 1:
         return shipped / str(name)
     known = ", ".join(sorted(item.parent.name for item in shipped.glob("*/scene.toml")))
-    raise ThermorenderError(f"scene {str(name)!r} does not exist; give a folder with a scene.toml or one of {known}")
+    what = "holds no scene.toml" if path.is_dir() else "is a file" if path.exists() else "does not exist"
+    raise ThermorenderError(f"scene {str(name)!r} {what}; give a folder with a scene.toml or one of {known}")
 
 
 def load_scene(name: str | PathLike[str]) -> Scene:

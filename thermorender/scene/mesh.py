@@ -13,6 +13,7 @@ import numpy as np
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.paths import inside
 from thermorender.physics.geodesy import FARTHEST_M
+from thermorender.physics.srgb import bytes_from_linear
 from thermorender.scene.surface import MOST_TEXELS
 
 # Archives, which trimesh would read too, bring files of their own.
@@ -137,13 +138,18 @@ def _parts(path, named):
     is_gltf = path.suffix.lower() in (".glb", ".gltf")
     header = _gltf_header(path) if is_gltf else None
     if path.suffix.lower() == ".obj":
-        lines = path.read_text(errors="replace").splitlines()
+        lines = path.read_text(encoding="utf-8", errors="replace").replace("\\\n", " ").splitlines()
+        if lines[0].startswith("\ufeff"):
+            raise ThermorenderError(
+                f"{path} begins with a byte order mark, which hides its first line; save it as UTF-8 without one"
+            )
         libraries = dict.fromkeys(line[7:].strip() for line in lines if line.startswith("mtllib "))
         if len(libraries) > 1:
             # trimesh reads the first.
             raise ThermorenderError(
                 f"{path} names the material libraries {shortened(', '.join(libraries))}; join them into one"
             )
+        _refuse_hollow(path, lines)
     loaded = trimesh.load_scene(path, resolver=named)
     if named.refusal:
         raise named.refusal
@@ -179,6 +185,28 @@ def _parts(path, named):
     if not any(_has_area(part) for part in parts):
         raise ThermorenderError(f"{path} holds no triangles of any area; give a mesh with faces")
     return parts
+
+
+def _refuse_hollow(path, lines):
+    """Refuse an OBJ's polygon that trimesh, which cuts it into triangles from its first corner, would fill wrongly."""
+    vertices, polygons = [], {}
+    for line in lines:
+        if line.startswith("v "):
+            vertices.append(line.split()[1:4])
+        elif line.startswith("f ") and len(corners := line.split()[1:]) > 3:
+            # Counted from 1, or backwards from the last one so far.
+            index = (int(corner.partition("/")[0]) for corner in corners)
+            polygons.setdefault(len(corners), []).append([k - 1 if k > 0 else len(vertices) + k for k in index])
+    for index in polygons.values():
+        side = np.array(vertices, np.float64)[index]
+        side = side[:, 1:] - side[:, :1]
+        normal = np.cross(side[:, :-1], side[:, 1:])
+        whole = normal.sum(axis=1, keepdims=True)
+        if ((normal * whole).sum(axis=2) < -1e-6 * (whole**2).sum(axis=2)).any():
+            raise ThermorenderError(
+                f"{path} has a polygon that is hollow, which triangles from its first corner would fill; export the "
+                "mesh with its faces triangulated"
+            )
 
 
 def _has_area(part):
@@ -218,8 +246,7 @@ def _texture(geometry, faces, path):
     if material is not None:
         image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
     if image is None:
-        colour = np.asarray(getattr(visual, "main_color", (128, 128, 128, 255)), dtype=np.uint8)[:3]
-        return np.full((len(faces), 3, 2), 0.5, np.float32), colour.reshape(1, 1, 3).copy()
+        return np.full((len(faces), 3, 2), 0.5, np.float32), _own_colour(visual, material, path).reshape(1, 1, 3)
     if visual.uv is None or len(visual.uv) != len(geometry.vertices):
         raise ThermorenderError(f"{path} has a texture but no map coordinates for it; export the mesh with UVs")
     uv = np.array(visual.uv, dtype=np.float32)[faces]
@@ -227,6 +254,19 @@ def _texture(geometry, faces, path):
     if not np.isfinite(uv).all():
         raise ThermorenderError(f"{path} has a map coordinate that is not finite; export the mesh again")
     return _repeated(uv, _pixels(image, path), path)
+
+
+def _own_colour(visual, material, path):
+    """The colour of a geometry without an image, (3,) uint8 sRGB: its material's, else that of all its vertices."""
+    if hasattr(material, "baseColorFactor"):
+        # Linear, and white where none is given: glTF 2.0, section 3.9.2.
+        factor = np.full(3, 255) if material.baseColorFactor is None else material.baseColorFactor[:3]
+        return bytes_from_linear(factor / 255.0)
+    if material is not None:
+        return np.array(material.main_color[:3], np.uint8)
+    if visual.defined and np.ptp(visual.vertex_colors[:, :3], axis=0).any():
+        raise ThermorenderError(f"{path} is coloured by vertex or face, which is not read; bake that into a texture")
+    return np.array(visual.main_color[:3], np.uint8)
 
 
 def _repeated(uv, colour, path):

@@ -62,8 +62,9 @@ def opened(path):
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
-    if not Path(path).exists():
-        raise ThermorenderError(f"{path} does not exist; give a raster file such as a GeoTIFF")
+    if not Path(path).is_file():
+        what = "is a folder or no ordinary file" if Path(path).exists() else "does not exist"
+        raise ThermorenderError(f"{path} {what}; give a raster file such as a GeoTIFF")
     driver = FORMATS.get(Path(path).suffix.lower())
     # What lies beside a raster may name overviews in a network; GDAL then fetches nothing.
     options = {} if driver is None else {"CPL_VSIL_CURL_ALLOWED_FILENAME": "-"}
@@ -80,6 +81,8 @@ def opened(path):
                         "so cut or thin it, for example with `rio warp`"
                     )
                 yield dataset
+    except UnicodeEncodeError:
+        raise ThermorenderError(f"{path}: this name is not valid Unicode, which GDAL needs; rename it") from None
     except (RasterioError, UnicodeDecodeError) as error:
         # A failed read says only that it failed; its cause, GDAL's own error, says where.
         reason = error.__cause__ or error

@@ -1,11 +1,13 @@
 """Dynamic objects: those whose position, heading and temperature are given over time."""
 
 import csv
+import io
 from dataclasses import dataclass
 
 import numpy as np
 
 from thermorender.errors import ThermorenderError, shortened
+from thermorender.files import read_text
 from thermorender.physics.geodesy import FARTHEST_M
 from thermorender.scene.spec import ObjectSpec
 from thermorender.scene.surface import Surface, scene_kelvin
@@ -124,10 +126,11 @@ def read_track(path):
         A file that cannot be read, unknown or missing columns, cells that are no numbers, time that does not rise.
     """
     try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
-            rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ThermorenderError(f"{path} cannot be read as CSV in UTF-8 ({error}); give a track") from None
+        lines = list(csv.reader(io.StringIO(read_text(path, "CSV UTF-8"))))
+    except csv.Error as error:
+        raise ThermorenderError(f"{path} is not CSV ({error}); save it as CSV UTF-8") from None
+    numbers = [number for number, line in enumerate(lines, start=1) if any(map(str.strip, line))]
+    rows = [lines[number - 1] for number in numbers]
     header = [cell.strip() for cell in rows[0]] if rows else []
     allowed = ("time_s", *COLUMNS)
     odd = next((name for name in header if name not in allowed or header.count(name) > 1), None)
@@ -145,12 +148,13 @@ def read_track(path):
             values[number] = np.nan
         if not np.isfinite(values[number]).all():
             raise ThermorenderError(
-                f"{path}, row {number + 2}: {shortened(','.join(row))!r} is not {len(header)} finite numbers; mend it"
+                f"{path}, row {numbers[number + 1]}: {shortened(','.join(row))!r} is not {len(header)} finite numbers; "
+                "mend it"
             )
     columns = dict(zip(header, values.T.copy(), strict=True))
     time_s = columns.pop("time_s")
     if (np.diff(time_s) <= 0.0).any():
-        row = int(np.argmax(np.diff(time_s) <= 0.0)) + 3
+        row = numbers[int(np.argmax(np.diff(time_s) <= 0.0)) + 2]
         raise ThermorenderError(f"{path}, row {row}: time_s does not rise; sort the rows and leave each time once")
     for name in COLUMNS[:3]:
         far = np.abs(columns.get(name, np.zeros(1))) > FARTHEST_M

@@ -4,12 +4,14 @@ Rows are counted in messages as a spreadsheet shows them: the header is row 1.
 """
 
 import csv
+import io
 from dataclasses import dataclass
 from datetime import datetime, timezone
 
 import numpy as np
 
-from thermorender.errors import ThermorenderError
+from thermorender.errors import ThermorenderError, shortened
+from thermorender.files import read_text
 from thermorender.schema import closest
 from thermorender.trajectory.mapping import QUANTITIES, Quantity, fitting_formats
 
@@ -17,6 +19,8 @@ from thermorender.trajectory.mapping import QUANTITIES, Quantity, fitting_format
 _OTHER_UNITS = ("rad", "mm", "cm", "km", "ft", "feet", "ms", "us", "ns", "m", "deg", "s")
 
 
+# What other programs put between cells in a comma's place.
+_MARKS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 # What may become of different rows of one time.
 DUPLICATES = ("refuse", "spread", "first")
 
@@ -107,26 +111,26 @@ def read_log(path, mapping, duplicates="refuse"):
 def _read_cells(path):
     """Header, rows of text and their spreadsheet row numbers; rows without any text are skipped."""
     try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
-            lines = list(csv.reader(file))
-    except OSError as error:
-        raise ThermorenderError(
-            f"{path}: cannot be read ({error.strerror}); give the path of a CSV file"
-        ) from error
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ThermorenderError(f"{path}: is not a CSV file in UTF-8: {error}") from error
+        lines = list(csv.reader(io.StringIO(read_text(path, "CSV UTF-8"))))
+    except csv.Error as error:
+        raise ThermorenderError(f"{path} is not CSV ({error}); save it as CSV UTF-8") from None
     if not lines or not any(cell.strip() for cell in lines[0]):
-        raise ThermorenderError(
-            f"{path}: the file is empty; row 1 must name the columns, one sample per row follows"
-        )
+        what = "row 1 is blank" if any(map(any, lines)) else "the file is empty"
+        raise ThermorenderError(f"{path}: {what}; row 1 must name the columns, one sample per row follows")
     header = [cell.strip() for cell in lines[0]]
+    mark = next((name for mark, name in _MARKS.items() if mark in header[0]), None)
+    if mark and len(header) == 1:
+        raise ThermorenderError(
+            f"{path} is separated by {mark}; save it comma-separated with a point as decimal mark"
+        )
     rows, numbers = [], []
     for number, cells in enumerate(lines[1:], start=2):
         if not any(cell.strip() for cell in cells):
             continue
         if len(cells) != len(header):
             raise ThermorenderError(
-                f"{path}, row {number}: {len(cells)} cells where row 1 names {len(header)} columns"
+                f"{path}, row {number}: {len(cells)} cells where row 1 names {len(header)} columns; give each column "
+                "one cell, with a point as decimal mark"
             )
         rows.append(cells)
         numbers.append(number)
@@ -158,9 +162,10 @@ def _numeric(path, header, rows, numbers, quantity):
         bad = np.array([not _is_finite_number(cell) for cell in cells])
     if bad.any():
         k = int(np.argmax(bad))
+        mend = "write it with a point as decimal mark" if "," in cells[k] else "fill the cell or delete the row"
         raise ThermorenderError(
-            f"{path}, row {numbers[k]}, column {quantity.column!r}: {cells[k]!r} is not a finite number; "
-            "fill the cell or delete the row"
+            f"{path}, row {numbers[k]}, column {quantity.column!r}: {shortened(repr(cells[k]))} is not a finite "
+            f"number; {mend}"
         )
     return values * quantity.scale + quantity.offset
 

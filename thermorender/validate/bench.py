@@ -5,6 +5,7 @@ machine slows all alike; ratios are medians of the ratios of each turn. The erro
 renderer with 256 rays per pixel: what sampling alone leaves, once as it is and once behind the camera's optics.
 """
 
+import json
 import multiprocessing
 import os
 import platform
@@ -16,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from thermorender import defaults
+from thermorender import defaults, files
 from thermorender.errors import ThermorenderError
 from thermorender.materials import library as material_tables
 from thermorender.render.renderer import Renderer
@@ -278,6 +279,20 @@ def _noise(rng, shape, fall):
     frequency[0, 0] = np.inf
     values = np.fft.irfft2(np.fft.rfft2(rng.standard_normal(shape)) * frequency**-fall, s=shape)
     return values / values.std()
+
+
+def kept_cases(path):
+    """Return the cases {name: record} that a study's JSON file holds, none where there is no file.
+
+    Raises
+    ------
+    ThermorenderError
+        The file is damaged.
+    """
+    try:
+        return dict(json.loads(files.read_text(path))["cases"]) if path.is_file() else {}
+    except (ValueError, KeyError, TypeError):
+        raise ThermorenderError(f"{path} is damaged; remove it, or give another folder") from None
 
 
 def machine():

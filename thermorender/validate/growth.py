@@ -4,7 +4,6 @@ A fresh process tells the most memory that one case held: synthetic terrain, cas
 making of the terrain. Nodes are given in number, not by a tolerance.
 """
 
-import json
 import time
 from dataclasses import replace
 
@@ -42,7 +41,7 @@ def run(folder, axes=AXES, base=BASE, progress=None, device="auto"):
     """
     folder = files.make_folder(folder)
     path = folder / "growth.json"
-    kept = json.loads(path.read_text(encoding="utf-8"))["cases"] if path.is_file() else {}
+    kept = bench.kept_cases(path)
     names = tuple(AXES)
     jobs = [
         (axis, dict(zip(names, base, strict=True)) | {axis: value}) for axis, values in axes.items() for value in values

@@ -4,7 +4,6 @@ The error is that over the pixels that show a surface, of sampling alone: both f
 A view costs as much as its reference, a few seconds.
 """
 
-import json
 import time
 
 import numpy as np
@@ -49,7 +48,7 @@ def run(folder, scenes=defaults.SCENES, drawn=105, seed=0, qualities=QUALITIES, 
     """
     folder = files.make_folder(folder)
     path = folder / "budget.json"
-    kept = json.loads(path.read_text(encoding="utf-8"))["cases"] if path.is_file() else {}
+    kept = bench.kept_cases(path)
     views = cases.drawn(drawn, seed)
     jobs = [
         (load_scene(name), [(view, False) for view in map(_view, cases.CHOSEN)]
