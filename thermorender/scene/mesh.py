@@ -189,6 +189,8 @@ def _parts(path, named):
 
 def _refuse_hollow(path, lines):
     """Refuse an OBJ's polygon that trimesh, which cuts it into triangles from its first corner, would fill wrongly."""
+    if not any(line.startswith("f ") and len(line.split()) > 4 for line in lines):
+        return
     vertices, polygons = [], {}
     for line in lines:
         if line.startswith("v "):
