@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from thermorender.cli import app as cli
 from thermorender.errors import ThermorenderError
+from thermorender.files import write_image
 from thermorender.footage import calibration
 from thermorender.footage.edge_width import edge_widths, sharpest, width_through
 from thermorender.footage.field_statistics import Field
@@ -283,6 +284,9 @@ def test_frames_without_noise_or_beyond_the_range(base, tmp_path):
         write_tlinear(tmp_path / f"even{number}.tif", np.full((256, 320), 290.0))
     with pytest.raises(ThermorenderError, match="the frames hold no noise"):
         calibration.fit_camera(sorted(tmp_path.glob("even*.tif")), base)
+    write_image(tmp_path / "celsius.tif", np.full((256, 320), 7250, np.uint16))
+    with pytest.raises(ThermorenderError, match="the median temperature of .*celsius.tif=16.85 is below 100 K"):
+        calibration.fit_camera([tmp_path / "celsius.tif"], base, (0.04, -273.15))
     hot = next(footage(CAMERA, 1))
     hot[100, 100] = 273.15 + 412.0
     write_tlinear(tmp_path / "hot.tif", hot, 0.04)

@@ -120,3 +120,14 @@ def test_a_process_that_is_told_to_end_cleans_up(tmp_path):
     process.send_signal(signal.SIGTERM)
     _, errors = process.communicate(timeout=60)
     assert (process.returncode, errors) == (128 + signal.SIGTERM, b"") and not folder.exists()
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_a_full_disk_behind_what_is_printed_is_told():
+    with open("/dev/full", "w") as full:
+        command = [sys.executable, "-m", "thermorender", "materials", "list"]
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 2 and done.stderr == (
+        "error: the current folder or what is printed to cannot be used: No space left on device; check that it is "
+        "there, its permissions and the disk\n"
+    )

@@ -175,6 +175,7 @@ def test_a_rig_lays_visible_pictures_onto_thermal_ones(tmp_path, call):
     assert "score 0." in told and (tmp_path / "set" / "overlay.png").exists()
     found = read_dataset(tmp_path / "set")
     assert found.scale.unit == "kelvin" and found.card["rig"]["scale"] == pytest.approx(TRUE.scale, abs=0.01)
+    assert "DJI_0000_T.png=" in prepared(call, tmp_path, *options[:5], "0.01,-273.15", out="celsius", status=2)
     save_rig(TRUE, tmp_path / "true.json")
     prepared(call, tmp_path, *options, "--rig", tmp_path / "true.json", out="true")
     for one, other in zip(found.pairs(), read_dataset(tmp_path / "true").pairs(), strict=True):

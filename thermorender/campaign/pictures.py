@@ -14,7 +14,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.footage.flir_jpeg import read_flir_jpeg
 from thermorender.footage.radiometric_files import read_tiff
 from thermorender.sensor.radiometry import ThermographySettings
-from thermorender.units import ZERO_CELSIUS_K
+from thermorender.units import ZERO_CELSIUS_K, kelvin
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 # Of the values that temperatures are kept as [K]; 16 bits of it end at 655.35 K.
@@ -157,6 +157,8 @@ def read_thermal(path, scale=None):
         raise ThermorenderError(
             f"{path} holds no temperature between 0 and {65535 * STEP_K:.2f} K; leave it out"
         )
+    if found.unit == "kelvin":
+        kelvin(f"the median temperature of {path}", STEP_K * float(np.median(found.values[found.valid])))
     _check_content(path, found.values, found.values[found.valid])
     return found
 

@@ -537,12 +537,20 @@ def main():
     except (ThermorenderError, OSError, MemoryError) as error:
         if "--debug" in sys.argv[1:]:
             raise
-        _fail(str(error) or "the memory of this machine is not enough")
+        _fail(_sentence(error))
     except (KeyboardInterrupt, typer.Abort):
         status = 130
     if status == 130:
         typer.echo("stopped; flights, data sets and trainings go on with --resume", err=True)
     raise SystemExit(status or 0)
+
+
+def _sentence(error):
+    """What is told of an error; one of the system that nothing below has put into words names no mend by itself."""
+    if isinstance(error, OSError) and error.strerror:
+        what = error.filename or "the current folder or what is printed to"
+        return f"{what} cannot be used: {error.strerror}; check that it is there, its permissions and the disk"
+    return str(error) or "the memory of this machine is not enough"
 
 
 def _fail(message):

@@ -27,7 +27,7 @@ from thermorender.sensor.noise import NETD_REFERENCE_K
 from thermorender.sensor.optics import relative_illumination
 from thermorender.sensor.psf import otf
 from thermorender.sensor.radiometry import ThermographySettings
-from thermorender.units import ZERO_CELSIUS_K
+from thermorender.units import ZERO_CELSIUS_K, kelvin
 
 # Edges are looked for in so many of the frames, evenly spread.
 _EDGE_FRAMES = 12
@@ -285,7 +285,9 @@ def _field_keys(field, noise, camera, scene_k, step_k):
 
 
 def _refuse_beyond(path, image, camera):
-    """Refuse temperatures that high gain cannot read."""
+    """Refuse temperatures that are no kelvin, as of a scale in °C, and those that high gain cannot read."""
+    # Dead pixels may be at nothing.
+    kelvin(f"the median temperature of {path}", float(np.nanmedian(image)))
     warmest, limit = float(np.nanmax(image)), camera.count_range_k[1]
     # Converters round, and cameras read a little beyond.
     if warmest > limit + _BEYOND_K:
