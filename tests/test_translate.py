@@ -2,6 +2,7 @@
 
 import json
 import os
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -208,6 +209,14 @@ def test_videos_that_break_off_leave_nothing(tmp_path):
     assert "empty.mp4 cannot be read as a video" in summary["failed"][empty]
     assert "cut.avi" in summary["failed"][path] and summary["done"] == 0
     assert sorted(each.name for each in (tmp_path / "out").iterdir()) == ["translate.json"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="makes a name of bytes")
+def test_a_video_whose_name_is_not_unicode_is_told(tmp_path):
+    path = tmp_path / os.fsdecode(b"\xff.avi")
+    video(tmp_path / "a.avi", frames=2).rename(path)
+    summary = translate(ONE, [path], tmp_path / "out")
+    assert summary["failed"][path].endswith(r"\udcff.avi' is not valid Unicode; rename the video")
 
 
 # --- many files -------------------------------------------------------------------------------------------------

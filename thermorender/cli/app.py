@@ -529,6 +529,10 @@ def main():
     """Run the command line: a user's mistake is one sentence and status 2; what is asked to end cleans up first."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
+    odd = next((text for text in arguments if not _is_unicode(text)), None)
+    if odd is not None:
+        # OpenCV ends the process with such a name, and GDAL takes none.
+        _fail(f"{ascii(odd)} is not valid Unicode; rename the file or folder, or set LANG to a locale of UTF-8")
     try:
         status = app(args=arguments or ["--help"], standalone_mode=False)
     except UsageError as error:
@@ -543,6 +547,10 @@ def main():
     if status == 130:
         typer.echo("stopped; flights, data sets and trainings go on with --resume", err=True)
     raise SystemExit(status or 0)
+
+
+def _is_unicode(text):
+    return not any("\ud800" <= letter <= "\udfff" for letter in text)
 
 
 def _sentence(error):

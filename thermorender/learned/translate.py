@@ -266,6 +266,11 @@ def _video(how, source, outputs, told):
     """Translate a video frame by frame; outputs are its file and, where frames are asked for, their folder."""
     import cv2
 
+    try:
+        str(source).encode()
+    except UnicodeEncodeError:
+        # With which OpenCV would end the process.
+        raise UnreadableError(f"{ascii(str(source))} is not valid Unicode; rename the video") from None
     reader = cv2.VideoCapture(str(source))
     with ExitStack() as stack:
         stack.callback(reader.release)
