@@ -13,8 +13,10 @@ import pytest
 
 from thermorender import files
 from thermorender.cli import app as cli
+from thermorender.errors import ThermorenderError
 from thermorender.output.exr import read_exr
 from thermorender.scene.load import load_scene
+from thermorender.scene.raster import opened
 from thermorender.scene.surface import BACKGROUND, MOST_TEXELS, SURFACE
 
 SCENE = """title = "tiny"
@@ -293,7 +295,6 @@ def test_as_many_materials_as_a_texel_can_tell_apart_and_no_more(scene, refused)
 
 
 def test_temperatures_are_given_by_a_source(scene):
-    from thermorender.errors import ThermorenderError
 
     loaded = load_scene(scene)
     for given in (np.full((16, 16), 300.0), 300.0, "fok-1to1"):
@@ -460,6 +461,10 @@ def test_a_raster_on_the_command_line_is_an_ordinary_file_with_a_name(scene, ref
         (odd, r"\udcff.tif' is not valid Unicode; rename the file or folder, or set LANG to a locale"),
     ):
         refused(words, "import-terrain", path, scene / "orthophoto.tif")
+    (scene / "elevation.tif").rename(odd)
+    with pytest.raises(ThermorenderError, match="this name is not valid Unicode, which GDAL needs; rename it"):
+        with opened(odd):
+            pass
 
 
 @pytest.mark.parametrize("name", ["scene.toml", "flight.csv", "materials", "elevation.tif", "small.toml"])
@@ -1009,7 +1014,6 @@ def test_the_command_line_itself(call):
 
 
 def test_debug_shows_where(scene, monkeypatch, tmp_path):
-    from thermorender.errors import ThermorenderError
 
     arguments = ["thermorender", "render", str(scene), "-o", str(tmp_path / "o"), "--quality", "finest", "--debug"]
     monkeypatch.setattr(sys, "argv", arguments)
@@ -1036,7 +1040,6 @@ def test_output_that_cannot_be_written(scene, call, tmp_path, verb):
 
 
 def test_a_failure_after_the_folder_is_made_removes_it(scene, refused, monkeypatch):
-    from thermorender.errors import ThermorenderError
     from thermorender.render.renderer import Renderer
 
     def fail(self, *arguments, **named):
@@ -1116,7 +1119,6 @@ def test_resume_without_a_flight_starts_one(scene, call, tmp_path):
 
 
 def test_a_broken_exr(scene, tmp_path):
-    from thermorender.errors import ThermorenderError
 
     (tmp_path / "a.exr").write_text("garbage")
     with pytest.raises(ThermorenderError, match="a.exr cannot be read as EXR"):
@@ -1143,7 +1145,6 @@ def no_llvm(monkeypatch):
 def test_a_process_keeps_its_device(monkeypatch):
     import mitsuba
 
-    from thermorender.errors import ThermorenderError
     from thermorender.render.variant import activate
 
     monkeypatch.setattr(mitsuba, "variant", lambda: "cuda_ad_mono")

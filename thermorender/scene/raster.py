@@ -81,6 +81,8 @@ def opened(path):
                         "so cut or thin it, for example with `rio warp`"
                     )
                 yield dataset
+    except UnicodeEncodeError:
+        raise ThermorenderError(f"{path}: this name is not valid Unicode, which GDAL needs; rename it") from None
     except (RasterioError, UnicodeDecodeError) as error:
         # A failed read says only that it failed; its cause, GDAL's own error, says where.
         reason = error.__cause__ or error
