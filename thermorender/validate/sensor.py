@@ -125,12 +125,11 @@ def _lag(renderer, of, flight):
             "all_mk": float(np.sqrt(square.mean())),
         }
 
-    start = time.perf_counter()
     single = of.blurred(now)
     records = [
         {
             "lag_mk": None, "render_px": None, "instants": 1, "renders": 1,
-            "ms": 1e3 * (time.perf_counter() - start), **errors(single), "estimate_mk": None,
+            "ms": _ms(lambda: of.blurred(now)), **errors(single), "estimate_mk": None,
         }
     ]  # fmt: skip
     for lag_mk, render_px in SETTINGS:
