@@ -1,5 +1,7 @@
 """Every mistake ends in one sentence and status 2, without traceback or warning, and leaves nothing half-written."""
 
+import base64
+import io
 import json
 import os
 import struct
@@ -712,6 +714,49 @@ def glb(data, tree):
     text += b" " * (-len(text) % 4)
     chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(data), b"BIN\0") + data
     return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+def uri_of(image):
+    from PIL import Image
+
+    file = io.BytesIO()
+    Image.fromarray(image).save(file, "PNG")
+    return "data:image/png;base64," + base64.b64encode(file.getvalue()).decode()
+
+
+def test_a_texture_laid_as_is_not_read(scene, refused):
+    uri = uri_of(np.full((4, 4, 3), (200, 0, 0), np.uint8))
+    once = {"samplers": [{"wrapS": 33071}], "textures": [{"source": 0, "sampler": 0}]}
+    data, tree = painted(uri)
+    beyond = data[:36] + np.array([[0, 0], [2, 0], [2, 2]], np.float32).tobytes() + data[60:]
+    for within in (glb(data, tree), glb(data, tree | once), glb(beyond, tree)):
+        mesh_scene(scene, "model.glb", within)
+        assert (load_scene(scene).surfaces[0].colour == [200, 0, 0]).all()
+    mesh_scene(scene, "model.glb", glb(beyond, tree | once))
+    refused("model.glb: the texture of material 'paint' is drawn out or mirrored beyond its edge", "render", scene)
+    base = {"index": 0}
+    for told, coat in (
+        ("the second map coordinates", {"baseColorTexture": base | {"texCoord": 1}}),
+        ("KHR_texture_transform", {"baseColorTexture": base | {"extensions": {"KHR_texture_transform": {}}}}),
+    ):
+        paint = {"name": "paint", "pbrMetallicRoughness": coat}
+        mesh_scene(scene, "model.glb", glb(data, tree | {"materials": [paint]}))
+        refused(f"model.glb: the texture of material 'paint' is laid through {told}", "render", scene)
+
+
+def test_a_texture_is_multiplied_by_its_material_s_factor_in_linear_light(scene):
+    import colour
+
+    for name, shade, factor in (("white", 255, (0.25, 0.5, 1.0)), ("grey", 200, (0.4, 0.4, 0.4))):
+        data, tree = painted(uri_of(np.full((4, 4, 3), shade, np.uint8)))
+        coat = {"baseColorTexture": {"index": 0}, "baseColorFactor": [*factor, 1.0]}
+        mesh_scene(scene, "model.glb", glb(data, tree | {"materials": [{"name": name, "pbrMetallicRoughness": coat}]}))
+        light = colour.models.eotf_sRGB(shade / 255.0) * np.array(factor)
+        # trimesh keeps the factor as a byte; the colour is one itself.
+        least, most = (255.0 * colour.models.eotf_inverse_sRGB(light * (1.0 + half / np.array(factor)))
+                       for half in (-0.5 / 255.0, 0.5 / 255.0))
+        found = load_scene(scene).surfaces[0].colour[0, 0]
+        assert (found >= least - 0.5).all() and (found <= most + 0.5).all()
 
 
 PLY = """ply

@@ -13,13 +13,14 @@ import numpy as np
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.paths import inside
 from thermorender.physics.geodesy import FARTHEST_M
-from thermorender.physics.srgb import bytes_from_linear
+from thermorender.physics.srgb import bytes_from_linear, linear_from_bytes
 from thermorender.scene.surface import MOST_TEXELS
 
 # Archives, which trimesh would read too, bring files of their own.
 FORMATS = (".obj", ".glb", ".gltf", ".ply", ".stl", ".off")
 # Kinds of Pillow's images; it would run a program of the machine for some others. None is made by trimesh.
 _IMAGE_FORMATS = ("PNG", "JPEG", "MPO", "WEBP", "TIFF", "BMP", "GIF", "TGA", None)
+_GLTF_REPEAT = 10497  # glTF 2.0, section 5.25: what a texture does beyond its edge, unless told otherwise
 _IMAGE = f"give a whole PNG or JPEG image of up to {MOST_TEXELS} pixels"
 
 
@@ -58,8 +59,8 @@ def load(path, folder=None):
     ------
     ThermorenderError
         A file trimesh cannot read, one without triangles of any area, vertices 100 km from the origin, an image texture
-        without map coordinates or repeated too often, or a file that is named but missing, broken, too large or
-        elsewhere.
+        without map coordinates, repeated too often or laid in a way of glTF that is not read, or a file that is named
+        but missing, broken, too large or elsewhere.
     """
     path = Path(path)
     if path.suffix.lower() not in FORMATS:
@@ -255,15 +256,22 @@ def _texture(geometry, faces, path):
     uv[..., 1] = 1.0 - uv[..., 1]
     if not np.isfinite(uv).all():
         raise ThermorenderError(f"{path} has a map coordinate that is not finite; export the mesh again")
-    return _repeated(uv, _pixels(image, path), path)
+    colour = _pixels(image, path)
+    if (factor := _linear_factor(material)).min() < 1.0:
+        colour = bytes_from_linear(linear_from_bytes(colour) * factor)
+    return _repeated(uv, colour, path)
+
+
+def _linear_factor(material):
+    """What a material of glTF multiplies linear light by, (3,): white where it gives nothing (2.0, section 3.9.2)."""
+    factor = getattr(material, "baseColorFactor", None)
+    return np.ones(3) if factor is None else factor[:3] / 255.0
 
 
 def _own_colour(visual, material, path):
     """The colour of a geometry without an image, (3,) uint8 sRGB: its material's, else that of all its vertices."""
     if hasattr(material, "baseColorFactor"):
-        # Linear, and white where none is given: glTF 2.0, section 3.9.2.
-        factor = np.full(3, 255) if material.baseColorFactor is None else material.baseColorFactor[:3]
-        return bytes_from_linear(factor / 255.0)
+        return bytes_from_linear(_linear_factor(material))
     if material is not None:
         return np.array(material.main_color[:3], np.uint8)
     if visual.defined and np.ptp(visual.vertex_colors[:, :3], axis=0).any():
@@ -321,15 +329,40 @@ def _gltf_header(path):
 
 
 def _check_gltf_textures(path, header, loaded):
-    """Refuse a glTF whose material names a colour image that trimesh could not read."""
-    named, plain = set(), set()
+    """Refuse a glTF whose colour images trimesh could not read, or would lay otherwise than the file says."""
+    named, plain, once = set(), set(), set()
+    samplers = header.get("samplers", ())
     for material in header.get("materials", ()):
-        textured = "baseColorTexture" in material.get("pbrMetallicRoughness", {})
-        (named if textured else plain).add(material.get("name"))
+        coat = material.get("pbrMetallicRoughness", {})
+        texture, name = coat.get("baseColorTexture"), material.get("name")
+        (plain if texture is None else named).add(name)
+        if texture is None:
+            continue
+        unread = {
+            "the second map coordinates": texture.get("texCoord", 0),
+            "KHR_texture_transform": "KHR_texture_transform" in texture.get("extensions", {}),
+        }
+        if told := [what for what, used in unread.items() if used]:
+            raise ThermorenderError(
+                f"{path}: the texture of material {shortened(repr(name))} is laid through {told[0]}, which is not "
+                "read; bake it into the image and its first map coordinates"
+            )
+        sampler = header.get("textures", ())[texture["index"]].get("sampler")
+        wraps = {} if sampler is None else samplers[sampler]
+        if any(wraps.get(key, _GLTF_REPEAT) != _GLTF_REPEAT for key in ("wrapS", "wrapT")):
+            once.add(name)
     for geometry in loaded.geometry.values():
         # Lines and points have no material.
         material = getattr(getattr(geometry, "visual", None), "material", None)
-        if getattr(material, "name", None) in named - plain and getattr(material, "baseColorTexture", None) is None:
+        name, image = getattr(material, "name", None), getattr(material, "baseColorTexture", None)
+        if image is None and name in named - plain:
             raise ThermorenderError(
-                f"{path}: the texture of material {material.name!r} cannot be read; {_IMAGE}"
+                f"{path}: the texture of material {name!r} cannot be read; {_IMAGE}"
             )
+        if image is not None and name in once and geometry.visual.uv is not None:
+            # As in `_repeated`, half a texel beyond shows nothing else.
+            if (np.abs(geometry.visual.uv - 0.5) > 0.5 + 0.5 / np.array(image.size)).any():
+                raise ThermorenderError(
+                    f"{path}: the texture of material {shortened(repr(name))} is drawn out or mirrored beyond its "
+                    "edge, which is not read; bake the texture, with map coordinates in 0…1, or have it repeat"
+                )
