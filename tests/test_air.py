@@ -16,6 +16,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.physics import sun
 from thermorender.physics.band import quadrature
 from thermorender.physics.planck import (
+    band_radiance,
     band_radiance_derivative,
     brightness_temperature,
     spectral_radiance,
@@ -365,3 +366,20 @@ def test_a_camera_beyond_the_range_of_the_air_is_refused_by_its_pose(up):
     scene = tr.load_scene("heath").with_air("us-1976")
     with pytest.raises(ThermorenderError, match=r"pose: the camera is -?\d+ m above .* give −500 … 30000 m"):
         tr.Renderer(scene, "fast", rays=4, device="cpu").radiance(tr.pose(0.0, 0.0, up, pitch_deg=-90.0))
+
+
+def test_ground_less_than_a_metre_below_clouds(tmp_path):
+    """No camera a metre above the ground is below them; what leaves the ground reflects a cloud as warm as the air."""
+    air = AIR + "cloud_fraction = 1.0\ncloud_base_m = 0.5\naltitude_m = 0.0\n"
+    scene = tr.load_scene(write(tmp_path / "s", plane(4.0), air, emissivity=0.5))
+    seen = tr.Renderer(scene, rays=16).radiance(tr.pose(0, 0, 0.2, **DOWN), through_air=False)
+    warm, cloud = band_radiance(np.array([300.0, scene.air.air_temperature(0.5)]), *BAND)
+    assert np.abs(seen - 0.5 * (warm + cloud)).max() / band_radiance_derivative(300.0, *BAND) < 0.005
+
+
+@pytest.mark.parametrize("altitude", [-600.0, 30_100.0, 100_000.0])
+def test_surfaces_where_no_air_is_known_are_refused_by_their_altitude(tmp_path, altitude):
+    scene = tr.load_scene(write(tmp_path / "s", plane(4.0), AIR + f"altitude_m = {altitude}\n"))
+    words = rf"scene.toml: surfaces lie {altitude:.7g} … {altitude:.7g} m above sea level, out of range of the air"
+    with pytest.raises(ThermorenderError, match=words):
+        tr.Renderer(scene)

@@ -460,6 +460,9 @@ def test_geometry_refuses():
         air.path_radiance(100.0, np.nan, 50.0)
     with pytest.raises(ThermorenderError, match="range_m=nan is shorter"):
         air.path_radiance(100.0, 0.0, np.nan)
+    for length in (1e9, 1e28, np.inf):
+        with pytest.raises(ThermorenderError, match="is longer than any line of sight in the air, 2.43e.06 m"):
+            air.transmittance(0.0, 0.0, length)
     with pytest.raises(ThermorenderError, match=r"cos_zenith=-0.2 is no direction of the sky; at 120 m give -0.0057"):
         air.sky_radiance(120.0, [-0.2, 0.5])
     with pytest.raises(ThermorenderError, match="at_m=40000 is out of range; give metres above sea level, −500 … 30"):

@@ -305,6 +305,13 @@ def test_temperatures_are_given_by_a_source(scene):
             loaded.with_temperature(given)
 
 
+@pytest.mark.parametrize("given", [57.0, 0.0, -273.0, np.nan, np.inf, 1e4])
+def test_no_object_is_set_to_a_temperature_that_none_has(scene, given):
+    change(scene / "scene.toml", "[sky]", OBJECT + "[sky]")
+    with pytest.raises(ThermorenderError, match=f"^object 'marker': temperature={given:g} is "):
+        load_scene(scene).with_object_temperatures({"marker": given})
+
+
 def test_celsius_given_as_kelvin(scene, refused):
     text = (scene / "scene.toml").read_text()
     head, tail = text.split('source = "raster"\nraster = "temperature.tif"\n')
@@ -328,6 +335,7 @@ ELSEWHERE = (700000.0, 100000.0)
 @pytest.mark.parametrize(
     "name, bands, how, words",
     [
+        ("elevation", HEIGHTS, {"crs": "EPSG:4978"}, ["EPSG:4978, which counts from the Earth's centre and is no map"]),
         ("elevation", HEIGHTS, {"crs": None}, ["no coordinate reference system (CRS)", "assign one"]),
         ("orthophoto", COLOURS, {"crs": None}, ["no coordinate reference system (CRS)", "assign one"]),
         ("elevation", HEIGHTS, {"crs": LOCAL}, ["cannot be brought to EPSG:4326", "assign the CRS"]),
@@ -578,6 +586,8 @@ def test_garbage_and_empty_meshes(scene, refused, suffix):
         (QUAD, "holds no triangles"),
         ("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "holds no triangles of any area"),
         (QUAD + "f 1 2 30\n", "cannot be read as a mesh"),
+        (QUAD + "f 1 2 0\n", "has a face with a corner of number 0"),
+        (QUAD + "f 0/1 2/1 3/1\n", "has a face with a corner of number 0"),
         ("mtllib no.mtl\n" + QUAD + FACES, "names 'no.mtl', which does not exist"),
         ("mtllib missing.mtl\n" + QUAD + FACES_UV, "names 'no such.png', which does not exist"),
         ("mtllib broken.mtl\n" + QUAD + FACES_UV, "the texture 'broken.png' cannot be read"),

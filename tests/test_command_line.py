@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -113,10 +114,14 @@ def test_outputs_of_another_kind_are_refused_before_the_work(words, output, told
 def test_a_process_that_is_told_to_end_cleans_up(tmp_path):
     """As `timeout`, `docker stop` and systemd tell it."""
     folder = tmp_path / "new"
-    command = [sys.executable, "-m", "thermorender", "make-scene", "heath", "--size-m", "60", "-o", folder / "scene"]
+    command = [sys.executable, "-m", "thermorender", "make-scene", "heath", "--size-m", "240", "-o", folder / "scene"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    while process.poll() is None and not any(folder.glob(".scene.*.part/*")):
+    begun = False
+    while process.poll() is None and not begun:
         time.sleep(1e-3)
+        # It may be renamed while it is looked through.
+        with suppress(FileNotFoundError):
+            begun = any(folder.glob(".scene.*.part/*"))
     process.send_signal(signal.SIGTERM)
     _, errors = process.communicate(timeout=60)
     assert (process.returncode, errors) == (128 + signal.SIGTERM, b"") and not folder.exists()
@@ -131,3 +136,12 @@ def test_a_full_disk_behind_what_is_printed_is_told():
         "error: the current folder or what is printed to cannot be used: No space left on device; check that it is "
         "there, its permissions and the disk\n"
     )
+
+
+def test_one_study_does_not_need_the_folder_of_all(tmp_path, call, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "validation").write_text("in the way")
+    status, _, errors = call("validate", "trainings", "nothing", "-o", "out")
+    assert status == 2 and "nothing is no folder of a training" in errors
+    status, _, errors = call("validate")
+    assert status == 2 and "output folder validation cannot be made: File exists" in errors

@@ -227,6 +227,7 @@ def test_a_beginning_that_was_killed_can_be_begun_again(tmp_path):
     for name in ("shards", "part", "card"):
         assert continued(tmp_path / name) == ["a", "b"], name
         assert len(read_dataset(tmp_path / name)) == 4
+        assert not any(path.name.startswith(".") for path in (tmp_path / name).iterdir())
 
 
 def test_what_is_no_continuation_is_refused(tmp_path):

@@ -6,6 +6,7 @@ import pytest
 import thermorender as tr
 from scenes import write_terrain
 from thermorender.errors import ThermorenderError
+from thermorender.files import write_image
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, brightness_temperature
 from thermorender.render.light import radiosity
 from thermorender.scene.tracks import read_track
@@ -62,6 +63,22 @@ def test_an_object_with_a_track_shines_as_one_that_stands_still(tmp_path, shape,
     assert 1e3 * change[near].mean() > 3.0 * 3.0 * error / np.sqrt(faces)
 
 
+@pytest.mark.parametrize("kelvin", [300.0, 340.0, 900.0])
+def test_a_frame_states_what_the_light_of_a_moving_object_errs_by(tmp_path, kelvin):
+    """Against one that stands still, under many rays, on the ground round it."""
+    pose, track = tr.pose(1, 2, 14, pitch_deg=-90), f"time_s,temperature_k\n0,{kelvin}\n"
+    still = scene_with(tmp_path / "still").with_object_temperatures({"target": kelvin})
+    still = tr.Renderer(still, quality="high", rays=4096).frame(pose)
+    frame = tr.Renderer(scene_with(tmp_path / "moving", track), quality="high", rays=128).frame(pose)
+    away = np.linalg.norm(still.truth["position"][..., :2] - [1, 2], axis=-1)
+    # Its edges, half a metre wide, are left out: what other rays show there is another error.
+    ground = (away > 2.7) & (away < 5.0)
+    error = 1e3 * (frame.radiance - still.radiance)[ground] / band_radiance_derivative(300.0, *BAND)
+    off, stated = (np.sqrt(np.mean(np.square(values))) for values in (error, frame.error_mk[ground]))
+    assert 0.8 * off < stated < 2.0 * off
+    assert 0.5 * off < frame.budget_mk["bake"] < 2.0 * off
+
+
 def test_it_moves_without_another_trace(tmp_path, monkeypatch):
     scene = scene_with(tmp_path / "s", "time_s,east_m,yaw_deg,temperature_k\n0,-6,350,300\n10,6,10,320\n")
     renderer = tr.Renderer(scene, rays=16)
@@ -102,6 +119,21 @@ def test_a_track_is_part_of_the_scene(tmp_path):
     assert one.digest() != other.digest()
 
 
+def test_how_a_tracked_model_lies_in_its_texture_is_part_of_the_scene(tmp_path):
+    extra = '[[object]]\nname = "car"\nfile = "car.obj"\nposition = [0.0, 0.0, 0.0]\ntemperature = 330.0\n' \
+            'material = "paint_black"\ntrack = "car.csv"\n'  # fmt: skip
+    folder = write_terrain(tmp_path / "tiny", extra=extra)
+    (folder / "car.csv").write_text("time_s,east_m\n0,0\n1,1\n")
+    write_image(folder / "car.png", np.arange(48, dtype=np.uint8).reshape(4, 4, 3))
+    (folder / "car.mtl").write_text("newmtl paint\nmap_Kd car.png\n")
+    model = "mtllib car.mtl\nusemtl paint\nv 0 0 0\nv 1 0 0\nv 0 1 1\nvt 0 0\nvt 1 0\nvt {}\nf 1/1 2/2 3/3\n"
+    digests = []
+    for corner in ("1 1", "0 1", "1 1"):
+        (folder / "car.obj").write_text(model.format(corner))
+        digests.append(tr.load_scene(folder).digest())
+    assert digests[0] == digests[2] != digests[1]
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -131,11 +163,18 @@ def test_bad_settings(tmp_path):
         ({"other": {}}, "object 'other' has no track and cannot change; give one that has [(]target[)]"),
         ({"target": {"speed": 1.0}}, "object 'target' has no 'speed' to set"),
         ({"target": {"east_m": np.nan}}, "east_m=nan is not allowed"),
+        ({"target": {"east_m": None}}, "east_m=None is not allowed; give a finite number"),
+        ({"target": {"temperature_k": [300.0, 310.0]}}, r"temperature_k=.300.0, 310.0. is not allowed; give a finite"),
         ({"target": {"temperature_k": 20.0}}, "20 is below 100 K"),
         ({"target": {"east_m": 1e4}}, "where there is no terrain"),
     ):
         with pytest.raises(ThermorenderError, match=words):
             renderer.frame(tr.pose(0, 0, 30, pitch_deg=-90), objects=objects)
+    for name, value in (("index", -1), ("index", 1.5), ("index", 2**64), ("index", None), ("seed", 0.5), ("seed", "a")):
+        settings = {name: value} if name == "index" else {}
+        with pytest.raises(ThermorenderError, match=f"^{name}=.* is not allowed; give a whole number 0 … 2⁶⁴−1$"):
+            made = tr.Renderer.of(renderer.baked, **({name: value} if name == "seed" else {}))
+            made.frame(tr.pose(0, 0, 30, pitch_deg=-90), **settings)
     # A camera in the place of a time would be passed over where nothing moves.
     for time_s in (np.nan, scene.camera):
         for render in (renderer.frame, renderer.visible):

@@ -41,6 +41,25 @@ def test_a_file_is_whole_or_as_it_was(tmp_path):
     assert target.read_text() == "after" and (tmp_path / "old").read_text() == "before"
 
 
+@pytest.mark.parametrize("letter", ["n", "ü"])
+def test_the_longest_name_has_room_for_a_temporary_one(tmp_path, letter):
+    name = letter * (250 // len(letter.encode()))
+    with files.atomic(tmp_path / f"{name}.txt") as part:
+        part.write_text("whole")
+        assert part.suffix == ".txt"
+    with files.atomic_folder(tmp_path / name) as part:
+        (part / "a").write_text("whole")
+    with files.atomic_folder(tmp_path / name, overwrite=True) as part:
+        (part / "b").write_text("whole")
+    assert names(tmp_path) == [name, f"{name}.txt"] and names(tmp_path / name) == ["b"]
+    with (
+        pytest.raises(ThermorenderError, match="cannot be written: File name too long"),
+        files.atomic(tmp_path / (10 * letter + name)) as part,
+    ):
+        part.write_text("half")
+    assert names(tmp_path) == [name, f"{name}.txt"]
+
+
 def test_missing_folders_come_with_the_file_only(tmp_path):
     with pytest.raises(KeyboardInterrupt), files.atomic(tmp_path / "a" / "b" / "c.txt"):
         raise KeyboardInterrupt
@@ -305,3 +324,14 @@ def test_kept_arrays_are_whole_or_absent(tmp_path):
     for size in range(0, len(whole), 7):
         path.write_bytes(whole[:size])
         assert files.read_arrays(path, 3) is None
+
+
+def test_what_a_kill_left_of_a_long_name_goes(tmp_path):
+    target = tmp_path / ("n" * 250)
+    with files.atomic_folder(target) as part:
+        left = part.name
+        (part / "whole").touch()
+    (tmp_path / f"{left[:-13]}01234567.part").mkdir()
+    with files.atomic_folder(target, overwrite=True) as part:
+        (part / "whole").touch()
+    assert [path.name for path in tmp_path.iterdir()] == [target.name]

@@ -1,6 +1,7 @@
 """Flights: products, records, resume to the same bytes."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import mitsuba
@@ -102,6 +103,27 @@ def test_resume_gives_the_same_bytes(setting, tmp_path):
     assert summary["rendered"] == 4
     assert contents(tmp_path / "part") == contents(tmp_path / "whole")
     assert fly(renderer, path, tmp_path / "part", rate_hz=4.0, resume=True)["rendered"] == 0
+
+
+@pytest.mark.parametrize("fault", ["removed", "moved", "replaced"])
+def test_a_folder_that_goes_during_a_flight_is_told(setting, tmp_path, fault):
+    renderer, path = setting
+    folder, flight = tmp_path / "f", {"rate_hz": 4.0, "products": ("counts",)}
+
+    def meddle(done, total):
+        if done == 3:
+            folder.rename(tmp_path / "elsewhere")
+            if fault == "removed":
+                shutil.rmtree(tmp_path / "elsewhere")
+            if fault == "replaced":
+                folder.mkdir()
+
+    with pytest.raises(ThermorenderError, match="f was removed, moved or replaced while it was flown into"):
+        fly(renderer, path, folder, progress=meddle, **flight)
+    # Nothing is written to where it was.
+    assert not (folder.exists() and any(folder.iterdir()))
+    if fault == "moved":
+        assert fly(renderer, path, tmp_path / "elsewhere", resume=True, **flight)["rendered"] == 2
 
 
 @pytest.mark.parametrize("damage", ["cut", "changed"])
@@ -315,13 +337,16 @@ def test_resume_compares_all_that_the_bytes_depend_on(setting, tmp_path):
                 fly(renderer, path, resume=True, **flight)
 
 
-@pytest.mark.parametrize("damage", ["not JSON", "frame 2 told as 1", "a line missing"])
+@pytest.mark.parametrize("damage", ["not JSON", "frame 2 told as 1", "a line missing", "another number"])
 def test_resume_from_a_damaged_record(setting, tmp_path, damage):
     renderer, path = setting
     fly(renderer, path, tmp_path / "f", rate_hz=4.0, products=("counts",))
     whole = contents(tmp_path / "f")
     lines = (tmp_path / "f/frames.jsonl").read_text().splitlines()
-    lines[2:3] = {"not JSON": ['{"index": 2, "ti'], "frame 2 told as 1": [lines[1]], "a line missing": []}[damage]
+    lines[2:3] = {
+        "not JSON": ['{"index": 2, "ti'], "frame 2 told as 1": [lines[1]], "a line missing": [],
+        "another number": [lines[2].replace('"seed": ', '"seed": 1')],
+    }[damage]  # fmt: skip
     (tmp_path / "f/frames.jsonl").write_text("".join(line + "\n" for line in lines))
     assert fly(renderer, path, tmp_path / "f", rate_hz=4.0, products=("counts",), resume=True)["rendered"] == 3
     assert contents(tmp_path / "f") == whole
@@ -380,3 +405,49 @@ def test_colours_keep_their_order(tmp_path):
 
     write_image(tmp_path / "a.png", np.full((2, 2, 3), (250, 100, 10), np.uint8))
     assert cv2.imread(str(tmp_path / "a.png"))[0, 0].tolist() == [10, 100, 250]
+
+
+@pytest.fixture
+def kernels():
+    """What gives the kernels that ran since it last was asked."""
+    import drjit as dr
+
+    def ran():
+        found = {str(each["hash"]) for each in dr.kernel_history() if "hash" in each}
+        dr.kernel_history_clear()
+        return found
+
+    flag = dr.flag(dr.JitFlag.KernelHistory)
+    dr.set_flag(dr.JitFlag.KernelHistory, True)
+    yield ran
+    dr.set_flag(dr.JitFlag.KernelHistory, flag)
+    dr.kernel_history_clear()
+
+
+def test_a_flight_compiles_nothing_for_each_pose(tmp_path, kernels):
+    """A kernel for each pose would take milliseconds, and be kept."""
+    from thermorender.validate.stability import victims
+
+    victims.write_scene(tmp_path / "scene")
+    path, known, products = victims.to_and_fro(12.0), [], ("exr", "truth", "counts", "display", "error")
+    fly(
+        victims.busy(tmp_path / "scene", 12.0), path, tmp_path / "f", rate_hz=9.0, products=products,
+        progress=lambda done, total: known.append(kernels()),
+    )  # fmt: skip
+    whole = round(victims.ROUND_S * 9.0)
+    assert len(known) > 2 * whole
+    # All there is to see was seen in a round.
+    assert not set().union(*known[whole + 1 :]) - set().union(*known[: whole + 1])
+
+
+def test_a_scene_is_loaded_anew_without_compiling(tmp_path, kernels):
+    from thermorender.validate.stability import victims
+
+    victims.write_scene(tmp_path / "scene")
+    kept, known = [], []
+    for _ in range(6):
+        victims.renderer(tmp_path / "scene").frame(victims.straight(1.0).pose(0.5)).budget_mk  # noqa: B018
+        known.append(kernels())
+        # Its arrays lie elsewhere each time.
+        kept.append(np.empty(1000 + 24 * len(kept), np.uint8))
+    assert not set().union(*known[1:]) - known[0]

@@ -198,6 +198,11 @@ def test_import_of_a_two_column_table_takes_effect_at_once(run, tmp_path):
     assert status == 2 and "already holds material 'tile'" in complaint and content(folder) == before
     assert run(*again, "--replace")[0] == 0
     assert read_library(folder)["tile"].solar_absorptance == 0.7
+    # As a process leaves it that is killed between its two files.
+    (folder / "index.csv").unlink()
+    status, _, complaint = run(*again)
+    assert status == 2 and "tile.csv is of no material in index.csv, as an import leaves it that was" in complaint
+    assert run(*again, "--replace")[0] == 0 and "tile" in read_library(folder)
 
 
 @pytest.mark.parametrize(

@@ -183,8 +183,12 @@ def test_a_rig_lays_visible_pictures_onto_thermal_ones(tmp_path, call):
         assert both.mean() > 0.95
         assert np.abs(one.visible.astype(float) - other.visible)[both].mean() < 1.0
     kept = (tmp_path / "set" / "index.jsonl").read_bytes()
+    overlay = (tmp_path / "set" / "overlay.png").read_bytes()
+    # As a process leaves it that is killed once the rig is written.
+    (tmp_path / "set" / "overlay.png").unlink()
     prepared(call, tmp_path, *options, "--calibrate", "--fields-of-view", "43.6,33.4,32.4,24.6", "--resume")
     assert (tmp_path / "set" / "index.jsonl").read_bytes() == kept
+    assert (tmp_path / "set" / "overlay.png").read_bytes() == overlay
     wrong = Rig((10, 10), (96, 128), 1.0, 0.0, (0.0, 0.0), 0.0)
     save_rig(wrong, tmp_path / "wrong.json")
     assert "the rig others; give another --rig" in prepared(
@@ -218,6 +222,24 @@ def test_a_stopped_data_set_is_continued(tmp_path, call, monkeypatch):
     path = sorted((tmp_path / "visible").iterdir())[0]
     cv2.imwrite(str(path), 255 - cv2.imread(str(path)))
     assert "card.json has checksum=" in prepared(call, tmp_path, "--resume", status=2)
+
+
+@pytest.mark.parametrize("left", ["shards", "part", "parts of all"])
+def test_what_a_killed_process_left_is_continued_and_goes(left, tmp_path, call):
+    folders(tmp_path)
+    prepared(call, tmp_path, out="whole")
+    whole = {path.name for path in (tmp_path / "whole").iterdir()}
+    if left == "parts of all":
+        prepared(call, tmp_path)
+    (tmp_path / "set" / "shards").mkdir(parents=True, exist_ok=True)
+    names = {"shards": (), "part": ("card",), "parts of all": ("trial", "card", "index", "histogram", "audit")}[left]
+    for name in names:
+        (tmp_path / "set" / f".{name}.0123abcd.part").write_bytes(b"half")
+        (tmp_path / "set" / "shards" / ".000000.0123abcd.part.tar").write_bytes(b"half")
+    prepared(call, tmp_path, "--resume")
+    assert {path.name for path in (tmp_path / "set").iterdir()} == whole
+    assert [path.name for path in (tmp_path / "set" / "shards").iterdir()] == ["000000.tar"]
+    assert len(read_dataset(tmp_path / "set")) == len(read_dataset(tmp_path / "whole"))
 
 
 def test_sequences_by_name_by_pattern_and_by_gaps(tmp_path, call):

@@ -357,7 +357,7 @@ def test_an_edge_is_where_depth_jumps_and_radiance_differs():
     plane, texture = 0.02 + 1e-4 * column + 2e-4 * row, np.where(column > 5, 7.0, 5.0).astype(np.float32)
 
     def inner(radiance, inverse_depth):
-        return edge_step(radiance, inverse_depth)[2:-2, 2:-2]
+        return edge_step(radiance, inverse_depth)
 
     assert inner(texture, plane).max() < 1e-3
     # The right half lies further off: the edge is in column 5 or 6, and their neighbours differ from neither.
@@ -371,6 +371,38 @@ def test_an_edge_is_where_depth_jumps_and_radiance_differs():
     expected = np.zeros_like(step)
     expected[1:4, 2:5] = [[2.0, 4.0, 2.0], [4.0, 4.0, 4.0], [2.0, 4.0, 2.0]]
     np.testing.assert_allclose(step, expected, atol=1e-3)
+
+
+def test_a_part_of_an_image_is_what_the_whole_shows_there(tmp_path):
+    """Edges at the rim of a part included, of which only rays beyond it tell."""
+    hot = "".join(
+        f'\n[[object]]\nname = "box {number}"\nshape = "box"\nsize = [{side}, {side}, 2.0]\n'
+        f'position = [{east}, {north}, 0.0]\nyaw_deg = {turn}\ntemperature = 345.0\nmaterial = "paint_black"\n'
+        for number, (side, east, north, turn) in enumerate(
+            [(2.0, -4.0, 1.0, 10.0), (0.6, 1.0, 2.0, 40.0), (1.0, 3.0, -2.0, 0.0), (0.3, -1.0, -3.0, 25.0)]
+        )
+    )
+    scene = tr.load_scene(write_terrain(tmp_path / "s", extra=hot))
+    camera = replace(scene.camera, width=96, height=72)
+    renderer = tr.Renderer(replace(scene, camera=camera), rays=32)
+    for yaw in (0.0, 33.0):
+        view = tr.pose(0.0, -6.0, 12.0, yaw_deg=yaw, pitch_deg=-60.0)
+        whole = renderer.radiance(view)
+        for row in range(0, 52):
+            rows, columns = slice(row, row + 20), slice(row + 3, row + 40)
+            part = renderer.radiance(view, camera=camera.part(rows, columns))
+            np.testing.assert_allclose(part, whole[rows, columns], rtol=2e-6)
+
+
+def test_a_ring_tells_all_of_edges_within_it():
+    radiance = np.random.default_rng(1).uniform(50.0, 60.0, (20, 24)).astype(np.float32)
+    row, column = np.mgrid[:20, :24]
+    for jump in range(5, 12):
+        depth = np.where((column > jump) | (row > jump + 2), 20.0, 50.0).astype(np.float32)
+        whole = edge_step(radiance, 1.0 / depth)
+        for cut in range(1, 9):
+            part = edge_step(radiance[cut:, cut:], 1.0 / depth[cut:, cut:])
+            np.testing.assert_array_equal(part, whole[cut:, cut:])
 
 
 def test_errors(tmp_path):

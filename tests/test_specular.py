@@ -13,6 +13,7 @@ from thermorender.atmosphere.rays import MEAN_RADIUS_M
 from thermorender.materials.files import INDEX_COLUMNS
 from thermorender.physics.band import quadrature
 from thermorender.physics.planck import band_radiance_derivative, brightness_temperature, spectral_radiance
+from thermorender.render import mirrors
 from thermorender.render.geometry import Geometry
 from thermorender.render.plan import make_plan
 
@@ -109,6 +110,16 @@ def test_level_mirror_under_an_isotropic_sky(tmp_path, material):
     assert np.abs(kelvin_apart(diffuse, exact)).max() > 10.0 * limit.max()
     wanted = [scene.materials[0].band_emissivity(*BAND, 300.0, value) for value in cosine[::400]]
     assert np.abs(frame.truth["emissivity"][hit][::97][::400] - wanted).max() < 4e-4
+
+
+def test_a_mirror_that_shows_sky_states_its_error(tmp_path):
+    """The sky in it lies endlessly far, but the mirror is a surface, and what is beside it is not."""
+    scene = tr.load_scene(write(tmp_path / "s", plane(4e3), "water_fresnel"))
+    frame = tr.Renderer(scene, rays=2).frame(tr.pose(0, 0, 30, pitch_deg=-10))
+    shown = np.isfinite(frame.truth["depth"])
+    assert shown.any() and not shown.all()
+    # Along the horizon rays of a pixel meet both.
+    assert (np.isfinite(frame.error_mk) != shown).mean() < 1.0 / len(shown)
 
 
 def even_air(folder, absorption=(2e-3, 1e-2)):
@@ -276,6 +287,40 @@ def test_dynamic_mirrors_and_dynamic_objects_in_mirrors(tmp_path):
     assert plate.sum() > 1000 and np.percentile(apart[plate], 90) < 0.05
 
 
+@pytest.mark.parametrize("depth", [1, 2])
+def test_a_mirror_in_a_mirror(tmp_path, monkeypatch, depth):
+    """The sky in a wall of gold in water: where the wall is shown as diffuse, the frame tells by how much it errs."""
+    monkeypatch.setattr(mirrors, "DEPTH", depth)
+    extra = thing("wall", "gold_polished", 330.0, [120, 2, 80], [0, 31, 0])
+    scene = tr.load_scene(write(tmp_path / "s", plane(400.0), "water_fresnel", 290.0, extra=extra))
+    pose = tr.pose(0, 0, 5, pitch_deg=-18)
+    renderer = tr.Renderer(scene, rays=1024)
+    frame = renderer.frame(pose)
+    # Seen from the camera's own mirror image, the wall's front is 30 m ahead.
+    towards = directions(scene.camera, pose)
+    flipped = towards * [1, 1, -1]
+    place = [0, 0, -5] + flipped * (30.0 / flipped[..., 1:2])
+    image = (frame.truth["material"] == 0) & (np.abs(place[..., 0]) < 55.0) & (flipped[..., 2] > 0.1)
+    image &= (place[..., 2] > 1.0) & (place[..., 2] < 75.0)
+    some = tuple(np.argwhere(image)[::211].T)
+    wavelength, weight = quadrature(*BAND)
+    down, ahead = (np.abs(towards[some][:, axis, None]) for axis in (2, 1))
+    water, gold = (
+        next(m for m in scene.materials if m.name == name).emissivity_at_angle(wavelength, cosine)
+        for name, cosine in (("water_fresnel", down), ("gold_polished", ahead))
+    )
+    own, wall, sky = (spectral_radiance(wavelength, kelvin) * weight for kelvin in (290.0, 330.0, 250.0))
+    exact = (water * own + (1.0 - water) * (gold * wall + (1.0 - gold) * sky)).sum(axis=1)
+    error_mk = 1e3 * np.abs(frame.radiance[some] - exact) / band_radiance_derivative(300.0, *BAND)
+    told_mk = frame.error_mk[some]
+    assert len(error_mk) > 1000 and (error_mk < told_mk).all()
+    if depth == 1:
+        assert error_mk.max() > 4000.0 and (told_mk < 2.0 * error_mk + 50.0).all()
+        assert frame.budget_mk["mirrors"] > 4000.0
+    else:
+        assert error_mk.max() < renderer.plan.specular.error_mk <= frame.budget_mk["mirrors"] < 30.0
+
+
 def test_without_such_materials_no_ray_is_cast_for_them(tmp_path, monkeypatch):
     casts = []
     cast = Geometry.cast
@@ -293,7 +338,8 @@ def test_without_such_materials_no_ray_is_cast_for_them(tmp_path, monkeypatch):
         radiance.append(renderer.radiance(tr.pose(0, -4, 6, pitch_deg=-40)))
         counts.append(len(casts))
         plans.append(renderer.plan)
-    assert counts == [1, 2, 1]
+    # A mirror in the mirror is one, too.
+    assert counts == [1, 3, 1]
     assert np.abs(radiance[1] - radiance[0]).max() > 0.1
     rows = [plan.rows()[-1] for plan in plans]
     assert [row[:2] for row in rows] == [("specular rays", what) for what in ("out", "in", "out")]

@@ -110,6 +110,28 @@ def test_a_raster_that_runs_west_is_imported_like_one_that_runs_east(tmp_path):
     np.testing.assert_allclose(found[1], found[0], atol=1e-3)
 
 
+@pytest.mark.parametrize("degrees", [20, 45, 160])
+def test_turned_rasters_are_imported_whole(tmp_path, degrees):
+    """Their outermost corners are not the first and the last, and the rectangle around them is larger than they are."""
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    for name, bands, scale in (("e", np.full((1, 64, 64), 50, np.float32), 1.0),
+                               ("o", np.full((3, 128, 128), 90, np.uint8), 0.5)):  # fmt: skip
+        transform = rasterio.Affine(scale * c, scale * s, LEFT, scale * s, -scale * c, TOP)
+        with rasterio.open(
+            tmp_path / f"{name}.tif", "w", driver="GTiff", count=len(bands), dtype=bands.dtype, height=bands.shape[1],
+            width=bands.shape[2], crs=UTM, transform=transform,
+        ) as file:  # fmt: skip
+            file.write(bands)
+    told = import_terrain(tmp_path / "e.tif", tmp_path / "o.tif", tmp_path / "s")
+    assert told["post_m"] == pytest.approx(1.0) and told["texel_m"] == pytest.approx(0.5)
+    # 4096 posts, fewer by those at the rim.
+    assert (1.0 - told["share_without_height"]) * np.prod(told["posts"]) == pytest.approx(4096.0, rel=0.05)
+    across, along = np.array([0, c, s, c + s]), np.array([0, s, -c, s - c])
+    bounds = terrain.read_elevation(tmp_path / "e.tif")[1].bounds
+    assert bounds[::2] == pytest.approx((LEFT + 64 * across.min(), LEFT + 64 * across.max()))
+    assert bounds[1::2] == pytest.approx((TOP + 64 * along.min(), TOP + 64 * along.max()))
+
+
 def test_import_fills_islands_but_no_edge(tmp_path, call):
     """A slope goes on through an island; what reaches the edge stays a hole; texels of filled cells are flagged."""
     row, column = np.mgrid[:10, :10]
@@ -194,6 +216,19 @@ def test_glb_is_turned_from_y_up_and_its_image_lies_right(tmp_path):
     np.testing.assert_allclose(found.vertices[found.faces[0]], [[0, 0, 0], [4, 0, 0], [4, 0, 3]], atol=1e-6)
     column, row = np.floor(found.uv[0, 0] * 4).astype(int)
     assert found.colour[row, column].tolist() == [255, 0, 0]
+
+
+@pytest.mark.parametrize("suffix", ["obj", "ply", "glb"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_corner_that_is_not_finite_is_refused_in_each_form(tmp_path, suffix, value):
+    """Left out, it would take its faces along."""
+    corners = np.array([[-5.0, 5, 0], [5, 5, 0], [5, -5, 0], [-5, -5, 0]])
+    corners[0, 0] = value
+    data = trimesh.Trimesh(corners, [[0, 3, 1], [1, 3, 2]], process=False).export(file_type=suffix)
+    path = tmp_path / f"model.{suffix}"
+    path.write_bytes(data.encode() if isinstance(data, str) else data)
+    with pytest.raises(ThermorenderError, match="has a vertex that is not finite"):
+        load(path)
 
 
 def test_a_mirrored_part_still_faces_outward(tmp_path):

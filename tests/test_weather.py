@@ -559,6 +559,14 @@ def test_weather_of_a_scene(tmp_path):
         declared("2018-07-21", air_low_c=9.0, air_high_c=22.0)
 
 
+@pytest.mark.parametrize("altitude_m", [-600.0, 20_000.0, 100_000.0, np.nan])
+def test_no_weather_where_no_land_is(altitude_m):
+    """The standard atmosphere's pressure holds up to 11 km, and is no number from 44 km on."""
+    spec = SimpleNamespace(**{**dict.fromkeys(KEYS), "time": "2018-07-21T12:00Z", "air_low_c": 9.0, "air_high_c": 22.0})
+    with pytest.raises(ThermorenderError, match=rf"^\[weather\] the scene lies {altitude_m:g} m above"):
+        declared_weather(spec, *PLACE[:2], altitude_m)
+
+
 def test_the_guide_names_the_columns_there_are():
     text = (Path(__file__).resolve().parents[1] / "docs" / "architecture.md").read_text("utf-8")
     table = text.partition("## Weather")[2].partition("\n## ")[0].partition("| quantity |")[2]

@@ -21,6 +21,10 @@ from thermorender.errors import ThermorenderError
 
 # What is kept in the cache, each kind in a folder of its own: traced light, and LOWTRAN7 with what it computed.
 CACHED = ("light", "lowtran")
+# Where a dict on file keeps the checksum of its other values.
+_SEAL = "checksum"
+# That file systems allow to a name.
+_MOST_BYTES = 255
 
 
 # --- whole or not at all ----------------------------------------------------------------------------------------
@@ -86,7 +90,7 @@ def atomic_folder(path, overwrite=False):
 def _beside(path):
     """Give a temporary path beside a place, in a folder made where missing; afterwards there is nothing under it."""
     made = _missing(path.parent)
-    part = path.with_name(f".{path.stem}.{secrets.token_hex(4)}.part{path.suffix}")
+    part = path.with_name(f".{_cut(path)}.{secrets.token_hex(4)}.part{path.suffix}")
     try:
         if made:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -103,9 +107,19 @@ def _beside(path):
         _remove_empty(made)
 
 
+def _cut(path):
+    """The stem of a name, shorter where it has no room for what a temporary name adds; too long where the name is."""
+    stem = path.stem
+    if len(os.fsencode(path.name)) <= _MOST_BYTES:
+        room = _MOST_BYTES - len(f"..{'0' * 8}.part.old") - len(os.fsencode(path.suffix))
+        while len(os.fsencode(stem)) > room > 0:
+            stem = stem[:-1]
+    return stem
+
+
 def _recover(path):
     """Remove what killed processes left of a folder beside its place; bring an old one back that has no new one."""
-    name = re.compile(rf"(\.{re.escape(path.stem)}\.[0-9a-f]{{8}}\.part{re.escape(path.suffix)})(\.old)?")
+    name = re.compile(rf"(\.{re.escape(_cut(path))}\.[0-9a-f]{{8}}\.part{re.escape(path.suffix)})(\.old)?")
     with suppress(OSError):
         for each in list(path.parent.iterdir()):
             found = name.fullmatch(each.name)
@@ -359,6 +373,27 @@ def checksum(path):
     return state.hexdigest()
 
 
+def sealed(value):
+    """Return a dict of plain values with the checksum of them all as JSON, for `unsealed`."""
+    return value | {_SEAL: digest(json.dumps(value), {})}
+
+
+def unsealed(value):
+    """Return the dict that `sealed` was given.
+
+    Raises
+    ------
+    ValueError
+        It is none, or not as it was.
+    """
+    if not isinstance(value, dict):
+        raise ValueError("no dict")
+    rest = {name: each for name, each in value.items() if name != _SEAL}
+    if value != sealed(rest):
+        raise ValueError("its checksum is not that of its values")
+    return rest
+
+
 def append_json(path, *values):
     """Append values to a file of JSON lines, at once; they are on the disk when this returns."""
     try:
@@ -422,6 +457,22 @@ def write_image(path, image):
         part.write_bytes(data)
 
 
+def decoded(data, flags):
+    """Return the picture in bytes as OpenCV has it with its `flags`, or None where there is none; no word is said."""
+    import cv2
+    import numpy as np
+
+    before = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        return cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error:
+        # Of nothing at all, and of more pixels than it allows.
+        return None
+    finally:
+        cv2.utils.logging.setLogLevel(before)
+
+
 @contextmanager
 def atomic_raster(path):
     """As `atomic`, for GDAL: give the name of a file in memory, which is written when the block ends without error."""
@@ -441,7 +492,7 @@ def write_arrays(path, what, arrays):
     import numpy as np
 
     with atomic(path) as part:
-        np.savez(part, **arrays, checksum=_digest(what, arrays))
+        np.savez(part, **arrays, checksum=digest(what, arrays))
 
 
 def read_arrays(path, what):
@@ -455,23 +506,23 @@ def read_arrays(path, what):
     # open that it cannot read.
     with suppress(Exception), open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:
         arrays = dict(stored)
-        if str(arrays.pop("checksum")) == _digest(what, arrays):
+        if str(arrays.pop("checksum")) == digest(what, arrays):
             return arrays
     return None
 
 
-def _digest(what, arrays):
-    """Checksum of named arrays; of their types and shapes too, as equal bytes may mean other numbers."""
+def digest(what, arrays):
+    """Return the checksum of named arrays; of their types and shapes too, as equal bytes may mean other numbers."""
     import hashlib
 
     import numpy as np
 
-    digest = hashlib.blake2b(repr(what).encode(), digest_size=16)
+    state = hashlib.blake2b(repr(what).encode(), digest_size=16)
     for name, values in arrays.items():
         values = np.ascontiguousarray(values)
-        digest.update(f"{name} {values.dtype.str} {np.shape(arrays[name])}".encode())
-        digest.update(values.reshape(-1).view(np.uint8))
-    return digest.hexdigest()
+        state.update(f"{name} {values.dtype.str} {np.shape(arrays[name])}".encode())
+        state.update(values.reshape(-1).view(np.uint8))
+    return state.hexdigest()
 
 
 # --- the cache --------------------------------------------------------------------------------------------------

@@ -114,11 +114,12 @@ class Frame:
 
         Over the pixels that show a surface. "nodes": worst error of the spectral nodes over the spectra that the scene
         may show, and the bound of the solution by its residual; "bake": light between the surfaces that are seen, by
-        two independent halves of its rays; "sampling": rays and texture reads of this frame, by some of its pixels
-        rendered anew; "air": worst error of the spectral channels over the same spectra; "mirrors": worst error of
-        what they reflect, up to 80°; "total". Estimates from above, and but for the solution no bounds: what no ray met
-        and no neighbour of a pixel tells of is not in them. None for a frame of the reference engine, whose error is
-        its noise.
+        two independent halves of its rays, and that of moving objects, by how many of theirs it is made of; "sampling":
+        rays and texture reads of this frame, by some of its pixels rendered anew; "air": worst error of the spectral
+        channels over the same spectra; "mirrors": worst error of what they reflect, up to 80°, and what is left out of
+        mirrors in mirrors in mirrors; "total". Estimates from above, and but for the solution no bounds: what no ray
+        met and no neighbour of a pixel tells of is not in them. None for a frame of the reference engine, whose error
+        is its noise.
         """
         return self._view.budget_mk(self.radiance, self._sampling)
 

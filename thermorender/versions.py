@@ -5,7 +5,8 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 
 _LIBRARIES = (
-    "thermorender", "mitsuba", "drjit", "numpy", "scipy", "opencv-python-headless", "OpenEXR", "imageio-ffmpeg",
+    "thermorender", "mitsuba", "drjit", "numpy", "scipy", "opencv-python-headless", "OpenEXR", "rasterio",
+    "imageio-ffmpeg",
 )  # fmt: skip
 
 

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thermorender.atmosphere.rays import EARTH_RADIUS_M
+from thermorender.atmosphere.rays import EARTH_RADIUS_M, TOP_M
 
-TOP_M = 1.0e5
 # Uniform in ln(1 + z / 2 km): 5 m at the ground and 60 m at 50 km.
 _SCALE_M = 2.0e3
 _POINTS = 1600

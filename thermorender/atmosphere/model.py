@@ -17,7 +17,7 @@ import numpy as np
 
 from thermorender.atmosphere import rays
 from thermorender.atmosphere.absorbers import exponential, offset_water, scaled_densities
-from thermorender.atmosphere.emission import ALTITUDE_M, TOP_M, Profile, amounts, emission
+from thermorender.atmosphere.emission import ALTITUDE_M, Profile, amounts, emission
 from thermorender.atmosphere.tables import NAMES, read_saved, read_table
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic
@@ -296,7 +296,7 @@ class Atmosphere:
         from_m, to_m : array
             Altitudes of the camera and of the target above sea level [m], up to 100 km.
         range_m : array
-            Length of the path [m]; at least the difference of the altitudes.
+            Length of the path [m]; at least the difference of the altitudes, and at most `rays.LONGEST_M`, 2430 km.
 
         Raises
         ------
@@ -362,7 +362,7 @@ class Atmosphere:
         Clouds are black at their base, behind the air below it.
         """
         self.refuse_above_clouds("at_m", at_m)
-        _, sky = self._column(at_m, cos_zenith, TOP_M)
+        _, sky = self._column(at_m, cos_zenith, rays.TOP_M)
         if self.cloud_fraction:
             through, light = self._column(at_m, cos_zenith, self.cloud_base_m)
             cloudy = light + through * self.planck(self.air_temperature(self.cloud_base_m))
@@ -371,19 +371,24 @@ class Atmosphere:
 
     def sun_transmittance(self, at_m, cos_zenith):
         """Return the transmittance from a point to space between clouds, (..., N); parameters as `sky_radiance`."""
-        return self._column(at_m, cos_zenith, TOP_M)[0]
+        return self._column(at_m, cos_zenith, rays.TOP_M)[0]
 
     def _along(self, from_m, to_m, range_m, function, step=_STEP):
         """Values (..., n) of a function of (altitude, length) from `rays.chord`, a few hundred paths at a time."""
         first, last, distance = np.broadcast_arrays(*(np.float64(value) for value in (from_m, to_m, range_m)))
         for name, values in (("from_m", first), ("to_m", last)):
-            _altitudes(name, values, TOP_M)
+            _altitudes(name, values, rays.TOP_M)
             self.refuse_above_clouds(name, values)
         short = ~(np.abs(last - first) <= distance * (1.0 + 1e-6) + 1e-6)
         if short.any():
             raise ThermorenderError(
                 f"range_m={distance[short].flat[0]:g} is shorter than the altitudes from_m={first[short].flat[0]:g} "
                 f"and to_m={last[short].flat[0]:g} are apart; give the length of the path in metres"
+            )
+        if (distance > rays.LONGEST_M).any():
+            raise ThermorenderError(
+                f"range_m={distance.max():g} is longer than any line of sight in the air, "
+                f"{rays.LONGEST_M:.3g} m; give the length of the path in metres"
             )
         flat = [values.reshape(-1) for values in (first, last, distance)]
         parts = [slice(start, start + _CHUNK) for start in range(0, max(distance.size, 1), _CHUNK)]

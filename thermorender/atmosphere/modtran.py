@@ -9,9 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from thermorender.atmosphere.emission import TOP_M
 from thermorender.atmosphere.model import Atmosphere
-from thermorender.atmosphere.rays import EARTH_RADIUS_M
+from thermorender.atmosphere.rays import EARTH_RADIUS_M, TOP_M
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import spectral_radiance
 

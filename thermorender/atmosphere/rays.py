@@ -9,6 +9,10 @@ import numpy as np
 # drawn straight above an Earth of this radius keep the altitudes of refracted rays.
 MEAN_RADIUS_M = 6.371e6
 EARTH_RADIUS_M = MEAN_RADIUS_M / (1.0 - 0.13)
+# Altitude above which there is no air [m].
+TOP_M = 1.0e5
+# Longest line between two points in the air that the Earth does not cut [m].
+LONGEST_M = 2.0 * float(np.sqrt((EARTH_RADIUS_M + TOP_M) ** 2 - EARTH_RADIUS_M**2))
 # Altitudes of a path's steps are even in ln(this + altitude).
 _SCALE_M = 3.0e3
 _FEWEST_STEPS = 3

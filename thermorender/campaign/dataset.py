@@ -39,6 +39,8 @@ UNITS = ("radiance", "kelvin", "intensity")
 # A temporary shard that nobody wrote to for so long is left of a killed process [s].
 _ABANDONED_S = 3600.0
 _KEY = re.compile(r"[A-Za-z0-9_-]{1,120}")
+# Least and largest value of a thermal picture.
+_ENDS = np.array([0, 65535])
 # How names of a pair's files end.
 _END = re.compile(r"[a-z]+\.[a-z]+")
 # Of a tar file: what a header takes, and what the data behind it are padded to [bytes].
@@ -263,10 +265,7 @@ class Dataset:
             ) from None
 
         def picture(name, flag, kinds=(np.uint8,)):
-            try:
-                image = cv2.imdecode(np.frombuffer(found[name], np.uint8), flag) if found.get(name) else None
-            except cv2.error:
-                image = None
+            image = files.decoded(found.get(name, b""), flag)
             sides = (*entry.shape, 3) if flag == cv2.IMREAD_COLOR else tuple(entry.shape)
             if image is None or image.shape != sides or image.dtype not in kinds:
                 raise damaged(name, f"{'thermal ' if len(kinds) > 1 else ''}picture {size}")
@@ -304,7 +303,7 @@ def read_dataset(folder):
     if not path.is_file():
         raise ThermorenderError(f"{folder} is no data set: card.json is missing; make one with `thermorender prepare`")
     try:
-        card = json.loads(files.read_text(path))
+        card = files.finite_json(files.read_text(path))
         scale = ThermalScale(**{k: tuple(v) if isinstance(v, list) else v for k, v in card["thermal"].items()})
         if card["format"] != FORMAT or scale.unit not in UNITS:
             raise ValueError(f"format {card['format']}, unit {scale.unit!r}")
@@ -319,7 +318,7 @@ def read_dataset(folder):
     text = files.read_text(index) if index.exists() else ""
     for number, line in enumerate(text.splitlines(), 1):
         try:
-            values = json.loads(line)
+            values = files.finite_json(line)
             values["members"] = {name: tuple(at) for name, at in values["members"].items()}
             entry = Entry(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
             usable = _usable(entry)
@@ -339,12 +338,12 @@ def _number(value):
 
 
 def _tells(scale):
-    """Whether a ThermalScale that was read tells what values stand for."""
+    """Whether a ThermalScale that was read tells what values stand for, of 16 bits at most."""
     ranges = [scale.band_um, *([scale.range_c] if scale.range_c is not None or scale.unit == "intensity" else [])]
     return (
         _number(scale.step) and _number(scale.zero) and scale.step != 0
         and all(isinstance(each, tuple) and len(each) == 2 and all(map(_number, each)) for each in ranges)
-        and all(low < high for low, high in ranges)
+        and all(low < high for low, high in ranges) and np.isfinite(scale.radiance(_ENDS)).all()
     )  # fmt: skip
 
 
@@ -373,6 +372,15 @@ def _names(folder):
     return {each.name for each in folder.iterdir() if not each.name.startswith(".")}
 
 
+def refuse_strange(folder):
+    """Refuse a folder that holds something else than a data set, or than what was left when one was begun."""
+    folder = Path(folder)
+    names = _names(folder) if folder.is_dir() else set()
+    strange = names - {"shards"} or (names and _names(folder / "shards"))
+    if strange and not (folder / "card.json").exists():
+        raise ThermorenderError(f"{folder} is not empty and holds no data set; give a new folder")
+
+
 class Writer:
     """Writes a data set, shard by shard; what is whole stays, so that it can be continued.
 
@@ -399,10 +407,7 @@ class Writer:
         # {key: shard} of the index as far as it was read: the file's number and how many bytes of it.
         self._known, self._read = {}, (0, 0)
         path, shards = self.folder / "card.json", self.folder / "shards"
-        names = _names(self.folder)
-        strange = names - {"shards"} or (names and _names(shards))
-        if strange and not path.exists():
-            raise ThermorenderError(f"{self.folder} is not empty and holds no data set; give a new folder")
+        refuse_strange(self.folder)
         files.make_folder(shards)
         # Others may be beginning or continuing the same data set.
         with self._alone():
@@ -430,7 +435,8 @@ class Writer:
             self._leave_out_what_is_not_whole()
         else:
             files.write_json(path, self.card | {"versions": versions()})
-        # Not what another process may be writing.
+        # Card and index are written by whoever is alone, shards by several at a time.
+        files.remove_parts(self.folder, "card|index|trial")
         files.remove_parts(self.folder / "shards", older_s=_ABANDONED_S)
 
     def _cut_short(self):

@@ -82,7 +82,7 @@ def labelled_scene(folder, polygons=None):
     where = spec.folder / "scene.toml"
     library = material_tables.load_library(spec.folder / "materials" if (spec.folder / "materials").is_dir() else None)
     if polygons:
-        material, names = _burnt(Path(polygons), grid)
+        material, names = read_polygons(Path(polygons), grid)
         source = f"{Path(polygons).name} on {spec.folder.name}"
     elif spec.emissivity.source == "classes":
         raster = spec.emissivity.raster
@@ -113,8 +113,11 @@ def procedural(seeds):
             )
 
 
-def _burnt(path, grid):
-    """(material number (h, w) uint8, names) of the polygons of a GeoJSON file on a grid."""
+def read_polygons(path, grid):
+    """Return (material number (h, w) uint8, {number: name}) of the polygons of a GeoJSON file on a Grid.
+
+    0 is where no polygon is; errors as `labelled_scene`.
+    """
     from rasterio.crs import CRS
     from rasterio.errors import CRSError
     from rasterio.features import rasterize

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from thermorender.errors import ThermorenderError
+from thermorender.files import decoded
 from thermorender.footage.flir_jpeg import read_flir_jpeg
 from thermorender.footage.radiometric_files import read_tiff
 from thermorender.sensor.radiometry import ThermographySettings
@@ -238,31 +239,19 @@ def _decoded(path):
     import cv2
 
     try:
-        data = np.fromfile(path, np.uint8)
+        data = Path(path).read_bytes()
     except OSError as error:
         raise ThermorenderError(f"{path} cannot be read ({error.strerror}); give a picture") from None
     flags = cv2.IMREAD_UNCHANGED
     if Path(path).suffix.lower() in (".jpg", ".jpeg"):
         # As it is stored, so that it lies on a thermal picture that knows of no turning.
         flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
-        if data[-65536:].tobytes().find(b"\xff\xd9") < 0:
+        if b"\xff\xd9" not in data[-65536:]:
             raise ThermorenderError(f"{path} is a JPEG cut short; copy it anew, or leave it out")
-    image = _quietly(cv2.imdecode, data, flags) if data.size else None
+    image = decoded(data, flags)
     if image is None:
         raise ThermorenderError(f"{path} is no picture that can be read; copy it anew, or leave it out")
     return image
-
-
-def _quietly(decode, *arguments):
-    """What a function of OpenCV returns, without the lines that it prints of damaged files."""
-    import cv2
-
-    before = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    try:
-        return decode(*arguments)
-    finally:
-        cv2.utils.logging.setLogLevel(before)
 
 
 def _radiometric(path):

@@ -17,7 +17,7 @@ from thermorender.campaign import bounds as value_bounds
 from thermorender.campaign import pictures, splits
 from thermorender.campaign.audit import audit
 from thermorender.campaign.cut import Cut, moved, piece
-from thermorender.campaign.dataset import PARTS, Entry, ThermalScale, Writer, packed, read_dataset
+from thermorender.campaign.dataset import PARTS, Entry, ThermalScale, Writer, packed, read_dataset, refuse_strange
 from thermorender.campaign.registration import rig
 from thermorender.errors import ThermorenderError
 
@@ -105,7 +105,9 @@ def prepare(source, output, registered=None, cut=None, split="sequence", shares=
     """
     tell, cut, output = progress or (lambda what, share: None), cut or Cut(), Path(output)
     _check_settings(cut, texel_m, range_c)
-    if not (resume and (output / "card.json").exists()):
+    if resume:
+        refuse_strange(output)
+    else:
         files.check_new_folder(output)
     pairs, alone = pictures.matched(
         source.visible_folder, source.thermal_folder, source.visible, source.thermal, source.valid
@@ -164,10 +166,14 @@ def prepare(source, output, registered=None, cut=None, split="sequence", shares=
             "sequence": source.sequence, "gap": source.gap, "split": split, "shares": list(shares), **asdict(cut),
         },
     }  # fmt: skip
-    writer = Writer(output, card, scale, resume)
-    with files.in_use(output):
+    with files.in_use(files.make_folder(output)):
+        files.remove_parts(output)
+        writer = Writer(output, card, scale, resume)
+        # Nobody else is writing one.
+        files.remove_parts(output / "shards")
         if laid is not None and not (output / "rig.json").exists():
             rig.save_rig(laid, output / "rig.json")
+        if laid is not None and not (output / "overlay.png").exists():
             shown = _shown(kept, laid)
             rig.write_overlay(output / "overlay.png", pictures.read_visible(shown.visible)[0],
                               _temperatures(shown, source), laid)  # fmt: skip

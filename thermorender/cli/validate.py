@@ -23,14 +23,16 @@ Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
 def validate(
     context: typer.Context,
     output: Annotated[
-        Path, output_option("-o", "--output", help="Folder of all results; what it holds is not run again.")
+        Path, typer.Option("-o", "--output", help="Folder of all results; what it holds is not run again.")
     ] = Path("validation"),
     data: Annotated[Path | None, typer.Option(help="Folder of measured tables, for heat.")] = None,
     dataset: Annotated[Path | None, typer.Option(help="Folder of a data set, for maps.")] = None,
 ):
     """Compare the renderer with references: one study, or without a command all of them, on one page of verdicts."""
     if context.invoked_subcommand:
+        # One study has a folder of its own, and this one need not be writable.
         return
+    files.check_output_folder(output)
     from thermorender.validate.page import HEADER, PAGE, rows, write_page
     from thermorender.validate.verdicts import gathered
 

@@ -10,7 +10,7 @@ import math
 import warnings
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -108,12 +108,12 @@ class Translation:
         local = hasattr(predictor, "reach")
         reach = predictor.reach(self._spacing) if local else 0
         rows = max(_STRIP // width, 4 * reach, 1) if local else height
-        found = np.empty((height, width), np.uint16)
+        found, steps = np.empty((height, width), np.uint16), _steps(*self.model.band_um)
         for start in range(0, height, rows):
             stop = min(start + rows, height)
             top = max(start - reach, 0)
             radiance = self.model.radiance(Inputs(rgb[top : stop + reach], self.texel_m))[start - top :][: stop - start]
-            found[start:stop] = np.where(np.isfinite(radiance), np.searchsorted(self._steps, radiance), 0)
+            found[start:stop] = np.where(np.isfinite(radiance), np.searchsorted(steps, radiance), 0)
         if known is not None:
             found[~known] = 0
         if self.inner:
@@ -137,10 +137,11 @@ class Translation:
     def _ends(self):
         return np.array(self.model.range_k) / TLINEAR_STEP_K
 
-    @cached_property
-    def _steps(self):
-        """Radiances at which one count ends and the next begins, (65535,) [W m⁻² sr⁻¹]."""
-        return band_radiance((np.arange(65535) + 0.5) * TLINEAR_STEP_K, *self.model.band_um)
+
+@lru_cache(4)
+def _steps(lower_um, upper_um):
+    """Radiances at which one count ends and the next begins, (65535,) [W m⁻² sr⁻¹]."""
+    return band_radiance((np.arange(65535) + 0.5) * TLINEAR_STEP_K, lower_um, upper_um)
 
 
 def translate(model, paths, output, texel_m=None, palette="white-hot", inner=False, frames=False, resume=False,
@@ -190,6 +191,8 @@ def translate(model, paths, output, texel_m=None, palette="white-hot", inner=Fal
             if before.get(name) == (checksum, _sizes(outputs[source])):
                 passed += 1
                 continue
+            if name in before:
+                _forget(folder / DONE, name)
 
             def told(share, number=number):
                 tell("translating", (number + share) / len(sources))
@@ -378,6 +381,8 @@ def _refuse_clashes(outputs, resume):
 def _begin(folder, settings, resume):
     """Write the record, or hold it against that of before; return {path: (bytes, `_sizes`)} of what is done."""
     path = folder / RECORD
+    if resume:
+        files.remove_parts(folder)
     # As it is read back.
     settings = json.loads(json.dumps(settings))
     if not path.exists():
@@ -394,12 +399,17 @@ def _begin(folder, settings, resume):
         raise ThermorenderError(
             f"{path} was made with another {other}; continue with the same settings, or give another folder"
         )
-    files.remove_parts(folder)
     path = folder / DONE
     try:
         return {line["source"]: (line["checksum"], line["files"]) for line in files.read_json_lines(path)}
     except (ValueError, KeyError, TypeError):
         raise ThermorenderError(f"{path} is no list of translations; give another folder") from None
+
+
+def _forget(path, source):
+    """Take the line of a source that is done once more out of the list of what is done."""
+    kept = [line for line in files.read_json_lines(path) if line["source"] != source]
+    files.write_text(path, "".join(json.dumps(line) + "\n" for line in kept))
 
 
 def _checksum(source):
@@ -411,11 +421,13 @@ def _checksum(source):
 
 
 def _sizes(outputs):
-    """{name: bytes} of files, of a folder how many it holds; without those that are not there."""
-    return {
-        path.name: len(list(path.iterdir())) if path.is_dir() else path.stat().st_size
-        for path in outputs if path.exists()
-    }  # fmt: skip
+    """{name: bytes} of files, of a folder [files, bytes] that it holds; without those that are not there."""
+    return {path.name: _held(path) if path.is_dir() else path.stat().st_size for path in outputs if path.exists()}
+
+
+def _held(folder):
+    sizes = [path.stat().st_size for path in folder.iterdir()]
+    return [len(sizes), sum(sizes)]
 
 
 def _told(model):

@@ -223,7 +223,7 @@ def read_selection(path, folders):
     Raises
     ------
     ThermorenderError
-        As `from_samples`, or a cell that is no number, or a file that is nowhere; the message names file and row.
+        As `from_samples`, a cell that is no number, a file that is nowhere, or no row; the message names file and row.
     """
     groups = {}
     for row, cells in read_table(path, SELECTION_COLUMNS):
@@ -238,6 +238,8 @@ def read_selection(path, folders):
                 f"{path}, row {row}: {file} is in none of {', '.join(map(str, folders))}; add the folder that holds it"
             )
         groups.setdefault(cells["material"], (row, cells, []))[2].append((found[0], column or None))
+    if not groups:
+        raise ThermorenderError(f"{path} selects no sample; give a row for each")
     materials = []
     for name, (row, cells, sources) in groups.items():
 

@@ -119,8 +119,15 @@ def store(row, spectrum, directory, replace=False, thermal=None):
 def _refuse_existing(directory, name, replace):
     index, table = directory / "index.csv", directory / "spectra" / f"{name}.csv"
     names = {cells["name"] for _, cells in read_table(index, INDEX_COLUMNS)} if index.is_file() else set()
-    if (name in names or table.exists()) and not replace:
+    if replace:
+        return
+    if name in names:
         raise ThermorenderError(f"{directory} already holds material {name!r}; choose another name, or add --replace")
+    if table.exists():
+        raise ThermorenderError(
+            f"{table} is of no material in index.csv, as an import leaves it that was killed; add --replace, or choose "
+            "another name"
+        )
 
 
 def _write_all(directory, texts):

@@ -1,15 +1,16 @@
 """A flight: timed poses to frames on disk, in an order that can be stopped anywhere and resumed.
 
 A frame counts as done when its line stands in `frames.jsonl`; the line is appended when its files are on the disk under
-their final names, and tells their sizes and checksums. `flight.json` holds everything the bytes depend on, so a resume
-that would not give the same bytes is refused, and at the end how many frames show no terrain. What the sensor's pixels
-remember is kept in two files, written in turn, until the flight is done; where it is lost, a resume takes the frames
-before once more to have it again. Temperatures of a heat balance go with the flight's time; see
+their final names, and tells their sizes and checksums, and its own. `flight.json` holds everything the bytes depend on,
+so a resume that would not give the same bytes is refused, and at the end how many frames show no terrain. What the
+sensor's pixels remember is kept in two files, written in turn, until the flight is done; where it is lost, a resume
+takes the frames before once more to have it again. Temperatures of a heat balance go with the flight's time; see
 `thermorender.output.timed`.
 """
 
 import itertools
 import json
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from os import PathLike
@@ -85,7 +86,8 @@ def fly(
     start_s, stop_s : float, optional
         Part of the trajectory's time to fly [s].
     resume : bool
-        Continue a stopped flight of the same settings, from the first frame whose files are not there in their size.
+        Continue a stopped flight of the same settings, from the first frame whose line is not as it was written, or
+        whose files are not there in their size.
     progress : callable, optional
         Called with (frames done, frames in all).
     display : DisplaySettings, optional
@@ -105,8 +107,9 @@ def fly(
     Raises
     ------
     ThermorenderError
-        Unknown products, a folder that is in use (by another process too) or cannot be written, a resume with other
-        settings, weather that ends before the flight, or a camera above the range of the air or above its clouds.
+        Unknown products, a folder that is in use (by another process too), cannot be written or is moved meanwhile, a
+        resume with other settings, weather that ends before the flight, or a camera above the range of the air or above
+        its clouds.
     """
     products = product_files.check(products, thermography, renderer.scene.camera)
     display = replace(display or DisplaySettings(), tails_percent=renderer.scene.camera.agc_tails_percent)
@@ -139,7 +142,7 @@ def fly(
     exposure = _exposure(timed, renderer, trajectory, 1.0 / rate)
     with files.output_folder(folder) as out, files.in_use(out):
         terrain = _done(out, settings, products, resume or verify, verify)
-        done, agc = len(terrain), None
+        done, agc, place = len(terrain), None, os.stat(out)
 
         def take(index: int, agc: _Memory) -> tuple[Frame, _Memory, Any]:
             frame = _taken(timed, exposure, poses[index], float(times[index]), index)
@@ -149,6 +152,7 @@ def fly(
             agc = _restored(out, exposure, done, take)
         for index in range(done, len(times)):
             frame, agc, image = take(index, agc)
+            _refuse_moved(out, place)
             # Only now, so that a mistake that shows with the first frame leaves nothing behind.
             if not (out / "flight.json").exists():
                 files.write_json(out / "flight.json", settings)
@@ -157,9 +161,10 @@ def fly(
             terrain.append(_shows_terrain(renderer.scene, frame))
             told = record(frame) | timed.told(frame.time_s) | {"shows_terrain": terrain[-1]}
             told["files"] = {path.name: [path.stat().st_size, files.checksum(path)] for path in written.values()}
-            files.append_json(out / "frames.jsonl", told)
+            files.append_json(out / "frames.jsonl", files.sealed(told))
             if progress:
                 progress(index + 1, len(times))
+        _refuse_moved(out, place)
         for path in _state_files(out):
             path.unlink(missing_ok=True)
         if "video" in products:
@@ -175,6 +180,19 @@ def fly(
         "first_time_s": float(times[0]),
         "last_time_s": float(times[-1]),
     }
+
+
+def _refuse_moved(folder: Path, before: os.stat_result) -> None:
+    """Refuse to go on in another folder than the one that was begun in: files would be lost, and locks kept apart."""
+    try:
+        same = os.path.samestat(os.stat(folder), before)
+    except OSError:
+        same = False
+    if not same:
+        raise ThermorenderError(
+            f"{folder} was removed, moved or replaced while it was flown into; continue with --resume where it is now, "
+            "or start again"
+        )
 
 
 def _whole(path: Path, known: tuple[int, str], verify: bool) -> bool:
@@ -224,14 +242,14 @@ def _done(folder: Path, settings: dict[str, Any], products: Sequence[str], resum
     text = lines.read_text(encoding="utf-8", errors="replace") if lines.exists() else ""
     for number, line in enumerate(text.splitlines()):
         try:
-            stored = json.loads(line)
+            stored = files.unsealed(json.loads(line))
             index, shows, known = stored["index"], stored["shows_terrain"], stored["files"]
             images = product_files.paths(folder, number, products).values()
             if index != number or not all(_whole(path, known[path.name], verify) for path in images):
                 break
         except (ValueError, KeyError, TypeError):
             break
-        kept.append(line)
+        kept.append(json.dumps(files.sealed(stored)))
         terrain.append(shows)
     files.write_text(lines, "".join(line + "\n" for line in kept))
     return terrain

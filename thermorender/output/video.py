@@ -4,11 +4,12 @@ import subprocess
 import tempfile
 from contextlib import suppress
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.files import atomic
+from thermorender.files import atomic, decoded
 
 
 def write_video(path, images, rate_hz):
@@ -66,7 +67,7 @@ def _display(path, shape=None):
     """A display image read back, (H, W) or (H, W, 3) RGB uint8; one that is damaged or of another size is refused."""
     import cv2
 
-    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    image = decoded(Path(path).read_bytes(), cv2.IMREAD_UNCHANGED) if Path(path).is_file() else None
     if image is None or shape not in (None, image.shape):
         raise ThermorenderError(f"{path} is damaged; remove it and continue with --resume")
     return np.ascontiguousarray(image if image.ndim == 2 else image[..., ::-1])

@@ -30,6 +30,8 @@ _FAINTEST, _HOTTEST = 1e-290, 1e6
 _COLDEST = 1e-4
 _WIEN = np.polynomial.Polynomial([6.0, 6.0, 3.0, 1.0])
 _CHUNK = 4096
+# Wavelengths that are computed with [µm]: beyond these powers of them would leave float64.
+_SHORTEST_UM, _LONGEST_UM = 1e-12, 1e18
 # Entries of a table of slopes.
 _SLOPES = 4096
 
@@ -40,25 +42,28 @@ def spectral_radiance(wavelength_um, temperature):
     Parameters
     ----------
     wavelength_um : array
-        Vacuum wavelength [µm], above 0.
+        Vacuum wavelength [µm], 1e-12 … 1e18; NaN gives NaN.
     temperature : array
         Temperature [K], at or above 0; NaN gives NaN.
 
     Raises
     ------
     ThermorenderError
-        A negative temperature or a wavelength that is not positive.
+        A negative temperature or a wavelength out of range.
 
     Notes
     -----
     Planck (1901), doi:10.1002/andp.19013090310: B = 2hc²/λ⁵ / (exp(hc/λkT) − 1). The exponential is taken
-    of the negative argument, so nothing overflows; below the range of float64 the value is 0.
+    of the negative argument, so nothing overflows; below the range of float64 the value is 0, above it infinite.
     """
     wavelength = np.asarray(wavelength_um, dtype=np.float64)
-    if np.any(wavelength <= 0.0):
-        raise ThermorenderError(f"wavelength_um={wavelength.min():g} is not positive; wavelengths are micrometres")
+    if np.any((wavelength < _SHORTEST_UM) | (wavelength > _LONGEST_UM)):
+        worst = np.nanmin(wavelength) if np.any(wavelength < _SHORTEST_UM) else np.nanmax(wavelength)
+        raise ThermorenderError(
+            f"wavelength_um={worst:g} is out of range; give {_SHORTEST_UM:g} … {_LONGEST_UM:g} micrometres"
+        )
     temperature = _checked(temperature)
-    with np.errstate(divide="ignore", under="ignore"):
+    with np.errstate(divide="ignore", under="ignore", over="ignore"):
         x = C2 / (wavelength * temperature)
         return C1L / wavelength**5 * np.exp(-x) / -np.expm1(-x)
 
@@ -76,7 +81,7 @@ def band_radiance(temperature, lower_um, upper_um):
     Raises
     ------
     ThermorenderError
-        A negative temperature, or limits that are not 0 < lower < upper.
+        A negative temperature, or limits that are not 1e-12 ≤ lower < upper ≤ 1e18.
 
     Notes
     -----
@@ -218,8 +223,11 @@ def _checked(temperature):
 
 def _band(lower_um, upper_um):
     lower, upper = float(lower_um), float(upper_um)
-    if not 0.0 < lower < upper < np.inf:
-        raise ThermorenderError(f"band {lower:g}–{upper:g} µm is not a band; give 0 < lower < upper in micrometres")
+    if not _SHORTEST_UM <= lower < upper <= _LONGEST_UM:
+        raise ThermorenderError(
+            f"band {lower:g}–{upper:g} µm is not a band; give {_SHORTEST_UM:g} ≤ lower < upper ≤ {_LONGEST_UM:g} in "
+            "micrometres"
+        )
     return lower, upper
 
 

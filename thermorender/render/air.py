@@ -11,6 +11,7 @@ import numpy as np
 from thermorender.atmosphere.model import HIGHEST_CAMERA_M, LOWEST_M
 from thermorender.atmosphere.rays import EARTH_RADIUS_M, MEAN_RADIUS_M, horizon_cos_zenith
 from thermorender.errors import ThermorenderError
+from thermorender.render.geometry import aligned
 
 # A grid's lengths grow by at most this factor from one to the next, and its altitudes are at most this far apart [m].
 _GROWTH = 1.08
@@ -152,7 +153,7 @@ class PathGrid:
         values = cells(*air.path(from_m, end, np.broadcast_to(length, end.shape)))
         self._mi, self._count = mi, values.shape[-1]
         padded = np.pad(values.reshape(-1, self._count), ((0, 0), (0, -self._count % 4))).astype(np.float32)
-        self._groups = [mi.Float(np.ascontiguousarray(padded[:, k : k + 4]).ravel()) for k in range(0, self._count, 4)]
+        self._groups = [mi.Float(aligned(padded[:, k : k + 4])) for k in range(0, self._count, 4)]
         frame = (low, high, from_m, np.log(nearest), (columns - 1) / np.log(farthest / nearest), columns, rows - 1)
         self._numbers = [dr.opaque(mi.Float, float(number)) for number in frame]
 
@@ -192,7 +193,7 @@ class AirView:
 
     def __init__(self, mi, grid, base, background, horizon):
         self._mi, self._grid, self._base = mi, grid, dr.opaque(mi.Float, float(base))
-        self._sky = mi.Float(background.astype(np.float32).ravel())
+        self._sky = mi.Float(aligned(background))
         self._horizon = dr.opaque(mi.Float, horizon)
 
     def at_camera(self, hit, values, origin, direction):

@@ -8,7 +8,7 @@ from thermorender.physics.planck import band_radiance
 from thermorender.render import mirrors
 from thermorender.render.air import Air, Vacuum
 from thermorender.render.dynamic import DynamicObject
-from thermorender.render.geometry import Channels, Layer, OutgoingRadiance, box_of, opaque_view
+from thermorender.render.geometry import Channels, Layer, OutgoingRadiance, aligned, box_of, opaque_view
 
 
 class DeviceScene:
@@ -19,11 +19,6 @@ class DeviceScene:
     baked : BakedScene
     geometry : Geometry
         Of its surfaces.
-
-    Attributes
-    ----------
-    face_error : Float or None
-        As `BakedScene.face_error`.
     """
 
     def __init__(self, baked, geometry):
@@ -35,7 +30,8 @@ class DeviceScene:
             mirror = mirrors.Mirror(mi, tables, flat(scene, "material"), baked.mirror_black)
         self._outgoing = OutgoingRadiance.of(geometry, baked.texels, baked.faces, mirror)
         self._faces, self._light = baked.faces, baked.static_light
-        self.face_error = None if baked.face_error is None else mi.Float(baked.face_error)
+        self._face_error = baked.face_error
+        self._static_error = None if baked.face_error is None else mi.Float(aligned(baked.face_error))
         self.objects = [DynamicObject(mi, tracked, plan, scene.materials, tables) for tracked in scene.tracked_objects]
         self._corners = box_of(scene)
         if scene.air is None:
@@ -47,11 +43,26 @@ class DeviceScene:
 
     def layers(self, pose, placements):
         """Return the Layers that a view from `pose` shows: the static scene and each object at its Placement."""
-        outgoing, own = self._lit(placements)
+        outgoing, own, _ = self._lit(placements)
         layers = [Layer(self.geometry, opaque_view(self._mi, pose), outgoing)]
         for item, placement, radiance in zip(self.objects, placements, own, strict=True):
             layers.append(Layer(item.geometry, opaque_view(self._mi, np.linalg.inv(placement.pose) @ pose), radiance))
         return layers
+
+    def face_errors(self, placements):
+        """Return what the light on each face of each layer errs by, squared, in the order of `layers`.
+
+        Float [W² m⁻⁴ sr⁻²], as by `BakedScene.face_error` and `DynamicObject.light`; None where light is left out.
+        """
+        if self._face_error is None:
+            return [None] * (1 + len(self.objects))
+        *_, errors = self._lit(placements)
+        if not errors:
+            return [self._static_error]
+        whole = self._face_error.copy()
+        for faces, _, square in errors:
+            whole[faces] += square
+        return [self._mi.Float(aligned(whole)), *(self._mi.Float(aligned(own)) for _, own, _ in errors)]
 
     def medium(self, pose, placements, through_air=True):
         """Return what lies between a camera at `pose` and what it sees: its air, or none; or its air, but as if it let
@@ -70,9 +81,12 @@ class DeviceScene:
         return last[1]
 
     def _lit(self, placements):
-        """(OutgoingRadiance of the static scene, [that of each object]) with the objects' light on each other's."""
+        """(OutgoingRadiance of the static scene, [that of each object], [(faces, own error, error on these)]).
+
+        With the objects' light on the static scene, and its light on them; the errors are squares.
+        """
         if not self.objects:
-            return self._outgoing, []
+            return self._outgoing, [], []
         lit = [each.lit or each for each in placements]
         key, last = tuple(each.key for each in lit), self._last_light
         if last[0] != key:
@@ -83,16 +97,17 @@ class DeviceScene:
             outgoing = self._outgoing
             if self._light is not None:
                 light = self._faces.copy()
-                for _, (faces, added) in found:
+                for _, (faces, added), _ in found:
                     light[faces] += added
                 outgoing = replace(outgoing, faces=Channels(self._mi, light))
-            last = self._last_light = key, (outgoing, [own for own, _ in found])
-        outgoing, light = last[1]
+            errors = [(faces, *error) for _, (faces, _), error in found]
+            last = self._last_light = key, (outgoing, [own for own, *_ in found], errors)
+        outgoing, light, errors = last[1]
         key, last = (key, tuple(each.temperature for each in placements)), self._last_outgoing
         if last[0] != key:
             each = zip(self.objects, placements, light, strict=True)
             last = self._last_outgoing = key, [item.outgoing(one.temperature, own) for item, one, own in each]
-        return outgoing, last[1]
+        return outgoing, last[1], errors
 
 
 def flat(scene, name):

@@ -142,7 +142,7 @@ class DynamicObject:
         self._tables = tables if tables and tables.number[self._material] else None
 
     def light(self, placement, geometry, static):
-        """Return (light that each own face reflects, (faces, light it adds to them)) at a Placement.
+        """Return (light that each own face reflects, (faces, light it adds to them), errors) at a Placement.
 
         Parameters
         ----------
@@ -160,13 +160,20 @@ class DynamicObject:
             Of the static scene.
         added : (n, K) float32
             What these reflect more than without the object, in each channel [W m⁻² sr⁻¹].
+        own_square : (F,), square : (n,)
+            Of the standard errors of these by the rays' number, in the band [W² m⁻⁴ sr⁻²].
+
+        Notes
+        -----
+        The errors are those of rays that know nothing of each other. Of Sobol's, which stand evenly, they are too large
+        rather than too small.
         """
         if static is None:
             channels = self._plan.spectrum.channels
             return np.zeros((self.geometry.face_count, channels)), (
                 np.zeros(0, np.int64),
                 np.zeros((0, channels), np.float32),
-            )
+            ), (np.zeros(self.geometry.face_count), np.zeros(0))  # fmt: skip
         return self._light(placement.pose, placement.temperature, geometry, static)
 
     def outgoing(self, temperature, own):
@@ -222,17 +229,23 @@ class DynamicObject:
         leaving = emitted + rho * incident
 
         # Of each ray that ends on the ground, that face sees the object in place of what lies behind.
-        faces, changes = [], []
+        faces, changes, squares = [], [], []
         for first, hidden, front in ((met, end_reverse, fronts[0]), (met_reverse, end, fronts[1])):
             hit = np.flatnonzero((first < others) & np.array(front))
             face, own = first[hit], hit // rays
-            change = ((leaving[own] - static.seen[hidden[hit]]) * static.reflectance[face]) @ spectrum.share.T
+            weight = self.geometry.area[own] / (rays * geometry.area[face])
+            change = (leaving[own] - static.seen[hidden[hit]]) * static.reflectance[face]
             faces.append(face)
-            changes.append(change * (self.geometry.area[own] / (rays * geometry.area[face]))[:, None])
+            squares.append((change.sum(axis=1) * weight) ** 2)
+            changes.append((change @ spectrum.share.T) * weight[:, None])
         faces, row = np.unique(np.concatenate(faces), return_inverse=True)
         changes = np.concatenate(changes)
         added = np.stack([np.bincount(row, change, len(faces)) for change in changes.T], axis=1)
-        return incident @ spectrum.reflected[self._material].T, (faces, added.astype(np.float32))
+        square = np.bincount(row, np.concatenate(squares), len(faces))
+        reflected = np.concatenate([(static.seen * rho[0]).sum(axis=1), (leaving * rho[0]).sum(axis=1)])
+        own_square = np.maximum(seen @ reflected**2 - (seen @ reflected) ** 2, 0.0) / rays
+        own_light = incident @ spectrum.reflected[self._material].T
+        return own_light, (faces, added.astype(np.float32)), (own_square, square)
 
 
 def _matrix(mi, pose):

@@ -17,6 +17,8 @@ from thermorender.render.pixels import pyramid, slender
 _RAYS_AT_ONCE, _FACES_AT_ONCE = 1 << 22, 1 << 20
 # A direction upwards that hardly a face's plane holds.
 _ASIDE = (0.3717, 0.4693, 0.8010)
+# From so many bytes on the C library gives memory as pages of its own, behind 16 bytes that tell their number.
+_OWN_PAGES = 1 << 25
 
 
 @dataclass(frozen=True)
@@ -84,8 +86,8 @@ class Geometry:
         registry = [int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(mesh))[0]) for mesh in meshes.values()]
         surface_of = np.zeros(max(registry) + 1, dtype=np.uint32)
         surface_of[registry] = np.arange(len(registry))
-        self._surface_of = mi.UInt32(surface_of)
-        self._face_start = mi.UInt32(self.face_start[:-1].astype(np.uint32))
+        self._surface_of = mi.UInt32(aligned(surface_of, np.uint32))
+        self._face_start = mi.UInt32(aligned(self.face_start[:-1], np.uint32))
         # (levels, surfaces): squares of all surfaces lie behind one another, level after level.
         shapes = [pyramid.sizes(*surface.material.shape) for surface in surfaces]
         self.levels = max(map(len, shapes))
@@ -94,8 +96,8 @@ class Geometry:
         start = np.concatenate([[0], np.cumsum(shapes.prod(axis=1))])
         self._surfaces, self._boxes = len(surfaces), {}
         parts = (start[:-1], shapes[:, 0], shapes[:, 1])
-        self._lattice = tuple(mi.Int32(np.ascontiguousarray(part.astype(np.int32))) for part in parts)
-        self._record = mi.Float(of_faces(surfaces, _map_records, (8,)).ravel())
+        self._lattice = tuple(mi.Int32(aligned(part, np.int32)) for part in parts)
+        self._record = mi.Float(aligned(of_faces(surfaces, _map_records, (8,))))
 
     def cast(self, ray, coherent=False):
         """Return the Hit of rays (an mi.Ray3f)."""
@@ -141,10 +143,10 @@ class Geometry:
         """Yield (surface, column, row) on the texel maps, in each face, at every barycentric (u, v) of `pattern`."""
         mi = self.mi
         face_counts = np.diff(self.face_start)
-        surface = mi.UInt32(np.repeat(np.arange(len(face_counts), dtype=np.uint32), face_counts))
+        surface = mi.UInt32(aligned(np.repeat(np.arange(len(face_counts)), face_counts), np.uint32))
         size = [surface_.material.shape[::-1] for surface_ in self.surfaces]
         corner = np.concatenate([s.uv * np.array(n, np.float32) for s, n in zip(self.surfaces, size, strict=True)])
-        corner = [[mi.Float(np.ascontiguousarray(corner[:, k, axis])) for axis in (0, 1)] for k in range(3)]
+        corner = [[mi.Float(aligned(corner[:, k, axis])) for axis in (0, 1)] for k in range(3)]
         for u, v in np.asarray(pattern).tolist():
             # Opaque weights: as literals they would have the kernel that uses them compiled anew for each point.
             u, v = dr.opaque(mi.Float, u), dr.opaque(mi.Float, v)
@@ -247,7 +249,7 @@ class Geometry:
             for first in range(0, len(surface.faces), _FACES_AT_ONCE):
                 part = surface.uv[first : first + _FACES_AT_ONCE]
                 self._cover(here, part, int(self.face_start[number]) + first)
-        return mi.UInt32(found)
+        return mi.UInt32(aligned(found, np.uint32))
 
     def _cover(self, found, uv, first_face):
         """Write into (rows, columns) of texels which of some faces' maps (n, 3, 2) covers each."""
@@ -286,12 +288,10 @@ class Channels:
         for first in range(0, self.count, 4):
             group = values[:, first : first + 4]
             width = {1: 1, 2: 2, 3: 4, 4: 4}[group.shape[1]]
-            if group.shape[1] != width or self.count != width:
-                padded = np.zeros((len(group), width), dtype=np.float32)
-                padded[:, : group.shape[1]] = group
-                group = padded
+            if group.shape[1] != width:
+                group = np.pad(group, ((0, 0), (0, width - group.shape[1])))
             kind = {1: mi.Float, 2: mi.Vector2f, 4: mi.Vector4f}[width]
-            self.groups.append((kind, min(self.count - first, width), mi.Float(group.ravel())))
+            self.groups.append((kind, min(self.count - first, width), mi.Float(aligned(group))))
 
     def at(self, index, active=True):
         """Return the channels at flat indices, as a list of Float."""
@@ -331,9 +331,10 @@ class OutgoingRadiance:
         own = None if faces is None else Channels(geometry.mi, faces)
         return cls(geometry.averaged(texels[0][:, None]), rest, own, mirror)
 
-    def at_texel(self, texel, face):
-        """Return all channels of texels, seen on faces, as a list of Float."""
-        return self._on(face, self.texels.at(texel) + (self.rest.at(texel) if self.rest else []), True)
+    def at_texel(self, texel, face, active):
+        """Return all channels of texels, seen on faces, as a list of Float; 0 where not active."""
+        values = [part.at(texel, active) for part in (self.texels, self.rest) if part]
+        return self._on(face, sum(values, []), active)
 
     def at(self, geometry, hit, position):
         """Return all channels at positions (column, row) of a Hit, linear between texels, as a list of Float."""
@@ -415,6 +416,25 @@ def _mapped_area(surface, part):
     """Areas of faces on the map, whose whole is 1."""
     edge = surface.uv[part, 1:].astype(np.float64) - surface.uv[part, :1]
     return 0.5 * np.abs(edge[:, 0, 0] * edge[:, 1, 1] - edge[:, 0, 1] * edge[:, 1, 0])
+
+
+def aligned(values, kind=np.float32):
+    """Return an array flat, of a kind and at a multiple of 64 bytes: itself where it is so, or else a copy.
+
+    Dr.Jit takes NumPy's memory as it lies, and compiles a kernel anew where it lies otherwise than before: in this
+    process or, of those that it keeps on disk, in another. Whatever kernels read goes through here. What is large lies
+    alike each time, at the start of pages of its own, and is left there.
+    """
+    values = np.asarray(values)
+    lies = values.ctypes.data % 64 == 0 or values.nbytes >= _OWN_PAGES
+    if lies and values.dtype == kind and values.flags.c_contiguous:
+        return values.reshape(-1)
+    size = np.dtype(kind).itemsize
+    whole = np.empty(values.size + 64 // size, kind)
+    first = -whole.ctypes.data % 64 // size
+    found = whole[first : first + values.size]
+    found.reshape(values.shape)[...] = values
+    return found
 
 
 def opaque_view(mi, pose):

@@ -11,10 +11,11 @@ enclosure the two are one, and every wall looks black. A ray that meets nothing 
 by both angles with their spectra. What the bake has put there is taken off again, so other materials know nothing of
 all this.
 
-A mirror in a mirror shows what the bake makes of it: emission and reflection of a diffuse surface. The mirror's normal
-is that of its flat face, whatever its roughness: roughness raises the emissivity at grazing angles but does not blur
-the image. Light from what a mirror shows passes the air up to it, from the mean altitude of the scene's mirrors; the
-glint of the sun is left out.
+A mirror in a mirror is one, too; a mirror in that shows what the bake makes of it, emission and reflection of a
+diffuse surface, and the error budget follows it once more to tell what that leaves out. The mirror's normal is that of
+its flat face, whatever its roughness: roughness raises the emissivity at grazing angles but does not blur the image.
+Light from what a mirror shows passes the air up to it, from the mean altitude of the scene's mirrors; the glint of the
+sun is left out.
 """
 
 from dataclasses import dataclass
@@ -25,7 +26,7 @@ import numpy as np
 from thermorender.physics.fresnel import COSINES
 from thermorender.physics.planck import band_radiance_derivative, kelvin_per_radiance
 from thermorender.render.air import PathGrid, altitude
-from thermorender.render.geometry import Channels, box_of, farthest
+from thermorender.render.geometry import Channels, aligned, box_of, farthest
 from thermorender.render.spectrum import REFERENCE_K
 
 # Directions of the sky, even in the root of the cosine of zenith angle: 5 mK of the sky.
@@ -38,6 +39,10 @@ _JUDGED = np.flatnonzero(COSINES >= _GRAZING)[::8]
 _BLACK, _TRUST = 5, 10.0
 # Paths behind which that light is reflected too, as parts of the scene's size.
 _SEEN_BEHIND = np.array([0.01, 0.1, 0.5])
+# How often light is reflected by mirrors on its way to the camera.
+DEPTH = 2
+# Where what is endlessly far in a mirror in a mirror is taken to be [m].
+_SKY_IN_MIRROR_M = 1e6
 # Of the light's variation, the share below which that fit takes no notice: float32 does not tell it.
 _SMALLEST = 1e-4
 
@@ -175,7 +180,8 @@ class Mirror:
         texels = np.flatnonzero(number)
         row = np.zeros(len(number), dtype=np.uint32)
         row[texels] = 1 + np.arange(len(texels))
-        self.row, self.kind = mi.UInt32(row), mi.UInt32(number[texels].astype(np.uint32) - 1)
+        self.row = mi.UInt32(aligned(row, np.uint32))
+        self.kind = mi.UInt32(aligned(number[texels] - 1, np.uint32))
         self.black = Channels(mi, black)
 
 
@@ -217,7 +223,7 @@ class DeviceTables:
             Cosine of the zenith angle that the environment is seen at.
         """
         mi, count, lines = self._mi, self.count, self._directions
-        own, other = ([*light, _bent(self._band(light))] for light in (black, seen))
+        own, other = ([*light, _bent(self.band(light))] for light in (black, seen))
         light = [dr.select(valid, a, 0.0) - b for a, b in zip(other, own, strict=True)]
         row, across = self._interval(cosine, len(COSINES))
         row = row + kind * len(COSINES)
@@ -250,8 +256,8 @@ class DeviceTables:
                 total[k] += weight * (passed + added)
         return total
 
-    def _band(self, light):
-        """Band radiance of light given by its channels."""
+    def band(self, light):
+        """Return the band radiance of light given by its channels, Float [W m⁻² sr⁻¹]."""
         return sum(weight * value for weight, value in zip(self._weight, light, strict=True))
 
     def _interval(self, cosine, count):
@@ -273,60 +279,114 @@ def black_of(plan, number, material, temperature):
     return np.stack([np.interp(warm, grid, channel) for channel in table.T], axis=1)
 
 
-def correction(layers, here, ray, hit, texel):
-    """Return (channels to be added, [Float], length [m] from a mirror to what it shows) for rays of one layer.
+def met(layer, hit, position):
+    """Return (flat number of the texel at a Hit, its row among the layer's mirrors from 1 on; 0 for no mirror)."""
+    mi, mirror = layer.geometry.mi, layer.outgoing.mirror
+    if not mirror:
+        return mi.UInt32(0), mi.UInt32(0)
+    texel = layer.geometry.nearest(hit.surface, *position, hit.valid)
+    return texel, dr.gather(mi.UInt32, mirror.row, texel, hit.valid)
+
+
+def correction(layers, depth, origin, direction, distance, number, face, texel, row):
+    """Return (channels to be added, [Float], way [m] from a mirror to what it shows) for rays of a view.
 
     Parameters
     ----------
     layers : sequence of Layer
-        The static scene first.
-    here : Layer
-        Which of them the rays are cast into.
-    ray : Ray3f
-    hit : Hit
-    texel : UInt32
-        Flat number of the texel at the hit.
+        The static scene first, in whose frame the rays are.
+    depth : int
+        How often light is reflected by mirrors; those that it meets then are diffuse.
+    origin, direction : Point3f, Vector3f
+    distance : Float
+        To what the rays meet [m].
+    number : UInt32
+        Of the layer that this is in.
+    face, texel, row : UInt32
+        Of a Hit in it, and as by `met`.
     """
-    mi, mirror = here.geometry.mi, here.outgoing.mirror
-    row = dr.gather(mi.UInt32, mirror.row, texel, hit.valid)
+    mirror = next(layer.outgoing.mirror for layer in layers if layer.outgoing.mirror)
+    nothing = tuple(type(distance)(0.0) for _ in range(mirror.black.count + 1))
     # A branch: where no ray of a packet meets a mirror nothing of this is computed.
-    *added, length = dr.if_stmt(
-        (ray.o, ray.d, hit.distance, hit.face, texel, row),
+    *added, way = dr.if_stmt(
+        (origin, direction, distance, number, face, texel, row),
         row > 0,
-        lambda *values: _correction(layers, here, *values),
-        lambda *values: tuple(mi.Float(0.0) for _ in range(mirror.black.count + 1)),
+        lambda *values: _reflected(layers, depth, *values),
+        lambda *_: nothing,
     )
-    return added, length
+    return added, way
 
 
-def _correction(layers, here, eye, view, distance, face, texel, row):
-    """As `correction`, in one tuple, for rays that meet mirrors: those of the texels `row`, counted from 1."""
-    geometry, mirror = here.geometry, here.outgoing.mirror
-    mi = geometry.mi
-    row = row - 1
-    normal = mi.Vector3f(*geometry.normals.at(face))
+def _reflected(layers, depth, eye, view, distance, number, face, texel, row):
+    """As `correction`, in one tuple, for rays of the first layer's frame that meet mirrors.
+
+    These are texels `row`, counted from 1, of the layers of that `number`.
+    """
+    first = layers[0]
+    mi, total = first.geometry.mi, None
+    # One layer has what is asked for; masked, the others have zeros.
+    for place, layer in enumerate(layers):
+        mirror, geometry = layer.outgoing.mirror, layer.geometry
+        if not mirror:
+            continue
+        own, tables, count = number == place, mirror.tables, mirror.black.count
+        normal = mi.Vector3f(*geometry.normals.at(face, own))
+        found = [
+            *_transformed(layer.view, first.view, None, normal)[1],
+            dr.select(own, mi.Float(geometry.reach), 0.0),
+            dr.gather(mi.UInt32, mirror.kind, row - 1, own),
+            *mirror.black.at(row - 1, own),
+            *layer.outgoing.at_texel(texel, face, own),
+        ]
+        total = found if total is None else [a + b for a, b in zip(total, found, strict=True)]
+    normal, reach, kind = mi.Vector3f(*total[:3]), *total[3:5]
+    black, diffuse = total[5 : 5 + count], total[5 + count :]
     slant = dr.dot(normal, view)
     normal = dr.select(slant > 0.0, -normal, normal)
     cosine = dr.minimum(dr.abs(slant), 1.0)
     direction = view + 2.0 * cosine * normal
     # As far off the surface as the rays of the bake, and more where the ray is long.
-    lift = 64.0 * 2.0**-24 * (1.0 + dr.maximum(geometry.reach, distance))
-    origin = eye + distance * view + lift * normal
-    nearest, seen = mi.Float(np.inf), None
-    for layer in layers:
-        start, along = (origin, direction) if layer is here else _transformed(here.view, layer.view, origin, direction)
-        values, away = _trace(layer, mi.Ray3f(mi.Point3f(start), along))
-        nearer = away < nearest
-        seen = [dr.select(nearer, a, b) for a, b in zip(values, seen or values, strict=True)]
-        nearest = dr.minimum(nearest, away)
-    up = direction.z if here is layers[0] else _transformed(here.view, layers[0].view, origin, direction)[1].z
-    valid = nearest < np.inf
-    seen = mirror.tables.through_air(seen, nearest, up, valid)
-    black = mirror.black.at(row)
-    kind = dr.gather(mi.UInt32, mirror.kind, row)
-    reflected = mirror.tables.reflected(kind, cosine, black, seen, valid, up)
-    diffuse = here.outgoing.at_texel(texel, face)
-    return (*(a + b - c for a, b, c in zip(black, reflected, diffuse, strict=True)), nearest)
+    lift = 64.0 * 2.0**-24 * (1.0 + dr.maximum(reach, distance))
+    seen, length, way = _seen(layers, depth - 1, mi.Point3f(eye + distance * view + lift * normal), direction)
+    valid = length < np.inf
+    seen = tables.through_air(seen, length, direction.z, valid)
+    reflected = tables.reflected(kind, cosine, black, seen, valid, direction.z)
+    return (*(a + b - c for a, b, c in zip(black, reflected, diffuse, strict=True)), way)
+
+
+def _seen(layers, depth, origin, direction):
+    """(channels, distance, whole way) of what rays of the first layer's frame meet, where mirrors reflect so often."""
+    first, best = layers[0], None
+    mi = first.geometry.mi
+    for place, layer in enumerate(layers):
+        geometry, outgoing = layer.geometry, layer.outgoing
+        ray = mi.Ray3f(*_transformed(first.view, layer.view, origin, direction))
+        hit = geometry.cast(ray, coherent=True)
+        position = geometry.map_position(geometry.record(hit.face, hit.valid), ray.o + hit.distance * ray.d)
+        away = dr.select(hit.valid, hit.distance, np.inf)
+        found = [away, mi.UInt32(place), hit.face, *met(layer, hit, position)]
+        found += outgoing.at(geometry, hit, position)
+        best = found if best is None else [dr.select(away < best[0], a, b) for a, b in zip(found, best, strict=True)]
+    state, seen, further = best[:5], best[5:], 0.0
+    if depth:
+        added, further = correction(layers, depth, origin, direction, *state)
+        seen = [a + b for a, b in zip(seen, added, strict=True)]
+    # The sky in a mirror ends elsewhere than the sky beside it, which tells their edge.
+    return seen, state[0], state[0] + dr.minimum(further, _SKY_IN_MIRROR_M)
+
+
+def last_steps(layers, *ray):
+    """Return the band radiance that one reflection more would add to a frame, and another, [Float] [W m⁻² sr⁻¹].
+
+    Parameters as of `correction`, without the depth.
+    """
+    tables = next(layer.outgoing.mirror.tables for layer in layers if layer.outgoing.mirror)
+    first, *others = (correction(layers, depth, *ray)[0] for depth in (DEPTH, DEPTH + 1, DEPTH + 2))
+    found = []
+    for other in others:
+        found.append(tables.band([b - a for a, b in zip(first, other, strict=True)]))
+        first = other
+    return found
 
 
 def _paths(mi, at_m, scene, spectrum):
@@ -349,21 +409,17 @@ def _bent(radiance):
     return positive * log(positive)
 
 
-def _trace(layer, ray):
-    """(channels, distance) of what rays meet in a layer."""
-    geometry = layer.geometry
-    hit = geometry.cast(ray, coherent=True)
-    position = geometry.map_position(geometry.record(hit.face, hit.valid), ray.o + hit.distance * ray.d)
-    return layer.outgoing.at(geometry, hit, position), dr.select(hit.valid, hit.distance, np.inf)
-
-
 def _transformed(one, other, point, direction):
     """(point, direction) of one view's frame in that of another view from the same camera."""
+    if one is other:
+        return point, direction
     (rows, origin), (into, start) = one, other
-    away = point - origin
-    local = [sum(row * value for row, value in zip(rows, vector, strict=True)) for vector in (away, direction)]
-    there = [type(direction)(*(dr.dot(row, vector) for row in into)) for vector in local]
-    return start + there[0], there[1]
+
+    def turned(vector):
+        local = sum(row * value for row, value in zip(rows, vector, strict=True))
+        return type(direction)(*(dr.dot(row, local) for row in into))
+
+    return None if point is None else start + turned(point - origin), turned(direction)
 
 
 def _texels(scene, number, envelope):

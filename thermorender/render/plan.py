@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
+from thermorender.atmosphere.model import HIGHEST_CAMERA_M, LOWEST_M
 from thermorender.errors import ThermorenderError
 from thermorender.physics.band import quadrature
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, spectral_radiance
@@ -215,6 +216,7 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
     bake = reflection_mk > 0.1 * tolerance_mk
     air_mk = sun_mk = None
     if scene.air is not None:
+        _refuse_surfaces(scene.where, *envelope.altitude_m)
         below = scene.altitude_m
         passed, added = (values[0] for values in scene.air.path(below, below, [1000.0]))
         arrives = passed @ scene.air.planck(REFERENCE_K) + added.sum()
@@ -243,6 +245,15 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
         specular_mk=specular.effect_mk if specular else None,
         specular=specular if specular and specular.effect_mk > 0.1 * tolerance_mk else None,
     )
+
+
+def _refuse_surfaces(where, low, high):
+    """Refuse surfaces between altitudes above sea level [m] that no air is known at."""
+    if low < LOWEST_M or high > HIGHEST_CAMERA_M:
+        raise ThermorenderError(
+            f"{where}: surfaces lie {low:.7g} … {high:.7g} m above sea level, out of range of the air; give "
+            f"−{-LOWEST_M:.0f} … {HIGHEST_CAMERA_M:.0f} m, by the terrain's heights or altitude_m of [atmosphere]"
+        )
 
 
 def _envelope(scene):

@@ -16,7 +16,7 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 from thermorender.physics.fresnel import COSINES
 from thermorender.physics.planck import C1L, C2
-from thermorender.render.geometry import box_of
+from thermorender.render.geometry import aligned, box_of
 from thermorender.render.mirrors import directional
 from thermorender.render.renderer import checked_pose
 from thermorender.render.variant import activate, switch
@@ -168,7 +168,7 @@ def _register_lens(mi, name, camera, pose, loaded):
 
     width, height = camera.width, camera.height
     place = np.stack(np.meshgrid(np.arange(width + 1.0), np.arange(height + 1.0)), axis=-1)
-    loaded.slopes = mi.Float(camera.directions(place).astype(np.float32).ravel())
+    loaded.slopes = mi.Float(aligned(camera.directions(place)))
     rotation, origin = mi.Matrix3f(pose[:3, :3]), mi.Point3f(pose[:3, 3])
 
     class Lens(mi.Sensor):
@@ -244,20 +244,20 @@ def _register(mi, name, scene, horizon_m, loaded):
     outside = scene.spec.sky_temperature, scene.surroundings_temperature
     grid = np.linspace(*scene.camera.band_um, 2401)
     table = np.array([material.emissivity_at(grid) for material in scene.materials])
-    spectra = mi.Float(table.astype(np.float32).ravel())
+    spectra = mi.Float(aligned(table))
     start, step = float(grid[0]), float(grid[1] - grid[0])
     # Of each directional material, by angle and wavelength; 0 is none, others are counted from 1.
     by_angle = directional(scene.materials)
     row = np.zeros(len(scene.materials), dtype=np.uint32)
     row[by_angle] = 1 + np.arange(len(by_angle))
     tables = [scene.materials[k].emissivity_at_angle(grid, COSINES[:, None]) for k in by_angle]
-    angles = mi.Float(np.concatenate([np.zeros(1), *map(np.ravel, tables)]).astype(np.float32))
+    angles = mi.Float(aligned(np.concatenate([np.zeros(1), *map(np.ravel, tables)])))
     maps = [
         (
             surface.material.shape,
-            mi.Float(surface.temperature.astype(np.float32).ravel()),
-            mi.UInt32(surface.material.astype(np.uint32).ravel()),
-            mi.UInt32(row[surface.material].ravel()),
+            mi.Float(aligned(surface.temperature)),
+            mi.UInt32(aligned(surface.material, np.uint32)),
+            mi.UInt32(aligned(row[surface.material], np.uint32)),
         )
         for surface in scene.surfaces
     ]

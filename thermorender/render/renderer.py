@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
+from operator import index as whole
 from typing import Any, Literal
 
 import drjit as dr
@@ -101,7 +102,7 @@ class Renderer:
             )
         sampling = (quality, samples, taps, edge_mk, rays, tolerance_mk)
         checked(*sampling)
-        self._asked, self.seed = scene, _checked_seed(seed)
+        self._asked, self.seed = scene, _whole("seed", seed)
         self._like, self._progress, self._baked, self._rays_of, self._coloured = None, progress, None, {}, None
         if scene.warmed:
             # Before the device, so that a setting that does not suit the scene is told at once.
@@ -126,7 +127,7 @@ class Renderer:
     def of(cls, baked: BakedScene, seed: int = 0) -> "Renderer":
         """Return the Renderer of a BakedScene, such as one from another process."""
         made = cls.__new__(cls)
-        made.scene, made.plan, made.seed = baked.scene, baked.plan, _checked_seed(seed)
+        made.scene, made.plan, made.seed = baked.scene, baked.plan, _whole("seed", seed)
         made._asked = baked.scene
         made._like, made._progress, made._baked, made._rays_of, made._coloured = None, None, baked, {}, None
         made._geometry = baked.geometry
@@ -159,7 +160,8 @@ class Renderer:
         Raises
         ------
         ThermorenderError
-            A pose that is no rigid transform, or an object that does not move or leaves the terrain.
+            A pose that is no rigid transform, an index that is no whole number from 0 on, or an object that does not
+            move or leaves the terrain.
         """
         view = self._view(pose, time_s, objects)
         radiance, sampling = view.radiance()
@@ -317,7 +319,7 @@ class Renderer:
             radiance=radiance,
             pose=view.pose,
             time_s=float(time_s),
-            index=int(index),
+            index=_whole("index", index),
             seed=self.seed,
             camera=self.scene.camera,
             plan=plan,
@@ -384,13 +386,13 @@ class View:
         """Return the error budget, as `Frame.budget_mk` has it, of a radiance image; None without its Sampling."""
         if sampling is None:
             return None
-        return budget.budget_mk(self.baked, self.tracer(), self.pose, radiance, sampling)
+        return budget.budget_mk(self.baked, self.tracer(), self.pose, self.placements, radiance, sampling)
 
     def error_mk(self, radiance: NDArray[np.float32], sampling: Sampling | None) -> NDArray[np.float32] | None:
         """Return the estimated error of each pixel, as `Frame.error_mk` has it; None without its Sampling."""
         if sampling is None:
             return None
-        return budget.error_mk(self.baked, self.tracer(), self.pose, radiance, sampling)
+        return budget.error_mk(self.baked, self.tracer(), self.pose, self.placements, radiance, sampling)
 
 
 def checked_pose(pose: ArrayLike) -> NDArray[np.float64]:
@@ -458,7 +460,12 @@ def warmed(
     return [each.scene for each in moved(scene, times, geometry, progress)]
 
 
-def _checked_seed(seed: int) -> int:
-    if not 0 <= seed < 2**64:
-        raise ThermorenderError(f"seed={seed} is not allowed; give a whole number 0 … 2⁶⁴−1")
-    return seed
+def _whole(name: str, value: int) -> int:
+    """Return what the generator of the noise takes, a seed or the number of a frame, as an int."""
+    try:
+        number = whole(value)
+    except TypeError:
+        number = -1
+    if not 0 <= number < 2**64:
+        raise ThermorenderError(f"{name}={shortened(repr(value))} is not allowed; give a whole number 0 … 2⁶⁴−1")
+    return number

@@ -241,8 +241,9 @@ class Envelope:
         if self.air is None:
             return np.ones((1, 1))
         low, high = self.altitude_m
-        height = np.geomspace(1.0, max(self.air.ceiling_m - high, 2.0), 14)
-        height = height[high + height <= self.air.ceiling_m]
+        # A cloud's base may lie less than a metre above the surfaces, or on them.
+        room = max(self.air.ceiling_m - high, 0.0)
+        height = np.minimum(np.geomspace(1.0, max(room, 2.0), 14), room)
         height, cosine, to = (a.ravel() for a in np.meshgrid(height, _PATH_COSINES, (low, high)))
         length = (high + height - to) / cosine
         kept = length <= _LONGEST_PATH_M

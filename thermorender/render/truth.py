@@ -10,7 +10,7 @@ import numpy as np
 from thermorender.physics.band import quadrature
 from thermorender.physics.fresnel import COSINES
 from thermorender.physics.planck import band_radiance, spectral_radiance
-from thermorender.render.geometry import view_ray
+from thermorender.render.geometry import aligned, view_ray
 from thermorender.render.mirrors import directional
 from thermorender.render.spectrum import REFERENCE_K
 from thermorender.scene.surface import BACKGROUND, BEHIND
@@ -111,7 +111,7 @@ def pixel_middles(layers, rays, facing=False):
     images = []
     for values in found:
         flat = np.empty(rays.camera.height * rays.camera.width, np.array(values).dtype)
-        flat[rays.order] = np.array(values)
+        flat[rays.order] = np.array(values)[: flat.size]
         images.append(flat.reshape(rays.camera.height, rays.camera.width))
     valid, number, up, cosine, depth, *position = images
     return valid > 0, number, up > 0, cosine, depth, position
@@ -146,9 +146,10 @@ def targets(baked, camera, pose, placements):
     shown += [(item.geometry, item.surfaces, each.pose) for item, each in moving]
     for shapes, surfaces, own_pose in shown:
         mi, inverse = shapes.mi, np.linalg.inv(own_pose)
-        start = (inverse[:3, :3] @ pose[:3, 3] + inverse[:3, 3]).tolist()
+        # Opaque numbers: as literals they would have a kernel compiled, and kept, for each pose.
+        start = [dr.opaque(mi.Float, float(value)) for value in inverse[:3, :3] @ pose[:3, 3] + inverse[:3, 3]]
         direction = ((centre - pose[:3, 3]) / distance[:, None]) @ inverse[:3, :3].T
-        hit = shapes.cast(mi.Ray3f(mi.Point3f(*start), mi.Vector3f(*direction.T.astype(np.float32))))
+        hit = shapes.cast(mi.Ray3f(mi.Point3f(*start), mi.Vector3f(*map(aligned, direction.T))))
         met, surface = np.array(hit.distance), np.array(hit.surface)
         nearer = met < nearest
         names[nearer] = [surfaces[number].name.split(":")[0] for number in surface[nearer]]

@@ -177,8 +177,11 @@ def _shared(a, b, elevation, orthophoto):
 
 def _step(crs, grid):
     """Side of a grid's pixel in a map's metres."""
-    bounds = bounds_in(crs, grid)
-    return float(np.sqrt((bounds[2] - bounds[0]) * (bounds[3] - bounds[1]) / (grid.height * grid.width)))
+    # Of the rectangle around a turned grid its pixels fill a share only.
+    left, bottom, right, top = grid.bounds
+    pixels = (right - left) * (top - bottom) / abs(grid.transform.determinant)
+    left, bottom, right, top = bounds_in(crs, grid)
+    return float(np.sqrt((right - left) * (top - bottom) / pixels))
 
 
 def _grid(crs, bounds, step):

@@ -43,6 +43,7 @@ from thermorender.scene.surface import (
     Surface,
     fill,
     nearest_valid,
+    scene_kelvin,
 )
 from thermorender.scene.temperature import Texels, learned_map, resolve, trained, waiting
 from thermorender.scene.tracks import TrackedObject, read_track
@@ -419,7 +420,15 @@ class Scene:
         )  # fmt: skip
 
     def with_object_temperatures(self, kelvin: Mapping[str, float]) -> "Scene":
-        """Return this scene with static objects of these names at other temperatures [K]."""
+        """Return this scene with static objects of these names at other temperatures [K].
+
+        Raises
+        ------
+        ThermorenderError
+            A temperature that no object has.
+        """
+        for name, value in kelvin.items():
+            scene_kelvin(f"object {name!r}: temperature", value)
         made = [
             replace(surface, temperature=np.full_like(surface.temperature, kelvin[name])) if name in kelvin else surface
             for surface in self.surfaces[self.terrain_count :]
@@ -447,7 +456,8 @@ class Scene:
 
     def _digest(self) -> str:
         state = hashlib.blake2b(digest_size=16)
-        for surface in self.surfaces:
+        own = [surface for tracked in self.tracked_objects for surface in tracked.surfaces]
+        for surface in (*self.surfaces, *own):
             for item in fields(surface):
                 value = getattr(surface, item.name)
                 state.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
@@ -461,8 +471,6 @@ class Scene:
             state.update(repr((tracked.item, tracked.lift_m)).encode() + tracked.time_s.tobytes())
             for name, values in tracked.columns.items():
                 state.update(name.encode() + values.tobytes())
-            for surface in tracked.surfaces:
-                state.update(surface.vertices.tobytes() + surface.faces.tobytes() + surface.colour.tobytes())
         spec = self.spec
         state.update(repr((self.camera, spec.sky_temperature, spec.surroundings_temperature)).encode())
         if self.air:

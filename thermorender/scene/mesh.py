@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 import warnings
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -21,6 +22,8 @@ FORMATS = (".obj", ".glb", ".gltf", ".ply", ".stl", ".off")
 # Kinds of Pillow's images; it would run a program of the machine for some others. None is made by trimesh.
 _IMAGE_FORMATS = ("PNG", "JPEG", "MPO", "WEBP", "TIFF", "BMP", "GIF", "TGA", None)
 _GLTF_REPEAT = 10497  # glTF 2.0, section 5.25: what a texture does beyond its edge, unless told otherwise
+# A face of an OBJ whose first corner, or another, has the number 0.
+_COUNTED_FROM_0 = re.compile(r"f(?:\s+\S+)*?\s+-?0+(?:[/\s]|$)")
 _IMAGE = f"give a whole PNG or JPEG image of up to {MOST_TEXELS} pixels"
 
 
@@ -150,8 +153,14 @@ def _parts(path, named):
             raise ThermorenderError(
                 f"{path} names the material libraries {shortened(', '.join(libraries))}; join them into one"
             )
+        if any(_COUNTED_FROM_0.match(line) for line in lines):
+            # It would be the last vertex.
+            raise ThermorenderError(
+                f"{path} has a face with a corner of number 0; numbers begin with 1, so export the mesh again"
+            )
         _refuse_hollow(path, lines)
-    loaded = trimesh.load_scene(path, resolver=named)
+    # Processed, an OBJ or PLY would lose what is not finite, and the faces on it, in silence.
+    loaded = trimesh.load_scene(path, resolver=named, process=False)
     if named.refusal:
         raise named.refusal
     # trimesh leaves out images it cannot read, in silence.
@@ -171,6 +180,8 @@ def _parts(path, named):
         geometry = loaded.geometry[name]
         if not isinstance(geometry, trimesh.Trimesh) or not len(geometry.faces):
             continue
+        if not is_gltf:
+            geometry.merge_vertices()
         matrix = turn @ np.asarray(transform, dtype=np.float64)
         vertices = np.array(geometry.vertices, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
         faces = np.array(geometry.faces, dtype=np.int32)

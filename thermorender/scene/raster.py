@@ -31,9 +31,9 @@ class Grid:
     @property
     def bounds(self):
         """(left, bottom, right, top) in map units."""
-        x0, y0 = self.to_map(0, 0)
-        x1, y1 = self.to_map(self.width, self.height)
-        return min(x0, x1), min(y0, y1), max(x0, x1), max(y0, y1)
+        # All four corners: any of them may be the outermost of a turned grid.
+        x, y = self.to_map(np.array([0, self.width, 0, self.width]), np.array([0, 0, self.height, self.height]))
+        return float(x.min()), float(y.min()), float(x.max()), float(y.max())
 
     def to_map(self, column, row):
         """Return map coordinates (x, y) of pixel coordinates counted from the grid's upper left corner."""
@@ -110,6 +110,11 @@ def grid_of(path):
             raise ThermorenderError(
                 f"{path} has no coordinate reference system (CRS); assign one, "
                 "for example with `rio edit-info --crs EPSG:32651`"
+            )
+        if dataset.crs.to_wkt().startswith("GEOCCS"):
+            raise ThermorenderError(
+                f"{path} is in {_crs_name(dataset.crs)}, which counts from the Earth's centre and is no map; bring it "
+                "to one of longitude and latitude or to a projected one, for example with `rio warp`"
             )
         if dataset.transform.is_identity or dataset.transform.is_degenerate:
             raise ThermorenderError(

@@ -61,8 +61,14 @@ class TrackedObject:
         for name, value in given.items():
             if name not in COLUMNS:
                 raise ThermorenderError(f"object {self.name!r} has no {name!r} to set; give {', '.join(COLUMNS)}")
-            if not np.isfinite(value):
-                raise ThermorenderError(f"object {self.name!r}: {name}={value} is not allowed; give a finite number")
+            try:
+                finite = np.isfinite(float(value))
+            except (TypeError, ValueError):
+                finite = False
+            if not finite:
+                raise ThermorenderError(
+                    f"object {self.name!r}: {name}={shortened(repr(value))} is not allowed; give a finite number"
+                )
         if "temperature_k" in given:
             scene_kelvin(f"object {self.name!r}: temperature_k", given["temperature_k"])
         item = self.item

@@ -146,7 +146,7 @@ class Camera:
     shading_mk: float = key(_noise_mk, 0.0)
     shading_mk_per_k: float = key(_noise_mk, 0.0)
     absorptance: float = key(_share, 1.0)
-    time_constant_ms: float = key(number(0.0, 1000.0), 0.0)
+    time_constant_ms: float = key(number(0.0, 10_000.0), 0.0)
     row_time_us: float = key(number(0.0, 1e4), 0.0)
     sigma_t_mk: float = key(_noise_mk, 0.0)
     sigma_tv_mk: float = key(_noise_mk, 0.0)

@@ -5,6 +5,7 @@ Rows are counted in messages as a spreadsheet shows them: the header is row 1.
 
 import csv
 import io
+import re
 from dataclasses import dataclass
 from datetime import datetime, timezone
 
@@ -215,7 +216,10 @@ def _seconds(where, text, pattern, fraction):
             moment = datetime.fromisoformat(text.replace("Z", "+00:00").replace("z", "+00:00"))
         else:
             moment = datetime.strptime(text, pattern)
-        part = float(f"0.{fraction}") if fraction else 0.0
+        # Digits alone: float reads exponents, too.
+        if not re.fullmatch("[0-9]*", fraction):
+            raise ValueError
+        part = float(f"0.{fraction}")
     except ValueError as error:
         shown = f"{text!r}" + (f" with the fraction {fraction!r}" if fraction else "")
         raise ThermorenderError(f"{where}: {shown} is not a time written as {pattern!r}") from error

@@ -77,8 +77,13 @@ class Study:
     goes_on: bool = False
 
 
+# What the cases of stability are held against, by their group.
+_AGAINST = {"faults": "the same work undisturbed, counts of what is wrong", "precision": "the same code in double"}
+
+
 def _stability(found):
-    return [Verdict(f"{each['group']}: {each['name']}", "closed form or limit, each stated in its code",
+    return [Verdict(f"{each['group']}: {each['name']}",
+                    _AGAINST.get(each["group"], "closed form or limit, each stated in its code"),
                     each["expected_k"], float("nan") if each["raised"] else each["found_k"], each["tolerance_k"],
                     each["seconds"]) for each in found["cases"]]  # fmt: skip
 
@@ -185,6 +190,9 @@ def gathered(folder):
         try:
             found = json.loads(path.read_text(encoding="utf-8"))
             verdicts = study.read(found) if study.read else []
+            for each in verdicts:
+                # Which all but numbers refuse.
+                _ = each.share
             told.append((study, verdicts, found.get("machine")))
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise ThermorenderError(

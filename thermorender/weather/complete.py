@@ -5,6 +5,8 @@ import numpy as np
 from thermorender.physics import humidity, sky, sun
 from thermorender.weather.series import Weather
 
+# Altitudes that land, and so weather, has [m].
+LOWEST_M, HIGHEST_M = -500.0, 9000.0
 # Below this the sun tells nothing of clouds: hills, haze and the clear sky's model weigh too much [deg].
 _LOWEST_FOR_CLOUD_DEG = 10.0
 # Over so long the light is averaged before it is compared with a clear sky's [h].

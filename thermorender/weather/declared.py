@@ -6,6 +6,7 @@ import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.units import instant
+from thermorender.weather.complete import HIGHEST_M, LOWEST_M
 from thermorender.weather.epw import read_epw
 from thermorender.weather.named_day import named_day
 from thermorender.weather.station import read_station
@@ -34,11 +35,17 @@ def declared_weather(spec, latitude_deg, longitude_deg, altitude_m, time=None):
     Raises
     ------
     ThermorenderError
-        A file or value that cannot be used, or a time outside the file; the sentence begins with [weather].
+        A file or value that cannot be used, an altitude that no land has, or a time outside the file; the sentence
+        begins with [weather].
     """
     place = latitude_deg, longitude_deg, altitude_m
     snow = spec.snow_depth_m or 0.0
     try:
+        if not LOWEST_M <= altitude_m <= HIGHEST_M:
+            raise ThermorenderError(
+                f"the scene lies {altitude_m:g} m above sea level, where no weather is known; give {LOWEST_M:g} … "
+                f"{HIGHEST_M:g} m, by the terrain's heights or height_m of [frame]"
+            )
         when = instant("time", spec.time if time is None else time)
         if spec.file is not None:
             found = read_station(spec.file, *place, wind_m_s=spec.wind_m_s, snow_depth_m=snow)

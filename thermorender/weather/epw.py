@@ -19,7 +19,7 @@ from thermorender.physics import sun
 from thermorender.units import ZERO_CELSIUS_K
 from thermorender.weather.clock import check_clock
 from thermorender.weather.columns import check_light, check_pressure, check_range, vapour_of
-from thermorender.weather.complete import complete
+from thermorender.weather.complete import HIGHEST_M, LOWEST_M, complete
 from thermorender.weather.gaps import filled, without_offset
 
 # Our quantity: (column, scale, added after, values from which it is missing, whether it is of the hour's end).
@@ -169,7 +169,7 @@ def _stamp(path, number, texts):
         month, day, hour = (int(text) for text in texts)
         # A leap year has all days there are.
         datetime.date(2000, month, day)
-    except ValueError:
+    except (ValueError, OverflowError):
         raise ThermorenderError(
             f"{path}, row {number}: {'/'.join(map(str, texts[:2]))} is no date, or {texts[2]} no hour; mend the row"
         ) from None
@@ -177,7 +177,7 @@ def _stamp(path, number, texts):
 
 
 def _place(path, latitude, longitude, altitude):
-    if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and -500.0 <= altitude <= 9000.0):
+    if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and LOWEST_M <= altitude <= HIGHEST_M):
         raise ThermorenderError(
             f"{path}: latitude {latitude:g}, longitude {longitude:g}, elevation {altitude:g} m of the header are no "
             "place; mend its first line"

@@ -22,9 +22,10 @@ def save(path, learner, facts):
             for key, value in values.items():
                 tensors[f"optimiser/{name}/{index}/{key}"] = torch.as_tensor(value).cpu().contiguous()
         groups[name] = [{k: v for k, v in group.items() if k != "params"} for group in kept["param_groups"]]
+    told = {"facts": json.dumps(facts), "groups": json.dumps(groups)}
     with files.atomic(path) as part:
         try:
-            save_file(tensors, part, {"facts": json.dumps(facts), "groups": json.dumps(groups)})
+            save_file(tensors, part, told | {"checksum": _checksum(told, tensors)})
         except SafetensorError as error:
             raise OSError(str(error)) from error
     files.on_disk(path)
@@ -42,6 +43,9 @@ def load(path, learner):
         with safe_open(path, framework="pt") as file:
             told = file.metadata()
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+        # Weights of which a bit fell over are as good numbers as any.
+        if told.pop("checksum") != _checksum(told, tensors):
+            raise ValueError("its bytes are not those that were written")
         facts, groups = json.loads(told["facts"]), json.loads(told["groups"])
         for name, part in learner.parts.items():
             start = f"net/{name}/"
@@ -63,3 +67,7 @@ def load(path, learner):
             "--run folder"
         ) from None
     return facts
+
+
+def _checksum(told, tensors):
+    return files.digest(sorted(told.items()), {name: tensors[name].numpy() for name in sorted(tensors)})

@@ -7,6 +7,7 @@ from thermorender import files
 from thermorender.errors import ThermorenderError
 
 _EPOCH = ("crops", "seconds", "core_seconds", "validation_mae_k")
+_KINDS = {"method": str, "seed": int, "options": dict, "examples": list}
 SETTINGS, LOG, SAMPLES = "settings.json", "log.jsonl", "samples"
 
 
@@ -20,8 +21,11 @@ def read_settings(folder):
     """
     path = Path(folder) / SETTINGS
     try:
-        found = json.loads(files.read_text(path)) if path.is_file() else None
-        if not isinstance(found, dict) or not {"method", "seed", "options", "examples"} <= set(found):
+        found = files.finite_json(files.read_text(path)) if path.is_file() else None
+        if not isinstance(found, dict) or not all(isinstance(found.get(key), kind) for key, kind in _KINDS.items()):
+            raise ValueError
+        numbers = [found["options"].get("width"), found["options"].get("batch"), *found["examples"][:1]]
+        if len(numbers) < 3 or not all(isinstance(each, int) for each in numbers):
             raise ValueError
     except ValueError:
         raise ThermorenderError(
@@ -39,8 +43,10 @@ def read_log(folder):
     found = []
     for line in files.read_text(path).splitlines() if path.is_file() else ():
         try:
-            epoch = json.loads(line)
-            told = isinstance(epoch, dict) and all(isinstance(epoch.get(name), int | float) for name in _EPOCH)
+            epoch = files.finite_json(line)
+            told = isinstance(epoch, dict) and all(
+                isinstance(epoch.get(name), int | float) and epoch[name] >= 0 for name in _EPOCH
+            )
         except ValueError:
             told = False
         if told:

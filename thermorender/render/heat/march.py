@@ -22,7 +22,7 @@ from thermorender.physics import balance, exchange, humidity
 from thermorender.physics.balance import STEFAN_BOLTZMANN, Forcing, Ground, State
 from thermorender.physics.srgb import linear_from_bytes
 from thermorender.physics.sun import direction
-from thermorender.render.geometry import Geometry
+from thermorender.render.geometry import Geometry, aligned
 from thermorender.render.heat.places import sun_cosine, texel_points
 from thermorender.render.light import cache
 from thermorender.render.variant import activate
@@ -236,8 +236,9 @@ class _March:
         point = np.concatenate([self.middle, texel_points(geometry, texels, face)])
         face = np.concatenate([np.arange(self.faces, dtype=np.uint32), face.astype(np.uint32)])
         point += np.float32(64.0 * 2.0**-24 * (1.0 + geometry.reach)) * self.normal[face]
-        kind = mi.UInt32(self.row[np.concatenate([self.face_material[: self.faces], self.material[texels]])])
-        row = lambda values: dr.gather(mi.Float, mi.Float(np.asarray(values, np.float32)), kind)  # noqa: E731
+        material = np.concatenate([self.face_material[: self.faces], self.material[texels]])
+        kind = mi.UInt32(aligned(self.row[material], np.uint32))
+        row = lambda values: dr.gather(mi.Float, mi.Float(aligned(values)), kind)  # noqa: E731
         rows = lambda values: None if values is None else [row(each) for each in values]  # noqa: E731
         ground = Ground(**{
             name: rows(values) if isinstance(values, list) or values is None else row(values)
@@ -246,8 +247,8 @@ class _March:
         # A face strays as the texel at its middle.
         column = np.concatenate([self.face_texel[: self.faces], texels])
         if self.hidden is not None:
-            ground = _varied(ground, *(mi.Float(np.ascontiguousarray(each[column])) for each in self.hidden[1:]))
-        reflected = row(1.0 - self.columns.absorptance) * mi.Float(np.ascontiguousarray(self.reflects[column]))
+            ground = _varied(ground, *(mi.Float(aligned(each[column])) for each in self.hidden[1:]))
+        reflected = row(1.0 - self.columns.absorptance) * mi.Float(aligned(self.reflects[column]))
         begin = self.state
         state = State(row(begin.surface_k), rows(begin.layers_k), row(begin.film), rows(begin.liquid))
         absorptance = dr.clip(1.0 - reflected, 0.02, 0.98)
@@ -255,11 +256,12 @@ class _March:
         cooler = np.float32(-humidity.LAPSE_K_M) * above_m
         _evaluate(state)
         dr.eval(absorptance)
-        upload = lambda values: (mi.Float(np.ascontiguousarray(axis)) for axis in values.T)  # noqa: E731
-        normal = dr.gather(mi.Vector3f, mi.Vector3f(*upload(self.normal)), mi.UInt32(face))
+        upload = lambda values: (mi.Float(aligned(axis)) for axis in values.T)  # noqa: E731
+        face = mi.UInt32(aligned(face, np.uint32))
+        normal = dr.gather(mi.Vector3f, mi.Vector3f(*upload(self.normal)), face)
         return _Columns(
-            mi.Point3f(*upload(point)), normal, mi.UInt32(face), ground, absorptance, row(self.columns.wind_factor),
-            row(self.columns.indoors) > 0.5, mi.Float(cooler),
+            mi.Point3f(*upload(point)), normal, face, ground, absorptance, row(self.columns.wind_factor),
+            row(self.columns.indoors) > 0.5, mi.Float(aligned(cooler)),
         ), state  # fmt: skip
 
     def _marched(self, texels, tell):
@@ -286,7 +288,7 @@ class _March:
             yield np.array(state.surface_k)
         for number, (at, seconds) in enumerate(steps):
             if own is not None and at >= first_s - _OWN_S - 1e-6:
-                index = mi.UInt32(np.concatenate([np.arange(self.faces), self.faces + own]).astype(np.uint32))
+                index = mi.UInt32(aligned(np.concatenate([np.arange(self.faces), self.faces + own]), np.uint32))
                 each = lambda values, index=index: values and [dr.gather(mi.Float, v, index) for v in values]  # noqa: E731
                 state = State(*each([state.surface_k]), each(state.layers_k), *each([state.film]), each(state.liquid))
                 columns, _ = self._columns(texels)
@@ -363,7 +365,7 @@ class _March:
             ])  # fmt: skip
             beyond = np.float32([self.mean(leaves[:, 0]), self.mean(leaves[:, 1])])
             self.arrives = self.operator @ leaves + self.background[:, None] * beyond
-        upload = lambda values: mi.Float(np.ascontiguousarray(values[: self.faces]))  # noqa: E731
+        upload = lambda values: mi.Float(aligned(values[: self.faces]))  # noqa: E731
         until = _LIGHT_S * (np.floor(at_s / _LIGHT_S + 1e-9) + 1.0)
         return _Light(until, upload(self.sky), upload(self.arrives[:, 0]), upload(self.arrives[:, 1]))
 

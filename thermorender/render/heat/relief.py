@@ -12,7 +12,7 @@ import numpy as np
 
 from thermorender.materials.library import load_library
 from thermorender.physics.sun import direction
-from thermorender.render.geometry import Geometry
+from thermorender.render.geometry import Geometry, aligned
 from thermorender.render.heat.conditions import conditions
 from thermorender.render.heat.places import sun_cosine, texel_points
 from thermorender.render.light import cache
@@ -98,7 +98,7 @@ def _traced(scene, times, geometry, progress):
     height = point[:, 2].reshape(shape)
     around = cv2.GaussianBlur(height, (0, 0), _AROUND_M / surface.texel_m, borderType=cv2.BORDER_REFLECT_101)
     view = cache.traced(geometry, _RAYS)[0].sky.sum(axis=1).astype(np.float32)[covers]
-    upload = lambda values: [mi.Float(np.ascontiguousarray(axis)) for axis in values.T]  # noqa: E731
+    upload = lambda values: [mi.Float(aligned(axis)) for axis in values.T]  # noqa: E731
     point += np.float32(64.0 * 2.0**-24 * (1.0 + geometry.reach)) * normal
     place, up = mi.Point3f(*upload(point)), mi.Vector3f(*upload(normal))
     dr.eval(place, up)

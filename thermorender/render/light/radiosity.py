@@ -22,7 +22,7 @@ import drjit as dr
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.render.geometry import of_faces
+from thermorender.render.geometry import aligned, of_faces
 from thermorender.render.light.gmres import STEPS, gmres
 
 # A cached Transport of another version is not used: count up with every change of what `trace` returns.
@@ -277,12 +277,12 @@ class FaceRays:
         self._mi, self._rays = geometry.mi, 2 * half
         # A power of two of them, which SciPy asks for, of which the first serve.
         points = qmc.Sobol(4, scramble=False).random_base2((2 * half - 1).bit_length())[: 2 * half]
-        self._base = [self._mi.UInt32((column * 2.0**24).astype(np.uint32)) for column in points.T]
+        self._base = [self._mi.UInt32(aligned(column * 2.0**24, np.uint32)) for column in points.T]
         angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 64 * _CHORDS)
         share = 0.5 + (angle + np.sin(angle) * np.cos(angle)) / np.pi
-        self._chord = self._mi.Float(np.interp(np.linspace(0.0, 1.0, _CHORDS + 1), share, angle).astype(np.float32))
+        self._chord = self._mi.Float(aligned(np.interp(np.linspace(0.0, 1.0, _CHORDS + 1), share, angle)))
         found = of_faces(geometry.surfaces, _frames, (4, 3))
-        self._faces = [self._mi.Float(np.ascontiguousarray(found[:, k]).ravel()) for k in range(4)]
+        self._faces = [self._mi.Float(aligned(found[:, k])) for k in range(4)]
         self._lift = 64.0 * 2.0**-24 * (1.0 + geometry.reach)
 
     def __call__(self, first, count, seed):

@@ -10,6 +10,7 @@ import drjit as dr
 import numpy as np
 
 from thermorender.physics.band import RadianceTable
+from thermorender.render.geometry import aligned
 
 # Places per face, and per texel of an average face, from which its mean is taken.
 _FEWEST, _MOST, _PER_TEXEL = 4, 64, 2
@@ -32,7 +33,7 @@ def face_means(geometry, plan, material, temperature, blocks):
     mi, count, spectrum = geometry.mi, geometry.face_count, plan.spectrum
     grid = RadianceTable.grid(plan.coldest, plan.warmest)
     black = spectrum.black(grid).astype(np.float32)
-    material, temperature = mi.UInt8(material), mi.Float(temperature)
+    material, temperature = mi.UInt8(aligned(material, np.uint8)), mi.Float(aligned(temperature))
     # Where each place of each face stands on the grid, and its material: five bytes a place.
     places = []
     for found in geometry.points_in_faces(_pattern(geometry)):
@@ -45,8 +46,8 @@ def face_means(geometry, plan, material, temperature, blocks):
         nodes = range(*block.indices(spectrum.nodes))
         emitted, reflectance = np.empty((count, len(nodes))), np.empty((count, len(nodes)))
         for column, node in enumerate(nodes):
-            table = mi.Float(np.ascontiguousarray(black[:, node]))
-            emissivity = mi.Float(spectrum.emissivity[:, node].astype(np.float32))
+            table = mi.Float(aligned(black[:, node]))
+            emissivity = mi.Float(aligned(spectrum.emissivity[:, node]))
             leaving, epsilon = dr.zeros(mi.Float, count), dr.zeros(mi.Float, count)
             for position, kind in places:
                 lower = mi.UInt32(dr.clip(position, 0.0, float(len(grid) - 2)))
@@ -106,13 +107,13 @@ def bake_channel(geometry, covers, emitted, material, light):
     """
     mi, count, kinds = geometry.mi, *light.shape
     # One more row for texels that no face covers: the mean, as they only blend into their neighbours.
-    table = mi.Float(np.vstack([light, light.mean(axis=0, dtype=np.float64)]).astype(np.float32).ravel())
-    material = mi.UInt8(material)
+    table = mi.Float(aligned(np.vstack([light, light.mean(axis=0, dtype=np.float64)])))
+    material = mi.UInt8(aligned(material, np.uint8))
 
     def reflected(face, number):
         return dr.gather(mi.Float, table, face * kinds + mi.UInt32(dr.gather(mi.UInt8, material, number)))
 
-    texel = mi.Float(emitted) + reflected(covers, dr.arange(mi.UInt32, len(emitted)))
+    texel = mi.Float(aligned(emitted)) + reflected(covers, dr.arange(mi.UInt32, len(emitted)))
     dr.eval(texel)
     face = dr.arange(mi.UInt32, count)
     mean, square = dr.zeros(mi.Float, count), dr.zeros(mi.Float, count)

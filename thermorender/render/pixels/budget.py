@@ -8,7 +8,8 @@ hold for what no ray met and no neighbour tells of.
 import drjit as dr
 import numpy as np
 
-from thermorender.render.geometry import opaque_view, view_ray
+from thermorender.render import mirrors
+from thermorender.render.geometry import view_ray
 from thermorender.render.pixels.sampling import STAGES, contrast, edge_estimate, texture_estimate
 
 # Every how many pixels the light's error is looked up.
@@ -18,11 +19,13 @@ _PIXELS = 16
 _AUDITED = ((1024, STAGES[0]), (256, STAGES[-1]), (256, STAGES[-1]))
 # Standard errors of what these tell that are added to it: the few that err most are seldom drawn.
 _SURE = 3.0
+# Of the light between mirrors, the largest share that is taken to be passed on.
+_MOST_PASSED = 0.98
 # No guess is smaller [mK].
 _LEAST_MK = 1.0
 
 
-def budget_mk(baked, tracer, pose, radiance, sampling):
+def budget_mk(baked, tracer, pose, placements, radiance, sampling):
     """Return {cause: estimated root mean square error [mK]} of a frame, as `Frame.budget_mk` has it.
 
     Over the pixels that show a surface.
@@ -34,6 +37,8 @@ def budget_mk(baked, tracer, pose, radiance, sampling):
         Of the view.
     pose : (4, 4) array
         world_from_camera.
+    placements : sequence of Placement
+        Of the dynamic objects.
     radiance : (H, W) float32
         [W m⁻² sr⁻¹].
     sampling : Sampling
@@ -41,12 +46,15 @@ def budget_mk(baked, tracer, pose, radiance, sampling):
     errors = sampling_error(baked.plan, tracer, radiance, sampling)
     parts = _everywhere(baked)
     # Of every so many pixels, for speed.
-    parts["bake"] = _rms(_light(baked, tracer.rays, pose, _PIXELS))
+    light, mirrored = _light(baked, tracer.rays, pose, placements, _PIXELS)
+    parts["bake"] = _rms(light)
+    if baked.plan.specular:
+        parts["mirrors"] = float(np.hypot(parts["mirrors"], _rms(mirrored)))
     parts["sampling"] = _rms(errors / baked.plan.radiance_per_mk)
     return {**parts, "total": float(np.sqrt(sum(value**2 for value in parts.values())))}
 
 
-def error_mk(baked, tracer, pose, radiance, sampling):
+def error_mk(baked, tracer, pose, placements, radiance, sampling):
     """Return the estimated error of each pixel by all causes, (H, W) float32 [mK at 300 K]; NaN without a surface.
 
     Parameters as of `budget_mk`.
@@ -54,7 +62,7 @@ def error_mk(baked, tracer, pose, radiance, sampling):
     errors = sampling_error(baked.plan, tracer, radiance, sampling)
     rays = tracer.rays
     light = np.zeros(radiance.size)
-    light[rays.order] = np.nan_to_num(_light(baked, rays, pose, 1))
+    light[rays.order] = np.nan_to_num(np.hypot(*_light(baked, rays, pose, placements, 1)))
     square = light.reshape(radiance.shape) ** 2 + np.square(errors / baked.plan.radiance_per_mk, dtype=np.float64)
     square += sum(value**2 for value in _everywhere(baked).values())
     return np.sqrt(square).astype(np.float32)
@@ -71,17 +79,40 @@ def _everywhere(baked):
     return parts
 
 
-def _light(baked, rays, pose, every):
-    """Error of the light on what every so many pixels show, in the order of `rays` [mK]; NaN where nothing is hit."""
+def _light(baked, rays, pose, placements, every):
+    """Errors of what every so many pixels show, in the order of `rays` [mK]; NaN where nothing is hit.
+
+    Those of the light on it, and what the limit to reflections by mirrors leaves out.
+    """
     device, mi = baked.device, baked.device.geometry.mi
     slope = rays.slopes(0.5, 0.5, dr.arange(mi.UInt32, 0, len(rays.order), every))
-    hit = device.geometry.seen(view_ray(mi, *opaque_view(mi, pose), *slope))
-    square = np.zeros(len(slope[0]))
-    if device.face_error is not None:
-        shown = np.array(dr.gather(mi.Float, device.face_error, hit.face, hit.valid), dtype=np.float64)
-        # What differs within the faces is known of the scene only.
-        square = shown / baked.plan.radiance_per_mk**2 + baked.errors_mk["faces"] ** 2
-    return np.where(np.array(hit.valid), np.sqrt(square), np.nan)
+    # What differs within the faces is known of the static scene only.
+    within = (baked.errors_mk["faces"] * baked.plan.radiance_per_mk) ** 2
+    distance = dr.full(mi.Float, np.inf, len(slope[0]))
+    square, *steps = (dr.zeros(mi.Float, len(slope[0])) for _ in range(3))
+    state = [mi.UInt32(0)] * 4
+    layers = device.layers(pose, placements)
+    for number, (layer, error) in enumerate(zip(layers, device.face_errors(placements), strict=True)):
+        geometry, ray = layer.geometry, view_ray(mi, *layer.view, *slope)
+        hit = geometry.seen(ray)
+        nearer = hit.valid & (hit.distance < distance)
+        if error is not None:
+            own = dr.gather(mi.Float, error, hit.face, nearer) + (0.0 if number else within)
+            square = dr.select(nearer, own, square)
+        place = geometry.map_position(geometry.record(hit.face, hit.valid), ray.o + hit.distance * ray.d)
+        own = mi.UInt32(number), hit.face, *mirrors.met(layer, hit, place)
+        state = [dr.select(nearer, new, old) for new, old in zip(own, state, strict=True)]
+        distance = dr.select(nearer, hit.distance, distance)
+    if any(layer.outgoing.mirror for layer in layers):
+        ray = view_ray(mi, *layers[0].view, *slope)
+        steps = mirrors.last_steps(layers, ray.o, ray.d, distance, *state)
+    dr.eval(square, steps, distance)
+    nothing = ~np.isfinite(np.array(distance))
+    found = [np.sqrt(np.array(square, dtype=np.float64)), *(np.array(step, dtype=np.float64) for step in steps)]
+    light, mirrored, next_step = (np.where(nothing, np.nan, values) / baked.plan.radiance_per_mk for values in found)
+    # As if each step were as much less than the one before.
+    share = min(_rms(next_step) / max(_rms(mirrored), 1e-30), _MOST_PASSED)
+    return light, mirrored / (1.0 - share)
 
 
 def _rms(values):

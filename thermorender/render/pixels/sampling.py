@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import drjit as dr
 import numpy as np
 
+from thermorender.render.geometry import aligned
+
 # Sub-pixel offsets (right, down) in 0…1: lattices whose rows and columns are all different, with one point in each of
 # the cells that a pixel is cut into.
 _MULTIPLIER = {1: 1, 2: 1, 8: 5, 16: 5}
@@ -20,6 +22,8 @@ PATTERNS = {
 } | {4: ((0.375, 0.125), (0.875, 0.375), (0.125, 0.625), (0.625, 0.875))}
 _CELLS = {1: (1, 1), 2: (1, 2), 4: (2, 2), 8: (2, 4), 16: (4, 4)}
 
+# Pixels beyond the image that are looked at: one tells of an edge between the two, and one of an edge in that one.
+RING = 2
 # Rays of an edge pixel, one stage after the other: after each, only pixels that still need it go on.
 STAGES = (16, 64)
 # Second difference of inverse depth, over inverse depth, from which on a pixel surely shows an edge.
@@ -51,7 +55,7 @@ def morton_order(height, width):
 
 
 class CameraRays:
-    """A camera's rays on the render side.
+    """A camera's rays on the render side, and those of a ring of pixels round its image, which tell of edges there.
 
     Attributes
     ----------
@@ -59,11 +63,11 @@ class CameraRays:
     width, height : int
         Of its image [px].
     order : (H·W,) int64
-        Pixel numbers in the order the arrays keep.
+        Pixel numbers in the order the arrays keep; the ring follows.
     position : (H·W,) int64
         Where in that order each pixel is.
-    pixel : UInt32
-        `order` on the render side.
+    ringed : UInt32
+        Pixel numbers in the image with its ring of all in that order.
     """
 
     def __init__(self, mi, camera):
@@ -71,24 +75,30 @@ class CameraRays:
         self.order = morton_order(camera.height, camera.width)
         self.position = np.empty_like(self.order)
         self.position[self.order] = np.arange(self.order.size)
-        self.pixel = mi.UInt32(self.order.astype(np.uint32))
         row, column = np.divmod(self.order, camera.width)
+        ring = np.argwhere(np.pad(np.zeros((camera.height, camera.width), bool), RING, constant_values=True)) - RING
+        row, column = np.concatenate([[row, column], ring.T], axis=1)
+        self.ringed = mi.UInt32(aligned((row + RING) * (camera.width + 2 * RING) + column + RING, np.uint32))
+        # A pixel of the ring is told by the one beside it in the image: its lens may end there.
+        beside = np.clip(row, 0, camera.height - 1), np.clip(column, 0, camera.width - 1)
 
         def slopes(right, down):
-            return camera.directions(np.stack([column + right, row + down], axis=-1))[:, :2]
+            return camera.directions(np.stack([beside[1] + right, beside[0] + down], axis=-1))[:, :2]
 
         # Within a pixel a lens is linear to 1e-6 of a pixel.
-        parts = (slopes(0.5, 0.5), slopes(1.0, 0.5) - slopes(0.0, 0.5), slopes(0.5, 1.0) - slopes(0.5, 0.0))
-        self._parts = [[mi.Float(part[:, axis].astype(np.float32)) for axis in (0, 1)] for part in parts]
+        across, along = slopes(1.0, 0.5) - slopes(0.0, 0.5), slopes(0.5, 1.0) - slopes(0.5, 0.0)
+        off = [(at - inside)[:, None] for at, inside in zip((row, column), beside, strict=True)]
+        parts = (slopes(0.5, 0.5) + off[1] * across + off[0] * along, across, along)
+        self._parts = [[mi.Float(aligned(part[:, axis])) for axis in (0, 1)] for part in parts]
         self._offsets = _net()
-        self._net = [mi.Float(values.astype(np.float32)) for values in self._offsets.T]
+        self._net = [mi.Float(aligned(values)) for values in self._offsets.T]
 
     def slopes(self, right, down, index=None):
-        """Return the slopes (x/z, y/z) of offsets 0…1 in pixels, of all or of those at `index` in the order."""
+        """Return the slopes (x/z, y/z) of offsets 0…1 in pixels at `index` in the order, or of all and the ring."""
         return self._sloped(right, down, index)[0]
 
     def footprints(self, samples):
-        """Return the Footprints of `samples` rays of every pixel, a list."""
+        """Return the Footprints of `samples` rays of every pixel and of the ring's, a list."""
         rows, columns = _CELLS[samples]
         size = dr.opaque(self._mi.Float, 1.0 / columns), dr.opaque(self._mi.Float, 1.0 / rows)
         found = []
@@ -132,7 +142,7 @@ class CameraRays:
         count, start = dr.opaque(mi.UInt32, last - first), dr.opaque(mi.UInt32, first)
         ray = dr.arange(mi.UInt32, len(position) * (last - first))
         pixel = ray // count
-        index = dr.gather(mi.UInt32, mi.UInt32(position.astype(np.uint32)), pixel)
+        index = dr.gather(mi.UInt32, mi.UInt32(aligned(position, np.uint32)), pixel)
         offset = [dr.gather(mi.Float, values, ray % count + start) for values in self._net]
         if within is not None:
             # A thing stands in the middle of its rectangle, where the same net would err alike each time.
@@ -147,7 +157,7 @@ class CameraRays:
         size = [1.0 / side, 1.0 / side]
         if within is not None:
             corner, sides = (
-                [dr.gather(mi.Float, mi.Float(part[:, axis].astype(np.float32)), pixel) for axis in (0, 1)]
+                [dr.gather(mi.Float, mi.Float(aligned(part[:, axis])), pixel) for axis in (0, 1)]
                 for part in (within.corner, within.size)
             )
             offset = [dr.fma(value, a, b) for value, a, b in zip(offset, sides, corner, strict=True)]
@@ -182,7 +192,7 @@ class Footprint:
 
 def _round(mi, values, shift, index):
     """(x, y) in 0…1, shifted by those of `shift` (n, 2) at `index` and round."""
-    by = (dr.gather(mi.Float, mi.Float(part.astype(np.float32)), index) for part in np.asarray(shift).T)
+    by = (dr.gather(mi.Float, mi.Float(aligned(part)), index) for part in np.asarray(shift).T)
     total = [value + each for value, each in zip(values, by, strict=True)]
     return [value - dr.floor(value) for value in total]
 
@@ -208,10 +218,11 @@ def edge_step(radiance, inverse_depth, surface=None):
 
     Parameters
     ----------
-    radiance : (H, W) float32
-    inverse_depth : (H, W) float32
+    radiance : (H + 2 RING, W + 2 RING) float32
+        Of the image with its ring.
+    inverse_depth : (H + 2 RING, W + 2 RING) float32
         1/depth along the optical axis [1/m], 0 where nothing is hit.
-    surface : (H, W) float32, optional
+    surface : (H + 2 RING, W + 2 RING) float32, optional
         Number of the surface seen.
 
     Notes
@@ -227,7 +238,8 @@ def edge_step(radiance, inverse_depth, surface=None):
         bend[_second_difference(surface) != 0.0] = 1.0
     bend = np.minimum(bend, 1.0)
     bend = np.maximum(bend, _BESIDE * cv2.dilate(bend, near))
-    return bend * np.maximum(cv2.dilate(radiance, near) - radiance, radiance - cv2.erode(radiance, near))
+    step = bend * np.maximum(cv2.dilate(radiance, near) - radiance, radiance - cv2.erode(radiance, near))
+    return step[RING:-RING, RING:-RING]
 
 
 def contrast(radiance):

@@ -13,11 +13,13 @@ import numpy as np
 from thermorender.render import mirrors
 from thermorender.render.geometry import Hit, view_ray
 from thermorender.render.pixels.footprint import PLACES, OnMap, Reading
-from thermorender.render.pixels.sampling import STAGES, UNSEEN, edge_step, typical_edge_estimate
+from thermorender.render.pixels.sampling import RING, STAGES, UNSEEN, edge_step, typical_edge_estimate
 from thermorender.render.pixels.slender import Rectangles
 
 # A thing with edges all round errs by more than one edge: of 3000 turned squares and rods 1.3 to 1.4 times.
 _ISLAND = 1.5
+# Inverse depth of the sky in a mirror [1/m]: above 0, which tells that nothing is hit.
+_ENDLESS = 1e-37
 
 
 @dataclass(frozen=True)
@@ -104,19 +106,23 @@ class Tracer:
         total = [value / self._samples for value in total]
         # One or two more channels tell where the edges are.
         x, y = cell.slope
-        total.append(dr.select(hit.valid, dr.sqrt(1.0 + x * x + y * y) / (hit.distance + hit.mirrored), 0.0))
+        near = dr.sqrt(1.0 + x * x + y * y) / (hit.distance + hit.mirrored)
+        total.append(dr.select(hit.valid, dr.maximum(near, _ENDLESS), 0.0))
         if several and edge_limit < np.inf:
             total.append(mi.Float(hit.surface))
         # A target of its own for each channel: several scatters into one array would each cast the rays again.
-        targets = [dr.zeros(mi.Float, rays.width * rays.height) for _ in total]
+        sides = rays.height + 2 * RING, rays.width + 2 * RING
+        targets = [dr.zeros(mi.Float, sides[0] * sides[1]) for _ in total]
         for target, value in zip(targets, total, strict=True):
-            dr.scatter(target, value, rays.pixel)
+            dr.scatter(target, value, rays.ringed)
         dr.eval(targets)
-        image = np.stack([target.numpy() for target in targets]).reshape(-1, rays.height, rays.width)
-        guide, image = image[channels:], image[:channels]
+        ringed = np.stack([target.numpy() for target in targets]).reshape(-1, *sides)
+        inside = ..., slice(RING, -RING), slice(RING, -RING)
+        image, guide = ringed[inside][:channels].copy(), ringed[channels:]
+        met = guide[inside][0] > 0.0
         if not edge_limit < np.inf:
-            return image, Sampling(guide[0] > 0.0, None)
-        step = edge_step(image.sum(axis=0), *guide)
+            return image, Sampling(met, None)
+        step = edge_step(ringed[:channels].sum(axis=0), *guide)
         flat, thin = image.reshape(channels, -1), self._slender()
         on = typical_edge_estimate(step, self._samples).ravel() > edge_limit
         on[thin.pixels] = False
@@ -124,7 +130,7 @@ class Tracer:
         refined = self._refine(flat, pixels, UNSEEN * step.ravel()[pixels], edge_limit)
         if thin.pixels.size:
             refined += self._refine(flat, thin.pixels, np.zeros(len(thin.pixels)), edge_limit, thin)
-        return image, Sampling(guide[0] > 0.0, step, refined)
+        return image, Sampling(met, step, refined)
 
     def anew(self, pixels, count, random):
         """Return (channels, n): the mean over `count` rays of pixels by flat number, each read as a judge does.
@@ -219,25 +225,24 @@ class Tracer:
         reading : Reading
         """
         layers = self._layers
-        hit, total = self._trace(layers[0], cell, reading)
-        surfaces = len(layers[0].geometry.surfaces)
-        for layer in layers[1:]:
-            other, values = self._trace(layer, cell, reading)
-            nearer = other.distance < hit.distance
-            total = [dr.select(nearer, b, a) for a, b in zip(total, values, strict=True)]
-            hit = Hit(
-                hit.valid | nearer,
-                dr.minimum(hit.distance, other.distance),
-                dr.select(nearer, other.face, hit.face),
-                dr.select(nearer, other.surface + surfaces, hit.surface),
-                dr.select(nearer, other.mirrored, hit.mirrored),
-            )
+        best, surfaces = None, 0
+        for number, layer in enumerate(layers):
+            hit, values, mirror = self._trace(layer, cell, reading)
+            own = [hit.distance, hit.valid, hit.face, hit.surface + surfaces, self._mi.UInt32(number), *mirror, *values]
+            nearer = best and hit.distance < best[0]
+            best = [dr.select(nearer, a, b) for a, b in zip(own, best, strict=True)] if best else own
             surfaces += len(layer.geometry.surfaces)
-        ray = view_ray(self._mi, *layers[0].view, *cell.slope)
+        (distance, valid, face, surface, *mirror), total = best[:7], best[7:]
+        hit, ray = Hit(valid, distance, face, surface), view_ray(self._mi, *layers[0].view, *cell.slope)
+        if any(layer.outgoing.mirror for layer in layers):
+            number, texel, row = mirror
+            met = ray.o, ray.d, distance, number, face, texel, row
+            added, mirrored = mirrors.correction(layers, mirrors.DEPTH, *met)
+            hit, total = replace(hit, mirrored=mirrored), [a + b for a, b in zip(total, added, strict=True)]
         return hit, self._medium.at_camera(hit, total, ray.o, ray.d)
 
     def _trace(self, layer, cell, reading):
-        """As `_shade`, of one layer and before the light passes the medium."""
+        """(hit, channels, (texel, row) as by `mirrors.met`) of one layer, without mirrors and before the medium."""
         mi, geometry, outgoing = self._mi, layer.geometry, layer.outgoing
         rotation, origin = layer.view
         ray = view_ray(mi, rotation, origin, *cell.slope)
@@ -252,8 +257,4 @@ class Tracer:
             # Squares of texels hold many faces, and the light on them.
             own = outgoing.faces.at(hit.face, hit.valid & (level == 0))
             total = [a + b for a, b in zip(total, own, strict=True)]
-        if outgoing.mirror:
-            texel = geometry.nearest(hit.surface, *position, hit.valid)
-            added, mirrored = mirrors.correction(self._layers, layer, ray, hit, texel)
-            hit, total = replace(hit, mirrored=mirrored), [a + b for a, b in zip(total, added, strict=True)]
-        return hit, total
+        return hit, total, mirrors.met(layer, hit, position)

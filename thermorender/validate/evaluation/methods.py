@@ -14,6 +14,7 @@ import numpy as np
 from thermorender.campaign.dataset import Pair
 from thermorender.campaign.map_inputs import NO_MATERIAL, inputs_of
 from thermorender.errors import ThermorenderError
+from thermorender.files import decoded
 from thermorender.footage.radiometric_files import read_temperature
 from thermorender.frame import apparent_temperature
 from thermorender.validate.bench import forget_peak_memory, peak_memory_mib
@@ -252,7 +253,10 @@ class Foreign:
         import cv2
 
         path = self.files[view.pair.entry.key]
-        image = read_temperature(path) if self.scaled else cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        if self.scaled:
+            image = read_temperature(path)
+        else:
+            image = decoded(path.read_bytes(), cv2.IMREAD_UNCHANGED) if path.is_file() else None
         if image is not None and image.ndim == 3 and (image[..., :3] == image[..., :1]).all():
             image = image[..., 0]
         if image is None or image.shape != view.true.shape:

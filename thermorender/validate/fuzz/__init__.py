@@ -18,6 +18,7 @@ import zipfile
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 
@@ -35,6 +36,7 @@ _NUMBERS = (
     "true", '"x"', "[]", "1.5.2", "٣", "−5", "1,5",
 )  # fmt: skip
 _AT_LEAST = 20
+_PNG = b"\x89PNG\r\n\x1a\n"
 HEADER = (
     "reader", "refused", "accepted", "foreign errors", "not finite", "too slow", "crashed", "rendered", "refused then",
 )  # fmt: skip
@@ -115,7 +117,12 @@ def damaged(whole: bytes, reader: str, number: int, seed: int = 0) -> bytes:
     """Return input `number` of a reader: its whole file's bytes with up to four changes."""
     rng = np.random.default_rng([seed, zlib.crc32(reader.encode()), number])
     for _ in range(1 + rng.integers(4)):
-        deep = _OF_TEXT if _is_text(whole) else _OF_ARRAYS if zipfile.is_zipfile(io.BytesIO(whole)) else _OF_BYTES
+        if _is_text(whole):
+            deep = _OF_TEXT
+        elif whole.startswith(_PNG):
+            deep = _OF_CHUNKS
+        else:
+            deep = _OF_ARRAYS if zipfile.is_zipfile(io.BytesIO(whole)) else _OF_BYTES
         whole = rng.choice(deep if rng.random() < 0.75 else _OF_BYTES)(whole, rng)
     return whole
 
@@ -127,7 +134,7 @@ def _ends(name, job, numbers, seed, limits):
     numbers, ends, (most_s, _) = list(numbers), [], limits
     with tempfile.TemporaryDirectory(prefix="thermorender-fuzz-") as folder:
         path = Path(folder) / READERS[name].file
-        READERS[name].make(path.parent)
+        READERS[name].make(Path(folder))
         whole = path.read_bytes()
         while len(ends) < len(numbers):
             here, there = context.Pipe(duplex=False)
@@ -158,6 +165,10 @@ def _ends(name, job, numbers, seed, limits):
 def _work(pipe, name, job, path, whole, numbers, seed, limits):
     """Do the job on inputs and send what became of each."""
     most_s, most_bytes = limits
+    # What is imported, and what is made once of the whole file, is not counted.
+    path.write_bytes(whole)
+    with suppress(Exception):
+        job(path)
     used = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
     resource.setrlimit(resource.RLIMIT_AS, (used + most_bytes, resource.RLIM_INFINITY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -293,6 +304,28 @@ def _cell(whole, rng):
     return whole[:at] + bytes(other) + whole[at + 1 :]
 
 
+def _chunk(whole, rng):
+    """One chunk of a PNG changed, and its checksum made anew; of pixels mostly as they are once unpacked."""
+    chunks, place = [], len(_PNG)
+    while place < len(whole):
+        size = int.from_bytes(whole[place : place + 4], "big")
+        chunks.append((whole[place + 4 : place + 8], whole[place + 8 : place + 8 + size]))
+        place += 12 + size
+    if not chunks:
+        return _flip(whole, rng)
+    at, change = rng.integers(len(chunks)), _OF_BYTES[rng.integers(len(_OF_BYTES))]
+    kind, data = chunks[at]
+    if kind == b"IDAT" and rng.random() < 0.8:
+        # Of what is damaged already, as much as can be unpacked.
+        with suppress(zlib.error):
+            chunks[at] = kind, zlib.compress(change(zlib.decompressobj().decompress(data, 1 << 20), rng))
+    else:
+        chunks[at] = kind, change(data, rng)
+    return _PNG + b"".join(
+        len(data).to_bytes(4, "big") + kind + data + zlib.crc32(kind + data).to_bytes(4, "big") for kind, data in chunks
+    )
+
+
 def _array(whole, rng):
     """One array of an .npz with other values, another shape or type, or without it."""
     try:
@@ -326,4 +359,5 @@ def _array(whole, rng):
 
 _OF_BYTES = (_flip, _cut, _leave_out, _repeat, _overwrite)
 _OF_ARRAYS = (_array,)
+_OF_CHUNKS = (_chunk,)
 _OF_TEXT = (_number, _number, _number, _lines, _lines, _cell, _flip)

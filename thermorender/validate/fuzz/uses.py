@@ -5,6 +5,7 @@ still refuse in a sentence of our own what a file alone does not tell: a track b
 """
 
 import re
+import shutil
 from functools import lru_cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,6 +14,7 @@ import numpy as np
 
 from thermorender.defaults import TEMPERATURE_MAPS
 from thermorender.validate.fuzz.corpus import READERS
+from thermorender.validate.fuzz.corpus.tables import DJI, of_tape7
 
 _WEATHER = """[weather]
 time = "2018-07-29T12:00:00Z"
@@ -23,6 +25,7 @@ wind_m_s = 2.0
 cloud = 0.2
 """
 _STATION = '[weather]\ntime = "2018-07-29T12:00:00Z"\nfile = "weather.csv"\n'
+_YEAR = '[weather]\ntime = "2018-07-29T12:00:00Z"\nepw = "year.{}"\n'
 _RASTERS = 'elevation = "elevation.tif"\northophoto = "orthophoto.tif"\n'
 _BALANCE = 'source = "balance"\n'
 _WARM, _GREY = 'source = "constant"\nvalue = 290.0\n', 'source = "constant"\nvalue = 0.95\n'
@@ -78,11 +81,13 @@ def _of(material):
     return f'source = "material"\nmaterial = "{material}"\n'
 
 
-def _sample(path):
+def _sample(path, **more):
     from thermorender.materials.from_samples import import_files
 
     origin = {} if path.suffix == ".txt" else {"source": "made", "citation": "none", "licence": "none"}
-    import_files([path], path.parent / "materials", "tried", solar_absorptance=0.7, replace=True, **origin)
+    import_files(
+        [path], path.parent / "materials", "tried", solar_absorptance=0.7, replace=True, **origin, **more
+    )
     return _frame(_load(path.parent, emissivity=_of("tried")))
 
 
@@ -104,21 +109,49 @@ def _flown(path, **more):
 
 def _mapped(path):
     log = path.with_name("log.csv")
-    log.write_text(
-        "lat_deg,lon_deg,rel_alt_m,flight_yaw_deg,flight_pitch_deg,flight_roll_deg,gimbal_yaw_deg,gimbal_pitch_deg,"
-        "gimbal_roll_deg,local_datetime,subsec,utc_at_exposure\n"
-        + "".join(f"47.2{k},8.5,{40 + k},{k},0,0,0,{k - 90},0,,,2024-08-06T15:35:0{k}.25Z\n" for k in range(4))
-    )
+    log.write_text(DJI)
     return _flown(log, format=path)
 
 
-def _through(path):
+def _along(path, read):
+    """A frame from the middle of a log, whose reader gives the pose there."""
+    return _frame(_base(), read(path)[1])
+
+
+def _through(path, air='file = "air.npz"\n'):
     """A frame through an atmosphere, by a camera of its band."""
     camera = READERS["camera"]
     camera.make(path.parent)
     table = path.with_name(camera.file)
     table.write_text(re.sub("band_um = .*", "band_um = [9.0, 10.0]", table.read_text()))
-    return _shown(path, around='[atmosphere]\nfile = "air.npz"\n', more='[camera]\nmodel = "camera.toml"\n')
+    return _shown(path, around=f"[atmosphere]\n{air}", more='[camera]\nmodel = "camera.toml"\n')
+
+
+def _by_tape7(path):
+    """A frame through the air of a tape7."""
+    of_tape7(path).save(path.with_name("air.npz"))
+    return _through(path)
+
+
+def _indexed(path):
+    """A frame of ground of the first material that a library's index names."""
+    from thermorender.materials.library import read_library
+
+    library = path.parent / "materials"
+    library.mkdir(exist_ok=True)
+    shutil.copy(path, library)
+    shutil.copytree(path.parent / "spectra", library / "spectra", dirs_exist_ok=True)
+    return _frame(_load(path.parent, emissivity=_of(next(iter(read_library(library)), "asphalt"))))
+
+
+def _selected(path):
+    """A frame of ground of the first material that a selection of samples makes."""
+    from thermorender.materials.from_samples import read_selection
+    from thermorender.materials.store import write_materials
+
+    made = read_selection(path, [path.parent])
+    write_materials(made, path.parent / "materials", replace=True)
+    return _frame(_load(path.parent, emissivity=_of(made[0].name)))
 
 
 def _whole_scene(path):
@@ -127,11 +160,18 @@ def _whole_scene(path):
     return _frame(load_scene(path.parent))
 
 
-def _translated(path):
-    from thermorender.campaign.pictures import read_visible
+def _translated(path, read):
     from thermorender.learned.temperature_map import Inputs, load_model
 
-    return (load_model(TEMPERATURE_MAPS[-1]).radiance(Inputs(read_visible(path)[0])),)
+    return (load_model(TEMPERATURE_MAPS[-1]).radiance(Inputs(read(path)[0])),)
+
+
+def _by_network(path):
+    """A photograph through a network."""
+    from thermorender.learned.temperature_map import Inputs, load_map
+
+    noise = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
+    return (load_map(path).radiance(Inputs(noise, 0.2)),)
 
 
 def _shown(path, **tables):
@@ -176,6 +216,26 @@ USES = {
     "orthophoto": partial(_shown, temperature=f'source = "learned"\nmodel = "{TEMPERATURE_MAPS[-1]}"\n'),
     "scene": _whole_scene,
     "classes": partial(_shown, emissivity=_CLASSES),
-    "picture": _translated,
-    **{f"mesh {kind}": partial(_shown, terrain=f'mesh = "model.{kind}"\n') for kind in ("ply", "obj", "glb")},
+    **{f"mesh {kind}": partial(_shown, terrain=f'mesh = "model.{kind.split()[0]}"\n')
+       for kind in ("ply", "obj", "glb", "glb painted", "gltf")},
+    **{f"mesh's coat.{kind}": partial(_shown, terrain='mesh = "model.obj"\n') for kind in ("mtl", "png")},
+    "DJI log": partial(_along, read=READERS["DJI log"].read),
+    "PX4 log": partial(_along, read=READERS["PX4 log"].read),
+    "rocket log": partial(_along, read=READERS["rocket log"].read),
+    **dict.fromkeys(
+        ("absorption data", "gas profile"),
+        partial(_through, air='profile = "gases.csv"\nabsorption = "absorption.npz"\n'),
+    ),
+    "tape7": _by_tape7,
+    "weather year EPW": partial(_shown, temperature=_BALANCE, emissivity=_of("asphalt"), more=_YEAR.format("epw")),
+    "weather year TMY3": partial(_shown, temperature=_BALANCE, emissivity=_of("asphalt"), more=_YEAR.format("csv")),
+    "material index": _indexed,
+    "SLUM": partial(_sample, columns=["A001"]),
+    "selection of samples": _selected,
+    "temperatures": partial(_shown, temperature='source = "raster"\nraster = "temperature.tif"\n'),
+    "file beside a raster": _shown,
+    **{name: partial(_translated, read=READERS[name].read)
+       for name in ("picture", *(f"photograph{kind}" for kind in ("", " webp", " tif", " bmp", " jpg")))},
+    "map compact": _by_network,
+    "map unet-gan": _by_network,
 }

@@ -8,7 +8,7 @@ import hashlib
 import json
 import shutil
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -83,10 +83,9 @@ class Frames:
         """
         place = self._place(method)
         facts = place / "facts.json"
-        if facts.is_file():
-            told = json.loads(facts.read_text(encoding="utf-8"))
-            if told["split"] or not split:
-                return told
+        told = _kept(facts)
+        if told and (told["split"] or not split):
+            return told
         say = say or (lambda what, share: None)
         say(f"solving the light of {method.label}", 0.0)
         place.mkdir(parents=True, exist_ok=True)
@@ -106,7 +105,8 @@ class Frames:
                 np.save(place / f"{index:04d}_terms.npy", terms.pictures(pose, time_s))
         told |= describe(method)
         method.close()
-        files.write_json(facts, told)
+        told["checksums"] = {path.name: files.checksum(path) for path in sorted(place.glob("*.npy"))}
+        files.write_json(facts, files.sealed(told))
         return told
 
     def radiance(self, method, index):
@@ -122,3 +122,12 @@ class Frames:
             own = (method.label, sorted(method.kelvin.items()), method.model.digest() if method.model else None)
             self._places[method.label] = self._folder / hashlib.blake2b(repr(own).encode(), digest_size=8).hexdigest()
         return self._places[method.label]
+
+
+def _kept(facts):
+    """What is told of frames that wait, or None where it or one of them is damaged or missing."""
+    with suppress(OSError, ValueError):
+        told = files.unsealed(json.loads(facts.read_text(encoding="utf-8")))
+        if all(files.checksum(facts.with_name(name)) == known for name, known in told["checksums"].items()):
+            return told
+    return None

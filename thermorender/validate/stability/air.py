@@ -5,9 +5,8 @@ from functools import cache
 
 import numpy as np
 
-from thermorender.atmosphere.emission import TOP_M
 from thermorender.atmosphere.model import HIGHEST_CAMERA_M, Atmosphere
-from thermorender.atmosphere.rays import EARTH_RADIUS_M, horizon_cos_zenith
+from thermorender.atmosphere.rays import EARTH_RADIUS_M, TOP_M, horizon_cos_zenith
 from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library

@@ -22,21 +22,18 @@ from unittest.mock import patch
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.validate.fuzz.corpus import READERS
+from thermorender.validate.fuzz.corpus import READERS, Reader
 from thermorender.validate.stability.cases import Found, case
 from thermorender.validate.stability.victims import (
     FRAMES,
     images,
-    learner,
     renderer,
     sentence,
-    write_checkpoint,
-    write_picture,
     write_scene,
 )  # fmt: skip
 
 # Lives that a job is killed in, and the longest any of them may take [s]: what takes longer hangs.
-KILLS, _MOST_S = 5, 120.0
+KILLS, _MOST_S = 5, 900.0
 # Parts of a file that are left of it.
 _CUTS = (0.0, 0.25, 0.5, 0.9)
 
@@ -356,45 +353,20 @@ def lowtran():
     return Found(float(wrong), 0.0, 0.0)
 
 
-def _read_checkpoint(path):
-    from thermorender.learned.networks import checkpoint
-
-    checkpoint.load(path, learner())
-
-
-def _read_weights(path):
-    from thermorender.learned.networks.architectures.perception import Perception
-
-    Perception(path)
-
-
-def _read_picture(path):
-    from thermorender.learned.translate import read_picture
-
-    read_picture(path)
-
-
-_MORE = {
-    "checkpoint": (write_checkpoint, _read_checkpoint),
-    "weights": (write_checkpoint, _read_weights),
-    "photograph": (write_picture, _read_picture),
-}
-
-
 @case("faults", "inputs cut to nothing, a quarter, half and nine tenths: neither a sentence nor finite numbers")
 def cut():
     from thermorender.validate.fuzz import _infinite
 
     wrong = []
-    for name, (file, make, read) in _readers().items():
+    for name, reader in READERS.items():
         with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / file
-            make(path)
+            reader.make(Path(folder))
+            path = Path(folder) / reader.file
             whole = path.read_bytes()
             for share in _CUTS:
                 path.write_bytes(whole[: int(share * len(whole))])
                 try:
-                    wrong += [(name, share, what) for what in _infinite(read(path))]
+                    wrong += [(name, share, what) for what in _infinite(reader.read(path))]
                 except ThermorenderError as error:
                     wrong += [] if sentence(str(error)) else [(name, share, error)]
                 except Exception as error:
@@ -402,15 +374,11 @@ def cut():
     return Found(float(len(wrong)), 0.0, 0.0)
 
 
-def _readers():
-    """{name: (name of a file, writes it at a path, reads it)} of all readers."""
-    found = {name: (each.file, lambda path, each=each: each.make(path.parent), each.read)
-             for name, each in READERS.items()}  # fmt: skip
-    return found | {
-        "checkpoint": ("a.safetensors", write_checkpoint, _read_checkpoint),
-        "weights": ("b.safetensors", write_checkpoint, _read_weights),
-        "photograph": ("c.png", write_picture, _read_picture),
-    }
+# What a file of arrays, of a model or of its weights is read by.
+_OF_ARRAYS = (
+    "atmosphere", "absorption data", "map palette", "map trees", "map compact", "emissivity map", "checkpoint",
+    "kept arrays",
+)
 
 
 class _Evil:
@@ -425,16 +393,16 @@ class _Evil:
 
 @case("faults", "files of arrays, maps and weights with a pickle inside: run, or not refused in a sentence")
 def pickles():
-    wrong = 0
-    known = _readers()
-    for name in ("atmosphere", "map palette", "map trees", "emissivity map", "checkpoint", "weights"):
-        file, make, read = known[name]
+    from thermorender.learned.networks.architectures.perception import Perception
+
+    wrong, perception = 0, Reader("vgg.safetensors", READERS["checkpoint"].make, Perception)
+    for reader in (*map(READERS.get, _OF_ARRAYS), perception):
         with tempfile.TemporaryDirectory() as folder:
-            path, marker = Path(folder) / file, Path(folder) / "run"
-            make(path)
+            path, marker = Path(folder) / reader.file, Path(folder) / "run"
+            reader.make(Path(folder))
             for data in _pickled(path, marker):
                 path.write_bytes(data)
-                wrong += _ends_in_a_sentence(lambda read=read, path=path: read(path))
+                wrong += _ends_in_a_sentence(lambda reader=reader, path=path: reader.read(path))
                 wrong += marker.exists()
                 marker.unlink(missing_ok=True)
     return Found(float(wrong), 0.0, 0.0)
@@ -461,25 +429,43 @@ def _pickled(path, marker):
 # --- memory and time --------------------------------------------------------------------------------------------
 
 
+def _growth(steps, memory):
+    """Slope of memory [MB], the median over pairs (Theil and Sen): a piece once held is none, one kept each time is.
+
+    0 where it shrinks.
+    """
+    from scipy.stats import theilslopes
+
+    return max(float(theilslopes(memory, steps).slope), 0.0)
+
+
+# Long flights of small frames: how many, and of what.
+LONG = {
+    "10 000 small frames of still ground": (10_000, "still"),
+    "1000 small frames of things that stand and move, through air, with photographs": (1000, "busy"),
+}
+
+
 @cache
-def long_flight(count=600):
-    """Return (frames, memory [MB], core time [s]), (N,) each, along a flight of small frames, its start left out."""
-    found = np.array(told("frames", count))
+def long_flight(which):
+    """Return (frames, memory [MB], core time [s]), (N,) each, along a flight of `LONG`, its start left out."""
+    found = np.array(told("frames", *LONG[which]))
     return found[len(found) // 4 :].T
 
 
-@case("faults", "600 small frames: growth of memory [MB per 1000 frames]")
-def flat():
-    done, memory, _ = long_flight()
-    return Found(1000.0 * float(np.polyfit(done, memory, 1)[0]), 0.0, 1.0)
+@case("faults", "{}: growth of memory [MB per 1000 frames]", LONG)
+def flat(which):
+    done, memory, _ = long_flight(which)
+    return Found(1000.0 * _growth(done, memory), 0.0, 1.0)
 
 
-@case("faults", "600 small frames: core time of the last hundreds of frames by that of the first")
-def steady():
-    done, _, seconds = long_flight()
+@case("faults", "{}: core time of the last half of the frames by that of the first", LONG)
+def steady(which):
+    done, _, seconds = long_flight(which)
     each = np.diff(seconds) / np.diff(done)
-    # Other work on the machine makes a core slower by up to this.
-    return Found(float(np.median(each[len(each) // 2 :]) / np.median(each[: len(each) // 2])), 1.0, 0.3)
+    ratio = float(np.median(each[len(each) // 2 :]) / np.median(each[: len(each) // 2]))
+    # Other work on the machine makes a core slower by up to this; that it ended early is no fault.
+    return Found(max(ratio, 1.0), 1.0, 0.3)
 
 
 @case("faults", "{}, then dropped: growth of memory [MB each]", ("scenes loaded and flown", "frames path traced"))
@@ -488,4 +474,4 @@ def dropped(what):
     memory = told(*(("scenes", 100) if what.startswith("scenes") else ("references", 30)))
     # What is made once is made by then, and what lies between the pieces of memory that are held grows little more.
     later = memory[len(memory) // 2 :]
-    return Found(float(np.polyfit(range(len(later)), later, 1)[0]), 0.0, 0.3)
+    return Found(_growth(range(len(later)), later), 0.0, 0.3)

@@ -53,7 +53,8 @@ def _read(up):
     scene = _ground(1.2 * up)
     (surface,), mi, here = scene.surfaces, activate("cpu"), pose(0.0, 0.0, up, yaw_deg=20.0, pitch_deg=-90.0)
     geometry, rays = Geometry(mi, scene.surfaces), CameraRays(mi, scene.camera)
-    ray = view_ray(mi, *opaque_view(mi, here), *rays.slopes(0.5, 0.5))
+    inside = mi.UInt32(np.arange(len(rays.order), dtype=np.uint32))
+    ray = view_ray(mi, *opaque_view(mi, here), *rays.slopes(0.5, 0.5, inside))
     hit = geometry.cast(ray)
     point = ray.o + hit.distance * ray.d
     place = geometry.map_position(geometry.record(hit.face, hit.valid), point)

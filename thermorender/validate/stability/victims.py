@@ -4,6 +4,7 @@
 earlier one stopped, and ends with status 2 and a sentence where it is refused.
 """
 
+import ctypes
 import json
 import os
 import resource
@@ -20,7 +21,7 @@ import numpy as np
 
 from thermorender import files
 from thermorender.errors import ThermorenderError
-from thermorender.validate.fuzz.corpus import write_colour, write_elevation
+from thermorender.validate.fuzz.corpus.images import write_colour, write_elevation
 
 FRAMES = 12
 _PRODUCTS = ("exr", "truth", "counts", "radiometric", "display", "video")
@@ -45,7 +46,18 @@ humidity = 0.7
 wind_m_s = 2.5
 cloud = 0.1
 """
+_THING = """[[object]]
+name = "{}"
+shape = "box"
+size = [2.0, 3.0, 1.5]
+position = [{}, 0.75]
+temperature = 320.0
+material = "asphalt"
+{}
+"""
 _NOBODY = 65534
+# Of a long flight: there and back [s].
+ROUND_S = 50.0 / 9.0
 
 
 # --- what they fly over -----------------------------------------------------------------------------------------
@@ -74,11 +86,25 @@ def renderer(folder, **settings):
     return Renderer(small(load_scene(folder)), **{"rays": 8, "samples": 1, "seed": 3} | settings)
 
 
-def _path(seconds):
+def straight(seconds):
+    """Return the Trajectory of a level flight straight over the scene."""
     from thermorender.trajectory.path import Trajectory
 
     places = np.array([[-3.0, 0.0, 20.0], [3.0, 0.0, 20.0]])
     return Trajectory(np.array([0.0, seconds]), places, np.array([[0.0, 1.0, 0.0, 0.0]] * 2))
+
+
+def to_and_fro(seconds):
+    """Return the Trajectory of a level flight over the scene and back, in `ROUND_S`, for some seconds."""
+    from thermorender.trajectory.path import Trajectory
+
+    times = _turns(seconds)
+    places = np.array([[-3.0 + 6.0 * (turn % 2), 0.0, 20.0] for turn in range(len(times))])
+    return Trajectory(times, places, np.array([[0.0, 1.0, 0.0, 0.0]] * len(times)))
+
+
+def _turns(seconds):
+    return np.arange(0.0, seconds + ROUND_S, ROUND_S / 2.0)
 
 
 # --- jobs that are killed and begun again -----------------------------------------------------------------------
@@ -92,7 +118,7 @@ def flight(folder, rate_hz=9.0, **options):
     _begun()
     length = (FRAMES - 1) / rate_hz
     options = {"products": _PRODUCTS, "resume": True} | options
-    return fly(drawn, _path(length), folder / "out", rate_hz=rate_hz, **options)
+    return fly(drawn, straight(length), folder / "out", rate_hz=rate_hz, **options)
 
 
 def bake(folder):
@@ -103,7 +129,7 @@ def bake(folder):
     kept.WORTH_RAYS = 0
     drawn = renderer(folder.parent / "scene", rays=4096)
     _begun()
-    drawn.frame(_path(1.0).pose(0.5)).radiance.tofile(folder / "radiance")
+    drawn.frame(straight(1.0).pose(0.5)).radiance.tofile(folder / "radiance")
 
 
 def heat(folder):
@@ -123,7 +149,7 @@ def day(folder):
     scene = small(load_scene(folder.parent / "scene"))
     _begun()
     if not (folder / "out").exists():
-        day(scene, _path(1.0).pose(0.5), folder / "out", step_min=360, products=("exr", "counts"), rays=8, samples=1)
+        day(scene, straight(1.0).pose(0.5), folder / "out", step_min=360, products=("exr", "counts"), rays=8, samples=1)
 
 
 def training(folder):
@@ -207,7 +233,7 @@ def write_checkpoint(path):
 @cache
 def _frame():
     with tempfile.TemporaryDirectory() as folder:
-        return renderer(write_scene(Path(folder))).frame(_path(1.0).pose(0.5))
+        return renderer(write_scene(Path(folder))).frame(straight(1.0).pose(0.5))
 
 
 def _write_video(path):
@@ -272,9 +298,9 @@ def shut_out(folder):
     drawn = renderer(folder.parent / "scene", seed=4)
     wrong = _unlike_a_sentence(lambda: renderer(folder / "secret"), False)
     for place in ("shut/out", "shut/new", "before"):
-        wrong += _unlike_a_sentence(lambda place=place: fly(drawn, _path(1.0), folder / place, resume=True), False)
+        wrong += _unlike_a_sentence(lambda place=place: fly(drawn, straight(1.0), folder / place, resume=True), False)
     # Without a cache everything works, and the reason is told.
-    wrong += _unlike_a_sentence(lambda: fly(drawn, _path(1.0), folder / "mine" / "out", rate_hz=1.0), True)
+    wrong += _unlike_a_sentence(lambda: fly(drawn, straight(1.0), folder / "mine" / "out", rate_hz=1.0), True)
     other = renderer(folder.parent / "scene", rays=16)
     if "cannot be written" not in str(other.baked.cache_note):
         wrong.append(f"note of a cache that cannot be written: {other.baked.cache_note}")
@@ -307,8 +333,12 @@ def backwards(folder):
 # --- jobs whose memory is watched -------------------------------------------------------------------------------
 
 
-def frames(folder, count):
-    """Fly so many small frames; tell (frames, memory [MB], time of all cores [s]) after each part of 25."""
+def frames(folder, count, kind="still"):
+    """Fly so many small frames; tell (frames, memory [MB], time of all cores [s]) after each part of 25.
+
+    They show still ground; or, "busy", things that stand and one that moves, through air, with photographs. All there
+    is to see is seen in each round, so that what is made once, as a kernel for what comes into view, is made early.
+    """
     told = []
 
     def look(done, total):
@@ -317,17 +347,34 @@ def frames(folder, count):
 
     from thermorender.output.flight import fly
 
-    drawn = renderer(folder.parent / "scene")
-    products = ("exr", "truth", "counts", "display")
-    fly(drawn, _path(int(count) / 9.0), folder / "out", rate_hz=9.0, products=products, progress=look)
+    drawn, products = renderer(folder.parent / "scene"), ("exr", "truth", "counts", "display")
+    if kind == "busy":
+        drawn = busy(folder.parent / "scene", int(count) / 9.0)
+        products = (*products, "error", "visible", "radiometric")
+    fly(drawn, to_and_fro(int(count) / 9.0), folder / "out", rate_hz=9.0, products=products, progress=look)
     _tell(told)
+
+
+def busy(folder, seconds):
+    """Return a Renderer of a scene's folder with things that stand and one that moves for some seconds, through air."""
+    from thermorender.render.renderer import Renderer
+    from thermorender.scene.load import load_scene
+
+    # Against the camera's way.
+    rows = [f"{time},{('3,0,300', '-3,0,330')[turn % 2]}\n" for turn, time in enumerate(_turns(seconds))]
+    (folder / "track.csv").write_text("time_s,east_m,north_m,temperature_k\n" + "".join(rows))
+    with open(folder / "scene.toml", "a", encoding="utf-8") as file:
+        file.write(_THING.format("car", "0.0, 0.0", 'track = "track.csv"') + _THING.format("hut", "3.0, 3.0", ""))
+    scene = small(load_scene(folder)).with_air("midlatitude-summer", "rural-23km")
+    camera = replace(scene.camera, visible_width=64)
+    return Renderer(replace(scene, camera=camera), rays=8, samples=1, seed=3)
 
 
 def scenes(folder, count):
     """Load, bake, fly and drop so many scenes; tell the memory after each [MB]."""
     told = []
     for _ in range(int(count)):
-        renderer(folder.parent / "scene").frame(_path(1.0).pose(0.5))
+        renderer(folder.parent / "scene").frame(straight(1.0).pose(0.5))
         told.append(memory_mb())
     _tell(told)
 
@@ -337,10 +384,10 @@ def references(folder, count):
     from thermorender.render import reference
     from thermorender.scene.load import load_scene
 
-    # Wide enough that what its lens is told by, 8 bytes a pixel, would show if it were kept.
-    scene, told = small(load_scene(folder.parent / "scene"), 400, 320), []
+    # What its lens is told by, 8 bytes a pixel, would show if it were kept: 16 MB where the rest moves by 0.01 MB.
+    scene, told = small(load_scene(folder.parent / "scene"), 1600, 1280), []
     for _ in range(int(count)):
-        reference.render(scene, _path(1.0).pose(0.5), samples=1, depth=2)
+        reference.render(scene, straight(1.0).pose(0.5), samples=1, depth=2)
         told.append(memory_mb())
     _tell(told)
 
@@ -348,8 +395,10 @@ def references(folder, count):
 def memory_mb():
     """Return the memory that this process holds of its own [MB].
 
-    Pages of files are left out: the system maps those of a library, 14 MB of LLVM's at a time, when it likes.
+    What was let go and its allocator keeps for the next, pieces of 8 and 16 MB here, is given back first. Pages of
+    files are left out: the system maps those of a library, 14 MB of LLVM's at a time, when it likes.
     """
+    ctypes.CDLL(None).malloc_trim(0)
     resident, of_files = map(int, Path("/proc/self/statm").read_text(encoding="ascii").split()[1:3])
     return (resident - of_files) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
