@@ -307,6 +307,43 @@ def test_a_folder_that_another_process_is_about_to_fill_is_left_to_it(tmp_path):
     assert not (tmp_path / "more").exists()
 
 
+@pytest.mark.parametrize("when", ["os.open", "fcntl.flock"])
+def test_a_folder_taken_for_a_leftover_before_it_is_held_is_made_again(tmp_path, monkeypatch, when):
+    pytest.importorskip("fcntl")
+    module, name = when.split(".")
+    original, target, looked = getattr(sys.modules[module], name), tmp_path / "a", []
+
+    def as_another_looks(*arguments, **options):
+        if not looked:
+            looked.append(list(tmp_path.iterdir()))
+            files._recover(target)
+            assert looked[0] and not list(tmp_path.iterdir())
+        return original(*arguments, **options)
+
+    monkeypatch.setattr(sys.modules[module], name, as_another_looks)
+    with files.atomic_folder(target) as part:
+        assert looked and list(tmp_path.iterdir()) == [part]
+        (part / "whole").touch()
+    assert list(tmp_path.iterdir()) == [target] and (target / "whole").exists()
+
+
+def test_what_is_removed_as_a_leftover_is_held_meanwhile(tmp_path, monkeypatch):
+    pytest.importorskip("fcntl")
+    (tmp_path / ".a.01234567.part").mkdir()
+    remove, held = files.shutil.rmtree, []
+
+    def removing(path, **options):
+        if path.exists():
+            with pytest.raises(ThermorenderError, match="is being written by another process"), files.in_use(path):
+                held.append("not")
+            held.append(path.name)
+        remove(path, **options)
+
+    monkeypatch.setattr(files.shutil, "rmtree", removing)
+    with files.atomic_folder(tmp_path / "a"):
+        assert held == [".a.01234567.part"]
+
+
 def test_kept_arrays_are_whole_or_absent(tmp_path):
     """Each bit of the file flipped, the file cut anywhere, or written for something else."""
     path, arrays = tmp_path / "a.npz", {"signal": np.arange(6.0).reshape(2, 3), "time_s": np.float64(2.5)}

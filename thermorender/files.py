@@ -13,7 +13,7 @@ import secrets
 import shutil
 import sys
 import time
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from functools import partial
 from pathlib import Path
 
@@ -69,21 +69,24 @@ def atomic_folder(path, overwrite=False):
     path = Path(path).resolve()
     _recover(path)
     _refuse_used_folder(given, overwrite)
-    with _beside(path) as part:
-        part.mkdir()
-        with in_use(part):
-            yield part
-            # Another process may have been quicker.
-            _refuse_used_folder(given, overwrite)
-            old = part.with_name(f"{part.name}.old")
-            try:
-                if path.exists():
-                    os.replace(path, old)
-                os.replace(part, path)
-            finally:
-                if old.exists() and not path.exists():
-                    os.replace(old, path)
-                shutil.rmtree(old, ignore_errors=True)
+    with _beside(path) as part, ExitStack() as held:
+        # Made again where another process takes it for a leftover before it is held.
+        while not part.exists():
+            part.mkdir()
+            with suppress(FileNotFoundError):
+                held.enter_context(_asked(part, wait=True))
+        yield part
+        # Another process may have been quicker.
+        _refuse_used_folder(given, overwrite)
+        old = part.with_name(f"{part.name}.old")
+        try:
+            if path.exists():
+                os.replace(path, old)
+            os.replace(part, path)
+        finally:
+            if old.exists() and not path.exists():
+                os.replace(old, path)
+            shutil.rmtree(old, ignore_errors=True)
 
 
 @contextmanager
@@ -124,29 +127,13 @@ def _recover(path):
         for each in list(path.parent.iterdir()):
             found = name.fullmatch(each.name)
             part = found and each.with_name(found[1])
-            if found and each.is_dir() and (not part.exists() or _held(part) is False):
-                if found[2] and not path.exists():
-                    os.replace(each, path)
-                shutil.rmtree(each, ignore_errors=True)
-
-
-def _held(folder):
-    """Whether a process has a folder, as by `in_use`; None where the system does not tell."""
-    try:
-        import fcntl
-
-        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    except (ImportError, OSError):
-        return None
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        return False
-    except BlockingIOError:
-        return True
-    except OSError:
-        return None
-    finally:
-        os.close(handle)
+            if found and each.is_dir():
+                # Held while it is removed, lest its maker has it meanwhile.
+                with suppress(OSError), _asked(part) if part.exists() else nullcontext(True) as had:
+                    if had:
+                        if found[2] and not path.exists():
+                            os.replace(each, path)
+                        shutil.rmtree(each, ignore_errors=True)
 
 
 def remove_parts(folder, name=r".+", older_s=0.0):
@@ -195,24 +182,34 @@ def in_use(folder, wait=False):
     ThermorenderError
         Another process has it.
     """
+    with _asked(folder, wait) as had:
+        if had is False:
+            raise ThermorenderError(
+                f"{folder} is being written by another process; wait until it ends, or give another folder"
+            )
+        yield
+
+
+@contextmanager
+def _asked(folder, wait=False):
+    """Ask for a folder, as `in_use` does: give whether it is had until the end, or None where no system tells."""
     try:
         import fcntl
     except ImportError:
         # Windows.
-        yield
+        yield None
         return
-    handle = os.open(folder, os.O_RDONLY)
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            had = True
         except BlockingIOError:
-            raise ThermorenderError(
-                f"{folder} is being written by another process; wait until it ends, or give another folder"
-            ) from None
+            had = False
         except OSError:
             # A file system without locks.
-            pass
-        yield
+            had = None
+        yield had
     finally:
         os.close(handle)
 
@@ -294,9 +291,9 @@ def _missing(path):
 def _remove_empty(folders):
     """Remove those folders that are empty, in the order given, but for one that another process is about to fill."""
     for folder in folders:
-        if _held(folder):
-            return
-        with suppress(OSError):
+        with suppress(OSError), _asked(folder) as had:
+            if had is False:
+                return
             folder.rmdir()
 
 
