@@ -100,7 +100,7 @@ def test_what_a_killed_process_left_of_a_folder_goes_and_that_of_a_living_one_st
     writers[1].kill()
     writers[1].communicate()
     # Killed after the old folder was put aside, before the new one took its place.
-    target.rename(tmp_path / ".a.01234567.part.old")
+    target.rename(tmp_path / ".a.01234567.old")
     (tmp_path / ".a.01234567.part").mkdir()
     with pytest.raises(ThermorenderError, match="is not empty"), files.atomic_folder(target):
         pytest.fail("the block ran")

@@ -327,6 +327,75 @@ def test_a_folder_taken_for_a_leftover_before_it_is_held_is_made_again(tmp_path,
     assert list(tmp_path.iterdir()) == [target] and (target / "whole").exists()
 
 
+def test_a_folder_that_another_process_finished_first_is_kept(tmp_path, monkeypatch):
+    replace, target = os.replace, tmp_path / "a"
+
+    def as_another_ends(*paths):
+        monkeypatch.setattr(os, "replace", replace)
+        target.mkdir()
+        (target / "theirs").touch()
+        replace(*paths)
+
+    with pytest.raises(ThermorenderError, match="a exists and is not empty; give a new folder"):  # noqa: SIM117
+        with files.atomic_folder(target) as part:
+            (part / "ours").touch()
+            monkeypatch.setattr(os, "replace", as_another_ends)
+    assert names(tmp_path) == ["a"] and names(target) == ["theirs"]
+
+
+def test_half_of_an_old_folder_does_not_come_back(tmp_path, monkeypatch):
+    target, remove = tmp_path / "a", files.shutil.rmtree
+    target.mkdir()
+    for name in "xy":
+        (target / name).touch()
+
+    def killed(path, **options):
+        if path.name.startswith(".a"):
+            (path / "x").unlink(missing_ok=True)
+        else:
+            remove(path, **options)
+
+    monkeypatch.setattr(files.shutil, "rmtree", killed)
+    with files.atomic_folder(target, overwrite=True) as part:
+        (part / "new").touch()
+    monkeypatch.undo()
+    assert len(names(tmp_path)) == 2
+    target.rename(tmp_path / "kept")
+    with files.atomic_folder(target):
+        pass
+    assert names(tmp_path) == ["a", "kept"] and not names(target)
+
+
+@pytest.mark.parametrize("other", ["a.old", "a.part", "a.gone", "x" * 240 + "2"])
+def test_folders_of_like_names_stay_apart(tmp_path, other):
+    first = "x" * 240 + "1" if other[0] == "x" else "a"
+    for one, two in ((first, other), (other, first)):
+        with files.atomic_folder(tmp_path / one, overwrite=True) as part:
+            (part / "one").touch()
+            # Killed between its two renames.
+            (tmp_path / two).mkdir()
+            left = files._of_kind(tmp_path / f".{files._cut(tmp_path / two)}.01234567.part{Path(two).suffix}", "old")
+            (tmp_path / two).rename(left)
+            files._of_kind(left, "part").mkdir()
+            with files.atomic_folder(tmp_path / one, overwrite=True):
+                assert part.exists() and left.exists()
+        assert names(tmp_path / one) == ["one"]
+        with pytest.raises(KeyboardInterrupt), files.atomic_folder(tmp_path / two, overwrite=True):
+            raise KeyboardInterrupt
+        assert names(tmp_path) == sorted([one, two])
+        files.shutil.rmtree(tmp_path / one)
+        files.shutil.rmtree(tmp_path / two)
+
+
+def test_a_temporary_folder_made_anew_is_not_taken_for_the_whole(tmp_path):
+    with pytest.raises(ThermorenderError, match="its temporary folder was removed"):  # noqa: SIM117
+        with files.atomic_folder(tmp_path / "a") as part:
+            (part / "lost").touch()
+            files.shutil.rmtree(part)
+            files.write_text(part / "half", "half")
+    assert not names(tmp_path)
+
+
 def test_what_is_removed_as_a_leftover_is_held_meanwhile(tmp_path, monkeypatch):
     pytest.importorskip("fcntl")
     (tmp_path / ".a.01234567.part").mkdir()

@@ -13,7 +13,8 @@ import secrets
 import shutil
 import sys
 import time
-from contextlib import ExitStack, contextmanager, nullcontext, suppress
+import zlib
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
 
@@ -65,8 +66,7 @@ def atomic_folder(path, overwrite=False):
         The folder is in use or cannot be made; nothing is left behind, and an old folder stays as it was.
     """
     given = path
-    # Resolved, so that "." has a name and a folder above it.
-    path = Path(path).resolve()
+    path = _resolved(path)
     _recover(path)
     _refuse_used_folder(given, overwrite)
     with _beside(path) as part, ExitStack() as held:
@@ -75,18 +75,55 @@ def atomic_folder(path, overwrite=False):
             part.mkdir()
             with suppress(FileNotFoundError):
                 held.enter_context(_asked(part, wait=True))
+        made = os.stat(part)
         yield part
-        # Another process may have been quicker.
-        _refuse_used_folder(given, overwrite)
-        old = part.with_name(f"{part.name}.old")
+        # What is written into it later makes it anew where it was removed: that would be half of it.
+        if not os.path.samestat(made, os.stat(part)):
+            raise FileNotFoundError(errno.ENOENT, "its temporary folder was removed meanwhile")
+        old = _of_kind(part, "old")
         try:
-            if path.exists():
-                os.replace(path, old)
+            if overwrite:
+                with suppress(FileNotFoundError):
+                    os.replace(path, old)
+            elif os.name == "nt" and path.exists():
+                # Others replace a folder that is empty, and no other, at once.
+                path.rmdir()
             os.replace(part, path)
-        finally:
-            if old.exists() and not path.exists():
-                os.replace(old, path)
-            shutil.rmtree(old, ignore_errors=True)
+        except BaseException as error:
+            _back_or_gone(old, path)
+            if isinstance(error, OSError):
+                # Another process may have been quicker.
+                _refuse_used_folder(given, overwrite)
+            raise
+        _discard(old)
+
+
+def _resolved(path):
+    """A path with a name and a folder above it, which "." has not."""
+    return Path(os.path.realpath(path))
+
+
+def _of_kind(folder, kind):
+    """The name of a temporary folder's "part", of the "old" one, whole, or of a "gone" one that is being removed."""
+    return folder.with_name(re.sub(r"(\.[0-9a-f]{8})\.(part|old|gone)(\.[^.]*)?$", rf"\1.{kind}\3", folder.name))
+
+
+def _back_or_gone(old, path):
+    """Put an old folder, where there is one, back in its place, or remove it where something is there."""
+    if path.exists():
+        _discard(old)
+    else:
+        with suppress(FileNotFoundError):
+            os.replace(old, path)
+
+
+def _discard(old):
+    """Remove an old folder, under a name by which what a kill leaves of it is not taken for the whole."""
+    gone = _of_kind(old, "gone")
+    # Another process may clean up meanwhile.
+    with suppress(OSError):
+        os.replace(old, gone)
+        shutil.rmtree(gone, ignore_errors=True)
 
 
 @contextmanager
@@ -113,27 +150,34 @@ def _beside(path):
 def _cut(path):
     """The stem of a name, shorter where it has no room for what a temporary name adds; too long where the name is."""
     stem = path.stem
-    if len(os.fsencode(path.name)) <= _MOST_BYTES:
-        room = _MOST_BYTES - len(f"..{'0' * 8}.part.old") - len(os.fsencode(path.suffix))
-        while len(os.fsencode(stem)) > room > 0:
+    room = _MOST_BYTES - len(f"..{'0' * 8}.part") - len(os.fsencode(path.suffix))
+    if len(os.fsencode(stem)) > room and len(os.fsencode(path.name)) <= _MOST_BYTES:
+        # Names with one beginning stay apart.
+        end = f"-{zlib.crc32(os.fsencode(stem)):08x}"
+        while len(os.fsencode(stem)) > room - len(end) > 0:
             stem = stem[:-1]
+        stem += end
     return stem
 
 
 def _recover(path):
     """Remove what killed processes left of a folder beside its place; bring an old one back that has no new one."""
-    name = re.compile(rf"(\.{re.escape(_cut(path))}\.[0-9a-f]{{8}}\.part{re.escape(path.suffix)})(\.old)?")
+    name = re.compile(rf"\.{re.escape(_cut(path))}\.[0-9a-f]{{8}}\.(part|old|gone){re.escape(path.suffix)}")
     with suppress(OSError):
         for each in list(path.parent.iterdir()):
             found = name.fullmatch(each.name)
-            part = found and each.with_name(found[1])
-            if found and each.is_dir():
-                # Held while it is removed, lest its maker has it meanwhile.
-                with suppress(OSError), _asked(part) if part.exists() else nullcontext(True) as had:
-                    if had:
-                        if found[2] and not path.exists():
-                            os.replace(each, path)
-                        shutil.rmtree(each, ignore_errors=True)
+            if not found or not each.is_dir():
+                continue
+            part, old = _of_kind(each, "part"), _of_kind(each, "old")
+            if found[1] == "gone" or (found[1] == "old" and not part.exists()):
+                # In place of an old one without its new one there was that, and whatever came of it.
+                shutil.rmtree(each, ignore_errors=True)
+                continue
+            # Held while it is removed, lest its maker has it meanwhile.
+            with suppress(OSError), _asked(part) as had:
+                if had:
+                    _back_or_gone(old, path)
+                    shutil.rmtree(part, ignore_errors=True)
 
 
 def remove_parts(folder, name=r".+", older_s=0.0):
@@ -209,6 +253,9 @@ def _asked(folder, wait=False):
         except OSError:
             # A file system without locks.
             had = None
+        # Not the one that is there any more, where it was removed before it was held.
+        if not os.path.samestat(os.fstat(handle), os.stat(folder)):
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(folder))
         yield had
     finally:
         os.close(handle)
@@ -263,7 +310,7 @@ def check_output_folder(path):
 def check_new_folder(path):
     """Refuse, before the work for it, a folder that is in use or cannot be made; leave nothing behind."""
     _refuse_used_folder(path)
-    with _beside(Path(path).resolve()) as part:
+    with _beside(_resolved(path)) as part:
         part.mkdir()
 
 
