@@ -451,3 +451,25 @@ def test_a_scene_is_loaded_anew_without_compiling(tmp_path, kernels):
         # Its arrays lie elsewhere each time.
         kept.append(np.empty(1000 + 24 * len(kept), np.uint8))
     assert not set().union(*known[1:]) - known[0]
+
+
+def test_another_scene_is_rendered_without_compiling(tmp_path, kernels):
+    """Other heights and temperatures: of the next hour, of an edit, of a campaign's next scene."""
+    from thermorender.validate.stability import victims
+
+    victims.write_scene(tmp_path / "scene")
+    first, known = victims.renderer(tmp_path / "scene"), []
+    for turn in range(5):
+        surfaces = tuple(
+            replace(
+                each,
+                vertices=(each.vertices * np.float32(1.0 + 0.07 * (turn % 3))).astype(np.float32),
+                temperature=(each.temperature + np.float32(3.1 * turn)).astype(np.float32),
+            )
+            for each in first.scene.surfaces
+        )
+        found = tr.Renderer(replace(first.scene, surfaces=surfaces), rays=8, samples=1)
+        frame = found.frame(victims.straight(1.0).pose(0.5))
+        assert frame.budget_mk and np.isfinite(frame.error_mk).any()
+        known.append(kernels())
+    assert not set().union(*known[1:]) - known[0]

@@ -76,6 +76,8 @@ class Geometry:
         self.area = 0.5 * np.linalg.norm(of_faces(surfaces, _across, (3,), np.float64), axis=1)
         self.share = self.area / max(self.area.sum(), 1e-300)
         self.reach = max(float(np.abs(surface.vertices).max()) for surface in surfaces)
+        # Opaque: as a literal it would have the kernels compiled anew for each scene.
+        self._hair = dr.opaque(mi.Float, 64.0 * 2.0**-24 * (1.0 + self.reach))
         meshes = {
             f"s{number}": _mesh(mi, f"s{number}", surface.vertices, surface.faces)
             for number, surface in enumerate(surfaces)
@@ -118,7 +120,7 @@ class Geometry:
         """
         hit = self.cast(ray, coherent=True)
         touches = hit.valid & (hit.distance <= 0.0)
-        aside = 64.0 * 2.0**-24 * (1.0 + self.reach) * self.mi.Vector3f(*_ASIDE)
+        aside = self._hair * self.mi.Vector3f(*_ASIDE)
         beside = self.mi.Ray3f(ray.o + aside, ray.d)
         found = self._hit(self.caster.ray_intersect_preliminary(beside, coherent=True, active=touches))
         return Hit(
@@ -471,8 +473,11 @@ def _map_records(surface, part):
 def _mesh(mi, name, vertices, faces):
     mesh = mi.Mesh(name, len(vertices), len(faces))
     parameters = mi.traverse(mesh)
+    # Embree reads four bytes beyond the last vertex: they must be there.
+    spare = np.empty(3 * len(vertices) + 1, np.float32)
+    spare[:-1] = np.ravel(vertices)
+    parameters["vertex_positions"] = spare[:-1]
     # np.array drops array subclasses, which Mitsuba refuses.
-    parameters["vertex_positions"] = np.array(vertices, dtype=np.float32).ravel()
     parameters["faces"] = np.array(faces, dtype=np.uint32).ravel()
     parameters.update()
     return mesh

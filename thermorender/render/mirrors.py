@@ -333,7 +333,7 @@ def _reflected(layers, depth, eye, view, distance, number, face, texel, row):
         normal = mi.Vector3f(*geometry.normals.at(face, own))
         found = [
             *_transformed(layer.view, first.view, None, normal)[1],
-            dr.select(own, mi.Float(geometry.reach), 0.0),
+            dr.select(own, dr.opaque(mi.Float, geometry.reach), 0.0),
             dr.gather(mi.UInt32, mirror.kind, row - 1, own),
             *mirror.black.at(row - 1, own),
             *layer.outgoing.at_texel(texel, face, own),

@@ -227,7 +227,8 @@ def _mesh(mi, name, number, surface, terrain_count, mirrors):
     corners = corners.reshape(-1, 3)
     mesh = mi.Mesh(f"s{number}", len(corners), len(corners) // 3, has_vertex_texcoords=True, props=properties)
     parameters = mi.traverse(mesh)
-    parameters["vertex_positions"] = corners.astype(np.float32).ravel()
+    # Embree reads four bytes beyond the last vertex: they must be there.
+    parameters["vertex_positions"] = np.append(corners, np.zeros(1)).astype(np.float32)[:-1]
     parameters["faces"] = np.arange(len(corners), dtype=np.uint32)
     parameters["vertex_texcoords"] = uv.reshape(-1, 2).astype(np.float32).ravel()
     parameters.update()

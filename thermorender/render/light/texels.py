@@ -34,11 +34,13 @@ def face_means(geometry, plan, material, temperature, blocks):
     grid = RadianceTable.grid(plan.coldest, plan.warmest)
     black = spectrum.black(grid).astype(np.float32)
     material, temperature = mi.UInt8(aligned(material, np.uint8)), mi.Float(aligned(temperature))
+    # Opaque numbers: as literals they would have the kernels compiled anew for each scene and hour.
+    coldest, step, last = (dr.opaque(mi.Float, float(value)) for value in (grid[0], grid[1] - grid[0], len(grid) - 2))
     # Where each place of each face stands on the grid, and its material: five bytes a place.
     places = []
     for found in geometry.points_in_faces(_pattern(geometry)):
         number = geometry.nearest(*found)
-        position = (dr.gather(mi.Float, temperature, number) - float(grid[0])) / float(grid[1] - grid[0])
+        position = (dr.gather(mi.Float, temperature, number) - coldest) / step
         kind = dr.gather(mi.UInt8, material, number)
         dr.eval(position, kind)
         places.append((position, kind))
@@ -50,7 +52,7 @@ def face_means(geometry, plan, material, temperature, blocks):
             emissivity = mi.Float(aligned(spectrum.emissivity[:, node]))
             leaving, epsilon = dr.zeros(mi.Float, count), dr.zeros(mi.Float, count)
             for position, kind in places:
-                lower = mi.UInt32(dr.clip(position, 0.0, float(len(grid) - 2)))
+                lower = mi.UInt32(dr.clip(position, 0.0, last))
                 planck = dr.lerp(*(dr.gather(mi.Float, table, lower + k) for k in (0, 1)), position - mi.Float(lower))
                 here = dr.gather(mi.Float, emissivity, mi.UInt32(kind))
                 leaving, epsilon = leaving + planck * here, epsilon + here

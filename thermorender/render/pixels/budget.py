@@ -87,7 +87,7 @@ def _light(baked, rays, pose, placements, every):
     device, mi = baked.device, baked.device.geometry.mi
     slope = rays.slopes(0.5, 0.5, dr.arange(mi.UInt32, 0, len(rays.order), every))
     # What differs within the faces is known of the static scene only.
-    within = (baked.errors_mk["faces"] * baked.plan.radiance_per_mk) ** 2
+    within = dr.opaque(mi.Float, (baked.errors_mk["faces"] * baked.plan.radiance_per_mk) ** 2)
     distance = dr.full(mi.Float, np.inf, len(slope[0]))
     square, *steps = (dr.zeros(mi.Float, len(slope[0])) for _ in range(3))
     state = [mi.UInt32(0)] * 4
