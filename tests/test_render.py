@@ -11,7 +11,7 @@ from scenes import write_mesh, write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.physics.band import emitted_radiance
 from thermorender.physics.planck import band_radiance, brightness_temperature
-from thermorender.render.geometry import Geometry
+from thermorender.render.geometry import Geometry, positions
 from thermorender.render.light import radiosity
 from thermorender.render.pixels.sampling import edge_step, morton_order
 from thermorender.render.plan import make_plan
@@ -425,3 +425,11 @@ def test_errors(tmp_path):
             tr.Renderer(scene, **keyword)
     with pytest.raises(ThermorenderError, match="scene='heath' is no Scene; give what load_scene returns"):
         tr.Renderer("heath")
+
+
+def test_vertices_have_behind_them_what_embree_reads():
+    """Four bytes beyond the last: where memory ends there, the process would."""
+    vertices = np.random.default_rng(0).normal(size=(7, 3))
+    found = positions(vertices)
+    assert found.dtype == np.float32 and np.array_equal(found, vertices.astype(np.float32).ravel())
+    assert found.base.ctypes.data + found.base.nbytes >= found.ctypes.data + found.nbytes + 4

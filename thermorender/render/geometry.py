@@ -63,6 +63,8 @@ class Geometry:
         Each face's area [m²], and its share of the area of all.
     reach : float
         Greatest distance of a vertex from the origin along an axis [m].
+    hair : float
+        A hair's breadth [m], which coordinates in single precision tell apart: 64 of their steps at `reach`.
     levels : int
         Of the texels' averages over squares, `Geometry.averaged`; 1 where all surfaces have a single texel.
     """
@@ -76,8 +78,7 @@ class Geometry:
         self.area = 0.5 * np.linalg.norm(of_faces(surfaces, _across, (3,), np.float64), axis=1)
         self.share = self.area / max(self.area.sum(), 1e-300)
         self.reach = max(float(np.abs(surface.vertices).max()) for surface in surfaces)
-        # Opaque: as a literal it would have the kernels compiled anew for each scene.
-        self._hair = dr.opaque(mi.Float, 64.0 * 2.0**-24 * (1.0 + self.reach))
+        self.hair = 64.0 * 2.0**-24 * (1.0 + self.reach)
         meshes = {
             f"s{number}": _mesh(mi, f"s{number}", surface.vertices, surface.faces)
             for number, surface in enumerate(surfaces)
@@ -120,7 +121,8 @@ class Geometry:
         """
         hit = self.cast(ray, coherent=True)
         touches = hit.valid & (hit.distance <= 0.0)
-        aside = self._hair * self.mi.Vector3f(*_ASIDE)
+        # Opaque: as a literal it would have the kernel compiled anew for each scene.
+        aside = dr.opaque(self.mi.Float, self.hair) * self.mi.Vector3f(*_ASIDE)
         beside = self.mi.Ray3f(ray.o + aside, ray.d)
         found = self._hit(self.caster.ray_intersect_preliminary(beside, coherent=True, active=touches))
         return Hit(
@@ -424,8 +426,8 @@ def aligned(values, kind=np.float32):
     """Return an array flat, of a kind and at a multiple of 64 bytes: itself where it is so, or else a copy.
 
     Dr.Jit takes NumPy's memory as it lies, and compiles a kernel anew where it lies otherwise than before: in this
-    process or, of those that it keeps on disk, in another. Whatever kernels read goes through here. What is large lies
-    alike each time, at the start of pages of its own, and is left there.
+    process or, of those that it keeps on disk, in another. Whatever kernels read goes through here, but not what Embree
+    alone reads. What is large has pages of its own, and so lies alike each time; a copy would double its memory.
     """
     values = np.asarray(values)
     lies = values.ctypes.data % 64 == 0 or values.nbytes >= _OWN_PAGES
@@ -470,13 +472,17 @@ def _map_records(surface, part):
     return np.concatenate([gradient, offset[..., None]], axis=-1).reshape(-1, 8)
 
 
+def positions(vertices):
+    """Return vertices (V, 3) as a mesh takes them, (3 V,) float32, with the four bytes behind that Embree reads too."""
+    whole = np.empty(3 * len(vertices) + 1, np.float32)
+    whole[:-1] = np.ravel(vertices)
+    return whole[:-1]
+
+
 def _mesh(mi, name, vertices, faces):
     mesh = mi.Mesh(name, len(vertices), len(faces))
     parameters = mi.traverse(mesh)
-    # Embree reads four bytes beyond the last vertex: they must be there.
-    spare = np.empty(3 * len(vertices) + 1, np.float32)
-    spare[:-1] = np.ravel(vertices)
-    parameters["vertex_positions"] = spare[:-1]
+    parameters["vertex_positions"] = positions(vertices)
     # np.array drops array subclasses, which Mitsuba refuses.
     parameters["faces"] = np.array(faces, dtype=np.uint32).ravel()
     parameters.update()

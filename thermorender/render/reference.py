@@ -16,7 +16,7 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 from thermorender.physics.fresnel import COSINES
 from thermorender.physics.planck import C1L, C2
-from thermorender.render.geometry import aligned, box_of
+from thermorender.render.geometry import aligned, box_of, positions
 from thermorender.render.mirrors import directional
 from thermorender.render.renderer import checked_pose
 from thermorender.render.variant import activate, switch
@@ -227,8 +227,7 @@ def _mesh(mi, name, number, surface, terrain_count, mirrors):
     corners = corners.reshape(-1, 3)
     mesh = mi.Mesh(f"s{number}", len(corners), len(corners) // 3, has_vertex_texcoords=True, props=properties)
     parameters = mi.traverse(mesh)
-    # Embree reads four bytes beyond the last vertex: they must be there.
-    parameters["vertex_positions"] = np.append(corners, np.zeros(1)).astype(np.float32)[:-1]
+    parameters["vertex_positions"] = positions(corners)
     parameters["faces"] = np.arange(len(corners), dtype=np.uint32)
     parameters["vertex_texcoords"] = uv.reshape(-1, 2).astype(np.float32).ravel()
     parameters.update()

@@ -235,7 +235,7 @@ class _March:
         face = np.minimum(self.covers[texels], self.faces - 1)
         point = np.concatenate([self.middle, texel_points(geometry, texels, face)])
         face = np.concatenate([np.arange(self.faces, dtype=np.uint32), face.astype(np.uint32)])
-        point += np.float32(64.0 * 2.0**-24 * (1.0 + geometry.reach)) * self.normal[face]
+        point += np.float32(geometry.hair) * self.normal[face]
         material = np.concatenate([self.face_material[: self.faces], self.material[texels]])
         kind = mi.UInt32(aligned(self.row[material], np.uint32))
         row = lambda values: dr.gather(mi.Float, mi.Float(aligned(values)), kind)  # noqa: E731

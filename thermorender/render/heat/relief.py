@@ -99,7 +99,7 @@ def _traced(scene, times, geometry, progress):
     around = cv2.GaussianBlur(height, (0, 0), _AROUND_M / surface.texel_m, borderType=cv2.BORDER_REFLECT_101)
     view = cache.traced(geometry, _RAYS)[0].sky.sum(axis=1).astype(np.float32)[covers]
     upload = lambda values: [mi.Float(aligned(axis)) for axis in values.T]  # noqa: E731
-    point += np.float32(64.0 * 2.0**-24 * (1.0 + geometry.reach)) * normal
+    point += np.float32(geometry.hair) * normal
     place, up = mi.Point3f(*upload(point)), mi.Vector3f(*upload(normal))
     dr.eval(place, up)
 

@@ -283,7 +283,7 @@ class FaceRays:
         self._chord = self._mi.Float(aligned(np.interp(np.linspace(0.0, 1.0, _CHORDS + 1), share, angle)))
         found = of_faces(geometry.surfaces, _frames, (4, 3))
         self._faces = [self._mi.Float(aligned(found[:, k])) for k in range(4)]
-        self._lift = dr.opaque(self._mi.Float, 64.0 * 2.0**-24 * (1.0 + geometry.reach))
+        self._lift = dr.opaque(self._mi.Float, geometry.hair)
 
     def __call__(self, first, count, seed):
         """(origin, direction, origin on the other side, normal) of the rays of `count` faces from `first` on."""
