@@ -7,7 +7,7 @@ BIN    := $(VENV)/bin
 TORCH  ?= 'torch==2.13.0' --extra-index-url https://download.pytorch.org/whl/cpu
 READY  := $(VENV)/.ready
 
-.PHONY: setup demo test lint coverage maps clean
+.PHONY: setup demo test lint coverage validation maps clean
 
 setup: $(READY)
 
@@ -50,6 +50,10 @@ coverage: $(READY)
 	$(BIN)/python -m coverage combine --quiet
 	$(BIN)/python -m coverage json --quiet -o coverage.json
 	$(BIN)/python tests/coverage_of_rooms.py coverage.json
+
+# Every study without results is run, which takes hours; then one page of verdicts is written: validation/index.html.
+validation: $(READY)
+	$(BIN)/python -m validation
 
 # The learned maps that ship, anew: the standard campaign is rendered, which takes two hours of one core, and each
 # method trained on it, compact+ and pix2pix for another 76 and 45 minutes of one core. What is there of the campaign

@@ -43,6 +43,23 @@ def call(monkeypatch, capfd):
 
 
 @pytest.fixture
+def call_module(monkeypatch, capfd):
+    """Run `python -m MODULE` in this process; return (status, output, errors)."""
+    from importlib import import_module
+
+    from validation.command import run_command
+
+    def run(module, *arguments):
+        monkeypatch.setattr(sys, "argv", [module, *map(str, arguments)])
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as exit:
+            run_command(import_module(f"{module}.__main__").main)
+        return exit.value.code, *capfd.readouterr()
+
+    return run
+
+
+@pytest.fixture
 def run(call):
     """Run `thermorender materials …`; return (status, output, errors)."""
     return lambda *arguments: call("materials", *arguments)

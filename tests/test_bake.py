@@ -17,7 +17,7 @@ from thermorender.render.geometry import Geometry
 from thermorender.render.light import cache, radiosity
 from thermorender.render.light.environment import even
 from thermorender.render.variant import activate
-from thermorender.validate import bench
+from validation import made_scenes
 
 BAND = (7.5, 13.5)
 WALL = band_radiance(300.0, *BAND)
@@ -199,7 +199,7 @@ def test_odd_and_single_rays(tmp_path):
 
 
 def test_blocks_of_nodes_and_faces_change_nothing(monkeypatch):
-    scene = bench.terrain(2000, 64)
+    scene = made_scenes.terrain(2000, 64)
     together = tr.Renderer(scene, rays=16).baked
     assert together.plan.spectrum.nodes > 2
     monkeypatch.setattr(radiosity, "_KRYLOV_BYTES", 8 * together.geometry.face_count * 20 * 2)

@@ -27,6 +27,12 @@ def test_libraries_stay_in_their_room():
             assert owner in (None, architecture.room_of(module)), f"{path} imports {name}, which belongs to {owner}/"
 
 
+def test_the_package_imports_nothing_of_the_checkout_around_it():
+    for path in architecture.modules().values():
+        tops = {name.split(".")[0] for name in architecture.imports(path)}
+        assert not tops & {"validation", "tests", "examples", "tools"}, path
+
+
 def test_physics_is_pure():
     allowed = {"numpy", "thermorender", "dataclasses", "functools", "typing"}
     for module, path in architecture.modules().items():

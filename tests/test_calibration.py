@@ -504,7 +504,7 @@ def test_a_real_camera(tmp_path):
 
 
 def test_simulated_frames_beside_footage(fitted, base, tmp_path, monkeypatch):
-    from thermorender.validate import sensor_statistics
+    from validation.footage import study as sensor_statistics
 
     scene = TABLE(polygons(2 * CAMERA.height, 2 * CAMERA.width).astype(float)).astype(np.float32)
     cuts = [(10, 20), (200, 40), (30, 300), (250, 310)]

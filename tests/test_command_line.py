@@ -37,8 +37,8 @@ def with_option(name):
 
 
 def test_the_walk_finds_every_verb():
-    assert {("render",), ("fly",), ("train",), ("validate", "air"), ("materials", "merge")} <= set(VERBS)
-    assert len(WRITING) >= 18
+    assert {("render",), ("fly",), ("train",), ("bench",), ("materials", "merge")} <= set(VERBS)
+    assert len(WRITING) >= 14
     logs = with_option("--trajectory")
     assert logs >= {("fly",), ("compare",)}
     # A log is read alike wherever one is given.
@@ -138,10 +138,10 @@ def test_a_full_disk_behind_what_is_printed_is_told():
     )
 
 
-def test_one_study_does_not_need_the_folder_of_all(tmp_path, call, monkeypatch):
+def test_one_study_does_not_need_the_folder_of_all(tmp_path, call_module, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "validation").write_text("in the way")
-    status, _, errors = call("validate", "trainings", "nothing", "-o", "out")
+    status, _, errors = call_module("validation.trainings", "nothing", "-o", "out")
     assert status == 2 and "nothing is no folder of a training" in errors
-    status, _, errors = call("validate")
+    status, _, errors = call_module("validation")
     assert status == 2 and "output folder validation cannot be made: File exists" in errors

@@ -7,9 +7,9 @@ from conftest import shared_data
 from thermorender.errors import ThermorenderError
 from thermorender.learned.correlation import PUBLISHED_1TO1, PUBLISHED_9TO1, Correlation
 from thermorender.learned.correlation_training import _equations, _Table, fit_correlation
-from thermorender.learned.methods import method
 from thermorender.learned.temperature_map import Inputs
 from thermorender.learned.training import Example, Task
+from thermorender.learned.training_methods import method
 from thermorender.paths import data_folder
 from thermorender.scene.raster import read_colour
 

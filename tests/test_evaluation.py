@@ -13,6 +13,9 @@ import pytest
 import thermorender.campaign
 from thermorender.campaign.dataset import Entry, ThermalScale, Writer, packed, read_dataset
 from thermorender.campaign.map_inputs import inputs_of
+from thermorender.compare.evaluation import classes, figures, paired, report, similarity, sums
+from thermorender.compare.evaluation.estimators import LearnedMap
+from thermorender.compare.evaluation.evaluate import evaluate
 from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
 from thermorender.footage.radiometric_files import write_tlinear
@@ -20,9 +23,6 @@ from thermorender.learned.correlation import Correlation
 from thermorender.learned.temperature_map import Inputs, TemperatureMap, save_map
 from thermorender.materials.library import load_library
 from thermorender.physics.planck import band_radiance, brightness_temperature
-from thermorender.validate.evaluation import classes, evaluate, paired, report, similarity, sums
-from thermorender.validate.evaluation.methods import LearnedMap
-from thermorender.validate.figures import evaluation as figures
 
 SHAPE = (48, 64)
 MATERIALS = ["grass_green", "asphalt", "own_material"]
@@ -396,7 +396,7 @@ def test_the_command(undrawn, tmp_path, call, monkeypatch):
         asked.append({entry.key: entry.part for entry in dataset.entries})
         return types.SimpleNamespace(lines=lambda: ["nothing leaks"], summary=lambda: {"siblings": 0.0})
 
-    monkeypatch.setattr(thermorender.validate.evaluation, "audit", audit)
+    monkeypatch.setattr(thermorender.compare.evaluation, "audit", audit)
     splits = types.SimpleNamespace(read_split=lambda path: {"p0": "validation", "p1": "train", "p3": "validation"})
     monkeypatch.setitem(sys.modules, "thermorender.campaign.splits", splits)
     status, out, err = call(

@@ -426,27 +426,27 @@ def kernels():
 
 def test_a_flight_compiles_nothing_for_each_pose(tmp_path, kernels):
     """A kernel for each pose would take milliseconds, and be kept."""
-    from thermorender.validate.stability import victims
+    from tests.robustness import crash_targets
 
-    victims.write_scene(tmp_path / "scene")
-    path, known, products = victims.to_and_fro(12.0), [], ("exr", "truth", "counts", "display", "error")
+    crash_targets.write_scene(tmp_path / "scene")
+    path, known, products = crash_targets.to_and_fro(12.0), [], ("exr", "truth", "counts", "display", "error")
     fly(
-        victims.busy(tmp_path / "scene", 12.0), path, tmp_path / "f", rate_hz=9.0, products=products,
+        crash_targets.busy(tmp_path / "scene", 12.0), path, tmp_path / "f", rate_hz=9.0, products=products,
         progress=lambda done, total: known.append(kernels()),
     )  # fmt: skip
-    whole = round(victims.ROUND_S * 9.0)
+    whole = round(crash_targets.ROUND_S * 9.0)
     assert len(known) > 2 * whole
     # All there is to see was seen in a round.
     assert not set().union(*known[whole + 1 :]) - set().union(*known[: whole + 1])
 
 
 def test_a_scene_is_loaded_anew_without_compiling(tmp_path, kernels):
-    from thermorender.validate.stability import victims
+    from tests.robustness import crash_targets
 
-    victims.write_scene(tmp_path / "scene")
+    crash_targets.write_scene(tmp_path / "scene")
     kept, known = [], []
     for _ in range(6):
-        victims.renderer(tmp_path / "scene").frame(victims.straight(1.0).pose(0.5)).budget_mk  # noqa: B018
+        crash_targets.renderer(tmp_path / "scene").frame(crash_targets.straight(1.0).pose(0.5)).budget_mk  # noqa: B018
         known.append(kernels())
         # Its arrays lie elsewhere each time.
         kept.append(np.empty(1000 + 24 * len(kept), np.uint8))
@@ -455,10 +455,10 @@ def test_a_scene_is_loaded_anew_without_compiling(tmp_path, kernels):
 
 def test_another_scene_is_rendered_without_compiling(tmp_path, kernels):
     """Other heights and temperatures: of the next hour, of an edit, of a campaign's next scene."""
-    from thermorender.validate.stability import victims
+    from tests.robustness import crash_targets
 
-    victims.write_scene(tmp_path / "scene")
-    first, known = victims.renderer(tmp_path / "scene"), []
+    crash_targets.write_scene(tmp_path / "scene")
+    first, known = crash_targets.renderer(tmp_path / "scene"), []
     for turn in range(5):
         surfaces = tuple(
             replace(
@@ -469,7 +469,7 @@ def test_another_scene_is_rendered_without_compiling(tmp_path, kernels):
             for each in first.scene.surfaces
         )
         found = tr.Renderer(replace(first.scene, surfaces=surfaces), rays=8, samples=1)
-        frame = found.frame(victims.straight(1.0).pose(0.5))
+        frame = found.frame(crash_targets.straight(1.0).pose(0.5))
         assert frame.budget_mk and np.isfinite(frame.error_mk).any()
         known.append(kernels())
     assert not set().union(*known[1:]) - known[0]

@@ -5,8 +5,8 @@ import pytest
 
 import thermorender as tr
 from scenes import write_terrain
+from thermorender.compare.sampling_error import converged
 from thermorender.render.pixels.pyramid import sizes, squares
-from thermorender.validate.metrics import converged
 
 
 def test_squares_are_means_of_texels():

@@ -11,8 +11,8 @@ from thermorender.materials.library import load_library
 from thermorender.paths import data_folder
 from thermorender.physics.balance import STEFAN_BOLTZMANN
 from thermorender.scene import columns as open_ground
-from thermorender.validate import heat
-from thermorender.validate.sites import measured, modelled, read_sites
+from validation.heat import study as heat
+from validation.heat.sites import measured, modelled, read_sites
 
 SITES = data_folder("validation") / heat.SITES
 HEAD = """[[site]]

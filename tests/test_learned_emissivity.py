@@ -23,7 +23,7 @@ from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.scene.material_map import UNKNOWN_CLASS, write_map
 from thermorender.scene.surface import FILLED, UNKNOWN
 from thermorender.synthetic.worlds import make
-from thermorender.validate.learned import emissivity as validation
+from validation.emissivity import study as validation
 
 # Three materials in stripes: mean colour and noise of each.
 STRIPES = {
@@ -638,5 +638,8 @@ def test_the_verbs_train_and_map(scene, tmp_path):
     assert not (tmp_path / "none").exists()
     failed = run("train", "emissivity", scene, "-o", tmp_path / "none.txt")
     assert "give one that ends in .npz" in str(failed.exception) and not (tmp_path / "none.txt").exists()
-    failed = run("validate", "emissivity", "--seeds", "one", "-o", tmp_path / "none")
-    assert "--seeds='one' is not allowed" in str(failed.exception)
+
+
+def test_seeds_of_the_study_are_whole_numbers(tmp_path, call_module):
+    status, _, errors = call_module("validation.emissivity", "--seeds", "one", "-o", tmp_path / "none")
+    assert status == 2 and "--seeds='one' is not allowed" in errors

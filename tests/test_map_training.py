@@ -11,12 +11,12 @@ import pytest
 from thermorender.campaign.dataset import Entry, ThermalScale, Writer, packed, read_dataset
 from thermorender.campaign.map_training import train_map
 from thermorender.errors import ThermorenderError
-from thermorender.learned.methods import METHODS
 from thermorender.learned.temperature_map import MODELS, SHIPPED, Inputs, load_map, load_model
+from thermorender.learned.training_methods import METHODS
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.sensor.camera import load_camera
 from thermorender.sensor.readout import radiance_from_counts
-from thermorender.validate.learned import maps
+from validation.maps import study as maps
 
 SHAPE = (40, 48)
 PARTS = ("train", "train", "validation", "test")
@@ -316,9 +316,9 @@ def test_shifted_pairs_cost_what_the_picture_changes_over_the_shift(tmp_path):
     assert errors[0] < 0.05 < errors[1] < errors[2]
 
 
-def test_error_against_share_and_shift(tmp_path, call):
+def test_error_against_share_and_shift(tmp_path, call_module):
     write(tmp_path / "d", parts=("train",) * 4 + ("validation", "test", "test"))
-    status, out, errors = call("validate", "maps", "--dataset", tmp_path / "d", "--methods", "correlation-1to1",
+    status, out, errors = call_module("validation.maps", "--dataset", tmp_path / "d", "--methods", "correlation-1to1",
                                "--limit", "1", "-o", tmp_path / "o")  # fmt: skip
     assert status == 0, errors
     assert "correlation-1to1" in out
@@ -330,7 +330,7 @@ def test_error_against_share_and_shift(tmp_path, call):
     assert result["test_pairs"] == 1 and {"versions", "machine", "seed"} <= set(result)
     for name in ("maps_share.png", "maps_shift_px.png"):
         assert (tmp_path / "o" / name).stat().st_size > 5000
-    status, _, errors = call("validate", "maps", "--dataset", tmp_path / "d", "--methods", "corelation-1to1",
+    status, _, errors = call_module("validation.maps", "--dataset", tmp_path / "d", "--methods", "corelation-1to1",
                              "-o", tmp_path / "p")  # fmt: skip
     assert status == 2 and "did you mean 'correlation-1to1'" in errors and not (tmp_path / "p").exists()
 

@@ -17,7 +17,7 @@ from thermorender.materials.shifted import PROPERTIES, shifted
 from thermorender.scene.spec import TemperatureSpec, WeatherSpec
 from thermorender.scene.surface import FALLBACK, UNMOVED
 from thermorender.scene.temperature import map_error_k, trained
-from thermorender.validate import moved as study
+from validation.moved import study
 
 DAY = {"air_low_c": 11.0, "air_high_c": 23.0, "humidity": 0.7, "wind_m_s": 3.0, "cloud": 0.1}
 KEYS = "\n".join(f"{key} = {value}" for key, value in DAY.items())

@@ -17,7 +17,6 @@ from test_networks import example, kelvin, picture, task_of
 
 from thermorender.campaign.map_training import train_map
 from thermorender.errors import ThermorenderError
-from thermorender.learned.methods import method
 from thermorender.learned.networks import checkpoint, loop
 from thermorender.learned.networks.crops import Crops
 from thermorender.learned.networks.loop import train_network
@@ -25,6 +24,7 @@ from thermorender.learned.networks.predictor import Network
 from thermorender.learned.networks.recipes import RECIPES
 from thermorender.learned.networks.runs import cut_log, read_log
 from thermorender.learned.temperature_map import Inputs
+from thermorender.learned.training_methods import method
 
 TESTS = Path(__file__).resolve().parent
 # A training of some seconds.

@@ -8,9 +8,9 @@ import pytest
 
 from thermorender.errors import ThermorenderError
 from thermorender.learned import features, linear, palette, rows, trees
-from thermorender.learned.methods import method
 from thermorender.learned.temperature_map import Inputs, TemperatureMap, load_map, save_map
 from thermorender.learned.training import Example, Task
+from thermorender.learned.training_methods import method
 
 # Values of a thermal picture are hundredths of a kelvin, and of its range of intensity 280 K to 300 K.
 TEMPERATURE = np.arange(40000) / 100.0

@@ -13,17 +13,8 @@ from scipy.ndimage import gaussian_filter
 
 import thermorender as tr
 from scenes import WEATHER, write_balance, write_terrain
-from thermorender.errors import ThermorenderError
-from thermorender.footage.radiometric_files import write_tlinear
-from thermorender.learned.correlation import Correlation
-from thermorender.learned.temperature_map import Inputs, TemperatureMap, load_model, save_map
-from thermorender.output.photograph import photograph
-from thermorender.physics.planck import band_radiance, brightness_temperature
-from thermorender.scene.spec import TemperatureSpec
-from thermorender.sensor.camera import load_camera, model_path
-from thermorender.sensor.readout import radiance_from_counts
-from thermorender.validate import detector
-from thermorender.validate.referee import (
+from thermorender.compare import hot_spots
+from thermorender.compare.referee import (
     emissivities,
     findings,
     frames,
@@ -36,7 +27,16 @@ from thermorender.validate.referee import (
     trial,
     views,
 )
-from thermorender.validate.referee.run import Flight, compare
+from thermorender.compare.referee.run import Flight, compare
+from thermorender.errors import ThermorenderError
+from thermorender.footage.radiometric_files import write_tlinear
+from thermorender.learned.correlation import Correlation
+from thermorender.learned.temperature_map import Inputs, TemperatureMap, load_model, save_map
+from thermorender.output.photograph import photograph
+from thermorender.physics.planck import band_radiance, brightness_temperature
+from thermorender.scene.spec import TemperatureSpec
+from thermorender.sensor.camera import load_camera, model_path
+from thermorender.sensor.readout import radiance_from_counts
 
 DOWN = [0.0, 1.0, 0.0, 0.0]
 BAND = (7.5, 13.5)
@@ -539,7 +539,7 @@ def test_a_log_is_read_as_it_is_to_fly(ground, tmp_path, call, monkeypatch):
         taken.extend(flights)
         raise ThermorenderError("seen")
 
-    monkeypatch.setattr("thermorender.validate.referee.run.compare", told)
+    monkeypatch.setattr("thermorender.compare.referee.run.compare", told)
     words = ("--mount", "0,-90,0", "--lever-arm-m", "0,0,2", "--clock-offset-s", "10", "--start-s", "12",
              "--stop-s", "15", "--rate-hz", "1")  # fmt: skip
     status, _, errors = call("compare", ground, "-o", tmp_path / "c", "--trajectory", tmp_path / "log.csv", *words)
@@ -566,7 +566,7 @@ def test_effective_pixels_of_independent_and_of_common_errors():
     pixels, blocks = 400, 150
     for common, expected in ((False, pixels * blocks), (True, blocks)):
         error = rng.normal(size=(blocks, pixels if not common else 1)) + np.zeros((blocks, pixels))
-        from thermorender.validate.evaluation import sums
+        from thermorender.compare.evaluation import sums
 
         rows = np.array([sums.row(each) for each in error])
         found = scores.intervals({"poses": rows}, error.std(), seed=0)
@@ -576,7 +576,7 @@ def test_effective_pixels_of_independent_and_of_common_errors():
 
 
 def test_the_widest_of_poses_blocks_and_scenes_is_told():
-    from thermorender.validate.evaluation import sums
+    from thermorender.compare.evaluation import sums
 
     rng = np.random.default_rng(7)
     alike = np.array([sums.row(rng.normal(size=500)) for _ in range(40)])
@@ -606,10 +606,10 @@ def test_the_detector_finds_a_disc_and_nothing_in_noise():
     image = rng.normal(8000.0, 10.0, (256, 320))
     rows, columns = np.mgrid[:256, :320]
     disc = np.hypot(rows - 100, columns - 200) < 3
-    found = detector.response(image + 60.0 * disc, 5.0)
-    row, column, value = (each[0] for each in detector.peaks(found, 5.0, 5.0))
+    found = hot_spots.response(image + 60.0 * disc, 5.0)
+    row, column, value = (each[0] for each in hot_spots.peaks(found, 5.0, 5.0))
     assert np.hypot(row - 100, column - 200) <= 1.5 and value > 8.0
-    assert not len(detector.peaks(detector.response(image, 5.0), 5.0, 6.0)[0])
+    assert not len(hot_spots.peaks(hot_spots.response(image, 5.0), 5.0, 6.0)[0])
 
 
 def test_a_cold_target_is_found_as_a_warm_one_is_and_one_beside_it_is_not():

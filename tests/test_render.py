@@ -8,6 +8,7 @@ import trimesh
 
 import thermorender as tr
 from scenes import write_mesh, write_terrain
+from thermorender.compare.sampling_error import converged, rms_mk
 from thermorender.errors import ThermorenderError
 from thermorender.physics.band import emitted_radiance
 from thermorender.physics.planck import band_radiance, brightness_temperature
@@ -17,7 +18,6 @@ from thermorender.render.pixels.sampling import edge_step, morton_order
 from thermorender.render.plan import make_plan
 from thermorender.render.variant import activate
 from thermorender.scene.surface import BACKGROUND, FILLED, SURFACE
-from thermorender.validate.metrics import converged, rms_mk
 
 BAND = (7.5, 13.5)
 # What is exact but for arithmetic: single precision of a sum of nodes (2⁻²⁴ of 300 K and some ten roundings: 0.2 mK),

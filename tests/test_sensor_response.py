@@ -374,7 +374,7 @@ def test_plan_says_what_the_pixels_memory_brings():
 @pytest.mark.parametrize("cycles", [0.3, 0.7, 0.9])
 def test_a_wave_is_blurred_before_and_after_it_is_sampled(cycles):
     from thermorender.sensor.psf import otf
-    from thermorender.validate.sensor import blurred_before_and_after
+    from validation.sensor.study import blurred_before_and_after
 
     camera, times, count = load_camera("zenmuse-xt2"), 4, 160
     # Cosines with their crests at the border are mirrored by themselves.
@@ -392,7 +392,7 @@ def test_a_wave_is_blurred_before_and_after_it_is_sampled(cycles):
 
 
 def test_finer_pixels_see_the_same():
-    from thermorender.validate.sensor import finer
+    from validation.sensor.study import finer
 
     whole = replace(load_camera("zenmuse-xt2-9mm"), principal_offset_px=(3.0, -2.0))
     camera = whole.part(slice(100, 228), slice(40, 168))
@@ -402,7 +402,7 @@ def test_finer_pixels_see_the_same():
 
 
 def test_small_targets_are_whole_and_err_by_where_they_lie():
-    from thermorender.validate import sensor as validation
+    from validation.sensor import study as validation
 
     lens = load_camera("zenmuse-xt2")
     for side in (0.5, 3.0):
@@ -418,7 +418,7 @@ def test_small_targets_are_whole_and_err_by_where_they_lie():
 
 def test_validation_measures_lag_blur_and_chain(tmp_path, monkeypatch):
     from scenes import write_terrain
-    from thermorender.validate import sensor as validation
+    from validation.sensor import study as validation
 
     # An eighth of its renders are enough to see that it measures.
     monkeypatch.setattr(validation, "REFERENCE", 8)

@@ -6,12 +6,12 @@ import trimesh
 
 import thermorender as tr
 from scenes import write_mesh
+from thermorender.compare.sampling_error import converged
 from thermorender.materials.library import load_library
 from thermorender.physics.band import emitted_radiance
 from thermorender.physics.planck import band_radiance
 from thermorender.render.pixels.slender import boxes, rectangles
 from thermorender.scene.load import load_scene
-from thermorender.validate.metrics import converged
 
 BAND = (7.5, 13.5)
 GROUND_K = 290.0

@@ -18,6 +18,7 @@ import trimesh
 
 import thermorender as tr
 from scenes import write_balance, write_mesh, write_terrain
+from thermorender.compare.referee.run import Flight, compare
 from thermorender.errors import ThermorenderError
 from thermorender.output import timed
 from thermorender.output.day import day, instant_of, solar_midnight
@@ -26,7 +27,6 @@ from thermorender.render import reference
 from thermorender.render.plan import make_plan
 from thermorender.scene.spec import TemperatureSpec
 from thermorender.units import instant, utc_text
-from thermorender.validate.referee.run import Flight, compare
 
 DAY = """
 [weather]

@@ -13,6 +13,7 @@ import trimesh
 
 import thermorender as tr
 from scenes import write_balance, write_mesh
+from thermorender.compare.referee.run import Flight, compare
 from thermorender.errors import ThermorenderError
 from thermorender.learned.correlation import Correlation
 from thermorender.learned.linear import Linear, names_of_columns
@@ -22,7 +23,6 @@ from thermorender.output.flight import fly
 from thermorender.output.record import weather_of
 from thermorender.scene.spec import TemperatureSpec
 from thermorender.scene.surface import FALLBACK, SURFACE
-from thermorender.validate.referee.run import Flight, compare
 
 BEGIN, AT = np.datetime64("2018-07-27T00:00:00"), np.datetime64("2018-07-28T12:00:00")
 HOUR = np.timedelta64(3600, "s")

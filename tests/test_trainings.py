@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from thermorender.errors import ThermorenderError
-from thermorender.validate.learned import trainings
+from validation.trainings import study as trainings
 
 
 def write(folder, errors, crops=100, core_s=10.0, method="pix2pix", pairs=30):
@@ -55,9 +55,9 @@ def test_ahead_is_less_error_at_a_tenth_of_the_time(tmp_path):
         assert not trainings.sentences(trainings.run([slow, fast, more]))
 
 
-def test_the_verb_draws_curves_and_strips(tmp_path, call):
+def test_the_verb_draws_curves_and_strips(tmp_path, call_module):
     run = write(tmp_path / "one.run", [5.0, 4.0, 3.0])
-    status, out, err = call("validate", "trainings", run, "-o", tmp_path / "o")
+    status, out, err = call_module("validation.trainings", run, "-o", tmp_path / "o")
     assert status == 0 and "one" in out and "3.00" in out, err
     assert {path.name for path in (tmp_path / "o").iterdir()} == {"trainings.json", "curves.png", "strip_one.png"}
 

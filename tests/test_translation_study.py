@@ -14,7 +14,7 @@ from thermorender.frame import apparent_temperature
 from thermorender.learned.networks import tiles
 from thermorender.learned.temperature_map import Inputs, save_map
 from thermorender.physics.planck import band_radiance
-from thermorender.validate.learned import translation
+from validation.translation import study as translation
 
 
 def make_dataset(folder, shape, pairs=2):

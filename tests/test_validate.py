@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -10,28 +11,34 @@ from typer.testing import CliRunner
 import thermorender as tr
 from scenes import write_terrain
 from thermorender.cli import app as cli
+from thermorender.compare import bench
+from thermorender.compare import sampling_error as metrics
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.render.light import cache
 from thermorender.render.reference import squared_error
 from thermorender.scene.load import Scene
 from thermorender.sensor.camera import load_camera
-from thermorender.validate import (
-    air,
-    bench,
-    cavity,
-    convergence,
-    growth,
-    metrics,
-    sensor,
-    sensor_statistics,
-)
-from thermorender.validate.budget import study
-from thermorender.validate.budget.cases import made
-from thermorender.validate.figures.convergence import pareto
-from thermorender.validate.learned import emissivity
+from validation import cavity
+from validation.air import study as air
+from validation.budget import study
+from validation.budget.scenes import made
+from validation.command import app_of
+from validation.convergence import study as convergence
+from validation.convergence.figure import pareto
+from validation.emissivity import study as emissivity
+from validation.footage import study as sensor_statistics
+from validation.growth import study as growth
+from validation.made_scenes import terrain
+from validation.sensor import study as sensor
 
 CAMERA = load_camera("zenmuse-xt2")
+
+
+def study_command(name, *arguments):
+    """Run `python -m validation.NAME` in this process."""
+    main = import_module(f"validation.{name}.__main__").main
+    return CliRunner().invoke(app_of(main), list(arguments), catch_exceptions=False)
 
 
 def small(scene, width=64, height=48):
@@ -84,18 +91,18 @@ def test_front_of_settings_that_none_beats():
 
 @pytest.mark.parametrize(("asked", "made"), [(8, 8), (200, 200), (20_000, 20_000), (1000, 1012)])
 def test_synthetic_terrain_has_the_triangles_asked_for(asked, made):
-    scene = bench.terrain(asked)
+    scene = terrain(asked)
     (surface,) = scene.surfaces
     assert len(surface.faces) == made
     corners = surface.vertices[surface.faces]
     assert (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0.0).all()
     assert np.isfinite(scene.ground(0.0, 0.0)) and surface.material.max() < len(scene.materials)
     with pytest.raises(ThermorenderError, match="triangles=4 is not allowed; give 8 or more"):
-        bench.terrain(4)
+        terrain(4)
 
 
 def test_converged_image_shows_what_the_renderer_does():
-    scene = small(bench.terrain(200))
+    scene = small(terrain(200))
     scene = replace(scene, camera=replace(scene.camera, principal_offset_px=(3.3, -2.7)))
     pose = bench.views(scene)["oblique"]
     renderer = tr.Renderer(scene, samples=16, taps=1, edge_mk=np.inf, rays=4)
@@ -109,11 +116,11 @@ def test_converged_image_shows_what_the_renderer_does():
 def test_bench_tells_finite_numbers(tmp_path, monkeypatch):
     monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path))
     monkeypatch.setattr(cache, "WORTH_RAYS", 1)
-    result = bench.bench((small(bench.terrain(200)),), repeats=2, settings=(("one", {"samples": 1, "rays": 4}),))
+    result = bench.bench((small(terrain(200)),), repeats=2, settings=(("one", {"samples": 1, "rays": 4}),))
     json.dumps(result)
     # A bake read from disk would be timed as one that costs nothing.
     assert not list(tmp_path.iterdir())
-    _ = tr.Renderer(bench.terrain(200), rays=4).baked
+    _ = tr.Renderer(terrain(200), rays=4).baked
     assert list(tmp_path.iterdir())
     (scene,) = result["scenes"].values()
     assert scene["triangles"] == 200 and scene["bake_s"] > 0.0
@@ -130,7 +137,7 @@ def test_bench_refuses_nothing_to_measure():
     with pytest.raises(ThermorenderError, match=r"there is no scene to measure; give a scene, or triangles=…"):
         bench.bench(())
     with pytest.raises(ThermorenderError, match=r"repeats=0 is not allowed; give 1 or more"):
-        bench.bench((bench.terrain(8),), repeats=0)
+        bench.bench((terrain(8),), repeats=0)
 
 
 def test_closed_cavity_is_black():
@@ -199,7 +206,7 @@ def test_convergence_measures_what_is_missing_only(tmp_path, monkeypatch):
     engine = "stock direct, BSDF samples"
     sampling, rays = ((1, 1, np.inf),), (4,)
     mode = convergence.Mode((16, 12), ("nadir",), (20000.0,), 4, (engine,), (1,), sampling, rays, (50.0,), (), 0.0)
-    scene = small(bench.terrain(200))
+    scene = small(terrain(200))
     first = convergence.convergence((scene,), tmp_path, mode=mode)
     names = {record["setting"]: record for record in first.values() if record.get("view") != "20000 m"}
     assert names["1 · 1 · inf mK"]["sampling_mk"] >= 0.0 and names["1 · 1 · inf mK"]["seconds"] > 0.0
@@ -276,12 +283,12 @@ def test_made_scenes_are_what_they_are_called():
 
 
 def test_air_s_channels_err_by_less_than_planned(tmp_path, monkeypatch):
-    scene = small(bench.terrain(200))
+    scene = small(terrain(200))
     run = air.run
     monkeypatch.setattr("thermorender.scene.load.load_scene", lambda name: scene)
     few = {"heights_m": (120.0,), "tolerances_mk": (500.0, 20.0), "rays": 4, "repeats": 1}
     monkeypatch.setattr(air, "run", lambda *arguments, **keywords: run(*arguments, **keywords, **few))
-    done = CliRunner().invoke(cli.app, ["validate", "air", "-o", str(tmp_path), "--air", "tropical,urban-5km"])
+    done = study_command("air", "-o", str(tmp_path), "--air", "tropical,urban-5km")
     assert done.exit_code == 0, done.output
     result = json.loads((tmp_path / "air.json").read_text())
     assert result["air"] == ["tropical", "urban-5km"] and (tmp_path / "air.png").stat().st_size > 5000
@@ -322,7 +329,7 @@ def test_verbs_hand_on_what_was_asked(tmp_path, monkeypatch, verb, module, funct
     if function in ("run", "evaluate", "compare"):
         monkeypatch.setattr(module, "rows", lambda result: [])
     monkeypatch.setattr(emissivity, "write_confusion", lambda result, path: path.write_text(""))
-    done = CliRunner().invoke(cli.app, ["validate", *verb, "-o", str(tmp_path)], catch_exceptions=False)
+    done = study_command(*verb, "-o", str(tmp_path))
     assert done.exit_code == 0 and str(tmp_path) in "".join(done.output.split())
     told = tuple(item for item in asked if not callable(item))
     # Of scenes and files the name.
@@ -335,8 +342,8 @@ def test_bench_verb_writes_what_it_measured(tmp_path, monkeypatch):
     run = bench.bench
     few = {"settings": (("one", {"samples": 1, "rays": 4}),)}
     monkeypatch.setattr(bench, "bench", lambda *arguments, **keywords: run(*arguments, **keywords, **few))
-    monkeypatch.setattr(bench, "terrain", lambda *arguments, terrain=bench.terrain: small(terrain(*arguments)))
-    arguments = ["bench", "--triangles", "200", "--repeats", "1", "-o", str(tmp_path / "b.json")]
+    monkeypatch.setattr("thermorender.scene.load.load_scene", lambda name: small(terrain(200)))
+    arguments = ["bench", "mine", "--repeats", "1", "-o", str(tmp_path / "b.json")]
     done = CliRunner().invoke(cli.app, arguments, catch_exceptions=False)
     assert done.exit_code == 0 and "200 triangles" in done.output
     (measured,) = json.loads((tmp_path / "b.json").read_text())["scenes"].values()

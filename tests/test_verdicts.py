@@ -2,13 +2,16 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from thermorender.errors import ThermorenderError
-from thermorender.validate.page import PAGE, rows, write_page
-from thermorender.validate.verdicts import STUDIES, Verdict, gathered
+from validation.command import app_of
+from validation.page import PAGE, rows, write_page
+from validation.verdicts import STUDIES, Verdict, gathered
 
 SHIPPED = Path(__file__).parents[1] / "validation"
 
@@ -45,7 +48,7 @@ def test_the_page_tells_what_fails_and_what_was_not_run(tmp_path):
 def test_a_result_of_something_else_is_refused(tmp_path):
     (tmp_path / "heat").mkdir()
     (tmp_path / "heat/heat.json").write_text('{"sites": 3}')
-    with pytest.raises(ThermorenderError, match=r"heat\.json is no result of `thermorender validate heat`"):
+    with pytest.raises(ThermorenderError, match=r"heat\.json is not a result of `python -m validation.heat`"):
         gathered(tmp_path)
 
 
@@ -62,28 +65,27 @@ def test_shipped_results_are_read_with_their_figures():
     assert night.found_k == stated["scores"]["balance"]["night"]["mae"] and night.tolerance_k == stated["aim_k"][1]
 
 
-def test_validate_without_a_command_runs_what_is_missing(tmp_path, call, monkeypatch):
-    from thermorender.cli import validate
+def test_the_page_runs_what_is_missing(tmp_path, monkeypatch):
+    from validation import __main__ as runner
 
     ran = []
 
     def fake(name):
         def run(output):
-            ran.append((name, output))
-            if name == "stability":
+            ran.append((name.removesuffix(".__main__"), output))
+            if name == "tests.robustness.__main__":
                 output.mkdir()
                 stability(tmp_path, 290.0)
 
-        return run
+        return SimpleNamespace(main=run)
 
-    for name in ("stability", "budget", "air", "sensor", "moved", "growth", "closed_loop"):
-        monkeypatch.setattr(validate, f"validate_{name}", fake(name))
-    monkeypatch.setattr(validate, "convergence", fake("convergence"))
-    status, text, _ = call("validate", "-o", tmp_path)
-    every = {"stability", "convergence", "budget", "air", "sensor", "moved", "growth", "closed_loop"}
+    monkeypatch.setattr(runner, "import_module", fake)
+    done = CliRunner().invoke(app_of(runner.main), ["-o", str(tmp_path)], catch_exceptions=False)
+    every = {study.module for study in STUDIES if study.runs and study.name not in ("heat", "maps")}
     assert {name for name, _ in ran} == every
-    assert dict(ran)["convergence"] == tmp_path and dict(ran)["closed_loop"] == tmp_path / "closed_loop"
-    assert status == 0 and "page in" in text and (tmp_path / PAGE).is_file()
+    assert dict(ran)["validation.convergence"] == tmp_path / "convergence"
+    assert dict(ran)["examples.landing"] == tmp_path / "landing"
+    assert done.exit_code == 0 and "page in" in done.output and (tmp_path / PAGE).is_file()
     ran.clear()
-    call("validate", "-o", tmp_path)
-    assert "stability" not in {name for name, _ in ran}
+    CliRunner().invoke(app_of(runner.main), ["-o", str(tmp_path)], catch_exceptions=False)
+    assert "tests.robustness" not in {name for name, _ in ran} and "validation.budget" in {name for name, _ in ran}

@@ -10,9 +10,9 @@ from thermorender.campaign.bounds import bounds_of_dataset
 from thermorender.campaign.cut import Cut, moved
 from thermorender.campaign.map_inputs import depth_of, ground_of, inputs_of
 from thermorender.errors import ThermorenderError
-from thermorender.learned.methods import METHODS, method
 from thermorender.learned.temperature_map import ASSUMED_SKY_K, Inputs, TemperatureMap
 from thermorender.learned.training import Example, Task
+from thermorender.learned.training_methods import METHODS, method
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.units import ZERO_CELSIUS_K
 from thermorender.versions import versions

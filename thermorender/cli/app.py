@@ -1,7 +1,5 @@
 """The command line: one verb per job; it parses, calls and prints."""
 
-import signal
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -12,9 +10,9 @@ from thermorender import defaults, files
 from thermorender.cli.camera import fit_camera
 from thermorender.cli.maps import dataset, evaluate, prepare, train, translate
 from thermorender.cli.materials import app as materials
+from thermorender.cli.process import run as run_app
 from thermorender.cli.terminal import Time, at_time, named, output_option, progress, split, table
 from thermorender.cli.terminal import air as parse_air
-from thermorender.cli.validate import app as validate
 from thermorender.errors import ThermorenderError
 
 app = typer.Typer(
@@ -26,7 +24,6 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-app.add_typer(validate, name="validate")
 app.add_typer(materials, name="materials")
 app.command("fit-camera")(fit_camera)
 app.command()(prepare)
@@ -422,8 +419,8 @@ def compare(
 ):  # fmt: skip
     """Hold learned 2D translation against the radiometric render of the same poses: a page, a table, pictures."""
     from thermorender.campaign.dataset import read_dataset
-    from thermorender.validate.referee import findings, run
-    from thermorender.validate.referee.methods import LETTERS, learned_materials
+    from thermorender.compare.referee import findings, run
+    from thermorender.compare.referee.methods import LETTERS, learned_materials
 
     letters = split(methods)
     if not letters or not set(letters) <= set(LETTERS):
@@ -456,8 +453,6 @@ def compare(
 @app.command()
 def bench(
     scenes: Annotated[list[str] | None, typer.Argument(help=f"Scenes; default: {defaults.SCENE}.")] = None,
-    triangles: Annotated[int | None, typer.Option(help="Adds a synthetic terrain of so many triangles.")] = None,
-    texels: Annotated[int | None, typer.Option(help="Texels along each side of it; two per cell where absent.")] = None,
     repeats: Annotated[int, typer.Option(help="Turns of each measurement.")] = 15,
     output: Annotated[
         Path | None, output_option("-o", "--output", help="JSON file for the result.", check=files.check_output_file)
@@ -467,12 +462,11 @@ def bench(
     device: Device = "auto",
 ):
     """Measure frames per second, their ratio to casting the rays alone, and the error of each quality."""
-    from thermorender.validate import bench as run
+    from thermorender.compare import bench as run
 
     with progress() as tell:
-        scenes = scenes or (() if triangles else (defaults.SCENE,))
-        scenes = [at_time(name, time) for name in scenes]
-        result = run.bench(scenes, triangles, texels, repeats, tell, device=device, air=parse_air(air))
+        loaded = [at_time(name, time) for name in scenes or (defaults.SCENE,)]
+        result = run.bench(loaded, repeats, tell, device=device, air=parse_air(air))
     table(run.HEADER, run.rows(result))
     for line in run.costs(result):
         typer.echo(line)
@@ -521,49 +515,9 @@ def map_materials(
         typer.echo(str(path))
 
 
-# What typer raises for a wrong command line: its own copy of click's exception, or click's, by version.
-UsageError = typer.BadParameter.__base__
-
-
 def main():
-    """Run the command line: a user's mistake is one sentence and status 2; what is asked to end cleans up first."""
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
-    arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
-    odd = next((text for text in arguments if not _is_unicode(text)), None)
-    if odd is not None:
-        # OpenCV ends the process with such a name, and GDAL takes none.
-        _fail(f"{ascii(odd)} is not valid Unicode; rename the file or folder, or set LANG to a locale of UTF-8")
-    try:
-        status = app(args=arguments or ["--help"], standalone_mode=False)
-    except UsageError as error:
-        command = error.ctx.command_path if error.ctx else "thermorender"
-        _fail(f"{error.format_message().rstrip('.')}; `{command} --help` tells what is allowed")
-    except (ThermorenderError, OSError, MemoryError) as error:
-        if "--debug" in sys.argv[1:]:
-            raise
-        _fail(_sentence(error))
-    except (KeyboardInterrupt, typer.Abort):
-        status = 130
-    if status == 130:
-        typer.echo("stopped; flights, data sets and trainings go on with --resume", err=True)
-    raise SystemExit(status or 0)
-
-
-def _is_unicode(text):
-    return not any("\ud800" <= letter <= "\udfff" for letter in text)
-
-
-def _sentence(error):
-    """What is told of an error; one of the system that nothing below has put into words names no mend by itself."""
-    if isinstance(error, OSError) and error.strerror:
-        what = error.filename or "the current folder or what is printed to"
-        return f"{what} cannot be used: {error.strerror}; check that it is there, its permissions and the disk"
-    return str(error) or "the memory of this machine is not enough"
-
-
-def _fail(message):
-    typer.echo(f"error: {' '.join(message.split())}", err=True)
-    raise SystemExit(2) from None
+    """Run the command line of thermorender."""
+    run_app(app)
 
 
 def _pose_numbers(text):

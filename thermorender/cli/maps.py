@@ -231,8 +231,8 @@ def train(
     from thermorender.campaign.dataset import read_dataset
     from thermorender.campaign.map_training import train_map
     from thermorender.campaign.splits import read_split
-    from thermorender.learned.methods import method as known
     from thermorender.learned.temperature_map import save_map
+    from thermorender.learned.training_methods import method as known
 
     if not known(method).long and (run or resume):
         raise ThermorenderError(f"--run and --resume belong to networks, and {method!r} is none; leave them out")
@@ -333,8 +333,8 @@ def evaluate(
 ):
     """Errors of learned maps on a data set, in kelvin, beside simple methods and the least error there is."""
     from thermorender.campaign.dataset import PARTS, read_dataset
-    from thermorender.validate import evaluation as study
-    from thermorender.validate.evaluation import report
+    from thermorender.compare.evaluation import evaluate as study
+    from thermorender.compare.evaluation import report
 
     if part not in PARTS:
         raise ThermorenderError(f"--part={part!r} is unknown; give {', '.join(PARTS)}")

@@ -2,7 +2,7 @@
 
 A rendered pixel is already the mean over the pixel's area, so the pixel's aperture is in the image; the kernel holds
 what the lens does, and nothing of the pixel. A lens blurs before pixels take their samples: detail finer than they show
-is folded down here before it is blurred, which `thermorender validate sensor` measures.
+is folded down here before it is blurred, which the study `validation.sensor` measures.
 """
 
 from functools import lru_cache

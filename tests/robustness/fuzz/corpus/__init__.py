@@ -1,0 +1,6 @@
+"""A small whole file for each reader of the package, and the reader: what damaged files are made from."""
+
+from tests.robustness.fuzz.corpus import arrays, images, kept, meshes, settings, tables  # noqa: F401
+from tests.robustness.fuzz.corpus.registry import READERS, Reader
+
+__all__ = ["READERS", "Reader"]

@@ -1,0 +1,130 @@
+"""Stability of pixels: what is far smaller than one, textures of one texel and of thousands along a side, °C as K."""
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from tests.robustness.air import refused
+from tests.robustness.cases import Found, case
+from thermorender.defaults import BAND_UM
+from thermorender.files import write_text
+from thermorender.materials.library import grey, load_library
+from thermorender.physics.band import emitted_radiance
+from thermorender.physics.planck import band_radiance, brightness_temperature
+from thermorender.scene.load import load_scene
+from thermorender.schema import toml_text
+from thermorender.sensor.display import DisplaySettings
+from thermorender.units import ZERO_CELSIUS_K
+
+_GROUND_K = 290.0
+_ADD = f"add {ZERO_CELSIUS_K} to °C"
+# Three standard errors of 64 rays over the rectangle round a small thing, which fills two thirds of it, in its area.
+_RAYS = 0.09
+
+
+def _shown(surfaces, up, second=None, **settings):
+    """(Renderer, pose) of black ground, and of things of a second material on it, from straight above under no sky."""
+    from thermorender.render.renderer import Renderer
+    from thermorender.trajectory.path import pose
+    from validation.made_scenes import in_memory
+
+    materials = [grey("black", 1.0), second or grey("black", 1.0)]
+    scene = replace(in_memory("pixels", surfaces, materials, sky=0.0, surroundings=_GROUND_K), terrain_count=1)
+    return Renderer(scene, rays=1, device="cpu", **settings), pose(0.0, 0.0, up, yaw_deg=20.0, pitch_deg=-90.0)
+
+
+@case("pixels", "spot of 1000 K, {:g} of a pixel", (4e-4, 2e-6))
+def spot(share):
+    """From 500 m, and of a centimetre from 5 km: the pixel's radiance rises by its share of the difference."""
+    from validation.budget.scenes import box, level
+
+    side, up = {4e-4: (0.013, 500.0), 2e-6: (0.01, 5000.0)}[share]
+    ground = level(1.2 * up, np.zeros((1, 1), int), np.full((1, 1), _GROUND_K))
+    paint = load_library()["paint_black"]
+    pixel = up / 764.7
+    thing = box("thing", (0.3 * pixel, 0.4 * pixel), (side, side, 0.1 * side), 1000.0)
+    # The finest: at a rougher setting so little is not worth the rays.
+    renderer, pose = _shown([ground, thing], up, paint, edge_mk=1.0)
+    image = renderer.radiance(pose)
+    share = side**2 * (renderer.scene.camera.focal_length_px / (up - 0.1 * side)) ** 2
+    dark = band_radiance(_GROUND_K, *BAND_UM)
+    rise = share * (emitted_radiance(paint.emissivity_at, 1000.0, *BAND_UM) - dark)
+    found = float((image.astype(np.float64) - dark)[250:262, 314:326].max())
+    expected = float(brightness_temperature(dark + rise, *BAND_UM))
+    tolerance = expected - float(brightness_temperature(dark + (1.0 - _RAYS) * rise, *BAND_UM))
+    return Found(float(brightness_temperature(dark + found, *BAND_UM)), expected, tolerance)
+
+
+@case("pixels", "texture of {:d} rows", (1, 16384))
+def texture(rows):
+    """Black ground of 250 and 350 K in turns, or of one of them: pixels show the mean of their radiance.
+
+    Some thousand pixels of the long one, with stripes across them, six in each: allowed is a hundredth of what these
+    differ by.
+    """
+    from validation.budget.scenes import level
+
+    shape = (rows, 1 if rows == 1 else 64)
+    stripes = np.where(np.arange(rows)[:, None] % 2, 350.0, 250.0) * np.ones(shape)
+    ground = level(458.0 / rows, np.zeros(shape, int), stripes)
+    renderer, pose = _shown([ground], 120.0)
+    image, number = renderer.radiance(pose), renderer.texels(pose)
+    middle = image[number >= 0].astype(np.float64)
+    both = band_radiance(np.array([250.0, 350.0]), *BAND_UM)
+    expected, allowed = (both.mean(), 0.01 * np.ptp(both)) if rows > 1 else (both[0], 1e-6 * both[0])
+    kelvin = [float(brightness_temperature(value, *BAND_UM)) for value in (middle.mean(), expected, expected + allowed)]
+    return Found(kelvin[0], kelvin[1], kelvin[2] - kelvin[1])
+
+
+@case("pixels", "one texel of 1000 K among 65 536, from {:g} m: error of a frame by what is stated", (120.0, 3000.0))
+def hot_texel(up):
+    """Half a metre: three pixels, and a sixteenth of one. The error of the frame against 256 rays a pixel, RMS."""
+    from thermorender.compare.sampling_error import converged
+    from validation.budget.scenes import level
+
+    warm = np.full((256, 256), _GROUND_K)
+    warm[130, 127] = 1000.0
+    renderer, pose = _shown([level(0.5, np.zeros(warm.shape, int), warm)], up)
+    frame = renderer.frame(pose)
+    difference = (frame.radiance - converged(renderer, pose, {"device": "cpu"}))[np.isfinite(frame.error_mk)]
+    found = float(np.sqrt(np.mean(np.square(difference, dtype=np.float64)))) / renderer.plan.radiance_per_mk
+    return Found(1e-3 * found, 0.0, 1e-3 * frame.budget_mk["total"])
+
+
+@case("pixels", "-273 typed as {} is refused",
+      ("temperature.value", "temperature.materials", "sky", "surroundings", "object"))  # fmt: skip
+def celsius(where):
+    """In one sentence, which tells what to add; 0 K is a sky's alone."""
+    wrong = dict.fromkeys(("value", "sky", "surroundings", "object"), 290.0) | {where.rpartition(".")[2]: -273.0}
+    temperature = {"source": "constant", "value": wrong["value"]}
+    if where == "temperature.materials":
+        temperature = {"source": "material", "materials": {"soil_loam": -273.0}}
+    text = {
+        "title": "typed", "terrain": {"mesh": "ground.obj"}, "temperature": temperature,
+        "emissivity": {"source": "material", "material": "soil_loam"}, "sky": {"temperature": wrong["sky"]},
+        "surroundings": {"temperature": wrong["surroundings"]},
+        "object": [{"name": "box", "shape": "box", "size": [1.0, 1.0, 1.0], "position": [0.0, 0.0, 0.0],
+                    "temperature": wrong["object"], "material": "paint_black"}],
+    }  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        write_text(Path(folder) / "ground.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+        write_text(Path(folder) / "scene.toml", toml_text(text))
+        return refused(lambda: load_scene(folder), _ADD)
+
+
+@case("pixels", "a raster of -273 is refused")
+def celsius_raster():
+    """As one of °C is that somebody took for kelvin."""
+    from tests.robustness.geometry import land
+
+    return refused(lambda: land(np.zeros((4, 4)), np.full((4, 4), -273.0), 1.0, (5e5, 5e6)), _ADD)
+
+
+@case("pixels", "a constant image displayed by {}: how far apart its darkest and its brightest byte are",
+      ("linear", "plateau", "local"))  # fmt: skip
+def constant(mode):
+    """Nothing is divided by a range of nothing; the counts are all the same, and so is what is shown."""
+    counts = np.full((64, 80), 7000, np.uint16)
+    return Found(float(np.ptp(DisplaySettings(mode=mode).image(counts)[1].astype(float))), 0.0, 0.0)

@@ -1,0 +1,172 @@
+"""Faults from outside: the cases hold, each can fail, and what they found stays mended."""
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from tests.robustness import cases, crash_targets, faults
+from tests.robustness import run as stability
+from thermorender import files
+from thermorender.errors import ThermorenderError
+from thermorender.learned.networks import checkpoint
+from thermorender.output.video import write_video
+from thermorender.render.light import cache
+
+# Marched flights and trainings take longer; the network's own tests kill one of these, too. Fewer frames of things than
+# a thousand tell of what is made once, not of what grows; what made it grow is in test_flight.py.
+SLOW = ("heat killed", "training killed", "1000 small frames")
+# What is timed is for a quiet machine.
+CASES = {
+    name: job
+    for group, name, job in cases.CASES
+    if group == "faults" and not name.startswith(SLOW) and "core time" not in name
+}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _fewer_kills():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(faults, "KILLS", 2)
+        for name, (_, kind) in faults.LONG.items():
+            patch.setitem(faults.LONG, name, (300, kind))
+        yield
+    for each in (faults.undisturbed, faults.killed, faults.long_flight):
+        each.cache_clear()
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_it_holds(name, capfd):
+    found = stability.judged(CASES[name])
+    assert found["passed"], found
+
+
+def test_files_that_differ_or_lack_are_counted():
+    assert faults.differing({"a": b"1", "b": b"2", "c": b"3"}, {"a": b"1", "b": b"x", "d": b"4"}) == 3
+
+
+def test_light_of_another_program_that_is_trusted_is_seen(monkeypatch):
+    monkeypatch.setattr(cache, "key", lambda *what: "0" * 40)
+    assert not stability.judged(lambda: faults.light("of another program"))["passed"]
+
+
+def test_a_pickle_that_runs_is_seen(monkeypatch):
+    original = np.load
+    monkeypatch.setattr(np, "load", lambda *arguments, **more: original(*arguments, **more | {"allow_pickle": True}))
+    assert not stability.judged(faults.pickles)["passed"]
+
+
+def test_a_disk_that_fails_when_it_syncs_is_told(tmp_path, monkeypatch):
+    def full(handle):
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(os, "fsync", full)
+    for code in (errno.ENOSPC, errno.EIO):  # noqa: B007
+        with pytest.raises(ThermorenderError, match="did not reach the disk: .*; check the disk and continue"):
+            files.on_disk(tmp_path)
+    # A file system that does not sync folders.
+    code = errno.EINVAL
+    files.on_disk(tmp_path)
+
+
+DYING = """
+import sys, time
+from pathlib import Path
+from thermorender import files
+with files.atomic_folder(Path(sys.argv[1]), overwrite=True) as part:
+    (part / "half").write_text("half")
+    print("writing", flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
+def test_what_a_killed_process_left_of_a_folder_goes_and_that_of_a_living_one_stays(tmp_path):
+    target = tmp_path / "a"
+    writers = [subprocess.Popen([sys.executable, "-c", DYING, target], stdout=subprocess.PIPE) for _ in range(2)]
+    for each in writers:
+        assert each.stdout.readline() == b"writing\n"
+    assert len(list(tmp_path.iterdir())) == 2
+    writers[0].send_signal(signal.SIGKILL)
+    writers[0].communicate()
+    with files.atomic_folder(target) as part:
+        assert len(list(tmp_path.iterdir())) == 2
+        (part / "whole").touch()
+    assert len(list(tmp_path.iterdir())) == 2
+    writers[1].kill()
+    writers[1].communicate()
+    # Killed after the old folder was put aside, before the new one took its place.
+    target.rename(tmp_path / ".a.01234567.old")
+    (tmp_path / ".a.01234567.part").mkdir()
+    with pytest.raises(ThermorenderError, match="is not empty"), files.atomic_folder(target):
+        pytest.fail("the block ran")
+    assert [path.name for path in tmp_path.iterdir()] == ["a"] and (target / "whole").exists()
+
+
+def test_a_flight_killed_at_its_first_files_leaves_nothing(tmp_path, monkeypatch):
+    crash_targets.write_scene(tmp_path / "scene")
+    # Before its folder is tried to the end, and while its first file is written.
+    with monkeypatch.context() as killed:
+        killed.setattr(files, "_remove", lambda path: None)
+        files.make_folder(tmp_path / "work" / "out")
+    (tmp_path / "work" / "out" / ".flight.01234567.part.json").write_text("{")
+    assert len(list((tmp_path / "work" / "out").iterdir())) == 2
+    crash_targets.flight(tmp_path / "work", products=("counts",))
+    assert not [path.name for path in (tmp_path / "work" / "out").iterdir() if path.name.startswith(".")]
+
+
+def test_a_second_process_is_kept_out_of_a_study_that_goes_on(tmp_path, call_module):
+    with files.in_use(tmp_path):
+        status, _, errors = call_module("validation.budget", "-o", tmp_path)
+    assert status == 2 and "is being written by another process" in errors
+
+
+def test_a_translation_cut_short_is_made_anew(tmp_path, call):
+    files.write_image(tmp_path / "in.png", np.random.default_rng(0).integers(0, 255, (40, 50, 3)).astype(np.uint8))
+    arguments = ("translate", "fok-1to1", tmp_path / "in.png", "-o", tmp_path / "out")
+    assert call(*arguments)[0] == 0
+    whole = (tmp_path / "out" / "in.tif").read_bytes()
+    (tmp_path / "out" / "in.tif").write_bytes(whole[:100])
+    assert call(*arguments, "--resume")[0] == 0
+    assert (tmp_path / "out" / "in.tif").read_bytes() == whole
+    # Once in the list, too.
+    assert len((tmp_path / "out" / "translated.jsonl").read_text().splitlines()) == 1
+
+
+def test_a_frame_of_a_translated_video_cut_short_is_made_anew(tmp_path, call):
+    write_video(tmp_path / "in.mp4", crash_targets.images(tmp_path), 8.0)
+    arguments = ("translate", "fok-1to1", tmp_path / "in.mp4", "-o", tmp_path / "out", "--frames")
+    assert call(*arguments)[0] == 0
+    frame = tmp_path / "out" / "in_frames" / "000001.tif"
+    whole = frame.read_bytes()
+    frame.write_bytes(whole[:100])
+    assert call(*arguments, "--resume")[1].startswith("1 translated, in ")
+    assert frame.read_bytes() == whole
+    assert call(*arguments, "--resume")[1].startswith("0 translated, 1 done before, in ")
+
+
+def test_a_translation_killed_before_its_record_leaves_nothing(tmp_path, call):
+    files.write_image(tmp_path / "in.png", np.full((40, 50, 3), 90, np.uint8))
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / ".translate.0123abcd.part.json").write_bytes(b"{")
+    assert call("translate", "fok-1to1", tmp_path / "in.png", "-o", tmp_path / "out", "--resume")[0] == 0
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names == {"in.tif", "in.png", "translate.json", "translated.jsonl"}
+
+
+def test_a_checkpoint_with_a_changed_number_is_refused(tmp_path):
+    path = tmp_path / "last.safetensors"
+    crash_targets.write_checkpoint(path)
+    whole = path.read_bytes()
+    for place in (len(whole) - 2, len(whole) // 2):
+        changed = bytearray(whole)
+        changed[place] ^= 0x40
+        path.write_bytes(changed)
+        with pytest.raises(ThermorenderError, match="is no checkpoint of this training .its bytes are not those"):
+            checkpoint.load(path, crash_targets.learner())
+    path.write_bytes(whole)
+    assert checkpoint.load(path, crash_targets.learner()) == {"crops": 1}

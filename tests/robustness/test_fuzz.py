@@ -1,0 +1,118 @@
+"""Readers under damaged files; and that what must be found there is found."""
+
+import os
+import time
+
+import numpy as np
+import pytest
+
+from tests.robustness.fuzz import run as fuzz
+from tests.robustness.fuzz.corpus import READERS, Reader
+from thermorender.errors import ThermorenderError
+
+COUNT = 100
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_the_whole_file_is_read(name, tmp_path):
+    reader = READERS[name]
+    reader.make(tmp_path)
+    assert not list(fuzz._infinite(reader.read(tmp_path / reader.file)))
+
+
+@pytest.mark.parametrize("name", fuzz.USES)
+def test_the_whole_file_is_used(name, tmp_path):
+    reader = READERS[name]
+    reader.make(tmp_path)
+    found = fuzz.USES[name](tmp_path / reader.file)
+    assert len(found) and not list(fuzz._infinite(found))
+
+
+def test_damaged_files_are_refused_in_a_sentence_or_read_as_finite():
+    counts, faults = fuzz.run(COUNT, rendered=0)
+    assert not faults, faults[:5]
+    assert all(sum(of.values()) == COUNT for of in counts.values())
+    assert sum(of["accepted"] > 0 for of in counts.values()) > 0.8 * len(counts)
+    # What goes on after damage may do all of it anew.
+    assert sum(of["refused"] > 0 for of in counts.values()) > 0.9 * len(counts)
+
+
+def test_what_is_read_is_used():
+    counts, faults = fuzz.run(COUNT, ["sounding", "mesh obj"], rendered=2)
+    assert not faults and all(of["rendered"] >= 2 and of["accepted"] >= of["rendered"] for of in counts.values())
+
+
+# Of ten thousand each, those that once broke a reader (True: what used it); none may again.
+BROKE = [
+    ("track", True, [106, 400, 459]),
+    ("thermal properties", False, [2437]),
+    ("atmosphere", False, [3786, 4549, 5976, 8611]),
+    ("atmosphere", True, [83, 163, 2623]),
+    ("map correlation+", False, [882, 1056, 2267, 4772]),
+    ("map correlation+", True, [414]),
+    ("map palette", False, [266, 2432, 2897]),
+    ("map trees", False, [1113, 1683, 2030, 3177, 1868]),
+    ("map trees", True, [1154]),
+    ("emissivity map", False, [9069, 9327]),
+    ("elevation", False, [1468]),
+    ("scene", True, [793, 1520, 3206]),
+    ("EXR", False, [824, 2044, 4653]),
+    ("thermal picture", False, [268]),
+    ("mesh glb", False, [1711, 2632, 3852]),
+    ("DJI log", False, [3571, 3801]),
+    ("tape7", False, [4109]),
+    ("selection of samples", True, [226]),
+    ("weather year EPW", False, [187]),
+    ("data set's card.json", False, [170]),
+    ("training's settings.json", False, [62, 249, 279]),
+    ("training's log.jsonl", False, [152, 154, 216]),
+    ("checkpoint", False, [48, 69, 98]),
+    ("flight's frames.jsonl", False, [2324, 3089, 8026, 8979]),
+]
+
+
+@pytest.mark.parametrize(("name", "used", "numbers"), BROKE)
+def test_what_once_broke_a_reader_is_refused_or_read(name, used, numbers):
+    job, limits = (fuzz.USES[name], fuzz.RENDERING) if used else (READERS[name].read, fuzz.READING)
+    ends = fuzz._ends(name, job, numbers, 0, limits)
+    assert {end.kind for end in ends} <= {"refused", "accepted"}, ends
+
+
+def test_an_input_can_be_made_again():
+    whole = b"a = 1.5\nb = [2, 3]\n"
+    found = [fuzz.damaged(whole, "camera", number) for number in range(200)]
+    assert found == [fuzz.damaged(whole, "camera", number) for number in range(200)]
+    assert len(set(found)) > 150 and whole not in found[:3]
+    assert found != [fuzz.damaged(whole, "scene", number) for number in range(200)]
+
+
+def fails(path):
+    """A reader that every third input makes fail, in the way that the file's name tells."""
+    text = path.read_bytes()
+    if sum(text) % 3:
+        raise ThermorenderError("no.")
+    kind = path.stem
+    if kind == "foreign":
+        return int("x")
+    if kind == "crashed":
+        os._exit(3)
+    if kind == "slow":
+        time.sleep(60)
+    return {"a": [np.array([1.0, np.nan])]}
+
+
+@pytest.mark.parametrize("kind", ["foreign", "infinite", "crashed", "slow"])
+def test_what_a_reader_must_not_do_is_found(kind, monkeypatch):
+    make = lambda folder: (folder / f"{kind}.txt").write_text("12, 34")  # noqa: E731
+    monkeypatch.setattr(fuzz, "READING", (1, 1 << 30))
+    monkeypatch.setitem(READERS, "faulty", Reader(f"{kind}.txt", make, fails))
+    count = 6 if kind == "slow" else 12
+    counts, faults = fuzz.run(count, ["faulty"])
+    inputs = [fuzz.damaged(b"12, 34", "faulty", number) for number in range(count)]
+    assert [fault.number for fault in faults] == [number for number, text in enumerate(inputs) if sum(text) % 3 == 0]
+    assert {fault.kind for fault in faults} == {kind} and sum(counts["faulty"].values()) == count
+
+
+def test_an_unknown_reader_is_refused():
+    with pytest.raises(ThermorenderError, match="reader 'x' is unknown; give some of atmosphere"):
+        fuzz.run(1, ["x"])

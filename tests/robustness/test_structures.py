@@ -1,0 +1,144 @@
+"""Readers under files of the right form with anything in them: documents whose values, keys and lists are exchanged,
+and tables of any cells. What Hypothesis finds to break a reader it makes as small as it can.
+
+Byte by byte damage is in test_fuzz.py.
+"""
+
+import json
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tests.robustness.fuzz import run as fuzz
+from tests.robustness.fuzz.corpus import READERS
+from thermorender.errors import ThermorenderError
+from thermorender.schema import read_toml, toml_text
+
+DOCUMENTS = [name for name, each in READERS.items() if each.file.endswith((".toml", ".json", ".geojson", ".gltf"))
+             and not name.startswith(("flight", "translation"))]  # fmt: skip
+TABLES = [name for name, each in READERS.items() if each.file.endswith(".csv")]
+# Always the same examples, so that a test that is green stays so.
+SAME = settings(derandomize=True, database=None, deadline=None, max_examples=60,
+                suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])  # fmt: skip
+
+NUMBERS = st.one_of(
+    st.floats(), st.integers(), st.sampled_from([0, -1, 1e308, -1e308, 1e-320, 2**63, -(2**70), 10**400, 1e6, 255, 256])
+)
+WORDS = st.one_of(st.text(max_size=8), st.sampled_from(["", "nan", "../x", "a\nb", "\u202e", "x" * 5000, "1", "🜁"]))
+VALUES = st.recursive(
+    st.one_of(NUMBERS, WORDS, st.booleans(), st.none()),
+    lambda inner: st.one_of(st.lists(inner, max_size=4), st.dictionaries(WORDS, inner, max_size=3)),
+    max_leaves=6,
+)
+
+
+def places(value, path=()):
+    """The paths of all values in a document."""
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, each in items:
+        yield (*path, key)
+        yield from places(each, (*path, key))
+
+
+@st.composite
+def changed(draw, whole):
+    """The document with up to three of its values exchanged, left out, doubled or joined by another."""
+    document = json.loads(json.dumps(whole))
+    for _ in range(draw(st.integers(1, 3))):
+        paths = list(places(document))
+        if not paths:
+            break
+        *above, key = draw(st.sampled_from(paths))
+        parent = document
+        for step in above:
+            parent = parent[step]
+        match draw(st.sampled_from(["value", "value", "kin", "without", "another"])):
+            case "value":
+                parent[key] = draw(VALUES)
+            case "kin":
+                # What is right in another place.
+                other = document
+                for step in draw(st.sampled_from(paths)):
+                    other = other[step]
+                parent[key] = json.loads(json.dumps(other))
+            case "without":
+                del parent[key]
+            case "another" if isinstance(parent, dict):
+                parent[draw(WORDS)] = draw(VALUES)
+            case "another":
+                parent.insert(key, draw(VALUES))
+    return document
+
+
+@st.composite
+def retold(draw, whole):
+    """The table with cells, columns and rows exchanged."""
+    rows = [line.split(",") for line in whole.splitlines()]
+    cells = st.one_of(NUMBERS.map(str), WORDS, st.sampled_from([cell for row in rows for cell in row]))
+    for _ in range(draw(st.integers(1, 4))):
+        row = draw(st.integers(0, len(rows) - 1))
+        column = draw(st.integers(0, max(len(rows[row]) - 1, 0)))
+        match draw(st.sampled_from(["cell", "cell", "column", "row", "short"])):
+            case "cell" if rows[row]:
+                rows[row][column] = draw(cells)
+            case "column":
+                value = draw(cells)
+                for each in rows[1:]:
+                    each[column : column + 1] = [value]
+            case "row":
+                rows.insert(row, [draw(cells) for _ in rows[0]])
+            case _:
+                del rows[row][column:]
+    mark = draw(st.sampled_from([",", ",", ",", ";", "\t"]))
+    return "\n".join(mark.join(row) for row in rows)
+
+
+def judged(name, path):
+    """Read a file: what is accepted is finite, and what is not is refused in a sentence."""
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        try:
+            infinite = list(fuzz._infinite(READERS[name].read(path)))
+        except ThermorenderError as error:
+            assert fuzz._is_sentence(str(error)), str(error)
+        else:
+            assert not infinite
+
+
+@pytest.mark.parametrize("name", DOCUMENTS)
+def test_documents_with_anything_in_them(name, tmp_path):
+    reader = READERS[name]
+    reader.make(tmp_path)
+    path = tmp_path / reader.file
+    toml = path.suffix == ".toml"
+    whole = read_toml(path) if toml else json.loads(path.read_text(encoding="utf-8"))
+
+    @SAME
+    @given(changed(whole))
+    def check(document):
+        try:
+            path.write_text(toml_text(document) if toml else json.dumps(document), encoding="utf-8")
+        except (OverflowError, TypeError, ValueError):
+            # Words that are not Unicode, numbers that have no text, and what TOML has no form for.
+            return
+        judged(name, path)
+
+    check()
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_tables_with_anything_in_them(name, tmp_path):
+    reader = READERS[name]
+    reader.make(tmp_path)
+    path = tmp_path / reader.file
+
+    @SAME
+    @given(retold(path.read_text(encoding="utf-8")))
+    def check(text):
+        path.write_bytes(text.encode(errors="surrogatepass"))
+        judged(name, path)
+
+    check()

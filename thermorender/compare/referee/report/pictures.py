@@ -1,0 +1,77 @@
+"""Pictures of a comparison: kept small inside the page, where hovering tells kelvin, and at full size as files."""
+
+import base64
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from thermorender.compare.referee.report.figures import error_images
+from thermorender.compare.referee.views import evenly
+
+# Steps of a picture's values inside the page, per kelvin; and how much the page may hold of them [bytes].
+STEPS_PER_K = 20.0
+MOST_BYTES = 12_000_000
+# Poses that are drawn, at most: of a scene, and of all, but one of each.
+_POSES, _ALL = 3, 12
+
+
+@dataclass
+class Pictures:
+    """The pictures of a comparison.
+
+    Attributes
+    ----------
+    folder : Path
+        Where files go, below `pictures`.
+    scenes : int
+        How many scenes share them.
+    views : list of dict
+        {"title", "visible", "pictures": [{"label", "source", "reference"}]} of each pose that the page shows.
+    """
+
+    folder: Path
+    scenes: int = 1
+    views: list = field(default_factory=list)
+    _bytes: int = 0
+
+    def add(self, scene, view, seen, index, count):
+        """Add the pictures of a View where it is among those that are drawn: `seen` is {label: (H, W) kelvin}."""
+        if index not in evenly(count, min(_POSES, max(1, _ALL // self.scenes))):
+            return
+        place = self.folder / "pictures"
+        place.mkdir(exist_ok=True)
+        error_images(place / f"{scene}_{index:04d}.png", view, seen)
+        shown = [] if view.truth is None else [("reference", view.truth)]
+        pictures = [{"label": label, "source": encoded(image, view.known), "reference": label == "reference"}
+                    for label, image in (*shown, *seen.items())]  # fmt: skip
+        size = sum(len(each["source"]) for each in pictures)
+        if self._bytes + size > MOST_BYTES:
+            return
+        self._bytes += size
+        photograph = cv2.resize(view.visible, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        self.views.append({
+            "title": f"{scene}, {view.time_s:.1f} s",
+            "visible": _data("jpeg", cv2.imencode(".jpg", photograph[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])[1]),
+            "pictures": pictures,
+        })  # fmt: skip
+
+
+def encoded(kelvin, known):
+    """Return a picture at half its size as a data URL of a PNG that keeps kelvin.
+
+    Red and green are the high and the low byte of the temperature in steps of 1/20 K, 0 for none; blue is 255 where it
+    is judged.
+    """
+    small = kelvin[::2, ::2]
+    steps = np.where(np.isfinite(small), np.clip(np.rint(np.nan_to_num(small) * STEPS_PER_K), 0, 65535), 0).astype(
+        np.uint16
+    )
+    blue = np.where(known[::2, ::2], 255, 0).astype(np.uint8)
+    image = np.stack([blue, (steps & 255).astype(np.uint8), (steps >> 8).astype(np.uint8)], axis=-1)
+    return _data("png", cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 6])[1])
+
+
+def _data(kind, content):
+    return f"data:image/{kind};base64,{base64.b64encode(np.asarray(content).tobytes()).decode()}"

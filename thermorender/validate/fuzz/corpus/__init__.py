@@ -1,6 +1,0 @@
-"""A small whole file for each reader of the package, and the reader: what damaged files are made from."""
-
-from thermorender.validate.fuzz.corpus import arrays, images, kept, meshes, settings, tables  # noqa: F401
-from thermorender.validate.fuzz.corpus.registry import READERS, Reader
-
-__all__ = ["READERS", "Reader"]

@@ -1,0 +1,1 @@
+"""What air costs a frame, and the error of its spectral channels."""

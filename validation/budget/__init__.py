@@ -1,0 +1,1 @@
+"""The stated sampling error of frames against 256 rays per pixel."""

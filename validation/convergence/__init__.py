@@ -1,0 +1,1 @@
+"""Error against run time, beside stock Mitsuba, against a path-traced reference."""

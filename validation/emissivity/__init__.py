@@ -1,0 +1,1 @@
+"""Errors of a learned emissivity map on procedural scenes, beside simpler methods."""

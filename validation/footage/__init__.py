@@ -1,0 +1,1 @@
+"""Power spectra and noise of simulated frames beside those of real ones."""

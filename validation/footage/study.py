@@ -1,0 +1,178 @@
+"""Simulated frames beside real ones by their statistics: power spectra, parts of the noise, noise over the field.
+
+The scenes differ, so only what the camera makes is compared: where the spectrum of the scene bends down and the noise
+takes over, the lines of rows and columns, what stays on the detector, and how noise grows towards the corners. Twice:
+with the camera as its file has it, and with the file that `fit-camera` makes of the same footage.
+"""
+
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+
+from thermorender import defaults, files
+from thermorender.footage.calibration import fit_camera, frame_files, noise_scale, read_frame, write_camera
+from thermorender.footage.noise_statistics import Spectra, block_means, block_powers, noise_of
+from thermorender.physics.band import RadianceTable
+from thermorender.physics.planck import band_radiance
+from thermorender.sensor.camera import load_camera
+from thermorender.sensor.chain import Sensor
+from thermorender.sensor.optics import relative_illumination
+from thermorender.sensor.readout import radiance_from_counts
+from validation.footage.figure import figure
+
+HEADER = ("frames", "pixel [mK]", "row", "column", "fixed pixel", "fixed row", "fixed column")
+_PARTS = ("pixel", "row", "column", "fixed_pixel", "fixed_row", "fixed_column")
+# Simulated frames, and how high above the ground and how far from the middle of the scene they are taken [m]: high
+# enough for a texel of the shipped scenes to fill no more than a pixel.
+_FRAMES, _HEIGHT_M, _AWAY_M = 12, 200.0, 60.0
+_RINGS = 6
+
+
+def compare(paths, output, base=defaults.CAMERA, scale=None, scene=defaults.SCENE, name="footage", seed=0,
+            progress=None, **options):  # fmt: skip
+    """Write `name`.json, `name`.png and `name`.toml of a camera's footage and its simulations; return what JSON holds.
+
+    Parameters
+    ----------
+    paths : sequence of paths
+        Real frames, or folders of them.
+    output : path
+        Folder.
+    base : str or path
+        Camera model of the footage.
+    scale : (2,) floats, optional
+        (kelvin per count, kelvin of count 0) of TIFFs that declare none.
+    scene : str
+        Scene the simulated frames show, from above.
+    seed : int
+    progress : callable, optional
+        Called with (what, share done).
+    **options
+        Of the Renderer.
+    """
+    tell = progress or (lambda what, share: None)
+    camera, frames = load_camera(base, "base camera"), frame_files(paths)
+    found = fit_camera(paths, base, scale, lambda share: tell("reading the footage", share))
+    fitted_path = Path(output) / f"{name}.toml"
+    write_camera(fitted_path, base, found)
+    sides = {
+        "real": (read_frame(path, scale)[0] for path in frames),
+        "simulated, as the file has it": None,
+        "simulated, fitted": None,
+    }
+    radiance = _views(scene, camera, seed, tell, options)
+    for side, model in zip(list(sides)[1:], (camera, load_camera(fitted_path)), strict=True):
+        sides[side] = _readings(radiance, model, seed)
+    told = {side: _statistics(images, camera) for side, images in sides.items()}
+    estimates = {key: asdict(estimate) for key, estimate in found.items()}
+    result = {"camera": camera.name, "scene": scene, "estimates": estimates, "sides": told}
+    files.write_json(Path(output) / f"{name}.json", result)
+    figure(Path(output) / f"{name}.png", told, name)
+    return result
+
+
+def rows(result):
+    """Return the parts of the noise of each side as a camera file states them, for a table with `HEADER`."""
+    found = []
+    for side, told in result["sides"].items():
+        parts = ("—" if told["noise_mk"][p] is None else "{:.1f} ± {:.1f}".format(*told["noise_mk"][p]) for p in _PARTS)
+        found.append((f"{side}: {told['frames']}", *parts))
+    return found
+
+
+def _views(scene, camera, seed, tell, options):
+    """Band radiance of views straight down at positions and headings drawn from the seed."""
+    from thermorender.render.renderer import Renderer
+    from thermorender.scene.load import load_scene
+    from thermorender.trajectory.path import pose
+
+    loaded = replace(load_scene(scene), camera=camera)
+    renderer = Renderer(loaded, seed=seed, progress=tell, **options)
+    rng = np.random.default_rng(seed)
+    views = []
+    for number in range(_FRAMES):
+        east, north = rng.uniform(-_AWAY_M, _AWAY_M, 2)
+        view = pose(east, north, _HEIGHT_M + float(loaded.ground(east, north)), rng.uniform(0.0, 360.0), -90.0, 0.0)
+        views.append(renderer.frame(view, index=number).radiance)
+        tell("rendering", (number + 1) / _FRAMES)
+    return views
+
+
+def _readings(views, camera, seed):
+    """Apparent temperatures that a camera at rest reads of views [K]."""
+    grid = RadianceTable.grid(*camera.count_range_k)
+    table = RadianceTable(grid, band_radiance(grid, *camera.band_um))
+    sensor = Sensor(camera, seed)
+    for index, view in enumerate(views):
+        yield table.inverse(radiance_from_counts(sensor.counts_at_rest(view, index), camera))
+
+
+def _statistics(images, camera):
+    """The statistics of frames, as plain values."""
+    gain = 1.0 / relative_illumination(camera).astype(np.float64)
+    spectra, powers = Spectra((camera.height, camera.width), gain), []
+    for image in images:
+        spectra.add(image)
+        powers.append(block_powers(np.where(np.isfinite(image), image, np.nanmean(image))))
+    noise, mean_k = noise_of(spectra), float(spectra.image.mean())
+    # At one temperature and without the lens, as a camera file states it, or warm scenes would look less noisy.
+    scale = noise_scale(camera, mean_k)
+    frequency, total, fixed = _radial(spectra)
+    down, right = spectra.frequencies()
+    half = camera.height // 2
+    return {
+        "frames": spectra.count,
+        "mean_k": mean_k,
+        "noise_mk": {part: _millikelvin(getattr(noise, part), scale) for part in _PARTS},
+        "frequency": _short(frequency),
+        "power": _short(total),
+        "fixed_power": None if fixed is None else _short(fixed),
+        "rows": _line(down[1:half, 0], spectra.total[1:half, 0]),
+        "columns": _line(right[0, 1:-1], spectra.total[0, 1:-1]),
+        "field": _field(np.array(powers) / scale**2, camera),
+    }
+
+
+def _millikelvin(part, scale):
+    return None if part is None else _short(1e3 / scale * np.array(part))
+
+
+def _short(values):
+    return [float(f"{value:.4g}") for value in np.asarray(values)]
+
+
+def _line(frequency, power):
+    """Means over eight neighbours, or the lines are all scatter."""
+    frequency, power = (a[: a.size // 8 * 8].reshape(-1, 8).mean(axis=1) for a in (frequency, power))
+    return {"frequency": _short(frequency), "power": _short(power)}
+
+
+def _radial(spectra):
+    """(mean frequency, total power, fixed power) of rings of frequencies off the axes."""
+    down, right = spectra.frequencies()
+    radius = np.hypot(down, right)
+    edges = np.geomspace(0.01, 0.7, 45)
+    rings = [spectra.off_axis(ring) for ring in zip(edges[:-1], edges[1:], strict=True)]
+    rings = [ring for ring in rings if ring.any()]
+    fixed = spectra.fixed
+    return (
+        np.array([radius[ring].mean() for ring in rings]),
+        np.array([spectra.total[ring].mean() for ring in rings]),
+        None if fixed is None else np.array([fixed[ring].mean() for ring in rings]),
+    )
+
+
+def _field(powers, camera):
+    """Noise of the flattest blocks in rings around the middle of the image: {radius [share of the corner's], mK}."""
+    row, column = np.mgrid[: camera.height, : camera.width]
+    off = np.hypot(row - 0.5 * camera.height, column - 0.5 * camera.width)
+    off = block_means(off / off.max())
+    edges = np.quantile(off, np.linspace(0.0, 1.0, _RINGS + 1))
+    radius, noise = [], []
+    for low, high in zip(edges[:-1], edges[1:], strict=True):
+        ring = powers[:, (off >= low) & (off <= high)].reshape(-1, 2)
+        flattest = np.argsort(ring[:, 0])[: max(len(ring) // 10, 4)]
+        radius.append(0.5 * (low + high))
+        noise.append(1e3 * np.sqrt(ring[flattest, 1].mean()))
+    return {"radius": _short(radius), "noise_mk": _short(noise)}

@@ -1,0 +1,1 @@
+"""Time and memory against triangles, texels and spectral nodes."""

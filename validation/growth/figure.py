@@ -1,0 +1,29 @@
+"""Figure of what `validation.growth.study` measures."""
+
+from thermorender import files
+
+
+def figure(path, cases):
+    """Draw bake, frame and memory along each axis that was varied."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    kinds = (("bake_s", "bake, 16 rays per face [s]", 1.0), ("frame_ms", "frame at 45° [ms]", 1.0),
+             ("peak_mib", "most memory [GiB]", 1.0 / 1024))  # fmt: skip
+    varied = list(dict.fromkeys(case["varied"] for case in cases.values()))
+    drawing, panels = pyplot.subplots(len(kinds), len(varied), figsize=(11, 8), layout="constrained", squeeze=False)
+    for column, axis in zip(panels.T, varied, strict=True):
+        own = sorted((case for case in cases.values() if case["varied"] == axis), key=lambda case: case[axis])
+        for panel, (key, label, unit) in zip(column, kinds, strict=True):
+            known = [case for case in own if case[key] is not None]
+            if not known:
+                continue
+            panel.plot([case[axis] for case in known], [case[key] * unit for case in known], "o-", ms=4)
+            panel.set(xscale="log", yscale="log", xlabel=axis + (" along a side" if axis == "texels" else ""),
+                      ylabel=label)  # fmt: skip
+            panel.grid(True, which="both", lw=0.3, color="0.85")
+    with files.atomic(path) as part:
+        drawing.savefig(part, dpi=80)
+    pyplot.close(drawing)

@@ -1,0 +1,103 @@
+"""How cost grows: triangles, texels and spectral nodes, one at a time, each case in a process of its own.
+
+A fresh process tells the most memory that one case held: synthetic terrain, caster, bake and frames, but not the
+making of the terrain. Nodes are given in number, not by a tolerance.
+"""
+
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from thermorender import files
+from thermorender.compare import bench, machine
+from thermorender.compare.sampling_error import cache_off
+from thermorender.versions import versions
+from validation.growth.figure import figure
+from validation.kept_cases import kept_cases
+from validation.made_scenes import terrain
+
+# What the two axes that are not varied stand at: triangles, texels along a side, nodes.
+BASE = (1_000_000, 2048, 8)
+AXES = {
+    "triangles": (100_000, 300_000, 1_000_000, 3_000_000, 10_000_000),
+    "texels": (1024, 2048, 4096, 8192, 16384),
+    "nodes": (1, 4, 16, 64),
+}
+RAYS = 16
+HEADER = ("varied", "triangles", "texels", "nodes", "build [s]", "bake [s]", "frame [ms]", "peak [GiB]")
+
+
+def run(folder, axes=AXES, base=BASE, progress=None, device="auto"):
+    """Measure what is not yet in `growth.json` of a folder; return {case: record}, as is written there.
+
+    Parameters
+    ----------
+    folder : path
+    axes : dict
+        Values of triangles, texels (along a side) and nodes; the others stand at `base`.
+    base : (int, int, int)
+    progress : callable, optional
+        Called with (what, share done).
+    device : {"auto", "cpu", "cuda"}
+    """
+    folder = files.make_folder(folder)
+    path = folder / "growth.json"
+    kept = kept_cases(path)
+    names = tuple(AXES)
+    jobs = [
+        (axis, dict(zip(names, base, strict=True)) | {axis: value}) for axis, values in axes.items() for value in values
+    ]
+    for number, (axis, case) in enumerate(jobs):
+        name = "/".join((axis, *(str(value) for value in case.values())))
+        if progress:
+            progress(name, number / len(jobs))
+        if name in kept:
+            continue
+        kept[name] = {"varied": axis, **case, **machine.apart(_measure, *case.values(), device)}
+        record = {"machine": machine.machine(), "versions": versions(), "rays": RAYS, "cases": kept}
+        files.write_json(path, record)
+        figure(folder / "growth.png", kept)
+    if progress:
+        progress("measured", 1.0)
+    return kept
+
+
+def _measure(triangles, texels, nodes, device):
+    from thermorender.render.baked import bake
+    from thermorender.render.geometry import Geometry
+    from thermorender.render.plan import make_plan
+    from thermorender.render.renderer import Renderer
+    from thermorender.render.spectrum import with_nodes
+    from thermorender.render.variant import activate
+
+    scene = terrain(triangles, texels)
+    machine.forget_peak_memory()
+    start = time.perf_counter()
+    plan = make_plan(scene, rays=RAYS)
+    plan = replace(plan, spectrum=with_nodes(plan.spectrum, scene.materials, nodes))
+    geometry = Geometry(activate(device), scene.surfaces)
+    built = time.perf_counter()
+    with cache_off():
+        renderer = Renderer.of(bake(scene, plan, geometry))
+    baked = time.perf_counter()
+    pose, seconds = bench.views(scene)["oblique"], []
+    for turn in range(7):
+        begin = time.perf_counter()
+        renderer.radiance(pose)
+        if turn > 1:
+            seconds.append(time.perf_counter() - begin)
+    return {
+        "build_s": built - start, "bake_s": baked - built, "frame_ms": 1e3 * float(np.median(seconds)),
+        "peak_mib": machine.peak_memory_mib(),
+    }  # fmt: skip
+
+
+def rows(cases):
+    """Return the cases as rows of text under `HEADER`."""
+    return [
+        (case["varied"], str(case["triangles"]), f"{case['texels']}²", str(case["nodes"]), f"{case['build_s']:.1f}",
+         f"{case['bake_s']:.1f}", f"{case['frame_ms']:.0f}",
+         "unknown" if case["peak_mib"] is None else f"{case['peak_mib'] / 1024:.2f}")
+        for case in cases.values()
+    ]  # fmt: skip

@@ -1,0 +1,1 @@
+"""The heat balance against measured surface temperatures, beside simpler methods."""

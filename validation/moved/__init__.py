@@ -1,0 +1,1 @@
+"""Errors of maps moved to another hour and weather, beside simpler methods."""

@@ -1,0 +1,30 @@
+"""Errors of lag and blur against run time, and the cost of the whole chain.
+
+Run it as `python -m validation.sensor`.
+"""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from thermorender import defaults
+from thermorender.cli.terminal import Time, at_time, progress
+from validation.command import Device, Out, run_command
+from validation.sensor import study
+
+
+def main(
+    scene: Annotated[str, typer.Argument(help="Scene folder, or the name of a shipped one.")] = defaults.SCENE,
+    output: Out = Path("out/validation/sensor"),
+    time: Time = None,
+    device: Device = "auto",
+):
+    """Errors of lag and blur against run time, and what the whole chain costs."""
+    with progress() as tell:
+        study.sensor(output, at_time(scene, time), device=device, progress=tell)
+    typer.echo(f"table, numbers and figures in {output}")
+
+
+if __name__ == "__main__":
+    run_command(main)

@@ -1,0 +1,76 @@
+"""Figures of trainings: curves of validation error, and what a network gave after some of its epochs."""
+
+from pathlib import Path
+
+import numpy as np
+
+from thermorender import files
+from thermorender.learned.networks.runs import SAMPLES, read_log
+
+# Epochs of a strip, spread by the logarithm of their crops, as the DLR study shows four.
+_EPOCHS = 4
+
+
+def curves(path, result):
+    """Draw validation error against core hours of every training, its best marked.
+
+    Parameters
+    ----------
+    path : path
+    result : dict
+        Of `validation.trainings.study.run`.
+    """
+    from thermorender.compare.evaluation.figures import pyplot, save
+
+    figure, axis = pyplot().subplots(figsize=(10, 5.5), layout="constrained")
+    for number, each in enumerate(result["runs"]):
+        _, seconds, errors = zip(*each["curve"], strict=True)
+        style = {"color": f"C{number % 10}", "ls": ("-", "--", ":")[number // 10 % 3]}
+        axis.plot(np.array(seconds) / 3600.0, errors, lw=1.2, label=each["name"], **style)
+        axis.plot(each["best_core_s"] / 3600.0, each["best_mae_k"], "o", ms=5, color=style["color"])
+    axis.set(xscale="log", xlabel="training [hours of one core]", ylabel="mean absolute error on validation crops [K]")
+    axis.set_ylim(0.0, 1.6 * max(each["curve"][-1][2] for each in result["runs"]))
+    axis.grid(alpha=0.3, which="both")
+    axis.legend(fontsize=7, bbox_to_anchor=(1.01, 1.0), loc="upper left")
+    save(figure, path)
+
+
+def strip(path, folder):
+    """Draw the first sample of some epochs of a training: photograph, truth, translation and error.
+
+    Parameters
+    ----------
+    path : path
+        PNG to write.
+    folder : path
+        Of the training.
+    """
+    import cv2
+
+    from thermorender.compare.evaluation.figures import pyplot, save
+
+    error = {line["crops"]: line["validation_mae_k"] for line in read_log(folder)}
+    pictures = {int(each.stem): each for each in sorted((Path(folder) / SAMPLES).glob("*.png"))
+                if int(each.stem) in error}  # fmt: skip
+    crops = np.array(sorted(pictures))
+    wanted = np.geomspace(crops[0], crops[-1], _EPOCHS)
+    chosen = list(dict.fromkeys(int(crops[np.abs(np.log(crops / each)).argmin()]) for each in wanted))
+    size = 9.0, 2.5 * len(chosen)
+    figure, axes = pyplot().subplots(len(chosen), 1, figsize=size, layout="constrained", squeeze=False)
+    for axis, crop in zip(axes[:, 0], chosen, strict=True):
+        image = cv2.imread(str(pictures[crop]))[..., ::-1]
+        # Squares of a sample stand in four columns.
+        axis.imshow(image[: image.shape[1] // 4])
+        axis.set_title(f"after {crop} crops, {error[crop]:.2f} K: photograph, truth, translation, error ±10 K")
+        axis.set_axis_off()
+    save(figure, path)
+
+
+def write(folder, result, folders):
+    """Write curves.png and a strip_NAME.png of each training's folder."""
+    folder = files.make_folder(folder)
+    curves(folder / "curves.png", result)
+    for each in folders:
+        name = Path(each).resolve().name.removesuffix(".run")
+        if (Path(each) / SAMPLES).is_dir():
+            strip(folder / f"strip_{name}.png", each)
