@@ -252,9 +252,9 @@ def test_kept_cases_that_are_damaged_are_told(tmp_path, text):
 
 def test_stated_errors_are_held_against_finer_frames(tmp_path, monkeypatch):
     folder = write_terrain(tmp_path / "tiny", height=np.random.default_rng(1).uniform(0, 1, (32, 32)))
-    monkeypatch.setattr(study.cases, "CHOSEN", ((12, -90),))
-    monkeypatch.setattr(study.cases, "HEIGHTS_M", (20.0, 60.0))
-    monkeypatch.setattr(study.cases, "made", lambda seed: [])
+    monkeypatch.setattr(study.scenes, "CHOSEN", ((12, -90),))
+    monkeypatch.setattr(study.scenes, "HEIGHTS_M", (20.0, 60.0))
+    monkeypatch.setattr(study.scenes, "made", lambda seed: [])
     found = study.run(tmp_path / "out", scenes=(str(folder),), drawn=2)
     assert [(case["drawn"], case["quality"]) for case in found.values()] == [
         (False, "standard"), (False, "high"), (True, "standard"), (True, "standard")

@@ -14,7 +14,7 @@ from thermorender.compare.sampling_error import converged
 from thermorender.render.renderer import Renderer
 from thermorender.scene.load import load_scene
 from thermorender.versions import versions
-from validation.budget import cases
+from validation.budget import scenes
 from validation.budget.figure import figure
 from validation.kept_cases import kept_cases
 
@@ -50,13 +50,13 @@ def run(folder, scenes=defaults.SCENES, drawn=105, seed=0, qualities=QUALITIES, 
     folder = files.make_folder(folder)
     path = folder / "budget.json"
     kept = kept_cases(path)
-    views = cases.drawn(drawn, seed)
+    views = scenes.drawn(drawn, seed)
     jobs = [
-        (load_scene(name), [(view, False) for view in map(_view, cases.CHOSEN)]
+        (load_scene(name), [(view, False) for view in map(_view, scenes.CHOSEN)]
          + [(view, True) for view in views[number :: len(scenes)]])
         for number, name in enumerate(scenes)
     ]  # fmt: skip
-    jobs += [(scene, [(view, False) for view in chosen]) for scene, chosen in cases.made(seed)]
+    jobs += [(scene, [(view, False) for view in chosen]) for scene, chosen in scenes.made(seed)]
     for number, (scene, chosen) in enumerate(jobs):
         renderers = {}
         for part, (view, random) in enumerate(chosen):
@@ -104,7 +104,7 @@ def rows(kept):
 
 
 def _view(numbers):
-    return cases.View(*map(float, numbers))
+    return scenes.View(*map(float, numbers))
 
 
 def _key(scene, view, quality):
