@@ -40,6 +40,12 @@ for name, count in (("default", 15), ("slow", 60)):
     )  # fmt: skip
 settings.load_profile("default")
 
+
+def slow(*cases):
+    """Return cases of a parametrised test, each a value or a tuple of values, as ones that are marked slow."""
+    return [pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.slow) for case in cases]
+
+
 HERE = Path(__file__).resolve().parent
 # What may be redistributed travels with the tests; the rest is looked for here.
 DATA = Path(os.environ.get("THERMORENDER_DATA", HERE.parents[1] / "shared" / "data"))

@@ -1,5 +1,7 @@
 """Tiny scenes written to disk for tests."""
 
+from dataclasses import replace
+
 import numpy as np
 
 # A day in July of which a balance is told no more.
@@ -95,6 +97,14 @@ temperature = {sky}
         encoding="utf-8",
     )
     return folder
+
+
+def coarse(scene, factor=4):
+    """Return the scene with a camera of the same field of view and `factor` times fewer pixels a side."""
+    camera = scene.camera
+    pitch_um = factor * camera.pixel_pitch_um
+    fewer = replace(camera, width=camera.width // factor, height=camera.height // factor, pixel_pitch_um=pitch_um)
+    return replace(scene, camera=fewer)
 
 
 def plane_depth(ground_m=0.0, slope=(0.0, 0.0)):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import slow
 
 import thermorender as tr
 from scenes import write_terrain
@@ -56,7 +57,7 @@ def averaged(texels, on_map, pose, camera, pixels, finer=16):
     return values.reshape(-1, finer**2).mean(axis=1), inside.reshape(-1, finer**2).all(axis=1)
 
 
-@pytest.mark.parametrize(("up", "pitch_deg"), [(150, -90), (800, -90), (5000, -90), (800, -45), (1500, -30)])
+@pytest.mark.parametrize(("up", "pitch_deg"), [(800, -45), *slow((150, -90), (800, -90), (5000, -90), (1500, -30))])
 def test_a_pixel_shows_the_mean_of_its_texels(tmp_path, up, pitch_deg):
     # 1024² independent texels of 0.5 m: 0.4 to 13 of them a side of a pixel.
     random = np.random.default_rng(2)
@@ -83,7 +84,7 @@ def test_a_pixel_shows_the_mean_of_its_texels(tmp_path, up, pitch_deg):
     assert abs(found.mean()) < 4 * found.std() / np.sqrt(inside.sum()) + 1e-4 * spread
 
 
-@pytest.mark.parametrize(("up", "pitch_deg"), [(60, -90), (900, -90), (900, -40), (6000, -90)])
+@pytest.mark.parametrize(("up", "pitch_deg"), [(900, -40), *slow((60, -90), (900, -90), (6000, -90))])
 def test_the_budget_knows_the_error_from_any_height(tmp_path, up, pitch_deg):
     random = np.random.default_rng(4)
     height, warm = random.uniform(0, 1.5, (256, 256)), random.uniform(270, 330, (512, 512))
@@ -101,6 +102,7 @@ def test_the_budget_knows_the_error_from_any_height(tmp_path, up, pitch_deg):
     assert true < frame.budget_mk["sampling"] < 3 * true
 
 
+@pytest.mark.slow
 def test_the_budget_knows_what_footprints_err_by_alike(tmp_path):
     """Slopes that face the camera are warm and hide cold ones, into which footprints reach from afar."""
     row = np.arange(256)

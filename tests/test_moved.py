@@ -309,6 +309,7 @@ def test_a_scene_that_moves_nothing_imports_none_of_it():
 # --- the study --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_study_tells_errors_of_every_method():
     found = study.run(("heath",), (5,), ("14 h", "18 h"), sizes={"heath": (32.0, 0.5, 2.0)})
     assert set(found["all"]) == {f"{name}: {case}" for name in study.MAPS for case in ("14 h", "18 h")}

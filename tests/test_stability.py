@@ -23,6 +23,7 @@ from thermorender.validate.stability import cases, heat, light, sensor
 from thermorender.validate.stability.cases import Found
 
 
+@pytest.mark.slow
 def test_all_but_heat_hold_and_are_written(tmp_path, call):
     groups = ("light", "sensor", "air", "maps", "pixels", "precision", "geometry", "motion", "solver")
     status, output, _ = call("validate", "stability", *groups, "-o", tmp_path)
@@ -53,6 +54,7 @@ def own_cases(*words, group="heat"):
     }
 
 
+@pytest.mark.slow
 def test_heat_holds(anew):
     found = own_cases("")
     assert len(found) > 40 and [name for name, each in found.items() if not each["passed"]] == []
