@@ -98,7 +98,7 @@ def test_the_spread_is_that_of_the_errors(tmp_path):
     assert told == pytest.approx(np.sqrt((error**2).mean()), rel=0.35) and told > np.sqrt(2.0)
 
 
-@pytest.mark.parametrize("name", ["compact", "pix2pix"])
+@pytest.mark.parametrize("name", ["compact", *slow("pix2pix")])
 def test_what_half_precision_costs_is_told(tmp_path, name):
     task = task_of(name, examples(), tmp_path / "r", **SMALL)
     found = train_network(task, name)
@@ -109,7 +109,13 @@ def test_what_half_precision_costs_is_told(tmp_path, name):
     assert found.trained["half_precision_mk"] == pytest.approx(wanted, rel=1e-3) and wanted > 1e-3
 
 
-@pytest.mark.parametrize("name", [name for name in RECIPES if name not in ("compact+", "pix2pix-b25")])
+# Generators of many blocks; a step of each is in test_networks.py.
+LARGE = ("cyclegan", "pix2pixhd")
+
+
+@pytest.mark.parametrize(
+    "name", [*(name for name in RECIPES if name not in ("compact+", "pix2pix-b25", *LARGE)), *slow(*LARGE)]
+)
 def test_every_network_trains(name, tmp_path):
     """Its losses fall, or hold for those that fight each other; what it made is in the folder."""
     batch = {"batch": 2, "crops": 8, "every": 4}

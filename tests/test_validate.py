@@ -312,7 +312,7 @@ def test_air_s_channels_err_by_less_than_planned(tmp_path, monkeypatch):
         *slow((["convergence", "--overwrite"], convergence, "convergence",
                (["heath", "village", "ridge"], "OUT", "full", True, "auto"))),
         (["growth", "--device", "cpu"], growth, "run", ("OUT", "cpu")),
-        (["sensor", "village"], sensor, "sensor", ("OUT", "village", "auto")),
+        (["sensor", "ridge"], sensor, "sensor", ("OUT", "ridge", "auto")),
         (["footage", "a.tif", "b", "--base", "tau2-640", "--scale", "0.04,1", "--name", "x"], sensor_statistics,
          "compare", (["a.tif", "b"], "OUT", "tau2-640", (0.04, 1.0), "heath", "x", "auto")),
         (["emissivity", "--seeds", "7, 8"], emissivity, "evaluate", ("procedural", [7, 8])),
