@@ -8,6 +8,7 @@ import mitsuba
 import numpy as np
 import pytest
 import trimesh
+from conftest import slow
 
 import thermorender as tr
 from scenes import coarse, write_mesh, write_terrain
@@ -224,11 +225,11 @@ def test_the_thermography_reading_stands_beside_the_truth(setting, tmp_path):
 
 
 def test_what_a_pixel_errs_by_stands_beside_it_on_request(setting, tmp_path):
-    renderer, path = setting
+    # As many pixels as the camera has, as the record looks the light up in every sixteenth only.
+    renderer, path = tr.Renderer(tr.load_scene(setting[0].scene.spec.folder), rays=4, samples=1), setting[1]
     fly(renderer, path, tmp_path / "f", rate_hz=1.0, products=("exr", "error"))
     channels, record = read_exr(tmp_path / "f/frame_000001.exr")
     assert record["units"]["error"] == "mK at 300 K" and "truth.depth" not in channels
-    # The record looks the light up in every sixteenth pixel only.
     total = float(np.sqrt(np.nanmean(np.square(channels["error"], dtype=np.float64))))
     assert total == pytest.approx(record["budget_mk"]["total"], rel=0.1)
     fly(renderer, path, tmp_path / "g", rate_hz=1.0, products=("exr",))
@@ -246,6 +247,7 @@ def flown_over(tmp_path, name, track, path, **keywords):
     return renderer, [json.loads(line)["plan"]["sensor"] for line in lines]
 
 
+@pytest.mark.slow
 def test_what_moves_by_itself_is_followed_in_its_part_of_the_image(tmp_path):
     path = tr.Trajectory(np.array([0.0, 1.0]), np.array([[-1.0, 0, 12], [1.0, 0, 12]]), np.array([[0, 1.0, 0, 0]] * 2))
     for name in ("a", "b"):
@@ -256,7 +258,7 @@ def test_what_moves_by_itself_is_followed_in_its_part_of_the_image(tmp_path):
     assert {name for name in first if first[name] != second[name]} == {"flight.json"}
 
 
-@pytest.mark.parametrize("rate_hz", [9.0, 30.0])
+@pytest.mark.parametrize("rate_hz", [9.0, *slow(30.0)])
 def test_a_marker_that_warms_is_read_by_rows_at_their_own_time(tmp_path, rate_hz):
     """The same noise in all three flights: what is left of their differences is the marker's."""
     import cv2
