@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from conftest import slow
 
 from thermorender import units
 from thermorender.atmosphere import model, rays
@@ -351,7 +352,7 @@ def test_verdicts(job, passed, tmp_path, monkeypatch, call):
 
 @pytest.mark.parametrize(
     ("place", "name", "words"),
-    [("render.geometry", "Channels", "places on the map"), ("render.light.texels", "light", "light between"),
+    [*slow(("render.geometry", "Channels", "places on the map")), ("render.light.texels", "light", "light between"),
      ("sensor.detector", "advanced", "of 16.7 ms")],
 )  # fmt: skip
 def test_half_precision_is_told_by_the_cases_of_precision(place, name, words, monkeypatch):
