@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import slow
 from scipy.ndimage import gaussian_filter
 
 import thermorender as tr
@@ -691,8 +692,10 @@ def test_the_visible_camera_and_its_registered_picture(ground, tmp_path, call):
     assert np.abs(laid[middle] - registered[middle]).mean() < 2.0
 
 
-def test_learned_materials_leave_objects_their_own():
-    scene = tr.load_scene("heath")
+def test_learned_materials_leave_objects_their_own(tmp_path):
+    plate = '[[object]]\nname = "x"\nshape = "disc"\nposition = [0, 0, 0]\ntemperature = 330.0\nmaterial = "brass"\n'
+    scene = tr.load_scene(write_terrain(tmp_path / "s", extra=plate))
+    assert len(scene.surfaces) == 2
     told = scene.with_learned_materials(methods.learned_materials())
     for before, after in zip(scene.surfaces[1:], told.surfaces[1:], strict=True):
         assert [scene.materials[k].name for k in np.unique(before.material)] == [
@@ -864,7 +867,7 @@ def test_what_is_remembered_is_told_apart_by_all_that_a_map_is_told():
     assert [last.predict(each, 0.2)[0, 0] for each in (first, first, others[0], first)] == [1, 1, 2, 3]
 
 
-@pytest.mark.parametrize("damaged", [None, "facts.json", "0000.npy"])
+@pytest.mark.parametrize("damaged", [None, *slow("facts.json", "0000.npy")])
 def test_a_comparison_that_was_stopped_goes_on_with_what_it_lacks(ground, tmp_path, monkeypatch, damaged):
     level = uniform_map(tmp_path / "level.npz", 0.5)
     whole = compare([flight(ground)], tmp_path / "whole", [level], rays=8)
