@@ -2,10 +2,10 @@
 
 import os
 import time
+import warnings
 
 import numpy as np
 import pytest
-from test_structures import judged
 
 from thermorender.errors import ThermorenderError
 from thermorender.validate import fuzz
@@ -72,6 +72,18 @@ BROKE = [
     ("checkpoint", False, [48, 69, 98]),
     ("flight's frames.jsonl", False, [2324, 3089, 8026, 8979]),
 ]
+
+
+def judged(name, path):
+    """Read a file: what is accepted is finite, and what is not is refused in a sentence."""
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        try:
+            infinite = list(fuzz._infinite(READERS[name].read(path)))
+        except ThermorenderError as error:
+            assert fuzz._is_sentence(str(error)), str(error)
+        else:
+            assert not infinite
 
 
 @pytest.mark.parametrize("name", READERS)

@@ -5,16 +5,13 @@ Byte by byte damage is in test_fuzz.py.
 """
 
 import json
-import warnings
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from test_fuzz import judged
 
-from thermorender.errors import ThermorenderError
 from thermorender.schema import read_toml, toml_text
-from thermorender.validate import fuzz
 from thermorender.validate.fuzz.corpus import READERS
 
 DOCUMENTS = [name for name, each in READERS.items() if each.file.endswith((".toml", ".json", ".geojson", ".gltf"))
@@ -91,18 +88,6 @@ def retold(draw, whole):
                 del rows[row][column:]
     mark = draw(st.sampled_from([",", ",", ",", ";", "\t"]))
     return "\n".join(mark.join(row) for row in rows)
-
-
-def judged(name, path):
-    """Read a file: what is accepted is finite, and what is not is refused in a sentence."""
-    with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore")
-        try:
-            infinite = list(fuzz._infinite(READERS[name].read(path)))
-        except ThermorenderError as error:
-            assert fuzz._is_sentence(str(error)), str(error)
-        else:
-            assert not infinite
 
 
 @pytest.mark.parametrize("name", DOCUMENTS)
