@@ -6,8 +6,11 @@ BIN    := $(VENV)/bin
 # PyTorch's build without CUDA, some gigabytes smaller; TORCH=torch takes what PyPI has.
 TORCH  ?= 'torch==2.13.0' --extra-index-url https://download.pytorch.org/whl/cpu
 READY  := $(VENV)/.ready
+# Processes that run tests, one core each; each takes about 1 GB of memory.
+WORKERS ?= auto
+PYTEST := -m pytest -n $(WORKERS) --maxprocesses 8 --dist worksteal
 
-.PHONY: setup demo test lint coverage validation maps clean
+.PHONY: setup demo test test-all lint coverage validation maps clean
 
 setup: $(READY)
 
@@ -34,19 +37,25 @@ demo: $(READY)
 	rm -rf out/demo
 	$(BIN)/thermorender demo -o out/demo
 
+# All but the tests marked `slow`: six minutes on two cores.
 test: $(READY)
-	$(BIN)/python -m pytest
+	$(BIN)/python $(PYTEST) -m "not slow"
+
+# Every test, and more examples of each random one; prints the ten slowest. 40 minutes on two cores.
+test-all: $(READY)
+	$(BIN)/python $(PYTEST) --hypothesis-profile slow --durations 10
 
 lint: $(READY)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'ruff>=0.6' 'mypy>=1.11'
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
-# Line coverage of each room (folder of the package), processes that tests start included; fails below 85 %.
+# Line coverage of each room (folder of the package) by `make test`, processes that tests start included; fails
+# below 85 %.
 coverage: $(READY)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'coverage>=7.10'
 	$(BIN)/python -m coverage erase
-	$(BIN)/python -m coverage run -m pytest
+	$(BIN)/python -m coverage run $(PYTEST) -m "not slow"
 	$(BIN)/python -m coverage combine --quiet
 	$(BIN)/python -m coverage json --quiet -o coverage.json
 	$(BIN)/python tests/coverage_of_rooms.py coverage.json
