@@ -7,7 +7,7 @@ BIN    := $(VENV)/bin
 TORCH  ?= 'torch==2.13.0' --extra-index-url https://download.pytorch.org/whl/cpu
 READY  := $(VENV)/.ready
 
-.PHONY: setup demo test lint coverage maps clean
+.PHONY: setup demo test lint coverage docs maps clean
 
 setup: $(READY)
 
@@ -50,6 +50,12 @@ coverage: $(READY)
 	$(BIN)/python -m coverage combine --quiet
 	$(BIN)/python -m coverage json --quiet -o coverage.json
 	$(BIN)/python tests/coverage_of_rooms.py coverage.json
+
+# The pages of docs/, with the notebooks of examples/ executed; a warning is an error.
+docs: $(READY)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
+	$(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html
+	@echo "open docs/_build/html/index.html"
 
 # The learned maps that ship, anew: the standard campaign is rendered, which takes two hours of one core, and each
 # method trained on it, compact+ and pix2pix for another 76 and 45 minutes of one core. What is there of the campaign
