@@ -24,9 +24,9 @@ NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
 NOT_RUN = "# not run: "
 # Pages whose blocks take more than 20 s of one core.
 SLOW = {
-    "start/first-comparison.md", "guides/campaign.md", "guides/cameras.md", "guides/compare.md",
-    "guides/learned-maps.md", "guides/weather.md", "examples/02_day_over_your_terrain.py",
-    "examples/03_map_against_render.py", "README.md",
+    "README.md", "start/first-comparison.md", "start/first-flight.md", "guides/campaign.md", "guides/cameras.md",
+    "guides/compare.md", "guides/flight-logs.md", "guides/learned-maps.md", "guides/materials.md", "guides/weather.md",
+    "examples/01_first_frame.py", "examples/02_day_over_your_terrain.py", "examples/03_map_against_render.py",
 }  # fmt: skip
 _BLOCK = re.compile(r"^```(python|bash|text)\n(.*?)^```$", flags=re.S | re.M)
 
@@ -161,7 +161,9 @@ EVERY_PAGE = [README, *(page for page in sorted(DOCS.rglob("*.md")) if "_build" 
 def test_verbs_and_options_of_a_page_exist(page):
     """Whatever `thermorender VERB --option` a page writes, in blocks and in sentences, is known to the parser."""
     text = page.read_text(encoding="utf-8").replace("\\\n", " ")
-    for command in re.findall(r"(?:^|`)thermorender ([a-z][^`\n]*)", text, flags=re.M):
+    fenced = "\n".join(re.findall(r"^```(?:bash)?\n(.*?)^```$", text, flags=re.S | re.M))
+    inline = re.findall(r"`thermorender ([a-z][^`\n]*)`", text)
+    for command in re.findall(r"^ *thermorender ([a-z].*)", fenced, flags=re.M) + inline:
         words = command.split()
         verbs = get_command(cli.app).commands
         assert words[0] in verbs, f"thermorender {command}"
