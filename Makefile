@@ -10,7 +10,7 @@ READY  := $(VENV)/.ready
 WORKERS ?= auto
 PYTEST := -m pytest -n $(WORKERS) --maxprocesses 8 --dist worksteal
 
-.PHONY: setup demo test test-all lint coverage validation maps clean
+.PHONY: setup demo test test-all lint coverage validation docs maps clean
 
 setup: $(READY)
 
@@ -63,6 +63,11 @@ coverage: $(READY)
 # Every study without results is run, which takes hours; then one page of verdicts is written: validation/index.html.
 validation: $(READY)
 	$(BIN)/python -m validation
+# The pages of docs/, with the notebooks of examples/ executed; a warning is an error.
+docs: $(READY)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
+	$(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html
+	@echo "open docs/_build/html/index.html"
 
 # The learned maps that ship, anew: the standard campaign is rendered, which takes two hours of one core, and each
 # method trained on it, compact+ and pix2pix for another 76 and 45 minutes of one core. What is there of the campaign
