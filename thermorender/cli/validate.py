@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from thermorender import defaults, files
+from thermorender import defaults, files, formats
 from thermorender.cli.camera import Base, Frames, Scale, parse_scale
 from thermorender.cli.terminal import Time, at_time, output_option, progress, split, table
 from thermorender.cli.terminal import air as parse_air
@@ -93,7 +93,7 @@ def validate_emissivity(
     numbers = _seeds(seeds)
     with progress() as tell, files.output_folder(output) as folder:
         result = study.evaluate(model, numbers, progress=tell)
-        files.write_json(folder / "emissivity.json", result)
+        formats.write_json(folder / "emissivity.json", result)
         study.write_confusion(result, folder / "emissivity_confusion.csv")
     table(study.HEADER, study.rows(result))
     typer.echo(f"numbers and confusion table in {output}")
@@ -122,7 +122,7 @@ def validate_maps(
     with progress() as tell, files.output_folder(output) as folder:
         names = split(methods) if methods else None
         result = study.run(read_dataset(dataset), names, split(vary) if vary else None, limit, seed, tell)
-        files.write_json(folder / "maps.json", result)
+        formats.write_json(folder / "maps.json", result)
         for varied, draw in (("share", against_share), ("shift_px", against_shift)):
             curves = {}
             for case in result["cases"]:
@@ -145,7 +145,7 @@ def validate_trainings(
 
     result = study.run(runs)
     with files.output_folder(output) as folder:
-        files.write_json(folder / "trainings.json", result)
+        formats.write_json(folder / "trainings.json", result)
         write(folder, result, runs)
     table(study.HEADER, study.rows(result))
     for line in study.sentences(result):
@@ -166,7 +166,7 @@ def validate_translation(
 
     with progress() as tell, files.output_folder(output) as folder:
         result = study.run(models, dataset, scene, pictures, tell)
-        files.write_json(folder / "translation.json", result)
+        formats.write_json(folder / "translation.json", result)
     table(study.HEADER, study.rows(result))
     typer.echo(f"numbers in {output}")
 
@@ -185,7 +185,7 @@ def validate_air(
 
     with progress() as tell, files.output_folder(output) as folder:
         result = study.run(at_time(scene, time), parse_air(air), device=device, progress=tell)
-        files.write_json(folder / "air.json", result)
+        formats.write_json(folder / "air.json", result)
         figure(folder / "air.png", result)
     table(study.HEADER, study.rows(result))
     typer.echo(f"numbers and figure in {output}")
@@ -203,7 +203,7 @@ def validate_moved(
 
     with progress() as tell, files.output_folder(output) as folder:
         result = study.run(seeds=_seeds(seeds), progress=tell, device=device)
-        files.write_json(folder / "moved.json", result)
+        formats.write_json(folder / "moved.json", result)
         figure(folder / "moved.png", result)
     table(study.HEADER, study.rows(result))
     typer.echo(f"numbers and figure in {output}")
@@ -293,7 +293,7 @@ def validate_heat(
             raise ThermorenderError(f"--data={data} holds no table of the sites; give the folder that does")
         figure(folder / "heat.png", result)
         study.page(folder / "heat.md", result)
-        files.write_json(
+        formats.write_json(
             folder / "heat.json",
             result | {"sites": {n: {k: v for k, v in s.items() if k != "series"} for n, s in result["sites"].items()}},
         )
@@ -342,7 +342,7 @@ def validate_stability(
         return
     with progress() as tell, files.output_folder(output) as folder:
         result = study.run(groups or (), progress=tell)
-        files.write_json(folder / "stability.json", result)
+        formats.write_json(folder / "stability.json", result)
         study.table(folder / "stability.md", result)
     table(study.HEADER, study.rows(result))
     typer.echo(f"{result['failed']} of {len(result['cases'])} cases fail; numbers and table in {output}")
@@ -362,7 +362,7 @@ def _fuzzed(readers, output, count, seed):
     with progress() as tell, files.output_folder(output) as folder:
         counts, faults = fuzz.run(count, readers, seed, progress=tell)
         told = {"seed": seed, "counts": {name: dict(of) for name, of in counts.items()}}
-        files.write_json(folder / "fuzz.json", told | {"faults": [vars(fault) for fault in faults]})
+        formats.write_json(folder / "fuzz.json", told | {"faults": [vars(fault) for fault in faults]})
     table(fuzz.HEADER, fuzz.rows(counts))
     typer.echo(f"{len(faults)} faults; counts and each fault in {output / 'fuzz.json'}")
     if faults:

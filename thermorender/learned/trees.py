@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from thermorender import files
+from thermorender import formats
 from thermorender.errors import ThermorenderError
 from thermorender.learned.features import NAMES
 from thermorender.learned.linear import Linear, Sums
@@ -236,7 +236,7 @@ def _by_column(told, table):
 
 def _checksum(text):
     """The checksum of a model's text, (n,) uint8, as hexadecimal digits."""
-    return files.digest("trees", {"text": text})
+    return formats.digest("trees", {"text": text})
 
 
 def _lightgbm():

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from thermorender import defaults, files
+from thermorender import defaults, formats
 from thermorender.errors import ThermorenderError
 from thermorender.materials import library as material_tables
 from thermorender.render.renderer import Renderer
@@ -290,7 +290,7 @@ def kept_cases(path):
         The file is damaged.
     """
     try:
-        return dict(json.loads(files.read_text(path))["cases"]) if path.is_file() else {}
+        return dict(json.loads(formats.read_text(path))["cases"]) if path.is_file() else {}
     except (ValueError, KeyError, TypeError):
         raise ThermorenderError(f"{path} is damaged; remove it, or give another folder") from None
 

@@ -15,7 +15,7 @@ from math import inf
 
 import numpy as np
 
-from thermorender import defaults, files
+from thermorender import defaults, files, formats
 from thermorender.errors import ThermorenderError
 from thermorender.render import reference
 from thermorender.render.plan import QUALITIES
@@ -151,7 +151,7 @@ def convergence(scenes=defaults.SCENES, folder="validation", progress=None, mode
         if name not in kept:
             kept[name] = measure()
             record = {"settings": settings, "machine": bench.machine(), "versions": bench.versions(), "cases": kept}
-            files.write_json(path, record)
+            formats.write_json(path, record)
         if site and (number + 1 == len(jobs) or jobs[number + 1][0] is not site):
             convergence_report.figure(figures / f"convergence_{site.scene.name}.png", kept, site.scene)
             site.forget()

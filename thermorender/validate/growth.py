@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from thermorender import files
+from thermorender import files, formats
 from thermorender.validate import bench
 from thermorender.validate.figures.growth import figure
 from thermorender.validate.metrics import cache_off
@@ -54,7 +54,7 @@ def run(folder, axes=AXES, base=BASE, progress=None, device="auto"):
             continue
         kept[name] = {"varied": axis, **case, **bench.apart(_measure, *case.values(), device)}
         record = {"machine": bench.machine(), "versions": versions(), "rays": RAYS, "cases": kept}
-        files.write_json(path, record)
+        formats.write_json(path, record)
         figure(folder / "growth.png", kept)
     if progress:
         progress("measured", 1.0)

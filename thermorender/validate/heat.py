@@ -218,7 +218,7 @@ def _cost(sites, tell):
 
 def page(path, result):
     """Write the study as a page of Markdown."""
-    from thermorender.files import write_text
+    from thermorender.formats import write_text
 
     lines = ["# The heat balance against measured surface temperatures", ""]
     lines += ["Errors [K] of the model minus the measurement, by day (sun above 3°) and by night (below −3°).", ""]

@@ -25,7 +25,8 @@ from pathlib import Path
 
 import numpy as np
 
-from thermorender import files
+from thermorender import cache as kept
+from thermorender import formats
 from thermorender.errors import ThermorenderError
 
 MODELS = {
@@ -230,17 +231,17 @@ def _compiled(text):
 
 def cache_folder():
     """Return the user's folder for weathers."""
-    return files.cache_folder("lowtran")
+    return kept.cache_folder("lowtran")
 
 
 def cached(key, make):
     """Return the array that `make()` returns, read from the cache folder where it was made before under this key."""
     stored = cache_folder() / f"lowtran7-{hashlib.blake2b(key.encode(), digest_size=12).hexdigest()}.npz"
-    found = files.read_arrays(stored, key)
+    found = formats.read_arrays(stored, key)
     if found is not None:
         return found["result"]
     result = make()
-    files.write_arrays(stored, key, {"result": result})
+    formats.write_arrays(stored, key, {"result": result})
     return result
 
 

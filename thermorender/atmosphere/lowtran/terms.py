@@ -16,7 +16,8 @@ from thermorender.atmosphere.model import Atmosphere
 from thermorender.atmosphere.rays import EARTH_RADIUS_M
 from thermorender.atmosphere.tables import read_table
 from thermorender.defaults import BAND_UM
-from thermorender.files import atomic, make_folder, write_json
+from thermorender.files import atomic, make_folder
+from thermorender.formats import write_json
 from thermorender.physics.planck import band_radiance_derivative, brightness_temperature
 
 TERMS = ((1,) * 8, (2,) * 8, (3, 3, 3, 3, 3, 3, 2, 2), fit.TERMS, (5, 7, 8, 8, 7, 8, 4, 4))

@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from thermorender import files
+from thermorender import files, formats
 from thermorender.errors import ThermorenderError
 from thermorender.learned.linear import fit_linear
 from thermorender.learned.networks import checkpoint, runs, samples
@@ -244,7 +244,7 @@ class _Run:
                     f"{self.folder} holds a training; continue it with --resume, or give another --run"
                 )
         else:
-            files.write_json(path, settings | {"versions": versions()})
+            formats.write_json(path, settings | {"versions": versions()})
         if self.first and not last.exists():
             # It was stopped before the first whole epoch.
             runs.cut_log(self.folder, 0)
@@ -317,7 +317,7 @@ class _Run:
             self.best = error
             checkpoint.save(self.folder / BEST, _Applied(self.learner.applied), facts | {"error_k": error})
         line = {**facts, "losses": losses, "validation_mae_k": error}
-        files.append_json(self.folder / runs.LOG, line)
+        formats.append_json(self.folder / runs.LOG, line)
         checkpoint.save(self.folder / LAST, self.learner, facts | {"best": self.best})
         if self.board:
             for name, value in (*losses.items(), ("validation_mae_k", error)):

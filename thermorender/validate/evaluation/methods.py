@@ -14,8 +14,8 @@ import numpy as np
 from thermorender.campaign.dataset import Pair
 from thermorender.campaign.map_inputs import NO_MATERIAL, inputs_of
 from thermorender.errors import ThermorenderError
-from thermorender.files import decoded
 from thermorender.footage.radiometric_files import read_temperature
+from thermorender.formats import decoded
 from thermorender.frame import apparent_temperature
 from thermorender.validate.bench import forget_peak_memory, peak_memory_mib
 from thermorender.validate.evaluation.sums import WIDTH, rows_by, summary

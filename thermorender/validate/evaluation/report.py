@@ -1,6 +1,6 @@
 """Tables of an evaluation: a page of Markdown, and rows for the terminal."""
 
-from thermorender import files
+from thermorender import formats
 
 # Mean error, mean absolute error and standard deviation [K], and training, of the published methods: "Generation of
 # artificial infrared camera images for visual navigation simulation", tables 7 and 2.
@@ -99,7 +99,7 @@ def write(path, result):
             body.append((name, f"{most / 1e6:.3g}", *map(_both, own)))
         lines += ["", f"## {title}", "", *_table((title.lower(), "megapixels", *methods), body)]
     lines += ["", "Cells of the groups: MAE (ME) [K]."]
-    files.write_text(path, "\n".join(lines) + "\n")
+    formats.write_text(path, "\n".join(lines) + "\n")
 
 
 def _differences(result):

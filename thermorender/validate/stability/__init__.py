@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 
-from thermorender import files
+from thermorender import formats
 from thermorender.errors import ThermorenderError
 from thermorender.validate.bench import machine
 from thermorender.validate.stability import (
@@ -112,4 +112,4 @@ def table(path, result):
         lines += ["", f"## {group}", "", f"| {' | '.join(HEADER)} |", "|---" + "|--:" * 4 + "|---|--:|"]
         own = {**result, "cases": [case for case in result["cases"] if case["group"] == group]}
         lines += [f"| {' | '.join((row[0].partition(': ')[2], *row[1:]))} |" for row in rows(own)]
-    files.write_text(path, "\n".join(lines) + "\n")
+    formats.write_text(path, "\n".join(lines) + "\n")

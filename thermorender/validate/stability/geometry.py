@@ -11,7 +11,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from thermorender.defaults import BAND_UM
-from thermorender.files import write_text
+from thermorender.formats import write_text
 from thermorender.materials.library import grey
 from thermorender.physics.geodesy import FLATTENING, SEMI_MAJOR_AXIS_M
 from thermorender.physics.planck import band_radiance, brightness_temperature
