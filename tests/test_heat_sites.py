@@ -10,7 +10,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
 from thermorender.paths import data_folder
 from thermorender.physics.balance import STEFAN_BOLTZMANN
-from thermorender.scene import columns as open_ground
+from thermorender.scene import open_ground
 from thermorender.validate import heat
 from thermorender.validate.sites import measured, modelled, read_sites
 
