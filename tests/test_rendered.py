@@ -16,9 +16,9 @@ from thermorender.physics import srgb
 from thermorender.render.heat import conditions as conditions_module
 from thermorender.render.heat import march as heat
 from thermorender.render.renderer import Renderer
-from thermorender.scene import columns as open_ground
+from thermorender.scene import open_ground
 from thermorender.sensor.camera import model_path
-from thermorender.synthetic import hidden as hidden_module
+from thermorender.synthetic import deviations as deviations_module
 from thermorender.synthetic.canvas import Canvas
 from thermorender.synthetic.light import sky_colour
 from thermorender.synthetic.worlds import KINDS, make
@@ -51,7 +51,7 @@ def campaign(tmp_path_factory):
         patch.setattr(open_ground, "_LOOK_BACK", np.timedelta64(86400, "s"))
         patch.setattr(open_ground, "_MOST_DAYS", 2)
         patch.setattr(rendered, "_pair", pair)
-        for module in (rendered, conditions_module, hidden_module):
+        for module in (rendered, conditions_module, deviations_module):
             patch.setattr(module, "load_library", cache(load_library))
         yield rendered.render_campaign(folder / "set", [WORLD], 1, 3, str(folder / "small.toml")), seen
 
@@ -226,7 +226,7 @@ def test_a_second_draw_keeps_the_photograph(monkeypatch):
     for name in ("orthophoto", "classes", "elevation"):
         assert np.array_equal(getattr(first, name), getattr(second, name)), name
     for name in ("reflectance", "wetness", "exchange", "inertia"):
-        draws = [np.log(getattr(each.hidden, name)) for each in (first, second, third)]
+        draws = [np.log(getattr(each.deviations, name)) for each in (first, second, third)]
         for one, other in ((0, 1), (0, 2), (1, 2)):
             assert np.abs(draws[one] - draws[other]).mean() > 0.05, name
 
@@ -238,13 +238,13 @@ def test_what_is_seen_of_moisture_stays_and_the_rest_is_drawn_anew(monkeypatch):
     (720 / 48)² patches leave a standard deviation of 0.024 to a correlation.
     """
 
-    monkeypatch.setattr(hidden_module, "load_library", cache(load_library))
+    monkeypatch.setattr(deviations_module, "load_library", cache(load_library))
 
     def of(seed, again, name):
         canvas = Canvas(seed, 720.0, 4.0)
         canvas.material[:] = canvas.value(name)
         canvas.albedo[:] = 0.5
-        found = hidden_module.hidden_fields(canvas, again)
+        found = deviations_module.deviations_of(canvas, again)
         seen = np.log(canvas.albedo[..., 0] / 0.5) / (-0.15 if name == "soil_loam" else -0.10)
         soil = -0.44 / 3.0 if name == "soil_loam" else 0.0
         mixed = np.array([[0.0, 0.20, 0.09], [soil, -0.14, 0.07], [0.18, -0.13, 0.0]])

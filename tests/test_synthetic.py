@@ -14,12 +14,12 @@ from thermorender.campaign import worlds
 from thermorender.cli import app as cli
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
-from thermorender.scene.hidden import Hidden
+from thermorender.scene.deviations import Deviations
 from thermorender.scene.load import load_scene
 from thermorender.scene.spec import TemperatureSpec, WeatherSpec
 from thermorender.synthetic.canvas import Canvas
+from thermorender.synthetic.deviations import deviations_of
 from thermorender.synthetic.files import scene_toml, write_declared
-from thermorender.synthetic.hidden import hidden_fields
 from thermorender.synthetic.light import incidence, normals, sky_view, sun_visibility
 from thermorender.synthetic.noise import fractal_noise, stream
 from thermorender.synthetic.weather import conditions, drawn_weather, follows, sky_temperature, sun_of_photograph
@@ -106,7 +106,7 @@ def test_a_small_scene_is_whole_and_plausible(kind):
     assert scene.orthophoto.shape == (n, n, 3) and scene.orthophoto.dtype == np.uint8
     assert scene.classes.shape == (n, n)
     assert set(np.unique(scene.classes)) <= set(scene.class_names)
-    assert scene.hidden.columns(n * n).shape == (4, n * n)
+    assert scene.deviations.columns(n * n).shape == (4, n * n)
     # What the balance needs is known of every class.
     library = load_library()
     assert all(library[name].thermal for name in scene.class_names.values())
@@ -298,9 +298,9 @@ def test_the_balance_predicts_the_truth_but_for_what_it_cannot_know(truth, monke
     assert 0.5 < np.abs(error).mean() < 4.0 and error.std() > 0.7
 
     scene = small("heath")
-    one = np.ones_like(scene.hidden.wetness)
+    one = np.ones_like(scene.deviations.wetness)
     monkeypatch.setattr(worlds, "drawn", lambda loaded, kind, seed: (loaded, 1.0))
-    plain = worlds.true_temperature(asked, replace(scene, hidden=Hidden(one, one, one, one)))
+    plain = worlds.true_temperature(asked, replace(scene, deviations=Deviations(one, one, one, one)))
     # Texels of a face may share a column where nothing tells them apart: 0.1 K.
     assert np.sqrt(((plain - predicted) ** 2).mean()) < 0.1
     hidden = worlds.true_temperature(asked, scene) - predicted
@@ -340,11 +340,11 @@ def test_wet_is_darker_and_dry_grass_yellower_with_scatter():
         canvas = Canvas(5, 400.0, 1.0)
         canvas.paint(np.ones(canvas.shape, np.float32), np.float32([0.3, 0.25, 0.2]), name)
         before = canvas.albedo.copy()
-        hidden = hidden_fields(canvas)
+        found = deviations_of(canvas)
         tint = np.log(canvas.albedo / before)
         seen = tint[..., channel] if channel == 0 else tint.mean(axis=-1)
         # 0.6 of moisture is seen, whose share of wetness is 0.55 / √(0.55² + 0.30²): 0.53, and few patches to tell it.
-        assert sign * np.corrcoef(seen.ravel(), np.log(hidden.wetness).ravel())[0, 1] == pytest.approx(0.53, abs=0.17)
+        assert sign * np.corrcoef(seen.ravel(), np.log(found.wetness).ravel())[0, 1] == pytest.approx(0.53, abs=0.17)
         # Wettest against driest soil: a factor of two at most, as from dry to saturated.
         assert 0.05 < seen.std() < 0.3
         if name == "grass_dry":
@@ -353,9 +353,9 @@ def test_wet_is_darker_and_dry_grass_yellower_with_scatter():
             assert np.exp(np.ptp(np.quantile(seen, [0.02, 0.98]))) < 2.2
 
 
-def test_hidden_fields_belong_to_the_seed_alone():
-    first, second = small("heath").hidden, small("heath", 1).hidden
-    later = make("heath", 0, *SMALL["heath"], time="2018-09-12T22:00Z").hidden
+def test_deviations_belong_to_the_seed_alone():
+    first, second = small("heath").deviations, small("heath", 1).deviations
+    later = make("heath", 0, *SMALL["heath"], time="2018-09-12T22:00Z").deviations
     for name, values in vars(first).items():
         assert np.exp(np.log(values).std()) > 1.05
         assert abs(np.corrcoef(values.ravel(), getattr(second, name).ravel())[0, 1]) < 0.5, name

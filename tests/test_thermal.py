@@ -7,7 +7,7 @@ import pytest
 
 from scenes import write_terrain
 from thermorender.errors import ThermorenderError
-from thermorender.files import write_text
+from thermorender.formats import write_text
 from thermorender.materials import store as store_module
 from thermorender.materials.check import check
 from thermorender.materials.files import INDEX_COLUMNS

@@ -7,7 +7,7 @@ node Beer's law holds exactly, so transmittances of adjoining paths multiply, an
 it is invisible. Products are taken per node and summed over nodes last; a band average of transmittance is wrong
 to multiply with.
 
-The constants are fitted to LOWTRAN7 (`atmosphere.lowtran.fit`). Fitted are paths of 100 m and more; shorter ones follow
+The constants are fitted to LOWTRAN7 (`tools/lowtran`). Fitted are paths of 100 m and more; shorter ones follow
 from the same terms, where LOWTRAN's own band model absorbs too much.
 """
 

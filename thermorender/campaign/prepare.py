@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from thermorender import files
+from thermorender import files, formats
 from thermorender.campaign import bounds as value_bounds
 from thermorender.campaign import pictures, splits
 from thermorender.campaign.audit import audit
@@ -189,7 +189,7 @@ def prepare(source, output, registered=None, cut=None, split="sequence", shares=
         found_leaks = None
         if len(made.of("train")) and len(made.of("test")):
             found_leaks = audit(made, progress=tell)
-            files.write_json(output / "audit.json", found_leaks.summary())
+            formats.write_json(output / "audit.json", found_leaks.summary())
     return {
         "audit": found_leaks,
         "pairs": len(kept), "entries": sum(map(len, entries.values())), "grey": grey, "left_out": left_out,
@@ -201,7 +201,7 @@ def prepare(source, output, registered=None, cut=None, split="sequence", shares=
 def _checksum(pairs):
     """That of all pictures, by which a data set that is continued tells whether they are the same."""
     paths = [path for pair in pairs for path in (pair.visible, pair.thermal, pair.valid) if path is not None]
-    told = "".join(path.name + files.checksum(path) for path in paths)
+    told = "".join(path.name + formats.checksum(path) for path in paths)
     return hashlib.blake2b(told.encode(errors="surrogateescape"), digest_size=16).hexdigest()
 
 

@@ -153,8 +153,8 @@ def _pairs(world, hours, views, camera, materials, tell):
     predicted, truths = solved(scene, times, geometry), []
     for land, again in draws:
         true, exchange = drawn(scene, world.kind, world.seed, again)
-        hidden = replace(land.hidden, exchange=np.float32(exchange) * land.hidden.exchange)
-        truths.append(solved(true, times, geometry, hidden=hidden))
+        deviations = replace(land.deviations, exchange=np.float32(exchange) * land.deviations.exchange)
+        truths.append(solved(true, times, geometry, deviations=deviations))
     number = np.array([materials.index(each.name) for each in scene.materials], dtype=np.uint8)
     known, order, fields = None, 0, reliefs(scene, times, geometry)
     for hour, (land, time) in enumerate(zip(lands, times, strict=True)):

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from thermorender import files
+from thermorender import files, formats
 from thermorender.campaign.dataset import PARTS
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import ecef_from_geodetic
@@ -106,7 +106,7 @@ def read_split(path):
     form = 'JSON {"train": [keys], …} or CSV with the columns key,part'
     if path.suffix.lower() not in SUFFIXES:
         raise ThermorenderError(f"{path} is no split; give {form}")
-    text = files.read_text(path, "UTF-8")
+    text = formats.read_text(path, "UTF-8")
     try:
         if path.suffix.lower() == ".json":
             kept = json.loads(text)
@@ -134,9 +134,9 @@ def write_split(path, parts):
     path = Path(path)
     files.check_output_file(path, SUFFIXES)
     if path.suffix.lower() == ".json":
-        files.write_json(path, {part: [key for key, own in parts.items() if own == part] for part in PARTS})
+        formats.write_json(path, {part: [key for key, own in parts.items() if own == part] for part in PARTS})
     else:
-        files.write_text(path, "".join(f"{key},{part}\n" for key, part in [("key", "part"), *parts.items()]))
+        formats.write_text(path, "".join(f"{key},{part}\n" for key, part in [("key", "part"), *parts.items()]))
 
 
 # --- groups -----------------------------------------------------------------------------------------------------

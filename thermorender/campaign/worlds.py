@@ -69,8 +69,8 @@ def true_temperature(loaded, scene, progress=None):
     from thermorender.render.heat.march import solved
 
     true, exchange = drawn(loaded, scene.kind, scene.seed)
-    hidden = replace(scene.hidden, exchange=np.float32(exchange) * scene.hidden.exchange)
-    return solved(true, [loaded.time], progress=progress, hidden=hidden)[0].surfaces[0].temperature
+    deviations = replace(scene.deviations, exchange=np.float32(exchange) * scene.deviations.exchange)
+    return solved(true, [loaded.time], progress=progress, deviations=deviations)[0].surfaces[0].temperature
 
 
 def drawn(scene, kind, seed, again=0):

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from thermorender import defaults, files
+from thermorender import defaults, files, formats
 from thermorender.cli.camera import fit_camera
 from thermorender.cli.maps import dataset, evaluate, prepare, train, translate
 from thermorender.cli.materials import app as materials
@@ -257,7 +257,7 @@ def render(
                 folder, frame, wanted, display_settings.image(frame.counts)[1], settings,
                 lambda camera: photograph(renderer, frame.pose, camera=camera)[0],
             )  # fmt: skip
-            files.write_json(folder / "frame_000000.json", record(frame) | weather_of(renderer.scene) | made_by())
+            formats.write_json(folder / "frame_000000.json", record(frame) | weather_of(renderer.scene) | made_by())
     _tell_cache(renderer)
     seen = frame.apparent_temperature
     typer.echo(f"apparent temperature {seen.min():.2f}–{seen.max():.2f} K, mean {seen.mean():.2f} K")
@@ -471,7 +471,7 @@ def bench(
     for line in run.costs(result):
         typer.echo(line)
     if output:
-        files.write_json(output, result)
+        formats.write_json(output, result)
 
 
 @app.command()

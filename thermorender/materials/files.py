@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from thermorender import files
+from thermorender import formats
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.paths import inside
 from thermorender.physics import fresnel
@@ -55,7 +55,7 @@ def read_text(path, directory=None):
         raise ThermorenderError(
             f"{path} does not exist; a materials folder holds index.csv and spectra/<name>.csv"
         )
-    return files.read_text(path, "'CSV UTF-8' in the spreadsheet")
+    return formats.read_text(path, "'CSV UTF-8' in the spreadsheet")
 
 
 def read_table(path, columns, directory=None):

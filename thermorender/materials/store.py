@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.files import atomic, write_text
+from thermorender.files import atomic
+from thermorender.formats import write_text
 from thermorender.materials.files import (
     INDEX_COLUMNS,
     INDEX_OF_REFRACTION_COLUMNS,

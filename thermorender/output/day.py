@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from thermorender import files
+from thermorender import files, formats
 from thermorender.errors import ThermorenderError
 from thermorender.output import products as product_files
 from thermorender.output.day_figure import figure
@@ -95,7 +95,7 @@ def day(
         for index, frame, solved in _frames(scene, pose, times, tell, device, settings):
             told = [product for product in products if product not in ("display", "video")]
             product_files.write(out, frame, told, None, thermography)
-            files.append_json(out / "frames.jsonl", record(frame))
+            formats.append_json(out / "frames.jsonl", record(frame))
             counts.append(frame.counts)
             rows.append({"solar_hour": index * step_min / 60.0, **_row(solved, frame)})
             tell(f"frame {index + 1} of {len(times)}", (index + 1) / len(times))
@@ -111,7 +111,7 @@ def day(
             **weather_of(scene),
             **made_by(),
         }
-        files.write_json(out / "day.json", about)
+        formats.write_json(out / "day.json", about)
     return rows
 
 
@@ -185,7 +185,7 @@ def _show(folder, display, counts, video):
     measured = display.measure(counts)
     images = [product_files.paths(folder, index, ("display",))["display"] for index in range(len(counts))]
     for path, one in zip(images, counts, strict=True):
-        files.write_image(path, display.shown(one, measured))
+        formats.write_image(path, display.shown(one, measured))
     if video:
         write_video(folder / "day.mp4", images, RATE_HZ)
 

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender import files
+from thermorender import files, formats
 from thermorender.errors import ThermorenderError
 from thermorender.frame import Frame
 from thermorender.output import products as product_files
@@ -155,13 +155,13 @@ def fly(
             _refuse_moved(out, place)
             # Only now, so that a mistake that shows with the first frame leaves nothing behind.
             if not (out / "flight.json").exists():
-                files.write_json(out / "flight.json", settings)
+                formats.write_json(out / "flight.json", settings)
             written = product_files.write(out, frame, products, image, thermography, _photographer(renderer, frame))
             files.on_disk(*written.values(), _save_state(out, exposure, agc, index))
             terrain.append(_shows_terrain(renderer.scene, frame))
             told = record(frame) | timed.told(frame.time_s) | {"shows_terrain": terrain[-1]}
-            told["files"] = {path.name: [path.stat().st_size, files.checksum(path)] for path in written.values()}
-            files.append_json(out / "frames.jsonl", files.sealed(told))
+            told["files"] = {path.name: [path.stat().st_size, formats.checksum(path)] for path in written.values()}
+            formats.append_json(out / "frames.jsonl", formats.sealed(told))
             if progress:
                 progress(index + 1, len(times))
         _refuse_moved(out, place)
@@ -171,7 +171,7 @@ def fly(
             images = [product_files.paths(out, index, ("display",))["display"] for index in range(len(times))]
             write_video(out / "flight.mp4", images, rate)
         without = terrain.count(False)
-        files.write_json(out / "flight.json", settings | {"frames_without_terrain": without})
+        formats.write_json(out / "flight.json", settings | {"frames_without_terrain": without})
     return {
         "frames": len(times),
         "rendered": len(times) - done,
@@ -198,7 +198,7 @@ def _refuse_moved(folder: Path, before: os.stat_result) -> None:
 def _whole(path: Path, known: tuple[int, str], verify: bool) -> bool:
     """Whether a file is there as its frame's record has it: by its size, and if asked for by its checksum."""
     size, checksum = known
-    return path.exists() and path.stat().st_size == size and (not verify or files.checksum(path) == checksum)
+    return path.exists() and path.stat().st_size == size and (not verify or formats.checksum(path) == checksum)
 
 
 def _done(folder: Path, settings: dict[str, Any], products: Sequence[str], resume: bool, verify: bool) -> list[bool]:
@@ -242,16 +242,16 @@ def _done(folder: Path, settings: dict[str, Any], products: Sequence[str], resum
     text = lines.read_text(encoding="utf-8", errors="replace") if lines.exists() else ""
     for number, line in enumerate(text.splitlines()):
         try:
-            stored = files.unsealed(json.loads(line))
+            stored = formats.unsealed(json.loads(line))
             index, shows, known = stored["index"], stored["shows_terrain"], stored["files"]
             images = product_files.paths(folder, number, products).values()
             if index != number or not all(_whole(path, known[path.name], verify) for path in images):
                 break
         except (ValueError, KeyError, TypeError):
             break
-        kept.append(json.dumps(files.sealed(stored)))
+        kept.append(json.dumps(formats.sealed(stored)))
         terrain.append(shows)
-    files.write_text(lines, "".join(line + "\n" for line in kept))
+    formats.write_text(lines, "".join(line + "\n" for line in kept))
     return terrain
 
 
@@ -318,7 +318,7 @@ def _state_files(folder: Path) -> tuple[Path, Path]:
 def _save_state(folder: Path, exposure: Exposure, agc: _Memory, index: int) -> Path:
     """Keep the state of sensor and display beside the frame's line: two files in turn, so that one is always whole."""
     state, path = exposure.state() | ({} if agc is None else {"agc": agc}), _state_files(folder)[index % 2]
-    files.write_arrays(path, index, state)
+    formats.write_arrays(path, index, state)
     return path
 
 
@@ -330,7 +330,7 @@ def _restored(
     `take` is called with a frame's index and the display's state, and returns the frame and the state after it.
     """
     last = done - 1
-    arrays = files.read_arrays(_state_files(folder)[last % 2], last)
+    arrays = formats.read_arrays(_state_files(folder)[last % 2], last)
     if arrays is not None:
         agc = arrays.pop("agc", None)
         exposure.restore(arrays)

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from thermorender.errors import ThermorenderError
-from thermorender.files import atomic_raster, write_image
 from thermorender.footage.radiometric_files import write_tlinear
+from thermorender.formats import atomic_raster, write_image
 from thermorender.output.exr import write_exr
 from thermorender.sensor.radiometry import ThermographySettings, thermography_reading
 

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.files import atomic, decoded
+from thermorender.files import atomic
+from thermorender.formats import decoded
 
 
 def write_video(path, images, rate_hz):

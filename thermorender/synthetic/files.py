@@ -4,7 +4,7 @@ import numpy as np
 
 from thermorender import defaults
 from thermorender.errors import ThermorenderError
-from thermorender.files import atomic_raster, write_text
+from thermorender.formats import atomic_raster, write_text
 from thermorender.schema import toml_text
 from thermorender.units import utc_text
 

@@ -14,11 +14,11 @@ import numpy as np
 from thermorender import units
 from thermorender.errors import ThermorenderError
 from thermorender.physics.sun import position_at
-from thermorender.scene.hidden import Hidden
+from thermorender.scene.deviations import Deviations
 from thermorender.scene.spec import WeatherSpec
 from thermorender.synthetic import heath, ridge, village
 from thermorender.synthetic.canvas import Canvas
-from thermorender.synthetic.hidden import hidden_fields
+from thermorender.synthetic.deviations import deviations_of
 from thermorender.synthetic.light import incidence, normals, photograph, sky_view, sun_visibility
 from thermorender.synthetic.snow import lay_snow
 from thermorender.synthetic.weather import (
@@ -85,7 +85,7 @@ class SyntheticScene:
         Material of each texel; 0 stands for none and does not occur.
     class_names : dict of int to str
         Material of each value of `classes`.
-    hidden : Hidden
+    deviations : Deviations
         How each texel strays from its material, which only the truth knows.
     weather : WeatherSpec
         A named day, and the instant at which the scene is shown.
@@ -115,7 +115,7 @@ class SyntheticScene:
     orthophoto: np.ndarray
     classes: np.ndarray
     class_names: dict
-    hidden: Hidden
+    deviations: Deviations
     weather: WeatherSpec
     sky_temperature: float
     latitude_deg: float
@@ -173,7 +173,7 @@ def make(kind, seed=0, size_m=None, texel_m=None, post_m=None, time=None, weathe
     weather : WeatherSpec, optional
         A named day; by default the kind's own: a clear one in September, early in the afternoon.
     again : int
-        Above 0: another draw of the hidden fields for the same photograph.
+        Above 0: another draw of the deviations for the same photograph.
 
     Notes
     -----
@@ -207,7 +207,7 @@ def make(kind, seed=0, size_m=None, texel_m=None, post_m=None, time=None, weathe
     canvas = Canvas(seed, size, texel)
     objects, flight = known.layout(canvas)
     lay_snow(canvas, weather.snow_depth_m, weather.air_low_c)
-    hidden = hidden_fields(canvas, again)
+    deviations = deviations_of(canvas, again)
     sun = sun_of_photograph(weather.time, latitude)
     surface = canvas.surface
     cosine = incidence(normals(surface + canvas.relief, texel, steepest=1.3), *sun)
@@ -227,7 +227,7 @@ def make(kind, seed=0, size_m=None, texel_m=None, post_m=None, time=None, weathe
         orthophoto=picture,
         classes=canvas.material,
         class_names=dict(canvas.names),
-        hidden=hidden,
+        deviations=deviations,
         weather=weather,
         sky_temperature=sky_temperature(weather, conditions(weather, latitude, altitude), altitude),
         latitude_deg=latitude,

@@ -12,7 +12,7 @@ from datetime import datetime, timezone
 import numpy as np
 
 from thermorender.errors import ThermorenderError, shortened
-from thermorender.files import read_text
+from thermorender.formats import read_text
 from thermorender.schema import closest
 from thermorender.trajectory.mapping import QUANTITIES, Quantity, fitting_formats
 

@@ -14,7 +14,7 @@ import io
 import numpy as np
 
 from thermorender.errors import ThermorenderError, shortened
-from thermorender.files import read_text
+from thermorender.formats import read_text
 from thermorender.physics import sun
 from thermorender.units import ZERO_CELSIUS_K
 from thermorender.weather.clock import check_clock

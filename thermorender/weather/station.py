@@ -11,7 +11,7 @@ from datetime import datetime, timezone
 import numpy as np
 
 from thermorender.errors import ThermorenderError, shortened
-from thermorender.files import read_text
+from thermorender.formats import read_text
 from thermorender.physics import sun
 from thermorender.schema import closest
 from thermorender.units import instant

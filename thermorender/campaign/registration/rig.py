@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, field, fields
 
 import numpy as np
 
-from thermorender import files
+from thermorender import formats
 from thermorender.errors import ThermorenderError
 
 FORMAT = 1
@@ -183,7 +183,7 @@ def write_overlay(path, visible, thermal, rig):
     """
     import cv2
 
-    from thermorender.files import write_image
+    from thermorender.formats import write_image
 
     colours, _ = warped(visible, rig, thermal.shape)
     low, high = np.nanpercentile(thermal, (1.0, 99.0))
@@ -201,7 +201,7 @@ def write_overlay(path, visible, thermal, rig):
 
 def save_rig(rig, path):
     """Write a rig as JSON."""
-    files.write_json(path, {"format": FORMAT, **asdict(rig)})
+    formats.write_json(path, {"format": FORMAT, **asdict(rig)})
 
 
 def load_rig(path):
@@ -212,7 +212,7 @@ def load_rig(path):
     ThermorenderError
         A file that cannot be read, or is no rig.
     """
-    text = files.read_text(path, "JSON")
+    text = formats.read_text(path, "JSON")
     try:
         values = json.loads(text)
         if values.pop("format") != FORMAT:

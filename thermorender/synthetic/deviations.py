@@ -7,7 +7,7 @@ the moisture's variance and nothing of the rest. How strongly a land varies is d
 import numpy as np
 
 from thermorender.materials.library import load_library
-from thermorender.scene.hidden import Hidden
+from thermorender.scene.deviations import Deviations
 
 # Logarithm of the photograph's change per standard deviation of what it sees of moisture, per linear sRGB channel.
 # Soil: reflectance falls exponentially with moisture to about half of the dry one, alike for four soils when moisture
@@ -26,10 +26,10 @@ _SEEN = 0.6
 _STRENGTH = 0.25
 
 
-def hidden_fields(canvas, again=0):
-    """Tint the canvas with what is seen of moisture, and return its Hidden.
+def deviations_of(canvas, again=0):
+    """Tint the canvas with what is seen of moisture, and return its Deviations.
 
-    With `again` above 0 the Hidden is another draw that the same photograph allows: what is seen of moisture stays,
+    With `again` above 0 the Deviations is another draw that the same photograph allows: what is seen of moisture stays,
     the rest is drawn anew.
 
     Notes
@@ -66,7 +66,7 @@ def hidden_fields(canvas, again=0):
         usual[value] = library[name].known_thermal().wetness or np.inf
     painted = 1.0 + np.maximum(c.wetness, 0.0) / usual[c.material]
     reflectance = np.float32(-0.14) * cover + np.float32(0.07) * rough + np.where(soil, _SOIL.mean(), 0.0) * moisture
-    return Hidden(
+    return Deviations(
         reflectance=np.exp(reflectance, dtype=np.float32),
         wetness=painted * np.exp(np.float32(0.55) * moisture + np.float32(0.30) * cover),
         exchange=np.exp(np.float32(0.20) * cover + np.float32(0.09) * rough),
