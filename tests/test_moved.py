@@ -158,7 +158,6 @@ def test_at_the_trained_instant_the_map_is_itself(scene, tools):
     assert report["share_unmoved"] == round(16 / 1024, 5) and found.scene.warmed
 
 
-@pytest.mark.slow
 def test_where_the_map_failed_the_balance_stands(scene, tools):
     heat, moved = tools
     at = TRAINED + 3 * HOUR
@@ -231,6 +230,7 @@ def test_snow_or_rain_at_one_instant_only_cannot_be_moved(scene, tools):
         np.testing.assert_allclose(found.surfaces[0].temperature, expected, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_frames_flags_and_records_tell(scene, tmp_path, call):
     from thermorender.output.record import weather_of
 
