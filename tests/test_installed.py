@@ -41,16 +41,29 @@ def run(site, *arguments):
     return done.stdout
 
 
-@pytest.mark.slow
-def test_the_wheel_holds_all_that_ships_and_nothing_else(wheel):
+def shipping():
+    """{path in the wheel: file of the checkout} of all that must be in the wheel."""
     shipped = {Path("thermorender", "_data", kind): ROOT / kind for kind in ("scenes", "materials")}
     shipped[Path("thermorender")] = ROOT / "thermorender"
-    wanted = {
+    return {
         (into / path.relative_to(source)): path
         for into, source in shipped.items()
         for path in source.rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }
+
+
+def test_the_list_of_the_wheels_files_is_all_that_ships():
+    """As the builder would take them, without building: the slow tests build it."""
+    from hatchling.builders.wheel import WheelBuilder
+
+    files = WheelBuilder(str(ROOT)).recurse_included_files()
+    assert {Path(file.distribution_path): Path(file.path) for file in files} == shipping()
+
+
+@pytest.mark.slow
+def test_the_wheel_holds_all_that_ships_and_nothing_else(wheel):
+    wanted = shipping()
     there = {path.relative_to(wheel) for path in wheel.rglob("*") if path.is_file()}
     (about,) = wheel.glob("*.dist-info")
     assert {path for path in there if about.name not in path.parts} == set(wanted)
