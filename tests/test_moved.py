@@ -43,6 +43,19 @@ def written(folder, extra=TABLES, **options):
     return write_terrain(folder, extra=extra, classes=stripes(), **options)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _short_marches():
+    """The march begins as late as it may: here nobody asks how true it is, only what is made of it."""
+    from thermorender.render.heat import march as heat
+    from thermorender.scene import columns
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(heat, "_BEFORE_S", 6 * 3600.0)
+        patch.setattr(columns, "_LOOK_BACK", np.timedelta64(86400, "s"))
+        patch.setattr(columns, "_MOST_DAYS", 2)
+        yield
+
+
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
     """A raster of the trained instant with a hole in it, asked for at that instant."""
