@@ -87,6 +87,19 @@ def test_numbers_out_of_range_leave_nothing(tmp_path):
     assert not (tmp_path / "set").exists()
 
 
+def test_the_verb_asks_for_the_worlds_it_was_told(tmp_path, monkeypatch, call, campaign):
+    asked = []
+    monkeypatch.setattr(rendered, "render_campaign", lambda *given, **more: asked.append((given, more)) or campaign[0])
+    words = ("--train", 2, "--validation", 0, "--test", 1, "--kinds", "heath", "--hours", 1, "--views", 3)
+    status, output, errors = call("dataset", "-o", tmp_path / "d", *words, "--turn", "1,2", "--resume")
+    assert status == 0 and output.startswith("3 pairs (0 train, 0 validation, 3 test) in"), errors
+    ((given, more),) = asked
+    assert given == (tmp_path / "d", rendered.worlds(2, 0, 1, 0, ["heath"]), 1, 3)
+    assert more["resume"] is True and more["turn"] == (1, 2)
+    status, _, errors = call("dataset", "-o", tmp_path / "e", "--turn", "2,2")
+    assert status == 2 and "--turn='2,2' is not allowed; give K,N with K from 0 to N − 1" in errors
+
+
 def test_noise_free_radiance_is_that_of_a_fresh_renderer(campaign):
     dataset, seen = campaign
     for number, name in enumerate(("radiance", "balance", "redrawn")):

@@ -19,6 +19,7 @@ def test_the_whole_file_is_read(name, tmp_path):
     assert not list(fuzz._infinite(reader.read(tmp_path / reader.file)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", fuzz.USES)
 def test_the_whole_file_is_used(name, tmp_path):
     reader = READERS[name]
