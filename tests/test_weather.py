@@ -555,7 +555,7 @@ def test_weather_of_a_scene(tmp_path):
         declared("2018-08-21T12:00Z", file=tmp_path / "s.csv")
     with pytest.raises(ThermorenderError, match=r"^\[weather\] air_low_c is missing"):
         declared(air_high_c=22.0)
-    with pytest.raises(ThermorenderError, match=r"^\[weather\] time=2018-07-21 is no instant"):
+    with pytest.raises(ThermorenderError, match=r"^\[weather\] time=2018-07-21 is not an instant"):
         declared("2018-07-21", air_low_c=9.0, air_high_c=22.0)
 
 
