@@ -463,7 +463,7 @@ def test_geometry_refuses():
     for length in (1e9, 1e28, np.inf):
         with pytest.raises(ThermorenderError, match="is longer than any line of sight in the air, 2.43e.06 m"):
             air.transmittance(0.0, 0.0, length)
-    with pytest.raises(ThermorenderError, match=r"cos_zenith=-0.2 is not a direction of the sky; at 120 m give -0.0057"):
+    with pytest.raises(ThermorenderError, match="cos_zenith=-0.2 is not a direction of the sky; at 120 m give -0.0057"):
         air.sky_radiance(120.0, [-0.2, 0.5])
     with pytest.raises(ThermorenderError, match="at_m=40000 is out of range; give metres above sea level, −500 … 30"):
         air.sky_radiance(4e4, 1.0)
@@ -490,7 +490,7 @@ def changed(column, function):
 @pytest.mark.parametrize(
     ("rows", "header", "words"),
     [
-        (changed(2, lambda v: v - 273.15), HEADER, "temperature_k=-43.45 is not an air temperature in kelvin .* add 273"),
+        (changed(2, lambda v: v - 273.15), HEADER, "temperature_k=-43.45 is not an air temperature in .* add 273"),
         (changed(1, lambda v: 100.0 * v), HEADER, "pressure_hpa=101300 at 0 m .* looks like Pa: multiply by 0.01"),
         (changed(1, lambda v: 0.1 * v), HEADER, "pressure_hpa=101.3 at 0 m .* looks like kPa: multiply by 10"),
         (changed(1, lambda v: v / 1.33322), HEADER, "pressure_hpa=759.8.* looks like mmHg: multiply by 1.33322"),
@@ -742,7 +742,7 @@ def test_imported_table_has_the_files_transmittance(tmp_path):
         ({"rows": [(900.0 + 5 * i, 0.5) for i in range(90)]}, "does not include the camera's band 7.5–13.5 µm"),
         ({"rows": [(700.0, 0.5), (690.0, 0.5)]}, "is damaged: its cards or columns are not numbers"),
         ({"cards": "    7    1    0"}, "has model 7, a user-defined profile"),
-        ({"cards": "    1    3    0", "geometry": "   0.00000   0.00000 120.00000   0.00000"}, "has an unsupported path .* give"),
+        ({"cards": "    1    3    0", "geometry": "   0.00000   0.00000 120.00000   0.00000"}, "unsupported path .* give"),
     ],
 )
 def test_tape7_refuses(tmp_path, change, words):

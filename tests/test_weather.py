@@ -405,9 +405,10 @@ def test_a_typical_year_on_another_year(tmp_path):
 
 @pytest.mark.parametrize(
     ("changes", "words"),
-    [({6: 99.9}, "no air temperature"), ({6: "x"}, "'x' in column 7 is not a number"), ({3: 5}, "hours 1 to 24, in order"),
+    [({6: 99.9}, "no air temperature"), ({6: "x"}, "'x' in column 7 is not a number"), ({3: 5}, "hours 1 to 24, in"),
      ({21: 120}, "wind_m_s=120 in hour 1 is not allowed"), ({9: 101325}, "pressure has the median"),
-     ({1: 7, 2: 20}, "7/20 occurs twice"), ({1: 13}, "row 9: 13/20 is not a date"), ({2: "nan"}, "row 9: 7/nan is not a date"),
+     ({1: 7, 2: 20}, "7/20 occurs twice"), ({1: 13}, "row 9: 13/20 is not a date"),
+     ({2: "nan"}, "row 9: 7/nan is not a date"),
      ({13: 0, 14: 0, 15: 0}, "global_w_m2 is 0 W/m² at most")],
 )  # fmt: skip
 def test_a_bad_epw_file_gets_one_sentence(tmp_path, changes, words):
