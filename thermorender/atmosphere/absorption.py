@@ -34,11 +34,9 @@ _EVERY = 16
 
 
 def from_absorption(
-    absorption: str | PathLike[str],
-    profile: str | PathLike[str],
-    cloud_fraction: float = 0.0,
+    absorption: str | PathLike[str], profile: str | PathLike[str], cloud_fraction: float = 0.0,
     cloud_base_m: float = 2000.0,
-) -> Atmosphere:
+) -> Atmosphere:  # fmt: skip
     """Return the Atmosphere of a profile with the user's absorption data.
 
     Parameters

@@ -100,15 +100,10 @@ class Atmosphere:
 
     @classmethod
     def standard(
-        cls,
-        name: str = "us-1976",
-        aerosol: str = "none",
-        temperature_offset_k: float = 0.0,
-        humidity_factor: float = 1.0,
-        cloud_fraction: float = 0.0,
-        cloud_base_m: float = 2000.0,
+        cls, name: str = "us-1976", aerosol: str = "none", temperature_offset_k: float = 0.0,
+        humidity_factor: float = 1.0, cloud_fraction: float = 0.0, cloud_base_m: float = 2000.0,
         table: dict[str, NDArray[Any]] | None = None,
-    ) -> "Atmosphere":
+    ) -> "Atmosphere":  # fmt: skip
         """Return one of the six standard atmospheres of LOWTRAN7.
 
         Parameters
@@ -158,14 +153,9 @@ class Atmosphere:
 
     @classmethod
     def of_table(
-        cls,
-        table: dict[str, NDArray[Any]],
-        altitude_m: Floats,
-        temperature: Floats,
-        gases: Floats,
-        extinction: Floats,
+        cls, table: dict[str, NDArray[Any]], altitude_m: Floats, temperature: Floats, gases: Floats, extinction: Floats,
         factor: NDArray[Any],
-    ) -> "Atmosphere":
+    ) -> "Atmosphere":  # fmt: skip
         """Return the atmosphere with a table's nodes and a given profile.
 
         Parameters
@@ -389,13 +379,9 @@ class Atmosphere:
         return self._column(at_m, cos_zenith, rays.TOP_M)[0]
 
     def _along(
-        self,
-        from_m: ArrayLike,
-        to_m: ArrayLike,
-        range_m: ArrayLike,
-        function: Callable[[Floats, Floats], Floats],
+        self, from_m: ArrayLike, to_m: ArrayLike, range_m: ArrayLike, function: Callable[[Floats, Floats], Floats],
         step: float = _STEP,
-    ) -> Floats:
+    ) -> Floats:  # fmt: skip
         """Values (..., n) of a function of (altitude, length) from `rays.chord`, in batches of paths."""
         first, last, distance = np.broadcast_arrays(*(np.float64(value) for value in (from_m, to_m, range_m)))
         for name, values in (("from_m", first), ("to_m", last)):

@@ -37,13 +37,9 @@ _SCALE_M_K = 8.314462618 / (0.0289652 * 9.80665)
 
 
 def from_profile(
-    path: str | PathLike[str],
-    aerosol: str = "none",
-    visibility_km: float = 23.0,
-    fill: str = "us-1976",
-    cloud_fraction: float = 0.0,
-    cloud_base_m: float = 2000.0,
-) -> Atmosphere:
+    path: str | PathLike[str], aerosol: str = "none", visibility_km: float = 23.0, fill: str = "us-1976",
+    cloud_fraction: float = 0.0, cloud_base_m: float = 2000.0,
+) -> Atmosphere:  # fmt: skip
     """Return the Atmosphere of a profile.
 
     Parameters

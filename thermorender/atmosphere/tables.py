@@ -45,12 +45,9 @@ def read_saved(path: str | PathLike[str]) -> tuple[Arrays, tuple[float, float]]:
 
 
 def read_arrays(
-    path: str | PathLike[str],
-    kind: str,
-    axes: Mapping[str, str],
-    first_wrong: Callable[[Arrays], str | None],
+    path: str | PathLike[str], kind: str, axes: Mapping[str, str], first_wrong: Callable[[Arrays], str | None],
     give: str,
-) -> Arrays:
+) -> Arrays:  # fmt: skip
     """Return the arrays of an .npz file by name; numbers are float64.
 
     Parameters

@@ -152,13 +152,9 @@ def layered(slabs: Sequence[Slab], skin: float = np.inf, film: float | None = No
 
 
 def top_response(
-    before: list[Any],
-    capacity: list[Any],
-    conductance: list[Any],
-    below_k: Any,
-    seconds: Any,
+    before: list[Any], capacity: list[Any], conductance: list[Any], below_k: Any, seconds: Any,
     heating: list[Any] | None = None,
-) -> tuple[Any, Any, list[Any], list[Any]]:
+) -> tuple[Any, Any, list[Any], list[Any]]:  # fmt: skip
     """Return (α, β, pivots, sums) of a column after one implicit stage: its first layer is at α + β Q.
 
     Q is the heat flux into it from the surface [W m⁻²]; `filled` needs the pivots and sums.

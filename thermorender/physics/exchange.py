@@ -43,15 +43,8 @@ def air_density(pressure_pa: Any, air_k: Any) -> Any:
 
 
 def convection(
-    xp: Any,
-    surface_k: Any,
-    air_k: Any,
-    wind_m_s: Any,
-    density: Any,
-    log_wind: Any,
-    log_heat: Any,
-    height_m: Any,
-) -> tuple[Any, Any]:
+    xp: Any, surface_k: Any, air_k: Any, wind_m_s: Any, density: Any, log_wind: Any, log_heat: Any, height_m: Any,
+) -> tuple[Any, Any]:  # fmt: skip
     """Return (exchange coefficient h [W m⁻² K⁻¹], its derivative with respect to surface temperature).
 
     Parameters
@@ -109,17 +102,9 @@ def saturation_vapour(xp: Any, temperature_k: Any) -> tuple[Any, Any]:
 
 
 def evaporation(
-    xp: Any,
-    surface_k: Any,
-    vapour_pa: Any,
-    pressure_pa: Any,
-    convective: Any,
-    bend: Any,
-    density: Any,
-    resistance: Any,
-    film: Any,
-    frozen: Any,
-) -> tuple[Any, Any, Any]:
+    xp: Any, surface_k: Any, vapour_pa: Any, pressure_pa: Any, convective: Any, bend: Any, density: Any,
+    resistance: Any, film: Any, frozen: Any,
+) -> tuple[Any, Any, Any]:  # fmt: skip
     """Return (latent heat flux [W m⁻²], its derivative with respect to surface temperature, heat per mass [J kg⁻¹]).
 
     Parameters

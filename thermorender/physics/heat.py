@@ -23,17 +23,10 @@ def saturation_vapour(temperature: NDArray[Any]) -> tuple[NDArray[Any], NDArray[
 
 
 def step(
-    temperature: NDArray[np.float32],
-    seconds: float,
-    absorbed: NDArray[np.float32],
-    longwave: NDArray[np.float32],
-    exchange: NDArray[np.float32],
-    wet: NDArray[np.float32],
-    air: NDArray[np.float32] | float,
-    vapour_pa: float,
-    inertia: NDArray[np.float32],
-    deep: NDArray[np.float32],
-) -> NDArray[np.float32]:
+    temperature: NDArray[np.float32], seconds: float, absorbed: NDArray[np.float32], longwave: NDArray[np.float32],
+    exchange: NDArray[np.float32], wet: NDArray[np.float32], air: NDArray[np.float32] | float, vapour_pa: float,
+    inertia: NDArray[np.float32], deep: NDArray[np.float32],
+) -> NDArray[np.float32]:  # fmt: skip
     """Return surface temperatures after one implicit time step, (H, W) float32 [K].
 
     Parameters

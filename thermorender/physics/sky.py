@@ -43,13 +43,9 @@ def air_mass(elevation_deg: ArrayLike) -> Floats:
 
 
 def clear_sky(
-    elevation_deg: Floats,
-    pressure_pa: Floats | float,
-    water_cm: Floats | float,
-    aerosol: Floats | float,
-    distance: Floats | float = 1.0,
-    albedo: Floats | float = 0.2,
-) -> tuple[Floats, Floats]:
+    elevation_deg: Floats, pressure_pa: Floats | float, water_cm: Floats | float, aerosol: Floats | float,
+    distance: Floats | float = 1.0, albedo: Floats | float = 0.2,
+) -> tuple[Floats, Floats]:  # fmt: skip
     """Return (direct, diffuse) irradiance under a cloudless sky [W m⁻²], 0 where the sun is down.
 
     Parameters

@@ -20,12 +20,9 @@ def reflected_radiance(emissivity: Emissivity, temperature: ArrayLike, lower_um:
 
 
 def kinetic_temperature(
-    apparent_radiance: ArrayLike,
-    emissivity: Emissivity,
-    sky_temperature: float,
-    band_um: tuple[float, float],
+    apparent_radiance: ArrayLike, emissivity: Emissivity, sky_temperature: float, band_um: tuple[float, float],
     range_k: tuple[float, float],
-) -> Floats:
+) -> Floats:  # fmt: skip
     """Return the kinetic temperature [K] of a surface from its apparent radiance; NaN for no solution in `range_k`.
 
     Parameters

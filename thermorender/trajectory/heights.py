@@ -32,14 +32,9 @@ def _refuse_impossible_coordinates(log: Log) -> None:
 
 
 def local_positions(
-    log: Log,
-    horizontal: tuple[str, ...],
-    height: str,
-    frame: LocalFrame | None,
-    ground: GroundHeight | None,
-    undulation: float | None,
-    relative: bool,
-) -> Floats:
+    log: Log, horizontal: tuple[str, ...], height: str, frame: LocalFrame | None, ground: GroundHeight | None,
+    undulation: float | None, relative: bool,
+) -> Floats:  # fmt: skip
     """Return the vehicle's positions at the log's rows, (N, 3) local east, north, up [m].
 
     Parameters

@@ -50,18 +50,12 @@ from thermorender.trajectory.tables import Log, read_log
 
 
 def read_trajectory(
-    paths: str | PathLike[str] | Iterable[str | PathLike[str]],
-    *,
-    frame: LocalFrame | None = None,
-    ground: GroundHeight | None = None,
-    geoid_undulation_m: float | None = None,
-    format: str | PathLike[str] | None = None,
-    anchor: Anchor | None = None,
-    clock_offset_s: float = 0.0,
-    mount: Sequence[float] | None = None,
-    lever_arm_m: Sequence[float] = (0.0, 0.0, 0.0),
+    paths: str | PathLike[str] | Iterable[str | PathLike[str]], *, frame: LocalFrame | None = None,
+    ground: GroundHeight | None = None, geoid_undulation_m: float | None = None,
+    format: str | PathLike[str] | None = None, anchor: Anchor | None = None, clock_offset_s: float = 0.0,
+    mount: Sequence[float] | None = None, lever_arm_m: Sequence[float] = (0.0, 0.0, 0.0),
     duplicates: Literal["refuse", "spread", "first"] = "refuse",
-) -> Trajectory:
+) -> Trajectory:  # fmt: skip
     """Return the camera's `Trajectory` in the scene's frame from one or several CSV files of a flight.
 
     Parameters
@@ -100,14 +94,7 @@ def read_trajectory(
         A file or an argument is invalid; for a log the message names file, row and column.
     """
     mapping = load_mapping(format)
-    paths = [paths] if isinstance(paths, (str, PathLike)) else list(paths)
-    if not paths:
-        raise ThermorenderError("paths is empty; give at least one CSV file")
-    logs = _with_constants([read_log(path, mapping, duplicates) for path in paths], mapping)
-    if mapping.stamps:
-        # Simulations count from the start of the flight, not from 1970; all files have the same zero.
-        zero = min(log.time_s[0] for log in logs)
-        logs = [replace(log, time_s=log.time_s - zero) for log in logs]
+    logs = _read_logs(paths, mapping, duplicates)
     mount_deg = _triple("mount", (0.0, 0.0, 0.0) if mount is None else mount, "yaw, pitch, roll [deg]")
     if not np.isfinite(clock_offset_s):
         raise ThermorenderError(f"clock_offset_s={clock_offset_s} is not a finite number; give seconds")
@@ -120,13 +107,7 @@ def read_trajectory(
         position_log, horizontal, height, frame, ground, geoid_undulation_m, relative=anchor is not None
     )
 
-    body_log, gimbal_log = _attitude_logs(logs)
-    if gimbal_log is not None and mount is not None:
-        raise ThermorenderError(
-            f"mount={tuple(mount)} contradicts {gimbal_log.path}, whose gimbal columns say where the camera "
-            "looks; leave mount out or delete the columns "
-            f"{', '.join(n for n in GIMBAL if n in gimbal_log.values)}"
-        )
+    body_log, gimbal_log = _attitude_logs(logs, mount)
     time_s = _common_times([log for log in (position_log, body_log, gimbal_log) if log is not None])
     position = np.stack([np.interp(time_s, position_log.time_s, position[:, k]) for k in range(3)], axis=-1)
     ned_from_body = _body(body_log, mapping, time_s)
@@ -151,14 +132,24 @@ def read_trajectory(
     return trajectory
 
 
-def _with_constants(logs: list[Log], mapping: Mapping) -> list[Log]:
-    """The logs with the mapping's constants added, each to the log with columns of its kind."""
+def _read_logs(
+    paths: str | PathLike[str] | Iterable[str | PathLike[str]], mapping: Mapping, duplicates: str
+) -> list[Log]:
+    """The logs of the files, with the mapping's constants added, each to the log with columns of its kind."""
+    paths = [paths] if isinstance(paths, (str, PathLike)) else list(paths)
+    if not paths:
+        raise ThermorenderError("paths is empty; give at least one CSV file")
+    logs = [read_log(path, mapping, duplicates) for path in paths]
     kinds = (POSITION, QUATERNION + ANGLES, GIMBAL)
     for name, quantity in mapping.quantities.items():
         if quantity.constant is not None:
             kind = next(kind for kind in kinds if name in kind)
             owner = next((log for log in logs if any(n in log.values for n in kind)), logs[0])
             owner.values[name] = np.full(owner.time_s.size, quantity.constant)
+    if mapping.stamps:
+        # Simulations count from the start of the flight, not from 1970; all files have the same zero.
+        zero = min(log.time_s[0] for log in logs)
+        logs = [replace(log, time_s=log.time_s - zero) for log in logs]
     return logs
 
 
@@ -209,7 +200,7 @@ def _position_columns(logs: list[Log], mapping: Mapping) -> tuple[Log, tuple[str
     return log_of[heights[0]], pairs[0], heights[0]
 
 
-def _attitude_logs(logs: list[Log]) -> list[Log | None]:
+def _attitude_logs(logs: list[Log], mount: Sequence[float] | None) -> list[Log | None]:
     """The log with the vehicle's attitude and the log with the gimbal's angles, or None."""
     chosen = []
     for group, what in ((QUATERNION + ANGLES, "vehicle's attitude"), (GIMBAL, "gimbal's angles")):
@@ -227,6 +218,12 @@ def _attitude_logs(logs: list[Log]) -> list[Log | None]:
         if quaternion and len(quaternion) < 4:
             missing = ", ".join(repr(name) for name in QUATERNION if name not in quaternion)
             raise ThermorenderError(f"{body.path}: column {missing} is missing; a quaternion needs qw, qx, qy, qz")
+    gimbal = chosen[1]
+    if gimbal is not None and mount is not None:
+        raise ThermorenderError(
+            f"mount={tuple(mount)} contradicts {gimbal.path}, whose gimbal columns say where the camera looks; leave "
+            f"mount out or delete the columns {', '.join(n for n in GIMBAL if n in gimbal.values)}"
+        )
     return chosen
 
 

@@ -150,12 +150,9 @@ def _cells(path: object, header: list[str], rows: list[list[str]], column: str) 
 
 
 def _numeric(
-    path: object,
-    header: list[str],
-    rows: list[list[str]],
-    numbers: Sequence[int] | NDArray[np.int64],
+    path: object, header: list[str], rows: list[list[str]], numbers: Sequence[int] | NDArray[np.int64],
     quantity: Quantity,
-) -> Floats:
+) -> Floats:  # fmt: skip
     cells = _cells(path, header, rows, quantity.column)
     try:
         values = np.array(cells).astype(np.float64)

@@ -20,14 +20,9 @@ _WIND_M_S = 2.5
 
 
 def complete(
-    time: NDArray[np.datetime64],
-    place: tuple[float, float, float],
-    given: Mapping[str, NDArray[np.float64]],
-    notes: Sequence[str] = (),
-    wind_m_s: float | None = None,
-    snow_depth_m: float = 0.0,
-    **heights: float,
-) -> Weather:
+    time: NDArray[np.datetime64], place: tuple[float, float, float], given: Mapping[str, NDArray[np.float64]],
+    notes: Sequence[str] = (), wind_m_s: float | None = None, snow_depth_m: float = 0.0, **heights: float,
+) -> Weather:  # fmt: skip
     """Return the Weather of a series in which quantities may be missing.
 
     Parameters

@@ -22,12 +22,9 @@ _FAR_KM, _RADIUS_KM = 100.0, 6371.0
 
 
 def declared_weather(
-    spec: Any,
-    latitude_deg: float,
-    longitude_deg: float,
-    altitude_m: float,
+    spec: Any, latitude_deg: float, longitude_deg: float, altitude_m: float,
     time: str | datetime.datetime | np.datetime64 | None = None,
-) -> Weather:
+) -> Weather:  # fmt: skip
     """Return the Weather of the table [weather].
 
     Parameters

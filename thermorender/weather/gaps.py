@@ -20,15 +20,9 @@ def without_offset(column: str, values: NDArray[np.float64], notes: list[str]) -
 
 
 def filled(
-    path: object,
-    column: str,
-    quantity: str,
-    values: NDArray[np.float64],
-    time: NDArray[np.datetime64],
-    step_s: float,
-    longest_gap_h: float,
-    notes: list[str],
-) -> NDArray[np.float64]:
+    path: object, column: str, quantity: str, values: NDArray[np.float64], time: NDArray[np.datetime64], step_s: float,
+    longest_gap_h: float, notes: list[str],
+) -> NDArray[np.float64]:  # fmt: skip
     """Return values (N,) with short gaps interpolated; rain and snow are 0 in gaps of any length.
 
     Parameters

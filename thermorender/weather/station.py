@@ -148,12 +148,9 @@ def _quantities(path, header, cells, rows, notes):
 
 
 def read_columns(
-    path: str | PathLike[str],
-    columns: Sequence[str],
-    *,
-    during: Sequence[str | datetime | np.datetime64] | None = None,
-    utc_offset_h: float | None = None,
-) -> tuple[NDArray[np.datetime64], dict[str, NDArray[np.float64]]]:
+    path: str | PathLike[str], columns: Sequence[str], *,
+    during: Sequence[str | datetime | np.datetime64] | None = None, utc_offset_h: float | None = None,
+) -> tuple[NDArray[np.datetime64], dict[str, NDArray[np.float64]]]:  # fmt: skip
     """Return (instants (N,) datetime64[s] UTC, {column: numbers (N,), NaN where missing}) of a station's table.
 
     It reads columns that `read_station` does not use, such as other measurements; the rows are the same.
