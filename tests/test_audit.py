@@ -15,7 +15,7 @@ from thermorender.campaign import duplicates
 from thermorender.campaign.dataset import Entry, ThermalScale, Writer, packed, read_dataset
 from thermorender.campaign.splits import assign
 from thermorender.errors import ThermorenderError
-from thermorender.synthetic.worlds import make
+from thermorender.synthetic.procedural_scene import make
 
 
 def entry(key, part="train", parent=None, sequence=None, order=0, **known):

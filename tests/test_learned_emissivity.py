@@ -22,7 +22,7 @@ from thermorender.materials.mixture import Mixture, mix, palette
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.scene.material_map import UNKNOWN_CLASS, write_map
 from thermorender.scene.surface import FILLED, UNKNOWN
-from thermorender.synthetic.worlds import make
+from thermorender.synthetic.procedural_scene import make
 from validation.emissivity import study as validation
 
 # Three materials in stripes: mean colour and noise of each.

@@ -10,7 +10,7 @@ from conftest import shared_data
 from thermorender.errors import ThermorenderError
 from thermorender.materials.check import check
 from thermorender.materials.compare import apparent_temperature
-from thermorender.materials.files import INDEX_COLUMNS
+from thermorender.materials.csv_tables import INDEX_COLUMNS
 from thermorender.materials.library import grey, load_library, read_library
 from thermorender.paths import data_folder
 from thermorender.physics.planck import band_radiance, brightness_temperature

@@ -9,7 +9,7 @@ import pytest
 from conftest import shared_data
 
 from thermorender.errors import ThermorenderError
-from thermorender.materials.files import INDEX_COLUMNS
+from thermorender.materials.csv_tables import INDEX_COLUMNS
 from thermorender.materials.from_samples import from_samples, read_selection
 from thermorender.materials.library import find, grey, load_library, read_library
 from thermorender.materials.samples import read_ecostress, read_sample

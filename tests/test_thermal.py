@@ -10,7 +10,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.files import write_text
 from thermorender.materials import store as store_module
 from thermorender.materials.check import check
-from thermorender.materials.files import INDEX_COLUMNS
+from thermorender.materials.csv_tables import INDEX_COLUMNS
 from thermorender.materials.library import ASSUMED_SOLAR_STD, grey, load_library, read_library
 from thermorender.materials.mixture import mix
 from thermorender.materials.store import write_material

@@ -103,7 +103,7 @@ def labelled_scene(folder, polygons=None):
 
 def procedural(seeds):
     """Yield the Labelled of a procedural scene of every kind and seed."""
-    from thermorender.synthetic.worlds import KINDS, make
+    from thermorender.synthetic.procedural_scene import KINDS, make
 
     for seed in seeds:
         for kind in KINDS:

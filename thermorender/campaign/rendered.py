@@ -1,12 +1,12 @@
-"""A campaign rendered: pairs of visible and thermal pictures of procedural lands, with the truth behind them.
+"""A rendered campaign: pairs of visible and thermal pictures of procedural landscapes, with ground truth.
 
-A *world* is a land of a seed under a weather of another, at some hours of one day. Its true temperatures stray from
-what tables and station tell (`campaign.worlds`), so that whoever predicts knows as much as outdoors. Views look
-straight down, aslant, and ahead with sky in the picture. The thermal picture is what the camera reads; beside it lies,
-per pixel, what is really there, what a heat balance with table values predicts of the same view, and the relief.
+A *world* is a landscape of one seed under the weather of another, at several hours of one day. Its true temperatures
+deviate from tables and station data (`campaign.procedural_truth`), so a predictor knows as much as it would outdoors.
+Views are nadir, oblique, and forward with sky in the picture. The thermal picture is what the camera reads. Per pixel,
+a pair also holds the truth, the heat balance's prediction from table values, and the relief.
 
-Worlds of training, validation and test have different lands and different weathers. Each is one shard, so a campaign
-can be stopped anywhere and continued.
+Worlds of training, validation and test have different landscapes and different weathers. Each world is one shard, so
+a campaign can be interrupted anywhere and resumed.
 """
 
 import tempfile
@@ -18,7 +18,7 @@ import numpy as np
 from thermorender import defaults
 from thermorender.atmosphere.declared import declared_air
 from thermorender.campaign.dataset import Entry, ThermalScale, Writer, packed, read_dataset
-from thermorender.campaign.worlds import drawn
+from thermorender.campaign.procedural_truth import drawn
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
 from thermorender.output.photograph import sky_of, with_sky
@@ -26,10 +26,10 @@ from thermorender.render.heat.conditions import conditions
 from thermorender.scene.load import load_scene
 from thermorender.sensor.camera import load_camera
 from thermorender.sensor.readout import radiance_from_counts
-from thermorender.synthetic.files import write_declared
 from thermorender.synthetic.noise import stream
+from thermorender.synthetic.procedural_scene import KINDS, make, weather_of
+from thermorender.synthetic.scene_files import write_declared
 from thermorender.synthetic.weather import atmosphere
-from thermorender.synthetic.worlds import KINDS, make, weather_of
 from thermorender.trajectory.path import pose
 from thermorender.units import utc_text
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from thermorender.errors import ThermorenderError, shortened
-from thermorender.materials.files import (
+from thermorender.materials.csv_tables import (
     ANGLE_COLUMN,
     INDEX_COLUMNS,
     INDEX_OF_REFRACTION_COLUMNS,

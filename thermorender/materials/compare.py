@@ -6,7 +6,7 @@ from pathlib import Path
 from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic_folder, check_new_folder, read_text, write_text
-from thermorender.materials.files import INDEX_COLUMNS, OPTIONAL_COLUMNS, read_table
+from thermorender.materials.csv_tables import INDEX_COLUMNS, OPTIONAL_COLUMNS, read_table
 from thermorender.materials.library import read_library
 from thermorender.materials.store import store
 from thermorender.materials.thermal import PROPERTIES, read_thermals

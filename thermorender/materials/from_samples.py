@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.materials.files import SOLAR_STD_COLUMN, gaps, number_in_cell, read_table, read_text
+from thermorender.materials.csv_tables import SOLAR_STD_COLUMN, gaps, number_in_cell, read_table, read_text
 from thermorender.materials.library import Material, read_library
 from thermorender.materials.samples import LIBRARIES, is_ecostress, read_sample
 from thermorender.materials.store import write_material, write_refractive_index

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.materials.files import (
+from thermorender.materials.csv_tables import (
     INDEX_COLUMNS,
     LONGEST_WAVELENGTH_UM,
     ROUGHNESS_COLUMN,

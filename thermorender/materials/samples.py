@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from thermorender.errors import ThermorenderError, shortened
-from thermorender.materials.files import csv_rows, number_in_cell, read_table, read_text
+from thermorender.materials.csv_tables import csv_rows, number_in_cell, read_table, read_text
 
 # Library → (words before the file names, citation, licence).
 LIBRARIES = {

@@ -9,7 +9,7 @@ import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic, write_text
-from thermorender.materials.files import (
+from thermorender.materials.csv_tables import (
     INDEX_COLUMNS,
     INDEX_OF_REFRACTION_COLUMNS,
     ROUGHNESS_COLUMN,

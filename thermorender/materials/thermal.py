@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.materials.files import number_in_cell, read_table
+from thermorender.materials.csv_tables import number_in_cell, read_table
 from thermorender.schema import closest
 from thermorender.units import ZERO_CELSIUS_K
 

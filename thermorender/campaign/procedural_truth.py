@@ -14,8 +14,8 @@ import numpy as np
 from thermorender.files import atomic_folder
 from thermorender.materials.shifted import strayed
 from thermorender.scene.load import load_scene
-from thermorender.synthetic.files import refuse_every, write_declared, write_temperature
 from thermorender.synthetic.noise import stream
+from thermorender.synthetic.scene_files import refuse_every, write_declared, write_temperature
 
 # Standard deviation of the logarithm of the exchange with the air. Chosen, inside the spread of the laws collected by
 # Palyvos, Appl. Therm. Eng. 28 (2008) 801, doi:10.1016/j.applthermaleng.2007.12.005.
@@ -34,7 +34,7 @@ def write(scene, directory, overwrite=False, temperature_every=2, progress=None)
     Parameters
     ----------
     scene : SyntheticScene
-        From `synthetic.worlds.make`.
+        From `synthetic.procedural_scene.make`.
     directory : path
         Folder to make.
     overwrite : bool
