@@ -17,7 +17,8 @@ from thermorender.learned.emissivity import EmissivityMap, load_map, map_materia
 from thermorender.learned.emissivity_features import NAMES, NEAR, features
 from thermorender.learned.emissivity_training import Labelled, train
 from thermorender.learned.features import lab
-from thermorender.materials.library import grey, load_library
+from thermorender.materials.library import load_library
+from thermorender.materials.material import grey
 from thermorender.materials.mixture import Mixture, mix, palette
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.scene.material_map import UNKNOWN_CLASS, write_map

@@ -11,7 +11,8 @@ from thermorender.errors import ThermorenderError
 from thermorender.materials.check import check
 from thermorender.materials.compare import apparent_temperature
 from thermorender.materials.csv_tables import INDEX_COLUMNS
-from thermorender.materials.library import grey, load_library, read_library
+from thermorender.materials.library import load_library, read_library
+from thermorender.materials.material import grey
 from thermorender.paths import data_folder
 from thermorender.physics.planck import band_radiance, brightness_temperature
 

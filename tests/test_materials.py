@@ -11,7 +11,8 @@ from conftest import shared_data
 from thermorender.errors import ThermorenderError
 from thermorender.materials.csv_tables import INDEX_COLUMNS
 from thermorender.materials.from_samples import from_samples, read_selection
-from thermorender.materials.library import find, grey, load_library, read_library
+from thermorender.materials.library import find, load_library, read_library
+from thermorender.materials.material import grey
 from thermorender.materials.samples import read_ecostress, read_sample
 from thermorender.materials.store import store, write_material, write_materials
 from thermorender.paths import data_folder

@@ -11,7 +11,8 @@ from thermorender.files import write_text
 from thermorender.materials import store as store_module
 from thermorender.materials.check import check
 from thermorender.materials.csv_tables import INDEX_COLUMNS
-from thermorender.materials.library import ASSUMED_SOLAR_STD, grey, load_library, read_library
+from thermorender.materials.library import load_library, read_library
+from thermorender.materials.material import ASSUMED_SOLAR_STD, grey
 from thermorender.materials.mixture import mix
 from thermorender.materials.store import write_material
 from thermorender.materials.thermal import COVERS, ENDS, NUMBERS, PROPERTIES, read_thermal, read_thermals, table_text

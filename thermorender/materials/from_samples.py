@@ -11,7 +11,8 @@ import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.materials.csv_tables import SOLAR_STD_COLUMN, gaps, number_in_cell, read_table, read_text
-from thermorender.materials.library import Material, read_library
+from thermorender.materials.library import read_library
+from thermorender.materials.material import Material
 from thermorender.materials.samples import LIBRARIES, is_ecostress, read_sample
 from thermorender.materials.store import write_material, write_refractive_index
 from thermorender.physics.planck import spectral_radiance

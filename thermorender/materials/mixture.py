@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from thermorender.materials.library import Material
+from thermorender.materials.material import Material
 
 # Shares are kept in eighths.
 _STEPS = 8

@@ -18,7 +18,7 @@ import numpy as np
 from thermorender import defaults
 from thermorender.campaign.procedural_truth import write
 from thermorender.errors import ThermorenderError
-from thermorender.materials.library import Material
+from thermorender.materials.material import Material
 from thermorender.materials.shifted import strayed
 from thermorender.render.geometry import Geometry
 from thermorender.render.heat.march import solved
