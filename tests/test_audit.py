@@ -12,7 +12,8 @@ from conftest import shared_data
 
 from thermorender.campaign import audit as audits
 from thermorender.campaign import duplicates
-from thermorender.campaign.dataset import Entry, ThermalScale, Writer, packed, read_dataset
+from thermorender.campaign.dataset import Entry, ThermalScale, read_dataset
+from thermorender.campaign.dataset_writer import Writer, packed
 from thermorender.campaign.splits import assign
 from thermorender.errors import ThermorenderError
 from thermorender.synthetic.procedural_scene import make

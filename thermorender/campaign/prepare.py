@@ -17,7 +17,8 @@ from thermorender.campaign import bounds as value_bounds
 from thermorender.campaign import pictures, splits
 from thermorender.campaign.audit import audit
 from thermorender.campaign.cut import Cut, moved, piece
-from thermorender.campaign.dataset import PARTS, Entry, ThermalScale, Writer, packed, read_dataset, refuse_strange
+from thermorender.campaign.dataset import PARTS, Entry, ThermalScale, read_dataset
+from thermorender.campaign.dataset_writer import Writer, packed, refuse_strange
 from thermorender.campaign.registration import rig
 from thermorender.errors import ThermorenderError
 

@@ -17,7 +17,8 @@ import numpy as np
 
 from thermorender import defaults
 from thermorender.atmosphere.declared import declared_air
-from thermorender.campaign.dataset import Entry, ThermalScale, Writer, packed, read_dataset
+from thermorender.campaign.dataset import Entry, ThermalScale, read_dataset
+from thermorender.campaign.dataset_writer import Writer, packed
 from thermorender.campaign.procedural_truth import drawn
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
