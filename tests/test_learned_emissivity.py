@@ -526,13 +526,13 @@ def test_polygons_in_longitude_and_latitude_land_in_the_same_place(scene, tmp_pa
 @pytest.mark.parametrize(
     ("make_file", "words"),
     [
-        (lambda p: polygons(p, boxes(), key="class"), "feature 1 is no polygon with a property 'material'"),
+        (lambda p: polygons(p, boxes(), key="class"), "feature 1 is not a polygon with a property 'material'"),
         (lambda p: polygons(p, boxes(100000.0)), "covers no texel of .*orthophoto.tif"),
         (lambda p: polygons(p, [("gras_green", boxes()[0][1])]), "uses material 'gras_green'.* closest are grass"),
         (lambda p: polygons(p, []), "names 0 materials; label polygons of 2…254 materials"),
         (lambda p: polygons(p, boxes()[:1]), "two or more materials, but .* has those of grass_green only; label more"),
-        (lambda p: polygons(p, boxes(), crs="EPSG:nonsense"), "is no GeoJSON FeatureCollection"),
-        (lambda p: p.write_text("[1, 2"), "is no GeoJSON FeatureCollection"),
+        (lambda p: polygons(p, boxes(), crs="EPSG:nonsense"), "is not a GeoJSON FeatureCollection"),
+        (lambda p: p.write_text("[1, 2"), "is not a GeoJSON FeatureCollection"),
         (lambda p: p.write_text('{"features": [{"geometry": 1, "properties": {"material": "snow"}}]}'), "feature 1 is"),
         (lambda p: None, "labels.geojson cannot be read: No such file"),
     ],

@@ -93,7 +93,7 @@ def test_a_known_rig_is_found(found):
 
 
 def test_frames_that_lie_elsewhere_are_left_out(found):
-    assert set(found.rejected) == {"f3", "f7"} and "off the others" in found.rejected["f3"]
+    assert set(found.rejected) == {"f3", "f7"} and "px from the others" in found.rejected["f3"]
     good = [score for name, score in found.frames.items() if name not in found.rejected]
     assert max(found.frames["f3"], found.frames["f7"]) < 0.5 * min(good)
     assert found.score == pytest.approx(np.mean(good)) and abs(found.score_unrelated) < 0.1 * found.score

@@ -1,13 +1,16 @@
-"""A learned temperature map trained on a data set: what the method is given, and what the map says of itself."""
+"""Training of a learned temperature map on a data set: the method's inputs, and the map's metadata."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from thermorender.campaign.bounds import bounds_of_dataset
 from thermorender.campaign.cut import Cut, moved
+from thermorender.campaign.dataset import Dataset
 from thermorender.campaign.map_inputs import depth_of, ground_of, inputs_of
 from thermorender.errors import ThermorenderError
 from thermorender.learned.temperature_map import ASSUMED_SKY_K, Inputs, TemperatureMap
@@ -17,73 +20,74 @@ from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.units import ZERO_CELSIUS_K
 from thermorender.versions import versions
 
-# Lowest temperature that intensity 0 may stand for [K]: below that of any sky in the band. Chosen.
+# Lowest temperature of intensity 0 [K], below any sky's in the band. Chosen.
 _COLDEST_K = 150.0
-# Pairs of the validation part that tell a map's own error, evenly spaced.
-_TOLD_BY = 60
-# And every so many of their rows and columns.
+# A map's stated error is measured on this many evenly spaced validation pairs, at every n-th row and column.
+_ERROR_PAIRS = 60
 _EVERY = 4
-# Kept of the conditions trained under: least and most of each.
+# Conditions whose range over the training pairs is recorded.
 _RANGES = ("air_k", "wind_m_s", "snow_m", "sun_elevation_deg", "solar_hour", "day")
 
 
 def train_map(
-    name, method_name, dataset, options=None, seed=0, progress=None, parts=("train", "validation"), material=False,
-    shift_px=0.0, share=1.0, run=None, resume=False,
-):  # fmt: skip
+    name: str, method_name: str, dataset: Dataset, options: Mapping[str, Any] | None = None, seed: int = 0,
+    progress: Callable[[str, float], None] | None = None, parts: Sequence[str] = ("train", "validation"),
+    material: bool = False, shift_px: float = 0.0, share: float = 1.0, run: str | Path | None = None,
+    resume: bool = False,
+) -> TemperatureMap:  # fmt: skip
     """Return the TemperatureMap of a method, trained on some parts of a Dataset.
 
     Parameters
     ----------
     name : str
     method_name : str
-        As by `learned.methods.method`.
+        Name as `learned.training_methods.method` takes it.
     dataset : Dataset
     options : dict, optional
-        Of the method, in place of its defaults.
+        Options that replace the method's defaults.
     seed : int
     progress : callable, optional
-        Called with (what, share done).
+        Called with (task, fraction done).
     parts : sequence of str
         The published correlations were fitted on training and validation.
     material : bool
-        Shows the method the true material of each pixel: an oracle, which is no map.
+        Give the method the true material of each pixel: an oracle, not a map.
     shift_px : float
-        Trains on pairs that are not aligned: each thermal picture is moved by a random vector of this length [px].
+        Shift each thermal picture by a random vector of this length, to train on misaligned pairs [px].
     share : float
-        Trains on so many of the sequences, evenly spaced over the data set's order, one at least.
+        Share of the sequences to train on, evenly spaced over the data set's order, at least one.
     run : path, optional
         Folder for checkpoints, log and sample pictures of a network's training.
     resume : bool
-        Continue the training of that folder.
+        Resume the training of that folder.
 
     Raises
     ------
     ThermorenderError
-        An unknown method or option, a data set without pairs to train on, or what the method needs is missing.
+        The method or an option is unknown, or the data set lacks pairs or inputs of the method.
 
     Notes
     -----
-    Intensity is that of equation 2 of the published method: 0 and 1 are 1.5 interquartile ranges below and above the
-    quartiles of the training pictures' values, 0 no colder than 150 K. Saturated pixels are left out.
+    Intensity follows equation 2 of the published method: 0 and 1 are 1.5 interquartile ranges below and above the
+    quartiles of the training values, with 0 at 150 K or above. Saturated pixels are left out.
     """
-    how, tell = method(method_name), progress or (lambda what, share: None)
+    how, report_progress = method(method_name), progress or (lambda task, fraction: None)
     options = checked_options(method_name, how.options, options or {})
     if material and not how.classes:
         known = ", ".join(name for name, each in METHODS.items() if each.classes)
         raise ThermorenderError(
-            f"method {method_name!r} learns nothing from materials, so it is no oracle; take {known}, or leave out "
+            f"method {method_name!r} does not use materials, so it cannot be an oracle; take {known}, or leave out "
             "--oracle"
         )
     pairs, cut = _some(dataset.of(*parts), share), Cut(shift_px=shift_px, seed=seed)
     if not len(pairs):
         raise ThermorenderError(f"{dataset.folder} has no pairs in {' or '.join(parts)}; give a split that has some")
-    refuse_untold(method_name, pairs)
-    tell("looking at the values", 0.0)
+    refuse_missing_conditions(method_name, pairs)
+    report_progress("counting values", 0.0)
     usable = ~_saturated(dataset.card, np.arange(65536))
     bounds = bounds_of_dataset(dataset.of("train") if len(dataset.of("train")) else pairs, usable)
     scale, low, high = dataset.scale, bounds.low, bounds.high
-    # Where much of the sky is in the pictures, the lower bound is a radiance that no temperature has.
+    # With much sky in the pictures, the lower bound may be a negative radiance.
     ends = np.maximum(scale.radiance([low, high]), band_radiance(_COLDEST_K, *scale.band_um))
     range_k = tuple(map(float, brightness_temperature(ends, *scale.band_um)))
     if scale.unit == "intensity":
@@ -99,9 +103,9 @@ def train_map(
         if how.plus:
             inputs = inputs_of(pair, dataset.card, material)
         else:
-            # Colour only, but for the air or the depth where that is asked for.
-            told = entry.conditions if options.get("above_air") else {}
-            inputs = Inputs(pair.visible, entry.texel_m, {}, told, depth_of(pair))
+            # Colour only, plus air or depth if an option asks for it.
+            known = entry.conditions if options.get("above_air") else {}
+            inputs = Inputs(pair.visible, entry.texel_m, {}, known, depth_of(pair))
         values, valid = moved(pair.thermal, pair.valid, entry.key, cut) if shift_px else (pair.thermal, pair.valid)
         return Example(inputs, values, valid & usable[values])
 
@@ -113,11 +117,11 @@ def train_map(
     texel_range_m = (float(sampling.min()), float(sampling.max()))
     held = np.array([entry.part == "validation" for entry in pairs.entries])
     task = Task(
-        _Read(pairs.entries, example), (radiance - cold) / (warm - cold), kelvin, seed, tell, options, texel_m,
-        texel_range_m, held if held.any() and not held.all() else None, run, resume,
+        _Read(pairs.entries, example), (radiance - cold) / (warm - cold), kelvin, seed, report_progress, options,
+        texel_m, texel_range_m, held if held.any() and not held.all() else None, run, resume,
     )  # fmt: skip
     predictor = how.fit(task)
-    # A training that was resumed tells what all of it took.
+    # A resumed training records the time of all its runs.
     seconds = getattr(predictor, "trained", {}).get("seconds", time.perf_counter() - started)
     skies = [entry.sky_temperature for entry in pairs.entries if entry.sky_temperature]
     made = TemperatureMap(
@@ -142,7 +146,7 @@ def train_map(
 
 
 class _Read(Sequence):
-    """What is made of each entry, when it is asked for."""
+    """Examples of the entries, read on demand."""
 
     def __init__(self, entries, example):
         self._entries, self._example = entries, example
@@ -154,28 +158,28 @@ class _Read(Sequence):
         return self._example(self._entries[number])
 
 
-def is_told(dataset):
-    """Return whether a Dataset holds the terrain's relief, and all its pairs hour and weather."""
+def has_conditions(dataset: Dataset) -> bool:
+    """Return whether a Dataset has the terrain's relief, and hour and weather of all its pairs."""
     return bool(dataset.card.get("terrain")) and all(entry.conditions for entry in dataset.entries)
 
 
-def refuse_untold(method_name, dataset):
-    """Raise where a method needs relief, hour and weather, and a Dataset lacks them.
+def refuse_missing_conditions(method_name: str, dataset: Dataset) -> None:
+    """Refuse a method that needs relief, hour and weather for a Dataset that lacks them.
 
     Raises
     ------
     ThermorenderError
-        Or an unknown method.
+        The Dataset lacks them, or the method is unknown.
     """
-    if method(method_name).plus and not is_told(dataset):
+    if method(method_name).plus and not has_conditions(dataset):
         raise ThermorenderError(
             f"method {method_name!r} needs the terrain's relief, hour and weather, which {dataset.folder} does not "
-            f"hold; take {method_name.rstrip('+') if method_name != 'correlation+' else 'correlation-9to1'}"
+            f"have; take {method_name.rstrip('+') if method_name != 'correlation+' else 'correlation-9to1'}"
         )
 
 
 def _some(dataset, share):
-    """A data set with a share of its sequences, one at least; those of validation all stay."""
+    """A data set with a share of its sequences, at least one; those of validation all stay."""
     if share >= 1.0:
         return dataset
     names = list(dict.fromkeys(entry.sequence for entry in dataset.entries if entry.part != "validation"))
@@ -185,28 +189,27 @@ def _some(dataset, share):
 
 
 def _with_error(model, about, dataset, material):
-    """The map with its own error, of some validation pairs, and what it tells about itself."""
+    """The map with its metadata and its error on some validation pairs."""
     model = replace(model, about=about)
     held = dataset.of("validation")
     if not len(held):
         return model
     squares, count = 0.0, 0
-    for index in np.unique(np.linspace(0, len(held) - 1, min(_TOLD_BY, len(held))).astype(int)):
+    for index in np.unique(np.linspace(0, len(held) - 1, min(_ERROR_PAIRS, len(held))).astype(int)):
         pair = held.pair(held.entries[index])
         inputs = inputs_of(pair, dataset.card, material)
         part = np.s_[::_EVERY, ::_EVERY]
         found, known = (brightness_temperature(each[part], *model.band_um) for each in
                         (model.radiance(inputs), pair.reference))  # fmt: skip
-        # Where a map gives no temperature it does not err by so many kelvin.
+        # Pixels without a predicted temperature have no error in kelvin.
         here = ground_of(pair)[part] & ~_saturated(dataset.card, pair.thermal[part]) & np.isfinite(found - known)
         squares += float(((found - known)[here] ** 2).sum())
         count += int(here.sum())
-    # Where nothing tells an error there is none to tell.
     return replace(model, error_k=float(np.sqrt(squares / count))) if count else model
 
 
 def _saturated(card, values):
-    """Where values of a known camera sit at either end of its range."""
+    """Where values of a known camera are at either end of its range."""
     from thermorender.sensor.camera import load_camera
     from thermorender.sensor.readout import saturated
 
@@ -216,19 +219,19 @@ def _saturated(card, values):
 
 
 def _ranges(entries):
-    """{condition: (least, most)} of what is kept."""
+    """{condition: [least, most]} of the recorded conditions."""
     known = [entry.conditions for entry in entries if entry.conditions]
     return {name: [min(each[name] for each in known), max(each[name] for each in known)] for name in _RANGES
             if known and all(name in each for each in known)}  # fmt: skip
 
 
-def checked_options(method_name, known, given):
-    """Return a method's options with what is given in their place, of their own kind.
+def checked_options(method_name: str, known: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a method's options with the given values, converted to the options' types.
 
     Raises
     ------
     ThermorenderError
-        The method has no such option, or the value is of another kind.
+        The method has no such option, or a value has another type.
     """
     found = dict(known)
     for key, value in given.items():

@@ -1,53 +1,59 @@
-"""True temperatures of procedural scenes: the heat balance of a land whose properties are drawn, not the tables'.
+"""True temperatures of procedural scenes: a heat balance with properties drawn around the tables' values.
 
-Whoever predicts a scene knows the tables' values and the station's weather. Its truth strays from them: per scene the
-thermal properties and the absorptance of every material, the law of convection and the air inside are drawn from their
-uncertainty, and each texel has its hidden moisture, cover and roughness. All of that belongs to the landscape's seed:
-another hour or weather meets the same ground.
+A predictor knows the tables and the station's weather; the truth deviates from them. Per scene, the thermal properties
+and absorptance of every material, the convection law and the indoor air are drawn from their uncertainty. Each texel
+also has hidden moisture, cover and roughness. All draws belong to the landscape's seed: another hour or weather has
+the same ground.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.files import atomic_folder
 from thermorender.materials.shifted import strayed
-from thermorender.scene.load import load_scene
+from thermorender.scene.load import Scene, load_scene
 from thermorender.synthetic.noise import stream
+from thermorender.synthetic.procedural_scene import SyntheticScene
 from thermorender.synthetic.scene_files import refuse_every, write_declared, write_temperature
 
-# Standard deviation of the logarithm of the exchange with the air. Chosen, inside the spread of the laws collected by
-# Palyvos, Appl. Therm. Eng. 28 (2008) 801, doi:10.1016/j.applthermaleng.2007.12.005.
+# Standard deviation of the logarithm of the heat transfer coefficient. Chosen, within the spread of the laws collected
+# by Palyvos, Appl. Therm. Eng. 28 (2008) 801, doi:10.1016/j.applthermaleng.2007.12.005.
 CONVECTION_SPREAD = 0.2
-# Of the air inside buildings [K]. Chosen: heated rooms lie within 16…24 °C.
+# Standard deviation of the indoor air temperature [K]. Chosen: heated rooms have 16…24 °C.
 INSIDE_SPREAD_K = 2.0
 
 
-def write(scene, directory, overwrite=False, temperature_every=2, progress=None):
-    """Return the folder written for a procedural scene: rasters with its true temperature, scene.toml and flight.csv.
+def write(
+    scene: SyntheticScene, directory: str | Path, overwrite: bool = False, temperature_every: int = 2,
+    progress: Callable[[str, float], None] | None = None,
+) -> Path:  # fmt: skip
+    """Write a procedural scene: rasters with its true temperature, scene.toml and flight.csv; return the folder.
 
-    The folder is built beside its path under a temporary name and then renamed, so it is never half there. The scene
-    file shows the truth (`source = "raster"`) and holds the weather it was solved under, so that `source = "balance"`
-    in its place predicts the same scene from tables.
+    The folder is written under a temporary name and then renamed, so it is never incomplete. The scene file uses the
+    truth (`source = "raster"`) and holds the weather of its solution, so that `source = "balance"` predicts the same
+    scene from tables.
 
     Parameters
     ----------
     scene : SyntheticScene
         From `synthetic.procedural_scene.make`.
     directory : path
-        Folder to make.
+        Folder to create.
     overwrite : bool
-        Replace a folder that already holds something.
+        Replace a folder that is not empty.
     temperature_every : int
-        Orthophoto texels to a side of one texel of the stored temperature, which is their mean.
+        Orthophoto texels per side of a stored temperature texel, which is their mean.
     progress : callable, optional
-        Called with (what, share done).
+        Called with (task, fraction done).
 
     Raises
     ------
     ThermorenderError
-        The folder exists and is not empty, and `overwrite` is false, or `temperature_every` does not divide the grid.
+        The folder is not empty and `overwrite` is false, or `temperature_every` does not divide the grid.
     """
     refuse_every(scene, temperature_every)
     with atomic_folder(directory, overwrite) as draft:
@@ -57,13 +63,15 @@ def write(scene, directory, overwrite=False, temperature_every=2, progress=None)
     return Path(directory)
 
 
-def true_temperature(loaded, scene, progress=None):
-    """Return the true temperature of a scene's terrain, (H, W) float32 [K], at its own time.
+def true_temperature(
+    loaded: Scene, scene: SyntheticScene, progress: Callable[[str, float], None] | None = None
+) -> NDArray[np.float32]:
+    """Return the true temperature of a scene's terrain at the scene's time, (H, W) float32 [K].
 
     Parameters
     ----------
     loaded : Scene
-        Of the declared scene's files, with temperature.source="balance".
+        Scene read from the declared files, with temperature.source="balance".
     scene : SyntheticScene
     """
     from thermorender.render.heat.march import solved
@@ -73,14 +81,12 @@ def true_temperature(loaded, scene, progress=None):
     return solved(true, [loaded.time], progress=progress, hidden=hidden)[0].surfaces[0].temperature
 
 
-def drawn(scene, kind, seed, again=0):
-    """Return (the scene with materials and air inside drawn from their uncertainty, factor on the convection).
+def drawn(scene: Scene, kind: str, seed: int, again: int = 0) -> tuple[Scene, float]:
+    """Return (the scene with materials and indoor air drawn from their uncertainty, factor on the convection).
 
-    Another `again` is another draw for the same land.
-
-    Positive numbers are log-normal with their standard deviation, shares at most 1, all within the limits of a table;
-    absorptance of sunlight is normal within 0.02…0.98; zero stays zero. A material that lies beneath another is drawn
-    once.
+    Another `again` is another draw for the same land. Positive numbers are log-normal with their standard deviation,
+    shares at most 1, all within the limits of a table; solar absorptance is normal within 0.02…0.98; zero stays zero.
+    A material beneath several others is drawn once.
     """
     beneath, what = {}, f"{kind}{f' {again}' if again else ''}"
 
