@@ -73,41 +73,20 @@ def train_map(
     """
     how, report_progress = method(method_name), progress or (lambda task, fraction: None)
     options = checked_options(method_name, how.options, options or {})
-    if material and not how.classes:
-        known = ", ".join(name for name, each in METHODS.items() if each.classes)
-        raise ThermorenderError(
-            f"method {method_name!r} does not use materials, so it cannot be an oracle; take {known}, or leave out "
-            "--oracle"
-        )
+    if material:
+        _refuse_oracle(method_name)
     pairs, cut = _some(dataset.of(*parts), share), Cut(shift_px=shift_px, seed=seed)
     if not len(pairs):
         raise ThermorenderError(f"{dataset.folder} has no pairs in {' or '.join(parts)}; give a split that has some")
     refuse_missing_conditions(method_name, pairs)
     report_progress("counting values", 0.0)
-    usable = ~_saturated(dataset.card, np.arange(65536))
+    scale, usable = dataset.scale, ~_saturated(dataset.card, np.arange(65536))
     bounds = bounds_of_dataset(dataset.of("train") if len(dataset.of("train")) else pairs, usable)
-    scale, low, high = dataset.scale, bounds.low, bounds.high
-    # With much sky in the pictures, the lower bound may be a negative radiance.
-    ends = np.maximum(scale.radiance([low, high]), band_radiance(_COLDEST_K, *scale.band_um))
-    range_k = tuple(map(float, brightness_temperature(ends, *scale.band_um)))
-    if scale.unit == "intensity":
-        range_k = tuple(limit + ZERO_CELSIUS_K for limit in scale.range_c)
+    range_k = _range_k(scale, bounds)
     cold, warm = band_radiance(np.array(range_k), *scale.band_um)
     first = pairs.pair(pairs.entries[0], truth=False).thermal
     values = np.arange(np.iinfo(first.dtype).max + 1)
     radiance = scale.radiance(values)
-
-    def example(entry):
-        planes = (*dataset.card.get("terrain", ()), *(["material"] if material else ())) if how.plus else ()
-        pair = pairs.pair(entry, truth=(*planes, *(["depth"] if options.get("depth") else ())))
-        if how.plus:
-            inputs = inputs_of(pair, dataset.card, material)
-        else:
-            # Colour only, plus air or depth if an option asks for it.
-            known = entry.conditions if options.get("above_air") else {}
-            inputs = Inputs(pair.visible, entry.texel_m, {}, known, depth_of(pair))
-        values, valid = moved(pair.thermal, pair.valid, entry.key, cut) if shift_px else (pair.thermal, pair.valid)
-        return Example(inputs, values, valid & usable[values])
 
     with np.errstate(invalid="ignore"):
         kelvin = brightness_temperature(np.maximum(radiance, 1e-6), *scale.band_um)
@@ -117,8 +96,8 @@ def train_map(
     texel_range_m = (float(sampling.min()), float(sampling.max()))
     held = np.array([entry.part == "validation" for entry in pairs.entries])
     task = Task(
-        _Read(pairs.entries, example), (radiance - cold) / (warm - cold), kelvin, seed, report_progress, options,
-        texel_m, texel_range_m, held if held.any() and not held.all() else None, run, resume,
+        _Examples(pairs, how.plus, options, material, cut, usable), (radiance - cold) / (warm - cold), kelvin, seed,
+        report_progress, options, texel_m, texel_range_m, held if held.any() and not held.all() else None, run, resume,
     )  # fmt: skip
     predictor = how.fit(task)
     # A resumed training records the time of all its runs.
@@ -126,36 +105,61 @@ def train_map(
     skies = [entry.sky_temperature for entry in pairs.entries if entry.sky_temperature]
     made = TemperatureMap(
         name=name, method=method_name, predictor=predictor, range_k=range_k, band_um=scale.band_um,
-        texel_m=texel_m,
-        texel_range_m=texel_range_m,
-        camera=dataset.card.get("camera", "unknown"),
+        texel_m=texel_m, texel_range_m=texel_range_m, camera=dataset.card.get("camera", "unknown"),
         sky_temperature=float(np.mean(skies)) if skies else ASSUMED_SKY_K,
         source=f"{method_name} on {len(pairs)} pairs of {dataset.card.get('name', dataset.folder.name)}"
         + (", rendered from procedural scenes" if dataset.card.get("origin") == "rendered" else ""),
     )  # fmt: skip
-    about = {
-        "dataset": {key: dataset.card.get(key) for key in ("name", "origin", "licence", "camera")},
-        "sky_assumed": not skies, "pairs": {part: len(pairs.of(part)) for part in parts},
-        "shift_px": shift_px, "share": share,
-        "sequences": len({entry.sequence for entry in pairs.entries}),
-        "conditions": _ranges(pairs.entries), "bounds": [low, high], "unit": scale.unit,
-        "options": options, "seed": seed, "training_s": round(seconds, 2),
-        "training": getattr(predictor, "trained", {}), "versions": versions(),
-    }  # fmt: skip
+    settings = {"options": options, "seed": seed, "training_s": round(seconds, 2)}
+    about = _about(dataset, pairs, parts, bounds, {"shift_px": shift_px, "share": share}) | settings
+    about |= {"training": getattr(predictor, "trained", {}), "versions": versions()}
     return _with_error(made, about, dataset, material)
 
 
-class _Read(Sequence):
-    """Examples of the entries, read on demand."""
+def _about(dataset, pairs, parts, bounds, shares):
+    """What a map records of its training pairs."""
+    return {
+        "dataset": {key: dataset.card.get(key) for key in ("name", "origin", "licence", "camera")},
+        "sky_assumed": not any(entry.sky_temperature for entry in pairs.entries),
+        "pairs": {part: len(pairs.of(part)) for part in parts}, **shares,
+        "sequences": len({entry.sequence for entry in pairs.entries}),
+        "conditions": _ranges(pairs.entries), "bounds": [bounds.low, bounds.high], "unit": dataset.scale.unit,
+    }  # fmt: skip
 
-    def __init__(self, entries, example):
-        self._entries, self._example = entries, example
+
+def _range_k(scale, bounds):
+    """Temperatures of intensity 0 and 1 [K]."""
+    if scale.unit == "intensity":
+        return tuple(limit + ZERO_CELSIUS_K for limit in scale.range_c)
+    # With much sky in the pictures, the lower bound may be a negative radiance.
+    ends = np.maximum(scale.radiance([bounds.low, bounds.high]), band_radiance(_COLDEST_K, *scale.band_um))
+    return tuple(map(float, brightness_temperature(ends, *scale.band_um)))
+
+
+class _Examples(Sequence):
+    """Examples of a Dataset's pairs, read on demand."""
+
+    def __init__(self, pairs, plus, options, material, cut, usable):
+        self._pairs, self._plus, self._options, self._material = pairs, plus, options, material
+        self._cut, self._usable = cut, usable
 
     def __len__(self):
-        return len(self._entries)
+        return len(self._pairs)
 
     def __getitem__(self, number):
-        return self._example(self._entries[number])
+        entry, card = self._pairs.entries[number], self._pairs.card
+        planes = (*card.get("terrain", ()), *(["material"] if self._material else ())) if self._plus else ()
+        pair = self._pairs.pair(entry, truth=(*planes, *(["depth"] if self._options.get("depth") else ())))
+        if self._plus:
+            inputs = inputs_of(pair, card, self._material)
+        else:
+            # Colour only, plus air or depth if an option asks for it.
+            known = entry.conditions if self._options.get("above_air") else {}
+            inputs = Inputs(pair.visible, entry.texel_m, {}, known, depth_of(pair))
+        values, valid = pair.thermal, pair.valid
+        if self._cut.shift_px:
+            values, valid = moved(values, valid, entry.key, self._cut)
+        return Example(inputs, values, valid & self._usable[values])
 
 
 def has_conditions(dataset: Dataset) -> bool:
@@ -175,6 +179,16 @@ def refuse_missing_conditions(method_name: str, dataset: Dataset) -> None:
         raise ThermorenderError(
             f"method {method_name!r} needs the terrain's relief, hour and weather, which {dataset.folder} does not "
             f"have; take {method_name.rstrip('+') if method_name != 'correlation+' else 'correlation-9to1'}"
+        )
+
+
+def _refuse_oracle(method_name):
+    """Refuse a method that does not use materials."""
+    if not method(method_name).classes:
+        known = ", ".join(name for name, each in METHODS.items() if each.classes)
+        raise ThermorenderError(
+            f"method {method_name!r} does not use materials, so it cannot be an oracle; take {known}, or leave out "
+            "--oracle"
         )
 
 

@@ -111,97 +111,134 @@ def prepare(
     """
     report_progress, cut, output = progress or (lambda task, fraction: None), cut or Cut(), Path(output)
     _check_settings(cut, texel_m, range_c)
-    if resume:
-        refuse_strange(output)
-    else:
-        files.check_new_folder(output)
-    pairs, alone = pictures.matched(
-        source.visible_folder, source.thermal_folder, source.visible, source.thermal, source.valid
-    )
-    sequence_of = _sequences(pairs, source)
-    keys = _keys(pairs)
-    found, left_out = _checked(pairs, source, registered, cut, report_progress)
-    left_out = {name: "has no partner" for name in alone} | left_out
-    if left_out and not skip_bad:
-        reasons = Counter(left_out.values())
-        listed = [
-            f"{pictures.listed(name for name in left_out if left_out[name] == reason)}: {reason}"
-            for reason in list(reasons)[:4]
-        ]
-        raise ThermorenderError(
-            f"{len(left_out)} of {len(pairs) + len(alone)} names cannot be used ({'; '.join(listed)}); correct or "
-            "remove them, or leave them out with --skip-bad"
-        )
-    kept = [pair for pair in pairs if pair.name in found]
-    if not kept:
-        raise ThermorenderError(f"none of {len(pairs)} pairs can be used, e.g. {next(iter(left_out.values()))}")
-    kind = _kind(found)
-    if range_c is not None and kind[0] != "intensity":
+    (refuse_strange if resume else files.check_new_folder)(output)
+    kept, found, left_out, keys, sequence_of = _usable(source, registered, cut, skip_bad, report_progress)
+    unit = _unit(found)
+    if range_c is not None and unit != "intensity":
         raise ThermorenderError("--range-c is for values of unknown scale, and these are temperatures; leave it out")
     entries = _entries(kept, found, keys, sequence_of, cut, texel_m)
     parts = _assigned([entry for of_pair in entries.values() for entry in of_pair], split, shares, cut.seed)
     cameras = _rig(registered, kept, source, output, resume, report_progress)
 
-    def pieces(pair):
-        images = _registered(pair, source, cameras, cut)
-        for number, entry in enumerate(entries[pair.name]):
-            entry = replace(entry, part=parts[entry.key])
-            yield entry, *(piece(image, pair.name, cut, number) for image in images)
-
-    histogram = value_bounds.Histogram()
-    counted = PARTS[:1] if PARTS[0] in parts.values() else PARTS
-    training = [pair for pair in kept if any(parts[entry.key] in counted for entry in entries[pair.name])]
-    for number, pair in enumerate(training):
-        report_progress("counting thermal values", number / len(training))
-        for entry, _, thermal, valid in pieces(pair):
-            if entry.part in counted:
-                histogram.add(thermal[valid])
+    plan = _Plan(source, cut, cameras, kept, entries, parts)
+    histogram = plan.histogram(report_progress)
     bounds = value_bounds.bounds_of(histogram)
-    scale = ThermalScale("kelvin", pictures.STEP_K, 0.0)
-    if kind[0] == "intensity":
-        span = bounds.high - bounds.low
-        scale = ThermalScale("intensity", 1.0 / span, -bounds.low / span, tuple(range_c or RANGE_C))
+    scale = _scale(unit, bounds, range_c)
     grey = sum(found[pair.name].grey for pair in kept)
     card = {
         "name": output.resolve().name, "licence": licence, "texel_m": texel_m, "pairs": len(kept), "grey": grey,
         "source": f"pictures of {Path(source.visible_folder).name} and {Path(source.thermal_folder).name}",
         "left_out": left_out, "rig": None if cameras is None else asdict(cameras), "bounds": asdict(bounds),
         "checksum": _checksum(kept),
-        "settings": {
-            "visible": source.visible, "thermal": source.thermal, "valid": source.valid, "scale": source.scale,
-            "sequence": source.sequence, "gap": source.gap, "split": split, "shares": list(shares), **asdict(cut),
-        },
+        "settings": _settings(source) | {"split": split, "shares": list(shares)} | asdict(cut),
     }  # fmt: skip
     with files.in_use(files.make_folder(output)):
         files.remove_parts(output)
-        writer = Writer(output, card, scale, resume)
-        # No other process writes shards now.
-        files.remove_parts(output / "shards")
-        if cameras is not None and not (output / "rig.json").exists():
-            rig.save_rig(cameras, output / "rig.json")
-        if cameras is not None and not (output / "overlay.png").exists():
-            shown = _shown(kept, cameras)
-            rig.write_overlay(output / "overlay.png", pictures.read_visible(shown.visible)[0],
-                              _temperatures(shown, source), cameras)  # fmt: skip
+        plan.write(output, Writer(output, card, scale, resume), report_progress)
         if not (output / "histogram.png").exists():
             value_bounds.figure(output / "histogram.png", histogram, bounds, scale)
-        for start in range(0, len(kept), _PER_SHARD):
-            report_progress("writing pairs", start / len(kept))
-            name = f"{start // _PER_SHARD:06d}"
-            if not writer.has(name):
-                group = kept[start : start + _PER_SHARD]
-                writer.shard(name, ((e, packed(v, t, m)) for pair in group for e, v, t, m in pieces(pair)))
         made = read_dataset(output)
-        found_leaks = None
-        if len(made.of("train")) and len(made.of("test")):
-            found_leaks = audit(made, progress=report_progress)
-            files.write_json(output / "audit.json", found_leaks.summary())
+        leaks = audit(made, progress=report_progress) if len(made.of("train")) and len(made.of("test")) else None
+        if leaks:
+            files.write_json(output / "audit.json", leaks.summary())
     return {
-        "audit": found_leaks,
+        "audit": leaks,
         "pairs": len(kept), "entries": sum(map(len, entries.values())), "grey": grey, "left_out": left_out,
         "parts": {part: sum(each == part for each in parts.values()) for part in PARTS},
         "sequences": len({sequence_of[pair.name] for pair in kept}), "bounds": bounds, "rig": cameras, "scale": scale,
     }  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """A data set before it is written: its pairs, their crops and parts, and the rig of their cameras."""
+
+    source: Source
+    cut: Cut
+    cameras: rig.Rig | None
+    pairs: list
+    entries: dict
+    parts: dict
+
+    def pieces(self, pair):
+        """Yield (Entry, visible, thermal, valid) of each crop of a pair."""
+        images = _registered(pair, self.source, self.cameras, self.cut)
+        for number, entry in enumerate(self.entries[pair.name]):
+            entry = replace(entry, part=self.parts[entry.key])
+            yield entry, *(piece(image, pair.name, self.cut, number) for image in images)
+
+    def histogram(self, report_progress):
+        """Return the Histogram of the training part's valid thermal values; of all parts if it is empty."""
+        histogram = value_bounds.Histogram()
+        counted = PARTS[:1] if PARTS[0] in self.parts.values() else PARTS
+        training = [
+            pair for pair in self.pairs if any(self.parts[each.key] in counted for each in self.entries[pair.name])
+        ]
+        for number, pair in enumerate(training):
+            report_progress("counting thermal values", number / len(training))
+            for entry, _, thermal, valid in self.pieces(pair):
+                if entry.part in counted:
+                    histogram.add(thermal[valid])
+        return histogram
+
+    def write(self, output, writer, report_progress):
+        """Write the rig, its inspection picture and all missing shards."""
+        # No other process writes shards now.
+        files.remove_parts(output / "shards")
+        if self.cameras is not None and not (output / "rig.json").exists():
+            rig.save_rig(self.cameras, output / "rig.json")
+        if self.cameras is not None and not (output / "overlay.png").exists():
+            shown = _shown(self.pairs, self.cameras)
+            rig.write_overlay(output / "overlay.png", pictures.read_visible(shown.visible)[0],
+                              _temperatures(shown, self.source), self.cameras)  # fmt: skip
+        for start in range(0, len(self.pairs), _PER_SHARD):
+            report_progress("writing pairs", start / len(self.pairs))
+            name = f"{start // _PER_SHARD:06d}"
+            if not writer.has(name):
+                group = self.pairs[start : start + _PER_SHARD]
+                writer.shard(name, ((e, packed(v, t, m)) for pair in group for e, v, t, m in self.pieces(pair)))
+
+
+def _usable(source, registered, cut, skip_bad, report_progress):
+    """(usable pairs, {name: _Found}, {name: reason} of the others, {name: key}, {name: sequence})."""
+    pairs, alone = pictures.matched(
+        source.visible_folder, source.thermal_folder, source.visible, source.thermal, source.valid
+    )
+    sequence_of, keys = _sequences(pairs, source), _keys(pairs)
+    found, left_out = _checked(pairs, source, registered, cut, report_progress)
+    left_out = {name: "has no partner" for name in alone} | left_out
+    if left_out and not skip_bad:
+        _refuse(left_out, len(pairs) + len(alone))
+    kept = [pair for pair in pairs if pair.name in found]
+    if not kept:
+        raise ThermorenderError(f"none of {len(pairs)} pairs can be used, e.g. {next(iter(left_out.values()))}")
+    return kept, found, left_out, keys, sequence_of
+
+
+def _scale(unit, bounds, range_c):
+    """The ThermalScale of temperatures, or of intensity within the bounds."""
+    if unit == "kelvin":
+        return ThermalScale("kelvin", pictures.STEP_K, 0.0)
+    span = bounds.high - bounds.low
+    return ThermalScale("intensity", 1.0 / span, -bounds.low / span, tuple(range_c or RANGE_C))
+
+
+def _settings(source):
+    """The settings of a Source that a data set's card records."""
+    return {name: getattr(source, name) for name in ("visible", "thermal", "valid", "scale", "sequence", "gap")}
+
+
+def _refuse(left_out, count):
+    """Refuse names that cannot be used, by reason."""
+    reasons = Counter(left_out.values())
+    listed = [
+        f"{pictures.listed(name for name in left_out if left_out[name] == reason)}: {reason}"
+        for reason in list(reasons)[:4]
+    ]
+    raise ThermorenderError(
+        f"{len(left_out)} of {count} names cannot be used ({'; '.join(listed)}); correct or remove them, or leave them "
+        "out with --skip-bad"
+    )
 
 
 def _checksum(pairs):
@@ -269,14 +306,14 @@ def _check_sizes(visible, thermal, registered, cut):
         raise ThermorenderError(f"--shift={cut.shift_px:g} is half the thermal picture or more; give a smaller one")
 
 
-def _kind(found):
-    """(unit, depth) of all thermal pictures."""
+def _unit(found):
+    """The unit of all thermal pictures, which must also have the same depth."""
     kinds = Counter(each.kind for each in found.values())
     if len(kinds) > 1:
         names = {kind: next(name for name, each in found.items() if each.kind == kind) for kind in kinds}
         listed = ", ".join(f"{count} of {kind[0]} in {kind[1]} (e.g. {names[kind]})" for kind, count in kinds.items())
         raise ThermorenderError(f"thermal pictures are of several kinds: {listed}; prepare each kind separately")
-    return next(iter(kinds))
+    return next(iter(kinds))[0]
 
 
 # --- names ------------------------------------------------------------------------------------------------------
