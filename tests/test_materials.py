@@ -522,7 +522,7 @@ def test_samples_that_cannot_give_emissivity_are_refused(tmp_path):
     refused(r"y units 'Transmittance'; only wavelength in micrometres", y_units="Transmittance")
     with pytest.raises(ThermorenderError, match=r"b.txt does not exist; order the spectrum"):
         read_ecostress(tmp_path / "b.txt")
-    with pytest.raises(ThermorenderError, match=r"'rock' was given no sample"):
+    with pytest.raises(ThermorenderError, match=r"'rock' has no sample"):
         from_samples([], "rock")
 
 

@@ -84,16 +84,15 @@ def train_map(
     bounds = bounds_of_dataset(dataset.of("train") if len(dataset.of("train")) else pairs, usable)
     range_k = _range_k(scale, bounds)
     cold, warm = band_radiance(np.array(range_k), *scale.band_um)
-    first = pairs.pair(pairs.entries[0], truth=False).thermal
-    values = np.arange(np.iinfo(first.dtype).max + 1)
-    radiance = scale.radiance(values)
+    depth = pairs.pair(pairs.entries[0], truth=False).thermal.dtype
+    radiance = scale.radiance(np.arange(np.iinfo(depth).max + 1))
 
     with np.errstate(invalid="ignore"):
         kelvin = brightness_temperature(np.maximum(radiance, 1e-6), *scale.band_um)
     started = time.perf_counter()
     sampling = np.array([entry.texel_m for entry in pairs.entries if entry.texel_m] or [1.0])
     texel_m = float(np.exp(np.median(np.log(sampling))))
-    texel_range_m = (float(sampling.min()), float(sampling.max()))
+    texel_range_m = float(sampling.min()), float(sampling.max())
     held = np.array([entry.part == "validation" for entry in pairs.entries])
     task = Task(
         _Examples(pairs, how.plus, options, material, cut, usable), (radiance - cold) / (warm - cold), kelvin, seed,
@@ -107,13 +106,18 @@ def train_map(
         name=name, method=method_name, predictor=predictor, range_k=range_k, band_um=scale.band_um,
         texel_m=texel_m, texel_range_m=texel_range_m, camera=dataset.card.get("camera", "unknown"),
         sky_temperature=float(np.mean(skies)) if skies else ASSUMED_SKY_K,
-        source=f"{method_name} on {len(pairs)} pairs of {dataset.card.get('name', dataset.folder.name)}"
-        + (", rendered from procedural scenes" if dataset.card.get("origin") == "rendered" else ""),
+        source=f"{method_name} on {_name_of(dataset, len(pairs))}",
     )  # fmt: skip
-    settings = {"options": options, "seed": seed, "training_s": round(seconds, 2)}
-    about = _about(dataset, pairs, parts, bounds, {"shift_px": shift_px, "share": share}) | settings
+    about = _about(dataset, pairs, parts, bounds, {"shift_px": shift_px, "share": share})
+    about |= {"options": options, "seed": seed, "training_s": round(seconds, 2)}
     about |= {"training": getattr(predictor, "trained", {}), "versions": versions()}
     return _with_error(made, about, dataset, material)
+
+
+def _name_of(dataset, count):
+    """Words for the training pairs of a map's source."""
+    rendered = ", rendered from procedural scenes" if dataset.card.get("origin") == "rendered" else ""
+    return f"{count} pairs of {dataset.card.get('name', dataset.folder.name)}{rendered}"
 
 
 def _about(dataset, pairs, parts, bounds, shares):

@@ -119,7 +119,6 @@ def prepare(
     entries = _entries(kept, found, keys, sequence_of, cut, texel_m)
     parts = _assigned([entry for of_pair in entries.values() for entry in of_pair], split, shares, cut.seed)
     cameras = _rig(registered, kept, source, output, resume, report_progress)
-
     plan = _Plan(source, cut, cameras, kept, entries, parts)
     histogram = plan.histogram(report_progress)
     bounds = value_bounds.bounds_of(histogram)

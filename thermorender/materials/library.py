@@ -6,6 +6,7 @@ ships one; a scene's own `materials/` folder overrides it.
 """
 
 import re
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,12 +28,12 @@ from thermorender.physics.fresnel import LARGEST_SLOPE
 from thermorender.schema import closest
 from thermorender.units import kelvin
 
-# How emissivity depends on the angle, as written in the index, and what that makes of `spectra/<name>.csv`.
+# Angular models of emissivity; the model determines the columns of `spectra/<name>.csv`.
 DIRECTIONAL_MODELS = ("lambertian", "fresnel", "table")
 NAME = re.compile(r"[A-Za-z0-9_-]+")
 
 
-def find(library, name, where):
+def find(library: dict[str, Material], name: str, where: str) -> Material:
     """Return the material `name` of the library.
 
     Parameters
@@ -40,14 +41,14 @@ def find(library, name, where):
     library : dict of str to Material
         From `load_library`.
     name : str
-        As the user wrote it.
+        Name as the user wrote it.
     where : str
-        Where the user wrote it, e.g. `scene.toml, object "marker"`, for the message.
+        Place in the user's input for the message, e.g. `scene.toml, object "marker"`.
 
     Raises
     ------
     ThermorenderError
-        The library has no such material; the message names the closest ones.
+        The library has no such material; the message lists the closest names.
     """
     if name in library:
         return library[name]
@@ -59,25 +60,21 @@ def find(library, name, where):
     )
 
 
-def load_library(directory=None):
-    """Return the shipped materials by name, overlaid by those of a folder of the same form.
+def load_library(directory: str | Path | None = None) -> dict[str, Material]:
+    """Return the shipped materials by name, overridden by those of a folder of the same form.
 
     Parameters
     ----------
     directory : path, optional
-        Folder with `index.csv`, `spectra/` and `thermal/`, e.g. a scene's own `materials/`. A row and spectrum of
-        the same name replace the shipped ones, and a table of thermal properties the shipped one, each by itself; a
-        folder with nothing but `thermal/` needs no index.
-
-    Returns
-    -------
-    dict of str to Material
+        Folder with `index.csv`, `spectra/` and `thermal/`, e.g. a scene's own `materials/`. A row with its spectrum
+        replaces the shipped ones of the same name; independently, so does a thermal table. A folder with only
+        `thermal/` needs no index.
 
     Raises
     ------
     ThermorenderError
-        A table is missing or holds something that cannot be right, or thermal properties are of no material, or what
-        lies beneath is none; the message names file and row.
+        A table is missing or has an invalid cell, thermal properties belong to no material, or the material beneath
+        is unknown; the message names file and row.
     """
     shipped = data_folder("materials")
     library, where = read_library(shipped), shipped
@@ -86,7 +83,7 @@ def load_library(directory=None):
         where = Path(directory)
         library |= read_library(where)
         own = read_thermals(where)
-        # Its own first: faults are looked for in this order.
+        # The folder's own come first, so that their faults are reported first.
         thermals = own | {name: thermal for name, thermal in thermals.items() if name not in own}
         for name in own:
             if name not in library:
@@ -96,22 +93,22 @@ def load_library(directory=None):
     return library
 
 
-def stray(name, library):
-    """Return a clause on a table of thermal properties whose name no material has."""
+def stray(name: str, library: Iterable[str]) -> str:
+    """Return the fault of a thermal table whose name no material has, as a clause."""
     near = closest(name, library)
     hint = f"did you mean {near[0]}? " if near else ""
     return f"belongs to no material; {hint}name it after one, or add a row to index.csv and a spectrum"
 
 
-def read_library(directory):
-    """Return the materials of one folder by name; thermal properties without what lies beneath, see `load_library`."""
+def read_library(directory: Path) -> dict[str, Material]:
+    """Return the materials of one folder by name; `load_library` adds the materials beneath their layers."""
     index = directory / "index.csv"
     thermals, library = read_thermals(directory), {}
     if thermals and not index.exists():
         return library
     for row, cells in read_table(index, INDEX_COLUMNS, directory):
         name = cells["name"]
-        # The name becomes a file name, so it must not lead elsewhere.
+        # The name becomes a file name, so it must not contain a path.
         if not NAME.fullmatch(name):
             raise ThermorenderError(
                 f"{index}, row {row}: name={name!r} is not a material name; use letters, digits, _ and -"
@@ -138,8 +135,8 @@ def _read_material(directory, index, row, cells, thermal):
             f"{' or '.join(DIRECTIONAL_MODELS)}"
         )
 
-    def number(column, low, high, mend):
-        return number_in_cell(index, row, column, cells[column], low, high, mend)
+    def number(column, low, high, advice):
+        return number_in_cell(index, row, column, cells[column], low, high, advice)
 
     temperature = number("temperature_k", 0.0, 6000.0, "give kelvin")
     kelvin(f"{index}, row {row}: temperature_k", temperature)

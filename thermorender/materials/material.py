@@ -6,70 +6,70 @@ A material knows the wavelengths at which it was measured and refuses all others
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.materials.csv_tables import LONGEST_WAVELENGTH_UM
 from thermorender.materials.thermal import Thermal
 from thermorender.physics.planck import spectral_radiance
 
-# Wavelengths computed as 1e4 / wavenumber land beside the end of a table by rounding only.
+# Tolerance at the ends of a table: wavelengths computed as 1e4 / wavenumber are off by rounding.
 ROUNDING_UM = 1e-9
 
-# Taken for one standard deviation of the solar absorptance where none is given: what samples of one kind differ by.
+# Standard deviation assumed for the solar absorptance if the table has none: the spread of samples of one kind.
 ASSUMED_SOLAR_STD = 0.05
 
-# Four nodes a panel take Planck's law exactly over this much of a band, down to 100 K.
+# With four nodes per panel up to this long, Planck's law is integrated exactly down to 100 K.
 LONGEST_PANEL_UM = 0.25
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """A surface material and what is known about it.
+    """A surface material.
 
     Attributes
     ----------
     name, title : str
-        The name scenes use, and the name people read.
+        Name in scene files, and title for people.
     wavelength_um : (N,) float64 array
-        Wavelengths of the measurement [µm], rising.
+        Wavelengths of the measurement [µm], ascending.
     emissivity : (N,) float64 array
-        Hemispherical emissivity [1]: mean over the samples of a Lambertian material, 2 ∫ ε(µ) µ dµ of others.
+        Hemispherical emissivity [1]: mean over the samples if Lambertian, else 2 ∫ ε(µ) µ dµ.
     emissivity_std : (N,) float64 array
-        Standard deviation over the samples [1]; NaN where one sample only tells nothing about it.
+        Standard deviation over the samples [1]; NaN for a single sample.
     colour : tuple of 3 int
         Typical sRGB colour, 0-255.
     solar_absorptance : float
-        Share of sunlight (0.3-2.5 µm) absorbed [1].
+        Absorbed fraction of sunlight, 0.3–2.5 µm [1].
     solar_absorptance_std : float or None
-        Its standard deviation [1]; None: unknown, and `solar_uncertainty` is an assumption.
+        Its standard deviation [1]; None: unknown, so `solar_uncertainty` is an assumption.
     thermal : Thermal or None
-        Thermal properties; None where the library has no table of them. Those of a mixture are its parts'.
+        Thermal properties; None if the library has no table. A mixture has those of its parts.
     temperature : float
-        Typical daytime kinetic temperature [K], an assumption for where nothing better is known.
+        Typical daytime kinetic temperature [K], an assumption if nothing better is known.
     source, citation, licence : str
-        Where the numbers come from, what to cite, under which terms.
+        Origin of the numbers, what to cite, terms of use.
     directional : str
-        How emissivity depends on angle: "lambertian", not at all; "fresnel", from the refractive index and the
-        roughness; "table", from measured angles.
+        Angular model: "lambertian", constant; "fresnel", from refractive index and roughness; "table", measured.
     samples : int
-        How many measured samples the mean is taken over.
+        Number of measured samples in the mean.
     note : str
-        What a user should know: samples left out, assumptions.
+        Remarks for users: samples left out, assumptions.
     rms_slope : float
-        Roughness of a "fresnel" material: root mean square slope of its facets, 0 for a mirror.
+        Roughness of a "fresnel" material: RMS slope of its facets, 0 for a mirror.
     cosines, emissivity_by_angle : (M,) and (N, M) float64 arrays, or None
-        Cosines of the angle from the normal, rising from 0 to 1, and the emissivity there [1]; None for Lambertian.
+        Cosines of the angle from the normal, ascending from 0 to 1, and the emissivity there [1]; None if Lambertian.
     gaps_um : tuple of (start, end)
-        Holes of the measurement [µm]; asking inside one is refused.
+        Gaps of the measurement [µm]; wavelengths inside are refused.
     """
 
     name: str
     title: str
-    wavelength_um: np.ndarray
-    emissivity: np.ndarray
-    emissivity_std: np.ndarray
-    colour: tuple
+    wavelength_um: NDArray[np.float64]
+    emissivity: NDArray[np.float64]
+    emissivity_std: NDArray[np.float64]
+    colour: tuple[int, int, int]
     solar_absorptance: float
     temperature: float
     source: str
@@ -79,13 +79,13 @@ class Material:
     samples: int = 1
     note: str = ""
     rms_slope: float = 0.0
-    cosines: np.ndarray | None = None
-    emissivity_by_angle: np.ndarray | None = None
-    gaps_um: tuple = ()
+    cosines: NDArray[np.float64] | None = None
+    emissivity_by_angle: NDArray[np.float64] | None = None
+    gaps_um: tuple[tuple[float, float], ...] = ()
     solar_absorptance_std: float | None = None
     thermal: Thermal | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for key in ("wavelength_um", "emissivity", "emissivity_std", "cosines", "emissivity_by_angle"):
             if getattr(self, key) is None:
                 continue
@@ -94,22 +94,22 @@ class Material:
             object.__setattr__(self, key, values)
 
     @property
-    def valid_range_um(self):
+    def valid_range_um(self) -> tuple[float, float]:
         """The shortest and longest measured wavelength [µm]."""
         return float(self.wavelength_um[0]), float(self.wavelength_um[-1])
 
     @property
-    def solar_uncertainty(self):
-        """One standard deviation of the solar absorptance [1]: the table's, or 0.05 where it gives none."""
+    def solar_uncertainty(self) -> float:
+        """Standard deviation of the solar absorptance [1]: the table's, or 0.05 if it has none."""
         return ASSUMED_SOLAR_STD if self.solar_absorptance_std is None else self.solar_absorptance_std
 
-    def known_thermal(self):
+    def known_thermal(self) -> Thermal:
         """Return the thermal properties.
 
         Raises
         ------
         ThermorenderError
-            The library has none of this material; the message names the file to add.
+            The library has none for this material.
         """
         if self.thermal is None:
             raise ThermorenderError(
@@ -118,8 +118,8 @@ class Material:
             )
         return self.thermal
 
-    def emissivity_at(self, wavelength_um):
-        """Return the hemispherical emissivity at the wavelengths asked, linear between the tabulated ones.
+    def emissivity_at(self, wavelength_um: ArrayLike) -> NDArray[np.float64]:
+        """Return the hemispherical emissivity, linear between the tabulated wavelengths.
 
         Parameters
         ----------
@@ -129,17 +129,16 @@ class Material:
         Returns
         -------
         float64 array of the shape of `wavelength_um`
-            Emissivity [1]. For a Lambertian material that of every direction; else the mean over the hemisphere,
-            weighted with the cosine: what the surface emits as a whole, and absorbs of diffuse light.
+            Emissivity [1], the cosine-weighted mean over the hemisphere; also the absorptance of diffuse light.
 
         Raises
         ------
         ThermorenderError
-            A wavelength lies outside the measured range or in a hole of it; nothing is extrapolated.
+            A wavelength is outside the measured range or in one of its gaps; nothing is extrapolated.
         """
         return np.interp(self._measured(wavelength_um), self.wavelength_um, self.emissivity)
 
-    def emissivity_at_angle(self, wavelength_um, cos_theta):
+    def emissivity_at_angle(self, wavelength_um: ArrayLike, cos_theta: ArrayLike) -> NDArray[np.float64]:
         """Return the emissivity towards a direction, broadcast over both arguments.
 
         Parameters
@@ -159,9 +158,7 @@ class Material:
         ThermorenderError
             As `emissivity_at`, or a cosine is not within 0…1.
         """
-        wavelength, cosine = np.broadcast_arrays(
-            self._measured(wavelength_um), np.asarray(cos_theta, dtype=np.float64)
-        )
+        wavelength, cosine = np.broadcast_arrays(self._measured(wavelength_um), np.asarray(cos_theta, dtype=np.float64))
         outside = cosine[~((cosine >= 0.0) & (cosine <= 1.0))]
         if outside.size:
             raise ThermorenderError(
@@ -177,21 +174,23 @@ class Material:
         lower = table[row + 1, column] * (1.0 - along) + table[row + 1, column + 1] * along
         return upper * (1.0 - down) + lower * down
 
-    def band_emissivity(self, lower_um, upper_um, temperature, cos_theta=None):
-        """Return the share of a blackbody's band radiance the material emits [1], in the shape of `temperature`.
+    def band_emissivity(
+        self, lower_um: float, upper_um: float, temperature: ArrayLike, cos_theta: float | None = None
+    ) -> NDArray[np.float64]:
+        """Return emitted over blackbody band radiance [1], in the shape of `temperature`.
 
         Parameters
         ----------
         lower_um, upper_um : float
             Limits of the camera's flat band [µm].
         temperature : array
-            Temperature of the surface [K]: Planck's law weighs the spectrum.
+            Surface temperature [K], for the Planck weighting of the spectrum.
         cos_theta : float, optional
             Cosine of the angle from the normal; without it the hemispherical emissivity.
 
         Notes
         -----
-        ∫ ε(λ) B(λ, T) dλ / ∫ B(λ, T) dλ, by Gauss–Legendre between every two rows of the table, where ε is linear and B
+        ∫ ε(λ) B(λ, T) dλ / ∫ B(λ, T) dλ by Gauss–Legendre between adjacent rows of the table, where ε is linear and B
         smooth: exact to 1e-12.
         """
         between = self.wavelength_um[(self.wavelength_um > lower_um) & (self.wavelength_um < upper_um)]
@@ -208,7 +207,7 @@ class Material:
         return (planck @ emissivity) / planck.sum(axis=-1)
 
     def _measured(self, wavelength_um):
-        """Return the wavelengths as an array after refusing those at which nothing was measured."""
+        """Return the wavelengths as an array; refuse those at which nothing was measured."""
         asked = np.asarray(wavelength_um, dtype=np.float64)
         first, last = self.valid_range_um
         if not np.all((asked >= first - ROUNDING_UM) & (asked <= last + ROUNDING_UM)):
@@ -228,7 +227,7 @@ class Material:
             if inside.any():
                 raise ThermorenderError(
                     f"material {self.name!r} was asked for its emissivity at {asked[inside].flat[0]:g} µm, but its "
-                    f"table has no row between {start:g} and {end:g} µm; measure there, or add rows you answer for"
+                    f"table has no row between {start:g} and {end:g} µm; measure there, or add rows of your own"
                 )
         return asked
 
@@ -265,13 +264,13 @@ class Material:
         return words.get(self.directional, f"hemispherical, fresnel, {roughness}")
 
 
-def grey(name, emissivity):
-    """Return a Material of one emissivity at all wavelengths, 0–1000 µm.
+def grey(name: str, emissivity: float) -> Material:
+    """Return a Material with the same emissivity at all wavelengths, 0–1000 µm.
 
     Parameters
     ----------
     name : str
-        Its name in messages.
+        Name in messages.
     emissivity : float
         0…1 [1].
 
@@ -301,6 +300,6 @@ def grey(name, emissivity):
 
 
 def _place(nodes, values):
-    """Return the index of the node below each value, and the value's share of the interval up to the next one."""
+    """Return the index of the node below each value, and the value's fraction of the interval to the next node."""
     below = np.clip(np.searchsorted(nodes, values, side="right") - 1, 0, nodes.size - 2)
     return below, np.clip((values - nodes[below]) / (nodes[below + 1] - nodes[below]), 0.0, 1.0)
