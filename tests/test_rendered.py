@@ -9,7 +9,7 @@ import pytest
 
 from thermorender.campaign import rendered
 from thermorender.campaign.dataset import read_dataset
-from thermorender.campaign.worlds import drawn
+from thermorender.campaign.procedural_truth import drawn
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
 from thermorender.physics import srgb
@@ -21,7 +21,7 @@ from thermorender.sensor.camera import model_path
 from thermorender.synthetic import deviations as deviations_module
 from thermorender.synthetic.canvas import Canvas
 from thermorender.synthetic.light import sky_colour
-from thermorender.synthetic.worlds import KINDS, make
+from thermorender.synthetic.procedural_scene import KINDS, make
 
 # A clear morning in August, with land in each view and sky in the last.
 WORLD = rendered.worlds(0, 0, 1, 6, ("heath",))[0]

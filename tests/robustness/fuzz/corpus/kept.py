@@ -28,7 +28,8 @@ def _copied(folder):
 
 
 def _write_dataset(folder):
-    from thermorender.campaign.dataset import Entry, ThermalScale, Writer, packed
+    from thermorender.campaign.dataset import Entry, ThermalScale
+    from thermorender.campaign.dataset_writer import Writer, packed
 
     generator, shape = np.random.default_rng(0), (24, 32)
     writer = Writer(folder, _CARD, ThermalScale("kelvin", 0.01, 0.0))
@@ -45,7 +46,8 @@ def _write_dataset(folder):
 
 def _of_dataset(path):
     """Read a data set, and continue a copy of it."""
-    from thermorender.campaign.dataset import Writer, read_dataset
+    from thermorender.campaign.dataset import read_dataset
+    from thermorender.campaign.dataset_writer import Writer
 
     folder = path.parents[path.parent.name == "shards"]
     found = read_dataset(folder)

@@ -1,8 +1,8 @@
-"""Procedural scenes: `make` grows a land from a seed, under a weather; `thermorender.campaign.worlds` warms it.
+"""Procedural scenes: `make` generates a landscape from a seed, under a given weather.
 
-A land is declared here: relief, materials, what strays from them unseen, a photograph, a flight. Its temperature is
-solved from that by the heat balance of every scene; the orthophoto is a photograph of the same land. Neither is
-computed from the other.
+The result declares relief, materials, hidden deviations from them, an orthophoto and a flight.
+`thermorender.campaign.procedural_truth` solves its temperatures by the heat balance that every scene uses. Orthophoto
+and temperature are both computed from the land, never one from the other.
 """
 
 from collections.abc import Callable

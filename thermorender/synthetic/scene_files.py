@@ -85,7 +85,7 @@ def scene_toml(scene, known=True):
     }
     return toml_text(
         values,
-        f"Made by thermorender.synthetic.worlds: kind {scene.kind}, seed {scene.seed}, {scene.size_m:g} m.\n"
+        f"Made by thermorender: kind {scene.kind}, seed {scene.seed}, {scene.size_m:g} m.\n"
         f"Photographed with the sun at azimuth {scene.sun[0]:.1f}°, elevation {scene.sun[1]:.1f}°.",
     )
 
