@@ -188,7 +188,7 @@ def plan(scene: SceneName, quality: Quality = "standard", rays: Rays = None, tol
          air: Air = None, time: Time = None):  # fmt: skip
     """Print what rendering a scene needs, what is left out, and the error in mK that allows it."""
     from thermorender.render.plan import make_plan
-    from thermorender.sensor.exposure import plan_row
+    from thermorender.sensor.schedule import plan_row
 
     loaded = _scene(scene, None, None, air, time)
     if not loaded.warmed:
