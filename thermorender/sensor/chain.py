@@ -329,9 +329,7 @@ def _through(stages: Sequence[Stage], image: Any, sensor: Sensor, moment: Moment
     return image
 
 
-def _replacement(
-    bad: NDArray[np.int64], height: int, width: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], Image]:
+def _replacement(bad: NDArray[np.int64], height: int, width: int) -> tuple[NDArray[np.int64], NDArray[np.int64], Image]:
     """As `Sensor.replacement`."""
     row, column = np.divmod(bad, width)
     steps = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j])

@@ -156,9 +156,7 @@ def blurred(image: Image, blur: Blur | None) -> Image:
     return near
 
 
-def filtered(
-    image: ArrayLike, transfer: Callable[[NDArray[np.float64]], NDArray[np.float64]]
-) -> NDArray[np.float64]:
+def filtered(image: ArrayLike, transfer: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> NDArray[np.float64]:
     """Return an image (H, W) float64 after a transfer function of frequency [cycles per pixel], exactly.
 
     The cosine series of the image is multiplied, which mirrors it at its borders: the slow reference of `blurred`.
@@ -179,8 +177,7 @@ def _waves(line: NDArray[np.float64], side: int) -> list[NDArray[np.float64]]:
     """Transfer functions over a quarter of the plane of ones at (±m, ±n) and (±n, ±m), for each of `_offsets`."""
     cosine = [np.cos(2.0 * np.pi * m * line) * (2.0 if m else 1.0) for m in range(side // 2 + 1)]
     return [
-        np.outer(cosine[m], cosine[n]) + (np.outer(cosine[n], cosine[m]) if m != n else 0.0)
-        for m, n in _offsets(side)
+        np.outer(cosine[m], cosine[n]) + (np.outer(cosine[n], cosine[m]) if m != n else 0.0) for m, n in _offsets(side)
     ]
 
 
