@@ -6,8 +6,11 @@ BIN    := $(VENV)/bin
 # PyTorch's build without CUDA, some gigabytes smaller; TORCH=torch takes what PyPI has.
 TORCH  ?= 'torch==2.13.0' --extra-index-url https://download.pytorch.org/whl/cpu
 READY  := $(VENV)/.ready
+# Processes that run tests, one core each; each takes about 1 GB of memory.
+WORKERS ?= auto
+PYTEST := -m pytest -n $(WORKERS) --maxprocesses 8 --dist worksteal
 
-.PHONY: setup demo test lint coverage validation maps clean
+.PHONY: setup demo test test-all lint coverage validation docs maps clean
 
 setup: $(READY)
 
@@ -34,19 +37,25 @@ demo: $(READY)
 	rm -rf out/demo
 	$(BIN)/thermorender demo -o out/demo
 
+# All but the tests marked `slow`: six minutes on two cores.
 test: $(READY)
-	$(BIN)/python -m pytest
+	$(BIN)/python $(PYTEST) -m "not slow"
+
+# Every test, and more examples of each random one; prints the ten slowest. 40 minutes on two cores.
+test-all: $(READY)
+	$(BIN)/python $(PYTEST) --hypothesis-profile slow --durations 10
 
 lint: $(READY)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'ruff>=0.6' 'mypy>=1.11'
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
-# Line coverage of each room (folder of the package), processes that tests start included; fails below 85 %.
+# Line coverage of each room (folder of the package) by `make test`, processes that tests start included; fails
+# below 85 %.
 coverage: $(READY)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'coverage>=7.10'
 	$(BIN)/python -m coverage erase
-	$(BIN)/python -m coverage run -m pytest
+	$(BIN)/python -m coverage run $(PYTEST) -m "not slow"
 	$(BIN)/python -m coverage combine --quiet
 	$(BIN)/python -m coverage json --quiet -o coverage.json
 	$(BIN)/python tests/coverage_of_rooms.py coverage.json
@@ -54,6 +63,11 @@ coverage: $(READY)
 # Every study without results is run, which takes hours; then one page of verdicts is written: validation/index.html.
 validation: $(READY)
 	$(BIN)/python -m validation
+# The pages of docs/, with the notebooks of examples/ executed; a warning is an error.
+docs: $(READY)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
+	$(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html
+	@echo "open docs/_build/html/index.html"
 
 # The learned maps that ship, anew: the standard campaign is rendered, which takes two hours of one core, and each
 # method trained on it, compact+ and pix2pix for another 76 and 45 minutes of one core. What is there of the campaign

@@ -1,4 +1,4 @@
-"""Shared fixtures: measured data, and which tests may be left out."""
+"""Shared fixtures: measured data, and which tests may be left out; workers that share the cores."""
 
 import atexit
 import functools
@@ -10,6 +10,41 @@ import tempfile
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
+
+
+def _take_one_core():
+    """Bind a worker of pytest-xdist to one core and one thread; other processes keep all of theirs.
+
+    One process that uses two cores is slower than two that use one each. NumPy, torch and Dr.Jit read all of this when
+    they are imported, so it stands before any of them is.
+    """
+    worker = os.environ.get("PYTEST_XDIST_WORKER", "")
+    if not worker.startswith("gw"):
+        return
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"
+    if hasattr(os, "sched_setaffinity"):  # Linux only; Dr.Jit has as many threads as the process has cores
+        cores = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {cores[int(worker[2:]) % len(cores)]})
+
+
+_take_one_core()
+
+# How many examples Hypothesis tries; `--hypothesis-profile slow` tries many. Always the same ones, so that a test that
+# is green stays so.
+for name, count in (("default", 15), ("slow", 60)):
+    settings.register_profile(
+        name, derandomize=True, database=None, deadline=None, max_examples=count,
+        suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+    )  # fmt: skip
+settings.load_profile("default")
+
+
+def slow(*cases):
+    """Return cases of a parametrised test, each a value or a tuple of values, as ones that are marked slow."""
+    return [pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.slow) for case in cases]
+
 
 HERE = Path(__file__).resolve().parent
 # What may be redistributed travels with the tests; the rest is looked for here.

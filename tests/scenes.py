@@ -1,5 +1,7 @@
 """Tiny scenes written to disk for tests."""
 
+from dataclasses import replace
+
 import numpy as np
 
 # A day in July of which a balance is told no more.
@@ -95,6 +97,18 @@ temperature = {sky}
         encoding="utf-8",
     )
     return folder
+
+
+def coarse(scene, factor=4):
+    """Return the scene with a camera of the same field of view and `factor` times fewer pixels a side."""
+    return replace(scene, camera=scene.camera.coarser(factor))
+
+
+def narrow(scene, width=160, height=128):
+    """Return the scene with the middle of its camera's picture, so many pixels of the same size."""
+    camera = scene.camera
+    row, column = (camera.height - height) // 2, (camera.width - width) // 2
+    return replace(scene, camera=camera.part(slice(row, row + height), slice(column, column + width)))
 
 
 def plane_depth(ground_m=0.0, slope=(0.0, 0.0)):

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import shared_data
+from conftest import shared_data, slow
 from typer.testing import CliRunner
 
 from thermorender.cli import app as cli
@@ -139,6 +139,7 @@ WHOLE = {"shading_mk": (15.0, 60.0, 80.0), "vignetting": (0.006, 0.022, 0.038), 
 LEVELS = {"sigma_t_mk": (0.0, 2.0, 1.5), "scale_drift_mk": (0.0, 8.0, 6.6), "vignetting": (-0.004, 0.01, 0.02)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("static", "frames", "fits", "true"),
     [
@@ -184,7 +185,7 @@ def test_shading_is_less_what_changing_scenes_leave():
     assert np.median(uncertainty) == pytest.approx(0.5 * np.diff(seen)[0], rel=0.25)
 
 
-@pytest.mark.parametrize(("frames", "rate_hz"), [(60, 9.0), (60, 30.0), (300, 9.0)])
+@pytest.mark.parametrize(("frames", "rate_hz"), [(60, 9.0), *slow((60, 30.0), (300, 9.0))])
 def test_a_wandering_scale_is_told_as_well_as_its_draws_tell(frames, rate_hz):
     # Levels as a camera's own scale makes them, from anywhere on its course: whole ticks of 1 s have new draws.
     camera, rng, takes = replace(CAMERA, scale_drift_mk=1.0), np.random.default_rng(5), 80
@@ -226,7 +227,7 @@ def flames(share, most_k, side=16):
 
 @pytest.mark.parametrize(
     ("share", "most_k", "how"),
-    [(0.1, 6.0, "changing scene"), (1.0, 3.0, "changing scene"), (0.4, 30.0, "flattest tenth")],
+    [(0.1, 6.0, "changing scene"), *slow((1.0, 3.0, "changing scene"), (0.4, 30.0, "flattest tenth"))],
 )
 def test_a_scene_that_changes_is_no_noise(base, tmp_path, share, most_k, how):
     # A little fire before a camera that is seen to stand, and one so large that nothing tells that it does.
@@ -239,6 +240,7 @@ def test_a_scene_that_changes_is_no_noise(base, tmp_path, share, most_k, how):
     assert np.sqrt(found["netd_mk"].value ** 2 - rest**2) == pytest.approx(single, abs=4.5)
 
 
+@pytest.mark.slow
 def test_a_correction_between_frames_is_no_noise(base, tmp_path):
     # Every 1 s at 9 Hz a new pattern, of half the noise of single pixels.
     camera = replace(CAMERA, ffc_interval_s=1.0, ffc_duration_s=0.0)
@@ -257,6 +259,7 @@ def test_a_scene_without_anything_even_is_refused(base, tmp_path):
         calibration.fit_camera([folder], base)
 
 
+@pytest.mark.slow
 def test_pixels_at_the_end_of_the_range_tell_nothing(base, tmp_path):
     # The range begins at 293 K; a wedge of four tenths of the picture is colder, and so are some patches.
     camera = replace(CAMERA, range_c=(20.0, 60.0))
@@ -305,7 +308,7 @@ def test_noise_of_low_gain_is_told(base, tmp_path):
     assert "low gain is likely" in calibration.fit_camera([folder], base)["netd_mk"].how
 
 
-@pytest.mark.parametrize("frames", [2, 3, 7])
+@pytest.mark.parametrize("frames", [2, *slow(3, 7)])
 def test_few_frames_tell_less(base, tmp_path, frames):
     for static in (False, True):
         folder = write_frames(tmp_path / f"few{static}", footage(CAMERA, frames, static))

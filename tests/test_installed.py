@@ -41,6 +41,7 @@ def run(site, *arguments):
     return done.stdout
 
 
+@pytest.mark.slow
 def test_the_wheel_holds_all_that_ships_and_nothing_else(wheel):
     shipped = {Path("thermorender", "_data", kind): ROOT / kind for kind in ("scenes", "materials")}
     shipped[Path("thermorender")] = ROOT / "thermorender"
@@ -59,6 +60,7 @@ def test_the_wheel_holds_all_that_ships_and_nothing_else(wheel):
     assert (about / "licenses" / "LICENSE").is_file()
 
 
+@pytest.mark.slow
 def test_the_wheel_works_away_from_its_checkout(wheel):
     code = "import thermorender as tr, sys; s = tr.load_scene('heath'); print(tr.__file__); print(s.spec.folder)"
     places = run(wheel, "-c", code).splitlines()
@@ -158,6 +160,7 @@ def test_make_scene_refuses_what_it_does_not_know(tmp_path):
     assert "heath, village, ridge" in str(done.exception) and not (tmp_path / "m").exists()
 
 
+@pytest.mark.slow
 def test_demo_flies_and_compares(tmp_path, monkeypatch):
     """The verb itself; only the flight is cut to its first frames, and pixels are sampled coarsely."""
     fly, compare = cli.fly, cli.compare

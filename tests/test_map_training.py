@@ -335,6 +335,7 @@ def test_error_against_share_and_shift(tmp_path, call_module):
     assert status == 2 and "did you mean 'correlation-1to1'" in errors and not (tmp_path / "p").exists()
 
 
+@pytest.mark.slow
 def test_a_kind_of_land_left_out_is_not_learned_from(tmp_path):
     """Sand gets warm where it is bright, snow is cold there: who saw one only tells the other wrong."""
     parts = ("train",) * 6 + ("test",) * 4
@@ -372,6 +373,7 @@ def test_kinds_that_nobody_says_or_scores_are_passed_over(tmp_path):
     assert [(case["value"], case["pairs"]) for case in result["cases"]] == [("sand", 2)]
 
 
+@pytest.mark.slow
 def test_methods_that_the_data_set_does_not_allow(tmp_path):
     dataset = write(tmp_path / "d", parts=("train",) * 3 + ("test",))
     with pytest.raises(ThermorenderError, match="method 'trees\\+' needs the terrain's relief"):

@@ -158,6 +158,7 @@ def test_at_the_trained_instant_the_map_is_itself(scene, tools):
     assert report["share_unmoved"] == round(16 / 1024, 5) and found.scene.warmed
 
 
+@pytest.mark.slow
 def test_where_the_map_failed_the_balance_stands(scene, tools):
     heat, moved = tools
     at = TRAINED + 3 * HOUR
@@ -170,6 +171,7 @@ def test_where_the_map_failed_the_balance_stands(scene, tools):
     assert np.abs(found.temperature - balance.temperature)[~hole].mean() > 0.1
 
 
+@pytest.mark.slow
 def test_an_absorptance_that_is_off_is_found_at_other_hours(scene, tools):
     """A map whose only fault against the balance is an absorptance 0.04 too low in the table."""
     heat, moved = tools
@@ -191,6 +193,7 @@ def test_an_absorptance_that_is_off_is_found_at_other_hours(scene, tools):
         assert np.abs(error).mean() < 0.6 * np.abs(expected - known).mean() + 0.02
 
 
+@pytest.mark.slow
 def test_uncertainty_grows_with_the_distance(scene, tools):
     heat, moved = tools
     # As far from the balance as what is stated explains, and a good map: a poor one gains from the balance at once.
@@ -210,6 +213,7 @@ def test_uncertainty_grows_with_the_distance(scene, tools):
     assert other.scene.moved_report["mean_uncertainty_k"] > hours[0].scene.moved_report["mean_uncertainty_k"]
 
 
+@pytest.mark.slow
 def test_snow_or_rain_at_one_instant_only_cannot_be_moved(scene, tools):
     heat, moved = tools
     at = TRAINED + HOUR
@@ -309,6 +313,7 @@ def test_a_scene_that_moves_nothing_imports_none_of_it():
 # --- the study --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_study_tells_errors_of_every_method():
     found = study.run(("heath",), (5,), ("14 h", "18 h"), sizes={"heath": (32.0, 0.5, 2.0)})
     assert set(found["all"]) == {f"{name}: {case}" for name in study.MAPS for case in ("14 h", "18 h")}

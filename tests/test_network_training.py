@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from conftest import slow
 from test_map_training import write
 from test_networks import example, kelvin, picture, task_of
 
@@ -33,10 +34,10 @@ MORE = {"crops": 72, "every": 24}
 
 
 @pytest.fixture(autouse=True)
-def _two_threads():
-    """The number of threads decides the order of sums."""
+def _one_thread():
+    """The number of threads decides the order of sums; one suits a worker's one core."""
     before = torch.get_num_threads()
-    torch.set_num_threads(2)
+    torch.set_num_threads(1)
     yield
     torch.set_num_threads(before)
 
@@ -81,6 +82,7 @@ def test_a_linear_world_is_learned(tmp_path):
     assert found.trained["core_seconds"] > 0.0 and found.texel_range_m == (0.2, 0.2)
 
 
+@pytest.mark.slow
 def test_the_spread_is_that_of_the_errors(tmp_path):
     """Noise that no colour tells, of one standard deviation: the network finds it."""
     noisy = []
@@ -96,7 +98,7 @@ def test_the_spread_is_that_of_the_errors(tmp_path):
     assert told == pytest.approx(np.sqrt((error**2).mean()), rel=0.35) and told > np.sqrt(2.0)
 
 
-@pytest.mark.parametrize("name", ["compact", "pix2pix"])
+@pytest.mark.parametrize("name", ["compact", *slow("pix2pix")])
 def test_what_half_precision_costs_is_told(tmp_path, name):
     task = task_of(name, examples(), tmp_path / "r", **SMALL)
     found = train_network(task, name)
@@ -107,7 +109,13 @@ def test_what_half_precision_costs_is_told(tmp_path, name):
     assert found.trained["half_precision_mk"] == pytest.approx(wanted, rel=1e-3) and wanted > 1e-3
 
 
-@pytest.mark.parametrize("name", [name for name in RECIPES if name not in ("compact+", "pix2pix-b25")])
+# Generators of many blocks; a step of each is in test_networks.py.
+LARGE = ("cyclegan", "pix2pixhd")
+
+
+@pytest.mark.parametrize(
+    "name", [*(name for name in RECIPES if name not in ("compact+", "pix2pix-b25", *LARGE)), *slow(*LARGE)]
+)
 def test_every_network_trains(name, tmp_path):
     """Its losses fall, or hold for those that fight each other; what it made is in the folder."""
     batch = {"batch": 2, "crops": 8, "every": 4}
@@ -133,6 +141,7 @@ def test_hour_and_weather_are_learned(tmp_path):
     assert np.abs(given + 286.0 - kelvin(rgb)).mean() < 1.0
 
 
+@pytest.mark.slow
 def test_a_depth_is_seen(tmp_path):
     """Where temperature hangs on depth alone, a network that sees it errs less than one that does not."""
     deep = []
@@ -153,7 +162,8 @@ def test_a_depth_is_seen(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "at"), [("compact", 1), ("compact", 5), ("compact", 9), ("pix2pix", 5), ("unet-gan", 3), ("compact+", 5)]
+    ("name", "at"),
+    [("compact", 5), ("pix2pix", 5), *slow(("compact", 1), ("compact", 9), ("unet-gan", 3), ("compact+", 5))],
 )
 def test_stopped_and_resumed_is_the_same(tmp_path, name, at):
     """The same losses, and the same network, as one that was never stopped."""
@@ -170,11 +180,12 @@ def test_stopped_and_resumed_is_the_same(tmp_path, name, at):
         assert np.array_equal(values, again.state[key]), key
 
 
+@pytest.mark.slow
 def test_killed_at_any_moment_and_resumed_is_the_same(tmp_path):
     """kill −9 of a process at random moments, then resumed until it ends: nothing lost, nothing doubled."""
     # Every step waits, so that a fast machine is not done before it is killed.
     program = (
-        "import sys, torch; torch.set_num_threads(2); sys.path.insert(0, sys.argv[1]);"
+        "import sys, torch; torch.set_num_threads(1); sys.path.insert(0, sys.argv[1]);"
         "from test_network_training import *;"
         "slow = lambda what, share: time.sleep(0.05);"
         "task = task_of('compact', examples(), sys.argv[2], resume=True, progress=slow, **SMALL | MORE);"
@@ -222,6 +233,7 @@ def test_a_disk_that_is_full_loses_nothing(tmp_path, monkeypatch):
     assert all(np.array_equal(values, again.state[key]) for key, values in whole.state.items())
 
 
+@pytest.mark.slow
 def test_two_processes_learn_what_one_does(tmp_path):
     """Data-parallel with half the batch each: the same crops, so the same losses but for the order of sums."""
     program = tmp_path / "p.py"

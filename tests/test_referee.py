@@ -9,10 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import slow
 from scipy.ndimage import gaussian_filter
 
 import thermorender as tr
-from scenes import WEATHER, write_balance, write_terrain
+from scenes import WEATHER, coarse, write_balance, write_terrain
 from thermorender.compare import hot_spots
 from thermorender.compare.referee import (
     emissivities,
@@ -42,11 +43,11 @@ DOWN = [0.0, 1.0, 0.0, 0.0]
 BAND = (7.5, 13.5)
 
 
-def flight(folder, height=8.0, poses=3, step=0.6):
-    """A Flight over a scene's folder, looking straight down."""
+def flight(folder, height=8.0, poses=3, step=0.6, factor=4):
+    """A Flight over a scene's folder, looking straight down, of a camera of `factor` times fewer pixels a side."""
     place = [[step * k, 0.4 * step * k, height] for k in range(poses)]
     path = tr.Trajectory(np.arange(float(poses)), np.array(place), np.array([DOWN] * poses))
-    return Flight.of(tr.load_scene(folder), path, 1.0)
+    return Flight.of(coarse(tr.load_scene(folder), factor), path, 1.0)
 
 
 def uniform_map(path, level, name=None, range_k=(280.0, 300.0), **about):
@@ -202,6 +203,7 @@ def test_a_shift_of_two_pixels_is_found(planted):
     )
 
 
+@pytest.mark.slow
 def test_photographs_that_are_shifted_are_found(ground, tmp_path, monkeypatch):
     """Held against the same map rendered, whatever it is worth: this one errs by kelvins."""
 
@@ -259,11 +261,12 @@ class _Pairs:
         return SimpleNamespace(visible=entry.picture)
 
 
+@pytest.mark.slow
 def test_a_map_that_has_seen_the_scene_is_found(tmp_path):
     rng = np.random.default_rng(8)
     colour = np.kron(rng.integers(30, 220, (32, 32, 3)), np.ones((4, 4, 1), int)).astype(np.uint8)
     folder = write_terrain(tmp_path / "seen", height=np.zeros((64, 64)), colour=colour, texel=0.5)
-    flown = flight(folder, height=25.0)
+    flown = flight(folder, height=25.0, factor=1)
     renderer = tr.Renderer(flown.scene, rays=2)
     taken = [photograph(renderer, pose)[0] for pose in flown.poses]
     foreign = rng.integers(0, 255, (3, 512, 640, 3)).astype(np.uint8)
@@ -282,6 +285,7 @@ def test_a_map_that_has_seen_the_scene_is_found(tmp_path):
     assert "3 photographs" in found["methods"]["B fair"]["training"]["audited"]
 
 
+@pytest.mark.slow
 def test_bounds_are_refitted_on_other_lands_of_the_same_hour_and_weather(tmp_path):
     day = ('[weather]\ntime = 2018-07-28T14:30:00Z\nair_low_c = 9.0\nair_high_c = 22.0\nhumidity = 0.6\n'
            'wind_m_s = 3.0\ncloud = 0.2\n')  # fmt: skip
@@ -299,7 +303,7 @@ def test_bounds_are_refitted_on_other_lands_of_the_same_hour_and_weather(tmp_pat
     told = {scene["name"]: scene["campaign"] for scene in found["scenes"]}
     assert told["c"] is None and told["a"]["lands"] == 1
     # Those of `a` are the quartiles of what the camera reads over `b` alone.
-    renderer, counts = tr.Renderer(tr.load_scene(folders[1]), rays=2, samples=1), []
+    renderer, counts = tr.Renderer(flown[1].scene, rays=2, samples=1), []
     for index, pose in enumerate(flown[1].poses):
         frame = renderer.frame(pose, float(index), index)
         counts.append(frame.counts[np.isfinite(frame.truth["depth"])])
@@ -332,6 +336,7 @@ def test_a_land_is_the_same_under_snow_and_no_other_is(tmp_path):
     assert bare == snowy and len({bare, *rest}) == 3
 
 
+@pytest.mark.slow
 def test_a_calibrated_map_is_the_same_whatever_its_intensities_stand_for(tmp_path):
     """A map and one of half its contrast, upside down, trained elsewhere: calibrated both are the straight line by
     least squares that another program draws through what the camera reads of the other land."""
@@ -380,6 +385,7 @@ def test_a_calibrated_map_is_the_same_whatever_its_intensities_stand_for(tmp_pat
         assert np.abs(kept["B_plain__calibrated"] - expected)[kept["known"]].max() < 0.02
 
 
+@pytest.mark.slow
 def test_terms_add_up_and_each_is_nothing_where_nothing_changes(tmp_path):
     """A uniform, flat ground in one colour: only reflection and air differ between B and C."""
     colour = np.full((64, 64, 3), (120, 100, 80), np.uint8)
@@ -426,7 +432,7 @@ def test_what_a_map_gives_no_temperature_is_not_split(tmp_path):
     folder = write_terrain(tmp_path / "land", np.zeros((32, 32)), colour=colour)
     (scene,) = compare([flight(folder)], tmp_path / "c", [str(tmp_path / "steep.npz")], rays=8)["scenes"]
     own = scene["terms"]["steep"]["terms"]
-    assert scene["terms_apart_mk"] <= 1.0 and 0 < own["whole"]["pixels"] < 0.8 * 3 * 640 * 512
+    assert scene["terms_apart_mk"] <= 1.0 and 0 < own["whole"]["pixels"] < 0.8 * 3 * 160 * 128
     assert len({each["pixels"] for each in own.values()}) == 1 and np.isfinite(own["emission"]["mae_k"])
 
 
@@ -686,8 +692,10 @@ def test_the_visible_camera_and_its_registered_picture(ground, tmp_path, call):
     assert np.abs(laid[middle] - registered[middle]).mean() < 2.0
 
 
-def test_learned_materials_leave_objects_their_own():
-    scene = tr.load_scene("heath")
+def test_learned_materials_leave_objects_their_own(tmp_path):
+    plate = '[[object]]\nname = "x"\nshape = "disc"\nposition = [0, 0, 0]\ntemperature = 330.0\nmaterial = "brass"\n'
+    scene = tr.load_scene(write_terrain(tmp_path / "s", extra=plate))
+    assert len(scene.surfaces) == 2
     told = scene.with_learned_materials(methods.learned_materials())
     for before, after in zip(scene.surfaces[1:], told.surfaces[1:], strict=True):
         assert [scene.materials[k].name for k in np.unique(before.material)] == [
@@ -807,6 +815,7 @@ def test_foreign_frames_are_looked_at_before_anything_is_rendered(ground, tmp_pa
     assert not (tmp_path / "c").exists()
 
 
+@pytest.mark.slow
 def test_a_picture_is_translated_once_for_all_bounds_and_each_pays_for_it(tmp_path, monkeypatch):
     asked = []
     plain = Correlation.predict
@@ -858,7 +867,7 @@ def test_what_is_remembered_is_told_apart_by_all_that_a_map_is_told():
     assert [last.predict(each, 0.2)[0, 0] for each in (first, first, others[0], first)] == [1, 1, 2, 3]
 
 
-@pytest.mark.parametrize("damaged", [None, "facts.json", "0000.npy"])
+@pytest.mark.parametrize("damaged", [None, *slow("facts.json", "0000.npy")])
 def test_a_comparison_that_was_stopped_goes_on_with_what_it_lacks(ground, tmp_path, monkeypatch, damaged):
     level = uniform_map(tmp_path / "level.npz", 0.5)
     whole = compare([flight(ground)], tmp_path / "whole", [level], rays=8)

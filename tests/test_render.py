@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from conftest import slow
 
 import thermorender as tr
-from scenes import write_mesh, write_terrain
+from scenes import narrow, write_mesh, write_terrain
 from thermorender.compare.sampling_error import converged, rms_mk
 from thermorender.errors import ThermorenderError
 from thermorender.physics.band import emitted_radiance
@@ -38,7 +39,7 @@ def square(side=10.0, up=0.0):
     return trimesh.Trimesh([[-h, -h, up], [h, -h, up], [h, h, up], [-h, h, up]], [[0, 1, 2], [0, 2, 3]])
 
 
-@pytest.mark.parametrize("emissivity", [1.0, 0.9, 0.5, 0.05, 0.001])
+@pytest.mark.parametrize("emissivity", [1.0, 0.5, *slow(0.9, 0.05), 0.001])
 def test_isothermal_enclosure_reads_the_wall(tmp_path, emissivity):
     # The sky would be seen at 0 K through any leak.
     scene = tr.load_scene(write_mesh(tmp_path / "s", box(True), 300.0, emissivity, sky=0.0))
@@ -46,7 +47,7 @@ def test_isothermal_enclosure_reads_the_wall(tmp_path, emissivity):
     assert np.abs(frame.apparent_temperature - 300.0).max() < ARITHMETIC_K
 
 
-@pytest.mark.parametrize("emissivity", [1.0, 0.9, 0.5])
+@pytest.mark.parametrize("emissivity", [0.5, *slow(1.0, 0.9)])
 def test_flat_plane_under_an_isotropic_sky(tmp_path, emissivity):
     scene = tr.load_scene(write_mesh(tmp_path / "s", square(40.0), 300.0, emissivity, sky=250.0))
     frame = tr.Renderer(scene, rays=64, tolerance_mk=0.5).frame(tr.pose(0, 0, 5, **DOWN))
@@ -232,6 +233,7 @@ def test_radiance_is_averaged_not_temperature(tmp_path):
     assert abs(seen - exact) < limit < 0.2 * abs(exact - wrong)
 
 
+@pytest.mark.slow
 def test_places_around_a_ray_stand_for_more_rays(tmp_path):
     checker = np.where(np.indices((64, 64)).sum(axis=0) % 2, 250.0, 350.0)
     flat, grass = np.zeros((32, 32)), np.ones((64, 64))
@@ -245,6 +247,7 @@ def test_places_around_a_ray_stand_for_more_rays(tmp_path):
     assert (four - many).std() < 0.3 * (one - many).std()
 
 
+@pytest.mark.slow
 def test_pixels_on_an_edge_are_shared(tmp_path):
     extra = (
         '[[object]]\nname = "box"\nshape = "box"\nsize = [4, 4, 1]\nposition = [0, 0, 3]\nyaw_deg = 20\n'
@@ -269,7 +272,7 @@ def test_sampling_errs_less_than_its_budget(tmp_path, quality):
         'temperature = 330.0\nmaterial = "paint_black"\n'
     )
     height, warm = random.uniform(0, 2, (32, 32)), random.uniform(285, 305, (64, 64))
-    scene = tr.load_scene(write_terrain(tmp_path / "s", height=height, temperature=warm, extra=extra))
+    scene = narrow(tr.load_scene(write_terrain(tmp_path / "s", height=height, temperature=warm, extra=extra)))
     renderer = tr.Renderer(scene, quality=quality, rays=16)
     pose = tr.pose(0, -18, 22, pitch_deg=-50)
     budget = renderer.frame(pose).budget_mk

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import slow
 
 from scenes import plane_depth
 from thermorender.errors import ThermorenderError
@@ -268,9 +269,9 @@ def test_sub_pixel_motion_is_right_from_one_image(speed):
     assert mk(radiance_of(signal, taken)) < 0.03 * gradient < 0.5 * mk(now)
 
 
-@pytest.mark.parametrize("speed", [30.0, 60.0, 200.0])
-@pytest.mark.parametrize("finer", [1.0, 8.0, 40.0])
-@pytest.mark.parametrize("slope", [(0.0, 0.0), (0.7, -0.5)])
+@pytest.mark.parametrize("speed", [*slow(30.0, 60.0), 200.0])
+@pytest.mark.parametrize("finer", [*slow(1.0), 8.0, *slow(40.0)])
+@pytest.mark.parametrize("slope", [pytest.param((0.0, 0.0), marks=pytest.mark.slow), (0.7, -0.5)])
 def test_the_error_of_the_lag_is_told(slope, finer, speed):
     """Waves of 150 pixels to 1/5 of one, over level and steep ground."""
     depth = plane_depth(0.0, slope)

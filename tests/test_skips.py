@@ -41,6 +41,17 @@ def test_only_listed_tests_may_be_skipped(tmp_path, body, listed, status, words)
         assert run.returncode == 0, run.stdout
 
 
+@pytest.mark.parametrize("body", [SKIPPED, "import pytest\npytest.importorskip('no_such_module')"])
+def test_skips_in_workers_are_seen_too(tmp_path, body):
+    (tmp_path / "conftest.py").write_text((HERE / "conftest.py").read_text("utf-8"), "utf-8")
+    (tmp_path / "test_x.py").write_text(f"{body}\n")
+    (tmp_path / "allowed_skips.txt").write_text("")
+    (tmp_path / "pytest.ini").write_text("[pytest]\n")
+    command = [sys.executable, "-m", "pytest", "-n", "1", "-p", "no:cacheprovider", "--listed-skips-only"]
+    run = subprocess.run([*command, "--rootdir", str(tmp_path), str(tmp_path)], capture_output=True, text=True)
+    assert run.returncode and "SKIPPED AND NOT IN allowed_skips.txt" in run.stdout, run.stdout
+
+
 def test_the_list_names_tests_that_exist_and_says_why():
     for name, reason in allowed_skips().items():
         file, _, function = name.partition("::")

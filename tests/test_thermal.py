@@ -1,11 +1,11 @@
 """Thermal properties of materials: the shipped ones against published numbers, and the words of every refusal."""
 
 import csv
-import shutil
 
 import numpy as np
 import pytest
 
+from scenes import write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.files import write_text
 from thermorender.materials import store as store_module
@@ -16,7 +16,7 @@ from thermorender.materials.mixture import mix
 from thermorender.materials.store import write_material
 from thermorender.materials.thermal import COVERS, ENDS, NUMBERS, PROPERTIES, read_thermal, read_thermals, table_text
 from thermorender.paths import data_folder
-from thermorender.scene.load import load_scene, scene_folder
+from thermorender.scene.load import load_scene
 
 SHIPPED = data_folder("materials")
 LIBRARY = load_library()
@@ -392,12 +392,11 @@ def test_merge_joins_tables_each_by_itself(tmp_path, run):
 def test_a_scenes_fingerprint_covers_them(tmp_path):
     copies = []
     for number, wetness in enumerate(("0.1", "0.1", "0.2")):
-        copy = tmp_path / f"{number}" / "heath"
-        shutil.copytree(scene_folder("heath"), copy)
-        folder(copy / "materials", {"soil_dark": edited(thickness_m=None, beneath=None, wetness=wetness)})
+        copy = write_terrain(tmp_path / f"{number}" / "tiny")
+        folder(copy / "materials", {"soil_loam": edited(thickness_m=None, beneath=None, wetness=wetness)})
         copies.append(load_scene(copy))
     used = {layer for material in copies[0].materials for layer in (material.name, material.thermal.beneath)}
-    assert "soil_dark" in used
+    assert "soil_loam" in used
     assert copies[0].digest() == copies[1].digest() != copies[2].digest()
 
 

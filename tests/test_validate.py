@@ -6,6 +6,7 @@ from importlib import import_module
 
 import numpy as np
 import pytest
+from conftest import slow
 from typer.testing import CliRunner
 
 import thermorender as tr
@@ -157,6 +158,7 @@ def seen_through(loop, point, normal):
     return np.abs((angle / length * np.einsum("nkc,nc->nk", across, normal)).sum(axis=1)) / (2.0 * np.pi)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("emissivity", [0.5, 0.1])
 def test_open_cavity_against_the_closed_form_of_its_polyhedron(emissivity):
     import trimesh
@@ -201,6 +203,7 @@ def test_open_cavity_against_the_closed_form_of_its_polyhedron(emissivity):
     assert seen > 150 and abs(found["mean_mk"] - own) < 3.0 * error < 9.0
 
 
+@pytest.mark.slow
 def test_convergence_measures_what_is_missing_only(tmp_path, monkeypatch):
     monkeypatch.setattr(convergence, "QUALITIES", {"standard": (1, 4, np.inf)})
     engine = "stock direct, BSDF samples"
@@ -230,6 +233,7 @@ def test_convergence_measures_what_is_missing_only(tmp_path, monkeypatch):
         convergence.convergence((), tmp_path, mode="slow")
 
 
+@pytest.mark.slow
 def test_growth_measures_each_axis_in_a_process_of_its_own(tmp_path):
     base, axes = (200, 16, 2), {"triangles": (200,), "texels": (16,), "nodes": (1, 4)}
     cases = growth.run(tmp_path, axes, base)
@@ -250,6 +254,7 @@ def test_kept_cases_that_are_damaged_are_told(tmp_path, text):
             run(tmp_path)
 
 
+@pytest.mark.slow
 def test_stated_errors_are_held_against_finer_frames(tmp_path, monkeypatch):
     folder = write_terrain(tmp_path / "tiny", height=np.random.default_rng(1).uniform(0, 1, (32, 32)))
     monkeypatch.setattr(study.scenes, "CHOSEN", ((12, -90),))
@@ -282,6 +287,7 @@ def test_made_scenes_are_what_they_are_called():
 # --- the verbs --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_air_s_channels_err_by_less_than_planned(tmp_path, monkeypatch):
     scene = small(terrain(200))
     run = air.run
@@ -309,10 +315,11 @@ def test_air_s_channels_err_by_less_than_planned(tmp_path, monkeypatch):
     ("verb", "module", "function", "expected"),
     [
         (["convergence", "ridge", "--quick"], convergence, "convergence", (["ridge"], "OUT", "quick", False, "auto")),
-        (["convergence", "--overwrite"], convergence, "convergence",
-         (["heath", "village", "ridge"], "OUT", "full", True, "auto")),
+        # It loads the village, whose buildings take a minute.
+        *slow((["convergence", "--overwrite"], convergence, "convergence",
+               (["heath", "village", "ridge"], "OUT", "full", True, "auto"))),
         (["growth", "--device", "cpu"], growth, "run", ("OUT", "cpu")),
-        (["sensor", "village"], sensor, "sensor", ("OUT", "village", "auto")),
+        (["sensor", "ridge"], sensor, "sensor", ("OUT", "ridge", "auto")),
         (["footage", "a.tif", "b", "--base", "tau2-640", "--scale", "0.04,1", "--name", "x"], sensor_statistics,
          "compare", (["a.tif", "b"], "OUT", "tau2-640", (0.04, 1.0), "heath", "x", "auto")),
         (["emissivity", "--seeds", "7, 8"], emissivity, "evaluate", ("procedural", [7, 8])),

@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+from conftest import slow
 
 from tests.robustness import cases, crash_targets, faults
 from tests.robustness import run as stability
@@ -39,7 +40,19 @@ def _fewer_kills():
         each.cache_clear()
 
 
-@pytest.mark.parametrize("name", CASES)
+# What takes many processes, one after the other, or hundreds of frames.
+LONG = (
+    "killed at random", "two flights", "full at each", "clock goes", "is killed: neither", "kernels on disk", "growth"
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *(name for name in CASES if not any(words in name for words in LONG)),
+        *slow(*(name for name in CASES if any(words in name for words in LONG))),
+    ],
+)
 def test_it_holds(name, capfd):
     found = stability.judged(CASES[name])
     assert found["passed"], found

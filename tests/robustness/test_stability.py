@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from conftest import slow
 from typer.testing import CliRunner
 
 from tests.robustness import cases, heat, light, sensor
@@ -26,6 +27,7 @@ from thermorender.sensor import detector, exposure, readout
 from validation.command import app_of
 
 
+@pytest.mark.slow
 def test_all_but_heat_hold_and_are_written(tmp_path):
     groups = ("light", "sensor", "air", "maps", "pixels", "precision", "geometry", "motion", "solver")
     done = CliRunner().invoke(app_of(main), [*groups, "-o", str(tmp_path)], catch_exceptions=False)
@@ -56,6 +58,7 @@ def own_cases(*words, group="heat"):
     }
 
 
+@pytest.mark.slow
 def test_heat_holds(anew):
     found = own_cases("")
     assert len(found) > 40 and [name for name, each in found.items() if not each["passed"]] == []
@@ -352,7 +355,7 @@ def test_verdicts(job, passed, tmp_path, monkeypatch, call_module):
 
 @pytest.mark.parametrize(
     ("place", "name", "words"),
-    [("render.geometry", "Channels", "places on the map"), ("render.light.texels", "light", "light between"),
+    [*slow(("render.geometry", "Channels", "places on the map")), ("render.light.texels", "light", "light between"),
      ("sensor.detector", "advanced", "of 16.7 ms")],
 )  # fmt: skip
 def test_half_precision_is_told_by_the_cases_of_precision(place, name, words, monkeypatch):

@@ -5,24 +5,18 @@ Byte by byte damage is in test_fuzz.py.
 """
 
 import json
-import warnings
 
-import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.robustness.fuzz import run as fuzz
 from tests.robustness.fuzz.corpus import READERS
-from thermorender.errors import ThermorenderError
+from tests.robustness.test_fuzz import judged
 from thermorender.schema import read_toml, toml_text
 
 DOCUMENTS = [name for name, each in READERS.items() if each.file.endswith((".toml", ".json", ".geojson", ".gltf"))
              and not name.startswith(("flight", "translation"))]  # fmt: skip
 TABLES = [name for name, each in READERS.items() if each.file.endswith(".csv")]
-# Always the same examples, so that a test that is green stays so.
-SAME = settings(derandomize=True, database=None, deadline=None, max_examples=60,
-                suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])  # fmt: skip
 
 NUMBERS = st.one_of(
     st.floats(), st.integers(), st.sampled_from([0, -1, 1e308, -1e308, 1e-320, 2**63, -(2**70), 10**400, 1e6, 255, 256])
@@ -96,18 +90,6 @@ def retold(draw, whole):
     return "\n".join(mark.join(row) for row in rows)
 
 
-def judged(name, path):
-    """Read a file: what is accepted is finite, and what is not is refused in a sentence."""
-    with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore")
-        try:
-            infinite = list(fuzz._infinite(READERS[name].read(path)))
-        except ThermorenderError as error:
-            assert fuzz._is_sentence(str(error)), str(error)
-        else:
-            assert not infinite
-
-
 @pytest.mark.parametrize("name", DOCUMENTS)
 def test_documents_with_anything_in_them(name, tmp_path):
     reader = READERS[name]
@@ -116,7 +98,6 @@ def test_documents_with_anything_in_them(name, tmp_path):
     toml = path.suffix == ".toml"
     whole = read_toml(path) if toml else json.loads(path.read_text(encoding="utf-8"))
 
-    @SAME
     @given(changed(whole))
     def check(document):
         try:
@@ -135,7 +116,6 @@ def test_tables_with_anything_in_them(name, tmp_path):
     reader.make(tmp_path)
     path = tmp_path / reader.file
 
-    @SAME
     @given(retold(path.read_text(encoding="utf-8")))
     def check(text):
         path.write_bytes(text.encode(errors="surrogatepass"))

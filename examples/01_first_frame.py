@@ -1,0 +1,14 @@
+"""Render one frame of a shipped scene and print what it holds."""
+
+import thermorender as tr
+
+scene = tr.load_scene("heath")
+print(scene)
+
+renderer = tr.Renderer(scene, quality="fast")
+frame = renderer.frame(tr.pose(0, -120, 120 + scene.ground(0, -120), pitch_deg=-45))
+
+temperature = frame.apparent_temperature
+print(f"apparent temperature {temperature.min():.1f} … {temperature.max():.1f} K, mean {temperature.mean():.1f} K")
+print(f"marker at pixel {frame.targets['marker']['pixel']}, {frame.targets['marker']['range_m']} m away")
+print(f"error budget {frame.budget_mk['total']:.0f} mK")

@@ -1,0 +1,180 @@
+"""The commands and code of README, docs/ and examples/ run as they stand there, and print what the pages say.
+
+Blocks ```python and ```bash of a page run in order in one temporary folder; a block ```text behind one of them is its
+output. A block that cannot run begins with "# not run:" and the reason, which readers see too.
+"""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.main import get_command
+
+from thermorender.cli import app as cli
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+README = ROOT / "README.md"
+SCRIPTS = sorted((ROOT / "examples").glob("[0-9]*.py"))
+NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
+NOT_RUN = "# not run: "
+# Pages whose blocks take more than 20 s of one core.
+SLOW = {
+    "README.md", "start/first-comparison.md", "start/first-flight.md", "guides/campaign.md", "guides/cameras.md",
+    "guides/compare.md", "guides/flight-logs.md", "guides/learned-maps.md", "guides/materials.md", "guides/weather.md",
+    "examples/01_first_frame.py", "examples/02_day_over_your_terrain.py", "examples/03_map_against_render.py",
+}  # fmt: skip
+_BLOCK = re.compile(r"^```(python|bash|text)\n(.*?)^```$", flags=re.S | re.M)
+
+
+def name_of(path):
+    """The name of a page, script or notebook below docs/, or below the checkout."""
+    return path.relative_to(DOCS if DOCS in path.parents else ROOT).as_posix()
+
+
+def blocks(path):
+    """[(language, code, expected output or None)] of a page's blocks that can run or say why not."""
+    found = []
+    for language, text in _BLOCK.findall(path.read_text(encoding="utf-8")):
+        if language == "text":
+            assert found and found[-1][2] is None, f"{name_of(path)}: an output without the code that prints it"
+            found[-1] = (*found[-1][:2], text)
+        else:
+            found.append((language, text, None))
+    return found
+
+
+PAGES = [README, *(page for folder in ("start", "guides", "concepts") for page in sorted((DOCS / folder).glob("*.md")))]
+PAGES = [page for page in PAGES if any(not code.startswith(NOT_RUN) for _, code, _ in blocks(page))]
+
+
+def marked(paths):
+    """Parameters of a test over paths, those of SLOW marked so."""
+    slow = pytest.mark.slow
+    return [pytest.param(path, id=name_of(path), marks=[slow] if name_of(path) in SLOW else []) for path in paths]
+
+
+def agrees(printed, expected):
+    """Whether outputs are the same: words exactly, numbers within 2 units of the last digit that is stated; lines "…"
+    stand for any lines."""
+    number = r"-?\d+(?:\.\d+)?"
+    patterns = []
+    for line in expected.strip().splitlines():
+        patterns.append(r"(?:.*\n)*?" if line.strip() == "…" else re.sub(number, _CAPTURE, _escaped(line)) + r"\s*\n")
+    match = re.fullmatch("".join(patterns), printed.strip() + "\n")
+    if match is None:
+        return False
+    kept = [line for line in expected.strip().splitlines() if line.strip() != "…"]
+    stated = re.findall(number, "\n".join(kept))
+    return all(
+        abs(float(one) - float(other)) <= 2.0 * 10.0 ** -len(one.partition(".")[2])
+        if "." in one else one == other
+        for one, other in zip(stated, match.groups(), strict=True)
+    )  # fmt: skip
+
+
+_CAPTURE = r"(-?\\d+(?:\\.\\d+)?)"
+
+
+def _escaped(line):
+    """A regular expression of a line's words; numbers stay as they are, runs of spaces match any."""
+    return re.sub(r"(\\ )+", r"\\s+", re.escape(line.strip())).replace(r"\.", ".").replace(r"\-", "-")
+
+
+def environment():
+    """Variables with which a shell finds this Python's `thermorender`."""
+    return dict(os.environ) | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}", "MPLBACKEND": "Agg"}
+
+
+@pytest.mark.parametrize("page", marked(PAGES))
+def test_blocks_run_and_print_what_the_page_says(page, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    namespace = {"__name__": "__main__"}
+    for language, code, expected in blocks(page):
+        if code.startswith(NOT_RUN):
+            assert len(code.partition("\n")[0]) > len(NOT_RUN) + 5, f"no reason is given: {code}"
+            continue
+        if language == "bash":
+            command = ["bash", "-e", "-o", "pipefail", "-c", code]
+            done = subprocess.run(command, capture_output=True, text=True, env=environment(), timeout=1200)
+            assert done.returncode == 0, f"{code}\n{done.stdout}\n{done.stderr}"
+            printed = done.stdout
+        else:
+            capsys.readouterr()
+            exec(compile(code, name_of(page), "exec"), namespace)
+            printed = capsys.readouterr().out
+        assert expected is None or agrees(printed, expected), f"{code}\nprinted\n{printed}\nand not\n{expected}"
+
+
+def test_few_blocks_are_not_run():
+    pages = [README, *sorted(DOCS.rglob("*.md"))]
+    reasons = [code for page in pages for _, code, _ in blocks(page) if code.startswith(NOT_RUN)]
+    assert len(reasons) <= 12, reasons
+
+
+@pytest.mark.parametrize("script", marked(SCRIPTS))
+def test_examples_run(script, tmp_path):
+    done = subprocess.run(
+        [sys.executable, script], cwd=tmp_path, env=environment(), capture_output=True, text=True, timeout=1200
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("notebook", [pytest.param(path, id=path.name) for path in NOTEBOOKS])
+def test_notebooks_run(notebook, tmp_path, monkeypatch):
+    import matplotlib
+
+    matplotlib.use("Agg")
+    monkeypatch.chdir(tmp_path)
+    namespace = {"__name__": "__main__"}
+    for cell in json.loads(notebook.read_text(encoding="utf-8"))["cells"]:
+        if cell["cell_type"] == "code":
+            exec(compile("".join(cell["source"]), notebook.name, "exec"), namespace)
+
+
+@pytest.mark.parametrize("notebook", [pytest.param(path, id=path.name) for path in NOTEBOOKS])
+def test_notebooks_are_kept_without_outputs(notebook):
+    for cell in json.loads(notebook.read_text(encoding="utf-8"))["cells"]:
+        assert not cell.get("outputs") and cell.get("execution_count") is None
+
+
+def test_readme_is_short():
+    assert len(README.read_text(encoding="utf-8").splitlines()) <= 150
+
+
+def test_links_of_the_readme_lead_somewhere():
+    for page in (README, ROOT / "CONTRIBUTING.md", ROOT / "examples" / "README.md"):
+        for link in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
+            assert (page.parent / link).exists(), f"{page.name} links to {link}"
+
+
+EVERY_PAGE = [README, *(page for page in sorted(DOCS.rglob("*.md")) if "_build" not in page.parts)]
+
+
+@pytest.mark.parametrize("page", [pytest.param(path, id=name_of(path)) for path in EVERY_PAGE])
+def test_verbs_and_options_of_a_page_exist(page):
+    """Whatever `thermorender VERB --option` a page writes, in blocks and in sentences, is known to the parser."""
+    text = page.read_text(encoding="utf-8").replace("\\\n", " ")
+    fenced = "\n".join(re.findall(r"^```(?:bash)?\n(.*?)^```$", text, flags=re.S | re.M))
+    inline = re.findall(r"`thermorender ([a-z][^`\n]*)`", text)
+    for command in re.findall(r"^ *thermorender ([a-z].*)", fenced, flags=re.M) + inline:
+        words = command.split()
+        verbs = get_command(cli.app).commands
+        assert words[0] in verbs, f"thermorender {command}"
+        verb = verbs[words[0]]
+        if getattr(verb, "commands", None) and len(words) > 1 and words[1] in verb.commands:
+            verb = verb.commands[words[1]]
+        known = {option for parameter in verb.params for option in parameter.opts} | {"--help"}
+        given = {word.split("=")[0] for word in words[1:] if re.match(r"--?[a-z]", word)}
+        assert given <= known, f"thermorender {command}"
+
+
+def test_outputs_that_differ_are_seen():
+    assert agrees("a 1.52 b\nc\n", "a 1.51 b\nc") and agrees("x\ny\nz\n", "x\n…\nz")
+    assert not agrees("a 1.58 b\n", "a 1.51 b") and not agrees("a 3\n", "a 2") and not agrees("x\ny\n", "x\nz")
