@@ -3,8 +3,10 @@
 import ast
 import re
 import sys
+from importlib import metadata
 from pathlib import Path
 
+import pytest
 from typer.main import get_command
 
 import thermorender as tr
@@ -35,6 +37,13 @@ def test_the_modules_of_all_public_names_are_checked():
     modules = {Path(sys.modules[getattr(tr, name).__module__].__file__).relative_to(ROOT) for name in tr.__all__}
     for module in modules:
         assert any(module.is_relative_to(name) for name in checked), module
+
+
+def test_the_version_is_that_of_the_installed_package():
+    assert tr.__version__ == metadata.version("thermorender")
+    assert "__version__" in dir(tr)
+    with pytest.raises(AttributeError, match="module 'thermorender' has no attribute '__author__'"):
+        tr.__author__  # noqa: B018
 
 
 def test_the_package_says_that_it_has_types():
