@@ -321,12 +321,17 @@ class Camera:
         )
 
 
+def camera_names() -> list[str]:
+    """Return the names of the shipped models, in order."""
+    return sorted(item.stem for item in (Path(__file__).parent / "cameras").glob("*.toml"))
+
+
 def model_path(name: str | PathLike[str], where: str = "camera model") -> Path:
     """Return the TOML file of a shipped model, or the path itself if it ends in .toml."""
     path = Path(name) if str(name).endswith(".toml") else Path(__file__).parent / "cameras" / f"{name}.toml"
     if not path.is_file():
-        known = sorted(item.stem for item in (Path(__file__).parent / "cameras").glob("*.toml"))
-        raise ThermorenderError(f"{where} {str(name)!r} is unknown; give one of {', '.join(known)} or a .toml file")
+        known = ", ".join(camera_names())
+        raise ThermorenderError(f"{where} {str(name)!r} is unknown; give one of {known} or a .toml file")
     return path
 
 
