@@ -533,7 +533,7 @@ def test_islands_without_height_are_holes(scene, call, tmp_path):
     assert mask[6, 0] & SURFACE and np.isfinite(channels["truth.kinetic_temperature"][6, 0])
     assert np.isfinite(channels["apparent_temperature"]).all()
     status, _, errors = call("render", scene, "-o", tmp_path / "p", "--pose", "0,0,20,0,-90,0", *QUICK)
-    check_sentence(status, errors, ["--pose='0,0,20,0,-90,0' lies off the terrain", "--local-up"])
+    check_sentence(status, errors, ["--pose='0,0,20,0,-90,0' is outside the terrain", "--local-up"])
     assert not (tmp_path / "p").exists()
 
 
@@ -1031,7 +1031,7 @@ def test_wrong_options_of_a_flight(scene, refused, options, words):
         ("--pose nonsense", ["--pose='nonsense' has 1 values; 6 are needed: E,N,U,YAW,PITCH,ROLL"]),
         ("--pose 0,0,20,0,nan,0", ["--pose='0,0,20,0,nan,0': PITCH is 'nan'"]),
         ("--pose 0,0,1e30,0,-90,0", ["up 1e+30 m is more than 100 km"]),
-        ("--pose 1e300,0,0,0,-90,0", ["lies off the terrain"]),
+        ("--pose 1e300,0,0,0,-90,0", ["is outside the terrain"]),
         ("--seed -1", ["seed=-1 is not allowed"]),
         ("--quality finest", ["quality='finest' is unknown"]),
         ("--products bogus", ["product 'bogus' is unknown"]),
@@ -1062,7 +1062,7 @@ def test_the_command_line_itself(call):
         (["render", "heath"], "Missing option '-o'"),
     ):
         status, _, errors = call(*arguments)
-        check_sentence(status, errors, [words, "--help` tells what is allowed"])
+        check_sentence(status, errors, [words, "--help` lists what is allowed"])
     for arguments in ([], ["--help"], ["fly", "--help"]):
         status, output, errors = call(*arguments)
         assert (status, errors) == (0, "") and "Usage" in output

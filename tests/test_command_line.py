@@ -133,7 +133,7 @@ def test_a_full_disk_behind_what_is_printed_is_told():
         command = [sys.executable, "-m", "thermorender", "materials", "list"]
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
     assert done.returncode == 2 and done.stderr == (
-        "error: the current folder or what is printed to cannot be used: No space left on device; check that it is "
+        "error: the current folder or the standard output cannot be used: No space left on device; check that it is "
         "there, its permissions and the disk\n"
     )
 

@@ -16,7 +16,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.footage.radiometric_files import read_temperature
 from thermorender.formats import write_image
 from thermorender.output.exr import read_exr
-from thermorender.output.flight import fly
+from thermorender.output.flight import FlightOptions, fly
 from thermorender.scene.spec import TemperatureSpec
 from thermorender.sensor.detector import row_delays
 from thermorender.sensor.display import DisplaySettings
@@ -53,7 +53,7 @@ def test_products_and_records(setting, tmp_path):
     import cv2
 
     renderer, path = setting
-    summary = fly(renderer, path, tmp_path / "f", rate_hz=4.0)
+    summary = fly(renderer, path, tmp_path / "f", FlightOptions(rate_hz=4.0))
     assert summary["frames"] == 5 and summary["rendered"] == 5
     names = set(contents(tmp_path / "f"))
     assert {"flight.json", "frames.jsonl", "flight.mp4", "frame_000004.exr", "frame_000004.png"} <= names
@@ -84,7 +84,7 @@ def test_products_and_records(setting, tmp_path):
 
 def test_resume_gives_the_same_bytes(setting, tmp_path):
     renderer, path = setting
-    fly(renderer, path, tmp_path / "whole", rate_hz=4.0)
+    fly(renderer, path, tmp_path / "whole", FlightOptions(rate_hz=4.0))
 
     class Stop(Exception):
         pass
@@ -94,22 +94,22 @@ def test_resume_gives_the_same_bytes(setting, tmp_path):
             raise Stop
 
     with pytest.raises(Stop):
-        fly(renderer, path, tmp_path / "part", rate_hz=4.0, progress=stop)
+        fly(renderer, path, tmp_path / "part", FlightOptions(rate_hz=4.0), progress=stop)
     # A kill may leave half a line and a temporary file.
     with open(tmp_path / "part/frames.jsonl", "a") as file:
         file.write('{"index": 3, "time')
     (tmp_path / "part/frame_000001.png").unlink()
     (tmp_path / "part/.frame_000003.0123abcd.part.exr").write_bytes(b"half")
-    summary = fly(renderer, path, tmp_path / "part", rate_hz=4.0, resume=True)
+    summary = fly(renderer, path, tmp_path / "part", FlightOptions(rate_hz=4.0), resume=True)
     assert summary["rendered"] == 4
     assert contents(tmp_path / "part") == contents(tmp_path / "whole")
-    assert fly(renderer, path, tmp_path / "part", rate_hz=4.0, resume=True)["rendered"] == 0
+    assert fly(renderer, path, tmp_path / "part", FlightOptions(rate_hz=4.0), resume=True)["rendered"] == 0
 
 
 @pytest.mark.parametrize("fault", ["removed", "moved", "replaced"])
 def test_a_folder_that_goes_during_a_flight_is_told(setting, tmp_path, fault):
     renderer, path = setting
-    folder, flight = tmp_path / "f", {"rate_hz": 4.0, "products": ("counts",)}
+    folder, flight = tmp_path / "f", FlightOptions(rate_hz=4.0, products=("counts",))
 
     def meddle(done, total):
         if done == 3:
@@ -120,18 +120,18 @@ def test_a_folder_that_goes_during_a_flight_is_told(setting, tmp_path, fault):
                 folder.mkdir()
 
     with pytest.raises(ThermorenderError, match="f was removed, moved or replaced while it was flown into"):
-        fly(renderer, path, folder, progress=meddle, **flight)
+        fly(renderer, path, folder, flight, progress=meddle)
     # Nothing is written to where it was.
     assert not (folder.exists() and any(folder.iterdir()))
     if fault == "moved":
-        assert fly(renderer, path, tmp_path / "elsewhere", resume=True, **flight)["rendered"] == 2
+        assert fly(renderer, path, tmp_path / "elsewhere", flight, resume=True)["rendered"] == 2
 
 
 @pytest.mark.parametrize("damage", ["cut", "changed"])
 def test_damaged_files_are_rendered_anew(setting, tmp_path, damage):
     renderer, path = setting
-    flight = {"rate_hz": 4.0, "products": ("exr", "counts")}
-    fly(renderer, path, tmp_path / "f", **flight)
+    flight = FlightOptions(rate_hz=4.0, products=("exr", "counts"))
+    fly(renderer, path, tmp_path / "f", flight)
     whole = contents(tmp_path / "f")
     told = json.loads((tmp_path / "f/frames.jsonl").read_text().splitlines()[2])["files"]
     assert told["frame_000002.exr"][0] == len(whole["frame_000002.exr"]) and len(told) == 2
@@ -141,8 +141,8 @@ def test_damaged_files_are_rendered_anew(setting, tmp_path, damage):
     else:
         damaged[5_000] ^= 1
     (tmp_path / "f/frame_000002.exr").write_bytes(damaged)
-    assert fly(renderer, path, tmp_path / "f", resume=True, **flight)["rendered"] == (3 if damage == "cut" else 0)
-    assert fly(renderer, path, tmp_path / "f", verify=True, **flight)["rendered"] == (0 if damage == "cut" else 3)
+    assert fly(renderer, path, tmp_path / "f", flight, resume=True)["rendered"] == (3 if damage == "cut" else 0)
+    assert fly(renderer, path, tmp_path / "f", flight, verify=True)["rendered"] == (0 if damage == "cut" else 3)
     assert contents(tmp_path / "f") == whole
 
 
@@ -151,7 +151,7 @@ def test_a_hovering_flight_starts_as_a_single_frame(setting, tmp_path):
 
     renderer, path = setting
     hovering = tr.Trajectory(path.time_s, path.position[[0, 0]], path.quaternion)
-    fly(renderer, hovering, tmp_path / "f", rate_hz=1.0, products=("counts",))
+    fly(renderer, hovering, tmp_path / "f", FlightOptions(rate_hz=1.0, products=("counts",)))
     counts = cv2.imread(str(tmp_path / "f/frame_000000_counts.png"), cv2.IMREAD_UNCHANGED)
     np.testing.assert_array_equal(counts, renderer.frame(path.pose(0.0)).counts)
 
@@ -160,22 +160,22 @@ def test_a_hovering_flight_starts_as_a_single_frame(setting, tmp_path):
 def test_resume_restores_what_the_pixels_remember(setting, tmp_path, lost):
     # At 100 Hz a third of a frame is that before; at 4 Hz nothing would be.
     renderer, path = setting
-    flight = {"rate_hz": 100.0, "stop_s": 0.05, "products": ("counts",)}
-    fly(renderer, path, tmp_path / "whole", **flight)
+    flight = FlightOptions(rate_hz=100.0, stop_s=0.05, products=("counts",))
+    fly(renderer, path, tmp_path / "whole", flight)
 
     def stop(done, total):
         if done == 3:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        fly(renderer, path, tmp_path / "part", progress=stop, **flight)
+        fly(renderer, path, tmp_path / "part", flight, progress=stop)
     state = tmp_path / "part/sensor_even.npz"
     assert state.exists()
     if lost == "the state":
         state.unlink()
     elif lost == "half of the state":
         state.write_bytes(state.read_bytes()[: state.stat().st_size // 2])
-    assert fly(renderer, path, tmp_path / "part", resume=True, **flight)["rendered"] == 3
+    assert fly(renderer, path, tmp_path / "part", flight, resume=True)["rendered"] == 3
     assert contents(tmp_path / "part") == contents(tmp_path / "whole")
     assert not list((tmp_path / "part").glob("sensor*"))
 
@@ -183,24 +183,25 @@ def test_resume_restores_what_the_pixels_remember(setting, tmp_path, lost):
 @pytest.mark.parametrize("lost", [False, True])
 def test_resume_continues_the_gain_control(setting, tmp_path, lost):
     renderer, path = setting
-    flight = {"rate_hz": 4.0, "products": ("display",), "display": DisplaySettings("plateau", "ironbow", memory_s=1.0)}
-    fly(renderer, path, tmp_path / "whole", **flight)
+    display = DisplaySettings("plateau", "ironbow", memory_s=1.0)
+    flight = FlightOptions(rate_hz=4.0, products=("display",), display=display)
+    fly(renderer, path, tmp_path / "whole", flight)
 
     def stop(done, total):
         if done == 3:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        fly(renderer, path, tmp_path / "part", progress=stop, **flight)
+        fly(renderer, path, tmp_path / "part", flight, progress=stop)
     if lost:
         (tmp_path / "part/sensor_even.npz").unlink()
-    assert fly(renderer, path, tmp_path / "part", resume=True, **flight)["rendered"] == 2
+    assert fly(renderer, path, tmp_path / "part", flight, resume=True)["rendered"] == 2
     assert contents(tmp_path / "part") == contents(tmp_path / "whole")
     # Without memory the last frame looks different, so the memory did reach it.
-    fly(renderer, path, tmp_path / "none", **flight | {"display": DisplaySettings("plateau", "ironbow")})
+    fly(renderer, path, tmp_path / "none", replace(flight, display=DisplaySettings("plateau", "ironbow")))
     assert contents(tmp_path / "none")["frame_000004.png"] != contents(tmp_path / "whole")["frame_000004.png"]
     with pytest.raises(ThermorenderError, match="was flown with display.mode="):
-        fly(renderer, path, tmp_path / "whole", resume=True, **flight | {"display": DisplaySettings()})
+        fly(renderer, path, tmp_path / "whole", replace(flight, display=DisplaySettings()), resume=True)
 
 
 def test_the_thermography_reading_stands_beside_the_truth(setting, tmp_path):
@@ -209,40 +210,42 @@ def test_the_thermography_reading_stands_beside_the_truth(setting, tmp_path):
     quiet = replace(renderer.scene.camera, shading_mk=0.0, shading_mk_per_k=0.0, scale_drift_mk=0.0)
     renderer = tr.Renderer(replace(renderer.scene, camera=quiet), rays=4, samples=1, seed=11)
     settings = ThermographySettings(emissivity=0.95, reflected_c=-13.15, air_c=15.0, distance_m=12.0)
-    fly(renderer, path, tmp_path / "f", rate_hz=1.0, products=("exr", "truth", "radiometric"), thermography=settings)
+    flight = FlightOptions(rate_hz=1.0, products=("exr", "truth", "radiometric"), thermography=settings)
+    fly(renderer, path, tmp_path / "f", flight)
     channels, record = read_exr(tmp_path / "f/frame_000001.exr")
     read = channels["thermography_temperature"]
     assert record["thermography"]["emissivity"] == 0.95 and record["units"]["thermography_temperature"] == "K"
     assert np.abs(read_temperature(tmp_path / "f/frame_000001_radiometric.tif") - read).max() < 0.0201
     # Where nothing is taken away, the formula and the true apparent temperature differ by noise, blur and fit only.
-    fly(renderer, path, tmp_path / "g", rate_hz=1.0, products=("exr",), thermography=ThermographySettings())
+    flight = FlightOptions(rate_hz=1.0, products=("exr",), thermography=ThermographySettings())
+    fly(renderer, path, tmp_path / "g", flight)
     plain = read_exr(tmp_path / "g/frame_000001.exr")[0]
     difference = plain["thermography_temperature"] - plain["apparent_temperature"]
     assert abs(np.median(difference)) < 0.1 and 0.02 < np.median(np.abs(difference)) < 0.3
     assert np.median(read - plain["thermography_temperature"]) > 0.5
     with pytest.raises(ThermorenderError, match="goes into 'exr' and 'radiometric'"):
-        fly(renderer, path, tmp_path / "h", products=("counts",), thermography=settings)
+        fly(renderer, path, tmp_path / "h", FlightOptions(products=("counts",), thermography=settings))
 
 
 def test_what_a_pixel_errs_by_stands_beside_it_on_request(setting, tmp_path):
     # As many pixels as the camera has, as the record looks the light up in every sixteenth only.
     renderer, path = tr.Renderer(tr.load_scene(setting[0].scene.spec.folder), rays=4, samples=1), setting[1]
-    fly(renderer, path, tmp_path / "f", rate_hz=1.0, products=("exr", "error"))
+    fly(renderer, path, tmp_path / "f", FlightOptions(rate_hz=1.0, products=("exr", "error")))
     channels, record = read_exr(tmp_path / "f/frame_000001.exr")
     assert record["units"]["error"] == "mK at 300 K" and "truth.depth" not in channels
     total = float(np.sqrt(np.nanmean(np.square(channels["error"], dtype=np.float64))))
     assert total == pytest.approx(record["budget_mk"]["total"], rel=0.1)
-    fly(renderer, path, tmp_path / "g", rate_hz=1.0, products=("exr",))
+    fly(renderer, path, tmp_path / "g", FlightOptions(rate_hz=1.0, products=("exr",)))
     assert "error" not in read_exr(tmp_path / "g/frame_000001.exr")[0]
     with pytest.raises(ThermorenderError, match="product 'error' is channels of the EXR; add 'exr'"):
-        fly(renderer, path, tmp_path / "h", products=("error", "counts"))
+        fly(renderer, path, tmp_path / "h", FlightOptions(products=("error", "counts")))
 
 
 def flown_over(tmp_path, name, track, path, **keywords):
     folder = write_terrain(tmp_path / name, extra=MARKER + 'track = "marker.csv"\n')
     (folder / "marker.csv").write_text(track)
     renderer = tr.Renderer(tr.load_scene(folder), rays=4, samples=1)
-    fly(renderer, path, tmp_path / f"{name} flown", products=("counts",), **keywords)
+    fly(renderer, path, tmp_path / f"{name} flown", FlightOptions(products=("counts",), **keywords))
     lines = (tmp_path / f"{name} flown" / "frames.jsonl").read_text().splitlines()
     return renderer, [json.loads(line)["plan"]["sensor"] for line in lines]
 
@@ -290,34 +293,34 @@ def test_a_marker_that_warms_is_read_by_rows_at_their_own_time(tmp_path, rate_hz
 
 def test_resume_refuses_other_settings(setting, tmp_path):
     renderer, path = setting
-    fly(renderer, path, tmp_path / "f", rate_hz=2.0, products=("counts",))
+    fly(renderer, path, tmp_path / "f", FlightOptions(rate_hz=2.0, products=("counts",)))
     with pytest.raises(ThermorenderError, match="already holds a flight; give another folder, or --resume"):
-        fly(renderer, path, tmp_path / "f", rate_hz=2.0, products=("counts",))
+        fly(renderer, path, tmp_path / "f", FlightOptions(rate_hz=2.0, products=("counts",)))
     with pytest.raises(ThermorenderError, match="was flown with rate_hz=2.0, now rate_hz=3.0"):
-        fly(renderer, path, tmp_path / "f", rate_hz=3.0, products=("counts",), resume=True)
+        fly(renderer, path, tmp_path / "f", FlightOptions(rate_hz=3.0, products=("counts",)), resume=True)
     other = tr.Renderer(renderer.scene, rays=4, samples=1, seed=12)
     with pytest.raises(ThermorenderError, match="was flown with seed=11, now seed=12"):
-        fly(other, path, tmp_path / "f", rate_hz=2.0, products=("counts",), resume=True)
+        fly(other, path, tmp_path / "f", FlightOptions(rate_hz=2.0, products=("counts",)), resume=True)
     higher = tr.Trajectory(path.time_s, path.position + [0.0, 0.0, 0.5], path.quaternion)
     with pytest.raises(ThermorenderError, match="was flown with path_digest="):
-        fly(renderer, higher, tmp_path / "f", rate_hz=2.0, products=("counts",), resume=True)
+        fly(renderer, higher, tmp_path / "f", FlightOptions(rate_hz=2.0, products=("counts",)), resume=True)
     # The same positions at the frames (0, 0.5 and 1 s), but another path between them.
     positions = np.array([path.position[0], [0.0, 0.3, 12.0], [0.0, 0.0, 12.0], path.position[1]])
     detour = tr.Trajectory(np.array([0.0, 0.25, 0.5, 1.0]), positions, path.quaternion[[0, 0, 0, 0]])
     np.testing.assert_array_equal(detour.pose(0.5), path.pose(0.5))
     with pytest.raises(ThermorenderError, match="was flown with path_digest="):
-        fly(renderer, detour, tmp_path / "f", rate_hz=2.0, products=("counts",), resume=True)
+        fly(renderer, detour, tmp_path / "f", FlightOptions(rate_hz=2.0, products=("counts",)), resume=True)
     warmer = renderer.scene.with_temperature(TemperatureSpec(source="constant", value=300.0))
     other = tr.Renderer(warmer, rays=4, samples=1, seed=11)
     other.plan = renderer.plan
     with pytest.raises(ThermorenderError, match="was flown with scene_digest="):
-        fly(other, path, tmp_path / "f", rate_hz=2.0, products=("counts",), resume=True)
+        fly(other, path, tmp_path / "f", FlightOptions(rate_hz=2.0, products=("counts",)), resume=True)
 
 
 def test_resume_compares_all_that_the_bytes_depend_on(setting, tmp_path):
     renderer, path = setting
-    flight = {"rate_hz": 2.0, "products": ("counts",), "folder": tmp_path / "f"}
-    fly(renderer, path, **flight)
+    folder, flight = tmp_path / "f", FlightOptions(rate_hz=2.0, products=("counts",))
+    fly(renderer, path, folder, flight)
     for setting, was, now in (
         # So near each other that the same spectral nodes do.
         ({"tolerance_mk": 4.9}, "plan.tolerance_mk=5.0", "plan.tolerance_mk=4.9"),
@@ -327,7 +330,7 @@ def test_resume_compares_all_that_the_bytes_depend_on(setting, tmp_path):
     ):
         other = tr.Renderer(renderer.scene, **{"rays": 4, "samples": 1, "seed": 11, **setting})
         with pytest.raises(ThermorenderError, match=f"was flown with {was}, now {now}; resume with the same settings"):
-            fly(other, path, resume=True, **flight)
+            fly(other, path, folder, flight, resume=True)
     described = tmp_path / "f/flight.json"
     written = json.loads(described.read_text())
     assert written["device"]["variant"] == mitsuba.variant() and len(written["device"]) > 1
@@ -336,13 +339,14 @@ def test_resume_compares_all_that_the_bytes_depend_on(setting, tmp_path):
         for inner in written[key]:
             described.write_text(json.dumps(written | {key: written[key] | {inner: "another"}}))
             with pytest.raises(ThermorenderError, match=f"was flown with {key}.{inner}='another', now {key}.{inner}="):
-                fly(renderer, path, resume=True, **flight)
+                fly(renderer, path, folder, flight, resume=True)
 
 
 @pytest.mark.parametrize("damage", ["not JSON", "frame 2 told as 1", "a line missing", "another number"])
 def test_resume_from_a_damaged_record(setting, tmp_path, damage):
     renderer, path = setting
-    fly(renderer, path, tmp_path / "f", rate_hz=4.0, products=("counts",))
+    flight = FlightOptions(rate_hz=4.0, products=("counts",))
+    fly(renderer, path, tmp_path / "f", flight)
     whole = contents(tmp_path / "f")
     lines = (tmp_path / "f/frames.jsonl").read_text().splitlines()
     lines[2:3] = {
@@ -350,7 +354,7 @@ def test_resume_from_a_damaged_record(setting, tmp_path, damage):
         "another number": [lines[2].replace('"seed": ', '"seed": 1')],
     }[damage]  # fmt: skip
     (tmp_path / "f/frames.jsonl").write_text("".join(line + "\n" for line in lines))
-    assert fly(renderer, path, tmp_path / "f", rate_hz=4.0, products=("counts",), resume=True)["rendered"] == 3
+    assert fly(renderer, path, tmp_path / "f", flight, resume=True)["rendered"] == 3
     assert contents(tmp_path / "f") == whole
 
 
@@ -361,8 +365,8 @@ def test_frames_without_terrain_are_counted(setting, tmp_path):
     poses = turning.sampled(turning.frame_times(8.0)).poses()
     seen = [bool(np.isfinite(renderer.frame(pose).truth["depth"]).any()) for pose in poses]
     assert 0 < sum(seen) < len(seen) == 9
-    flight = {"rate_hz": 8.0, "products": ("counts",)}
-    summary = fly(renderer, turning, tmp_path / "whole", **flight)
+    flight = FlightOptions(rate_hz=8.0, products=("counts",))
+    summary = fly(renderer, turning, tmp_path / "whole", flight)
     assert summary["frames_without_terrain"] == seen.count(False)
     assert json.loads((tmp_path / "whole/flight.json").read_text())["frames_without_terrain"] == seen.count(False)
     lines = (tmp_path / "whole/frames.jsonl").read_text().splitlines()
@@ -373,8 +377,8 @@ def test_frames_without_terrain_are_counted(setting, tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        fly(renderer, turning, tmp_path / "part", progress=stop, **flight)
-    summary = fly(renderer, turning, tmp_path / "part", resume=True, **flight)
+        fly(renderer, turning, tmp_path / "part", flight, progress=stop)
+    summary = fly(renderer, turning, tmp_path / "part", flight, resume=True)
     assert summary["rendered"] == 2 and summary["frames_without_terrain"] == seen.count(False)
     assert contents(tmp_path / "part") == contents(tmp_path / "whole")
 
@@ -384,12 +388,13 @@ def test_terrain_larger_than_the_picture_is_shown(tmp_path):
     square = trimesh.Trimesh([[-50, -50, 0], [50, -50, 0], [50, 50, 0], [-50, 50, 0]], [[0, 1, 2], [0, 2, 3]])
     renderer = tr.Renderer(tr.load_scene(write_mesh(tmp_path / "square", square)), rays=4, samples=1)
     path = tr.Trajectory(np.array([0.0, 1.0]), np.array([[0.0, 0, 12], [1.0, 0, 12]]), np.array([[0, 1.0, 0, 0]] * 2))
-    assert fly(renderer, path, tmp_path / "f", rate_hz=1.0, products=("counts",))["frames_without_terrain"] == 0
+    summary = fly(renderer, path, tmp_path / "f", FlightOptions(rate_hz=1.0, products=("counts",)))
+    assert summary["frames_without_terrain"] == 0
 
 
 def test_products_are_optional(setting, tmp_path):
     renderer, path = setting
-    fly(renderer, path, tmp_path / "f", rate_hz=1.0, products=("counts-tiff",))
+    fly(renderer, path, tmp_path / "f", FlightOptions(rate_hz=1.0, products=("counts-tiff",)))
     images = {"frame_000000_counts.tif", "frame_000001_counts.tif"}
     assert set(contents(tmp_path / "f")) == {"flight.json", "frames.jsonl", *images}
     for wanted, words in (
@@ -398,7 +403,7 @@ def test_products_are_optional(setting, tmp_path):
         (("video",), "add 'display'"),
     ):
         with pytest.raises(ThermorenderError, match=words):
-            fly(renderer, path, tmp_path / "g", products=wanted)
+            fly(renderer, path, tmp_path / "g", FlightOptions(products=wanted))
     assert not (tmp_path / "g").exists()
 
 
@@ -433,10 +438,8 @@ def test_a_flight_compiles_nothing_for_each_pose(tmp_path, kernels):
 
     crash_targets.write_scene(tmp_path / "scene")
     path, known, products = crash_targets.to_and_fro(12.0), [], ("exr", "truth", "counts", "display", "error")
-    fly(
-        crash_targets.busy(tmp_path / "scene", 12.0), path, tmp_path / "f", rate_hz=9.0, products=products,
-        progress=lambda done, total: known.append(kernels()),
-    )  # fmt: skip
+    renderer, flight = crash_targets.busy(tmp_path / "scene", 12.0), FlightOptions(rate_hz=9.0, products=products)
+    fly(renderer, path, tmp_path / "f", flight, progress=lambda done, total: known.append(kernels()))
     whole = round(crash_targets.ROUND_S * 9.0)
     assert len(known) > 2 * whole
     # All there is to see was seen in a round.

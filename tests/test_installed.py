@@ -117,7 +117,7 @@ def test_doctor_names_what_fails_and_how_to_mend_it(monkeypatch, tmp_path):
     assert told["GPU"][0] == "Test GPU, 1.2"
     for name, mend in (("scalar_rgb", "reinstall Mitsuba"), ("llvm_ad_mono", "version 16"), ("cuda_ad_mono", "driver")):
         assert told[name][0] == "fails: the process was killed by signal 6" and mend in told[name][1]
-    with pytest.raises(ThermorenderError, match="no back end renders on this machine; mend the rows above"):
+    with pytest.raises(ThermorenderError, match="no back end renders on this machine; fix the rows above"):
         CliRunner().invoke(cli.app, ["doctor"], catch_exceptions=False)
 
 

@@ -13,7 +13,8 @@ from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.sensor import detector, motion
 from thermorender.sensor.camera import load_camera
 from thermorender.sensor.chain import Sensor, at_rest
-from thermorender.sensor.exposure import Exposure, plan_row, schedule
+from thermorender.sensor.exposure import Exposure
+from thermorender.sensor.schedule import plan_row, schedule
 from thermorender.trajectory.path import pose
 
 # Nothing of the lens's own, so that powers are proportional to radiance.

@@ -22,7 +22,7 @@ from thermorender.compare.referee.run import Flight, compare
 from thermorender.errors import ThermorenderError
 from thermorender.output import timed
 from thermorender.output.day import day, instant_of, solar_midnight
-from thermorender.output.flight import fly
+from thermorender.output.flight import FlightOptions, fly
 from thermorender.render import reference
 from thermorender.render.plan import make_plan
 from thermorender.scene.spec import TemperatureSpec
@@ -339,7 +339,7 @@ def contents(folder):
 
 def test_a_flight_takes_its_temperatures_at_its_own_time(scene, path, marches, tmp_path):
     renderer = tr.Renderer(scene, rays=4, samples=1)
-    fly(renderer, path, tmp_path / "f", rate_hz=0.1, products=("counts",))
+    fly(renderer, path, tmp_path / "f", FlightOptions(rate_hz=0.1, products=("counts",)))
     # One march for the renderer, one for all the rest of the flight.
     assert [len(times) for times in marches] == [1, 3]
     lines = [json.loads(line) for line in (tmp_path / "f/frames.jsonl").read_text().splitlines()]
@@ -367,33 +367,33 @@ def test_light_is_traced_once_for_a_flight(scene, path, tmp_path, monkeypatch):
 
     traced, known = [], cache.traced
     monkeypatch.setattr(cache, "traced", lambda *given: traced.append(1) or known(*given))
-    fly(tr.Renderer(scene, rays=4, samples=1), path, tmp_path / "f", rate_hz=0.05, products=("counts",))
+    fly(tr.Renderer(scene, rays=4, samples=1), path, tmp_path / "f", FlightOptions(rate_hz=0.05, products=("counts",)))
     assert len(traced) == 1
 
 
 @pytest.mark.parametrize("done", [3, 7, 12])
 def test_a_resume_over_steps_gives_the_same_bytes(scene, path, tmp_path, done, monkeypatch):
     monkeypatch.setattr(timed, "TOGETHER", 1)
-    flight = {"rate_hz": 0.1, "products": ("counts", "display")}
-    fly(tr.Renderer(scene, rays=4, samples=1), path, tmp_path / "whole", **flight)
+    flight = FlightOptions(rate_hz=0.1, products=("counts", "display"))
+    fly(tr.Renderer(scene, rays=4, samples=1), path, tmp_path / "whole", flight)
 
     def stop(finished, total):
         if finished == done:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        fly(tr.Renderer(scene, rays=4, samples=1), path, tmp_path / "part", progress=stop, **flight)
+        fly(tr.Renderer(scene, rays=4, samples=1), path, tmp_path / "part", flight, progress=stop)
     (tmp_path / "part/sensor_even.npz").unlink(missing_ok=True)
-    fly(tr.Renderer(scene, rays=4, samples=1), path, tmp_path / "part", resume=True, **flight)
+    fly(tr.Renderer(scene, rays=4, samples=1), path, tmp_path / "part", flight, resume=True)
     assert contents(tmp_path / "part") == contents(tmp_path / "whole")
     other = tr.Renderer(scene.at(NOON + MINUTE), rays=4, samples=1)
     with pytest.raises(ThermorenderError, match="was flown with scene_digest="):
-        fly(other, path, tmp_path / "part", resume=True, **flight)
+        fly(other, path, tmp_path / "part", flight, resume=True)
 
 
 def test_part_of_a_flight_is_at_the_same_instants(scene, path, tmp_path):
     renderer = tr.Renderer(scene, rays=4, samples=1)
-    fly(renderer, path, tmp_path / "f", rate_hz=0.05, products=("counts",), start_s=110.0, stop_s=130.0)
+    fly(renderer, path, tmp_path / "f", FlightOptions(rate_hz=0.05, products=("counts",), start_s=110.0, stop_s=130.0))
     lines = [json.loads(line) for line in (tmp_path / "f/frames.jsonl").read_text().splitlines()]
     assert [line["time"] for line in lines] == ["2018-07-28T14:31:40.000Z", "2018-07-28T14:32:00.000Z"]
 
@@ -402,13 +402,13 @@ def test_a_flight_beyond_its_weather_is_refused(scene, path, tmp_path):
     renderer = tr.Renderer(scene, rays=4, samples=1)
     long = tr.Trajectory(path.time_s * 1000.0, path.position, path.quaternion)
     with pytest.raises(ThermorenderError, match="after its weather, which ends at 2018-07-29T14:30:00Z"):
-        fly(renderer, long, tmp_path / "f", rate_hz=0.001, products=("counts",))
+        fly(renderer, long, tmp_path / "f", FlightOptions(rate_hz=0.001, products=("counts",)))
     assert not (tmp_path / "f").exists()
 
 
 def test_a_scene_without_an_hour_flies_as_before(tmp_path, path, marches):
     renderer = tr.Renderer(tr.load_scene(write_terrain(tmp_path / "tiny")), rays=4, samples=1)
-    fly(renderer, path, tmp_path / "f", rate_hz=0.02, products=("counts",))
+    fly(renderer, path, tmp_path / "f", FlightOptions(rate_hz=0.02, products=("counts",)))
     lines = [json.loads(line) for line in (tmp_path / "f/frames.jsonl").read_text().splitlines()]
     assert all(line["time"] is None and "temperature" not in line for line in lines) and not marches
     assert "weather" not in json.loads((tmp_path / "f/flight.json").read_text())

@@ -19,7 +19,7 @@ from thermorender.learned.correlation import Correlation
 from thermorender.learned.linear import Linear, names_of_columns
 from thermorender.learned.rows import Told
 from thermorender.learned.temperature_map import TemperatureMap, save_map
-from thermorender.output.flight import fly
+from thermorender.output.flight import FlightOptions, fly
 from thermorender.output.record import weather_of
 from thermorender.scene.spec import TemperatureSpec
 from thermorender.scene.surface import FALLBACK, SURFACE
@@ -149,7 +149,7 @@ def test_metal_tells_nothing_is_flagged_and_as_warm_as_the_air(tmp_path):
 def test_a_flight_follows_its_time_and_tells_the_weather(tmp_path):
     scene = tr.load_scene(written(tmp_path / "s", above_air(5.0)))
     renderer = tr.Renderer(scene, rays=4)
-    fly(renderer, path_of(3), tmp_path / "f", rate_hz=1 / 60, products=("exr",))
+    fly(renderer, path_of(3), tmp_path / "f", FlightOptions(rate_hz=1 / 60, products=("exr",)))
     lines = [json.loads(line) for line in (tmp_path / "f/frames.jsonl").read_text().splitlines()]
     assert [line["temperature"]["time"] for line in lines] == [f"2018-07-28T12:0{n}:00Z" for n in range(4)]
     # A kelvin an hour.
@@ -169,18 +169,19 @@ def test_a_flight_does_not_go_on_with_another_map_of_the_same_name(tmp_path):
     """By night both give the air's temperature, so that the scenes begin alike."""
     folder = written(tmp_path / "s", by_sunlight(0.02), weather=STATION.replace("12:00", "00:00"))
     first = tr.Renderer(tr.load_scene(folder), rays=4)
+    flight = FlightOptions(rate_hz=1 / 60, products=("exr",))
     with pytest.raises(KeyboardInterrupt):
-        fly(first, path_of(2), tmp_path / "f", 1 / 60, ("exr",), progress=lambda done, total: interrupt())
+        fly(first, path_of(2), tmp_path / "f", flight, progress=lambda done, total: interrupt())
     save(folder / "told.npz", by_sunlight(0.05))
     second = tr.Renderer(tr.load_scene(folder), rays=4)
     np.testing.assert_array_equal(second.scene.surfaces[0].temperature, first.scene.surfaces[0].temperature)
     assert first.scene.digest() != second.scene.digest()
     with pytest.raises(ThermorenderError, match="was flown with scene_digest="):
-        fly(second, path_of(2), tmp_path / "f", 1 / 60, ("exr",), resume=True)
+        fly(second, path_of(2), tmp_path / "f", flight, resume=True)
     save(folder / "told.npz", by_sunlight(0.02))
     third = tr.Renderer(tr.load_scene(folder), rays=4)
     assert third.scene.digest() == first.scene.digest()
-    assert fly(third, path_of(2), tmp_path / "f", 1 / 60, ("exr",), resume=True)["rendered"] == 2
+    assert fly(third, path_of(2), tmp_path / "f", flight, resume=True)["rendered"] == 2
 
 
 def interrupt():

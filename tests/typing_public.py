@@ -89,7 +89,8 @@ def flights() -> None:
     assert_type(trajectory.anchored(0.0, 0.0, 90.0), tr.Trajectory)
     assert_type(trajectory.above_ground(scene.ground), NDArray[np.float64])
     try:
-        summary = tr.fly(tr.Renderer(scene), trajectory, "out", products=("exr", "counts"), resume=True)
+        options = tr.FlightOptions(products=("exr", "counts"))
+        summary = tr.fly(tr.Renderer(scene), trajectory, "out", options, resume=True)
     except tr.ThermorenderError as error:
         print(error)
     else:
@@ -100,4 +101,5 @@ def flights() -> None:
     trajectory.frame_times("30")  # type: ignore[arg-type]
     tr.fly(scene, trajectory, "out")  # type: ignore[arg-type]
     tr.fly(tr.Renderer(scene), "flight.csv", "out")  # type: ignore[arg-type]
-    tr.fly(tr.Renderer(scene), trajectory, "out", products=1)  # type: ignore[arg-type]
+    tr.FlightOptions(products=1)  # type: ignore[arg-type]
+    tr.fly(tr.Renderer(scene), trajectory, "out", products=("exr",))  # type: ignore[call-arg]

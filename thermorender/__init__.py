@@ -5,7 +5,8 @@
     frame = tr.Renderer(scene).frame(tr.pose(0, 0, 120, pitch_deg=-90))
     frame.apparent_temperature  # (512, 640) float32 [K]
 
-Importing the package is light; Mitsuba is loaded with the first Renderer.
+Importing the package is light; Mitsuba is loaded with the first Renderer. `__version__` is read from the metadata of
+the installed package.
 """
 
 from importlib import import_module
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING
 
 _PUBLIC = {
     "BakedScene": "thermorender.render.baked",
+    "FlightOptions": "thermorender.output.flight",
     "Frame": "thermorender.frame",
     "Renderer": "thermorender.render.renderer",
     "Scene": "thermorender.scene.load",
@@ -27,9 +29,11 @@ __all__ = list(_PUBLIC)
 
 
 if TYPE_CHECKING:
-    # The same names for type checkers and editors, which would take a __getattr__ for any name.
+    # The same names for type checkers and editors; with a __getattr__ they would accept any name.
+    __version__: str
     from thermorender.errors import ThermorenderError as ThermorenderError
     from thermorender.frame import Frame as Frame
+    from thermorender.output.flight import FlightOptions as FlightOptions
     from thermorender.output.flight import fly as fly
     from thermorender.render.baked import BakedScene as BakedScene
     from thermorender.render.renderer import Renderer as Renderer
@@ -41,10 +45,14 @@ if TYPE_CHECKING:
 else:
 
     def __getattr__(name):
+        if name == "__version__":
+            from thermorender.versions import version_of
+
+            return version_of("thermorender")
         if name not in _PUBLIC:
             raise AttributeError(f"module 'thermorender' has no attribute {name!r}")
         return getattr(import_module(_PUBLIC[name]), name)
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_PUBLIC])
+    return sorted([*globals(), *_PUBLIC, "__version__"])

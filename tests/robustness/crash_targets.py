@@ -110,15 +110,15 @@ def _turns(seconds):
 # --- jobs that are killed and begun again -----------------------------------------------------------------------
 
 
-def flight(folder, rate_hz=9.0, **options):
+def flight(folder, rate_hz=9.0, products=_PRODUCTS, **more):
     """Fly `FRAMES` frames of all products into FOLDER/out, or go on with them."""
-    from thermorender.output.flight import fly
+    from thermorender.output.flight import FlightOptions, fly
 
     drawn = renderer(folder.parent / "scene")
     _begun()
     length = (FRAMES - 1) / rate_hz
-    options = {"products": _PRODUCTS, "resume": True} | options
-    return fly(drawn, straight(length), folder / "out", rate_hz=rate_hz, **options)
+    options = FlightOptions(rate_hz=rate_hz, products=products)
+    return fly(drawn, straight(length), folder / "out", options, **{"resume": True} | more)
 
 
 def bake(folder):
@@ -293,14 +293,15 @@ def shut_out(folder):
     if os.geteuid() == 0:
         os.setgid(_NOBODY)
         os.setuid(_NOBODY)
-    from thermorender.output.flight import fly
+    from thermorender.output.flight import FlightOptions, fly
 
     drawn = renderer(folder.parent / "scene", seed=4)
     wrong = _unlike_a_sentence(lambda: renderer(folder / "secret"), False)
     for place in ("shut/out", "shut/new", "before"):
         wrong += _unlike_a_sentence(lambda place=place: fly(drawn, straight(1.0), folder / place, resume=True), False)
     # Without a cache everything works, and the reason is told.
-    wrong += _unlike_a_sentence(lambda: fly(drawn, straight(1.0), folder / "mine" / "out", rate_hz=1.0), True)
+    options = FlightOptions(rate_hz=1.0)
+    wrong += _unlike_a_sentence(lambda: fly(drawn, straight(1.0), folder / "mine" / "out", options), True)
     other = renderer(folder.parent / "scene", rays=16)
     if "cannot be written" not in str(other.baked.cache_note):
         wrong.append(f"note of a cache that cannot be written: {other.baked.cache_note}")
@@ -345,13 +346,14 @@ def frames(folder, count, kind="still"):
         if done % 25 == 0:
             told.append((done, memory_mb(), time.process_time()))
 
-    from thermorender.output.flight import fly
+    from thermorender.output.flight import FlightOptions, fly
 
     drawn, products = renderer(folder.parent / "scene"), ("exr", "truth", "counts", "display")
     if kind == "busy":
         drawn = busy(folder.parent / "scene", int(count) / 9.0)
         products = (*products, "error", "visible", "radiometric")
-    fly(drawn, to_and_fro(int(count) / 9.0), folder / "out", rate_hz=9.0, products=products, progress=look)
+    options = FlightOptions(rate_hz=9.0, products=products)
+    fly(drawn, to_and_fro(int(count) / 9.0), folder / "out", options, progress=look)
     _tell(told)
 
 

@@ -14,8 +14,9 @@ from thermorender import defaults
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.sensor.camera import load_camera
 from thermorender.sensor.chain import in_sequence, sensor_of
-from thermorender.sensor.exposure import MEMORY, Exposure
+from thermorender.sensor.exposure import Exposure
 from thermorender.sensor.movers import Mover
+from thermorender.sensor.schedule import MEMORY
 from thermorender.trajectory.path import pose
 
 _HEIGHT_M, _GROUND_K, _FRAMES = 120.0, 290.0, 4

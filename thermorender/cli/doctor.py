@@ -1,10 +1,15 @@
-"""What this machine has and lacks: versions, back ends that really render, threads, GPU, and how to mend them."""
+"""The verb `doctor`: versions, back ends that render, threads, GPU, how to fix what fails, and the self-test."""
 
 import os
 import platform
 import shutil
 import subprocess
+from typing import Annotated
 
+import typer
+
+from thermorender.cli.terminal import progress, table
+from thermorender.errors import ThermorenderError
 from thermorender.versions import version_of, versions
 
 # Packages of extras, with the extra and what needs it.
@@ -12,25 +17,57 @@ OPTIONAL = (("lightgbm", "maps", "learned maps of trees"), ("torch", "networks",
 VARIANTS = ("scalar_rgb", "llvm_ad_mono", "llvm_ad_spectral", "cuda_ad_mono")
 
 
-def examine():
-    """Return (rows, healthy): rows of (what, state, how to mend it) and whether frames can be rendered here.
+def doctor(
+    install: Annotated[bool, typer.Option("--install", help="Install a missing LLVM runtime with apt.")] = False,
+    self_test: Annotated[
+        bool, typer.Option("--self-test", help="Compare the installed package with closed forms, in kelvin.")
+    ] = False,
+) -> None:
+    """Print what works on this machine and how to fix what does not."""
+    from thermorender.render.variant import install_llvm
 
-    Each variant renders one ray in a process of its own, because a wrong LLVM library aborts the process.
+    if install:
+        typer.echo(install_llvm())
+    rows, healthy = examine()
+    table(("", "", "how to fix it"), rows)
+    if not healthy:
+        raise ThermorenderError("no back end renders on this machine; fix the rows above")
+    if self_test:
+        _self_test()
+
+
+def _self_test() -> None:
+    from thermorender.compare.self_test import HEADER, run
+
+    with progress() as report:
+        checks = run(report)
+    typer.echo("")
+    table(HEADER, [check.row for check in checks])
+    failed = sum(not check.passed for check in checks)
+    typer.echo(f"{len(checks) - failed} of {len(checks)} checks passed")
+    if failed:
+        raise typer.Exit(1)
+
+
+def examine() -> tuple[list[tuple[str, str, str]], bool]:
+    """Return (rows, healthy): rows of (what, state, how to fix it) and whether frames can be rendered here.
+
+    Each variant renders one ray in a separate process, because a wrong LLVM library aborts the process.
     """
     from thermorender.render.variant import OLDEST_LLVM, llvm_libraries, usable_llvm, works
 
     rows = [(name, version, "") for name, version in versions().items()]
     for name, extra, user in OPTIONAL:
         lacking = version_of(name) == "not installed"
-        mend = f"{user} need it: `pip install 'thermorender[{extra}]'`" if lacking else ""
-        rows.append((name, version_of(name), mend))
+        fix = f"{user} need it: `pip install 'thermorender[{extra}]'`" if lacking else ""
+        rows.append((name, version_of(name), fix))
     rows.append(("machine", f"{platform.system()} {platform.machine()}, {len(_cores())} cores usable", ""))
     found = [f"{version or 'unknown'}: {path}" for path, version in sorted(llvm_libraries().items(), key=str)]
     chosen = usable_llvm()
     rows.append(("LLVM libraries", "; ".join(found) or "none found", ""))
     remedies = "`thermorender doctor --install` or `apt-get install libllvm19`"
-    mend = "" if chosen else f"needs version {OLDEST_LLVM} or newer: {remedies}"
-    rows.append(("LLVM in use", str(chosen[0]) if chosen else "none", mend))
+    fix = "" if chosen else f"needs version {OLDEST_LLVM} or newer: {remedies}"
+    rows.append(("LLVM in use", str(chosen[0]) if chosen else "none", fix))
     gpu = _gpu()
     rows.append(("GPU", gpu or "none", ""))
     able = []
@@ -44,7 +81,7 @@ def examine():
     return rows, any(variant in able for variant in ("llvm_ad_mono", "cuda_ad_mono"))
 
 
-def _advice(variant):
+def _advice(variant: str) -> str:
     if variant.startswith("llvm"):
         return "install an LLVM runtime of version 16 or newer: `thermorender doctor --install`"
     if variant.startswith("cuda"):
@@ -52,11 +89,11 @@ def _advice(variant):
     return "reinstall Mitsuba: `pip install --force-reinstall mitsuba`"
 
 
-def _cores():
-    return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else range(os.cpu_count() or 1)
+def _cores() -> list[int]:
+    return list(os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else range(os.cpu_count() or 1))
 
 
-def _gpu():
+def _gpu() -> str:
     """Name and driver of the first NVIDIA GPU, or an empty string."""
     tool = shutil.which("nvidia-smi")
     if not tool:

@@ -2,35 +2,37 @@
 
 import signal
 import sys
+from collections.abc import Sequence
+from typing import Any, NoReturn
 
 import typer
 
 from thermorender.errors import ThermorenderError
 
-# What typer raises for a wrong command line: its own copy of click's exception, or click's, by version.
-UsageError = typer.BadParameter.__base__
+# The exception of typer for a wrong command line; depending on the version, typer's or click's.
+UsageError: Any = typer.BadParameter.__base__
 
 
-def run(app, without_arguments=("--help",)):
+def run(app: typer.Typer, without_arguments: Sequence[str] = ("--help",)) -> NoReturn:
     """Run an application of typer and exit: a user's mistake is one sentence and status 2; a stop cleans up first.
 
     Parameters
     ----------
     app : typer.Typer
     without_arguments : sequence of str
-        Arguments that an empty command line stands for.
+        Arguments for an empty command line.
     """
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
     odd = next((text for text in arguments if not _is_unicode(text)), None)
     if odd is not None:
-        # OpenCV ends the process with such a name, and GDAL takes none.
+        # OpenCV aborts the process at such a name, and GDAL refuses it.
         _fail(f"{ascii(odd)} is not valid Unicode; rename the file or folder, or set LANG to a locale of UTF-8")
     try:
         status = app(args=arguments or list(without_arguments), standalone_mode=False)
     except UsageError as error:
         command = error.ctx.command_path if error.ctx else "thermorender"
-        _fail(f"{error.format_message().rstrip('.')}; `{command} --help` tells what is allowed")
+        _fail(f"{error.format_message().rstrip('.')}; `{command} --help` lists what is allowed")
     except (ThermorenderError, OSError, MemoryError) as error:
         if "--debug" in sys.argv[1:]:
             raise
@@ -38,22 +40,22 @@ def run(app, without_arguments=("--help",)):
     except (KeyboardInterrupt, typer.Abort):
         status = 130
     if status == 130:
-        typer.echo("stopped; flights, data sets and trainings go on with --resume", err=True)
+        typer.echo("stopped; flights, data sets and trainings continue with --resume", err=True)
     raise SystemExit(status or 0)
 
 
-def _is_unicode(text):
+def _is_unicode(text: str) -> bool:
     return not any("\ud800" <= letter <= "\udfff" for letter in text)
 
 
-def _sentence(error):
-    """What is told of an error; one of the system that nothing below has put into words names no mend by itself."""
+def _sentence(error: Exception) -> str:
+    """The message of an error; one of the operating system gets advice."""
     if isinstance(error, OSError) and error.strerror:
-        what = error.filename or "the current folder or what is printed to"
+        what = error.filename or "the current folder or the standard output"
         return f"{what} cannot be used: {error.strerror}; check that it is there, its permissions and the disk"
-    return str(error) or "the memory of this machine is not enough"
+    return str(error) or "this machine does not have enough memory"
 
 
-def _fail(message):
+def _fail(message: str) -> NoReturn:
     typer.echo(f"error: {' '.join(message.split())}", err=True)
     raise SystemExit(2) from None

@@ -1,8 +1,9 @@
 """What commands share at the terminal: options for outputs, a progress bar, a table, comma-separated options."""
 
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -10,6 +11,14 @@ from thermorender import files
 from thermorender.errors import ThermorenderError
 from thermorender.units import instant
 
+if TYPE_CHECKING:
+    from thermorender.scene.load import Scene
+    from thermorender.scene.spec import TemperatureSpec
+
+# Called with (what, share done).
+Progress = Callable[[str, float], None]
+# (scene, text of --time) → instant.
+ReadTime = Callable[["Scene", str], Any]
 Time = Annotated[
     str | None,
     typer.Option(help="Instant of the scene's temperatures, UTC or with an offset: 2018-07-28T14:30Z, "
@@ -17,10 +26,10 @@ Time = Annotated[
 ]  # fmt: skip
 
 
-def output_option(*names, help, check=files.check_output_folder):
+def output_option(*names: str, help: str, check: Callable[[Path], Any] = files.check_output_folder) -> Any:
     """Return a typer option for a path to write; `check` refuses one that cannot be written, before any work."""
 
-    def checked(path: Path):
+    def checked(path: Path) -> Path:
         if path is not None:
             check(path)
         return path
@@ -28,30 +37,43 @@ def output_option(*names, help, check=files.check_output_folder):
     return typer.Option(*names, help=help, callback=checked)
 
 
+Results = Annotated[Path, output_option("-o", "--output", help="Folder for the results.")]
+NewResults = Annotated[
+    Path, output_option("-o", "--output", help="New folder for the results.", check=files.check_new_folder)
+]
+
+
 @contextmanager
-def progress():
-    """Give a function (what, share done) that draws a bar on a terminal and nothing elsewhere."""
+def progress() -> Iterator[Progress]:
+    """Yield a function (what, share done) that draws a bar on a terminal and nothing elsewhere."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        tasks = {}
+        tasks: dict[str, Any] = {}
 
-        def tell(what, share):
+        def report(what: str, share: float) -> None:
             key = "frames" if what.startswith("frame ") else what.partition(":")[0]
             if key not in tasks:
                 tasks[key] = bar.add_task(what, total=1.0)
             bar.update(tasks[key], completed=share, description=what)
 
-        yield tell
+        yield report
 
 
-def at_time(name, time, read=lambda scene, text: instant("--time", text), temperature=None):
-    """Return the Scene of a folder or name at the instant of an option --time, or at its own for None.
+def read_instant(scene: "Scene", text: str) -> Any:
+    """Return the instant of an option --time, datetime64 UTC."""
+    return instant("--time", text)
 
-    `read` makes an instant of the scene and the text; `temperature` is a TemperatureSpec in place of the scene's own.
+
+def at_time(
+    name: str, time: str | None, read: ReadTime = read_instant, temperature: "TemperatureSpec | None" = None
+) -> "Scene":
+    """Return the Scene of a folder or name at the instant of an option --time, or at its own instant for None.
+
+    `read` converts (scene, text) to an instant; `temperature` is a TemperatureSpec in place of the scene's own.
     """
     from thermorender.scene.load import load_scene
 
@@ -67,25 +89,21 @@ def at_time(name, time, read=lambda scene, text: instant("--time", text), temper
     return scene
 
 
-def table(header, rows):
-    """Print columns in whole lines, so that pipes and spreadsheets get them too."""
+def table(header: Sequence[object], rows: Iterable[Sequence[object]]) -> None:
+    """Print columns with one row per line, also for pipes and spreadsheets."""
     lines = [tuple(map(str, line)) for line in (header, *rows)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     for line in lines:
         typer.echo("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
 
 
-def air(text):
-    """Return (standard atmosphere, aerosol) of an option --air, or None for None."""
-    if text is None:
-        return None
-    parts = split(text)
-    if len(parts) > 2:
-        raise ThermorenderError(f"--air={text!r} has {len(parts)} parts; give ATMOSPHERE or ATMOSPHERE,AEROSOL")
-    return parts or ("",)
+def warn(sentence: str | None) -> None:
+    """Print a warning, if there is one."""
+    if sentence:
+        typer.echo(f"warning: {sentence}", err=True)
 
 
-def named(text, option, form):
+def named(text: str, option: str, form: str) -> tuple[str, str]:
     """Return (name, value) of a repeated option."""
     name, found, value = text.partition("=")
     if not (name and found and value):
@@ -93,6 +111,6 @@ def named(text, option, form):
     return name, value
 
 
-def split(text):
+def split(text: str) -> tuple[str, ...]:
     """Return the parts of a comma-separated option."""
     return tuple(part.strip() for part in text.split(",") if part.strip())

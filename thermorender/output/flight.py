@@ -1,18 +1,16 @@
 """A flight: timed poses to frames on disk, in an order that can be stopped anywhere and resumed.
 
-A frame counts as done when its line stands in `frames.jsonl`; the line is appended when its files are on the disk under
-their final names, and tells their sizes and checksums, and its own. `flight.json` holds everything the bytes depend on,
-so a resume that would not give the same bytes is refused, and at the end how many frames show no terrain. What the
-sensor's pixels remember is kept in two files, written in turn, until the flight is done; where it is lost, a resume
-takes the frames before once more to have it again. Temperatures of a heat balance go with the flight's time; see
-`thermorender.output.timed`.
+A frame is finished when `frames.jsonl` has its line. The line is appended after the files are on disk under their final
+names, with their sizes and checksums and a checksum of the line. `flight.json` holds everything that the bytes depend
+on, so that a resume with other settings is refused, and at the end the number of frames without terrain. Two files hold
+the state of the sensor's pixels in turn until the flight is done; if it is lost, a resume renders the frames before
+again. Temperatures of a heat balance follow the flight's time; see `thermorender.output.timed`.
 """
 
 import itertools
-import json
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender import files, formats
-from thermorender.errors import ThermorenderError
 from thermorender.frame import Frame
 from thermorender.output import products as product_files
 from thermorender.output.photograph import photograph
 from thermorender.output.record import made_by, record, weather_of
+from thermorender.output.resume import finished, load_state, refuse_moved, remove_state, save_state
 from thermorender.output.timed import STEP_S, TimedRenderer
 from thermorender.output.video import write_video
 from thermorender.scene.load import Scene
@@ -39,38 +37,55 @@ from thermorender.trajectory.path import Trajectory
 from thermorender.units import utc_text
 
 if TYPE_CHECKING:
-    # It brings Mitsuba, which whoever has a renderer has loaded.
+    # It imports Mitsuba, which is loaded if there is a renderer.
     from thermorender.render.renderer import Renderer
 
-# So many corners of each surface are looked for in a picture before its truth is computed, which takes as long as it.
+# Corners of each surface that are tested before the truth of a frame, which costs as much as the frame.
 _CORNERS = 4096
-# What the display's gain control remembers from one frame to the next.
+# State of the display's gain control from one frame to the next.
 _Memory = NDArray[Any] | None
-# Of what each digest is, for whoever is told that it differs.
-_DIGESTED = {
-    "scene_digest": ", of the scene with its files, air and temperatures",
-    "path_digest": ", of the trajectory with its anchor, mount, lever arm and clock offset",
-}
+
+
+@dataclass(frozen=True)
+class FlightOptions:
+    """Frames and products of a flight.
+
+    Attributes
+    ----------
+    rate_hz : float or None
+        Frames per second; None: the camera's.
+    start_s, stop_s : float or None
+        Part of the trajectory's time to fly [s]; None: from its start, to its end.
+    products : sequence of str
+        Some of exr, truth, error, counts, counts-tiff, radiometric, display, video, visible.
+    display : DisplaySettings
+        How counts become display images. Its tails are replaced by the camera's.
+    thermography : ThermographySettings or None
+        Settings of the thermography software whose reading goes into the EXR and the product radiometric.
+    """
+
+    rate_hz: float | None = None
+    start_s: float | None = None
+    stop_s: float | None = None
+    products: Sequence[str] = product_files.DEFAULT
+    display: DisplaySettings = DisplaySettings()
+    thermography: ThermographySettings | None = None
 
 
 def fly(
     renderer: "Renderer",
     trajectory: Trajectory,
     folder: str | PathLike[str],
-    rate_hz: float | None = None,
-    products: Sequence[str] = product_files.DEFAULT,
-    start_s: float | None = None,
-    stop_s: float | None = None,
+    options: FlightOptions = FlightOptions(),  # noqa: B008  (frozen)
+    *,
     resume: bool = False,
-    progress: Callable[[int, int], object] | None = None,
-    display: DisplaySettings | None = None,
-    thermography: ThermographySettings | None = None,
-    marching: Callable[[str, float], object] | None = None,
     verify: bool = False,
+    progress: Callable[[int, int], object] | None = None,
+    heat_progress: Callable[[str, float], object] | None = None,
 ) -> dict[str, Any]:
     """Render a flight into a folder and return its summary.
 
-    The scene's own time is that of the trajectory's first sample. Temperatures of a heat balance are followed in steps
+    The scene's time is that of the trajectory's first sample. Temperatures of a heat balance follow the flight in steps
     of `thermorender.output.timed.STEP_S`.
 
     Parameters
@@ -79,187 +94,161 @@ def fly(
     trajectory : Trajectory
     folder : path
         Output folder; empty or absent unless `resume`.
-    rate_hz : float, optional
-        Frames per second; the camera's own where None.
-    products : sequence of str
-        Some of exr, truth, counts, counts-tiff, radiometric, display, video.
-    start_s, stop_s : float, optional
-        Part of the trajectory's time to fly [s].
+    options : FlightOptions
     resume : bool
-        Continue a stopped flight of the same settings, from the first frame whose line is not as it was written, or
-        whose files are not there in their size.
-    progress : callable, optional
-        Called with (frames done, frames in all).
-    display : DisplaySettings, optional
-        How the display shows the counts; linear and white-hot where None. Its tails are the camera's.
-    thermography : ThermographySettings, optional
-        For the product radiometric and the EXR: what thermography software then reads.
-    marching : callable, optional
-        Called with (what, share done) while a heat balance is marched.
+        Continue a stopped flight of the same settings, from the first frame without an intact line or without files of
+        the recorded sizes.
     verify : bool
-        As `resume`, but from the first frame whose files are not what was written, by their checksums.
+        As `resume`, but also compare the files' checksums.
+    progress : callable, optional
+        Called with (frames done, frames in total).
+    heat_progress : callable, optional
+        Called with (what, share done) while a heat balance is solved.
 
     Returns
     -------
     dict
-        frames (in all), rendered (now), frames_without_terrain, folder, first and last time.
+        frames (in total), rendered (now), frames_without_terrain, folder, first_time_s and last_time_s.
 
     Raises
     ------
     ThermorenderError
-        Unknown products, a folder that is in use (by another process too), cannot be written or is moved meanwhile, a
+        Unknown products, a folder that is in use (also by another process), cannot be written or is moved meanwhile, a
         resume with other settings, weather that ends before the flight, or a camera above the range of the air or above
         its clouds.
     """
-    products = product_files.check(products, thermography, renderer.scene.camera)
-    display = replace(display or DisplaySettings(), tails_percent=renderer.scene.camera.agc_tails_percent)
-    rate = renderer.scene.camera.frame_rate_hz if rate_hz is None else float(rate_hz)
-    times = trajectory.frame_times(rate, start_s, stop_s)
-    poses = trajectory.sampled(times).poses()
-    renderer.refuse_camera(poses[:, :3, 3])
-    timed = TimedRenderer(renderer, *trajectory.span_s, marching)
-    start = timed.time(trajectory.span_s[0])
-    settings = {
-        "scene": renderer.scene.name,
-        "scene_digest": renderer.scene.digest(),
-        "camera": renderer.scene.camera.name,
-        "seed": renderer.seed,
-        "plan": renderer.plan.as_dict(),
-        "rate_hz": rate,
-        "frames": len(times),
-        "first_time_s": float(times[0]),
-        "last_time_s": float(times[-1]),
-        "time": None if start is None else utc_text(start),
-        **({"temperature_step_s": STEP_S} if renderer.scene.marched else {}),
-        **weather_of(renderer.scene),
-        # Between frames too: the sensor remembers what it saw there.
-        "path_digest": _digest(poses, trajectory.time_s, trajectory.position, trajectory.quaternion),
-        "products": list(products),
-        "display": asdict(display) | {"tails_percent": list(display.tails_percent)},
-        "thermography": thermography and asdict(thermography),
-        **made_by(),
-    }
-    exposure = _exposure(timed, renderer, trajectory, 1.0 / rate)
+    flight = _Flight(renderer, trajectory, options, heat_progress)
     with files.output_folder(folder) as out, files.in_use(out):
-        terrain = _done(out, settings, products, resume or verify, verify)
-        done, agc, place = len(terrain), None, os.stat(out)
-
-        def take(index: int, agc: _Memory) -> tuple[Frame, _Memory, Any]:
-            frame = _taken(timed, exposure, poses[index], float(times[index]), index)
-            return frame, *(display.image(frame.counts, agc, 1.0 / rate) if "display" in products else (None, None))
-
-        if 0 < done < len(times):
-            agc = _restored(out, exposure, done, take)
-        for index in range(done, len(times)):
-            frame, agc, image = take(index, agc)
-            _refuse_moved(out, place)
-            # Only now, so that a mistake that shows with the first frame leaves nothing behind.
-            if not (out / "flight.json").exists():
-                formats.write_json(out / "flight.json", settings)
-            written = product_files.write(out, frame, products, image, thermography, _photographer(renderer, frame))
-            files.on_disk(*written.values(), _save_state(out, exposure, agc, index))
-            terrain.append(_shows_terrain(renderer.scene, frame))
-            told = record(frame) | timed.told(frame.time_s) | {"shows_terrain": terrain[-1]}
-            told["files"] = {path.name: [path.stat().st_size, formats.checksum(path)] for path in written.values()}
-            formats.append_json(out / "frames.jsonl", formats.sealed(told))
-            if progress:
-                progress(index + 1, len(times))
-        _refuse_moved(out, place)
-        for path in _state_files(out):
-            path.unlink(missing_ok=True)
-        if "video" in products:
-            images = [product_files.paths(out, index, ("display",))["display"] for index in range(len(times))]
-            write_video(out / "flight.mp4", images, rate)
-        without = terrain.count(False)
-        formats.write_json(out / "flight.json", settings | {"frames_without_terrain": without})
+        done = flight.write(out, resume or verify, verify, progress)
+        without = flight.terrain.count(False)
+        formats.write_json(out / "flight.json", flight.settings | {"frames_without_terrain": without})
     return {
-        "frames": len(times),
-        "rendered": len(times) - done,
+        "frames": len(flight.times),
+        "rendered": len(flight.times) - done,
         "frames_without_terrain": without,
         "folder": str(out),
-        "first_time_s": float(times[0]),
-        "last_time_s": float(times[-1]),
+        "first_time_s": float(flight.times[0]),
+        "last_time_s": float(flight.times[-1]),
     }
 
 
-def _refuse_moved(folder: Path, before: os.stat_result) -> None:
-    """Refuse to go on in another folder than the one that was begun in: files would be lost, and locks kept apart."""
-    try:
-        same = os.path.samestat(os.stat(folder), before)
-    except OSError:
-        same = False
-    if not same:
-        raise ThermorenderError(
-            f"{folder} was removed, moved or replaced while it was flown into; continue with --resume where it is now, "
-            "or start again"
-        )
+class _Flight:
+    """A flight while it is rendered: frames in order, each with the sensor's state after the one before.
 
+    Attributes
+    ----------
+    times : (N,) float64
+        Of the frames [s].
+    settings : dict
+        Of `flight.json`.
+    terrain : list of bool
+        Whether each finished frame shows terrain.
+    """
 
-def _whole(path: Path, known: tuple[int, str], verify: bool) -> bool:
-    """Whether a file is there as its frame's record has it: by its size, and if asked for by its checksum."""
-    size, checksum = known
-    return path.exists() and path.stat().st_size == size and (not verify or formats.checksum(path) == checksum)
+    def __init__(
+        self, renderer: "Renderer", trajectory: Trajectory, options: FlightOptions,
+        heat_progress: Callable[[str, float], object] | None,
+    ) -> None:  # fmt: skip
+        camera = renderer.scene.camera
+        self.renderer, self.thermography = renderer, options.thermography
+        self.products = product_files.check(options.products, options.thermography, camera)
+        self.display = replace(options.display, tails_percent=camera.agc_tails_percent)
+        self.rate_hz = camera.frame_rate_hz if options.rate_hz is None else float(options.rate_hz)
+        self.times = trajectory.frame_times(self.rate_hz, options.start_s, options.stop_s)
+        self.poses = trajectory.sampled(self.times).poses()
+        renderer.refuse_camera(self.poses[:, :3, 3])
+        self.timed = TimedRenderer(renderer, *trajectory.span_s, heat_progress)
+        self.settings = self._settings(trajectory)
+        self.exposure = _exposure(self.timed, renderer, trajectory, 1.0 / self.rate_hz)
+        self.terrain: list[bool] = []
 
+    def _settings(self, trajectory: Trajectory) -> dict[str, Any]:
+        scene, start = self.renderer.scene, self.timed.time(trajectory.span_s[0])
+        return {
+            "scene": scene.name,
+            "scene_digest": scene.digest(),
+            "camera": scene.camera.name,
+            "seed": self.renderer.seed,
+            "plan": self.renderer.plan.as_dict(),
+            "rate_hz": self.rate_hz,
+            "frames": len(self.times),
+            "first_time_s": float(self.times[0]),
+            "last_time_s": float(self.times[-1]),
+            "time": None if start is None else utc_text(start),
+            **({"temperature_step_s": STEP_S} if scene.marched else {}),
+            **weather_of(scene),
+            # The path between frames too, since the sensor remembers it.
+            "path_digest": _digest(self.poses, trajectory.time_s, trajectory.position, trajectory.quaternion),
+            "products": list(self.products),
+            "display": asdict(self.display) | {"tails_percent": list(self.display.tails_percent)},
+            "thermography": self.thermography and asdict(self.thermography),
+            **made_by(),
+        }
 
-def _done(folder: Path, settings: dict[str, Any], products: Sequence[str], resume: bool, verify: bool) -> list[bool]:
-    """Return whether each frame already done shows terrain, after checking the folder and comparing `flight.json`."""
-    described, lines = folder / "flight.json", folder / "frames.jsonl"
-    if not resume:
-        if described.exists() or lines.exists():
-            raise ThermorenderError(
-                f"{folder} already holds a flight; give another folder, or --resume to continue that one"
-            )
-        other = next(folder.glob("frame_*"), None)
-        if other:
-            raise ThermorenderError(
-                f"{folder} already holds {other.name}, which a flight would overwrite; give another folder"
-            )
-        return []
-    files.remove_parts(folder)
-    if not described.exists():
-        if lines.exists():
-            raise ThermorenderError(
-                f"{described} is missing beside frames.jsonl; start the flight again in another folder"
-            )
-        return []
-    try:
-        before = json.loads(described.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        before = None
-    if not isinstance(before, dict):
-        raise ThermorenderError(f"{described} is damaged; start the flight again in another folder")
-    for key, value in settings.items():
-        was = before.get(key)
-        if was != value:
-            if isinstance(was, dict) and isinstance(value, dict):
-                inner = next(name for name in was | value if was.get(name, ...) != value.get(name, ...))
-                key, was, value = f"{key}.{inner}", was.get(inner), value.get(inner)
-            raise ThermorenderError(
-                f"{described} was flown with {key}={was!r}, now {key}={value!r}{_DIGESTED.get(key, '')}; resume with "
-                "the same settings or give another folder"
-            )
-    kept, terrain = [], []
-    text = lines.read_text(encoding="utf-8", errors="replace") if lines.exists() else ""
-    for number, line in enumerate(text.splitlines()):
-        try:
-            stored = formats.unsealed(json.loads(line))
-            index, shows, known = stored["index"], stored["shows_terrain"], stored["files"]
-            images = product_files.paths(folder, number, products).values()
-            if index != number or not all(_whole(path, known[path.name], verify) for path in images):
-                break
-        except (ValueError, KeyError, TypeError):
-            break
-        kept.append(json.dumps(formats.sealed(stored)))
-        terrain.append(shows)
-    formats.write_text(lines, "".join(line + "\n" for line in kept))
-    return terrain
+    def write(
+        self, folder: Path, resume: bool, verify: bool, progress: Callable[[int, int], object] | None
+    ) -> int:
+        """Write the frames that are not finished, and the video; return the number of frames finished before."""
+        self.terrain = finished(folder, self.settings, self.products, resume, verify)
+        done, total, place = len(self.terrain), len(self.times), os.stat(folder)
+        agc = self._restored(folder, done) if 0 < done < total else None
+        for index in range(done, total):
+            frame, agc, image = self._take(index, agc)
+            refuse_moved(folder, place)
+            # Not earlier, so that an error in the first frame leaves no files.
+            if not (folder / "flight.json").exists():
+                formats.write_json(folder / "flight.json", self.settings)
+            self._write_frame(folder, frame, agc, image)
+            if progress:
+                progress(index + 1, total)
+        refuse_moved(folder, place)
+        remove_state(folder)
+        if "video" in self.products:
+            images = [product_files.paths(folder, index, ("display",))["display"] for index in range(total)]
+            write_video(folder / "flight.mp4", images, self.rate_hz)
+        return done
+
+    def _write_frame(self, folder: Path, frame: Frame, agc: _Memory, image: Any) -> None:
+        """Write the files of a frame, then its line."""
+        written = product_files.write(
+            folder, frame, self.products, image, self.thermography,
+            lambda camera: photograph(self.renderer, frame.pose, frame.time_s, camera=camera)[0],
+        )  # fmt: skip
+        state = self.exposure.state() | ({} if agc is None else {"agc": agc})
+        files.on_disk(*written.values(), save_state(folder, frame.index, state))
+        self.terrain.append(_shows_terrain(self.renderer.scene, frame))
+        line = record(frame) | self.timed.told(frame.time_s) | {"shows_terrain": self.terrain[-1]}
+        line["files"] = {path.name: [path.stat().st_size, formats.checksum(path)] for path in written.values()}
+        formats.append_json(folder / "frames.jsonl", formats.sealed(line))
+
+    def _take(self, index: int, agc: _Memory) -> tuple[Frame, _Memory, Any]:
+        """One frame with its sensor's reading, the state of the display after it, and the display image."""
+        time_s = float(self.times[index])
+        frame = self.timed.at(time_s).frame(self.poses[index], time_s=time_s, index=index)
+        frame = replace(frame, time=self.timed.time(time_s))
+        frame = frame.with_reading(*self.exposure.read(index, time_s, frame.radiance))
+        if "display" not in self.products:
+            return frame, None, None
+        return frame, *self.display.image(frame.counts, agc, 1.0 / self.rate_hz)
+
+    def _restored(self, folder: Path, done: int) -> _Memory:
+        """Restore the sensor's state after `done` frames, or render them again; return the display's state."""
+        arrays = load_state(folder, done - 1)
+        if arrays is not None:
+            agc = arrays.pop("agc", None)
+            self.exposure.restore(arrays)
+            return agc
+        agc = None
+        for index in range(done):
+            _, agc, _ = self._take(index, agc)
+        return agc
 
 
 def _shows_terrain(scene: Scene, frame: Frame) -> bool:
-    """Whether a pixel of a frame shows the scene: told by corners of its faces near the axis, else by the truth."""
+    """Whether a pixel of a frame shows the scene: by corners of its faces near the axis, else by the truth."""
     camera = frame.camera
     edges = np.array([[0.5, 0.0], [0.5, 1.0], [0.0, 0.5], [1.0, 0.5]]) * (camera.width, camera.height)
-    # Within this slope of the axis all directions are in the picture.
+    # All directions within this slope of the axis are in the image.
     slope = np.linalg.norm(camera.directions(edges), axis=-1).min()
     for surface in scene.surfaces[: scene.terrain_count]:
         corner = surface.vertices[surface.faces[:: 1 + len(surface.faces) // _CORNERS, 0]]
@@ -270,9 +259,10 @@ def _shows_terrain(scene: Scene, frame: Frame) -> bool:
 
 
 def _exposure(timed: TimedRenderer, renderer: "Renderer", trajectory: Trajectory, interval_s: float) -> Exposure:
-    """The Exposure of a flight: the sensor with what it keeps from frame to frame."""
+    """The Exposure of a flight: the sensor with its state from frame to frame."""
     scene = renderer.scene
     first, last = trajectory.span_s
+
     def pose_at(time_s: float) -> NDArray[np.float64]:
         return trajectory.pose(min(max(time_s, first), last))
 
@@ -287,7 +277,7 @@ def _exposure(timed: TimedRenderer, renderer: "Renderer", trajectory: Trajectory
 
 
 def _mover(tracked: TrackedObject, scene: Scene) -> Mover:
-    """An object with a track, as the sensor follows it."""
+    """A tracked object as a Mover of the sensor."""
     corner = np.concatenate([surface.vertices for surface in tracked.surfaces]).astype(np.float64)
     box = np.array(list(itertools.product(*zip(corner.min(axis=0), corner.max(axis=0), strict=True))))
 
@@ -296,49 +286,6 @@ def _mover(tracked: TrackedObject, scene: Scene) -> Mover:
         return box @ pose[:3, :3].T + pose[:3, 3]
 
     return Mover(corners_at, lambda time_s: tracked.at(time_s)["temperature_k"], tracked.time_s)
-
-
-def _taken(timed: TimedRenderer, exposure: Exposure, pose: NDArray[np.float64], time_s: float, index: int) -> Frame:
-    """One frame of the flight at its own time, with what its sensor reads."""
-    frame = timed.at(time_s).frame(pose, time_s=time_s, index=index)
-    frame = replace(frame, time=timed.time(time_s))
-    return frame.with_reading(*exposure.read(index, time_s, frame.radiance))
-
-
-def _photographer(renderer: "Renderer", frame: Frame) -> Callable[[Any], NDArray[np.uint8]]:
-    """What gives the photograph of a frame's pose by a Camera."""
-    return lambda camera: photograph(renderer, frame.pose, frame.time_s, camera=camera)[0]
-
-
-def _state_files(folder: Path) -> tuple[Path, Path]:
-    """The files that hold the sensor's state after frames of even and of odd number."""
-    return folder / "sensor_even.npz", folder / "sensor_odd.npz"
-
-
-def _save_state(folder: Path, exposure: Exposure, agc: _Memory, index: int) -> Path:
-    """Keep the state of sensor and display beside the frame's line: two files in turn, so that one is always whole."""
-    state, path = exposure.state() | ({} if agc is None else {"agc": agc}), _state_files(folder)[index % 2]
-    formats.write_arrays(path, index, state)
-    return path
-
-
-def _restored(
-    folder: Path, exposure: Exposure, done: int, take: Callable[[int, _Memory], tuple[Frame, _Memory, Any]]
-) -> _Memory:
-    """Bring the sensor to where it was after `done` frames, from its file or by taking them again; the display's state.
-
-    `take` is called with a frame's index and the display's state, and returns the frame and the state after it.
-    """
-    last = done - 1
-    arrays = formats.read_arrays(_state_files(folder)[last % 2], last)
-    if arrays is not None:
-        agc = arrays.pop("agc", None)
-        exposure.restore(arrays)
-        return agc
-    agc = None
-    for index in range(done):
-        _, agc, _ = take(index, agc)
-    return agc
 
 
 def _digest(*arrays: NDArray[Any]) -> str:

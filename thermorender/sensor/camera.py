@@ -1,4 +1,4 @@
-"""The camera as data: detector, lens, spectral band and read-out numbers of one model, and its pixel rays.
+"""The camera as data: detector, lens, spectral band and read-out of one model, and its pixel rays.
 
 Models are TOML files in `cameras/`; every number there names its source or is marked as assumed. Image
 coordinates are in pixels from the upper left corner of the image, so pixel (row i, column j) spans
@@ -7,15 +7,21 @@ coordinates are in pixels from the upper left corner of the image, so pixel (row
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.schema import Where, choice, flag, key, number, read, read_toml
 from thermorender.units import ZERO_CELSIUS_K
 
-# More along a side is no microbolometer, and a frame of it fits no memory.
+# Values of the pixels of an image, (H, W), and a world_from_camera, (4, 4).
+Image = NDArray[np.float32]
+Pose = NDArray[np.float64]
+# No microbolometer has more pixels along a side, and a frame of more does not fit into memory.
 MOST_PIXELS = 16384
 _share = number(0.0, 1.0, above=True)
 _range_c = number(-ZERO_CELSIUS_K, 5000.0, above=True, count=2, ordered=True)
@@ -24,7 +30,7 @@ _noise_mk = number(0.0, 1e5)
 
 @dataclass(frozen=True)
 class Camera:
-    """One camera model. Keys with a default describe effects; left out, the effect is absent.
+    """One camera model. Keys with a default describe effects; an effect without its key is absent.
 
     Attributes
     ----------
@@ -36,12 +42,12 @@ class Camera:
     f_number : float
         Ratio of focal length to aperture.
     lens_transmittance : float
-        Share of the band radiance the lens passes.
+        Share of the band radiance that the lens passes.
     band_um : (2,) floats
-        Spectral band, taken as flat [µm].
+        Limits of the spectral band, with flat response [µm].
     netd_mk, netd_f_number : float
         Noise-equivalent temperature difference at 300 K [mK] and the f-number it is stated for: all temporal noise
-        of a pixel in the middle of the image.
+        of a pixel at the image centre.
     bits : int
         Depth of a count.
     range_c : (2,) floats
@@ -56,21 +62,21 @@ class Camera:
     defocus_um : float
         Distance of the detector from the focal plane [µm].
     blur_sigma_px : float
-        Width of a Gaussian for what the lens blurs besides [px].
+        Width of a Gaussian for all other blur of the lens [px].
     illumination_exponent : float
-        n of the cosⁿ fall of the irradiance with field angle: 4 for the natural law, 0 for none.
+        n of the cosⁿ decrease of the irradiance with field angle: 4 for the natural law, 0 for none.
     vignetting : float
-        Share of the light that the lens's rims take away at the corner of the image, besides that.
+        Additional loss of light at the corner of the image by the rims of the lens, as a share.
     case_temperature_c, case_rise_k, case_time_constant_s : float
-        Temperature of housing and lens at the start [°C], how much it rises as the camera runs [K], and how fast [s].
+        Temperature of housing and lens at the start [°C], its rise as the camera runs [K], and the time constant of
+        that rise [s].
     housing_residual : float
-        Share of a change of the housing's and lens's own emission since the last flat-field correction that the
-        camera does not compensate.
+        Uncompensated share of the change, since the last flat-field correction, of the emission of housing and lens.
     narcissus_mk, narcissus_radius_px : float
-        Apparent temperature of the ring that is the detector's own reflection [mK], and the ring's radius [px].
+        Apparent temperature of the detector's reflection, a ring [mK], and the ring's radius [px].
     shading_mk, shading_mk_per_k : float
-        Smooth shading that the shutter does not see, as the lens stands before it: apparent temperature, root mean
-        square over the image, at the start [mK], and its growth by each kelvin that the case warms [mK/K].
+        Smooth shading by the lens, which the shutter does not correct: apparent temperature, root mean square over
+        the image, at the start [mK], and its growth per kelvin of case warming [mK/K].
     absorptance : float
         Share of the irradiance on a pixel's area that heats the pixel.
     time_constant_ms : float
@@ -78,43 +84,42 @@ class Camera:
     row_time_us : float
         Time from the read-out of a row to that of the next [µs]; 0: all at once.
     sigma_t_mk, sigma_tv_mk, sigma_th_mk : float
-        Noise that changes with each frame: common to the frame, to a row, to a column. Part of the NETD; stated as
-        it is [mK].
+        Noise that changes with each frame: common to the frame, to a row, to a column. Part of the NETD, stated for
+        the same conditions [mK].
     sigma_v_mk, sigma_h_mk, sigma_vh_mk : float
-        Noise that stays from one flat-field correction to the next: of rows, of columns, of single pixels; stated
-        as the NETD is [mK].
+        Noise that is constant between flat-field corrections: of rows, of columns, of single pixels; stated for the
+        conditions of the NETD [mK].
     drift_mk_per_k : float
-        Growth of the fixed pattern by each kelvin that the case has drifted since the last flat-field correction,
-        stated as the NETD is [mK/K].
+        Growth of the fixed pattern per kelvin of case drift since the last flat-field correction, stated for the
+        conditions of the NETD [mK/K].
     responsivity_percent : (2,) floats
-        How far the gains that pixels are corrected with lie off: of single pixels, and of a smooth field over the
-        image, root mean square [%]. It shows by the scene's difference from the shutter, which is as warm as the case.
+        Error of the pixels' gain correction: of single pixels, and of a smooth field over the image, root mean
+        square [%]. It acts on the difference between the scene and the shutter, which has the case's temperature.
     flicker_mk, scale_drift_mk : float
         1/f noise of single pixels, and of the whole scale, since the last flat-field correction: standard deviation
-        of each of the octaves between holds of 1 s and of 512 s, stated as the NETD is, of which they are no part
-        [mK].
+        of each octave between holds of 1 s and of 512 s, stated for the conditions of the NETD. Not part of it [mK].
     bad_pixels : float
         Share of the pixels that are dead or hot and are replaced by their neighbours.
     blinking_pixels, blinking_mk, blinking_s : float
-        Share of the pixels that jump between two levels, their distance, stated as the NETD is [mK], and the mean
-        time at one of them [s]; no part of `bad_pixels`.
+        Share of the pixels that jump between two levels, the distance of the levels, stated for the conditions of
+        the NETD [mK], and the mean time at one level [s]. Not part of `bad_pixels`.
     ffc_interval_s, ffc_duration_s : float
-        Time from one flat-field correction to the next, 0: none after the start, and how long the image is frozen.
+        Time between flat-field corrections, 0: none after the start, and how long the image is frozen [s].
     gain : {"high", "low"}
-        Which of the two ranges is used.
+        The range in use.
     low_gain_range_c : (2,) floats
         Apparent temperatures of the lowest and the highest count in low gain [°C].
     low_gain_netd_mk : float
-        NETD in low gain [mK]; as in high gain where 0.
+        NETD in low gain [mK]; 0: as in high gain.
     tlinear_mk : float
-        Apparent temperature of one count where counts are linear in temperature, from 0 K on: 40 or 400 mK;
+        Apparent temperature of one count where counts are linear in temperature, from 0 K: 40 or 400 mK;
         0: linear in irradiance.
     agc_tails_percent : (2,) floats
         Shares of the darkest and of the brightest pixels that the display's gain control lets saturate [%].
     visible_width : int
-        Pixels across the picture of the visible camera beside it; 0: there is none.
+        Width of the image of the visible camera beside this one [px]; 0: there is none.
     visible_field_of_view_deg : (2,) floats
-        Its horizontal and vertical field of view [deg]: square pixels, as many rows as the vertical one holds.
+        Horizontal and vertical field of view of the visible camera, which has square pixels [deg].
     """
 
     name: str
@@ -124,14 +129,14 @@ class Camera:
     focal_length_mm: float = key(number(0.01, 1e5))
     f_number: float = key(number(0.2, 100.0))
     lens_transmittance: float = key(_share)
-    band_um: tuple = key(number(0.0, 1000.0, above=True, count=2, ordered=True))
+    band_um: tuple[float, float] = key(number(0.0, 1000.0, above=True, count=2, ordered=True))
     netd_mk: float = key(number(0.0, 1e5, above=True))
     netd_f_number: float = key(number(0.2, 100.0))
     bits: int = key(number(2, 16, whole=True))
-    range_c: tuple = key(_range_c)
+    range_c: tuple[float, float] = key(_range_c)
     frame_rate_hz: float = key(number(0.0, 1e5, above=True))
-    principal_offset_px: tuple = key(number(-MOST_PIXELS, MOST_PIXELS, count=2), (0.0, 0.0))
-    distortion: tuple = key(number(count=5), (0.0, 0.0, 0.0, 0.0, 0.0))
+    principal_offset_px: tuple[float, float] = key(number(-MOST_PIXELS, MOST_PIXELS, count=2), (0.0, 0.0))
+    distortion: tuple[float, ...] = key(number(count=5), (0.0, 0.0, 0.0, 0.0, 0.0))
     diffraction: bool = key(flag, False)
     defocus_um: float = key(number(-1000.0, 1000.0), 0.0)
     blur_sigma_px: float = key(number(0.0, 5.0), 0.0)
@@ -155,7 +160,7 @@ class Camera:
     sigma_h_mk: float = key(_noise_mk, 0.0)
     sigma_vh_mk: float = key(_noise_mk, 0.0)
     drift_mk_per_k: float = key(_noise_mk, 0.0)
-    responsivity_percent: tuple = key(number(0.0, 20.0, count=2), (0.0, 0.0))
+    responsivity_percent: tuple[float, float] = key(number(0.0, 20.0, count=2), (0.0, 0.0))
     flicker_mk: float = key(_noise_mk, 0.0)
     scale_drift_mk: float = key(_noise_mk, 0.0)
     bad_pixels: float = key(number(0.0, 0.05), 0.0)
@@ -165,28 +170,29 @@ class Camera:
     ffc_interval_s: float = key(number(0.0, 1e6), 0.0)
     ffc_duration_s: float = key(number(0.0, 60.0), 0.0)
     gain: str = key(choice("high", "low"), "high")
-    low_gain_range_c: tuple = key(_range_c, (-40.0, 550.0))
+    low_gain_range_c: tuple[float, float] = key(_range_c, (-40.0, 550.0))
     low_gain_netd_mk: float = key(_noise_mk, 0.0)
     tlinear_mk: float = key(choice(0.0, 40.0, 400.0), 0.0)
-    agc_tails_percent: tuple = key(number(0.0, 49.0, count=2), (0.5, 0.5))
+    agc_tails_percent: tuple[float, float] = key(number(0.0, 49.0, count=2), (0.5, 0.5))
     visible_width: int = key(number(0, MOST_PIXELS, whole=True, unit="pixels"), 0)
-    visible_field_of_view_deg: tuple = key(number(1.0, 170.0, count=2), (57.0, 43.0))
+    visible_field_of_view_deg: tuple[float, float] = key(number(1.0, 170.0, count=2), (57.0, 43.0))
 
-    def check(self, where, given):
-        """Refuse noise of frames, rows and columns that leaves nothing of the whole, and a lens that folds."""
+    def check(self, where: Where, given: dict[str, Any]) -> None:
+        """Refuse noise of frames, rows and columns that exceeds the NETD, and distortion that folds the image."""
         temporal = ("sigma_t_mk", "sigma_tv_mk", "sigma_th_mk")
         if sum(getattr(self, name) ** 2 for name in temporal) >= self.gain_netd_mk**2:
             name = "netd_mk" if self.gain_netd_mk == self.netd_mk else "low_gain_netd_mk"
-            told = f"{', '.join(temporal)} leave nothing of {name}={self.gain_netd_mk:g}"
-            raise where.error(f"{told}, of which they are part; lower them")
-        # A folding distortion would otherwise show with the first frame only, after the scene is baked. Where it
-        # folds, Newton's steps run off to infinity before they are refused.
+            raise where.error(
+                f"{', '.join(temporal)} leave nothing of {name}={self.gain_netd_mk:g}, which contains them; lower them"
+            )
+        # Checked here, since otherwise only the first frame would report it, after the scene is baked. Newton's steps
+        # diverge at a fold before they are refused.
         with np.errstate(all="ignore"):
             self.directions(_image_edge(self.width, self.height))
 
     @property
-    def visible_camera(self):
-        """The visible camera beside it, on the same axis and without distortion, as a Camera; None without one."""
+    def visible_camera(self) -> "Camera | None":
+        """The visible camera beside this one, a Camera on the same axis and without distortion; None without one."""
         if not self.visible_width:
             return None
         across, along = np.tan(np.radians(np.array(self.visible_field_of_view_deg) / 2.0))
@@ -197,50 +203,52 @@ class Camera:
             focal_length_mm=float(focal_mm), principal_offset_px=(0.0, 0.0), distortion=(0.0,) * 5, visible_width=0,
         )  # fmt: skip
 
-    def part(self, rows, columns):
-        """Return the Camera that takes a part of its image alone, given by slices with both ends, on the same axis."""
-        size = columns.stop - columns.start, rows.stop - rows.start
-        middle = columns.start + 0.5 * size[0], rows.start + 0.5 * size[1]
-        offset = tuple(float(point - at) for point, at in zip(self._principal_point, middle, strict=True))
-        return replace(self, width=size[0], height=size[1], principal_offset_px=offset)
+    def part(self, rows: slice, columns: slice) -> "Camera":
+        """Return the Camera of a part of the image, given by slices with both ends, on the same axis."""
+        width, height = columns.stop - columns.start, rows.stop - rows.start
+        x, y = self._principal_point - (columns.start + 0.5 * width, rows.start + 0.5 * height)
+        return replace(self, width=width, height=height, principal_offset_px=(float(x), float(y)))
 
-    def coarser(self, by):
-        """Return the Camera whose pixels are `by` times as wide: as many as its image has room for from its corner."""
+    def coarser(self, by: int) -> "Camera":
+        """Return the Camera whose pixels are `by` times as wide; the image keeps its upper left corner."""
         width, height = (max(count // by, 1) for count in (self.width, self.height))
-        offset = tuple(map(float, self._principal_point / by - (0.5 * width, 0.5 * height)))
-        pitch_um = by * self.pixel_pitch_um
+        x, y = self._principal_point / by - (0.5 * width, 0.5 * height)
+        pitch_um, offset = by * self.pixel_pitch_um, (float(x), float(y))
         return replace(self, width=width, height=height, pixel_pitch_um=pitch_um, principal_offset_px=offset)
 
     @property
-    def count_range_k(self):
+    def count_range_k(self) -> tuple[float, float]:
         """Apparent temperatures of the lowest and the highest count of the gain in use [K]."""
-        return tuple(end + ZERO_CELSIUS_K for end in (self.low_gain_range_c if self.gain == "low" else self.range_c))
+        low, high = self.low_gain_range_c if self.gain == "low" else self.range_c
+        return low + ZERO_CELSIUS_K, high + ZERO_CELSIUS_K
 
     @property
-    def gain_netd_mk(self):
+    def gain_netd_mk(self) -> float:
         """NETD of the gain in use [mK], at `netd_f_number` and 300 K."""
         return self.low_gain_netd_mk if self.gain == "low" and self.low_gain_netd_mk else self.netd_mk
 
     @property
-    def time_constant_s(self):
+    def time_constant_s(self) -> float:
         """Thermal time constant of a pixel [s]."""
         return self.time_constant_ms * 1e-3
 
     @property
-    def focal_length_px(self):
+    def focal_length_px(self) -> float:
         """Focal length in pixels."""
         return self.focal_length_mm * 1e3 / self.pixel_pitch_um
 
     @property
-    def field_of_view_deg(self):
+    def field_of_view_deg(self) -> tuple[float, float]:
         """Undistorted horizontal and vertical field of view [deg]."""
-        return tuple(float(np.degrees(2 * np.arctan(n / 2 / self.focal_length_px))) for n in (self.width, self.height))
+        sides = self.width, self.height
+        across, down = (float(np.degrees(2 * np.arctan(n / 2 / self.focal_length_px))) for n in sides)
+        return across, down
 
     @cached_property
-    def _principal_point(self):
+    def _principal_point(self) -> NDArray[np.float64]:
         return np.array([self.width / 2, self.height / 2]) + self.principal_offset_px
 
-    def project(self, points):
+    def project(self, points: ArrayLike) -> NDArray[np.float64]:
         """Return image coordinates, (..., 2) [px], of points in camera axes; NaN behind the camera.
 
         Parameters
@@ -252,8 +260,8 @@ class Camera:
         depth = np.where(points[..., 2:] > 0.0, points[..., 2:], np.nan)
         return self._distort(points[..., :2] / depth) * self.focal_length_px + self._principal_point
 
-    def directions(self, pixel):
-        """Return the directions that image in `pixel`, (..., 2), as x/z and y/z in camera axes.
+    def directions(self, pixel: ArrayLike) -> NDArray[np.float64]:
+        """Return the directions imaged at `pixel`, (..., 2), as x/z and y/z in camera axes.
 
         Parameters
         ----------
@@ -269,7 +277,7 @@ class Camera:
         -----
         Newton's method on the Brown–Conrady model (Brown 1971), to 1e-12 of the focal length. OpenCV's
         `undistortPoints` iterates a fixed point: five rounds leave 0.002 pixels at the corner of a strongly
-        distorted image, and where the model folds it answers with a wrong direction instead of an error.
+        distorted image, and at a fold of the model it returns a wrong direction instead of an error.
         """
         target = (np.asarray(pixel, dtype=np.float64) - self._principal_point) / self.focal_length_px
         if not any(self.distortion):
@@ -286,7 +294,7 @@ class Camera:
             determinant = along_x[..., 0] * along_y[..., 1] - along_x[..., 1] * along_y[..., 0]
             point[..., 0] -= (along_y[..., 1] * error[..., 0] - along_y[..., 0] * error[..., 1]) / determinant
             point[..., 1] -= (along_x[..., 0] * error[..., 1] - along_x[..., 1] * error[..., 0]) / determinant
-        # A fold of the model has solutions too, but on its far side: there it turns the image over.
+        # Beyond a fold the model has solutions too, but they invert the image.
         k1, k2, _, _, k3 = self.distortion
         r2 = (point**2).sum(axis=-1)
         radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
@@ -299,7 +307,7 @@ class Camera:
             )
         return point
 
-    def _distort(self, point):
+    def _distort(self, point: NDArray[np.float64]) -> NDArray[np.float64]:
         k1, k2, p1, p2, k3 = self.distortion
         x, y = point[..., 0], point[..., 1]
         r2 = x**2 + y**2
@@ -313,23 +321,28 @@ class Camera:
         )
 
 
-def model_path(name, where="camera model"):
+def camera_names() -> list[str]:
+    """Return the names of the shipped models, in order."""
+    return sorted(item.stem for item in (Path(__file__).parent / "cameras").glob("*.toml"))
+
+
+def model_path(name: str | PathLike[str], where: str = "camera model") -> Path:
     """Return the TOML file of a shipped model, or the path itself if it ends in .toml."""
     path = Path(name) if str(name).endswith(".toml") else Path(__file__).parent / "cameras" / f"{name}.toml"
     if not path.is_file():
-        known = sorted(item.stem for item in (Path(__file__).parent / "cameras").glob("*.toml"))
-        raise ThermorenderError(f"{where} {str(name)!r} is unknown; give one of {', '.join(known)} or a .toml file")
+        known = ", ".join(camera_names())
+        raise ThermorenderError(f"{where} {str(name)!r} is unknown; give one of {known} or a .toml file")
     return path
 
 
-def load_camera(name, where="camera model"):
+def load_camera(name: str | PathLike[str], where: str = "camera model") -> Camera:
     """Return the Camera of a shipped model, or of a TOML file of the same form given by path.
 
     Parameters
     ----------
     name : str or path
     where : str
-        What the name is called where the user wrote it, for messages.
+        Where the user gave the name, for error messages.
 
     Raises
     ------
@@ -340,8 +353,9 @@ def load_camera(name, where="camera model"):
     return read(Camera, read_toml(path), Where(path), name=path.stem)
 
 
-def _image_edge(width, height):
+def _image_edge(width: int, height: int) -> NDArray[np.float64]:
     """Image coordinates along the border of an image, (N, 2) [px]."""
     across, along = np.linspace(0.0, width, 65), np.linspace(0.0, height, 65)
+    sides: list[tuple[ArrayLike, ArrayLike]]
     sides = [(across, 0.0), (across, float(height)), (0.0, along), (float(width), along)]
     return np.concatenate([np.stack(np.broadcast_arrays(x, y), axis=-1) for x, y in sides])

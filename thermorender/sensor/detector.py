@@ -1,24 +1,30 @@
 """The microbolometer pixel as a heat capacity: absorbed power, its exponential response, rows read one after another.
 
-C dΔT/dt = P − G ΔT has the time constant C/G. The signal is kept in watts of steady power, G ΔT, so that neither C nor
-G is needed. Between two instants at which the power is known it is taken as linear in time; the response to that is
-exact, so no step is too long for it.
+C dΔT/dt = P − G ΔT has the time constant C/G. The signal is stored in watts of steady power, G ΔT, so neither C nor
+G is needed. Between two instants at which the power is known, it is linear in time. The response to that is exact, so
+no step is too long.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-# Share of a difference that pixels no longer show.
+from thermorender.sensor.camera import Camera, Image
+
+# Remaining share of a difference below which pixels count as settled.
 SETTLED = 1e-7
 
 
-def absorbed_power(irradiance, camera):
+def absorbed_power(irradiance: Any, camera: Camera) -> Any:
     """Return the power that heats a pixel [W], in the shape of `irradiance` [W m⁻²]."""
     return irradiance * (camera.absorptance * (camera.pixel_pitch_um * 1e-6) ** 2)
 
 
-def response_weights(span_s, time_constant_s):
+def response_weights(
+    span_s: ArrayLike, time_constant_s: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return (old, first, last): the signal after a span is old·signal + first·P(start) + last·P(end).
 
     Parameters
@@ -41,49 +47,49 @@ def response_weights(span_s, time_constant_s):
     if not time_constant_s:
         return np.zeros_like(span), np.zeros_like(span), np.ones_like(span)
     x = span / time_constant_s
-    # (1−e⁻ˣ)/x, and its limit where nothing passes.
+    # (1−e⁻ˣ)/x, and its limit at x = 0.
     mean = np.where(x > 0.0, -np.expm1(-x) / np.where(x > 0.0, x, 1.0), 1.0)
     old = np.exp(-x)
     return old, mean - old, 1.0 - mean
 
 
-def row_delays(camera, frame_interval_s=np.inf):
-    """Return when each row is read, (H,) [s], against the frame's time: the middle of the read-out.
+def row_delays(camera: Camera, frame_interval_s: float = np.inf) -> NDArray[np.float64]:
+    """Return the read-out time of each row, (H,) [s], from the frame's time, which is the middle of the read-out.
 
-    No read-out takes longer than from one frame to the next.
+    The read-out takes at most one frame interval.
     """
     row_s = min(camera.row_time_us * 1e-6, frame_interval_s / camera.height)
-    return (np.arange(camera.height) - 0.5 * (camera.height - 1)) * row_s
+    return (np.arange(camera.height, dtype=np.float64) - 0.5 * (camera.height - 1)) * row_s
 
 
 @dataclass(frozen=True)
 class PixelState:
-    """The pixels at one instant: what the next frame starts from.
+    """The pixels at one instant, from which the next frame starts.
 
     Attributes
     ----------
     time_s : float
     signal : (H, W) float32
-        What each pixel would be read as [W].
+        Of each pixel, if it were read now [W].
     power : (H, W) float32
-        What heats each pixel [W].
+        Absorbed by each pixel [W].
     error_mk : float
-        Estimated error of the signal by what was followed in parts of the image, root mean square over all [mK].
+        Estimated error of the signal from following parts of the image, root mean square over all pixels [mK].
     """
 
     time_s: float
-    signal: np.ndarray
-    power: np.ndarray
+    signal: Image
+    power: Image
     error_mk: float = 0.0
 
 
-def steady(time_s, power):
-    """Return the PixelState of pixels that have been heated with `power` for long."""
+def steady(time_s: float, power: Image) -> PixelState:
+    """Return the PixelState of pixels in equilibrium with `power`."""
     return PixelState(float(time_s), power, power)
 
 
-def stepped(state, time_s, power, time_constant_s):
-    """Return the PixelState at `time_s` after the power has been as it is now ever since the last instant."""
+def stepped(state: PixelState, time_s: float, power: Image, time_constant_s: float) -> PixelState:
+    """Return the PixelState at `time_s` if the power was `power` since the last instant."""
     old, _, _ = response_weights(time_s - state.time_s, time_constant_s)
     if old < SETTLED:
         return steady(time_s, power)
@@ -91,21 +97,24 @@ def stepped(state, time_s, power, time_constant_s):
     return PixelState(float(time_s), signal, power)
 
 
-def advanced(state, time_s, power, time_constant_s):
-    """Return the PixelState at `time_s` after the power has changed evenly to `power`."""
-    old, first, last = map(np.float32, response_weights(time_s - state.time_s, time_constant_s))
+def advanced(state: PixelState, time_s: float, power: Image, time_constant_s: float) -> PixelState:
+    """Return the PixelState at `time_s` after the power has changed linearly to `power`."""
+    old, first, last = (np.float32(weight) for weight in response_weights(time_s - state.time_s, time_constant_s))
     return PixelState(float(time_s), old * state.signal + first * state.power + last * power, power)
 
 
-def read_rows(state, time_s, power, row_times_s, rows, time_constant_s, out):
-    """Read those rows into `out` that come up while the power changes evenly to `power` at `time_s`.
+def read_rows(
+    state: PixelState, time_s: float, power: Image, row_times_s: NDArray[np.float64], rows: slice,
+    time_constant_s: float, out: Image,
+) -> None:  # fmt: skip
+    """Read rows into `out` while the power changes linearly to `power` at `time_s`.
 
     Parameters
     ----------
     state : PixelState
         The pixels at the start.
     time_s, power
-        The end, and the (H, W) power then [W].
+        The end [s], and the (H, W) power at that time [W].
     row_times_s : (n,) array
         When each of the rows is read, between start and end [s].
     rows : slice of n rows
@@ -115,7 +124,37 @@ def read_rows(state, time_s, power, row_times_s, rows, time_constant_s, out):
     passed = np.asarray(row_times_s) - state.time_s
     old, first, last = response_weights(passed, time_constant_s)
     share = passed / whole if whole > 0.0 else np.ones_like(passed)
-    # The power at a row's own instant lies between those at both ends.
+    # The power at the time of a row is interpolated between both ends.
     weights = (old, first + last * (1.0 - share), last * share)
-    old, first, last = (weight.astype(np.float32)[:, None] for weight in weights)
-    out[rows] = old * state.signal[rows] + first * state.power[rows] + last * power[rows]
+    a, b, c = (weight.astype(np.float32)[:, None] for weight in weights)
+    out[rows] = a * state.signal[rows] + b * state.power[rows] + c * power[rows]
+
+
+class Follower:
+    """Pixels that are heated from instant to instant, and their rows as they are read in between.
+
+    Attributes
+    ----------
+    pixels : PixelState or None
+        At the last instant; None before the first.
+    signal : (H, W) float32
+        Of the rows read so far [W].
+    """
+
+    def __init__(
+        self, pixels: PixelState | None, row_times_s: NDArray[np.float64], time_constant_s: float,
+        shape: tuple[int, ...],
+    ) -> None:  # fmt: skip
+        self.pixels, self.signal = pixels, np.empty(shape, np.float32)
+        self._row_times_s, self._time_constant_s, self._done = row_times_s, time_constant_s, 0
+
+    def step(self, time_s: float, power: Image, last: bool) -> None:
+        """Advance to an instant at which pixels absorb `power`; the last instant reads all remaining rows."""
+        if self.pixels is None:
+            self.pixels = steady(time_s, power)
+        until = len(self._row_times_s) if last else int(np.searchsorted(self._row_times_s, time_s, "right"))
+        if until > self._done:
+            rows = slice(self._done, until)
+            read_rows(self.pixels, time_s, power, self._row_times_s[rows], rows, self._time_constant_s, self.signal)
+            self._done = until
+        self.pixels = advanced(self.pixels, time_s, power, self._time_constant_s)

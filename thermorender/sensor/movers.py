@@ -1,78 +1,84 @@
-"""Things that move or warm by themselves: which parts of an image they change, and how fast.
+"""Moving or warming objects: the parts of an image that they change, and how fast.
 
-What moves with the camera alone moves all over the image, and one image tells much of the others. A thing with a course
-of its own is followed in the part of the image that it crosses, and only there.
+Motion of the camera moves the whole image, and one image largely predicts the next. An object on a track is followed
+separately in the part of the image that it crosses.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from thermorender.sensor.camera import Camera, Pose
 from thermorender.sensor.psf import COARSE, STEP
 
-# Evenly spaced times at which things are projected, besides those at which their courses bend.
+# Evenly spaced times at which objects are projected, in addition to the bends of their tracks.
 _LOOKS = 9
-# Motion over less than this share of a span is a jump: its two ends are instants of their own.
+# Motion over less than this share of a span is a jump; both its ends are instants.
 _JUMP = 0.02
-# Radiance curves over temperature: between instants so far apart [K] a straight line errs by 10 mK in the mean.
+# Radiance is nonlinear in temperature: over a step of this size [K] a straight line has a mean error of 10 mK.
 _WARMING_K = 3.0
-# How many squares, over which the tails of the lens's blur are summed, reach into a part.
+# Squares of the coarse blur kernel that reach into a part.
 _REACH = COARSE // 2 + 1
 
 
 @dataclass(frozen=True)
 class Mover:
-    """A thing with a course of its own.
+    """An object that moves or warms along a track.
 
     Attributes
     ----------
     corners_at : callable
-        Time [s] → (n, 3) corners of a box round it, in the world [m].
+        Time [s] → (n, 3) corners of its bounding box, in the world [m].
     temperature_at : callable
         Time [s] → [K].
     times_s : (n,) float64
-        Rising; between them its place and temperature change evenly [s].
+        Rising; position and temperature are linear between them [s].
     """
 
-    corners_at: Callable
-    temperature_at: Callable
-    times_s: np.ndarray
+    corners_at: Callable[[float], NDArray[np.float64]]
+    temperature_at: Callable[[float], float]
+    times_s: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Part:
-    """A part of an image that things change while they are watched.
+    """A part of an image that moving objects change.
 
     Attributes
     ----------
     rows, columns : slice
         Of the image.
     px_per_s : float
-        How fast they move in the image, at most, jumps apart [px/s].
+        Largest speed of the objects in the image, without jumps [px/s].
     bends_s : (n,) float64
-        When their courses bend, rising [s].
+        Bends of their tracks, rising [s].
     warming_s : (n,) float64
-        Between that, where they warm so much that their radiance curves, rising [s].
+        Times between, where they warm so fast that radiance is not linear in time, rising [s].
     """
 
     rows: slice
     columns: slice
     px_per_s: float
-    bends_s: np.ndarray
-    warming_s: np.ndarray
+    bends_s: NDArray[np.float64]
+    warming_s: NDArray[np.float64]
 
-    def around(self, height, width):
-        """Return (rows, columns) that hold all that the lens spreads into this part, in whole squares of its tails."""
-        found = []
-        for side, n in ((self.rows, height), (self.columns, width)):
+    def around(self, height: int, width: int) -> tuple[slice, slice]:
+        """Return (rows, columns) from which the lens blurs into this part, in whole squares of the coarse kernel."""
+
+        def wider(side: slice, n: int) -> slice:
             first, last = side.start // STEP - _REACH, -(-side.stop // STEP) + _REACH
-            found.append(slice(max(first * STEP, 0), min(last * STEP, n)))
-        return tuple(found)
+            return slice(max(first * STEP, 0), min(last * STEP, n))
+
+        return wider(self.rows, height), wider(self.columns, width)
 
 
-def parts(camera, pose_at, movers, since_s, until_s, margin_px, moved_s=0.0):
-    """Return the Parts of an image that things change between two times; none overlap.
+def parts(
+    camera: Camera, pose_at: Callable[[float], Pose], movers: Sequence[Mover], since_s: float, until_s: float,
+    margin_px: int, moved_s: float = 0.0,
+) -> list[Part]:  # fmt: skip
+    """Return the Parts of an image that objects change between two times; none overlap.
 
     Parameters
     ----------
@@ -82,12 +88,13 @@ def parts(camera, pose_at, movers, since_s, until_s, margin_px, moved_s=0.0):
     movers : sequence of Mover
     since_s, until_s : float
     margin_px : int
-        Of a part beyond the things' boxes.
+        Of a part around the objects' boxes.
     moved_s : float
-        Up to how far images are moved in time, which shows things where poses so much before and after have them [s].
+        Longest time over which images are moved; it shifts objects to where poses so much earlier or later show
+        them [s].
     """
-    found = [_part(camera, pose_at, mover, since_s, until_s, margin_px, moved_s) for mover in movers]
-    found, apart = [part for part in found if part], []
+    made = (_part(camera, pose_at, mover, since_s, until_s, margin_px, moved_s) for mover in movers)
+    found, apart = [part for part in made if part], list[Part]()
     while found:
         part = found.pop()
         other = next((other for other in found if _overlap(part, other)), None)
@@ -95,19 +102,17 @@ def parts(camera, pose_at, movers, since_s, until_s, margin_px, moved_s=0.0):
             apart.append(part)
             continue
         found.remove(other)
-        found.append(
-            Part(
-                *(slice(min(a.start, b.start), max(a.stop, b.stop)) for a, b in _sides(part, other)),
-                max(part.px_per_s, other.px_per_s),
-                np.union1d(part.bends_s, other.bends_s),
-                np.union1d(part.warming_s, other.warming_s),
-            )
-        )
+        rows, columns = (slice(min(a.start, b.start), max(a.stop, b.stop)) for a, b in _sides(part, other))
+        bends, warming = np.union1d(part.bends_s, other.bends_s), np.union1d(part.warming_s, other.warming_s)
+        found.append(Part(rows, columns, max(part.px_per_s, other.px_per_s), bends, warming))
     return apart
 
 
-def _part(camera, pose_at, mover, since_s, until_s, margin_px, moved_s):
-    """That of one thing; None where it stays as it is or is not seen."""
+def _part(
+    camera: Camera, pose_at: Callable[[float], Pose], mover: Mover, since_s: float, until_s: float, margin_px: int,
+    moved_s: float,
+) -> Part | None:  # fmt: skip
+    """The part of one object; None if it does not change or is not visible."""
     bends = mover.times_s[(mover.times_s > since_s) & (mover.times_s < until_s)]
     times = np.union1d(np.linspace(since_s, until_s, _LOOKS), bends)
     corners = [mover.corners_at(time_s) for time_s in times]
@@ -123,7 +128,7 @@ def _part(camera, pose_at, mover, since_s, until_s, margin_px, moved_s):
     hidden = np.isnan(pixel[..., 0])
     if hidden.all():
         return None
-    # What is partly beside the camera may be anywhere.
+    # An object partly behind the camera may be anywhere in the image.
     beside = hidden.any()
     least, most = (np.zeros(2), size) if beside else (end(shown, axis=(0, 1, 2)) for end in (np.nanmin, np.nanmax))
     first = np.clip(np.floor(least) - margin_px, 0, size).astype(int)
@@ -133,18 +138,19 @@ def _part(camera, pose_at, mover, since_s, until_s, margin_px, moved_s):
     span = np.diff(times)
     lasting = np.minimum(span / (camera.time_constant_s or span), 1.0)
     steps = np.ceil(np.abs(np.diff(warm)) / _WARMING_K * np.sqrt(lasting)).astype(int)
-    warming = [np.linspace(*ends, n, endpoint=False)[1:] for *ends, n in zip(times[:-1], times[1:], steps, strict=True)]
+    spans = zip(times[:-1], times[1:], steps, strict=True)
+    warming = [np.linspace(start, end, n, endpoint=False)[1:] for start, end, n in spans]
     slow = span > _JUMP * (until_s - since_s)
     with np.errstate(invalid="ignore"):
         speed = np.linalg.norm(np.diff(pixel, axis=0), axis=-1)[slow] / span[slow, None]
-    # Of what comes from behind the camera the seen corners tell.
+    # Of an object from behind the camera, the visible corners give the speed.
     fastest = float(np.nanmax(speed)) if not np.isnan(speed).all() else float(size.max() / (until_s - since_s))
     return Part(slice(first[1], last[1]), slice(first[0], last[0]), fastest, bends, np.concatenate(warming))
 
 
-def _sides(one, other):
+def _sides(one: Part, other: Part) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
     return (one.rows, other.rows), (one.columns, other.columns)
 
 
-def _overlap(one, other):
+def _overlap(one: Part, other: Part) -> bool:
     return all(a.start < b.stop and b.start < a.stop for a, b in _sides(one, other))

@@ -1,26 +1,31 @@
 """The lens's blur: its optical transfer function, and the small kernel that applies it to an image of pixels.
 
-A rendered pixel is already the mean over the pixel's area, so the pixel's aperture is in the image; the kernel holds
-what the lens does, and nothing of the pixel. A lens blurs before pixels take their samples: detail finer than they show
-is folded down here before it is blurred, which the study `validation.sensor` measures.
+A rendered pixel is already the mean over the pixel's area, so the image contains the pixel aperture and the kernel
+only the lens. A real lens blurs before the pixels sample the image. Here detail finer than the pixels is aliased
+before it is blurred; the study `validation.sensor` measures this error.
 """
 
+from collections.abc import Callable
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.physics.planck import spectral_radiance
+from thermorender.sensor.camera import Camera, Image
 
-# Wavelengths that stand for the band, and the temperature whose spectrum weights them [K].
+# Number of wavelengths that sample the band, and the temperature whose spectrum weights them [K].
 _WAVELENGTHS, _SOURCE_K = 8, 300.0
-# Sides of the two kernels, and how many pixels a square of the coarse one spans.
+# Sides of the two kernels, and width of a square of the coarse one [px].
 FINE, COARSE, STEP = 7, 5, 8
-# Frequencies per axis of the fit, and the lowest: one cycle in a whole image [cycles per pixel].
+# Frequencies per axis of the fit, and the lowest: one cycle per image [cycles per pixel].
 _FREQUENCIES, _LOWEST = 64, 1.0 / 640.0
 
 
-def lens_otf(frequency, wavelength_um, f_number, defocus_um=0.0):
+def lens_otf(
+    frequency: ArrayLike, wavelength_um: float, f_number: float, defocus_um: float = 0.0
+) -> NDArray[np.float64]:
     """Return the optical transfer function of an aberration-free lens with a round aperture, real.
 
     Parameters
@@ -52,16 +57,15 @@ def lens_otf(frequency, wavelength_um, f_number, defocus_um=0.0):
     return 4.0 / np.pi * ((height * wave * 2.0 * width * u) @ (0.5 * weight))
 
 
-def gaussian_otf(frequency, sigma_px):
+def gaussian_otf(frequency: NDArray[np.float64], sigma_px: float) -> NDArray[np.float64]:
     """Return the transfer function of a Gaussian of width `sigma_px` [px] at frequencies [cycles per pixel]."""
     return np.exp(-2.0 * (np.pi * sigma_px * frequency) ** 2)
 
 
-def otf(camera, frequency):
-    """Return the transfer function of a camera's lens at frequencies [cycles per pixel], without the pixel's own.
+def otf(camera: Camera, frequency: ArrayLike) -> NDArray[np.float64]:
+    """Return the transfer function of a camera's lens at frequencies [cycles per pixel], without the pixel aperture.
 
-    The mean over the band, weighted with the spectrum of a blackbody at 300 K, times the Gaussian of the remaining
-    blur.
+    The mean over the band, weighted with the spectrum of a blackbody at 300 K, times the Gaussian of all other blur.
     """
     frequency = np.asarray(frequency, np.float64)
     blur = gaussian_otf(frequency, camera.blur_sigma_px)
@@ -81,18 +85,18 @@ class Blur(NamedTuple):
     Attributes
     ----------
     fine, coarse : (n, n) float32
-        Together their sum is 1.
+        Their total sum is 1.
     error : float
-        Root mean square error over the contrast of a scene, as `blur_of` takes scenes.
+        Root mean square error over the contrast of a scene, with the scene spectrum of `blur_of`.
     """
 
-    fine: np.ndarray
-    coarse: np.ndarray
+    fine: Image
+    coarse: Image
     error: float
 
 
 @lru_cache(maxsize=16)
-def blur_of(camera, fine=FINE, coarse=COARSE):
+def blur_of(camera: Camera, fine: int = FINE, coarse: int = COARSE) -> Blur:
     """Return the Blur that applies `otf` to an image of pixels.
 
     Parameters
@@ -103,10 +107,10 @@ def blur_of(camera, fine=FINE, coarse=COARSE):
 
     Notes
     -----
-    Least squares up to the Nyquist frequencies. Frequencies count as they do in scenes: power falls with the square
-    of frequency (Field 1987, doi:10.1364/JOSAA.4.002379), and pixels have averaged over their area. The tails
-    matter: a round aperture spreads 6 % of the light beyond 2.5 pixels, which moves a scene's contrast by 1.9 %
-    root mean square where a 5 × 5 kernel gathers them.
+    Least squares up to the Nyquist frequencies, weighted with the spectrum of scenes: power falls with the square of
+    frequency (Field 1987, doi:10.1364/JOSAA.4.002379), times the pixel aperture. The tails matter: a round aperture
+    spreads 6 % of the light beyond 2.5 pixels. A 5 × 5 kernel without them changes a scene's contrast by 1.9 % root
+    mean square.
     """
     edge = np.concatenate([[0.0], np.geomspace(_LOWEST, 0.5, _FREQUENCIES)])
     line, width = 0.5 * (edge[1:] + edge[:-1]), np.diff(edge)
@@ -114,12 +118,12 @@ def blur_of(camera, fine=FINE, coarse=COARSE):
     table = np.concatenate([[0.0], np.geomspace(0.1 * _LOWEST, np.sqrt(0.5), 2000)])
     transfer = np.interp(radius, table, otf(camera, table))
     scene = np.outer(np.sinc(line) ** 2 * width, np.sinc(line) ** 2 * width) / (radius**2 + _LOWEST**2)
-    # Averaging over squares, and going back by linear interpolation.
+    # Averaging over squares, and linear interpolation back to pixels.
     there_and_back = np.sinc(STEP * line) ** 3
     fine_waves = _waves(line, fine)
     coarse_waves = [there_and_back[:, None] * wave * there_and_back for wave in _waves(STEP * line, coarse)]
     waves = np.stack([*fine_waves, *coarse_waves], axis=-1)
-    # The middle of the fine kernel, which comes first, takes what is left to a sum of 1.
+    # The centre of the fine kernel, which comes first, completes the sum to 1.
     count = np.array([wave[0] for wave in _waves(np.zeros(1), fine) + _waves(np.zeros(1), coarse)]).ravel()
     free, weight = waves[..., 1:] - count[1:], np.sqrt(scene)
     wanted = ((transfer - 1.0) * weight).ravel()
@@ -131,54 +135,53 @@ def blur_of(camera, fine=FINE, coarse=COARSE):
     return Blur(_kernel(values[:split], fine), _kernel(values[split:], coarse), error)
 
 
-def blurred(image, blur):
-    """Return an image (H, W) after a Blur, in its own precision, mirrored at its borders; itself without one."""
+def blurred(image: Image, blur: Blur | None) -> Image:
+    """Return an image (H, W) after a Blur, in the precision of the image, mirrored at its borders; None: unchanged."""
     import cv2
 
     if blur is None:
         return image
-    near = cv2.filter2D(image, -1, blur.fine, borderType=cv2.BORDER_REFLECT)
+    near: Any = cv2.filter2D(image, -1, blur.fine, borderType=cv2.BORDER_REFLECT)
     if not blur.coarse.size:
         return near
     height, width = image.shape
     down, right = -height % STEP, -width % STEP
-    if down or right:
-        image = cv2.copyMakeBorder(image, 0, down, 0, right, cv2.BORDER_REFLECT)
-    size = (image.shape[1] // STEP, image.shape[0] // STEP)
-    squares = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    # In whole squares.
+    whole: Any = cv2.copyMakeBorder(image, 0, down, 0, right, cv2.BORDER_REFLECT) if down or right else image
+    size = (whole.shape[1], whole.shape[0])
+    squares = cv2.resize(whole, (size[0] // STEP, size[1] // STEP), interpolation=cv2.INTER_AREA)
     squares = cv2.filter2D(squares, -1, blur.coarse, borderType=cv2.BORDER_REFLECT)
-    far = cv2.resize(squares, (image.shape[1], image.shape[0]), interpolation=cv2.INTER_LINEAR)
+    far: Any = cv2.resize(squares, size, interpolation=cv2.INTER_LINEAR)
     near += far[:height, :width]
     return near
 
 
-def filtered(image, transfer):
+def filtered(image: ArrayLike, transfer: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> NDArray[np.float64]:
     """Return an image (H, W) float64 after a transfer function of frequency [cycles per pixel], exactly.
 
-    The image's cosine series is multiplied, which mirrors it at its borders: slow beside `blurred`, and its measure.
+    The cosine series of the image is multiplied, which mirrors it at its borders: the slow reference of `blurred`.
     """
     from scipy.fft import dctn, idctn
 
+    image = np.asarray(image, np.float64)
     row, column = (0.5 * np.arange(n) / n for n in image.shape)
-    values = dctn(np.asarray(image, np.float64), norm="ortho") * transfer(np.hypot(row[:, None], column))
-    return idctn(values, norm="ortho")
+    return idctn(dctn(image, norm="ortho") * transfer(np.hypot(row[:, None], column)), norm="ortho")
 
 
-def _offsets(side):
-    """Offsets (m, n) of the weights in one eighth of a kernel, 0 ≤ n ≤ m; the others mirror them."""
+def _offsets(side: int) -> list[tuple[int, int]]:
+    """Offsets (m, n) of the weights in one eighth of a kernel, 0 ≤ n ≤ m; the others are mirrored."""
     return [(m, n) for m in range(side // 2 + 1) for n in range(m + 1)] if side else []
 
 
-def _waves(line, side):
+def _waves(line: NDArray[np.float64], side: int) -> list[NDArray[np.float64]]:
     """Transfer functions over a quarter of the plane of ones at (±m, ±n) and (±n, ±m), for each of `_offsets`."""
     cosine = [np.cos(2.0 * np.pi * m * line) * (2.0 if m else 1.0) for m in range(side // 2 + 1)]
     return [
-        np.outer(cosine[m], cosine[n]) + (np.outer(cosine[n], cosine[m]) if m != n else 0.0)
-        for m, n in _offsets(side)
+        np.outer(cosine[m], cosine[n]) + (np.outer(cosine[n], cosine[m]) if m != n else 0.0) for m, n in _offsets(side)
     ]
 
 
-def _kernel(values, side):
+def _kernel(values: NDArray[np.float64], side: int) -> Image:
     half, weights = side // 2, np.zeros((side, side), np.float32)
     for (m, n), value in zip(_offsets(side), values, strict=True):
         for i, j in ((m, n), (n, m)):

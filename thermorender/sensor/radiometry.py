@@ -1,26 +1,28 @@
-"""What thermography software reads: the camera's own temperature formula, and its corrections for surface and air.
+"""The reading of thermography software: the camera's temperature formula, with corrections for surface and air.
 
-A radiometric camera turns its signal S into kelvin by T = B / ln(R1 / (R2 (S + O)) + F), a Planck-like curve fitted
-at the factory. The software first subtracts what it assumes not to come from the surface: the reflection of the
-surroundings (emissivity, reflected temperature), the glow of the air and of a window before the lens. It assumes
-one emissivity, one distance and one air for the whole picture, so it errs where the truth differs.
+A radiometric camera converts its signal S to kelvin by T = B / ln(R1 / (R2 (S + O)) + F), a Planck-like curve fitted
+at the factory. The software first subtracts the radiation that does not come from the surface: the reflection of the
+surroundings (emissivity, reflected temperature), and the emission of the air and of a window before the lens. It
+assumes one emissivity, one distance and one air for the whole image, so it is wrong where the truth differs.
 """
 
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.schema import Where, checked, key, number, read
+from thermorender.sensor.camera import Camera
 from thermorender.sensor.readout import radiance_from_counts
 from thermorender.units import ZERO_CELSIUS_K
 
 
 @dataclass(frozen=True)
 class PlanckConstants:
-    """Constants of a camera's temperature formula, as FLIR names them.
+    """Constants of a camera's temperature formula, with FLIR's names.
 
     Attributes
     ----------
@@ -37,21 +39,21 @@ class PlanckConstants:
     o: float
     r2: float = 1.0
 
-    def temperature(self, signal):
+    def temperature(self, signal: ArrayLike) -> NDArray[np.float64]:
         """Return the temperature [K] of a blackbody with this signal; NaN below the formula's zero."""
         signal = np.asarray(signal, np.float64) + self.o
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = self.r1 / (self.r2 * signal) + self.f
             return np.where((signal > 0.0) & (ratio > 1.0), self.b / np.log(ratio), np.nan)[()]
 
-    def signal(self, temperature):
+    def signal(self, temperature: ArrayLike) -> NDArray[np.float64]:
         """Return the signal of a blackbody at a temperature [K]; the inverse of `temperature`."""
         return self.r1 / (self.r2 * (np.exp(self.b / np.asarray(temperature, np.float64)) - self.f)) - self.o
 
 
 @dataclass(frozen=True)
 class AirModel:
-    """Constants of FLIR's transmittance of air; the defaults stand in nearly every radiometric JPEG.
+    """Constants of FLIR's transmittance of air; nearly every radiometric JPEG holds the defaults.
 
     Notes
     -----
@@ -66,8 +68,8 @@ class AirModel:
     beta2: float = -0.006670
     x: float = 1.9
 
-    def transmittance(self, air_c, humidity, distance_m):
-        """Return the transmittance the software assumes, between 0 and 1.
+    def transmittance(self, air_c: float, humidity: float, distance_m: float) -> float:
+        """Return the transmittance that the software assumes, between 0 and 1.
 
         Parameters
         ----------
@@ -81,11 +83,11 @@ class AirModel:
         root, path = np.sqrt(water_vapour(air_c, humidity)), np.sqrt(distance_m)
         first = np.exp(-path * (self.alpha1 + self.beta1 * root))
         second = np.exp(-path * (self.alpha2 + self.beta2 * root))
-        # In very damp air the exponents change sign and the formula leaves 0 … 1.
+        # In very humid air the exponents change sign and the formula leaves 0 … 1.
         return float(np.clip(self.x * first + (1.0 - self.x) * second, 0.0, 1.0))
 
 
-def water_vapour(air_c, humidity):
+def water_vapour(air_c: ArrayLike, humidity: float) -> NDArray[np.float64]:
     """Return the density of water vapour [g m⁻³] of air at a temperature [°C] and relative humidity (0 … 1).
 
     Notes
@@ -98,14 +100,14 @@ def water_vapour(air_c, humidity):
 
 @dataclass(frozen=True)
 class ThermographySettings:
-    """What the thermography software is told about surface, air and window; the defaults correct nothing.
+    """Settings of thermography software for surface, air and window; the defaults correct nothing.
 
     Attributes
     ----------
     emissivity : float
         Of every surface, above 0, up to 1.
     reflected_c : float
-        Apparent temperature of what surfaces reflect [°C].
+        Apparent temperature of the surroundings that surfaces reflect [°C].
     air_c : float
         Temperature of the air [°C].
     humidity : float
@@ -124,13 +126,13 @@ class ThermographySettings:
     window_c: float = key(number(-100.0, 1000.0), 20.0)
     window_transmittance: float = key(number(1e-3, 1.0), 1.0)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         checked(self, "thermography")
 
     @classmethod
-    def parse(cls, text):
-        """Return the settings of a text such as "emissivity=0.95,air_c=15,distance_m=100"."""
-        where, values = Where("thermography"), {}
+    def parse(cls, text: str) -> "ThermographySettings":
+        """Return the settings in a text such as "emissivity=0.95,air_c=15,distance_m=100"."""
+        where, values = Where("thermography"), dict[str, float | str]()
         for part in filter(None, (part.strip() for part in text.split(","))):
             name, _, value = (piece.strip() for piece in part.partition("="))
             if name in values:
@@ -142,8 +144,10 @@ class ThermographySettings:
         return read(cls, values, where)
 
 
-def thermography_temperature(signal, planck, settings, air=None):
-    """Return the temperature thermography software reads, in the shape of `signal` [K]; NaN where it has none.
+def thermography_temperature(
+    signal: ArrayLike, planck: PlanckConstants, settings: ThermographySettings, air: AirModel | None = None
+) -> NDArray[np.float64]:
+    """Return the reading of thermography software, in the shape of `signal` [K]; NaN where the formula has no value.
 
     Parameters
     ----------
@@ -156,7 +160,7 @@ def thermography_temperature(signal, planck, settings, air=None):
     Notes
     -----
     S = τ_w [τ (ε S(T) + (1−ε) S(T_refl)) + (1−τ) S(T_air)] + (1−τ_w) S(T_window), solved for T. The shares sum to
-    one, so the constant O drops out of all but the formula itself.
+    one, so the constant O matters only in the formula itself.
     """
     tau = (air or AirModel()).transmittance(settings.air_c, settings.humidity, settings.distance_m)
     if tau < 1e-3:
@@ -173,8 +177,10 @@ def thermography_temperature(signal, planck, settings, air=None):
     return planck.temperature((left - (1.0 - settings.emissivity) * reflected) / settings.emissivity)
 
 
-def thermography_reading(counts, camera, settings):
-    """Return the temperatures that thermography software reads from a frame's counts, (H, W) float32 [K].
+def thermography_reading(
+    counts: NDArray[np.uint16], camera: Camera, settings: ThermographySettings
+) -> NDArray[np.float32]:
+    """Return the reading of thermography software from a frame's counts, (H, W) float32 [K].
 
     Parameters
     ----------
@@ -182,19 +188,19 @@ def thermography_reading(counts, camera, settings):
     camera : Camera
     settings : ThermographySettings
     """
-    # There are fewer counts than pixels.
+    # A table by count, since there are fewer counts than pixels.
     signal = radiance_from_counts(np.arange(int(counts.max()) + 1), camera)
     return thermography_temperature(signal, camera_constants(camera), settings).astype(np.float32)[counts]
 
 
-def camera_constants(camera):
+def camera_constants(camera: Camera) -> PlanckConstants:
     """Return the PlanckConstants of a Camera, fitted to its band over the range of its gain."""
     return fitted_constants(tuple(camera.band_um), *camera.count_range_k)
 
 
 @lru_cache(maxsize=32)
-def fitted_constants(band_um, coldest, warmest):
-    """Return the PlanckConstants that stand for a flat band, with band radiance [W m⁻² sr⁻¹] as the signal.
+def fitted_constants(band_um: tuple[float, float], coldest: float, warmest: float) -> PlanckConstants:
+    """Return the PlanckConstants of a flat band, with band radiance [W m⁻² sr⁻¹] as the signal.
 
     Parameters
     ----------
@@ -205,9 +211,8 @@ def fitted_constants(band_um, coldest, warmest):
 
     Notes
     -----
-    Least squares of the temperature error at 191 temperatures. Over 7.5–13.5 µm and 233–423 K it leaves 72 mK at
-    worst, over the −25…135 °C of a high gain range 34 mK; a real camera's factory fit leaves errors of the same
-    kind.
+    Least squares of the temperature error at 191 temperatures. The largest error over 7.5–13.5 µm is 72 mK for
+    233–423 K, and 34 mK for the −25…135 °C of a high gain range. A camera's factory fit has similar errors.
     """
     from scipy.optimize import least_squares
 
@@ -215,8 +220,8 @@ def fitted_constants(band_um, coldest, warmest):
     radiance = band_radiance(temperature, *band_um)
     weight = 1.0 / band_radiance_derivative(temperature, *band_um)
 
-    def linear(b, f):
-        # R and O enter linearly, so they are solved for exactly at each b and f.
+    def linear(b: float, f: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        # R and O are linear, so they are solved for exactly at each b and f.
         basis = np.stack([1.0 / (np.exp(b / temperature) - f), -np.ones_like(temperature)], axis=-1)
         values = np.linalg.lstsq(basis * weight[:, None], radiance * weight, rcond=None)[0]
         return values, (basis @ values - radiance) * weight

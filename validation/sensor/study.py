@@ -20,10 +20,12 @@ from thermorender.frame import apparent_temperature
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.render.renderer import Renderer
 from thermorender.scene.load import Scene, load_scene
-from thermorender.sensor import exposure, psf
+from thermorender.sensor import psf
 from thermorender.sensor.chain import Sensor, at_rest, in_sequence
 from thermorender.sensor.detector import advanced, read_rows, row_delays, steady
+from thermorender.sensor.exposure import Exposure
 from thermorender.sensor.readout import radiance_from_counts
+from thermorender.sensor.schedule import MEMORY
 from thermorender.trajectory.path import pose
 from thermorender.versions import versions
 from validation.sensor.figure import figure, pictures, table
@@ -134,7 +136,7 @@ def _lag(renderer, of, flight):
         }
     ]  # fmt: skip
     for lag_mk, render_px in SETTINGS:
-        taken = exposure.Exposure(of, radiance_at, path, renderer.depth, 1.0 / RATE_HZ, render_px, lag_mk)
+        taken = Exposure(of, radiance_at, path, renderer.depth, 1.0 / RATE_HZ, render_px, lag_mk)
         start = time.perf_counter()
         signal, how = taken.signal(at_rest(camera), 0.0, now)
         ms = 1e3 * (time.perf_counter() - start)
@@ -155,7 +157,7 @@ def _lag(renderer, of, flight):
 def _reference(of, radiance_at, delays):
     """A frame followed in `REFERENCE` renders per time constant: band radiance, and its span in the last of them."""
     tau = of.camera.time_constant_s
-    first = int(np.floor((delays[0] / tau - exposure.MEMORY) * REFERENCE))
+    first = int(np.floor((delays[0] / tau - MEMORY) * REFERENCE))
     last = int(np.ceil(delays[-1] / tau * REFERENCE))
     out, span = (np.empty((of.camera.height, of.camera.width), np.float32) for _ in range(2))
     state, done, latest = None, 0, deque(maxlen=REFERENCE + 1)
@@ -284,7 +286,7 @@ def _chain(renderer, of):
     image = renderer.radiance(flight(0.0))
     # With drift and pattern, as in a flight that has lasted.
     moment = in_sequence(of.camera, 900, 100.0)
-    taken = exposure.Exposure(of, None, flight, renderer.depth, 1.0 / RATE_HZ)
+    taken = Exposure(of, None, flight, renderer.depth, 1.0 / RATE_HZ)
     # In turns, so that a busy machine slows all alike.
     jobs = {
         "standing": lambda: of.counts(of.power(image, moment), moment),

@@ -122,7 +122,7 @@ class _StoppedError(Exception):
 
 def _fly(folder, frames=3):
     """Hover for three small frames, or go on with those whose files are as they were written, up to some."""
-    from thermorender.output.flight import fly
+    from thermorender.output.flight import FlightOptions, fly
     from thermorender.trajectory.path import Trajectory
 
     def look(done, total):
@@ -132,7 +132,7 @@ def _fly(folder, frames=3):
     down = np.array([[0.0, 1.0, 0.0, 0.0]] * 2)
     path = Trajectory(np.array([0.0, 2.0 / 9.0]), np.array([[0.0, 0.0, 20.0]] * 2), down)
     with suppress(_StoppedError):
-        fly(_renderer(), path, folder, rate_hz=9.0, products=("counts",), verify=True, progress=look)
+        fly(_renderer(), path, folder, FlightOptions(rate_hz=9.0, products=("counts",)), verify=True, progress=look)
 
 
 @cache

@@ -1,0 +1,113 @@
+"""Verbs that compare: learned translation with the render, and the cost of a frame with that of its rays."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from thermorender import defaults, files, formats
+from thermorender.cli.options import (
+    SCENE_NAMES,
+    Air,
+    Device,
+    SamplingOptions,
+    SceneOptions,
+    Seed,
+    TrajectoryOptions,
+    flat,
+    parse_air,
+)
+from thermorender.cli.terminal import NewResults, Time, at_time, named, output_option, progress, split, table
+from thermorender.errors import ThermorenderError
+
+
+@flat
+def compare(
+    scenes: Annotated[
+        list[str], typer.Argument(help=f"Scene folders, or names of shipped ones: {SCENE_NAMES}. Scenes of the same "
+                                  "hour and weather are training data for each other's refitted bounds.")
+    ],
+    output: NewResults,
+    *,
+    models: Annotated[str, typer.Option(help="Comma-separated learned maps: names, or .npz files.")] = ",".join(
+        defaults.TEMPERATURE_MAPS
+    ),
+    oracle: Annotated[
+        str | None, typer.Option(help="A map (.npz) that takes the true material as extra input.")
+    ] = None,
+    foreign: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME=FOLDER with another program's frames, pose_0000.tif and so on, TIFFs that declare "
+                     "their unit; for several scenes in folders of the scenes' names. Repeat for more."),
+    ] = None,
+    dataset: Annotated[
+        list[Path] | None,
+        typer.Option(help="Data set that maps were trained on: the scenes are searched in it. Repeat for more."),
+    ] = None,
+    methods: Annotated[
+        str, typer.Option(help="Comma-separated: B, maps applied to photographs; C1 and C2, to the orthophoto and "
+                          "rendered with true and with learned materials; D, E, means; F, the heat balance.")
+    ] = "B,C1,C2,D,E,F",
+    emissivity: Annotated[str, typer.Option(help="Emissivity map of C2.")] = defaults.EMISSIVITY_MAP,
+    fallback: Annotated[
+        str, typer.Option(help="Material of texels that this map does not recognise.")
+    ] = defaults.FALLBACK_MATERIAL,
+    log: TrajectoryOptions,
+    rate_hz: Annotated[float, typer.Option(help="Poses per second of flight.")] = 1.0,
+    arrays: Annotated[bool, typer.Option("--arrays", help="Keep the frames as .npz, apparent temperature.")] = False,
+    situation: SceneOptions,
+    seed: Seed = 0,
+    sampling: SamplingOptions,
+    device: Device = "auto",
+) -> None:  # fmt: skip
+    """Compare learned 2D translation with the radiometric render of the same poses: a page, a table, pictures."""
+    from thermorender.campaign.dataset import read_dataset
+    from thermorender.compare.referee import findings, run
+    from thermorender.compare.referee.methods import LETTERS, learned_materials
+
+    letters = split(methods)
+    if not letters or not set(letters) <= set(LETTERS):
+        raise ThermorenderError(f"--methods={methods!r} is not allowed; give some of {', '.join(LETTERS)}")
+    folders = dict(named(text, "--foreign", "NAME=FOLDER") for text in foreign or ())
+    with progress() as report:
+        flights = []
+        for name in scenes:
+            loaded = situation.load(name)
+            flights.append(run.Flight.of(loaded, log.read(loaded, rate_hz), rate_hz, log.start_s, log.stop_s))
+        summary = run.compare(
+            flights, output, split(models), letters, oracle, folders, [read_dataset(one) for one in dataset or ()],
+            learned_materials(emissivity, fallback), arrays, seed, report, device=device, **sampling.settings(),
+        )  # fmt: skip
+    rows = run.rows(summary)
+    if rows:
+        table(run.HEADER, rows)
+    for title, grave, lines in findings.grouped(summary["findings"]):
+        typer.echo(f"{title}:")
+        for line in lines if grave else lines[:3]:
+            typer.echo(f"  {line}")
+        if not grave and len(lines) > 3:
+            typer.echo(f"  and {len(lines) - 3} more in report.html")
+    typer.echo(f"report.html, pixels.csv, comparison.json and pictures in {output}")
+
+
+def bench(
+    scenes: Annotated[list[str] | None, typer.Argument(help=f"Scenes; default: {defaults.SCENE}.")] = None,
+    repeats: Annotated[int, typer.Option(help="Turns of each measurement.")] = 15,
+    output: Annotated[
+        Path | None, output_option("-o", "--output", help="JSON file for the result.", check=files.check_output_file)
+    ] = None,
+    air: Air = None,
+    time: Time = None,
+    device: Device = "auto",
+) -> None:
+    """Measure frames per second, their ratio to casting the rays alone, and the error of each quality."""
+    from thermorender.compare import bench as run
+
+    with progress() as report:
+        loaded = [at_time(name, time) for name in scenes or (defaults.SCENE,)]
+        result = run.bench(loaded, repeats, report, device=device, air=None if air is None else parse_air(air))
+    table(run.HEADER, run.rows(result))
+    for line in run.costs(result):
+        typer.echo(line)
+    if output:
+        formats.write_json(output, result)

@@ -1,0 +1,286 @@
+"""Options that verbs share, in groups: a dataclass per group, whose fields are flat options on the command line."""
+
+import inspect
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from thermorender import defaults
+from thermorender.cli.terminal import Progress, ReadTime, Time, at_time, read_instant, split, warn
+from thermorender.errors import ThermorenderError
+
+if TYPE_CHECKING:
+    from thermorender.render.renderer import Renderer
+    from thermorender.scene.load import Scene
+    from thermorender.scene.spec import TemperatureSpec
+    from thermorender.sensor.display import DisplaySettings
+    from thermorender.sensor.radiometry import ThermographySettings
+    from thermorender.trajectory import Trajectory
+
+SCENE_NAMES = ", ".join(defaults.SCENES)
+SceneName = Annotated[str, typer.Argument(help=f"Scene folder, or the name of a shipped scene: {SCENE_NAMES}.")]
+Seed = Annotated[int, typer.Option(help="Seed of the sensor's noise.")]
+Device = Annotated[str, typer.Option(help="auto, cpu or cuda.")]
+Products = Annotated[
+    str, typer.Option(help="Comma-separated: exr, truth, error, counts, counts-tiff, radiometric, display, video, "
+                           "visible.")
+]  # fmt: skip
+Thermography = Annotated[
+    str | None,
+    typer.Option(help="Settings of thermography software, e.g. emissivity=0.95,reflected_c=-20,air_c=15,humidity=0.5,"
+                 "distance_m=100: its reading goes into EXR and radiometric."),
+]  # fmt: skip
+Air = Annotated[
+    str | None,
+    typer.Option(help="Standard atmosphere in place of the scene's own sky: midlatitude-summer, or with an aerosol "
+                 "tropical,rural-23km."),
+]  # fmt: skip
+
+
+def flat(verb: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a verb for typer: the fields of each keyword parameter that is a dataclass become separate options."""
+    given = inspect.signature(verb).parameters.values()
+    groups: dict[str, Any] = {
+        parameter.name: parameter.annotation for parameter in given if is_dataclass(parameter.annotation)
+    }
+    parameters: list[inspect.Parameter] = []
+    for parameter in given:
+        if parameter.name in groups:
+            parameters += [
+                inspect.Parameter(field.name, parameter.kind, default=field.default, annotation=field.type)
+                for field in fields(groups[parameter.name])
+            ]
+        else:
+            parameters.append(parameter)
+
+    def run(*arguments: Any, **options: Any) -> Any:
+        for name, group in groups.items():
+            known = [field.name for field in fields(group) if field.name in options]
+            options[name] = group(**{each: options.pop(each) for each in known})
+        return verb(*arguments, **options)
+
+    run.__name__, run.__doc__ = verb.__name__, verb.__doc__
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # read by typer
+    run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return run
+
+
+@dataclass(frozen=True)
+class SceneOptions:
+    """The instant of a scene, and its air."""
+
+    time: Time = None
+    air: Air = None
+
+    def load(
+        self, name: str, temperature: "TemperatureSpec | None" = None, read_time: ReadTime = read_instant
+    ) -> "Scene":
+        """Return the Scene of a folder or name; print notes on its weather and learned maps."""
+        scene = at_time(name, self.time, read_time, temperature)
+        if self.air is not None:
+            scene = scene.with_air(*parse_air(self.air))
+        for note in scene.weather_notes if scene.marched else ():
+            typer.echo(f"weather: {note}")
+        print_map_reports(scene)
+        report = scene.emissivity_report
+        if report:
+            typer.echo(
+                f"{report['model']}: {report['share_unknown']:.1%} of the texels are of unknown material and taken for "
+                f"{report['fallback']}"
+            )
+        return scene
+
+
+@dataclass(frozen=True)
+class TemperatureOptions:
+    """A learned map in place of the scene's own source of temperatures."""
+
+    temperature: Annotated[
+        str | None, typer.Option(help="Learned map that gives the temperatures in place of the scene's own source.")
+    ] = None
+    range_c: Annotated[
+        str | None, typer.Option(help="COLD,WARM: °C of intensity 0 and 1 of a learned map.")
+    ] = None
+
+    def source(self) -> "TemperatureSpec | None":
+        """Return the source of temperatures; None for the scene's own."""
+        from thermorender.scene.spec import TemperatureSpec
+        from thermorender.trajectory import parse_numbers
+
+        if self.temperature:
+            limits: Any = parse_numbers("--range-c", self.range_c, ("COLD", "WARM")) if self.range_c else None
+            return TemperatureSpec(source="learned", model=self.temperature, range_c=limits)
+        if self.range_c:
+            raise ThermorenderError(
+                f"--range-c={self.range_c!r} needs a learned map; add --temperature {defaults.TEMPERATURE_MAP}"
+            )
+        return None
+
+
+@dataclass(frozen=True)
+class ViewOptions:
+    """The pose of a camera that does not move."""
+
+    pose: Annotated[
+        str, typer.Option(help="E,N,U,YAW,PITCH,ROLL: metres in the local frame, degrees; pitch −90 looks down.")
+    ] = "0,0,120,0,-90,0"
+    local_up: Annotated[
+        bool, typer.Option("--local-up", help="U is the local up coordinate, not metres above the ground.")
+    ] = False
+
+    def numbers(self) -> tuple[float, ...]:
+        """Return the six numbers of --pose."""
+        from thermorender.trajectory import parse_numbers
+
+        return parse_numbers("--pose", self.pose, ("E", "N", "U", "YAW", "PITCH", "ROLL"))
+
+    def over(self, scene: "Scene") -> Any:
+        """Return the pose over a scene, (4, 4) world_from_camera."""
+        from thermorender.trajectory.path import pose
+
+        east, north, up, *angles = self.numbers()
+        if not self.local_up:
+            ground = float(scene.ground(east, north))
+            if ground != ground:
+                raise ThermorenderError(f"--pose={self.pose!r} is outside the terrain; move it, or give --local-up")
+            if up < 0.0:
+                raise ThermorenderError(
+                    f"--pose={self.pose!r} is {-up:.6g} m under the terrain; give U in metres above the ground, or "
+                    "--local-up"
+                )
+            up += ground
+        return pose(east, north, up, *angles)
+
+
+@dataclass(frozen=True)
+class SamplingOptions:
+    """How finely pixels, light and wavelengths are sampled."""
+
+    quality: Annotated[str, typer.Option(help="fast, standard or high: sampling of pixels and light.")] = "standard"
+    rays: Annotated[
+        int | None, typer.Option(help="Rays per face for the light between surfaces; default: the quality's.")
+    ] = None
+    tolerance_mk: Annotated[float, typer.Option(help="Allowed error of the spectral nodes [mK].")] = 5.0
+
+    def settings(self) -> dict[str, Any]:
+        """Return the keywords of Renderer."""
+        return asdict(self)
+
+    def renderer(self, scene: "Scene", seed: int, device: str, progress: Progress) -> "Renderer":
+        """Return the Renderer of a scene; print the reports of learned maps that ran only now."""
+        from thermorender.render.renderer import Renderer
+
+        settings = self.settings() | {"seed": seed, "device": device, "progress": progress}
+        made = Renderer(scene, **settings)
+        if scene.told and not scene.warmed:
+            print_map_reports(made.scene)
+        return made
+
+
+@dataclass(frozen=True)
+class DisplayOptions:
+    """How counts become display images."""
+
+    display: Annotated[str, typer.Option(help="linear, plateau or local: how counts become 8 bits.")] = "linear"
+    palette: Annotated[str, typer.Option(help="white-hot, black-hot or ironbow.")] = "white-hot"
+
+    def settings(self, memory_s: float = 0.0) -> "DisplaySettings":
+        """Return the DisplaySettings."""
+        from thermorender.sensor.display import DisplaySettings
+
+        return DisplaySettings(self.display, self.palette, memory_s)
+
+
+@dataclass(frozen=True)
+class TrajectoryOptions:
+    """The log of a flight, how it is read, and the part that is flown."""
+
+    trajectory: Annotated[
+        list[Path] | None,
+        typer.Option("--trajectory", help="Log in CSV; repeat for several files. Default: the scene's flight.csv."),
+    ] = None
+    format: Annotated[
+        str | None, typer.Option("--format", help="Columns of the log: dji-gimbal, rocket-firm, px4, or a TOML file.")
+    ] = None
+    anchor: Annotated[
+        str | None, typer.Option(help="E,N,U,HEADING: move the start of the log there [m, m, m above ground, deg].")
+    ] = None
+    duplicates: Annotated[
+        str,
+        typer.Option(help="Samples of the same time: refuse, spread (evenly, within the last digit of the log's clock) "
+                     "or first (keep the first)."),
+    ] = "refuse"  # fmt: skip
+    clock_offset_s: Annotated[float, typer.Option(help="Added to the log's times [s].")] = 0.0
+    mount: Annotated[str | None, typer.Option(help="YAW,PITCH,ROLL of the camera on the vehicle [deg].")] = None
+    lever_arm_m: Annotated[
+        str, typer.Option(help="FORWARD,RIGHT,DOWN: the camera's position on the vehicle [m].")
+    ] = "0,0,0"
+    start_s: Annotated[float | None, typer.Option(help="First time to fly [s].")] = None
+    stop_s: Annotated[float | None, typer.Option(help="Last time to fly [s].")] = None
+    allow_below_ground: Annotated[
+        bool, typer.Option("--allow-below-ground", help="Fly even where the path is under the terrain.")
+    ] = False
+
+    def read(self, scene: "Scene", rate_hz: float | None) -> "Trajectory":
+        """Return the Trajectory over a scene, refused if it is below ground at one of the frames."""
+        from thermorender.trajectory import (
+            check_above_ground,
+            parse_anchor,
+            parse_lever_arm,
+            parse_mount,
+            read_trajectory,
+        )
+
+        own = scene.spec.folder / "flight.csv"
+        if not self.trajectory and not own.exists():
+            raise ThermorenderError(f"{own} does not exist, and no other log is given; add --trajectory LOG.csv")
+        path = read_trajectory(
+            self.trajectory or [own],
+            frame=scene.frame,
+            ground=scene.ground,
+            geoid_undulation_m=scene.geoid_undulation_m,
+            format=self.format,
+            anchor=parse_anchor(self.anchor) if self.anchor else None,
+            clock_offset_s=self.clock_offset_s,
+            mount=parse_mount(self.mount) if self.mount else None,
+            lever_arm_m=parse_lever_arm(self.lever_arm_m),
+            duplicates=self.duplicates,  # type: ignore[arg-type]  # checked by read_trajectory
+        )
+        if not self.allow_below_ground:
+            rate_hz = scene.camera.frame_rate_hz if rate_hz is None else rate_hz
+            check_above_ground(path.sampled(path.frame_times(rate_hz, self.start_s, self.stop_s)), scene.ground)
+        return path
+
+
+def parse_air(text: str) -> tuple[str, ...]:
+    """Return (standard atmosphere, aerosol) of an option --air."""
+    parts = split(text)
+    if len(parts) > 2:
+        raise ThermorenderError(f"--air={text!r} has {len(parts)} parts; give ATMOSPHERE or ATMOSPHERE,AEROSOL")
+    return parts or ("",)
+
+
+def parse_thermography(text: str | None) -> "ThermographySettings | None":
+    """Return the settings of an option --thermography; None if it is not given."""
+    from thermorender.sensor.radiometry import ThermographySettings
+
+    return ThermographySettings.parse(text) if text else None
+
+
+def print_map_reports(scene: "Scene") -> None:
+    """Print the shares of a scene's texels outside the range of its learned maps, and the maps' warnings."""
+    for model, report in scene.report.items():
+        typer.echo(
+            f"{model}: {report['share_outside_0_1']:.1%} of the intensities lie outside 0…1, "
+            f"{report['share_fallback']:.1%} of the texels fall back to their material's temperature"
+        )
+        warn(report["warning"])
+
+
+def print_cache_note(renderer: "Renderer") -> None:
+    """Print why the light of a scene was not cached, if it was not."""
+    if renderer.baked.cache_note:
+        typer.echo(f"note: {renderer.baked.cache_note}", err=True)

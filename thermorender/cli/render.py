@@ -1,0 +1,177 @@
+"""Verbs that render frames: one frame, a flight, a day."""
+
+from dataclasses import replace
+from typing import Annotated
+
+import typer
+
+from thermorender import files, formats
+from thermorender.cli.options import (
+    Air,
+    Device,
+    DisplayOptions,
+    Products,
+    SamplingOptions,
+    SceneName,
+    SceneOptions,
+    Seed,
+    TemperatureOptions,
+    Thermography,
+    TrajectoryOptions,
+    ViewOptions,
+    flat,
+    parse_thermography,
+    print_cache_note,
+)
+from thermorender.cli.terminal import NewResults, Results, progress, split, warn
+from thermorender.errors import ThermorenderError
+
+
+@flat
+def render(
+    scene: SceneName,
+    output: Results,
+    *,
+    view: ViewOptions,
+    situation: SceneOptions,
+    products: Products = "exr,truth,counts,display",
+    look: DisplayOptions,
+    thermography: Thermography = None,
+    source: TemperatureOptions,
+    seed: Seed = 0,
+    engine: Annotated[
+        str, typer.Option(help="renderer, or reference: slow path tracing by stock Mitsuba.")
+    ] = "renderer",
+    paths: Annotated[int, typer.Option(help="Paths per pixel of the reference engine.")] = 64,
+    sampling: SamplingOptions,
+    device: Device = "auto",
+) -> None:
+    """Render one frame."""
+    from thermorender.output import products as frame_files
+    from thermorender.output.photograph import photograph
+    from thermorender.output.record import made_by, record, weather_of
+
+    if engine not in ("renderer", "reference"):
+        raise ThermorenderError(f"--engine={engine!r} is unknown; give renderer or reference")
+    if paths < 1:
+        raise ThermorenderError(f"--paths={paths} is not allowed; give at least 1 path per pixel")
+    if (output / "flight.json").exists():
+        raise ThermorenderError(f"{output} holds a flight, whose first frame would be overwritten; give another folder")
+    display, settings = look.settings(), parse_thermography(thermography)
+    wanted = frame_files.check(split(products), settings)
+    # A wrong pose is refused before the scene is loaded.
+    view.numbers()
+    with progress() as report:
+        loaded = situation.load(scene, source.source())
+        wanted = frame_files.check(wanted, settings, loaded.camera)
+        world_from_camera = view.over(loaded)
+        renderer = sampling.renderer(loaded, seed, device, report)
+        with files.output_folder(output) as folder:
+            if engine == "renderer":
+                frame = renderer.frame(world_from_camera)
+            else:
+                from thermorender.render.reference import frame as reference_frame
+
+                frame = reference_frame(
+                    renderer, world_from_camera, paths, progress=lambda share: report("tracing paths", share)
+                )
+            display = replace(display, tails_percent=frame.camera.agc_tails_percent)
+            written = frame_files.write(
+                folder, frame, wanted, display.image(frame.counts)[1], settings,
+                lambda camera: photograph(renderer, frame.pose, camera=camera)[0],
+            )  # fmt: skip
+            formats.write_json(folder / "frame_000000.json", record(frame) | weather_of(renderer.scene) | made_by())
+    print_cache_note(renderer)
+    seen = frame.apparent_temperature
+    typer.echo(f"apparent temperature {seen.min():.2f}–{seen.max():.2f} K, mean {seen.mean():.2f} K")
+    for path in written.values():
+        typer.echo(str(path))
+
+
+@flat
+def fly(
+    scene: SceneName,
+    output: Results,
+    *,
+    log: TrajectoryOptions,
+    rate_hz: Annotated[float | None, typer.Option(help="Frames per second; default: the camera's.")] = None,
+    situation: SceneOptions,
+    products: Products = "exr,truth,counts,display,video",
+    look: DisplayOptions,
+    agc_memory_s: Annotated[float, typer.Option(help="Time constant of the gain control; 0: none [s].")] = 0.0,
+    thermography: Thermography = None,
+    source: TemperatureOptions,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue a stopped flight.")] = False,
+    verify: Annotated[
+        bool, typer.Option("--verify", help="Continue from the first frame whose files differ from those written.")
+    ] = False,
+    seed: Seed = 0,
+    sampling: SamplingOptions,
+    device: Device = "auto",
+) -> None:
+    """Render the frames of a flight."""
+    from thermorender.output import products as frame_files
+    from thermorender.output.flight import FlightOptions
+    from thermorender.output.flight import fly as run
+
+    settings = parse_thermography(thermography)
+    options = FlightOptions(
+        rate_hz=rate_hz, start_s=log.start_s, stop_s=log.stop_s, products=frame_files.check(split(products), settings),
+        display=look.settings(agc_memory_s), thermography=settings,
+    )  # fmt: skip
+    with progress() as report:
+        loaded = situation.load(scene, source.source())
+        path = log.read(loaded, rate_hz)
+        renderer = sampling.renderer(loaded, seed, device, report)
+        summary = run(
+            renderer, path, output, options, resume=resume, verify=verify, heat_progress=report,
+            progress=lambda done, total: report(f"frame {done} of {total}", done / total),
+        )  # fmt: skip
+    print_cache_note(renderer)
+    typer.echo(f"{summary['frames']} frames, {summary['rendered']} rendered now, in {summary['folder']}")
+    without = summary["frames_without_terrain"]
+    if without:
+        typer.echo(
+            f"{without} of {summary['frames']} frames show no terrain; check the flight's position and angles, or "
+            "move it with --anchor"
+        )
+
+
+@flat
+def day(
+    scene: SceneName,
+    output: NewResults,
+    *,
+    view: ViewOptions,
+    time: Annotated[
+        str | None,
+        typer.Option(help="Date of the local solar day, or an instant of it with its zone. Default: the scene's "
+                     "weather.time."),
+    ] = None,
+    step_min: Annotated[int, typer.Option(help="Minutes between frames, a divisor of the day's 1440.")] = 60,
+    products: Products = "exr,truth,counts,display,video",
+    look: DisplayOptions,
+    thermography: Thermography = None,
+    air: Air = None,
+    seed: Seed = 0,
+    sampling: SamplingOptions,
+    device: Device = "auto",
+) -> None:  # fmt: skip
+    """Render one view over a day, on one display scale, with a curve of temperature per material."""
+    from thermorender.output import products as frame_files
+    from thermorender.output.day import day as run
+    from thermorender.output.day import instant_of
+
+    display, settings = look.settings(), parse_thermography(thermography)
+    wanted = frame_files.check(split(products), settings)
+    view.numbers()
+    with progress() as report:
+        loaded = SceneOptions(time, air).load(scene, None, instant_of)
+        if loaded.told:
+            warn(loaded.told_map.texel_warning(loaded.surfaces[0].texel_m))
+        rows = run(
+            loaded, view.over(loaded), output, step_min, wanted, display, settings, report, device, seed=seed,
+            **sampling.settings(),
+        )  # fmt: skip
+    first, last = rows[0]["time_utc"], rows[-1]["time_utc"]
+    typer.echo(f"{len(rows)} frames from {first} to {last}, with day.csv and day.png in {output}")

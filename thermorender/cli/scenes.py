@@ -1,0 +1,122 @@
+"""Verbs that make scenes and inspect them: from terrain, from a seed, their materials, their plan."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from thermorender import defaults, files
+from thermorender.cli.options import SCENE_NAMES, SamplingOptions, SceneName, SceneOptions, flat
+from thermorender.cli.terminal import Results, output_option, progress, split, table
+from thermorender.errors import ThermorenderError
+
+NewFolder = Annotated[
+    Path, output_option("-o", "--output", help="Folder to make for the scene.", check=files.check_new_folder)
+]
+
+
+def import_terrain(
+    elevation: Annotated[Path, typer.Argument(help="GeoTIFF of heights [m].")],
+    orthophoto: Annotated[Path, typer.Argument(help="GeoTIFF, RGB in 8 bits.")],
+    output: NewFolder,
+    max_vertices: Annotated[int, typer.Option(help="Most posts of the mesh.")] = 4_000_000,
+    max_texels: Annotated[int, typer.Option(help="Most texels along a side of the texture.")] = 8192,
+    height_reference: Annotated[
+        str | None, typer.Option(help="ellipsoid or geoid; default: as the CRS says.")
+    ] = None,
+    geoid_undulation_m: Annotated[float | None, typer.Option(help="Geoid above ellipsoid there [m].")] = None,
+    model: Annotated[str, typer.Option(help="Learned map for the temperatures.")] = defaults.TEMPERATURE_MAP,
+    material: Annotated[str, typer.Option(help="Material of the ground.")] = "soil_loam",
+    sky_temperature: Annotated[float, typer.Option(help="[K]")] = 255.0,
+    fill: Annotated[bool, typer.Option("--fill", help="Fill small gaps in the heights from around.")] = False,
+) -> None:  # fmt: skip
+    """Make a scene from an elevation model and an orthophoto."""
+    from thermorender.scene.import_terrain import import_terrain as run
+
+    if height_reference not in (None, "ellipsoid", "geoid"):
+        raise ThermorenderError(f"--height-reference={height_reference!r} is not allowed; give ellipsoid or geoid")
+    summary = run(elevation, orthophoto, output, max_vertices, max_texels, height_reference, geoid_undulation_m, model,
+                  material, sky_temperature, fill)  # fmt: skip
+    typer.echo(f"{output}: {summary['posts'][1]}×{summary['posts'][0]} posts of {summary['post_m']:.3g} m, "
+               f"{summary['texels'][1]}×{summary['texels'][0]} texels of {summary['texel_m']:.3g} m; "
+               f"{summary['share_without_height']:.1%} without height, "
+               + (f"{summary['share_filled']:.1%} filled, " if fill else "") +
+               f"{summary['share_without_colour']:.1%} without colour; "
+               f"heights above the {summary['height_reference']}")  # fmt: skip
+
+
+def make_scene(
+    kind: Annotated[str, typer.Argument(help=f"One of {SCENE_NAMES}.")],
+    output: NewFolder,
+    seed: Annotated[int, typer.Option(help="Another seed makes another landscape.")] = 0,
+    size_m: Annotated[float | None, typer.Option(help="Side of the square [m].")] = None,
+    texel_m: Annotated[float | None, typer.Option(help="Side of an orthophoto texel [m].")] = None,
+    post_m: Annotated[float | None, typer.Option(help="Distance of elevation posts [m].")] = None,
+    time: Annotated[
+        str | None, typer.Option(help="Date and hour with their zone, 2018-07-28T14:30Z. Default: the kind's own.")
+    ] = None,
+    air_low_c: Annotated[float | None, typer.Option(help="The day's lowest air temperature [°C].")] = None,
+    air_high_c: Annotated[float | None, typer.Option(help="The day's highest air temperature [°C].")] = None,
+    humidity: Annotated[float | None, typer.Option(help="Relative, 0…1, at the lowest air temperature.")] = None,
+    wind_m_s: Annotated[float | None, typer.Option(help="Wind at 10 m [m/s].")] = None,
+    cloud: Annotated[float | None, typer.Option(help="Share of the sky, 0…1.")] = None,
+    snow_depth_m: Annotated[float | None, typer.Option(help="Snow on the ground [m].")] = None,
+    weather_seed: Annotated[
+        int | None,
+        typer.Option(help="Draws date, hour, snow, cloud, wind and air from a seed; options given here take "
+                     "precedence."),
+    ] = None,
+) -> None:  # fmt: skip
+    """Make a procedural scene from a seed, under a weather, with known temperatures."""
+    from thermorender.campaign import worlds
+    from thermorender.synthetic.worlds import make, weather_of
+
+    weather = weather_of(
+        kind, weather_seed, time=time, air_low_c=air_low_c, air_high_c=air_high_c, humidity=humidity,
+        wind_m_s=wind_m_s, cloud=cloud, snow_depth_m=snow_depth_m,
+    )  # fmt: skip
+    with progress() as report:
+        report("making the landscape", 0.0)
+        folder = worlds.write(make(kind, seed, size_m, texel_m, post_m, weather=weather), output, progress=report)
+    typer.echo(str(folder))
+
+
+def map_materials(
+    scene: SceneName,
+    output: Results,
+    model: Annotated[str, typer.Option(help="Emissivity map: a file, or procedural.")] = defaults.EMISSIVITY_MAP,
+    fallback: Annotated[str, typer.Option(help="Material of unknown texels.")] = defaults.FALLBACK_MATERIAL,
+    confidence: Annotated[
+        float | None, typer.Option(help="Texels whose best material is less probable are unknown; default: as in "
+                                   "scene files, 0.35.")
+    ] = None,
+    without: Annotated[str, typer.Option(help="Comma-separated materials that do not occur in the scene.")] = "",
+) -> None:  # fmt: skip
+    """Write the materials that a learned map finds in a scene's orthophoto, to inspect and correct by hand."""
+    from thermorender.scene.load import scene_folder
+    from thermorender.scene.material_map import write_map
+
+    with progress() as report, files.output_folder(output) as folder:
+        written, shares = write_map(
+            scene_folder(scene), folder, model, fallback, confidence, split(without),
+            lambda share: report("mapping the materials", share),
+        )  # fmt: skip
+    table(("material", "share"), [(name, f"{share:.1%}") for name, share in shares.items()])
+    for path in written.values():
+        typer.echo(str(path))
+
+
+@flat
+def plan(scene: SceneName, *, sampling: SamplingOptions, situation: SceneOptions) -> None:
+    """Print the rendering steps of a scene, which are skipped, and what each skipped step costs in mK."""
+    from thermorender.render.plan import make_plan
+    from thermorender.sensor.schedule import plan_row
+
+    loaded = situation.load(scene)
+    if not loaded.warmed:
+        # The plan depends on the temperatures.
+        with progress() as report:
+            loaded = sampling.renderer(loaded, 0, "auto", report).scene
+    typer.echo(str(loaded))
+    rows = make_plan(loaded, **sampling.settings()).rows()
+    table(("item", "in", "why"), [*rows, plan_row(loaded.camera)])

@@ -1,0 +1,148 @@
+"""What a stopped flight left in its folder: finished frames to keep, and the state of sensor and display."""
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from thermorender import files, formats
+from thermorender.errors import ThermorenderError
+from thermorender.output import products as product_files
+
+# Explanations of digests, for the error that they differ.
+_DIGESTED = {
+    "scene_digest": ", of the scene with its files, air and temperatures",
+    "path_digest": ", of the trajectory with its anchor, mount, lever arm and clock offset",
+}
+
+
+def finished(
+    folder: Path, settings: dict[str, Any], products: Sequence[str], resume: bool, verify: bool
+) -> list[bool]:
+    """Return for each finished frame whether it shows terrain; drop the lines of other frames from `frames.jsonl`.
+
+    Parameters
+    ----------
+    folder : Path
+    settings : dict
+        Of `flight.json`; those of a flight to resume must be the same.
+    products : sequence of str
+    resume : bool
+        Otherwise the folder must not hold a flight.
+    verify : bool
+        Whether files are compared by checksum, not by size only.
+
+    Raises
+    ------
+    ThermorenderError
+        A folder in use, a damaged `flight.json`, or other settings.
+    """
+    described, lines = folder / "flight.json", folder / "frames.jsonl"
+    if not resume:
+        _refuse_used(folder)
+        return []
+    files.remove_parts(folder)
+    if not described.exists():
+        if lines.exists():
+            raise ThermorenderError(
+                f"{described} is missing beside frames.jsonl; start the flight again in another folder"
+            )
+        return []
+    _refuse_other_settings(described, settings)
+    kept, terrain = [], []
+    text = lines.read_text(encoding="utf-8", errors="replace") if lines.exists() else ""
+    for number, line in enumerate(text.splitlines()):
+        try:
+            stored = formats.unsealed(json.loads(line))
+            index, shows, known = stored["index"], stored["shows_terrain"], stored["files"]
+            images = product_files.paths(folder, number, products).values()
+            if index != number or not all(_whole(path, known[path.name], verify) for path in images):
+                break
+        except (ValueError, KeyError, TypeError):
+            break
+        kept.append(json.dumps(formats.sealed(stored)))
+        terrain.append(shows)
+    formats.write_text(lines, "".join(line + "\n" for line in kept))
+    return terrain
+
+
+def _refuse_used(folder: Path) -> None:
+    if (folder / "flight.json").exists() or (folder / "frames.jsonl").exists():
+        raise ThermorenderError(
+            f"{folder} already holds a flight; give another folder, or --resume to continue that one"
+        )
+    other = next(folder.glob("frame_*"), None)
+    if other:
+        raise ThermorenderError(
+            f"{folder} already holds {other.name}, which a flight would overwrite; give another folder"
+        )
+
+
+def _refuse_other_settings(described: Path, settings: dict[str, Any]) -> None:
+    try:
+        before = json.loads(described.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        before = None
+    if not isinstance(before, dict):
+        raise ThermorenderError(f"{described} is damaged; start the flight again in another folder")
+    for key, value in settings.items():
+        was = before.get(key)
+        if was != value:
+            if isinstance(was, dict) and isinstance(value, dict):
+                inner = next(name for name in was | value if was.get(name, ...) != value.get(name, ...))
+                key, was, value = f"{key}.{inner}", was.get(inner), value.get(inner)
+            raise ThermorenderError(
+                f"{described} was flown with {key}={was!r}, now {key}={value!r}{_DIGESTED.get(key, '')}; resume with "
+                "the same settings or give another folder"
+            )
+
+
+def _whole(path: Path, known: tuple[int, str], verify: bool) -> bool:
+    """Whether a file has the size, and if asked for the checksum, of its frame's record."""
+    size, checksum = known
+    return path.exists() and path.stat().st_size == size and (not verify or formats.checksum(path) == checksum)
+
+
+def refuse_moved(folder: Path, before: os.stat_result) -> None:
+    """Refuse to continue in a folder that is not the one of the start: files would be lost and locks separate.
+
+    Raises
+    ------
+    ThermorenderError
+        The folder was removed, moved or replaced.
+    """
+    try:
+        same = os.path.samestat(os.stat(folder), before)
+    except OSError:
+        same = False
+    if not same:
+        raise ThermorenderError(
+            f"{folder} was removed, moved or replaced while it was flown into; continue with --resume where it is now, "
+            "or start again"
+        )
+
+
+def save_state(folder: Path, index: int, state: Mapping[str, NDArray[Any]]) -> Path:
+    """Write the state after a frame and return its path: two files in turn, so that one is always whole."""
+    path = _state_files(folder)[index % 2]
+    formats.write_arrays(path, index, state)
+    return path
+
+
+def load_state(folder: Path, index: int) -> dict[str, NDArray[Any]] | None:
+    """Return the state after a frame, {name: array}; None if it is lost or damaged."""
+    return formats.read_arrays(_state_files(folder)[index % 2], index)
+
+
+def remove_state(folder: Path) -> None:
+    """Remove the files of the state, if they exist."""
+    for path in _state_files(folder):
+        path.unlink(missing_ok=True)
+
+
+def _state_files(folder: Path) -> tuple[Path, Path]:
+    """The files of the state after frames of even and of odd number."""
+    return folder / "sensor_even.npz", folder / "sensor_odd.npz"
