@@ -90,4 +90,4 @@ maps: $(READY)
 	  --run out/pix2pix.run --resume --set width=16 --set batch=4 --set crops=60000 --set every=3000
 
 clean:
-	rm -rf $(VENV) out build dist
+	rm -rf $(VENV) out build dist docs/_build
