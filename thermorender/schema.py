@@ -302,13 +302,13 @@ def entry(name: str, read_value: Reader, default: Any = MISSING) -> Reader:
 # TOML
 
 
-def read_toml(path, name=None):
-    """Return the dict of a TOML file, with or without a byte order mark; messages call it `name`, or by its path.
+def read_toml(path: Any, name: str | None = None) -> dict[str, Any]:
+    """Return the dict of a TOML file, with or without a byte order mark; messages begin with `name` or the path.
 
     Raises
     ------
     ThermorenderError
-        A file that cannot be read or is not TOML, with the line.
+        The file cannot be read or is not TOML; the message has the line.
     """
     name = path if name is None else name
     try:

@@ -70,9 +70,10 @@ def instant(name: str, value: str | datetime.datetime | np.datetime64) -> np.dat
     text = value.isoformat() if isinstance(value, datetime.datetime) else str(value).strip()
     found = re.fullmatch(r"(\d{4}-\d\d-\d\d)[Tt ](\d\d:\d\d(?::\d\d)?)(?:[Zz]|([+-])(\d\d):?(\d\d))?", text)
     try:
-        clock = np.datetime64(f"{found[1]}T{found[2]}", "s")
-        east = datetime.timedelta(hours=int(found[4] or 0), minutes=int(found[5] or 0)) if found[3] else None
-    except (TypeError, ValueError):
+        day, hour, sign, hours, minutes = found.groups() if found else []
+        clock = np.datetime64(f"{day}T{hour}", "s")
+        east = datetime.timedelta(hours=int(hours), minutes=int(minutes)) if sign else None
+    except ValueError:
         raise ThermorenderError(
             f"{name}={shortened(text)} is not an instant; give date, T, hour, minute and zone, such as "
             "2018-07-28T14:30Z or 2018-07-28T16:30+02:00"
@@ -84,7 +85,7 @@ def instant(name: str, value: str | datetime.datetime | np.datetime64) -> np.dat
     seconds = int(east.total_seconds())
     if seconds > _FARTHEST_ZONE_S:
         raise ThermorenderError(f"{name}={text} has an impossible offset from UTC; give one from -14:00 to +14:00")
-    return clock - np.timedelta64(seconds if found[3] == "+" else -seconds, "s")
+    return clock - np.timedelta64(seconds if sign == "+" else -seconds, "s")
 
 
 def utc_text(time: np.datetime64) -> str:

@@ -87,7 +87,7 @@ def from_absorption(
         tilt=np.zeros(data["weight"].size),
         altitude_m=fine,
         temperature=temperature,
-        # Every node has an absorber of its own.
+        # Each node has its own absorber.
         density=coefficient,
         absorption=np.eye(len(coefficient)),
     )

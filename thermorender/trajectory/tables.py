@@ -77,6 +77,7 @@ def read_log(path: str | PathLike[str], mapping: Mapping, duplicates: str = "ref
     quantities = mapping.quantities or {name: Quantity(name) for name in QUANTITIES}
     if not mapping.quantities:
         _refuse_near_misses(path, header)
+    time_name: str | None
     if mapping.stamps:
         time_name, written, time_s = _stamps(path, header, rows, numbers, mapping)
     else:
@@ -86,19 +87,19 @@ def read_log(path: str | PathLike[str], mapping: Mapping, duplicates: str = "ref
     keep = [k for j, k in enumerate(order) if j == 0 or rows[k] != rows[order[j - 1]]]
     if duplicates == "first":
         keep = [k for j, k in enumerate(keep) if j == 0 or time_s[k] != time_s[keep[j - 1]]]
-    rows, numbers, time_s = [rows[k] for k in keep], np.array([numbers[k] for k in keep]), time_s[keep]
+    rows, row_of, time_s = [rows[k] for k in keep], np.array([numbers[k] for k in keep]), time_s[keep]
     step = np.diff(time_s)
     wrong = step < 0.0 if duplicates == "spread" else step <= 0.0
     if wrong.any():
         k = int(np.argmax(wrong))
-        where = f"{path}, row {numbers[k + 1]}, column {time_name!r}: {written[keep[k + 1]].strip()!r} follows"
+        where = f"{path}, row {row_of[k + 1]}, column {time_name!r}: {written[keep[k + 1]].strip()!r} follows"
         if step[k] < 0.0:
             raise ThermorenderError(
-                f"{where} {written[keep[k]].strip()!r} in row {numbers[k]}: time is running backwards, and must "
+                f"{where} {written[keep[k]].strip()!r} in row {row_of[k]}: time is running backwards, and must "
                 "strictly increase"
             )
         raise ThermorenderError(
-            f"{where} the same time in row {numbers[k]}, but time must strictly increase; give --duplicates spread, "
+            f"{where} the same time in row {row_of[k]}, but time must strictly increase; give --duplicates spread, "
             "which spreads them within the clock's last digit, or --duplicates first, which drops the others"
         )
     if duplicates == "spread":
@@ -106,8 +107,8 @@ def read_log(path: str | PathLike[str], mapping: Mapping, duplicates: str = "ref
     values, columns = {}, {}
     for name, quantity in quantities.items():
         if quantity.column is not None and quantity.column in header:
-            values[name], columns[name] = _numeric(path, header, rows, numbers, quantity), quantity.column
-    return Log(str(path), numbers, time_s, values, columns)
+            values[name], columns[name] = _numeric(path, header, rows, row_of, quantity), quantity.column
+    return Log(str(path), row_of, time_s, values, columns)
 
 
 def _read_cells(path: str | PathLike[str]) -> tuple[list[str], list[list[str]], list[int]]:
@@ -139,7 +140,7 @@ def _read_cells(path: str | PathLike[str]) -> tuple[list[str], list[list[str]], 
     return header, rows, numbers
 
 
-def _cells(path: object, header: list[str], rows: list[list[str]], column: str) -> list[str]:
+def _cells(path: object, header: list[str], rows: list[list[str]], column: str | None) -> list[str]:
     if column not in header:
         shown = ", ".join(header[:8]) + (f" … ({len(header)} in all)" if len(header) > 8 else "")
         raise ThermorenderError(f"{path}: column {column!r} is missing; row 1 names {shown}" + fitting_formats(header))
