@@ -33,7 +33,7 @@ from thermorender.synthetic.weather import (
 
 
 class Kind(NamedTuple):
-    """A kind of landscape: layout; default size, texel and post spacing [m]; place, weather, title; flight heights [m]."""
+    """A kind of landscape: layout, default size and spacings [m], place, weather, title, flight heights [m]."""
 
     layout: Callable
     size_m: float
@@ -218,27 +218,12 @@ def make(
     elevation = _posts(surface, size, post)
     altitude = float(np.round(np.median(elevation)))
     return SyntheticScene(
-        kind=kind,
-        seed=int(seed),
-        title=known.title,
-        size_m=size,
-        texel_m=texel,
-        post_m=post,
-        elevation=elevation,
-        orthophoto=picture,
-        classes=canvas.material,
-        class_names=dict(canvas.names),
-        hidden=hidden,
-        weather=weather,
+        kind=kind, seed=int(seed), title=known.title, size_m=size, texel_m=texel, post_m=post, elevation=elevation,
+        orthophoto=picture, classes=canvas.material, class_names=dict(canvas.names), hidden=hidden, weather=weather,
         sky_temperature=sky_temperature(weather, conditions(weather, latitude, altitude), altitude),
-        latitude_deg=latitude,
-        longitude_deg=LONGITUDE_DEG,
-        epsg=32634,
-        corner=_corner(latitude, LONGITUDE_DEG, size),
-        sun=sun,
-        objects=tuple(follows(objects, now, usual)),
-        flight=_flight_table(flight, elevation, size, post),
-    )
+        latitude_deg=latitude, longitude_deg=LONGITUDE_DEG, epsg=32634, corner=_corner(latitude, LONGITUDE_DEG, size),
+        sun=sun, objects=tuple(follows(objects, now, usual)), flight=_flight_table(flight, elevation, size, post),
+    )  # fmt: skip
 
 
 def _kind(name):
