@@ -51,8 +51,7 @@ def heath(canvas: Canvas) -> tuple[list[dict[str, Any]], dict[str, NDArray[np.fl
     west, east = np.radians(135.0 + g.uniform(-14.0, 14.0)), np.radians(42.0 + g.uniform(-14.0, 14.0))
     far = s * (0.275 + g.uniform(-0.02, 0.05)), s * (0.315 + g.uniform(-0.02, 0.05))
     pines = 1.6 * edge + np.maximum(
-        np.cos(west) * c.east + np.sin(west) * c.north - far[0],
-        np.cos(east) * c.east + np.sin(east) * c.north - far[1],
+        np.cos(west) * c.east + np.sin(west) * c.north - far[0], np.cos(east) * c.east + np.sin(east) * c.north - far[1]
     )
     sand = _sand(c, track, pines, south)
     _pool(c)
@@ -192,11 +191,7 @@ def _road(c, offset, along):
     c.top *= 1.0 - smoothstep(5.5, 4.5, d)
     verge = linear(134, 130, 88) * np.exp(0.16 * rough + 0.2 * fine)[..., None]
     c.paint(smoothstep(7.5, 5.5, d + 0.8 * rough), verge, "grass_dry")
-    c.paint(
-        smoothstep(3.9, 3.5, d + 0.25 * rough),
-        linear(168, 156, 134) * np.exp(0.12 * fine)[..., None],
-        "soil_loam",
-    )
+    c.paint(smoothstep(3.9, 3.5, d + 0.25 * rough), linear(168, 156, 134) * np.exp(0.12 * fine)[..., None], "soil_loam")
     wheel = sum(np.exp(-(((offset - w) / 0.45) ** 2)) for w in (-2.35, -0.85, 0.85, 2.35))
     wheel = np.where(near, wheel, 0.0)
     colour = linear(124, 121, 117) * np.exp(0.07 * rough + 0.06 * fine - 0.10 * wheel)[..., None]
@@ -218,13 +213,7 @@ def _tracks(c, track, sand):
     order = np.argsort(track[:, 1])
     at = lambda y: (float(np.interp(y, track[order, 1], track[order, 0])), y)  # noqa: E731
     fork = spline(
-        [
-            at(-0.09 * s),
-            (0.06 * s, -0.05 * s),
-            (0.17 * s, -0.03 * s),
-            (0.3 * s, -0.09 * s),
-            (0.6 * s, -0.06 * s),
-        ]
+        [at(-0.09 * s), (0.06 * s, -0.05 * s), (0.17 * s, -0.03 * s), (0.3 * s, -0.09 * s), (0.6 * s, -0.06 * s)]
     )
     west = spline([at(0.03 * s), (-0.1 * s, 0.075 * s), (-0.25 * s, 0.05 * s), (-0.6 * s, 0.09 * s)])
     for points, width in ((track, 1.9), (fork, 1.5), (west, 1.3)):
@@ -355,13 +344,7 @@ def _objects(c, track):
         "material": "paint_metallic",
         "colour": [176, 178, 182],
     }
-    cabin = {
-        **car,
-        "name": "car_cabin",
-        "size": [1.6, 2.3, 0.6],
-        "position": [*position, 1.05],
-        "temperature": 304.5,
-    }
+    cabin = {**car, "name": "car_cabin", "size": [1.6, 2.3, 0.6], "position": [*position, 1.05], "temperature": 304.5}
     return [marker, car, cabin]
 
 

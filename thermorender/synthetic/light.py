@@ -51,11 +51,7 @@ def sun_visibility(
     height = _shifted(surface, east, north) - np.float32(slope * texel_m)
     step = 1.0
     while step * texel_m < length and step < max(surface.shape):
-        np.maximum(
-            height,
-            _shifted(height, step * east, step * north) - np.float32(step * slope * texel_m),
-            out=height,
-        )
+        np.maximum(height, _shifted(height, step * east, step * north) - np.float32(step * slope * texel_m), out=height)
         step *= 2.0
     return np.clip(1.0 - (height - surface) / np.float32(penumbra_m), 0.0, 1.0)
 
@@ -101,11 +97,7 @@ def normals(
 def incidence(normal: tuple[NDArray[np.float32], ...], azimuth_deg: float, elevation_deg: float) -> NDArray[np.float32]:
     """Return the cosine between surface normals and the sun, (H, W) float32, 0 if the sun is behind the surface."""
     azimuth, elevation = np.radians(azimuth_deg), np.radians(elevation_deg)
-    toward = (
-        np.cos(elevation) * np.sin(azimuth),
-        np.cos(elevation) * np.cos(azimuth),
-        np.sin(elevation),
-    )
+    toward = (np.cos(elevation) * np.sin(azimuth), np.cos(elevation) * np.cos(azimuth), np.sin(elevation))
     cosine = sum(np.float32(t) * n for t, n in zip(toward, normal, strict=True))
     return np.maximum(cosine, 0.0)
 

@@ -50,10 +50,7 @@ def smooth_noise(
     c, s = np.cos(angle) / step, np.sin(angle) / step
     middle = 0.5 * side + shift
     affine = np.array(
-        [
-            [c, -s, middle[0] - 0.5 * (c * width - s * height)],
-            [s, c, middle[1] - 0.5 * (s * width + c * height)],
-        ]
+        [[c, -s, middle[0] - 0.5 * (c * width - s * height)], [s, c, middle[1] - 0.5 * (s * width + c * height)]]
     )
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
     field = cv2.warpAffine(lattice, affine, (width, height), flags=flags, borderMode=cv2.BORDER_REFLECT)

@@ -213,11 +213,7 @@ def _rock(c, height, slope, drainage):
     grey = grey + 0.5 * lichen * (linear(120, 118, 86) - grey)
     c.paint(cover, grey, "granite")
     band = cover * smoothstep(0.75, 1.0, c.fractal("band", 240.0, 3) + 0.25 * strata)
-    c.paint(
-        band,
-        linear(178, 172, 158) * np.exp(0.10 * rough + 0.14 * fine + 0.08 * strata)[..., None],
-        "limestone",
-    )
+    c.paint(band, linear(178, 172, 158) * np.exp(0.10 * rough + 0.14 * fine + 0.08 * strata)[..., None], "limestone")
     c.relief += cover * (2.2 * joint + 0.4 * block + 0.35 * fine)
     runnel = smoothstep(7.6, 9.0, drainage + 0.3 * rough) * smoothstep(60.0, 130.0, height)
     gravel = linear(166, 160, 150) * np.exp(0.14 * fine + 0.1 * block)[..., None]

@@ -222,17 +222,7 @@ def _house(window, g, width, set_back, fine, objects):
         panels(frame, u0 + g.uniform(-0.6, 0.6), v0 + np.sign(facing) * 0.52 * half_v, columns, 2, lean)
     side = 1 if g.uniform() < 0.5 else -1
     if g.uniform() < 0.5:
-        house(
-            window,
-            fine,
-            g,
-            side * (0.5 * width - 2.6),
-            set_back + g.uniform(-1, 5),
-            2.0,
-            3.2,
-            2.6,
-            ROOFS[-1],
-        )
+        house(window, fine, g, side * (0.5 * width - 2.6), set_back + g.uniform(-1, 5), 2.0, 3.2, 2.6, ROOFS[-1])
     if g.uniform() < 0.55:
         u, v = g.uniform(-0.3, 0.3) * width, set_back + g.uniform(14.0, 19.0)
         if not (window.view(c.top)[(np.abs(window.u - u) < 2.5) & (np.abs(window.v - v) < 2.5)] > 1.2).any():
@@ -246,14 +236,7 @@ def _house(window, g, width, set_back, fine, objects):
             if c.inside(east, north, 4.0) and c.material[row, column] == c.value("concrete"):
                 bonnet = temperature + (g.uniform(8.0, 20.0) if g.uniform() < 0.4 else 1.5)
                 objects += car(
-                    f"car_{len(objects) // 4}",
-                    east,
-                    north,
-                    window.heading,
-                    colour,
-                    material,
-                    temperature,
-                    bonnet,
+                    f"car_{len(objects) // 4}", east, north, window.heading, colour, material, temperature, bonnet
                 )
                 break
 
