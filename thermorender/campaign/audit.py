@@ -142,9 +142,7 @@ KINDS = {
 }  # fmt: skip
 
 
-def audit(
-    dataset: Dataset, near_m: float = NEAR_M, progress: Callable[[str, float], None] | None = None
-) -> Audit:
+def audit(dataset: Dataset, near_m: float = NEAR_M, progress: Callable[[str, float], None] | None = None) -> Audit:
     """Return the Audit of a Dataset's parts train and test.
 
     Parameters

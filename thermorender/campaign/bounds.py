@@ -87,8 +87,7 @@ def bounds_of(histogram: Histogram) -> Bounds:
 
 
 def bounds_of_dataset(dataset: Dataset, usable: NDArray[np.bool_]) -> Bounds:
-    """Return the Bounds of a Dataset's valid thermal values where `usable`, (65536,) bool; errors as `bounds_of`.
-    """
+    """Return the Bounds of a Dataset's valid thermal values where `usable`, (65536,) bool; errors as `bounds_of`."""
     histogram = Histogram()
     for entry in dataset.entries:
         pair = dataset.pair(entry, truth=False)

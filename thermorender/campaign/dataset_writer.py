@@ -57,9 +57,7 @@ class Writer:
         The folder holds something else, or its card differs.
     """
 
-    def __init__(
-        self, folder: str | Path, card: Mapping[str, Any], scale: ThermalScale, resume: bool = False
-    ) -> None:
+    def __init__(self, folder: str | Path, card: Mapping[str, Any], scale: ThermalScale, resume: bool = False) -> None:
         self.folder = files.make_folder(folder)
         self.card = {"format": FORMAT, **card, "thermal": asdict(scale)}
         # As read back from the file.

@@ -160,9 +160,7 @@ class _Tables:
             count[count > self.full] = 0
             # first, first + 1, … of each bucket, one after another.
             inside = np.arange(count.sum()) + np.repeat(first - np.cumsum(count) + count, count)
-            votes += np.bincount(
-                np.repeat(owner, count) * self.known + self.owner[inside, table], minlength=len(votes)
-            )
+            votes += np.bincount(np.repeat(owner, count) * self.known + self.owner[inside, table], minlength=len(votes))
         return votes.reshape(len(wanted), self.known)
 
 

@@ -86,13 +86,10 @@ def train_map(
     cold, warm = band_radiance(np.array(range_k), *scale.band_um)
     depth = pairs.pair(pairs.entries[0], truth=False).thermal.dtype
     radiance = scale.radiance(np.arange(np.iinfo(depth).max + 1))
-
     with np.errstate(invalid="ignore"):
         kelvin = brightness_temperature(np.maximum(radiance, 1e-6), *scale.band_um)
     started = time.perf_counter()
-    sampling = np.array([entry.texel_m for entry in pairs.entries if entry.texel_m] or [1.0])
-    texel_m = float(np.exp(np.median(np.log(sampling))))
-    texel_range_m = float(sampling.min()), float(sampling.max())
+    texel_m, texel_range_m = _sampling(pairs.entries)
     held = np.array([entry.part == "validation" for entry in pairs.entries])
     task = Task(
         _Examples(pairs, how.plus, options, material, cut, usable), (radiance - cold) / (warm - cold), kelvin, seed,
@@ -108,10 +105,17 @@ def train_map(
         sky_temperature=float(np.mean(skies)) if skies else ASSUMED_SKY_K,
         source=f"{method_name} on {_name_of(dataset, len(pairs))}",
     )  # fmt: skip
-    about = _about(dataset, pairs, parts, bounds, {"shift_px": shift_px, "share": share})
-    about |= {"options": options, "seed": seed, "training_s": round(seconds, 2)}
-    about |= {"training": getattr(predictor, "trained", {}), "versions": versions()}
+    about = _about(dataset, pairs, parts, bounds, {"shift_px": shift_px, "share": share}) | {
+        "options": options, "seed": seed, "training_s": round(seconds, 2),
+        "training": getattr(predictor, "trained", {}), "versions": versions(),
+    }  # fmt: skip
     return _with_error(made, about, dataset, material)
+
+
+def _sampling(entries):
+    """(median, (least, most)) ground sampling distance of entries [m]."""
+    known = np.array([entry.texel_m for entry in entries if entry.texel_m] or [1.0])
+    return float(np.exp(np.median(np.log(known)))), (float(known.min()), float(known.max()))
 
 
 def _name_of(dataset, count):

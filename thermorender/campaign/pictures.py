@@ -156,9 +156,7 @@ def read_thermal(path: str | Path, scale: Sequence[float] | None = None) -> Ther
         else:
             found = Thermal(image, "intensity", np.ones(image.shape, bool))
     if not found.valid.any():
-        raise ThermorenderError(
-            f"{path} has no temperature between 0 and {65535 * STEP_K:.2f} K; leave it out"
-        )
+        raise ThermorenderError(f"{path} has no temperature between 0 and {65535 * STEP_K:.2f} K; leave it out")
     if found.unit == "kelvin":
         kelvin(f"the median temperature of {path}", STEP_K * float(np.median(found.values[found.valid])))
     _check_content(path, found.values, found.values[found.valid])

@@ -107,4 +107,3 @@ def drawn(scene: Scene, kind: str, seed: int, again: int = 0) -> tuple[Scene, fl
     weather = scene.spec.weather
     weather = replace(weather, inside_c=weather.inside_c + float(law.normal(0.0, INSIDE_SPREAD_K)))
     return replace(scene, materials=tuple(materials), spec=replace(scene.spec, weather=weather)), exchange
-

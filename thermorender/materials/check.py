@@ -81,9 +81,7 @@ def _check_library(folder):
     for row, cells in rows:
         where, name = f"index.csv, row {row}", cells["name"]
         if not NAME.fullmatch(name):
-            findings.append(
-                Finding(True, where, f"name={name!r} is not a material name; use letters, digits, _ and -")
-            )
+            findings.append(Finding(True, where, f"name={name!r} is not a material name; use letters, digits, _ and -"))
             continue
         if name in seen:
             findings.append(Finding(True, where, f"material {name!r} is listed twice; delete one row or rename it"))

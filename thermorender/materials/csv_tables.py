@@ -139,9 +139,7 @@ def csv_rows(text: str, path: str | Path, delimiter: str = ",") -> list[list[str
     return rows
 
 
-def number_in_cell(
-    path: str | Path, row: int, column: str, text: str, low: float, high: float, advice: str
-) -> float:
+def number_in_cell(path: str | Path, row: int, column: str, text: str, low: float, high: float, advice: str) -> float:
     """Return the number in a table's cell, checked to be within low…high.
 
     Raises

@@ -44,7 +44,7 @@ def plot(
     path = Path(path)
     if not 1 <= len(materials) <= MOST_MATERIALS:
         raise ThermorenderError(
-            f"{len(materials)} materials cannot be told apart in one plot; give 1 to {MOST_MATERIALS}"
+            f"{len(materials)} materials cannot be distinguished in one plot; give 1 to {MOST_MATERIALS}"
         )
     check_output_file(path, (".png",))
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -144,4 +144,3 @@ def scores_of(level, parameters, roll=0):
         power = np.vdot(seen, seen).real * np.vdot(own, own).real
         found.append(np.vdot(seen, own).real / np.sqrt(max(power, 1e-12)))
     return np.array(found)
-

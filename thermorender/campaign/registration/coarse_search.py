@@ -57,4 +57,3 @@ def searched(pictures, shapes, reduced, start, report_progress):
         if len(starts) == 3:
             break
     return starts
-

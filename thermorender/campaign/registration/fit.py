@@ -75,8 +75,7 @@ def calibrate(
             used = [k for k in used if pictures[k].name not in rejected]
             if 2 * len(used) <= len(pictures):
                 raise ThermorenderError(
-                    f"only {len(used)} of {len(pictures)} pairs of pictures agree on one rig; "
-                    f"{_ADVICE}"
+                    f"only {len(used)} of {len(pictures)} pairs of pictures agree on one rig; {_ADVICE}"
                 )
     normals = normals_of(level, parameters, free)
     judge = level_of(pictures, shapes, reduced, np.exp(parameters[0]), max(thermal_shape[1] / 320.0, 1.0))

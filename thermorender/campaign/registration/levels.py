@@ -57,6 +57,7 @@ class Level:
     every: int
     diagonal: float
 
+
 def scale_of_fields(
     fields_of_view: tuple[ArrayLike, ArrayLike], visible_shape: tuple[int, int], thermal_shape: tuple[int, int]
 ) -> float:
@@ -142,4 +143,3 @@ def level_of(pictures, shapes, reduced, scale, factor):
     column, row = (np.arange(width) + 0.5) / across, (np.arange(height) + 0.5) / down
     x, y = np.meshgrid(column - shapes[1][1] / 2.0, row - shapes[1][0] / 2.0)
     return Level(visible, thermal, density, x, y, 2 if width > 400 else 1, half_diagonal(shapes[0]))
-
