@@ -77,7 +77,7 @@ class Case:
         scene = tr.load_scene(plainer if plain and plainer.is_dir() else self.folder)
         wide = scene.camera.pixel_pitch_um * scene.camera.width / SIZE[0]
         camera = replace(scene.camera, width=SIZE[0], height=SIZE[1], pixel_pitch_um=wide, **self.camera)
-        return replace(scene, camera=camera)
+        return scene.with_camera(camera)
 
 
 @dataclass(frozen=True)

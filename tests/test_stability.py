@@ -16,7 +16,8 @@ from thermorender.render import truth
 from thermorender.render.geometry import Geometry
 from thermorender.render.light import radiosity
 from thermorender.render.mirrors import DeviceTables
-from thermorender.scene import mesh, terrain
+from thermorender.scene import terrain
+from thermorender.scene.parts import mesh
 from thermorender.sensor import detector, exposure, readout
 from thermorender.validate import stability
 from thermorender.validate.stability import cases, heat, light, sensor

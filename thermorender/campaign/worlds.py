@@ -98,7 +98,6 @@ def drawn(scene, kind, seed, again=0):
         materials.append(replace(material, thermal=thermal, solar_absorptance=float(absorptance)))
     law = stream(seed, f"truth of {what}")
     exchange = float(np.exp(law.normal(-0.5 * CONVECTION_SPREAD**2, CONVECTION_SPREAD)))
-    weather = scene.spec.weather
-    weather = replace(weather, inside_c=weather.inside_c + float(law.normal(0.0, INSIDE_SPREAD_K)))
-    return replace(scene, materials=tuple(materials), spec=replace(scene.spec, weather=weather)), exchange
+    inside_c = scene.spec.weather.inside_c + float(law.normal(0.0, INSIDE_SPREAD_K))
+    return scene.with_weather(inside_c=inside_c).with_surfaces(materials=materials), exchange
 

@@ -194,7 +194,7 @@ def plan(scene: SceneName, quality: Quality = "standard", rays: Rays = None, tol
     from thermorender.sensor.exposure import plan_row
 
     loaded = _scene(scene, None, None, air, time)
-    if not loaded.warmed:
+    if not loaded.temperature_state.solved:
         # What is needed depends on the temperatures.
         with progress() as tell:
             loaded = _renderer(loaded, quality, rays, tolerance_mk, 0, "auto", tell).scene
@@ -362,8 +362,9 @@ def day(
     numbers = _pose_numbers(pose)
     with progress() as tell:
         loaded = _scene(scene, None, None, air, time, instant_of)
-        if loaded.told:
-            _warn(loaded.told_map.texel_warning(loaded.surfaces[0].texel_m))
+        model = getattr(loaded.temperature_state.source, "model", None)
+        if model is not None:
+            _warn(model.texel_warning(loaded.surfaces[0].texel_m))
         rows = run(
             loaded, _pose(loaded, pose, numbers, local_up), output, step_min, wanted, display_settings, settings, tell,
             device, quality=quality, rays=rays, tolerance_mk=tolerance_mk, seed=seed,
@@ -600,7 +601,7 @@ def _scene(name, temperature, range_c, air=None, time=None, *read_time):
     loaded = at_time(name, time, *read_time, temperature=source)
     if air is not None:
         loaded = loaded.with_air(*parse_air(air))
-    for note in loaded.weather_notes if loaded.marched else ():
+    for note in loaded.weather_notes if loaded.temperature_state.weather_driven else ():
         typer.echo(f"weather: {note}")
     _tell_maps(loaded)
     told = loaded.emissivity_report
@@ -614,7 +615,7 @@ def _scene(name, temperature, range_c, air=None, time=None, *read_time):
 
 def _tell_maps(scene):
     """Print what learned maps of a scene's temperatures have to tell."""
-    for model, report in scene.report.items():
+    for model, report in scene.temperature_state.report.items():
         typer.echo(
             f"{model}: {report['share_outside_0_1']:.1%} of the intensities lie outside 0…1, "
             f"{report['share_fallback']:.1%} of the texels fall back to their material's temperature"
@@ -643,8 +644,8 @@ def _renderer(scene, quality, rays, tolerance_mk, seed, device, tell):
     from thermorender.render.renderer import Renderer
 
     made = Renderer(scene, quality, rays=rays, tolerance_mk=tolerance_mk, seed=seed, device=device, progress=tell)
-    if scene.told and not scene.warmed:
-        # Only now the map has been asked.
+    if not scene.temperature_state.solved and hasattr(scene.temperature_state.source, "model"):
+        # Only now the conditional map has been asked.
         _tell_maps(made.scene)
     return made
 

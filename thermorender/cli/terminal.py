@@ -61,7 +61,7 @@ def at_time(name, time, read=lambda scene, text: instant("--time", text), temper
     if time is None:
         return scene
     scene = scene.at(read(scene, time))
-    if not scene.marched:
+    if not scene.temperature_state.weather_driven:
         source = scene.spec.temperature.source
         typer.echo(f"note: temperatures of source {source!r} do not change with --time", err=True)
     return scene

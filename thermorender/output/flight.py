@@ -28,8 +28,8 @@ from thermorender.output.photograph import photograph
 from thermorender.output.record import made_by, record, weather_of
 from thermorender.output.timed import STEP_S, TimedRenderer
 from thermorender.output.video import write_video
-from thermorender.scene.load import Scene
-from thermorender.scene.tracks import TrackedObject
+from thermorender.scene.parts.tracks import TrackedObject
+from thermorender.scene.scene import Scene
 from thermorender.sensor.chain import sensor_of
 from thermorender.sensor.display import DisplaySettings
 from thermorender.sensor.exposure import Exposure
@@ -130,7 +130,7 @@ def fly(
         "first_time_s": float(times[0]),
         "last_time_s": float(times[-1]),
         "time": None if start is None else utc_text(start),
-        **({"temperature_step_s": STEP_S} if renderer.scene.marched else {}),
+        **({"temperature_step_s": STEP_S} if renderer.scene.temperature_state.weather_driven else {}),
         **weather_of(renderer.scene),
         # Between frames too: the sensor remembers what it saw there.
         "path_digest": _digest(poses, trajectory.time_s, trajectory.position, trajectory.quaternion),
@@ -159,7 +159,7 @@ def fly(
             written = product_files.write(out, frame, products, image, thermography, _photographer(renderer, frame))
             files.on_disk(*written.values(), _save_state(out, exposure, agc, index))
             terrain.append(_shows_terrain(renderer.scene, frame))
-            told = record(frame) | timed.told(frame.time_s) | {"shows_terrain": terrain[-1]}
+            told = record(frame) | timed.record(frame.time_s) | {"shows_terrain": terrain[-1]}
             told["files"] = {path.name: [path.stat().st_size, files.checksum(path)] for path in written.values()}
             files.append_json(out / "frames.jsonl", files.sealed(told))
             if progress:

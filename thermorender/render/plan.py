@@ -200,10 +200,11 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
     Raises
     ------
     ThermorenderError
-        A setting out of range, or a scene whose heat balance is not solved.
+        A setting out of range, a scene whose temperatures are not solved, or one whose parts disagree.
     """
     samples, taps, edge_mk, rays = checked(quality, samples, taps, edge_mk, rays, tolerance_mk)
-    scene.refuse_unwarmed()
+    scene.refuse_disagreement()
+    scene.refuse_unsolved()
     band = tuple(scene.camera.band_um)
     envelope = _envelope(scene)
     coldest, warmest = min(envelope.temperatures), max(envelope.temperatures)
@@ -221,8 +222,8 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
         passed, added = (values[0] for values in scene.air.path(below, below, [1000.0]))
         arrives = passed @ scene.air.planck(REFERENCE_K) + added.sum()
         air_mk = abs(float(arrives - band_radiance(REFERENCE_K, *band))) / per_mk
-    if scene.spec.sun is not None:
-        light = irradiance(wavelength) / np.pi * (scene.spec.sun.elevation_deg > 0.0)
+    if scene.sun is not None:
+        light = irradiance(wavelength) / np.pi * (scene.sun.elevation_deg > 0.0)
         sun_mk = float((reflectance @ (light * weight)).max() / per_mk)
     spectrum = make_spectrum(scene.materials, envelope, tolerance_mk, bake)
     specular = make_tables(scene, spectrum, envelope)
