@@ -423,7 +423,7 @@ def test_errors(tmp_path):
     ):
         with pytest.raises(ThermorenderError, match=words):
             tr.Renderer(scene, **keyword)
-    with pytest.raises(ThermorenderError, match="scene='heath' is no Scene; give what load_scene returns"):
+    with pytest.raises(ThermorenderError, match="scene='heath' is not a Scene; give what load_scene returns"):
         tr.Renderer("heath")
 
 

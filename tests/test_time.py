@@ -74,7 +74,7 @@ def marches(monkeypatch):
         if progress:
             progress("marching the heat balance", 1.0)
         return [
-            scene.with_solved_temperatures(time, [scene.weather.at(time).air_k + 2.0 * s.material for s in scene.surfaces[:1]])
+            scene.with_solved_temperatures(time, [scene.weather.at(time).air_k + 2.0 * scene.surfaces[0].material])
             for time in times
         ]
 

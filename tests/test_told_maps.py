@@ -98,7 +98,8 @@ def test_black_ground_is_as_much_warmer_than_the_air_as_the_map_says(tmp_path):
     assert isinstance(scene.temperature_state, Pending)
     assert isinstance(scene.temperature_state.source, Conditional)
     assert "learned, to be solved for 2018-07-28T12:00:00Z" in str(scene)
-    with pytest.raises(ThermorenderError, match="a learned map that takes hour and weather as input are not solved yet"):
+    words = "a learned map that takes hour and weather as input are not solved yet"
+    with pytest.raises(ThermorenderError, match=words):
         scene.refuse_unsolved()
     for hours in (0, -9, 5):
         renderer = tr.Renderer(scene.at(AT + hours * HOUR), rays=4)

@@ -116,6 +116,11 @@ class Material:
             values.setflags(write=False)
             object.__setattr__(self, key, values)
 
+    def __repr__(self):
+        low, high = self.valid_range_um
+        emits = f"{self.emissivity.min():.2f}–{self.emissivity.max():.2f}"
+        return f"{type(self).__name__}({self.name!r}, emissivity {emits} over {low:g}–{high:g} µm, {self.directional})"
+
     @property
     def valid_range_um(self):
         """The shortest and longest measured wavelength [µm]."""

@@ -83,6 +83,10 @@ class BakedScene:
             self._uploaded["scene"] = DeviceScene(self, self.geometry)
         return self._uploaded["scene"]
 
+    def __repr__(self) -> str:
+        errors = ", ".join(f"{name} {value:.2g}" for name, value in self.errors_mk.items())
+        return f"BakedScene({self.scene.name!r}, {len(self.texels)} channels, errors {errors or 'none'} mK)"
+
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_uploaded": {}}
 

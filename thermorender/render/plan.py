@@ -18,7 +18,8 @@ from thermorender.render.spectrum import REFERENCE_K, Envelope, Spectrum, make_s
 QUALITIES = {"fast": (1, 4, 500.0, 128), "standard": (1, 4, 150.0, 128), "high": (4, 4, 24.0, 512)}
 
 
-@dataclass(frozen=True)
+# Compared by identity: its spectrum holds arrays.
+@dataclass(frozen=True, eq=False)
 class Plan:
     """The choices for one scene.
 
@@ -76,6 +77,17 @@ class Plan:
     sun: bool
     specular_mk: float | None
     specular: ReflectanceTables | None
+
+    def __repr__(self):
+        air = "no air" if self.air_mk is None else f"air in {self.spectrum.channels} channels"
+        return (
+            f"Plan({self.band_um[0]:g}–{self.band_um[1]:g} µm, {self.nodes} nodes, "
+            f"{self.rays if self.bake else 0} rays per face, {self.samples} per pixel, tolerance "
+            f"{self.tolerance_mk:g} mK, {air}, {self.coldest:.1f}–{self.warmest:.1f} K)"
+        )
+
+    def __str__(self):
+        return "\n".join(["plan", *(f"  {item:<22}{value:<14}{why}" for item, value, why in self.rows())])
 
     @cached_property
     def radiance_per_mk(self):

@@ -135,6 +135,11 @@ class Renderer:
         made._geometry = baked.geometry
         return made
 
+    def __repr__(self) -> str:
+        state = "baked" if self._baked is not None else "not baked yet"
+        scene = self.scene
+        return f"Renderer({scene.name!r}, {scene.camera.name}, {self.plan.nodes} nodes, seed {self.seed}, {state})"
+
     @property
     def baked(self) -> BakedScene:
         """The BakedScene; light between surfaces is traced and solved when first asked for."""

@@ -6,25 +6,21 @@ any order. Two edits of the same thing are the exception, and the last one count
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
-from numbers import Real
+from dataclasses import replace
 from os import PathLike
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from thermorender.atmosphere.model import Atmosphere
-from thermorender.errors import ThermorenderError, shortened
+from thermorender.errors import ThermorenderError
 from thermorender.learned.temperature_map import TemperatureMap
-from thermorender.materials import library as material_tables
 from thermorender.materials.library import Material
 from thermorender.scene.parts.cover import OBJECT, Cover, Painted
 from thermorender.scene.parts.read import Parts
-from thermorender.scene.parts.tracks import COLUMNS
-from thermorender.scene.raster import FORMATS
 from thermorender.scene.spec import AtmosphereSpec, EmissivitySpec, SunSpec, TemperatureSpec, WeatherSpec
+from thermorender.scene.state.arguments import changed_object, changed_weather, material_of, temperature_spec
 from thermorender.scene.state.declared import Declared
 from thermorender.scene.state.derived import Derived, of_surfaces
 from thermorender.scene.surface import FALLBACK, UNMOVED, Surface, scene_kelvin
@@ -35,9 +31,6 @@ from thermorender.sensor.camera import Camera, load_camera
 from thermorender.units import instant, utc_text
 
 _S = TypeVar("_S", bound="Edits")
-# Keys of [weather] that say where the weather comes from, each with the keys that belong to it.
-_KINDS = {"file": (), "epw": (), "air_high_c": ("air_low_c", "humidity", "wind_m_s", "cloud")}
-_COLUMN_OF = {"east_m": 0, "north_m": 1, "above_ground_m": 2}
 
 
 class Edits:
@@ -235,7 +228,7 @@ class Edits:
             if spec is None and "time" not in keys:
                 raise ThermorenderError(f"{now.where}: with_weather needs time=…, for the scene has none; add it")
         if keys:
-            spec = _changed_weather(spec, keys, now, series is None)
+            spec = changed_weather(spec, keys, now, series is None)
         assert spec is not None
         truth = now.spec.truth_temperature if spec == now.spec.weather and series is now.weather else None
         spec_now = replace(now.spec, weather=spec, truth_temperature=truth)
@@ -266,7 +259,7 @@ class Edits:
         if isinstance(source, TemperatureMap):
             model, spec = source, TemperatureSpec(source="learned", model=source.name)
         else:
-            spec = _temperature_spec(source)
+            spec = temperature_spec(source)
         now = replace(
             self._declared, spec=replace(self._declared.spec, temperature=spec), model=model, given=False,
             kelvin=None if kelvin is None else tuple(np.asarray(values, np.float32) for values in kelvin),
@@ -317,25 +310,11 @@ class Edits:
                 "in memory; give with_surfaces other materials"
             )
         names = {item.name for item in now.spec.objects}
-        found: dict[int | str, Material] = dict(now.replaced)
-        for key, value in given.items():
-            own = OBJECT + key if isinstance(key, str) and key in names else key
-            if isinstance(value, bool) or not isinstance(value, (str, Real, Material)):
-                raise ThermorenderError(
-                    f"with_material: {key}={shortened(repr(value))} is not a material; give a name, an emissivity "
-                    "above 0 and up to 1, or a Material"
-                )
-            if isinstance(value, str):
-                found[own] = material_tables.find(parts.library, value, f"with_material: {key}")
-            elif isinstance(value, Material):
-                found[own] = value
-            elif 0.0 < float(value) <= 1.0:
-                found[own] = material_tables.grey(str(key), float(value))
-            else:
-                raise ThermorenderError(
-                    f"with_material: {key}={value} is not allowed; give an emissivity above 0 and up to 1"
-                )
-        return self._edited(replace(now, replaced=found))
+        found = {
+            OBJECT + key if isinstance(key, str) and key in names else key: material_of(key, value, parts.library)
+            for key, value in given.items()
+        }
+        return self._edited(replace(now, replaced={**now.replaced, **found}))
 
     def with_objects(self: _S, objects: Mapping[str, float | Mapping[str, float]]) -> _S:
         """Return this scene with objects at other temperatures or places.
@@ -360,7 +339,7 @@ class Edits:
                     f"{', '.join(known) or 'none'}"
                 )
             values = given if isinstance(given, Mapping) else {"temperature_k": given}
-            known[name] = _changed_object(known[name], values)
+            known[name] = changed_object(known[name], values)
             if known[name].track is not None:
                 held[name] = held.get(name, frozenset()) | frozenset(values)
         spec = replace(now.spec, objects=tuple(known.values()))
@@ -459,69 +438,3 @@ class Edits:
 
 def _at(surface: Surface, kelvin: NDArray[np.float32]) -> Surface:
     return replace(surface, temperature=kelvin)
-
-
-def _temperature_spec(source: Any) -> TemperatureSpec:
-    """The TemperatureSpec that a number, a word or a path stands for."""
-    if isinstance(source, TemperatureSpec):
-        return source
-    if isinstance(source, Real) and not isinstance(source, bool):
-        value = float(source)
-        scene_kelvin("with_temperature", value)
-        return TemperatureSpec(source="constant", value=value)
-    if isinstance(source, (str, PathLike)):
-        if str(source) == "balance":
-            return TemperatureSpec(source="balance")
-        path = Path(source)
-        if path.suffix.lower() in FORMATS:
-            if not path.is_file():
-                raise ThermorenderError(f"with_temperature: {path} does not exist; give a raster of kelvin")
-            return TemperatureSpec(source="raster", raster=path)
-        return TemperatureSpec(source="learned", model=str(source))
-    raise ThermorenderError(
-        f"with_temperature was given a {type(source).__name__}; give kelvin, the path of a raster, the name or path of "
-        "a learned map, 'balance' or a TemperatureSpec"
-    )
-
-
-def _changed_weather(spec: WeatherSpec | None, keys: Mapping[str, Any], now: Declared, whole: bool) -> WeatherSpec:
-    """A WeatherSpec with other values of some keys; `whole`: it must say where the weather comes from."""
-    rows = {item.name: item for item in fields(WeatherSpec)}
-    where = Where("with_weather", now.spec.folder, top="")
-    for name in keys:
-        if name not in rows:
-            raise where.error(f"unknown key {name!r}; {did_you_mean(name, rows)}allowed are {', '.join(rows)}")
-    values = {name: row.metadata["read"](keys[name], where.of(name)) for name, row in rows.items() if name in keys}
-    kept: dict[str, Any] = {}
-    if spec is not None:
-        kept = {name: getattr(spec, name) for name in rows if getattr(spec, name) != rows[name].default}
-        for kind, others in _KINDS.items():
-            if kind not in keys and any(other in keys for other in _KINDS):
-                for name in {kind, *others} - set(keys):
-                    kept.pop(name, None)
-    kept |= values
-    if "time" not in kept:
-        raise where.error("time is missing; add it, as the scene has none")
-    made = WeatherSpec(**kept)
-    if whole:
-        made.check(where, kept)
-    return made
-
-
-def _changed_object(item: Any, values: Mapping[str, float]) -> Any:
-    """An ObjectSpec with other values of some columns of a track."""
-    position, found = list(item.position), {}
-    for column, value in values.items():
-        what = f"object {item.name!r}: {column}"
-        if column not in COLUMNS:
-            raise ThermorenderError(f"object {item.name!r} has no {column!r} to set; give {', '.join(COLUMNS)}")
-        finite = isinstance(value, Real) and not isinstance(value, bool)
-        if not finite or (column != "temperature_k" and not np.isfinite(float(value))):
-            raise ThermorenderError(f"{what}={shortened(repr(value))} is not allowed; give a finite number")
-        if column == "temperature_k":
-            found["temperature"] = float(scene_kelvin(what, float(value)))
-        elif column == "yaw_deg":
-            found["yaw_deg"] = float(value)
-        else:
-            position[_COLUMN_OF[column]] = float(value)
-    return replace(item, position=tuple(position), **found)

@@ -76,9 +76,7 @@ class Scene(Edits):
     _derived: Derived
 
     def __init__(self, parts: Parts | None, declared: Declared, made: Derived | None = None) -> None:
-        vars(self).update(
-            _parts=parts, _declared=declared, _derived=derived(parts, declared) if made is None else made
-        )
+        vars(self).update(_parts=parts, _declared=declared, _derived=derived(parts, declared) if made is None else made)
 
     @classmethod
     def of_surfaces(

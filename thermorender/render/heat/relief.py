@@ -1,7 +1,8 @@
 """What a terrain knows of its texels and a photograph does not: slope, aspect, height, sky view, and sun with shadow.
 
 Learned maps that take it as input hold for more than one hour and relief; see
-`learned.temperature_map.Inputs.terrain`. The sun is looked for by rays from every texel, now and over the hours before, as the ground remembers what it absorbed.
+`learned.temperature_map.Inputs.terrain`. The sun is looked for by rays from every texel, now and over the hours before,
+as the ground remembers what it absorbed.
 """
 
 from weakref import WeakKeyDictionary

@@ -69,10 +69,10 @@ class MaterialList:
 
     def index(self, name: str, key: str, *by: int | str) -> int:
         """Return the number of a material by its name; `by` are what else may be replaced in its place, first first."""
-        for one in (*by, name):
-            if one in self.replaced:
-                self.unused.discard(one)
-                return self.add(self.replaced[one])
+        own = [one for one in (*by, name) if one in self.replaced]
+        self.unused -= set(own)
+        if own:
+            return self.add(self.replaced[own[0]])
         return self.add(material_tables.find(self.library, name, f"{self.where}: {key}"))
 
     def add(self, material: Material) -> int:

@@ -306,8 +306,7 @@ def _refuse_source(now: Declared, shape: Shape) -> None:
         raise ThermorenderError(f"{why}needs the weather; add [weather] with time and one of file, epw, air_high_c")
     if shape.frame is None:
         raise ThermorenderError(
-            f"{why}needs a place, which a mesh does not have; add [frame] with latitude_deg, longitude_deg and "
-            "height_m"
+            f"{why}needs a place, which a mesh does not have; add [frame] with latitude_deg, longitude_deg and height_m"
         )
     if now.spec.sun is not None:
         raise ThermorenderError(
