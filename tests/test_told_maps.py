@@ -15,7 +15,7 @@ from scenes import write_balance, write_mesh
 from thermorender.errors import ThermorenderError
 from thermorender.learned.correlation import Correlation
 from thermorender.learned.linear import Linear, names_of_columns
-from thermorender.learned.rows import Told
+from thermorender.learned.rows import ExtraInputs
 from thermorender.learned.temperature_map import TemperatureMap, save_map
 from thermorender.output.flight import fly
 from thermorender.output.record import weather_of
@@ -45,7 +45,7 @@ def above_air(kelvin):
 
 def by_sunlight(kelvin_m2_w):
     """Kelvin above the air in proportion to the sunlight on the ground."""
-    told = Told(("sunlight",), ("air_k",))
+    told = ExtraInputs(("sunlight",), ("air_k",))
     names = names_of_columns(told)
     return Linear(told, kelvin_m2_w * (np.array(names) == "sunlight"), 0.0)
 

@@ -21,7 +21,6 @@ from thermorender.schema import Where, did_you_mean
 
 # Keys of [weather] that say where the weather comes from, each with the keys that belong to it.
 _KINDS = {"file": (), "epw": (), "air_high_c": ("air_low_c", "humidity", "wind_m_s", "cloud")}
-_COLUMN_OF = {"east_m": 0, "north_m": 1, "above_ground_m": 2}
 
 
 def material_of(key: int | str, value: Any, library: Mapping[str, Material]) -> Material:
@@ -91,7 +90,7 @@ def changed_weather(spec: WeatherSpec | None, keys: Mapping[str, Any], now: Decl
 
 def changed_object(item: ObjectSpec, values: Mapping[str, float]) -> ObjectSpec:
     """Return an ObjectSpec with other values of some columns of a track."""
-    position = list(item.position)
+    position = dict(zip(COLUMNS[:3], item.position, strict=True))
     found: dict[str, Any] = {}
     for column, value in values.items():
         what = f"object {item.name!r}: {column}"
@@ -105,5 +104,6 @@ def changed_object(item: ObjectSpec, values: Mapping[str, float]) -> ObjectSpec:
         elif column == "yaw_deg":
             found["yaw_deg"] = float(value)
         else:
-            position[_COLUMN_OF[column]] = float(value)
-    return replace(item, position=tuple(position), **found)
+            position[column] = float(value)
+    east, north, above = position.values()
+    return replace(item, position=(east, north, above), **found)

@@ -165,7 +165,8 @@ def _temperature_key(of: Declared, made: Derived) -> tuple[Any, ...]:
     if not _weather_driven(of):
         return source
     own = tuple(item.temperature for item in spec.objects if item.track is None)
-    key = (*source, spec.weather, id(of.weather), of.time, of.altitude_m, own)
+    # A sun of its own contradicts the weather's, and is refused where the temperatures are made.
+    key = (*source, spec.weather, id(of.weather), of.time, of.altitude_m, own, spec.sun)
     if _conditional(of):
         # What it reads as apparent temperature is seen under the sky.
         key += (made.air if of.has_air else spec.sky_temperature,)
