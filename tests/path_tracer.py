@@ -68,7 +68,7 @@ class PathTracer:
         low, high = (float(limit(corner[..., 2])) for limit in (np.min, np.max))
         self._nearest = 1e-9 * (1.0 + np.abs(corner).max())
         self._sun = None
-        if scene.spec.sun is not None and scene.spec.sun.elevation_deg > 0.0:
+        if scene.sun is not None and scene.sun.elevation_deg > 0.0:
             self._sun = self._sunlight(np.linspace(low, high + 1e-3, 5))
 
     def image(self, pose, samples, seed):
@@ -289,7 +289,7 @@ class PathTracer:
 
     def _sunlight(self, height):
         """(towards the sun, heights [m], transmittance there (h, N) of what lies above, clouds included)."""
-        elevation, azimuth = np.radians([self.scene.spec.sun.elevation_deg, self.scene.spec.sun.azimuth_deg])
+        elevation, azimuth = np.radians([self.scene.sun.elevation_deg, self.scene.sun.azimuth_deg])
         towards = np.array([np.cos(elevation) * np.sin(azimuth), np.cos(elevation) * np.cos(azimuth),
                             np.sin(elevation)])  # fmt: skip
         at = self.scene.altitude_m + height

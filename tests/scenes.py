@@ -1,6 +1,5 @@
 """Tiny scenes written to disk for tests."""
 
-from dataclasses import replace
 
 import numpy as np
 
@@ -101,14 +100,14 @@ temperature = {sky}
 
 def coarse(scene, factor=4):
     """Return the scene with a camera of the same field of view and `factor` times fewer pixels a side."""
-    return replace(scene, camera=scene.camera.coarser(factor))
+    return scene.with_camera(scene.camera.coarser(factor))
 
 
 def narrow(scene, width=160, height=128):
     """Return the scene with the middle of its camera's picture, so many pixels of the same size."""
     camera = scene.camera
     row, column = (camera.height - height) // 2, (camera.width - width) // 2
-    return replace(scene, camera=camera.part(slice(row, row + height), slice(column, column + width)))
+    return scene.with_camera(camera.part(slice(row, row + height), slice(column, column + width)))
 
 
 def plane_depth(ground_m=0.0, slope=(0.0, 0.0)):

@@ -299,8 +299,8 @@ def test_as_many_materials_as_a_texel_can_tell_apart_and_no_more(scene, refused)
 def test_temperatures_are_given_by_a_source(scene):
 
     loaded = load_scene(scene)
-    for given in (np.full((16, 16), 300.0), 300.0, "fok-1to1"):
-        words = rf"with_temperature was given a {type(given).__name__}.*TemperatureSpec\(source='raster'"
+    for given in (np.full((16, 16), 300.0), None, True):
+        words = rf"with_temperature was given a {type(given).__name__}; give kelvin, the path of a raster, the name"
         with pytest.raises(ThermorenderError, match=words):
             loaded.with_temperature(given)
 
@@ -308,8 +308,8 @@ def test_temperatures_are_given_by_a_source(scene):
 @pytest.mark.parametrize("given", [57.0, 0.0, -273.0, np.nan, np.inf, 1e4])
 def test_no_object_is_set_to_a_temperature_that_none_has(scene, given):
     change(scene / "scene.toml", "[sky]", OBJECT + "[sky]")
-    with pytest.raises(ThermorenderError, match=f"^object 'marker': temperature={given:g} is "):
-        load_scene(scene).with_object_temperatures({"marker": given})
+    with pytest.raises(ThermorenderError, match=f"^object 'marker': temperature_k={given:g} is "):
+        load_scene(scene).with_objects({"marker": given})
 
 
 def test_celsius_given_as_kelvin(scene, refused):

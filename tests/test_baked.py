@@ -14,7 +14,7 @@ import thermorender as tr
 from scenes import write_terrain
 from thermorender.errors import ThermorenderError
 from thermorender.render.light import radiosity
-from thermorender.scene.spec import TemperatureSpec
+from thermorender.scene.spec import AtmosphereSpec, TemperatureSpec
 from thermorender.scene.surface import SATURATED
 
 DOWN = {"pitch_deg": -90.0}
@@ -42,7 +42,7 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def renderer(folder):
     scene = tr.load_scene(folder)
-    return tr.Renderer(replace(scene, camera=replace(scene.camera, width=96, height=80)), rays=16, seed=5)
+    return tr.Renderer(scene.with_camera(replace(scene.camera, width=96, height=80)), rays=16, seed=5)
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +116,7 @@ def test_an_edit_is_solved_without_tracing(renderer, pose, monkeypatch):
     np.testing.assert_array_equal(tr.Renderer.of(baked.solved_for(warmer)).radiance(pose), anew)
     np.testing.assert_array_equal(tr.Renderer(warmer, rays=16, like=renderer).radiance(pose), anew)
     # Materials changed behind the same surfaces: their light is not the old one's.
-    swapped = replace(renderer.scene, materials=renderer.scene.materials[::-1])
+    swapped = renderer.scene.with_surfaces(materials=renderer.scene.materials[::-1])
     assert (tr.Renderer(swapped, rays=16, like=renderer).radiance(pose) != renderer.radiance(pose)).any()
 
 
@@ -124,12 +124,12 @@ def test_like_compares_content(folder, renderer, pose):
     scene = tr.load_scene(folder)
     with pytest.raises(ThermorenderError, match="device='tpu' is unknown"):
         tr.Renderer(scene, rays=16, device="tpu", like=renderer)
-    again = replace(scene, camera=renderer.scene.camera)
+    again = scene.with_camera(renderer.scene.camera)
     assert again.surfaces[0].vertices is not renderer.scene.surfaces[0].vertices
     np.testing.assert_array_equal(tr.Renderer(again, rays=16, like=renderer).radiance(pose), renderer.radiance(pose))
 
     def with_first(**changes):
-        return replace(scene, surfaces=(replace(scene.surfaces[0], **changes), *scene.surfaces[1:]))
+        return scene.with_surfaces((replace(scene.surfaces[0], **changes), *scene.surfaces[1:]))
 
     first = scene.surfaces[0]
     moved = first.vertices.copy()
@@ -138,7 +138,7 @@ def test_like_compares_content(folder, renderer, pose):
         (with_first(vertices=moved), "like=… has other vertices in surface 'terrain'; give one of the same surfaces"),
         (with_first(faces=first.faces[:, [1, 2, 0]]), "like=… has other faces in surface 'terrain'"),
         (with_first(uv=first.uv + np.float32(0.01)), "like=… has other uv in surface 'terrain'"),
-        (replace(scene, surfaces=scene.surfaces * 2), "like=… has 1 surfaces, not 2"),
+        (scene.with_surfaces(scene.surfaces * 2), "like=… has 1 surfaces, not 2"),
     ):
         with pytest.raises(ThermorenderError, match=words):
             tr.Renderer(other, rays=16, like=renderer)
@@ -161,14 +161,14 @@ def test_a_frame_that_was_sent_can_be_changed(renderer, pose):
 
 def test_light_of_another_altitude_is_not_taken(renderer, pose):
     high = renderer.scene.with_air("tropical")
-    low = replace(high, frame=replace(high.frame, height_m=high.frame.height_m + 3000.0))
+    low = high.with_air(AtmosphereSpec(standard="tropical", altitude_m=high.altitude_m + 3000.0))
     found = tr.Renderer(low, rays=16, like=tr.Renderer(high, rays=16, like=renderer)).radiance(pose)
     np.testing.assert_array_equal(found, tr.Renderer(low, rays=16).radiance(pose))
 
 
 def test_a_scene_like_another_shows_its_own_colours_and_names(folder, renderer, pose):
     first, *others = renderer.scene.surfaces
-    dark = replace(renderer.scene, surfaces=(replace(first, colour=first.colour // 2, name="land"), *others))
+    dark = renderer.scene.with_surfaces((replace(first, colour=first.colour // 2, name="land"), *others))
     alone = tr.Renderer(dark, rays=16)
     for like in (tr.Renderer(dark, rays=16, like=renderer), tr.Renderer.of(renderer.baked.solved_for(dark))):
         np.testing.assert_array_equal(like.visible(pose)[0], alone.visible(pose)[0])

@@ -9,7 +9,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.formats import write_image
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, brightness_temperature
 from thermorender.render.light import radiosity
-from thermorender.scene.tracks import read_track
+from thermorender.scene.parts.tracks import read_track
 
 BAND = (7.5, 13.5)
 
@@ -67,7 +67,7 @@ def test_an_object_with_a_track_shines_as_one_that_stands_still(tmp_path, shape,
 def test_a_frame_states_what_the_light_of_a_moving_object_errs_by(tmp_path, kelvin):
     """Against one that stands still, under many rays, on the ground round it."""
     pose, track = tr.pose(1, 2, 14, pitch_deg=-90), f"time_s,temperature_k\n0,{kelvin}\n"
-    still = scene_with(tmp_path / "still").with_object_temperatures({"target": kelvin})
+    still = scene_with(tmp_path / "still").with_objects({"target": kelvin})
     still = tr.Renderer(still, quality="high", rays=4096).frame(pose)
     frame = tr.Renderer(scene_with(tmp_path / "moving", track), quality="high", rays=128).frame(pose)
     away = np.linalg.norm(still.truth["position"][..., :2] - [1, 2], axis=-1)

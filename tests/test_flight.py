@@ -208,7 +208,7 @@ def test_the_thermography_reading_stands_beside_the_truth(setting, tmp_path):
     renderer, path = setting
     # What shades and drifts would stand beside it as well.
     quiet = replace(renderer.scene.camera, shading_mk=0.0, shading_mk_per_k=0.0, scale_drift_mk=0.0)
-    renderer = tr.Renderer(replace(renderer.scene, camera=quiet), rays=4, samples=1, seed=11)
+    renderer = tr.Renderer(renderer.scene.with_camera(quiet), rays=4, samples=1, seed=11)
     settings = ThermographySettings(emissivity=0.95, reflected_c=-13.15, air_c=15.0, distance_m=12.0)
     flight = FlightOptions(rate_hz=1.0, products=("exr", "truth", "radiometric"), thermography=settings)
     fly(renderer, path, tmp_path / "f", flight)
@@ -476,7 +476,7 @@ def test_another_scene_is_rendered_without_compiling(tmp_path, kernels):
             )
             for each in first.scene.surfaces
         )
-        found = tr.Renderer(replace(first.scene, surfaces=surfaces), rays=8, samples=1)
+        found = tr.Renderer(first.scene.with_surfaces(surfaces), rays=8, samples=1)
         frame = found.frame(crash_targets.straight(1.0).pose(0.5))
         assert frame.budget_mk and np.isfinite(frame.error_mk).any()
         known.append(kernels())

@@ -10,7 +10,7 @@ import pytest
 from thermorender.errors import ThermorenderError
 from thermorender.learned.features import NAMES
 from thermorender.learned.linear import names_of_columns
-from thermorender.learned.rows import Told
+from thermorender.learned.rows import ExtraInputs
 from thermorender.learned.temperature_map import Inputs, load_map
 from thermorender.learned.trees import Trees
 
@@ -74,7 +74,7 @@ def test_wrong_coefficients(tmp_path):
         refused(put(tmp_path, kernel=kernel), words)
     refused(put(tmp_path), "kernel")
     told = {"terrain": ["sunlight"], "conditions": ["air_k"], "offset": 0.0}
-    weight = np.zeros(len(names_of_columns(Told(("sunlight",), ("air_k",)))))
+    weight = np.zeros(len(names_of_columns(ExtraInputs(("sunlight",), ("air_k",)))))
     linear = HEADER | {"predictor": "linear", "of_predictor": told}
     refused(put(tmp_path, linear, weight=weight * np.nan), "not finite")
     refused(put(tmp_path, linear, weight=weight[1:]), "other columns")
@@ -143,7 +143,7 @@ def text():
 
 
 def of_trees(folder, text, damaged=None, **change):
-    whole = Trees(text, Told((), ()))
+    whole = Trees(text, ExtraInputs((), ()))
     arrays = whole.arrays() if damaged is None else {"trees": np.frombuffer(damaged.encode(), np.uint8)}
     return put(folder, HEADER | {"predictor": "trees", "of_predictor": whole.header() | change}, **arrays)
 

@@ -125,8 +125,7 @@ def test_air_above_the_station_is_drier_and_thinner(walled, monkeypatch):
     # Both begin alike: the depth would keep what it began with.
     monkeypatch.setattr(open_ground, "settled", lambda columns, weather, *more: settled(columns, brought, *more))
     for weather in (below, brought):
-        scene = replace(walled)
-        scene.__dict__["weather"] = weather
+        scene = walled.with_weather(weather)
         both.append([found.surfaces[0].temperature for found in heat.solved(scene, [night, AT])])
     # Both rest on Magnus' form and the standard lapse; 1 K where vapour and pressure stay as below.
     assert max(np.abs(one - other).max() for one, other in zip(*both, strict=True)) < 0.1
@@ -141,7 +140,7 @@ def test_a_mixture_shows_what_its_parts_emit(walled):
 
     def kelvin(material):
         surface = replace(terrain, material=np.zeros_like(terrain.material))
-        scene = replace(walled, materials=(material,), surfaces=(surface,))
+        scene = walled.with_surfaces((surface,), (material,))
         # The open, far from the wall, where nothing else than what lies there tells.
         return float(heat.solved(scene, [night])[0].surfaces[0].temperature[-6:].mean())
 
@@ -177,7 +176,8 @@ def test_terrain_that_looks_down_is_refused(walled):
     from dataclasses import replace
 
     (surface,) = walled.surfaces
-    turned = replace(walled, surfaces=(replace(surface, faces=surface.faces[:, ::-1].copy(), uv=surface.uv[:, ::-1]),))
+    turned = replace(surface, faces=surface.faces[:, ::-1].copy(), uv=surface.uv[:, ::-1])
+    turned = walled.with_surfaces((turned,))
     with pytest.raises(ThermorenderError, match="most of the terrain's faces look down.*counter-clockwise"):
         heat.solved(turned, [AT])
 

@@ -17,6 +17,7 @@ from thermorender.materials.shifted import PROPERTIES, shifted
 from thermorender.scene.spec import TemperatureSpec, WeatherSpec
 from thermorender.scene.surface import FALLBACK, UNMOVED
 from thermorender.scene.temperature import map_error_k, trained
+from thermorender.scene.temperature_state import Moved, Pending
 from validation.moved import study
 
 DAY = {"air_low_c": 11.0, "air_high_c": 23.0, "humidity": 0.7, "wind_m_s": 3.0, "cloud": 0.1}
@@ -47,12 +48,12 @@ def written(folder, extra=TABLES, **options):
 def _short_marches():
     """The march begins as late as it may: here nobody asks how true it is, only what is made of it."""
     from thermorender.render.heat import march as heat
-    from thermorender.scene import columns
+    from thermorender.scene import open_ground
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(heat, "_BEFORE_S", 6 * 3600.0)
-        patch.setattr(columns, "_LOOK_BACK", np.timedelta64(86400, "s"))
-        patch.setattr(columns, "_MOST_DAYS", 2)
+        patch.setattr(open_ground, "_LOOK_BACK", np.timedelta64(86400, "s"))
+        patch.setattr(open_ground, "_MOST_DAYS", 2)
         yield
 
 
@@ -76,8 +77,8 @@ def tools():
 
 def mapped(scene, kelvin, error_k):
     """The scene with other temperatures for its map, and their error."""
-    spec = replace(scene.spec, temperature=replace(scene.spec.temperature, map_error_k=error_k))
-    return replace(scene, spec=spec, mapped=(kelvin.astype(np.float32),))
+    spec = replace(scene.spec.temperature, map_error_k=error_k)
+    return scene.with_temperature(spec, kelvin=(kelvin.astype(np.float32),))
 
 
 # --- the model --------------------------------------------------------------------------------------------------
@@ -153,22 +154,23 @@ def test_properties_move_by_what_their_tables_state():
 
 def test_at_the_trained_instant_the_map_is_itself(scene, tools):
     _, moved = tools
-    assert scene.mapped is not None and not scene.warmed and not scene.balanced
+    state = scene.temperature_state
+    assert isinstance(state, Pending) and isinstance(state.source, Moved) and not scene.balanced
     assert "raster, to be solved for 2018-07-15T12:36:00Z" in str(scene)
     found = moved.moved(scene, [TRAINED])[0]
     surface = found.scene.surfaces[0]
     hole = (surface.flags & FALLBACK) > 0
     assert hole.sum() == 16
-    np.testing.assert_array_equal(surface.temperature[~hole], scene.mapped[0][~hole])
+    np.testing.assert_array_equal(surface.temperature[~hole], state.source.temperatures[0][~hole])
     np.testing.assert_array_equal((surface.flags & UNMOVED) > 0, hole)
     # At least the error assumed where nobody states one.
     assert found.std_k[0][~hole].min() > 2.0 - 1e-5
     for number in (0, 1):
         own = found.std_k[0][(surface.material == number) & ~hole]
         assert np.ptp(own) < 1e-4
-    report = found.scene.moved_report
+    report = found.scene.temperature_state.moved_report
     assert report["trained"] == "2018-07-15T12:36:00Z" and report["correlation"] == 1.0
-    assert report["share_unmoved"] == round(16 / 1024, 5) and found.scene.warmed
+    assert report["share_unmoved"] == round(16 / 1024, 5) and found.scene.temperature_state.solved
 
 
 def test_where_the_map_failed_the_balance_stands(scene, tools):
@@ -187,16 +189,14 @@ def test_where_the_map_failed_the_balance_stands(scene, tools):
 def test_an_absorptance_that_is_off_is_found_at_other_hours(scene, tools):
     """A map whose only fault against the balance is an absorptance 0.04 too low in the table."""
     heat, moved = tools
-    plain = replace(scene, surfaces=tuple(replace(s, flags=s.flags & ~np.uint8(FALLBACK)) for s in scene.surfaces))
-    balanced = plain.with_temperature(TemperatureSpec("balance"))
-    true = replace(
-        balanced,
-        materials=tuple(replace(m, solar_absorptance=m.solar_absorptance + 0.04) for m in balanced.materials),
+    balanced = scene.with_temperature("balance")
+    true = balanced.with_material(
+        {m.name: replace(m, solar_absorptance=m.solar_absorptance + 0.04) for m in balanced.materials}
     )
     times = [TRAINED, *(TRAINED + hours * HOUR for hours in (-4, 4, 12))]
     truth = [one.surfaces[0].temperature for one in heat.solved(true, times)]
     alone = [one.surfaces[0].temperature for one in heat.solved(balanced, times)]
-    found = moved.moved(mapped(plain, truth[0], 0.1), times)
+    found = moved.moved(mapped(scene, truth[0], 0.1), times)
     for known, expected, one in zip(truth[1:], alone[1:], found[1:], strict=True):
         error = one.scene.surfaces[0].temperature - known
         away = np.abs(error) / one.std_k[0]
@@ -214,31 +214,29 @@ def test_uncertainty_grows_with_the_distance(scene, tools):
     hours = moved.moved(known, [TRAINED + step * np.timedelta64(60, "s") for step in (0, 30, 60, 120)])
     later = TRAINED + 60 * 24 * HOUR
     days = [moved.moved(known.at(later), [later])[0]]
-    windy = replace(known.spec.weather, wind_m_s=8.0)
-    other = moved.moved(replace(known, spec=replace(known.spec, weather=windy)), [TRAINED])[0]
+    other = moved.moved(known.with_weather(wind_m_s=8.0), [TRAINED])[0]
     for rising in (hours, [hours[0], *days]):
-        mean = [one.scene.moved_report["mean_uncertainty_k"] for one in rising]
-        rho = [one.scene.moved_report["correlation"] for one in rising]
+        mean = [one.scene.temperature_state.moved_report["mean_uncertainty_k"] for one in rising]
+        rho = [one.scene.temperature_state.moved_report["correlation"] for one in rising]
         print(mean, rho)
         assert (np.diff(mean) > 0.0).all() and (np.diff(rho) < 0.0).all()
-    assert other.scene.moved_report["correlation"] < 0.5
-    assert other.scene.moved_report["mean_uncertainty_k"] > hours[0].scene.moved_report["mean_uncertainty_k"]
+    report, first = (one.scene.temperature_state.moved_report for one in (other, hours[0]))
+    assert report["correlation"] < 0.5 and report["mean_uncertainty_k"] > first["mean_uncertainty_k"]
 
 
 @pytest.mark.slow
 def test_snow_or_rain_at_one_instant_only_cannot_be_moved(scene, tools):
     heat, moved = tools
     at = TRAINED + HOUR
-    white = replace(scene, spec=replace(scene.spec, weather=replace(scene.spec.weather, snow_depth_m=0.1)))
+    white = scene.with_weather(snow_depth_m=0.1)
     dry = scene.weather
     wet = replace(dry, rain_mm_h=np.where(dry.time < at, 1.0, 0.0))
-    rained = replace(scene)
-    rained.__dict__["weather"] = wet
+    rained = scene.with_weather(wet)
     for one in (white, rained):
         found = moved.moved(one, [at])[0].scene
-        assert ((found.surfaces[0].flags & UNMOVED) > 0).all() and found.moved_report["share_unmoved"] == 1.0
-        balanced = one.with_temperature(TemperatureSpec("balance"))
-        balanced.__dict__["weather"] = one.weather
+        assert ((found.surfaces[0].flags & UNMOVED) > 0).all()
+        assert found.temperature_state.moved_report["share_unmoved"] == 1.0
+        balanced = one.with_temperature("balance")
         expected = heat.solved(balanced, [at])[0].surfaces[0].temperature
         np.testing.assert_allclose(found.surfaces[0].temperature, expected, atol=1e-4)
 
@@ -252,7 +250,8 @@ def test_frames_flags_and_records_tell(scene, tmp_path, call):
     assert frame.time == TRAINED + 2 * HOUR
     assert (frame.truth["mask"] & UNMOVED).any() and not (frame.truth["mask"] & UNMOVED).all()
     told = weather_of(renderer.scene)
-    assert told["moved"] == renderer.scene.moved_report and told["moved"]["mean_absolute_difference_k"] > 0.0
+    assert told["moved"] == renderer.scene.temperature_state.moved_report
+    assert told["moved"]["mean_absolute_difference_k"] > 0.0
     assert np.isfinite(frame.apparent_temperature).all()
 
 
@@ -265,7 +264,8 @@ def test_a_learned_map_that_says_when_it_was_trained(tmp_path, monkeypatch):
     text = text.replace('source = "raster"\nraster = "temperature.tif"', 'source = "learned"\nmodel = "mine"', 1)
     (folder / "scene.toml").write_text(text)
     scene = tr.load_scene(folder)
-    assert scene.mapped is not None and "share_outside_0_1" in scene.report["mine"]
+    assert isinstance(scene.temperature_state.source, Moved)
+    assert "share_outside_0_1" in scene.temperature_state.report["mine"]
     own = scene.spec.temperature
     assert trained(own) == WeatherSpec(time=TRAINED, **DAY) and map_error_k(own) == 1.5
     # The scene's word goes before the map's.

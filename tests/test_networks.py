@@ -432,7 +432,7 @@ def test_hour_and_weather_leave_the_planes_in_units_of_about_one():
     # Kelvin above the air are measured from 0, by their root mean square over the training pictures.
     above = [kelvin(picture(seed)) - 285.0 - seed % 3 for seed in range(12) if seed % 10 != 9]
     assert encoding.offset == 0.0 and encoding.scale == pytest.approx(np.sqrt(np.mean(np.square(above))), rel=1e-3)
-    assert encoding.told.conditions == ("air_k", "wind_m_s")
+    assert encoding.extra.conditions == ("air_k", "wind_m_s")
     assert Encoding.of(encoding.header(), encoding.arrays()) == encoding
 
 
@@ -443,9 +443,9 @@ def test_typical_materials_are_what_the_linear_map_says():
     conditions = {"air_k": 290.0, "direct_w_m2": 500.0, "diffuse_w_m2": 100.0, "sun_elevation_deg": 40.0,
                   "open_water": -1.0, "shade_water": -2.0, "open_asphalt": 20.0, "shade_asphalt": 3.0}  # fmt: skip
     terrain = {"sunlight": np.float32([[0.0, 421.4], [np.nan, 200.0]])}
-    from thermorender.learned.rows import Told
+    from thermorender.learned.rows import ExtraInputs
 
-    told = Told(names, tuple(sorted(conditions)))
+    told = ExtraInputs(names, tuple(sorted(conditions)))
     encoding = Encoding(told, False, 2.0, 4.0)
     planes = encoding.planes(Inputs(np.zeros((2, 2, 3), np.uint8), 0.2, terrain, conditions))
     assert encoding.mixed == 2 and len(planes) == encoding.channels == 3 + 1 + 1 + 2

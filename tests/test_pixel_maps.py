@@ -117,7 +117,7 @@ def test_a_picture_is_brought_to_the_maps_texel_and_back():
 
 def test_tiles_are_the_picture(monkeypatch):
     inputs = Inputs(picture(4, 150, 170), 0.5, {"sky": np.random.default_rng(0).random((150, 170))}, {"air_k": 290.0})
-    told = rows.Told.of(inputs)
+    told = rows.ExtraInputs.of(inputs)
     ((_, whole),) = told.tiles(inputs)
     assert whole.shape == (len(told.columns), 150, 170)
     monkeypatch.setattr(rows, "_TILE", 64)
@@ -132,12 +132,12 @@ def test_rows_are_drawn_evenly_from_what_is_valid():
     valid[10:20] = True
     kelvin = 280.0 + np.arange(48.0)[:, None] + np.zeros(64)
     examples = [example(Inputs(picture(k)), kelvin, valid if k else None) for k in range(3)]
-    found = list(rows.drawn(task_of("trees", examples), rows.Told(), 500))
+    found = list(rows.drawn(task_of("trees", examples), rows.ExtraInputs(), 500))
     assert [each.pixels.size for each in found] == [500, 500, 500]
     assert valid.ravel()[found[1].pixels].all()
     for each in found:
         np.testing.assert_allclose(each.target, each.pixels // 64 / 20.0)
-    again = list(rows.drawn(task_of("trees", examples), rows.Told(), 500))
+    again = list(rows.drawn(task_of("trees", examples), rows.ExtraInputs(), 500))
     assert all((one.pixels == other.pixels).all() for one, other in zip(found, again, strict=True))
     nothing = [replace(one, valid=np.zeros((48, 64), bool)) for one in examples]
     for name in ("trees", "palette"):
@@ -153,7 +153,7 @@ def test_pixels_of_large_pictures_are_drawn_from_a_part_that_is_described_as_in_
     large = example(Inputs(rgb), np.full((420, 600), 290.0), valid)
     seen = set()
     for seed in range(8):
-        (found,) = rows.drawn(replace(task_of("trees", [large]), seed=seed), rows.Told(), 200)
+        (found,) = rows.drawn(replace(task_of("trees", [large]), seed=seed), rows.ExtraInputs(), 200)
         top, bottom, left, right = found.window
         assert bottom - top == right - left == 256 and 0 <= top and bottom <= 420 and 0 <= left and right <= 600
         row, column = np.divmod(found.pixels, 600)
@@ -161,7 +161,7 @@ def test_pixels_of_large_pictures_are_drawn_from_a_part_that_is_described_as_in_
         assert column.min() >= left and column.max() < right
         seen.add(found.window)
     assert len(seen) > 4
-    told = rows.Told()
+    told = rows.ExtraInputs()
     ((_, whole),) = told.tiles(Inputs(rgb))
     ((where, part),) = told.tiles(Inputs(rgb), found.window)
     assert where == (slice(top, bottom), slice(left, right))
@@ -172,7 +172,7 @@ def test_training_brings_pictures_to_the_maps_texel():
     rgb = picture(5)
     kelvin = 280.0 + np.arange(48.0)[:, None] + np.zeros(64)
     fine = example(Inputs(rgb.repeat(2, axis=0).repeat(2, axis=1), 0.25), kelvin.repeat(2, axis=0).repeat(2, axis=1))
-    (found,) = rows.drawn(task_of("trees", [fine], 0.5), rows.Told(), 10**6)
+    (found,) = rows.drawn(task_of("trees", [fine], 0.5), rows.ExtraInputs(), 10**6)
     np.testing.assert_array_equal(found.inputs.rgb, rgb)
     np.testing.assert_allclose(found.target, INTENSITY[np.rint(100.0 * kelvin.ravel()).astype(int)])
 
@@ -277,12 +277,12 @@ def test_trees_with_relief_give_kelvin_above_the_air(tmp_path):
     examples = [above_air(seed, 270.0 + 5.0 * seed) for seed in range(6)]
     model = trees.fit_trees(task_of("trees+", examples))
     assert model.needs == ("terrain", "conditions") and model.above_air
-    assert model.told == rows.Told(("material", "sunlight"), ("air_k", "wind_m_s"))
+    assert model.extra == rows.ExtraInputs(("material", "sunlight"), ("air_k", "wind_m_s"))
     # LightGBM's word for splits by sets of classes.
     assert max(int(line[8:]) for line in model.text.splitlines() if line.startswith("num_cat=")) > 0
     other = above_air(20, 287.0)
     again = through_a_file(model, tmp_path)
-    assert again.predictor.told == model.told
+    assert again.predictor.extra == model.extra
     found = again.predictor.predict(other.inputs, None)
     assert np.abs(found + 287.0 - TEMPERATURE[other.values]).mean() < 0.8
     # The terrain ends somewhere: a temperature is given all the same.
@@ -317,8 +317,8 @@ def test_what_is_no_map_of_these_is_refused(tmp_path):
     grown = trees.fit_trees(task_of("trees", examples))
     assert lightgbm.Booster(model_str=grown.text).num_trees() > 0
     colours = palette.fit_palette(task_of("palette", examples))
-    narrow = linear.Linear(rows.Told(), np.zeros(5), 0.0)
-    for bad in (replace(grown, text="tree\nno"), replace(grown, told=rows.Told(("slope",))),
+    narrow = linear.Linear(rows.ExtraInputs(), np.zeros(5), 0.0)
+    for bad in (replace(grown, text="tree\nno"), replace(grown, extra=rows.ExtraInputs(("slope",))),
                 replace(colours, cell=24.0), narrow):  # fmt: skip
         with pytest.raises(ThermorenderError, match=r"is no learned map of format 1 \(.*\); make one with"):
             through_a_file(bad, tmp_path)
@@ -367,7 +367,7 @@ def test_linear_finds_known_coefficients(tmp_path):
         inputs.terrain["sky_view"][:10] = inputs.terrain["sunlight"][:10] = np.nan
         kelvin[:10] = (inputs.conditions["air_k"] + above_the_air(inputs))[:10]
     model = linear.fit_linear(task_of("correlation+", [example(*one) for one in made], penalty=0.0))
-    names = linear.names_of_columns(model.told)
+    names = linear.names_of_columns(model.extra)
     found = dict(zip(names, model.weight, strict=True))
     # Sky view and hidden sky say the same but for where the terrain ends, and share a coefficient.
     assert found["sky_view"] - found["hidden sky"] == pytest.approx(-4.0, abs=0.01)
@@ -394,7 +394,7 @@ def test_linear_is_ridge_regression(monkeypatch):
     for inputs, _ in made:
         values = {**dict(zip("Lab", features.lab(inputs.rgb).reshape(-1, 3).T, strict=True)), **inputs.conditions,
                   **{name: plane.ravel() for name, plane in inputs.terrain.items()}}  # fmt: skip
-        columns = linear.columns(values, model.told)
+        columns = linear.columns(values, model.extra)
         table.append(np.stack([np.broadcast_to(column, size) for _, column in columns], axis=-1))
     table = np.concatenate(table).astype(float)
     target = np.concatenate([(kelvin.round(2) - inputs.conditions["air_k"]).ravel() for inputs, kelvin in made])
@@ -428,7 +428,7 @@ def test_what_hardly_varied_is_not_believed_far_beyond_that(fit):
 def test_linear_passes_over_what_it_was_not_told():
     """A condition that training lacked, and that would make a column with one it had."""
     inputs, _ = linear_example(0, 290.0, np.random.default_rng(2))
-    told = rows.Told(("sunlight",), tuple(sorted(set(inputs.conditions) - {"shade_sand"})))
+    told = rows.ExtraInputs(("sunlight",), tuple(sorted(set(inputs.conditions) - {"shade_sand"})))
     weight = np.array([name == "sunlight" for name in linear.names_of_columns(told)], float)
     found = linear.Linear(told, weight, 1.0).predict(inputs, None)
     np.testing.assert_allclose(found, 1.0 + inputs.terrain["sunlight"], rtol=1e-12)
@@ -438,7 +438,7 @@ def test_linear_leaves_out_what_is_constant_and_classes():
     inputs, kelvin = linear_example(0, 290.0, np.random.default_rng(2))
     inputs.terrain["material"] = np.ones((48, 64), np.uint8)
     model = linear.fit_linear(task_of("correlation+", [example(inputs, kelvin)]))
-    assert model.told.terrain == ("sky_view", "sunlight")
+    assert model.extra.terrain == ("sky_view", "sunlight")
     assert (model.weight[-2:] == 0.0).all()
 
 

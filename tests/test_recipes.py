@@ -55,5 +55,5 @@ def test_a_learned_map_is_added(run):
     # The map is applied texel by texel; a grey scene's intensity is the kernel's sum times its brightness.
     grey = mine.radiance(Inputs(np.full((4, 4, 3), 128, np.uint8)))
     np.testing.assert_allclose(mine.intensity(grey), 0.5 * 128 / 255, atol=1e-12)
-    share = found["scene"].report["green-is-cool"]["share_fallback"]
+    share = found["scene"].temperature_state.report["green-is-cool"]["share_fallback"]
     assert 0.0 <= share < 0.5

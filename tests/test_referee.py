@@ -237,7 +237,7 @@ def test_an_emissivity_of_a_rendered_scene_is_held_against_the_true_one(ground):
         first,
         material=np.where(first.material == names.index("sand_quartz"), names.index("grass_green"), first.material),
     )
-    found = emissivities.of_scenes(replace(true, surfaces=(wrong, *true.surfaces[1:])), true)
+    found = emissivities.of_scenes(true.with_surfaces((wrong, *true.surfaces[1:])), true)
     texels, used, known, total = found["sand_quartz"]
     own = {each.name: each.band_emissivity(*BAND, 300.0) for each in true.materials}
     assert texels / total == pytest.approx(24 / 64)
@@ -901,13 +901,12 @@ def test_frames_that_wait_are_those_of_their_hour_weather_truth_and_materials(tm
     scene = tr.load_scene(write_balance(tmp_path / "s", WEATHER))
     scene = scene.with_temperature(TemperatureSpec(source="constant", value=290.0))
     one = Flight(scene, np.zeros(1), np.eye(4)[None])
-    weather = replace(scene.spec.weather, cloud=0.9)
     places = [
         frames.Frames(tmp_path, each, truth, learned, {})._folder
         for each, truth, learned in (
             (one, scene, None),
-            (replace(one, scene=replace(scene, spec=replace(scene.spec, weather=weather))), scene, None),
-            (replace(one, scene=replace(scene, time=scene.time + np.timedelta64(3, "h"))), scene, None),
+            (replace(one, scene=scene.with_weather(cloud=0.9)), scene, None),
+            (replace(one, scene=scene.at(scene.time + np.timedelta64(3, "h"))), scene, None),
             (one, scene.with_temperature(TemperatureSpec(source="constant", value=291.0)), None),
             (one, scene, scene),
             (replace(one, times=np.ones(1)), scene, None),

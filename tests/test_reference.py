@@ -19,7 +19,7 @@ MILLIKELVIN = band_radiance_derivative(300.0, *BAND) * 1e-3
 def small(scene):
     """The scene with a camera of 80×64 pixels over the same field of view."""
     camera = scene.camera
-    return replace(scene, camera=replace(camera, width=80, height=64, pixel_pitch_um=camera.pixel_pitch_um * 8))
+    return scene.with_camera(replace(camera, width=80, height=64, pixel_pitch_um=camera.pixel_pitch_um * 8))
 
 
 @pytest.mark.parametrize("emissivity", [1.0, 0.5])
@@ -81,7 +81,7 @@ def test_a_wall_reflects_the_same_horizon_from_any_height(tmp_path, height_m):
     scene = small(tr.load_scene(write_mesh(tmp_path / "s", wall, 300.0, 0.2, sky=220.0)))
     # A telescope: the wall, seen from above, fills the picture.
     camera = replace(scene.camera, focal_length_mm=scene.camera.focal_length_mm * height_m / 8.0)
-    scene = replace(scene, camera=camera)
+    scene = scene.with_camera(camera)
     radiance = reference.render(scene, tr.pose(0, 0, height_m, pitch_deg=-90), samples=256)
     sky, around, own = band_radiance(np.array([220.0, scene.surroundings_temperature, 300.0]), *BAND)
     up = 0.5 * (1.0 + np.cos(tilt))

@@ -10,7 +10,7 @@ import thermorender as tr
 from scenes import write_mesh, write_terrain
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.render import reference
-from thermorender.scene.refine import _lattice, evened
+from thermorender.scene.parts.refine import _lattice, evened
 from thermorender.trajectory.path import pose
 
 DISC = """
@@ -123,7 +123,7 @@ def test_light_changes_up_a_wall_of_two_triangles(tmp_path):
     mesh = trimesh.Trimesh(vertices, [[0, 1, 2], [0, 2, 3], [0, 3, 5], [0, 5, 4]], process=False)
     scene = tr.load_scene(write_mesh(tmp_path, mesh, emissivity=0.3, sky=200.0))
     camera = replace(scene.camera, width=32, height=24, pixel_pitch_um=scene.camera.pixel_pitch_um * 20)
-    scene = replace(scene, camera=camera)
+    scene = scene.with_camera(camera)
     view = pose(14.0, 0.0, 4.0, yaw_deg=270.0)
     found = tr.Renderer(scene, rays=512, samples=16).radiance(view)
     paths = np.array([reference.render(scene, view, samples=256, depth=12, seed=seed) for seed in range(4)])

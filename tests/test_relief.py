@@ -34,9 +34,7 @@ def level(tmp_path_factory):
 
 def under(scene, weather):
     """A scene with another Weather."""
-    made = replace(scene)
-    made.__dict__["weather"] = weather
-    return made
+    return scene.with_weather(weather)
 
 
 def sunlit(weather, time):
@@ -255,6 +253,5 @@ def test_an_instant_is_traced_once_for_maps_that_ask_in_turn(level, monkeypatch)
     for time in (level.time, level.time, later, level.time):
         assert list(reliefs(level, [time], geometry)) == [time]
     assert asked == [[level.time], [later], [level.time]]
-    other = replace(level, spec=replace(level.spec, weather=replace(level.spec.weather, cloud=0.7)))
-    reliefs(other, [level.time], geometry)
+    reliefs(level.with_weather(cloud=0.7), [level.time], geometry)
     assert len(asked) == 4

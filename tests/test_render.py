@@ -344,7 +344,7 @@ def test_beyond_the_edge_lies_ground_not_sky(tmp_path):
     frame = tr.Renderer(scene, rays=8).frame(tr.pose(0, 0, 30, pitch_deg=0.0))
     assert frame.apparent_temperature[0, 320] == pytest.approx(200.0, abs=ARITHMETIC_K)
     assert frame.apparent_temperature[511, 320] == pytest.approx(295.0, abs=ARITHMETIC_K)
-    stated = replace(scene, spec=replace(scene.spec, surroundings_temperature=280.0))
+    stated = scene.with_sky(200.0, surroundings=280.0)
     frame = tr.Renderer(stated, rays=8).frame(tr.pose(0, 0, 30, pitch_deg=0.0))
     assert frame.apparent_temperature[511, 320] == pytest.approx(280.0, abs=ARITHMETIC_K)
 
@@ -387,7 +387,7 @@ def test_a_part_of_an_image_is_what_the_whole_shows_there(tmp_path):
     )
     scene = tr.load_scene(write_terrain(tmp_path / "s", extra=hot))
     camera = replace(scene.camera, width=96, height=72)
-    renderer = tr.Renderer(replace(scene, camera=camera), rays=32)
+    renderer = tr.Renderer(scene.with_camera(camera), rays=32)
     for yaw in (0.0, 33.0):
         view = tr.pose(0.0, -6.0, 12.0, yaw_deg=yaw, pitch_deg=-60.0)
         whole = renderer.radiance(view)
@@ -426,7 +426,7 @@ def test_errors(tmp_path):
     ):
         with pytest.raises(ThermorenderError, match=words):
             tr.Renderer(scene, **keyword)
-    with pytest.raises(ThermorenderError, match="scene='heath' is no Scene; give what load_scene returns"):
+    with pytest.raises(ThermorenderError, match="scene='heath' is not a Scene; give what load_scene returns"):
         tr.Renderer("heath")
 
 

@@ -78,7 +78,7 @@ class Case:
         scene = tr.load_scene(plainer if plain and plainer.is_dir() else self.folder)
         wide = scene.camera.pixel_pitch_um * scene.camera.width / SIZE[0]
         camera = replace(scene.camera, width=SIZE[0], height=SIZE[1], pixel_pitch_um=wide, **self.camera)
-        return replace(scene, camera=camera)
+        return scene.with_camera(camera)
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class Opinion:
 def traced(case, seed):
     """Return the band radiance of a Case by the path tracer, (H, W) [W m⁻² sr⁻¹]."""
     # Triangles as they are described, not as they are split for the light between surfaces.
-    with mock.patch("thermorender.scene.load.refined", lambda terrain, objects: (terrain, objects)):
+    with mock.patch("thermorender.scene.parts.shape.refined", lambda terrain, objects: (terrain, objects)):
         scene = case.scene(plain=True)
     return PathTracer(scene, **case.view).image(case.pose, case.samples, seed)
 

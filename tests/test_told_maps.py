@@ -5,7 +5,6 @@ import pickle
 import shutil
 import subprocess
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,12 +16,13 @@ from thermorender.compare.referee.run import Flight, compare
 from thermorender.errors import ThermorenderError
 from thermorender.learned.correlation import Correlation
 from thermorender.learned.linear import Linear, names_of_columns
-from thermorender.learned.rows import Told
+from thermorender.learned.rows import ExtraInputs
 from thermorender.learned.temperature_map import TemperatureMap, save_map
 from thermorender.output.flight import FlightOptions, fly
 from thermorender.output.record import weather_of
 from thermorender.scene.spec import TemperatureSpec
 from thermorender.scene.surface import FALLBACK, SURFACE
+from thermorender.scene.temperature_state import Conditional, Pending
 
 BEGIN, AT = np.datetime64("2018-07-27T00:00:00"), np.datetime64("2018-07-28T12:00:00")
 HOUR = np.timedelta64(3600, "s")
@@ -45,7 +45,7 @@ def above_air(kelvin):
 
 def by_sunlight(kelvin_m2_w):
     """Kelvin above the air in proportion to the sunlight on the ground."""
-    told = Told(("sunlight",), ("air_k",))
+    told = ExtraInputs(("sunlight",), ("air_k",))
     names = names_of_columns(told)
     return Linear(told, kelvin_m2_w * (np.array(names) == "sunlight"), 0.0)
 
@@ -95,16 +95,18 @@ def path_of(minutes):
 
 def test_black_ground_is_as_much_warmer_than_the_air_as_the_map_says(tmp_path):
     scene = tr.load_scene(written(tmp_path / "s", above_air(5.0)))
-    assert scene.told and scene.marched and not scene.warmed
+    assert isinstance(scene.temperature_state, Pending)
+    assert isinstance(scene.temperature_state.source, Conditional)
     assert "learned, to be solved for 2018-07-28T12:00:00Z" in str(scene)
-    with pytest.raises(ThermorenderError, match="a learned map that is told hour and weather are not solved yet"):
-        scene.refuse_unwarmed()
+    words = "a learned map that takes hour and weather as input are not solved yet"
+    with pytest.raises(ThermorenderError, match=words):
+        scene.refuse_unsolved()
     for hours in (0, -9, 5):
         renderer = tr.Renderer(scene.at(AT + hours * HOUR), rays=4)
         assert_seen(renderer.frame(DOWN), air_k(AT + hours * HOUR) + 5.0)
-        assert renderer.scene.time == AT + hours * HOUR and renderer.scene.warmed
+        assert renderer.scene.time == AT + hours * HOUR and renderer.scene.temperature_state.solved
     # The shipped sky is not the map's: no ground that reflects nothing shows it.
-    other = replace(scene, spec=replace(scene.spec, sky_temperature=200.0))
+    other = scene.with_sky(200.0)
     assert_seen(tr.Renderer(other, rays=4).frame(DOWN), air_k(AT) + 5.0)
 
 
@@ -136,7 +138,7 @@ def test_metal_tells_nothing_is_flagged_and_as_warm_as_the_air(tmp_path):
     fallback = (solved.surfaces[0].flags & FALLBACK) > 0
     metal = solved.surfaces[0].material == [one.name for one in solved.materials].index("aluminium_polished")
     np.testing.assert_array_equal(fallback, metal)
-    assert metal.mean() == 0.5 and solved.report["told"]["share_fallback"] == 0.5
+    assert metal.mean() == 0.5 and solved.temperature_state.report["told"]["share_fallback"] == 0.5
     np.testing.assert_allclose(solved.surfaces[0].temperature[metal], air_k(AT), atol=TOLERANCE_K)
     # Another hour begins anew.
     again = tr.Renderer(solved.at(AT + HOUR), rays=4).scene
@@ -218,10 +220,12 @@ def test_baked_scenes_and_frames_go_to_processes_that_have_no_files(tmp_path):
 import pickle, sys
 import numpy as np
 import thermorender as tr
+from thermorender.scene.temperature_state import Conditional, Known
 baked, frame, digest = pickle.load(open({str(tmp_path / "kept")!r}, "rb"))
 again = tr.Renderer.of(baked).frame(frame.pose)
 assert np.array_equal(again.radiance, frame.radiance)
-assert baked.scene.told and baked.scene.warmed and baked.scene.digest() == digest
+assert isinstance(baked.scene.temperature_state, Known) and baked.scene.digest() == digest
+assert isinstance(baked.scene.temperature_state.source, Conditional)
 assert frame.truth["mask"].any() and frame.time == baked.scene.time
 """
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
@@ -325,5 +329,5 @@ def test_a_map_that_says_when_it_was_trained_is_told_the_hour_all_the_same(tmp_p
            "cloud": 0.0}  # fmt: skip
     save(folder / "told.npz", above_air(5.0), trained=day)
     scene = tr.load_scene(folder)
-    assert scene.mapped is None
+    assert isinstance(scene.temperature_state.source, Conditional)
     assert_seen(tr.Renderer(scene, rays=4).frame(DOWN), air_k(AT) + 5.0)

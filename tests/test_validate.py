@@ -18,7 +18,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.render.light import cache
 from thermorender.render.reference import squared_error
-from thermorender.scene.load import Scene
+from thermorender.scene.scene import Scene
 from thermorender.sensor.camera import load_camera
 from validation import cavity
 from validation.air import study as air
@@ -44,7 +44,7 @@ def study_command(name, *arguments):
 
 def small(scene, width=64, height=48):
     camera = replace(scene.camera, width=width, height=height, pixel_pitch_um=170.0, f_number=12.5)
-    return replace(scene, camera=camera)
+    return scene.with_camera(camera)
 
 
 def test_no_error_between_identical_images():
@@ -104,7 +104,7 @@ def test_synthetic_terrain_has_the_triangles_asked_for(asked, made):
 
 def test_converged_image_shows_what_the_renderer_does():
     scene = small(terrain(200))
-    scene = replace(scene, camera=replace(scene.camera, principal_offset_px=(3.3, -2.7)))
+    scene = scene.with_camera(replace(scene.camera, principal_offset_px=(3.3, -2.7)))
     pose = bench.views(scene)["oblique"]
     renderer = tr.Renderer(scene, samples=16, taps=1, edge_mk=np.inf, rays=4)
     finest, image = metrics.converged(renderer, pose, {"rays": 4}), renderer.radiance(pose)

@@ -23,7 +23,7 @@ def frames() -> None:
     assert_type(scene.digest(), str)
     assert_type(scene.with_air("midlatitude-summer", aerosol="rural-23km"), tr.Scene)
     assert_type(scene.at("2018-07-28T14:30Z"), tr.Scene)
-    assert_type(scene.at(np.datetime64("2018-07-28T14:30")).warmed, bool)
+    assert_type(scene.at(np.datetime64("2018-07-28T14:30")).temperature_state.solved, bool)
     renderer = tr.Renderer(scene, quality="high", rays=16, progress=lambda what, share: print(what, f"{share:.0%}"))
     pose = tr.pose(0, -120, 120 + scene.ground(0, -120), pitch_deg=-45)
     assert_type(pose, NDArray[np.float64])
@@ -50,7 +50,9 @@ def frames() -> None:
     renderer.frame(time_s=1.0)  # type: ignore[call-arg]
     renderer.frame(pose, objects={"marker": 350.0})  # type: ignore[dict-item]
     print(renderer.bake_mk)  # type: ignore[attr-defined]
+    assert_type(scene.with_camera("tau2-640").with_sky(250.0).with_temperature("balance"), tr.Scene)
     scene.with_temperature(np.zeros((2, 2)))  # type: ignore[arg-type]
+    scene.camera = scene.camera  # type: ignore[misc]
     frame.radiance = frame.radiance  # type: ignore[misc]
     print(frame.budget_mk["total"])  # type: ignore[index]
     print(tr.Rendererer)  # type: ignore[attr-defined]

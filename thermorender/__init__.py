@@ -17,7 +17,7 @@ _PUBLIC = {
     "FlightOptions": "thermorender.output.flight",
     "Frame": "thermorender.frame",
     "Renderer": "thermorender.render.renderer",
-    "Scene": "thermorender.scene.load",
+    "Scene": "thermorender.scene.scene",
     "ThermorenderError": "thermorender.errors",
     "Trajectory": "thermorender.trajectory",
     "fly": "thermorender.output.flight",
@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from thermorender.output.flight import fly as fly
     from thermorender.render.baked import BakedScene as BakedScene
     from thermorender.render.renderer import Renderer as Renderer
-    from thermorender.scene.load import Scene as Scene
     from thermorender.scene.load import load_scene as load_scene
+    from thermorender.scene.scene import Scene as Scene
     from thermorender.trajectory import Trajectory as Trajectory
     from thermorender.trajectory import read_trajectory as read_trajectory
     from thermorender.trajectory.path import pose as pose

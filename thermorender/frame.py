@@ -96,6 +96,15 @@ class Frame:
     _sampling: Any = field(repr=False, default=None)
     _reading: NDArray[np.uint16] | None = field(repr=False, default=None)
 
+    def __repr__(self) -> str:
+        height, width = self.radiance.shape
+        kelvin = self.apparent_temperature
+        when = "" if self.time is None else f", {self.time}Z"
+        return (
+            f"Frame({self.index}, {self.camera.name} {width}×{height}, {kelvin.min():.1f}–{kelvin.max():.1f} K, "
+            f"at {self.time_s:g} s{when}, seed {self.seed})"
+        )
+
     def __getstate__(self) -> dict[str, Any]:
         # What is found when asked for needs the scene, which does not go along: it is found now.
         state = dict(vars(self))

@@ -168,6 +168,12 @@ def checked(settings: Any, name: str) -> dict[str, Any]:
     return {item.name: item.metadata["read"](getattr(settings, item.name), where.of(item.name)) for item in rows}
 
 
+def every_field(value):
+    """Return the text of a dataclass with all its fields, as `Camera(name='…', …)`, for fingerprints of its values."""
+    shown = ", ".join(f"{item.name}={getattr(value, item.name)!r}" for item in fields(value))
+    return f"{type(value).__qualname__}({shown})"
+
+
 # Readers
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from thermorender import defaults
 from thermorender.errors import ThermorenderError
 from thermorender.materials import library as material_tables
-from thermorender.scene.load import Scene
+from thermorender.scene.scene import Scene
 from thermorender.scene.spec import EmissivitySpec, SceneSpec, TemperatureSpec, TerrainSpec
 from thermorender.scene.surface import SURFACE, Surface
 from thermorender.sensor.camera import load_camera
@@ -70,7 +70,7 @@ def terrain(triangles, texels=None, seed=0, side_m=400.0):
     return in_memory(f"{2 * rows * columns} triangles", (surface,), [library[name] for name in names])
 
 
-def in_memory(name, surfaces, materials, sky=260.0, surroundings=None, camera=defaults.CAMERA):
+def in_memory(name, surfaces, materials, sky=260.0, surroundings=None, camera=defaults.CAMERA, terrain_count=None):
     """Return the Scene of surfaces made in memory: no files, no position on Earth, no objects."""
     spec = SceneSpec(
         folder=Path(name), title=name,
@@ -80,7 +80,7 @@ def in_memory(name, surfaces, materials, sky=260.0, surroundings=None, camera=de
         sky_temperature=sky, surroundings_temperature=surroundings, camera=camera,
         truth_temperature=None, frame=None, objects=(),
     )  # fmt: skip
-    return Scene(spec, None, tuple(surfaces), len(surfaces), tuple(materials), load_camera(camera), None)
+    return Scene.of_surfaces(spec, surfaces, materials, load_camera(camera), terrain_count)
 
 
 def _noise(rng, shape, fall):

@@ -12,7 +12,6 @@ from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, brightness_temperature
-from thermorender.scene.spec import AtmosphereSpec
 
 KELVIN, ROUNDING_K = 290.0, 1e-5
 # Air of one temperature, and of one that falls to this at the top of its path.
@@ -152,9 +151,8 @@ def mirrors(absorption):
     roof = box("roof", (0.0, 0.0), (100.0, 100.0, 1.0), KELVIN)
     roof = replace(roof, vertices=roof.vertices + np.array([0.0, 0.0, 10.0]))
     gold = load_library()["gold_polished"]
-    scene = in_memory("mirrors", (floor, roof), (gold, gold), surroundings=KELVIN)
-    spec = replace(scene.spec, sky_temperature=None, atmosphere=AtmosphereSpec(standard="tropical"))
-    scene = replace(scene, terrain_count=1, spec=spec, air=even(absorption))
+    scene = in_memory("mirrors", (floor, roof), (gold, gold), surroundings=KELVIN, terrain_count=1)
+    scene = scene.with_air(even(absorption))
     renderer = Renderer(scene, rays=64, device="cpu")
     kelvin = brightness_temperature(renderer.radiance(pose(0.0, 0.0, 5.0, pitch_deg=-80.0)), *BAND_UM)
     spectrum, worst = renderer.plan.spectrum, float(kelvin.flat[np.argmax(np.abs(kelvin - KELVIN))])

@@ -75,7 +75,7 @@ def write_scene(folder, balance=False):
 
 def small(scene, width=48, height=36):
     """Return a Scene with a camera of few pixels."""
-    return replace(scene, camera=replace(scene.camera, width=width, height=height))
+    return scene.with_camera(replace(scene.camera, width=width, height=height))
 
 
 def renderer(folder, **settings):
@@ -369,7 +369,7 @@ def busy(folder, seconds):
         file.write(_THING.format("car", "0.0, 0.0", 'track = "track.csv"') + _THING.format("hut", "3.0, 3.0", ""))
     scene = small(load_scene(folder)).with_air("midlatitude-summer", "rural-23km")
     camera = replace(scene.camera, visible_width=64)
-    return Renderer(replace(scene, camera=camera), rays=8, samples=1, seed=3)
+    return Renderer(scene.with_camera(camera), rays=8, samples=1, seed=3)
 
 
 def scenes(folder, count):

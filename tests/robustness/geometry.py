@@ -17,7 +17,7 @@ from thermorender.formats import write_text
 from thermorender.materials.material import grey
 from thermorender.physics.geodesy import FLATTENING, SEMI_MAJOR_AXIS_M
 from thermorender.physics.planck import band_radiance, brightness_temperature
-from thermorender.scene.mesh import load, primitive
+from thermorender.scene.parts.mesh import load, primitive
 from thermorender.scene.surface import BACKGROUND, BEHIND, FILLED, SURFACE, Surface
 from thermorender.schema import toml_text
 
@@ -59,7 +59,7 @@ def shown(surfaces, place, pitch_deg, emissivity=1.0, yaw_deg=0.0):
     from validation.made_scenes import in_memory
 
     scene = in_memory("geometry", surfaces, (grey("ground", emissivity),), sky=_SKY_K, surroundings=_BESIDE_K)
-    return _viewed(replace(scene, terrain_count=1), place, pitch_deg, yaw_deg)
+    return _viewed(scene.with_surfaces(terrain_count=1), place, pitch_deg, yaw_deg)
 
 
 def _viewed(scene, place, pitch_deg, yaw_deg=0.0, finer=1.0):
@@ -67,7 +67,7 @@ def _viewed(scene, place, pitch_deg, yaw_deg=0.0, finer=1.0):
     from thermorender.trajectory.path import pose
 
     camera = replace(scene.camera, width=160, height=128, pixel_pitch_um=68.0 / finer, f_number=5.0)
-    frame = Renderer(replace(scene, camera=camera), rays=64, device="cpu").frame(
+    frame = Renderer(scene.with_camera(camera), rays=64, device="cpu").frame(
         pose(*place, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
     )
     assert np.isfinite(list(frame.budget_mk.values())).all()

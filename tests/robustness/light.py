@@ -234,7 +234,7 @@ def far_away(kilometres):
     for away in (0.0, 1e3 * kilometres):
         (surface,) = scene.surfaces
         moved = replace(surface, vertices=surface.vertices + np.array([away, away, 0.0]))
-        here = replace(scene, surfaces=(moved,), materials=black, camera=camera)
+        here = scene.with_surfaces((moved,), black).with_camera(camera)
         image = Renderer(here, rays=64, device="cpu").radiance(pose(away, away, 120.0, pitch_deg=-90.0))
         images.append(image.astype(np.float64))
     error = np.sqrt(((images[1] - images[0]) ** 2).mean()) / band_radiance_derivative(300.0, *BAND_UM)

@@ -1,7 +1,6 @@
 """Stability of pixels: what is far smaller than one, textures of one texel and of thousands along a side, °C as K."""
 
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +31,7 @@ def _shown(surfaces, up, second=None, **settings):
     from validation.made_scenes import in_memory
 
     materials = [grey("black", 1.0), second or grey("black", 1.0)]
-    scene = replace(in_memory("pixels", surfaces, materials, sky=0.0, surroundings=_GROUND_K), terrain_count=1)
+    scene = in_memory("pixels", surfaces, materials, sky=0.0, surroundings=_GROUND_K, terrain_count=1)
     return Renderer(scene, rays=1, device="cpu", **settings), pose(0.0, 0.0, up, yaw_deg=20.0, pitch_deg=-90.0)
 
 

@@ -4,7 +4,6 @@ Rays are cast by Embree, which has no double precision; their twin meets the pla
 some ulp: of metres and texels by what neighbouring texels differ, of radiance by its slope.
 """
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -39,7 +38,7 @@ def _ground(side_m):
 
     scene = terrain(20_000, texels=_SIDE_TEXELS, side_m=side_m)
     black = tuple(grey(f"black {number}", 1.0) for number in range(len(scene.materials)))
-    return replace(scene, materials=black)
+    return scene.with_surfaces(materials=black)
 
 
 def _read(up):

@@ -106,7 +106,7 @@ def _hills():
 
     scene = terrain(20_000)
     camera = replace(scene.camera, width=160, height=128, pixel_pitch_um=68.0, f_number=5.0)
-    renderer = Renderer(replace(scene, camera=camera), device="cpu")
+    renderer = Renderer(scene.with_camera(camera), device="cpu")
     view = pose(0.0, -120.0, 120.0, pitch_deg=-45.0)
     return renderer, view, converged(renderer, view, {"device": "cpu"})
 

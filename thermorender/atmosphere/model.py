@@ -39,7 +39,8 @@ _CHUNK = 128
 _PLANCK_NODE, _PLANCK_WEIGHT = np.polynomial.legendre.leggauss(6)
 
 
-@dataclass(frozen=True, repr=False)
+# Compared by identity, as all values that hold arrays.
+@dataclass(frozen=True, repr=False, eq=False)
 class Atmosphere:
     """Absorbing and emitting air over a spherical Earth.
 

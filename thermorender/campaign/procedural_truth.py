@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from thermorender.files import atomic_folder
 from thermorender.materials.shifted import strayed
-from thermorender.scene.load import Scene, load_scene
+from thermorender.scene.load import load_scene
+from thermorender.scene.scene import Scene
 from thermorender.synthetic.noise import stream
 from thermorender.synthetic.procedural_scene import SyntheticScene
 from thermorender.synthetic.scene_files import refuse_every, write_declared, write_temperature
@@ -104,6 +105,5 @@ def drawn(scene: Scene, kind: str, seed: int, again: int = 0) -> tuple[Scene, fl
         materials.append(replace(material, thermal=thermal, solar_absorptance=float(absorptance)))
     law = stream(seed, f"truth of {what}")
     exchange = float(np.exp(law.normal(-0.5 * CONVECTION_SPREAD**2, CONVECTION_SPREAD)))
-    weather = scene.spec.weather
-    weather = replace(weather, inside_c=weather.inside_c + float(law.normal(0.0, INSIDE_SPREAD_K)))
-    return replace(scene, materials=tuple(materials), spec=replace(scene.spec, weather=weather)), exchange
+    inside_c = scene.spec.weather.inside_c + float(law.normal(0.0, INSIDE_SPREAD_K))
+    return scene.with_weather(inside_c=inside_c).with_surfaces(materials=materials), exchange

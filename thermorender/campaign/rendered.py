@@ -171,7 +171,7 @@ def _pairs(world, hours, views, camera, materials, report_progress):
         air = declared_air(spec, scene.camera.band_um, scene.name)
         sky_k, renderers = round(air.sky_temperature(scene.altitude_m), 2), []
         for source in (truths[0][hour], predicted[hour], *(each[hour] for each in truths[1:])):
-            source = _under(source, spec, air, land.orthophoto)
+            source = _under(source, air, land.orthophoto)
             renderers.append(Renderer(source, seed=world.seed, tolerance_mk=_TOLERANCE_MK, like=known))
             known = known or renderers[0]
         numbers = conditions(scene.weather, time)
@@ -208,16 +208,15 @@ def _loaded(land, camera):
     with tempfile.TemporaryDirectory() as folder:
         write_declared(replace(land, objects=()), Path(folder))
         scene = load_scene(folder)
-    return replace(scene, camera=load_camera(camera, "camera"))
+    return scene.with_camera(load_camera(camera, "camera"))
 
 
-def _under(scene, spec, air, colour):
-    """A solved scene under the air of an AtmosphereSpec, with the colours of another photograph."""
-    own, (first, *rest) = replace(scene.spec, sky_temperature=None, atmosphere=spec), scene.surfaces
-    made = replace(scene, spec=own, air=air, surfaces=(replace(first, colour=colour), *rest))
-    made.__dict__["weather"] = scene.weather
-    # `heated` sets the sun of the scene's instant.
-    return made.heated(scene.time, [surface.temperature for surface in made.surfaces[: made.terrain_count]])
+def _under(scene, air, colour):
+    """A solved scene under another air, with the colours of another photograph."""
+    first, *rest = scene.surfaces
+    made = scene.with_air(air).with_surfaces((replace(first, colour=colour), *rest))
+    terrain = scene.surfaces[: scene.terrain_count]
+    return made.with_solved_temperatures(scene.time, [surface.temperature for surface in terrain])
 
 
 def _view(world, hour, view, scene):

@@ -14,7 +14,7 @@ from thermorender.errors import ThermorenderError
 
 if TYPE_CHECKING:
     from thermorender.render.renderer import Renderer
-    from thermorender.scene.load import Scene
+    from thermorender.scene.scene import Scene
     from thermorender.scene.spec import TemperatureSpec
     from thermorender.sensor.display import DisplaySettings
     from thermorender.sensor.radiometry import ThermographySettings
@@ -82,7 +82,7 @@ class SceneOptions:
         scene = at_time(name, self.time, read_time, temperature)
         if self.air is not None:
             scene = scene.with_air(*parse_air(self.air))
-        for note in scene.weather_notes if scene.marched else ():
+        for note in scene.weather_notes if scene.temperature_state.weather_driven else ():
             typer.echo(f"weather: {note}")
         print_map_reports(scene)
         report = scene.emissivity_report
@@ -175,7 +175,7 @@ class SamplingOptions:
 
         settings = self.settings() | {"seed": seed, "device": device, "progress": progress}
         made = Renderer(scene, **settings)
-        if scene.told and not scene.warmed:
+        if not scene.temperature_state.solved and hasattr(scene.temperature_state.source, "model"):
             print_map_reports(made.scene)
         return made
 
@@ -272,7 +272,7 @@ def parse_thermography(text: str | None) -> "ThermographySettings | None":
 
 def print_map_reports(scene: "Scene") -> None:
     """Print the shares of a scene's texels outside the range of its learned maps, and the maps' warnings."""
-    for model, report in scene.report.items():
+    for model, report in scene.temperature_state.report.items():
         typer.echo(
             f"{model}: {report['share_outside_0_1']:.1%} of the intensities lie outside 0…1, "
             f"{report['share_fallback']:.1%} of the texels fall back to their material's temperature"

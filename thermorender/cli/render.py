@@ -167,8 +167,9 @@ def day(
     view.numbers()
     with progress() as report:
         loaded = SceneOptions(time, air).load(scene, None, instant_of)
-        if loaded.told:
-            warn(loaded.told_map.texel_warning(loaded.surfaces[0].texel_m))
+        model = getattr(loaded.temperature_state.source, "model", None)
+        if model is not None:
+            warn(model.texel_warning(loaded.surfaces[0].texel_m))
         rows = run(
             loaded, view.over(loaded), output, step_min, wanted, display, settings, report, device, seed=seed,
             **sampling.settings(),

@@ -113,7 +113,7 @@ def plan(scene: SceneName, *, sampling: SamplingOptions, situation: SceneOptions
     from thermorender.sensor.schedule import plan_row
 
     loaded = situation.load(scene)
-    if not loaded.warmed:
+    if not loaded.temperature_state.solved:
         # The plan depends on the temperatures.
         with progress() as report:
             loaded = sampling.renderer(loaded, 0, "auto", report).scene

@@ -12,7 +12,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.units import instant
 
 if TYPE_CHECKING:
-    from thermorender.scene.load import Scene
+    from thermorender.scene.scene import Scene
     from thermorender.scene.spec import TemperatureSpec
 
 # Called with (what, share done).
@@ -83,7 +83,7 @@ def at_time(
     if time is None:
         return scene
     scene = scene.at(read(scene, time))
-    if not scene.marched:
+    if not scene.temperature_state.weather_driven:
         source = scene.spec.temperature.source
         typer.echo(f"note: temperatures of source {source!r} do not change with --time", err=True)
     return scene

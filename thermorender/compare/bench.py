@@ -14,7 +14,8 @@ from thermorender.compare.machine import forget_peak_memory, machine, peak_memor
 from thermorender.compare.sampling_error import SAMPLING, cache_off, converged, optics_sigma_px, rms_mk
 from thermorender.errors import ThermorenderError
 from thermorender.render.renderer import Renderer
-from thermorender.scene.load import Scene, load_scene
+from thermorender.scene.load import load_scene
+from thermorender.scene.scene import Scene
 from thermorender.trajectory import path
 from thermorender.versions import versions
 

@@ -52,7 +52,7 @@ def converged(renderer, pose, keywords):
     quarters = []
     for lower in range(2):
         for right in range(2):
-            part = replace(renderer.scene, camera=_quarter(camera, right, lower))
+            part = renderer.scene.with_camera(_quarter(camera, right, lower))
             image = Renderer(part, **settings).radiance(pose).astype(np.float64)
             rows, columns = image.shape
             quarters.append(image.reshape(rows // FINER, FINER, columns // FINER, FINER).mean(axis=(1, 3)))

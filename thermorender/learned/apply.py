@@ -26,7 +26,7 @@ def kinetic_from_map(model, inputs, material, materials, sky_temperature=None, s
         Index into `materials`.
     materials : sequence of Material
     sky_temperature : float, optional
-        Of the sky of this hour, for a map that is told hour and weather, in place of the map's own [K].
+        Of the sky of this hour, for a map that takes hour and weather as input, in place of the map's own [K].
     stand_in : float, optional
         Temperature where the map cannot be trusted [K]; the material's own by default.
     """

@@ -14,7 +14,7 @@ import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.learned.features import lab
-from thermorender.learned.rows import CLASSES, Told, at_shape, at_texel, drawn
+from thermorender.learned.rows import CLASSES, ExtraInputs, at_shape, at_texel, drawn
 
 # Planes of a terrain whose names begin so are sunlight on the ground [W m⁻²], now or over the hours before.
 _SUNLIGHT = "sun"
@@ -48,15 +48,15 @@ class Linear:
 
     Attributes
     ----------
-    told : Told
-        What it is told besides the picture.
+    extra : ExtraInputs
+        What it takes as input besides the picture.
     weight : (K,) float64
         Of the columns [K per unit of each].
     offset : float
         Prediction where every column is 0 [K].
     """
 
-    told: Told
+    extra: ExtraInputs
     weight: np.ndarray
     offset: float
 
@@ -65,7 +65,7 @@ class Linear:
     @property
     def needs(self):
         """Names of the fields of Inputs that are needed."""
-        return self.told.needs
+        return self.extra.needs
 
     def predict(self, inputs, texel_m):
         """Return kelvin above the air, (h, w) float64; an image at another texel is brought to the map's and back.
@@ -76,13 +76,13 @@ class Linear:
             A plane of the terrain or a condition is missing.
         """
         image = at_texel(inputs, texel_m)
-        self.told.check(image)
+        self.extra.check(image)
         height, width = image.rgb.shape[:2]
         found = np.empty((height, width))
         rows = max(_CHUNK // width, 1)
         for top in range(0, height, rows):
             here = np.s_[top : top + rows]
-            terrain = {name: image.terrain[name][here] for name in self.told.terrain}
+            terrain = {name: image.terrain[name][here] for name in self.extra.terrain}
             found[here] = self.of_values({**lab_planes(image.rgb[here]), **terrain, **image.conditions})
         return at_shape(found, inputs.rgb.shape[:2])
 
@@ -92,21 +92,21 @@ class Linear:
         `multiplied` are their `grounds`, where they are known already.
         """
         colours = np.stack(np.broadcast_arrays(1.0, *_colours(values)))
-        planes = [plane for _, plane in multiplied or grounds(values, self.told)]
+        planes = [plane for _, plane in multiplied or grounds(values, self.extra)]
         alone, many = len(_COLOURS) - 1, len(_COLOURS)
         slopes, rest = np.split(self.weight[alone:], [many * len(planes)])
         found = self.offset + np.tensordot(self.weight[:alone], colours[1:], 1)
         # What each ground is multiplied by is a quadratic of colour: one product of matrices for all of them.
         for plane, factor in zip(planes, np.tensordot(slopes.reshape(-1, many), colours, 1), strict=True):
             found += plane * factor
-        for (_, column), weight in zip(_others(values, self.told), rest, strict=True):
+        for (_, column), weight in zip(_others(values, self.extra), rest, strict=True):
             if weight:
                 found += weight * column
         return found
 
     def header(self):
         """Return what the file's text says of it."""
-        return {"terrain": self.told.terrain, "conditions": self.told.conditions, "offset": self.offset}
+        return {"terrain": self.extra.terrain, "conditions": self.extra.conditions, "offset": self.offset}
 
     def arrays(self):
         """Return what the file holds of it."""
@@ -115,38 +115,38 @@ class Linear:
     @classmethod
     def of(cls, header, arrays):
         """Return the Linear of `header` and `arrays`."""
-        told = Told(tuple(header["terrain"]), tuple(header["conditions"]))
-        if not told.above_air:
-            raise ValueError("it is not told the air's temperature")
+        extra = ExtraInputs(tuple(header["terrain"]), tuple(header["conditions"]))
+        if not extra.above_air:
+            raise ValueError("it does not take the air's temperature as input")
         weight, offset = np.asarray(arrays["weight"], np.float64), float(header["offset"])
-        if weight.shape != (len(names_of_columns(told)),):
+        if weight.shape != (len(names_of_columns(extra)),):
             raise ValueError("it has other columns")
         if not (np.isfinite(weight).all() and np.isfinite(offset)):
             raise ValueError("it has coefficients that are not finite")
-        return cls(told, weight, offset)
+        return cls(extra, weight, offset)
 
 
-def names_of_columns(told):
+def names_of_columns(extra):
     """Return the names of `columns`."""
     nothing = np.zeros(0)
-    return [name for name, _ in columns(dict.fromkeys([*"Lab", *told.terrain, *told.conditions], nothing), told)]
+    return [name for name, _ in columns(dict.fromkeys([*"Lab", *extra.terrain, *extra.conditions], nothing), extra)]
 
 
-def columns(values, told):
+def columns(values, extra):
     """Give (name, array, or a number that holds for all pixels) of each column, one after the other.
 
     Parameters
     ----------
     values : mapping of str to array or number
-        By pixel: "L", "a" and "b" of CIELAB, and what `told` names.
-    told : Told
+        By pixel: "L", "a" and "b" of CIELAB, and what `extra` names.
+    extra : ExtraInputs
     """
     colours = (None, *_colours(values))
     yield from zip(_COLOURS[1:], colours[1:], strict=True)
-    for name, plane in grounds(values, told):
+    for name, plane in grounds(values, extra):
         for what, colour in zip(_COLOURS, colours, strict=True):
             yield (f"{name} × {what}", plane * colour) if what else (name, plane)
-    yield from _others(values, told)
+    yield from _others(values, extra)
 
 
 def _colours(values):
@@ -157,28 +157,28 @@ def _colours(values):
     return light, a, b, light * light, a * a, b * b, light * a, light * b, a * b
 
 
-def _others(values, told):
+def _others(values, extra):
     """Give (name, array or number) of what stands by itself: the terrain, where there is none, and the station."""
     unknown = np.zeros(np.shape(values["L"]), bool)
-    for name in told.terrain:
+    for name in extra.terrain:
         unknown = unknown | np.isnan(values[name])
         # Sunlight is among what colour multiplies.
         if not name.startswith(_SUNLIGHT):
             yield name, _known(values[name], 0.0)
     yield "no terrain", unknown
-    for name in told.conditions:
+    for name in extra.conditions:
         yield name, values[name]
 
 
-def grounds(values, told):
+def grounds(values, extra):
     """Give (name, plane) of what colour multiplies, 0 where there is no terrain.
 
     First "as MATERIAL", kelvin above the air of each typical material that the conditions tell, in the sunlight that
     the terrain has there; then sunlight, its past, and the hidden part of the sky.
     """
-    known = told.conditions
+    known = extra.conditions
     materials = [name[5:] for name in known if name.startswith("open_") and f"shade_{name[5:]}" in known]
-    sunlight = "sunlight" in told.terrain and all(name in known for name in _IN_THE_OPEN)
+    sunlight = "sunlight" in extra.terrain and all(name in known for name in _IN_THE_OPEN)
     if materials and sunlight:
         direct, diffuse, elevation = (values[name] for name in _IN_THE_OPEN)
         in_the_open = np.maximum(direct * np.maximum(np.sin(np.radians(elevation)), 0.0) + diffuse, _LEAST_SUNLIGHT)
@@ -186,10 +186,10 @@ def grounds(values, told):
         for material in materials:
             shade = values[f"shade_{material}"]
             yield f"as {material}", shade + (values[f"open_{material}"] - shade) * share
-    for name in told.terrain:
+    for name in extra.terrain:
         if name.startswith(_SUNLIGHT):
             yield name, _known(values[name], 0.0)
-    if "sky_view" in told.terrain:
+    if "sky_view" in extra.terrain:
         hidden = 1.0 - _known(values["sky_view"], 1.0)
         yield "hidden sky", hidden
         if "longwave_w_m2" in known:
@@ -230,15 +230,15 @@ def fit_linear(task):
     penalty = float(task.options["penalty"])
     if not 0.0 <= penalty < np.inf:
         raise ThermorenderError(f"penalty={penalty:g} is not allowed; give 0 or more")
-    first = Told.of(task.examples[0].inputs)
+    first = ExtraInputs.of(task.examples[0].inputs)
     if not first.above_air:
         raise ThermorenderError(
             "the pairs have no condition air_k, the air's temperature, that correlation+ adds to; give a data set "
             "with weather, or take correlation-9to1"
         )
     sums = Sums(first)
-    for each in drawn(task, sums.told, _MOST_ROWS):
-        terrain = {name: np.ravel(each.inputs.terrain[name])[each.pixels] for name in sums.told.terrain}
+    for each in drawn(task, sums.extra, _MOST_ROWS):
+        terrain = {name: np.ravel(each.inputs.terrain[name])[each.pixels] for name in sums.extra.terrain}
         picked = lab_planes(each.inputs.rgb.reshape(-1, 3)[each.pixels])
         sums.add({**picked, **terrain, **each.inputs.conditions}, each.target)
     return sums.solved(penalty)
@@ -249,19 +249,19 @@ class Sums:
 
     Attributes
     ----------
-    told : Told
+    extra : ExtraInputs
         As given, without numbers of classes, which are no quantities.
     """
 
-    def __init__(self, told):
-        self.told = Told(tuple(name for name in told.terrain if name != CLASSES), told.conditions)
-        self._size = len(names_of_columns(self.told))
+    def __init__(self, extra):
+        self.extra = ExtraInputs(tuple(name for name in extra.terrain if name != CLASSES), extra.conditions)
+        self._size = len(names_of_columns(self.extra))
         self._products = np.zeros((self._size + 2, self._size + 2))
 
     def add(self, values, target):
         """Add pixels, as `columns` takes them, and their kelvin above the air, (n,)."""
         table = np.ones((self._size + 2, target.size))
-        for row, (_, column) in zip(table, columns(values, self.told), strict=False):
+        for row, (_, column) in zip(table, columns(values, self.extra), strict=False):
             row[:] = column
         table[self._size] = target
         self._products += table @ table.T
@@ -276,8 +276,8 @@ class Sums:
         weight = np.zeros(size)
         scale = scale[varies]
         among = covariance[:size, :size][np.ix_(varies, varies)] / np.outer(scale, scale)
-        usual = np.array([_usual(name) for name in names_of_columns(self.told)])[varies]
+        usual = np.array([_usual(name) for name in names_of_columns(self.extra)])[varies]
         among[np.diag_indices_from(among)] += penalty * np.maximum(usual / scale, 1.0) ** 2
         # The least of all solutions where columns repeat each other and nothing is penalised.
         weight[varies] = np.linalg.lstsq(among, covariance[size, :size][varies] / scale, rcond=None)[0] / scale
-        return Linear(self.told, weight, float(mean[size] - weight @ mean[:size]))
+        return Linear(self.extra, weight, float(mean[size] - weight @ mean[:size]))

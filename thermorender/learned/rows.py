@@ -59,8 +59,8 @@ def at_shape(image, shape):
 
 
 @dataclass(frozen=True)
-class Told:
-    """Names of what a map is told besides the picture, each sorted.
+class ExtraInputs:
+    """Names of what a map takes as input besides the picture, each sorted.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Told:
 
     def __post_init__(self):
         if not all(isinstance(name, str) for name in (*self.terrain, *self.conditions)):
-            raise ValueError("it is told something without a name")
+            raise ValueError("it takes something without a name as input")
 
     @classmethod
     def of(cls, inputs):
@@ -87,7 +87,7 @@ class Told:
 
     @property
     def above_air(self):
-        """Whether the air's temperature is told, so that kelvin above it are learned."""
+        """Whether the air's temperature is an input, so that kelvin above it are learned."""
         return "air_k" in self.conditions
 
     def check(self, inputs):
@@ -167,7 +167,7 @@ class Drawn:
     target: np.ndarray
 
 
-def drawn(task, told, most) -> Iterator[Drawn]:
+def drawn(task, extra, most) -> Iterator[Drawn]:
     """Give the Drawn of each example of a Task: as many pixels of each, `most`, or all where it has fewer.
 
     They are drawn from a part of the picture that is placed about one of its valid pixels at random.
@@ -180,9 +180,9 @@ def drawn(task, told, most) -> Iterator[Drawn]:
     generator = np.random.Generator(np.random.Philox(task.seed))
     empty = True
     for number, example in enumerate(task.examples):
-        told.check(example.inputs)
+        extra.check(example.inputs)
         inputs = at_texel(example.inputs, task.texel_m)
-        if told.above_air:
+        if extra.above_air:
             target = task.temperature[example.values] - inputs.conditions["air_k"]
         else:
             target = task.intensity[example.values]

@@ -226,6 +226,13 @@ class TemperatureMap:
                                     "gives kelvin above the air; leave it out")  # fmt: skip
         return replace(self, range_k=(low + ZERO_CELSIUS_K, high + ZERO_CELSIUS_K))
 
+    def __repr__(self):
+        low, high = (limit - ZERO_CELSIUS_K for limit in self.range_k)
+        return (
+            f"TemperatureMap({self.name!r}, {self.method}, {low:.1f}…{high:.1f} °C, "
+            f"{self.band_um[0]:g}–{self.band_um[1]:g} µm, texels of {self.texel_m:.3g} m)"
+        )
+
     def __str__(self):
         low, high = (limit - ZERO_CELSIUS_K for limit in self.range_k)
         trained = "–".join(f"{limit:.3g}" for limit in self.texel_range_m)

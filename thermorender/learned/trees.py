@@ -1,9 +1,9 @@
 """Boosted trees from what describes a pixel to its temperature; LightGBM's, kept as its own text.
 
-Told the terrain's relief, hour and weather they give kelvin above the air, else intensity. A leaf says one number for
-all weathers that reach it; so there the trees learn what the mixture of typical materials (`linear`) leaves over, which
-spreads less and does not grow with the sun. Ke et al. 2017, "LightGBM: a highly efficient gradient boosting decision
-tree".
+With the terrain's relief, hour and weather as inputs they give kelvin above the air, else intensity. A leaf says one
+number for all weathers that reach it; so there the trees learn what the mixture of typical materials (`linear`) leaves
+over, which spreads less and does not grow with the sun. Ke et al. 2017, "LightGBM: a highly efficient gradient boosting
+decision tree".
 
 A checksum in the file shows damage to the text. It does not show intent: LightGBM can crash on a text that somebody
 made to crash it, so load trees only from people you trust.
@@ -20,7 +20,7 @@ from thermorender import formats
 from thermorender.errors import ThermorenderError
 from thermorender.learned.features import NAMES
 from thermorender.learned.linear import Linear, Sums
-from thermorender.learned.rows import CLASSES, Told, at_shape, at_texel, drawn
+from thermorender.learned.rows import CLASSES, ExtraInputs, at_shape, at_texel, drawn
 
 # Rows drawn from an example, and numbers of all rows' columns together: 1 GB in single precision.
 _MOST_ROWS = 1000
@@ -55,31 +55,31 @@ _CHUNK = 1 << 14
 
 @dataclass(frozen=True, eq=False)
 class Trees:
-    """Boosted trees over the columns of `rows.Told.tiles`.
+    """Boosted trees over the columns of `rows.ExtraInputs.tiles`.
 
     Attributes
     ----------
     text : str
         The model as LightGBM writes it.
-    told : Told
-        What it is told besides the picture.
+    extra : ExtraInputs
+        What it takes as input besides the picture.
     begin : Linear or None
-        What the trees are added to, where the air's temperature is told.
+        What the trees are added to, where the air's temperature is an input.
     """
 
     text: str
-    told: Told
+    extra: ExtraInputs
     begin: Linear | None = None
 
     @property
     def needs(self):
         """Names of the fields of Inputs that are needed."""
-        return self.told.needs
+        return self.extra.needs
 
     @property
     def above_air(self):
         """Whether it gives kelvin above the air instead of intensity."""
-        return self.told.above_air
+        return self.extra.above_air
 
     def predict(self, inputs, texel_m):
         """Return intensity, or kelvin above the air, (h, w) float64.
@@ -91,7 +91,7 @@ class Trees:
         """
         image = at_texel(inputs, texel_m)
         found = np.empty(image.rgb.shape[:2])
-        for here, table in self.told.tiles(image):
+        for here, table in self.extra.tiles(image):
             table = np.ascontiguousarray(table.reshape(len(table), -1).T)
             found[here] = self.of_rows(table).reshape(found[here].shape)
         return at_shape(found, inputs.rgb.shape[:2])
@@ -100,7 +100,7 @@ class Trees:
         """Return intensity, or kelvin above the air, (n,) float64, of rows, (n, columns) float32."""
         found = self._booster.predict(table)
         if self.begin is not None:
-            for here, values in _by_column(self.told, table):
+            for here, values in _by_column(self.extra, table):
                 found[here] += self.begin.of_values(values)
         return found
 
@@ -108,7 +108,7 @@ class Trees:
         """Return {column: share of what all splits lowered the training error by}, the greatest first."""
         gain = self._booster.feature_importance("gain")
         order = np.argsort(-gain, kind="stable")
-        return {self.told.columns[number]: float(gain[number] / max(gain.sum(), 1e-300)) for number in order}
+        return {self.extra.columns[number]: float(gain[number] / max(gain.sum(), 1e-300)) for number in order}
 
     @cached_property
     def _booster(self):
@@ -122,7 +122,7 @@ class Trees:
         """Return what the file's text says of it."""
         begin = {} if self.begin is None else {"begin": self.begin.header()}
         return {
-            "terrain": self.told.terrain, "conditions": self.told.conditions, "features": NAMES,
+            "terrain": self.extra.terrain, "conditions": self.extra.conditions, "features": NAMES,
             "checksum": _checksum(self.arrays()["trees"]), **begin,
         }  # fmt: skip
 
@@ -142,12 +142,12 @@ class Trees:
         """
         if header.get("checksum") != _checksum(arrays["trees"]):
             raise ValueError("its trees are damaged: their checksum is another")
-        told = Told(tuple(header["terrain"]), tuple(header["conditions"]))
-        begin = Linear.of(header["begin"], arrays) if told.above_air else None
-        if begin is not None and not set(begin.told.columns) <= set(told.columns):
-            raise ValueError("what its trees begin with is told other things")
-        found = cls(arrays["trees"].tobytes().decode(), told, begin)
-        if tuple(header["features"]) != NAMES or found._booster.num_feature() != len(found.told.columns):
+        extra = ExtraInputs(tuple(header["terrain"]), tuple(header["conditions"]))
+        begin = Linear.of(header["begin"], arrays) if extra.above_air else None
+        if begin is not None and not set(begin.extra.columns) <= set(extra.columns):
+            raise ValueError("what its trees begin with takes other inputs")
+        found = cls(arrays["trees"].tobytes().decode(), extra, begin)
+        if tuple(header["features"]) != NAMES or found._booster.num_feature() != len(found.extra.columns):
             raise ValueError("other features")
         return found
 
@@ -156,7 +156,7 @@ def fit_trees(task):
     """Return the Trees that learn a Task.
 
     As many pixels are drawn from each example; the absolute error is minimised, and trees are added until that of the
-    runs held out has not fallen for a while. Where the air's temperature is told they begin with a Linear.
+    runs held out has not fallen for a while. Where the air's temperature is an input they begin with a Linear.
 
     Raises
     ------
@@ -164,10 +164,10 @@ def fit_trees(task):
         LightGBM is missing, or there is nothing to learn from.
     """
     lightgbm = _lightgbm()
-    told = Told.of(task.examples[0].inputs)
-    most = min(_MOST_ROWS, max(_MOST_NUMBERS // len(told.columns) // len(task.examples), 1))
+    extra = ExtraInputs.of(task.examples[0].inputs)
+    most = min(_MOST_ROWS, max(_MOST_NUMBERS // len(extra.columns) // len(task.examples), 1))
     held = held_out(len(task.examples)) if task.held_out is None else task.held_out
-    rows = {part: np.empty((np.count_nonzero(held == part) * most, len(told.columns)), np.float32) for part in (0, 1)}
+    rows = {part: np.empty((np.count_nonzero(held == part) * most, len(extra.columns)), np.float32) for part in (0, 1)}
     target, used = {part: np.empty(len(rows[part])) for part in rows}, [0, 0]
 
     def kept(each, table):
@@ -179,24 +179,24 @@ def fit_trees(task):
     # Pictures are described by threads while the next ones are read; they are kept in their order.
     waiting = deque()
     with ThreadPoolExecutor() as pool:
-        for each in drawn(task, told, most):
-            waiting.append((each, pool.submit(_table, told, each)))
+        for each in drawn(task, extra, most):
+            waiting.append((each, pool.submit(_table, extra, each)))
             if len(waiting) > _AT_ONCE:
                 kept(*waiting.popleft())
         while waiting:
             kept(*waiting.popleft())
     learned, watched = (0, 1) if used[0] else (1, 0)
     begin = None
-    if told.above_air:
-        sums = Sums(told)
-        for here, values in _by_column(told, rows[learned][: used[learned]]):
+    if extra.above_air:
+        sums = Sums(extra)
+        for here, values in _by_column(extra, rows[learned][: used[learned]]):
             sums.add(values, target[learned][here])
         begin = sums.solved(_PENALTY)
         for part in (0, 1):
-            for here, values in _by_column(told, rows[part][: used[part]]):
+            for here, values in _by_column(extra, rows[part][: used[part]]):
                 target[part][here] -= begin.of_values(values)
     settings = _SETTINGS | {"seed": task.seed % 2**31}
-    classes = [told.columns.index(CLASSES)] if CLASSES in told.terrain else []
+    classes = [extra.columns.index(CLASSES)] if CLASSES in extra.terrain else []
     parts = [
         lightgbm.Dataset(rows[part][: used[part]], target[part][: used[part]], categorical_feature=classes)
         for part in (0, 1)
@@ -208,7 +208,7 @@ def fit_trees(task):
         settings, parts[learned], _MOST_TREES, callbacks=callbacks,
         valid_sets=[parts[watched].set_reference(parts[learned])] if used[watched] else [],
     )  # fmt: skip
-    return Trees(grown.model_to_string(num_iteration=grown.best_iteration), told, begin)
+    return Trees(grown.model_to_string(num_iteration=grown.best_iteration), extra, begin)
 
 
 def held_out(count):
@@ -217,21 +217,21 @@ def held_out(count):
     return run % _HELD_OUT_ONE_IN == _HELD_OUT_ONE_IN - 1
 
 
-def _table(told, each):
+def _table(extra, each):
     """Rows of a Drawn, (n, columns) float32."""
-    found = np.empty((each.pixels.size, len(told.columns)), np.float32)
+    found = np.empty((each.pixels.size, len(extra.columns)), np.float32)
     row, column = np.divmod(each.pixels, each.inputs.rgb.shape[1])
-    for (rows, columns), table in told.tiles(each.inputs, each.window):
+    for (rows, columns), table in extra.tiles(each.inputs, each.window):
         inside = (row >= rows.start) & (row < rows.stop) & (column >= columns.start) & (column < columns.stop)
         found[inside] = table[:, row[inside] - rows.start, column[inside] - columns.start].T
     return found
 
 
-def _by_column(told, table):
+def _by_column(extra, table):
     """Give (slice, {column: (n,) values}) of rows, some at a time."""
     for start in range(0, len(table), _CHUNK):
         here = slice(start, min(start + _CHUNK, len(table)))
-        yield here, dict(zip(told.columns, table[here].T, strict=True))
+        yield here, dict(zip(extra.columns, table[here].T, strict=True))
 
 
 def _checksum(text):

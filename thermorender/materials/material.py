@@ -85,6 +85,11 @@ class Material:
     solar_absorptance_std: float | None = None
     thermal: Thermal | None = None
 
+    def __repr__(self) -> str:
+        low, high = self.valid_range_um
+        emits = f"{self.emissivity.min():.2f}–{self.emissivity.max():.2f}"
+        return f"{type(self).__name__}({self.name!r}, emissivity {emits} over {low:g}–{high:g} µm, {self.directional})"
+
     def __post_init__(self) -> None:
         for key in ("wavelength_um", "emissivity", "emissivity_std", "cosines", "emissivity_by_angle"):
             if getattr(self, key) is None:

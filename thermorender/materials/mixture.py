@@ -17,7 +17,7 @@ _STEPS = 8
 _BAND_SAMPLES = 48
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Mixture(Material):
     """A Material made of others.
 

@@ -117,7 +117,7 @@ def day(
 
 def _times(scene, step_min):
     """The instants of the day's frames."""
-    if not scene.marched:
+    if not scene.temperature_state.weather_driven:
         raise ThermorenderError(
             f"{scene.where}: a day needs temperature.source='balance', or a map with [temperature.trained], which make "
             f"temperatures of an hour, not {scene.spec.temperature.source!r}; set one and add [weather]"

@@ -26,8 +26,8 @@ from thermorender.output.record import made_by, record, weather_of
 from thermorender.output.resume import finished, load_state, refuse_moved, remove_state, save_state
 from thermorender.output.timed import STEP_S, TimedRenderer
 from thermorender.output.video import write_video
-from thermorender.scene.load import Scene
-from thermorender.scene.tracks import TrackedObject
+from thermorender.scene.parts.tracks import TrackedObject
+from thermorender.scene.scene import Scene
 from thermorender.sensor.chain import sensor_of
 from thermorender.sensor.display import DisplaySettings
 from thermorender.sensor.exposure import Exposure
@@ -175,7 +175,7 @@ class _Flight:
             "first_time_s": float(self.times[0]),
             "last_time_s": float(self.times[-1]),
             "time": None if start is None else utc_text(start),
-            **({"temperature_step_s": STEP_S} if scene.marched else {}),
+            **({"temperature_step_s": STEP_S} if scene.temperature_state.weather_driven else {}),
             **weather_of(scene),
             # The path between frames too, since the sensor remembers it.
             "path_digest": _digest(self.poses, trajectory.time_s, trajectory.position, trajectory.quaternion),

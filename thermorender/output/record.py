@@ -1,8 +1,9 @@
-"""What a frame is told by: its record, and what made it."""
+"""The record of a frame: what it shows, and what made it."""
 
 import numpy as np
 
 from thermorender.render.variant import active_device
+from thermorender.scene.temperature_state import Conditional
 from thermorender.units import utc_text
 from thermorender.versions import versions
 
@@ -23,20 +24,21 @@ def record(frame):
 
 
 def weather_of(scene):
-    """Return which weather made a scene's temperatures, as plain values, and by which map that was moved to it or told.
+    """Return which weather made a scene's temperatures, and the map moved to it or taking it as input, plain values.
 
     {} where they do not follow the weather.
     """
-    if not scene.marched:
+    state = scene.temperature_state
+    if not state.weather_driven:
         return {}
     spec = scene.spec.weather
     file = spec.file or spec.epw
     named = "named day" if file is None else file.name
-    told = {"weather": {"source": named, "digest": scene.weather_digest(), "notes": list(scene.weather_notes)}}
-    if scene.told:
-        model = scene.told_map
-        told["map"] = {"name": model.name, "digest": model.digest(), **scene.report.get(model.name, {})}
-    return told | ({"moved": scene.moved_report} if scene.moved_report else {})
+    found = {"weather": {"source": named, "digest": scene.weather_digest(), "notes": list(scene.weather_notes)}}
+    if isinstance(state.source, Conditional):
+        model = state.source.model
+        found["map"] = {"name": model.name, "digest": model.digest(), **state.report.get(model.name, {})}
+    return found | ({"moved": state.moved_report} if state.moved_report else {})
 
 
 def made_by():

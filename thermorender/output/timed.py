@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
-from thermorender.scene.load import Scene
+from thermorender.scene.scene import Scene
 from thermorender.units import utc_text
 
 if TYPE_CHECKING:
@@ -31,10 +31,10 @@ def solved_in_parts(
     progress: "Progress | None" = None,
 ) -> Iterator[Scene]:  # fmt: skip
     """Give the scene at each instant of a rising sequence, its temperatures solved; few are in memory at once."""
-    from thermorender.render.renderer import warmed
+    from thermorender.render.renderer import solved_at
 
     for first in range(0, len(times), TOGETHER):
-        yield from warmed(scene, list(times[first : first + TOGETHER]), geometry, progress)
+        yield from solved_at(scene, list(times[first : first + TOGETHER]), geometry, progress)
 
 
 class TimedRenderer:
@@ -59,7 +59,7 @@ class TimedRenderer:
         self, renderer: "Renderer", first_s: float, last_s: float, progress: "Progress | None" = None
     ) -> None:
         self._first, self._first_s, self._progress = renderer, first_s, progress
-        self._last_step = round((last_s - first_s) / STEP_S) if renderer.scene.marched else 0
+        self._last_step = round((last_s - first_s) / STEP_S) if renderer.scene.temperature_state.weather_driven else 0
         # Of two steps at most: what pixels remember reaches back over a change from one to the next.
         self._made: dict[int, Renderer] = {}
         self._part: tuple[int, dict[int, Scene]] = (-1, {})
@@ -90,24 +90,25 @@ class TimedRenderer:
             return None
         return start.astype("datetime64[ms]") + np.timedelta64(round(1e3 * (time_s - self._first_s)), "ms")
 
-    def told(self, time_s: float) -> dict[str, Any]:
-        """Return what a frame's record says of its temperatures; {} where they are of no heat balance.
+    def record(self, time_s: float) -> dict[str, Any]:
+        """Return what a frame's record says of its temperatures; {} where they do not follow the weather.
 
         Returns
         -------
         dict
             {"temperature": {"time": their instant, UTC; "change_mk": root mean square over the terrain's texels of how
             they differ from those `STEP_S` before, None for the flight's first [mK]; "moved": of a map that was moved
-            to it, `Scene.moved_report`}}
+            to it, the `moved_report` of the scene's temperature state}}
         """
         scene = self._first.scene
-        if not scene.marched:
+        if not scene.temperature_state.weather_driven:
             return {}
         step, change = self._step(time_s), None
         if step:
             scenes = self._scenes(step)
             change, scene = round(1e3 * _rms_change_k(scenes[step - 1], scenes[step]), 2), scenes[step]
-        moved = {"moved": scene.moved_report} if scene.moved_report else {}
+        report = scene.temperature_state.moved_report
+        moved = {"moved": report} if report else {}
         return {"temperature": {"time": utc_text(self._instant(step)), "change_mk": change, **moved}}
 
     def _step(self, time_s: float) -> int:
@@ -120,13 +121,13 @@ class TimedRenderer:
 
     def _scenes(self, step: int) -> dict[int, Scene]:
         """The scenes of the part of the flight that a step lies in, and that of the step before this part."""
-        from thermorender.render.renderer import warmed
+        from thermorender.render.renderer import solved_at
 
         part = (step - 1) // TOGETHER
         if part != self._part[0]:
             steps = range(part * TOGETHER, min((part + 1) * TOGETHER, self._last_step) + 1)
             times = [self._instant(number) for number in steps]
-            found = warmed(self._first.scene, times, self._first.baked.geometry, self._progress)
+            found = solved_at(self._first.scene, times, self._first.baked.geometry, self._progress)
             self._part = part, dict(zip(steps, found, strict=True))
         return self._part[1]
 

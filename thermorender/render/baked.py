@@ -21,7 +21,7 @@ from thermorender.render.light.absorbed import left_out
 from thermorender.render.plan import Plan, make_plan
 from thermorender.render.spectrum import REFERENCE_K
 from thermorender.render.variant import activate
-from thermorender.scene.load import Scene
+from thermorender.scene.scene import Scene
 
 # Called with (what, share done).
 Progress = Callable[[str, float], object]
@@ -83,6 +83,10 @@ class BakedScene:
             self._uploaded["scene"] = DeviceScene(self, self.geometry)
         return self._uploaded["scene"]
 
+    def __repr__(self) -> str:
+        errors = ", ".join(f"{name} {value:.2g}" for name, value in self.errors_mk.items())
+        return f"BakedScene({self.scene.name!r}, {len(self.texels)} channels, errors {errors or 'none'} mK)"
+
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_uploaded": {}}
 
@@ -99,7 +103,7 @@ class BakedScene:
         Raises
         ------
         ThermorenderError
-            Surfaces that differ.
+            Surfaces that differ, temperatures that are not solved, or parts of the scene that disagree.
         """
         old = self.plan
         plan = make_plan(
@@ -115,8 +119,9 @@ class BakedScene:
         same = all(getattr(scene, name) is getattr(old, name) for name in parts)
         light = ("rays", "tolerance_mk", "band_um")
         same &= all(getattr(plan, name) == getattr(self.plan, name) for name in light)
-        # The frame tells how high the scene lies in its air.
-        same &= all(getattr(scene, name) == getattr(old, name) for name in ("spec", "frame", "terrain_count"))
+        # The altitude says where the scene lies in its air.
+        same &= all(getattr(scene, name) == getattr(old, name) for name in ("sun", "altitude_m", "terrain_count"))
+        same &= replace(scene.spec, camera="") == replace(old.spec, camera="")
         return replace(self, scene=scene, plan=plan) if same else None
 
 

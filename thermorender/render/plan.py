@@ -18,7 +18,8 @@ from thermorender.render.spectrum import REFERENCE_K, Envelope, Spectrum, make_s
 QUALITIES = {"fast": (1, 4, 500.0, 128), "standard": (1, 4, 150.0, 128), "high": (4, 4, 24.0, 512)}
 
 
-@dataclass(frozen=True)
+# Compared by identity: its spectrum holds arrays.
+@dataclass(frozen=True, eq=False)
 class Plan:
     """The choices for one scene.
 
@@ -76,6 +77,17 @@ class Plan:
     sun: bool
     specular_mk: float | None
     specular: ReflectanceTables | None
+
+    def __repr__(self):
+        air = "no air" if self.air_mk is None else f"air in {self.spectrum.channels} channels"
+        return (
+            f"Plan({self.band_um[0]:g}–{self.band_um[1]:g} µm, {self.nodes} nodes, "
+            f"{self.rays if self.bake else 0} rays per face, {self.samples} per pixel, tolerance "
+            f"{self.tolerance_mk:g} mK, {air}, {self.coldest:.1f}–{self.warmest:.1f} K)"
+        )
+
+    def __str__(self):
+        return "\n".join(["plan", *(f"  {item:<22}{value:<14}{why}" for item, value, why in self.rows())])
 
     @cached_property
     def radiance_per_mk(self):
@@ -200,10 +212,11 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
     Raises
     ------
     ThermorenderError
-        A setting out of range, or a scene whose heat balance is not solved.
+        A setting out of range, a scene whose temperatures are not solved, or one whose parts disagree.
     """
     samples, taps, edge_mk, rays = checked(quality, samples, taps, edge_mk, rays, tolerance_mk)
-    scene.refuse_unwarmed()
+    scene.refuse_disagreement()
+    scene.refuse_unsolved()
     band = tuple(scene.camera.band_um)
     envelope = _envelope(scene)
     coldest, warmest = min(envelope.temperatures), max(envelope.temperatures)
@@ -221,8 +234,8 @@ def make_plan(scene, quality="standard", samples=None, taps=None, edge_mk=None, 
         passed, added = (values[0] for values in scene.air.path(below, below, [1000.0]))
         arrives = passed @ scene.air.planck(REFERENCE_K) + added.sum()
         air_mk = abs(float(arrives - band_radiance(REFERENCE_K, *band))) / per_mk
-    if scene.spec.sun is not None:
-        light = irradiance(wavelength) / np.pi * (scene.spec.sun.elevation_deg > 0.0)
+    if scene.sun is not None:
+        light = irradiance(wavelength) / np.pi * (scene.sun.elevation_deg > 0.0)
         sun_mk = float((reflectance @ (light * weight)).max() / per_mk)
     spectrum = make_spectrum(scene.materials, envelope, tolerance_mk, bake)
     specular = make_tables(scene, spectrum, envelope)

@@ -112,7 +112,8 @@ def squared_error(frame, first, second):
 
 def mitsuba_scene(mi, scene, pose, integrator, depth):
     """Return the Mitsuba scene of stock plugins and the thermal texture, for the active spectral variant."""
-    scene.refuse_unwarmed()
+    scene.refuse_disagreement()
+    scene.refuse_unsolved()
     number = next(_NAMES)
     name, lens = f"thermal{number}", f"lens{number}"
     limits = box_of(scene)

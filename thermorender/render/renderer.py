@@ -1,7 +1,7 @@
 """The renderer: frames of one baked scene, each a function of camera, pose, time and objects alone."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from functools import partial
 from operator import index as whole
 from typing import Any, Literal
@@ -31,8 +31,9 @@ from thermorender.render.pixels.sampling import CameraRays
 from thermorender.render.pixels.tracer import Sampling, Tracer
 from thermorender.render.plan import Plan, checked, make_plan
 from thermorender.render.variant import activate
-from thermorender.scene.load import Scene
+from thermorender.scene.scene import Scene
 from thermorender.scene.surface import FILLED, Surface
+from thermorender.scene.temperature_state import Conditional, Moved
 from thermorender.sensor.camera import Camera
 
 # Error from which on edge pixels of a visible view get more rays: a share of white, summed over the colours.
@@ -62,21 +63,21 @@ class Renderer:
         Seed of the sensor's noise.
     device : {"auto", "cpu", "cuda"}
     progress : callable, optional
-        Called with (what, share done) while a heat balance is marched and the scene is baked.
+        Called with (what, share done) while temperatures are solved and the scene is baked.
     like : Renderer, optional
         A renderer of the same surfaces at other temperatures; its traced light is used again.
 
     Attributes
     ----------
     scene : Scene
-        Where its temperatures are those of a heat balance, the scene with these solved for its time.
+        Where its temperatures follow the weather, the scene with these solved for its time.
     plan : Plan
         What this scene needs and what was left out.
 
     Raises
     ------
     ThermorenderError
-        What is no Scene, a setting out of range, or a `like` of other surfaces.
+        What is not a Scene, one whose parts disagree, a setting out of range, or a `like` of other surfaces.
     """
 
     scene: Scene
@@ -97,15 +98,16 @@ class Renderer:
     ) -> None:  # fmt: skip
         if not isinstance(scene, Scene):
             raise ThermorenderError(
-                f"scene={shortened(repr(scene))} is no Scene; give what load_scene returns, as in "
+                f"scene={shortened(repr(scene))} is not a Scene; give what load_scene returns, as in "
                 "Renderer(load_scene('heath'))"
             )
         sampling = (quality, samples, taps, edge_mk, rays, tolerance_mk)
         checked(*sampling)
         self._asked, self.seed = scene, _whole("seed", seed)
         self._like, self._progress, self._baked, self._rays_of, self._coloured = None, progress, None, {}, None
-        if scene.warmed:
-            # Before the device, so that a setting that does not suit the scene is told at once.
+        scene.refuse_disagreement()
+        if scene.temperature_state.solved:
+            # Before the device, so that a setting that does not suit the scene is refused at once.
             self.plan = make_plan(scene, *sampling)
         mi = activate(device)
         if like is None:
@@ -113,8 +115,8 @@ class Renderer:
         else:
             refuse_other_surfaces(like.scene.surfaces, scene.surfaces)
             self._geometry = like._geometry
-        if not scene.warmed:
-            scene = _warmed(scene, like, self._geometry, progress)
+        if not scene.temperature_state.solved:
+            scene = _solved(scene, like, self._geometry, progress)
             self.plan = make_plan(scene, *sampling)
         self.scene = scene
         if like is None:
@@ -132,6 +134,11 @@ class Renderer:
         made._like, made._progress, made._baked, made._rays_of, made._coloured = None, None, baked, {}, None
         made._geometry = baked.geometry
         return made
+
+    def __repr__(self) -> str:
+        state = "baked" if self._baked is not None else "not baked yet"
+        scene = self.scene
+        return f"Renderer({scene.name!r}, {scene.camera.name}, {self.plan.nodes} nodes, seed {self.seed}, {state})"
 
     @property
     def baked(self) -> BakedScene:
@@ -429,29 +436,31 @@ def _colours(geometry: Geometry, surfaces: Sequence[Surface]) -> OutgoingRadianc
     return OutgoingRadiance(geometry.averaged(np.column_stack([linear, known])))
 
 
-def _warmed(scene: Scene, like: "Renderer | None", geometry: Geometry, progress: Progress | None) -> Scene:
-    """A scene with its heat balance solved; that of `like` where it was asked for the same, but for the camera."""
-    if like is not None:
-        names = (item.name for item in fields(Scene) if item.name != "camera")
-        if all(getattr(scene, name) is getattr(like._asked, name) for name in names):
-            return replace(like.scene, camera=scene.camera)
+def _solved(scene: Scene, like: "Renderer | None", geometry: Geometry, progress: Progress | None) -> Scene:
+    """A scene with its temperatures solved; those of `like` where it was asked for the same, but for the camera."""
+    if like is not None and scene.like_but_for_camera(like._asked):
+        known = like.scene.with_camera(scene.camera)
+        # Under another band the sky that a conditional map is seen under may differ, and its temperatures with it.
+        if known.temperature_state.solved:
+            return known
     assert scene.time is not None
-    return warmed(scene, [scene.time], geometry, progress)[0]
+    return solved_at(scene, [scene.time], geometry, progress)[0]
 
 
-def warmed(
+def solved_at(
     scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry | None = None, progress: Progress | None = None
 ) -> list[Scene]:
-    """Return the scene at each of some instants: its heat balance solved, or its map moved by it, or told the hour.
+    """Return the scene with its temperatures solved for each of some instants, by what its state names as their source.
 
-    Parameters and errors are those of `heat.solved`, `moved.moved` and `relief.mapped`.
+    Parameters and errors are those of `heat.march.solved`, `heat.moved.moved` and `heat.relief.mapped`.
     """
     # Only here: no other scene needs them.
-    if scene.told:
+    source = scene.temperature_state.source
+    if isinstance(source, Conditional):
         from thermorender.render.heat.relief import mapped
 
         return mapped(scene, times, geometry, progress)
-    if scene.mapped is None:
+    if not isinstance(source, Moved):
         from thermorender.render.heat.march import solved
 
         return solved(scene, times, geometry, progress)

@@ -23,7 +23,8 @@ MOST_TEXELS = 2**29
 MOST_MATERIALS = 255
 
 
-@dataclass(frozen=True)
+# Compared by identity: arrays have no truth value to compare them by.
+@dataclass(frozen=True, eq=False)
 class Surface:
     """A triangle mesh with a texel map.
 
@@ -57,6 +58,15 @@ class Surface:
     temperature: np.ndarray
     flags: np.ndarray
     texel_m: float
+
+    def __repr__(self):
+        rows, columns = self.material.shape
+        known = self.temperature[np.isfinite(self.temperature)]
+        kelvin = f"{known.min():.1f}–{known.max():.1f} K" if known.size else "no temperature yet"
+        return (
+            f"Surface({self.name!r}, {len(self.faces)} triangles, {columns}×{rows} texels of {self.texel_m:.3g} m, "
+            f"{kelvin})"
+        )
 
 # Hotter than any flame: what is above it is a placeholder for "no data", or not a temperature.
 HOTTEST_KELVIN = 3000.0

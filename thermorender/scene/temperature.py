@@ -58,8 +58,10 @@ def resolve(spec, texels):
     return temperature.astype(np.float32), flags
 
 
-def trained(spec):
+def trained(spec, model=None):
     """Return the WeatherSpec that a source's temperatures are of; None where neither it nor its map says one.
+
+    `model` is the learned map of the source, where it has been read already.
 
     Raises
     ------
@@ -68,19 +70,18 @@ def trained(spec):
     """
     if spec.trained or spec.source != "learned":
         return spec.trained
-    from thermorender.learned.temperature_map import load_model
-
-    told = load_model(spec.model).trained
-    return told and read(WeatherSpec, told, Where(f"learned map {spec.model!r}", top="trained"))
+    said = (learned_map(spec) if model is None else model).trained
+    return said and read(WeatherSpec, said, Where(f"learned map {spec.model!r}", top="trained"))
 
 
-def map_error_k(spec):
-    """Return one standard deviation of a map's own error [K]: the source's, the map's, or `ASSUMED_ERROR_K`."""
+def map_error_k(spec, model=None):
+    """Return one standard deviation of a map's own error [K]: the source's, the map's, or `ASSUMED_ERROR_K`.
+
+    `model` is the learned map of the source, where it has been read already.
+    """
     error = spec.map_error_k
     if error is None and spec.source == "learned":
-        from thermorender.learned.temperature_map import load_model
-
-        error = load_model(spec.model).error_k
+        error = (learned_map(spec) if model is None else model).error_k
     return ASSUMED_ERROR_K if error is None else error
 
 
@@ -103,6 +104,7 @@ def raster_temperature(path, texels):
 
 
 def _constant(spec, texels):
+    scene_kelvin("temperature.value", spec.value)
     return np.full(texels.material.shape, spec.value), np.zeros(texels.material.shape, np.uint8)
 
 
@@ -151,7 +153,7 @@ def learned_map(spec):
 
 
 def from_map(model, inputs, texels, sky_temperature=None, stand_in=None):
-    """Return (temperature (h, w) [K], flags (h, w) uint8) of texels by a learned map, and tell their report of it.
+    """Return (temperature (h, w) [K], flags (h, w) uint8) of texels by a learned map, and add to their report.
 
     Parameters
     ----------
@@ -176,13 +178,4 @@ def from_map(model, inputs, texels, sky_temperature=None, stand_in=None):
     return values, np.where(trusted, 0, FALLBACK).astype(np.uint8)
 
 
-def waiting(texels):
-    """Return (NaN (h, w) float32, no flags (h, w) uint8): solved where rays can be cast, for an instant."""
-    return np.full(texels.material.shape, np.nan, np.float32), np.zeros(texels.material.shape, np.uint8)
-
-
-def _balance(spec, texels):
-    return waiting(texels)
-
-
-SOURCES = {"constant": _constant, "raster": _raster, "material": _material, "learned": _learned, "balance": _balance}
+SOURCES = {"constant": _constant, "raster": _raster, "material": _material, "learned": _learned}

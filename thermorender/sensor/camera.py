@@ -190,6 +190,14 @@ class Camera:
         with np.errstate(all="ignore"):
             self.directions(_image_edge(self.width, self.height))
 
+    def __repr__(self):
+        across, along = self.field_of_view_deg
+        return (
+            f"Camera({self.name!r}, {self.width}×{self.height}, {across:.1f}° × {along:.1f}°, "
+            f"{self.focal_length_mm:g} mm f/{self.f_number:g}, {self.band_um[0]:g}–{self.band_um[1]:g} µm, "
+            f"NETD {self.gain_netd_mk:g} mK)"
+        )
+
     @property
     def visible_camera(self) -> "Camera | None":
         """The visible camera beside this one, a Camera on the same axis and without distortion; None without one."""

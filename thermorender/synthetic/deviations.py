@@ -30,8 +30,8 @@ _STRENGTH = 0.25
 def deviations_of(canvas: Canvas, again: int = 0) -> Deviations:
     """Tint the canvas by the visible part of moisture, and return its Deviations.
 
-    With `again` above 0 the Deviations are another draw consistent with the same photograph: the visible part of moisture
-    stays, and the rest is drawn again.
+    With `again` above 0 the Deviations are another draw consistent with the same photograph: the visible part
+    of moisture stays, and the rest is drawn again.
 
     Notes
     -----

@@ -219,7 +219,8 @@ def make(
     altitude = float(np.round(np.median(elevation)))
     return SyntheticScene(
         kind=kind, seed=int(seed), title=known.title, size_m=size, texel_m=texel, post_m=post, elevation=elevation,
-        orthophoto=picture, classes=canvas.material, class_names=dict(canvas.names), deviations=deviations, weather=weather,
+        orthophoto=picture, classes=canvas.material, class_names=dict(canvas.names), deviations=deviations,
+        weather=weather,
         sky_temperature=sky_temperature(weather, conditions(weather, latitude, altitude), altitude),
         latitude_deg=latitude, longitude_deg=LONGITUDE_DEG, epsg=32634, corner=_corner(latitude, LONGITUDE_DEG, size),
         sun=sun, objects=tuple(follows(objects, now, usual)), flight=_flight_table(flight, elevation, size, post),

@@ -1,6 +1,6 @@
 """Views on which the stated error of a frame is tried: chosen ones of shipped and of made scenes, and drawn ones."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -79,7 +79,7 @@ def made(seed=0):
         (texels, (*above, View(600, -90))),
         (brass, (*above, View(600, -90))),
         (specks, (View(305, -90), View(305, -45), View(1500, -90))),
-        (replace(posts, terrain_count=1), (*above, View(420, -90), View(3000, -45))),
+        (posts.with_surfaces(terrain_count=1), (*above, View(420, -90), View(3000, -45))),
     ]
 
 

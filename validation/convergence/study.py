@@ -215,10 +215,10 @@ class _Site:
 
     def __init__(self, scene, mode, device):
         # Stock Mitsuba is given temperatures too.
-        scene = scene if scene.warmed else Renderer(scene, device=device).scene
+        scene = scene if scene.temperature_state.solved else Renderer(scene, device=device).scene
         self.scene, self.mode, self.device = scene, mode, device
         width, height = mode.window
-        self.part = replace(scene, camera=replace(scene.camera, width=width, height=height))
+        self.part = scene.with_camera(replace(scene.camera, width=width, height=height))
         self.poses = {view: bench.views(scene)[view] for view in mode.views}
         self.poses |= {f"{height:g} m": bench.views(scene, height)["nadir"] for height in mode.far_m}
         self.sigma = optics_sigma_px(scene.camera)

@@ -5,7 +5,7 @@ takes over, the lines of rows and columns, what stays on the detector, and how n
 with the camera as its file has it, and with the file that `fit-camera` makes of the same footage.
 """
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -87,7 +87,7 @@ def _views(scene, camera, seed, tell, options):
     from thermorender.scene.load import load_scene
     from thermorender.trajectory.path import pose
 
-    loaded = replace(load_scene(scene), camera=camera)
+    loaded = load_scene(scene).with_camera(camera)
     renderer = Renderer(loaded, seed=seed, progress=tell, **options)
     rng = np.random.default_rng(seed)
     views = []

@@ -131,8 +131,7 @@ def _scene_errors(mi, kind, seed, cases, size, tell):
         tell((4 + done) / steps)
         for key, (kelvin, error_k) in maps.items():
             spec = TemperatureSpec(source="raster", trained=there.spec.weather, map_error_k=error_k)
-            mapped = replace(here, spec=replace(here.spec, temperature=spec), mapped=(kelvin,))
-            mapped.__dict__["weather"] = here.weather
+            mapped = here.with_temperature(spec, kelvin=(kelvin,))
             base, trained = balances(mapped)
             carried = Carried(mapped, trained, base, before)
             for name, truth, expects in zip(names, truths, after, strict=True):
@@ -176,8 +175,7 @@ def _instant(scene, case):
 def _asked(scene, case):
     """The scene with the heat balance of a case."""
     weather = WeatherSpec(time=_instant(scene, case), **case[2])
-    scene = replace(scene, spec=replace(scene.spec, weather=weather, truth_temperature=None), time=weather.time)
-    return scene.with_temperature(TemperatureSpec(source="balance"))
+    return scene.with_weather(weather).with_temperature("balance")
 
 
 class _Hidden:
@@ -200,14 +198,13 @@ class _Hidden:
     def solved(self, times, here, geometry):
         """[(h, w) float32] true temperatures at some instants [K], under the weather of `here`."""
         surface = replace(here.surfaces[0], material=self.material, colour=self.colour)
-        spec = replace(here.spec, temperature=TemperatureSpec(source="balance", brightness=True))
         others = tuple(replace(s, material=(s.material * _PATCHES).astype(np.uint8)) for s in here.surfaces[1:])
-        made = replace(here, spec=spec, surfaces=(surface, *others), materials=self.materials)
-        weather = here.weather
-        made.__dict__["weather"] = replace(
+        made = here.with_temperature(TemperatureSpec(source="balance", brightness=True))
+        made, weather = made.with_surfaces((surface, *others), self.materials), here.weather
+        made = made.with_weather(replace(
             weather, wind_m_s=weather.wind_m_s * self.wind, air_k=weather.air_k + self.air_k,
             longwave_w_m2=weather.longwave_w_m2 + _LONGWAVE_W_M2 * self.longwave,
-        )  # fmt: skip
+        ))  # fmt: skip
         return [each.surfaces[0].temperature for each in solved(made, times, geometry)]
 
 

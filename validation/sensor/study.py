@@ -19,7 +19,8 @@ from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.render.renderer import Renderer
-from thermorender.scene.load import Scene, load_scene
+from thermorender.scene.load import load_scene
+from thermorender.scene.scene import Scene
 from thermorender.sensor import psf
 from thermorender.sensor.chain import Sensor, at_rest, in_sequence
 from thermorender.sensor.detector import advanced, read_rows, row_delays, steady

@@ -253,7 +253,7 @@ def rendered(scene, text, model, reference, campaign=None, true_materials=True, 
         source = TemperatureSpec(source="learned", model=str(text), range_c=limits)
 
         def build():
-            warm = cold.with_temperature(source, at).with_object_temperatures(kelvin)
+            warm = cold.with_temperature(source, at).with_objects(kelvin)
             return Renderer(warm, like=reference, **settings)
 
         return Method(letter, model.name, bounds, _told(bounds, *told, *needs), true_objects, at, build, kelvin)
@@ -274,8 +274,8 @@ def balanced(scene, reference, settings=None):
     kelvin = {item.name: _own_temperature(scene, item) for item in scene.spec.objects}
 
     def build():
-        solved = scene.with_temperature(TemperatureSpec(source="balance"))
-        return Renderer(solved.with_object_temperatures(kelvin), like=reference, **(settings or {}))
+        asked = scene.with_sun(None).with_temperature("balance").with_objects(kelvin)
+        return Renderer(asked, like=reference, **(settings or {}))
 
     return Method("F", "heat balance of tables", None, "the materials, hour and weather, relief", build=build,
                   kelvin=kelvin)  # fmt: skip
@@ -286,9 +286,10 @@ def oracle(scene, text, model, reference, settings=None):
     kelvin = {item.name: _own_temperature(scene, item) for item in scene.spec.objects}
 
     def build():
-        told = scene.with_temperature(TemperatureSpec(source="learned", model=str(text)), model)
-        (solved,) = mapped(told, [scene.time], reference.baked.geometry, material=True)
-        return Renderer(solved.with_object_temperatures(kelvin), like=reference, **(settings or {}))
+        asked = scene.with_sun(None).with_temperature(TemperatureSpec(source="learned", model=str(text)), model)
+        asked = asked.with_objects(kelvin)
+        (solved,) = mapped(asked, [scene.time], reference.baked.geometry, material=True)
+        return Renderer(solved, like=reference, **(settings or {}))
 
     told = _told(None, "the materials", *(_WORDS[name] for name in model.needs))
     return Method("O", model.name, None, told, model=model, build=build, kelvin=kelvin)

@@ -16,6 +16,7 @@ import numpy as np
 from thermorender.campaign.bounds import Histogram, bounds_of
 from thermorender.frame import apparent_temperature
 from thermorender.learned.temperature_map import Inputs
+from thermorender.schema import every_field
 from thermorender.sensor.chain import sensor_of
 from thermorender.sensor.readout import radiance_from_counts
 from thermorender.units import ZERO_CELSIUS_K
@@ -107,7 +108,8 @@ def campaign_of(scene, land):
     spec = scene.spec
     if spec.weather is None:
         return land
-    return hashlib.blake2b(repr((scene.time, spec.weather, scene.camera)).encode(), digest_size=8).hexdigest()
+    known = f"({scene.time!r}, {spec.weather!r}, {every_field(scene.camera)})"
+    return hashlib.blake2b(known.encode(), digest_size=8).hexdigest()
 
 
 def thermal_of(scene, land, views, seed, models=()):

@@ -276,7 +276,7 @@ class Trial:
     def _described(self, method):
         """What a rendered method's scene tells: whether the truth is its own, and emissivities beside the true ones."""
         scene = method.renderer.scene
-        told = {"circular": [], "emissivities": {}, "report": scene.report}
+        told = {"circular": [], "emissivities": {}, "report": dict(scene.temperature_state.report)}
         if self._has_truth and method.letter != "F":
             text = provenance.circular(scene, self.scene) if method.letter != "O" else None
             told["circular"] += [text] if text else []

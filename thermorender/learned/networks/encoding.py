@@ -14,13 +14,13 @@ import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.learned.linear import Linear, grounds, lab_planes
-from thermorender.learned.rows import CLASSES, Told, at_texel
+from thermorender.learned.rows import CLASSES, ExtraInputs, at_texel
 
 # Training pictures that tell the statistics, about; and the least and greatest spread of a target, in its own unit;
 # what it is measured from is less than the latter, too.
 _LOOKED_AT = 180
 _LEAST_SCALE, _MOST_SCALE = 1e-3, 1e6
-# A depth is told as the logarithm of its ratio to this [m].
+# A depth is given as the logarithm of its ratio to this [m].
 _DEPTH_M = 100.0
 # A terrain's planes are divided by these, by how their names begin.
 _UNITS = (("normal_", 1.0), ("above_m", 5.0), ("sky_view", 1.0), ("sun", 300.0))
@@ -32,7 +32,7 @@ class Encoding:
 
     Attributes
     ----------
-    told : Told
+    extra : ExtraInputs
         What it is shown besides the picture.
     depth : bool
         Whether it is shown the depth, and where that is known.
@@ -42,7 +42,7 @@ class Encoding:
         A linear predictor whose kelvin are the last plane.
     """
 
-    told: Told = Told()
+    extra: ExtraInputs = ExtraInputs()
     depth: bool = False
     offset: float = 0.0
     scale: float = 1.0
@@ -50,7 +50,7 @@ class Encoding:
 
     @classmethod
     def measured(cls, crops, depth, offset=None, scale=None, base=None):
-        """Return the Encoding for the examples of Crops, told all that they hold besides the picture.
+        """Return the Encoding for the examples of Crops, with all that they hold besides the picture as input.
 
         Parameters
         ----------
@@ -61,8 +61,8 @@ class Encoding:
             begin with a mixture of such, 0 and their root mean square.
         base : Linear, optional
         """
-        first = Told.of(crops.read(crops.train[0])[0])
-        told = Told(tuple(name for name in first.terrain if name != CLASSES), first.conditions)
+        first = ExtraInputs.of(crops.read(crops.train[0])[0])
+        extra = ExtraInputs(tuple(name for name in first.terrain if name != CLASSES), first.conditions)
         sums = np.zeros(3)
         for k in crops.train[:: max(len(crops.train) // _LOOKED_AT, 1)]:
             inputs, target, valid = crops.read(k)
@@ -71,7 +71,7 @@ class Encoding:
                     "the pairs have no depth, which option depth=true shows the network; give a data set with depth, "
                     "or leave the option out"
                 )
-            told.check(inputs)
+            extra.check(inputs)
             learned = target[valid].astype(np.float64)
             sums += learned.size, learned.sum(), (learned**2).sum()
         if not sums[0]:
@@ -79,24 +79,24 @@ class Encoding:
         if scale is None:
             offset = 0.0 if crops.above_air else sums[1] / sums[0]
             scale = max(np.sqrt(max(sums[2] / sums[0] - offset**2, 0.0)), _LEAST_SCALE)
-        return cls(told, depth, float(offset), float(scale), base)
+        return cls(extra, depth, float(offset), float(scale), base)
 
     @property
     def needs(self):
         """Names of the fields of Inputs that are needed."""
-        return (*self.told.needs, *(["depth"] if self.depth else ()))
+        return (*self.extra.needs, *(["depth"] if self.depth else ()))
 
     @cached_property
     def mixed(self):
         """Number of planes, the last, that are temperatures: of typical materials, and the base's."""
-        if not self.told.terrain:
+        if not self.extra.terrain:
             return 0
-        return sum(name.startswith("as ") for name, _ in grounds(_Nothing(), self.told)) + (self.base is not None)
+        return sum(name.startswith("as ") for name, _ in grounds(_Nothing(), self.extra)) + (self.base is not None)
 
     @property
     def channels(self):
         """Number of planes."""
-        relief = len(self.told.terrain) + 1 if self.told.terrain else 0
+        relief = len(self.extra.terrain) + 1 if self.extra.terrain else 0
         return 3 + 2 * self.depth + relief + self.mixed
 
     def planes(self, inputs):
@@ -107,7 +107,7 @@ class Encoding:
         ThermorenderError
             The inputs lack a plane or a condition.
         """
-        self.told.check(inputs)
+        self.extra.check(inputs)
         found = np.zeros((self.channels, *inputs.rgb.shape[:2]), np.float32)
         found[:3] = np.moveaxis(inputs.rgb, -1, 0).astype(np.float32) / np.float32(127.5) - np.float32(1.0)
         number = 3
@@ -116,17 +116,17 @@ class Encoding:
             found[3] = np.log(np.where(known, inputs.depth, _DEPTH_M) / _DEPTH_M)
             found[4] = known
             number = 5
-        for name in self.told.terrain:
+        for name in self.extra.terrain:
             plane = inputs.terrain[name] / np.float32(_unit(name))
             found[number] = np.where(np.isnan(plane), 0.0, plane)
             number += 1
-        if self.told.terrain:
-            found[number] = np.isfinite(inputs.terrain[self.told.terrain[0]])
+        if self.extra.terrain:
+            found[number] = np.isfinite(inputs.terrain[self.extra.terrain[0]])
             number += 1
         if self.mixed:
-            planes = {name: np.float32(inputs.terrain[name]) for name in self.told.terrain}
+            planes = {name: np.float32(inputs.terrain[name]) for name in self.extra.terrain}
             values = {**planes, **inputs.conditions}
-            multiplied = list(grounds(values, self.told))
+            multiplied = list(grounds(values, self.extra))
             for plane in (plane for name, plane in multiplied if name.startswith("as ")):
                 found[number] = (plane - self.offset) / self.scale
                 number += 1
@@ -143,8 +143,9 @@ class Encoding:
 
     def header(self):
         """Return what a file's text says of it."""
-        told = {each.name: getattr(self, each.name) for each in fields(self)}
-        return told | {"told": asdict(self.told), "base": self.base and self.base.header()}
+        plain = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "extra"}
+        # The key that files of this format have.
+        return {"told": asdict(self.extra), **plain, "base": self.base and self.base.header()}
 
     def arrays(self):
         """Return what a file holds of it."""
@@ -153,12 +154,12 @@ class Encoding:
     @classmethod
     def of(cls, header, arrays):
         """Return the Encoding of a header and arrays."""
-        told = Told(**{name: tuple(names) for name, names in header["told"].items()})
+        extra = ExtraInputs(**{name: tuple(names) for name, names in header["told"].items()})
         scale, offset = float(header["scale"]), float(header["offset"])
         if not (abs(offset) < _MOST_SCALE and 0.0 < scale < _MOST_SCALE):
             raise ValueError("it encodes with numbers that are not finite or too large, or a scale that is none")
         base = Linear.of(header["base"], {"weight": arrays["base/weight"]}) if header["base"] else None
-        return cls(told, bool(header["depth"]), offset, scale, base)
+        return cls(extra, bool(header["depth"]), offset, scale, base)
 
 
 class _Nothing(dict):

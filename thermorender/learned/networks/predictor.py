@@ -149,8 +149,8 @@ class Network:
         encoding, limits = Encoding.of(header["encoding"], arrays), tuple(map(float, header["texel_range_m"]))
         if not (len(limits) == 2 and 0.0 < limits[0] <= limits[1] < np.inf):
             raise ValueError("its range of ground sampling distances is none")
-        if header["above_air"] and "air_k" not in encoding.told.conditions:
-            raise ValueError("it is not told the air's temperature")
+        if header["above_air"] and "air_k" not in encoding.extra.conditions:
+            raise ValueError("it does not take the air's temperature as input")
         state = {name: values for name, values in arrays.items() if name not in encoding.arrays()}
         if any(values.min(initial=0.0) < 0.0 for name, values in state.items() if name.endswith("running_var")):
             raise ValueError("it has a variance below 0")

@@ -10,7 +10,7 @@ marched in blocks, each together with all faces, so that memory stays bounded wh
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -28,7 +28,7 @@ from thermorender.render.light import cache
 from thermorender.render.variant import activate
 from thermorender.scene import open_ground
 from thermorender.scene.deviations import Deviations
-from thermorender.scene.load import Scene
+from thermorender.scene.scene import Scene
 from thermorender.scene.surface import fill, nearest_valid
 from thermorender.units import ZERO_CELSIUS_K, utc_text
 
@@ -105,12 +105,14 @@ def solved(
     kelvin = march.covered(found if most == 1 else found**0.25)
     tell(_WHAT, 1.0)
     borders = geometry.texel_start[1 : scene.terrain_count]
-    made = {at: scene.heated(at, np.split(values, borders)) for at, values in zip(asked, kelvin, strict=True)}
+    notes: tuple[str, ...] = ()
     if march.settled_k >= open_ground.SETTLED_K:
         note = f"the ground did not settle before {utc_text(march.start)}: two equal days differed by "
-        notes = (*scene.weather.notes, f"{note}{march.settled_k:.1f} K")
-        for each in made.values():
-            each.__dict__["weather"] = replace(scene.weather, notes=notes)
+        notes = (f"{note}{march.settled_k:.1f} K",)
+    made = {
+        at: scene.with_solved_temperatures(at, np.split(values, borders), notes=notes)
+        for at, values in zip(asked, kelvin, strict=True)
+    }
     return [made[at] for at in times]
 
 

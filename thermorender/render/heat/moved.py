@@ -29,7 +29,7 @@ stays at or below its melting point, also where the map has it warmer.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -40,10 +40,9 @@ from thermorender.materials.shifted import PROPERTIES, shifted
 from thermorender.render.geometry import Geometry
 from thermorender.render.heat.march import solved
 from thermorender.render.variant import activate
-from thermorender.scene.load import Scene
-from thermorender.scene.spec import TemperatureSpec
+from thermorender.scene.scene import Scene
 from thermorender.scene.surface import FALLBACK, UNMOVED
-from thermorender.scene.temperature import map_error_k, trained
+from thermorender.scene.temperature_state import Moved as MovedSource
 from thermorender.units import ZERO_CELSIUS_K, utc_text
 
 # What a balance with the right properties is wrong by, one standard deviation w [K]: chosen.
@@ -73,7 +72,8 @@ class Moved:
     Attributes
     ----------
     scene : Scene
-        With the moved temperatures; UNMOVED in its flags, and what a user should know in its `moved_report`.
+        With the moved temperatures; UNMOVED in its flags, and what a user should know in the `moved_report` of its
+        temperature state.
     std_k : tuple of (h, w) float32 arrays
         One standard deviation of the temperatures of each of the terrain's surfaces [K].
     """
@@ -90,7 +90,7 @@ def moved(
     Parameters
     ----------
     scene : Scene
-        With `mapped`: [weather], and a map that was trained at a known instant.
+        With [weather] and a map that was trained at a known instant: temperatures of source Moved.
     times : sequence of datetime64
         UTC, inside the weather.
     geometry, progress
@@ -130,17 +130,15 @@ def balances(scene: Scene) -> tuple[Scene, Scene]:
     ThermorenderError
         The scene has no map that could be moved, or the weather it was trained in cannot be read.
     """
-    if scene.mapped is None:
+    if not isinstance(scene.temperature_state.source, MovedSource):
         raise ThermorenderError(
             f"{scene.where} has no map that could be moved; add [weather], and [temperature.trained] with when and in "
             "what weather its temperatures were taken"
         )
-    here = scene.with_temperature(TemperatureSpec(source="balance"))
-    _keep_weather(scene, here)
-    weather = trained(scene.spec.temperature)
-    there = replace(here, spec=replace(here.spec, weather=weather), time=weather.time)
+    here = scene.with_temperature("balance")
+    there = here.with_weather(scene.temperature_state.source.trained)
     try:
-        there.weather  # noqa: B018 - read here, so that its faults are told as those of the training
+        there.weather  # noqa: B018 - read here, so that its errors name the training
     except ThermorenderError as error:
         raise ThermorenderError(str(error).replace("[weather]", "[temperature.trained]", 1)) from None
     return here, there
@@ -176,8 +174,7 @@ def expected(
     kelvin = marched(scene, 0)
     changes = [np.empty((len(PROPERTIES), len(values)), dtype=np.float16) for values in kelvin]
     for number, name in enumerate(PROPERTIES):
-        other = replace(scene, materials=tuple(shifted(material, name) for material in scene.materials))
-        _keep_weather(scene, other)
+        other = scene.with_surfaces(materials=tuple(shifted(material, name) for material in scene.materials))
         for change, values, own in zip(changes, marched(other, number + 1), kelvin, strict=True):
             change[number] = values - own
     return [Expected(*each) for each in zip(kelvin, changes, strict=True)]
@@ -202,10 +199,11 @@ class Carried:
         self.shape = [surface.material.shape for surface in terrain]
         material = np.concatenate([surface.material.ravel() for surface in terrain])
         self.failed = np.concatenate([surface.flags.ravel() & FALLBACK for surface in terrain]) > 0
-        assert scene.mapped is not None
-        given = np.concatenate([values.ravel() for values in scene.mapped]).astype(np.float64)
+        source = scene.temperature_state.source
+        assert isinstance(source, MovedSource)
+        given = np.concatenate([values.ravel() for values in source.temperatures]).astype(np.float64)
         self.difference = np.where(self.failed, 0.0, given - before.kelvin)
-        self.error = map_error_k(scene.spec.temperature) ** 2
+        self.error = source.error_k**2
         self.snow = np.array([_is_snow(each) for each in scene.materials])[material]
         own, ratio = _product(before, before), np.ones(len(scene.materials))
         for number in np.unique(material[~self.failed]):
@@ -233,11 +231,10 @@ class Carried:
         values = kelvin + gain * self.difference
         # Snow cannot be warmer.
         values = np.where(self.snow, np.minimum(values, np.maximum(kelvin, ZERO_CELSIUS_K)), values)
-        told = self.scene.heated(at, self._split(values))
-        surfaces = list(told.surfaces)
-        for number, mask in enumerate(self._split(unmoved)):
-            flags = (surfaces[number].flags & ~np.uint8(UNMOVED)) | np.where(mask, np.uint8(UNMOVED), np.uint8(0))
-            surfaces[number] = replace(surfaces[number], flags=flags)
+        flags = [
+            (surface.flags & ~np.uint8(UNMOVED)) | np.where(mask, np.uint8(UNMOVED), np.uint8(0))
+            for surface, mask in zip(self.scene.surfaces, self._split(unmoved), strict=False)
+        ]
         report = {
             "trained": utc_text(self.there.time),
             "mean_absolute_difference_k": round(float(np.abs(self.difference[~self.failed]).mean()), 3)
@@ -246,8 +243,7 @@ class Carried:
             "share_unmoved": round(float(unmoved.mean()), 5),
             "correlation": round(correlation, 3),
         }  # fmt: skip
-        made = replace(told, surfaces=tuple(surfaces), moved_report=report)
-        _keep_weather(told, made)
+        made = self.scene.with_solved_temperatures(at, self._split(values), flags=flags, moved_report=report)
         return Moved(made, tuple(self._split(std)))
 
     def _split(self, flat: NDArray[Any]) -> list[NDArray[Any]]:
@@ -272,11 +268,6 @@ def _product(one: Expected, other: Expected) -> NDArray[np.float64]:
     for first, second in zip(one.changes, other.changes, strict=True):
         total += first.astype(np.float64) * second
     return total
-
-
-def _keep_weather(known: Scene, other: Scene) -> None:
-    """Let a scene that differs in neither weather nor time share what was read."""
-    other.__dict__["weather"] = known.weather
 
 
 def _kelvin(scene: Scene) -> NDArray[np.float32]:

@@ -1,10 +1,10 @@
 """What a terrain knows of its texels and a photograph does not: slope, aspect, height, sky view, and sun with shadow.
 
-Learned maps that are told it hold for more than one hour and relief; see `learned.temperature_map.Inputs.terrain`. The
-sun is looked for by rays from every texel, now and over the hours before, as the ground remembers what it absorbed.
+Learned maps that take it as input hold for more than one hour and relief; see
+`learned.temperature_map.Inputs.terrain`. The sun is looked for by rays from every texel, now and over the hours before,
+as the ground remembers what it absorbed.
 """
 
-from dataclasses import replace
 from weakref import WeakKeyDictionary
 
 import drjit as dr
@@ -151,12 +151,12 @@ def _past(weather, time):
 
 
 def mapped(scene, times, geometry=None, progress=None, material=False):
-    """Return a scene with its terrain's temperatures by a learned map that is told relief, hour and weather.
+    """Return a scene with its terrain's temperatures by a learned map that takes relief, hour and weather as input.
 
     Parameters
     ----------
     scene : Scene
-        Whose `told` is true.
+        With temperatures of source Conditional.
     times : sequence of datetime64
         UTC, inside the weather.
     geometry, progress
@@ -172,7 +172,7 @@ def mapped(scene, times, geometry=None, progress=None, material=False):
     """
     from thermorender.learned.temperature_map import Inputs
 
-    spec, surface, model, made = scene.spec, scene.surfaces[0], scene.told_map, {}
+    spec, surface, model, made = scene.spec, scene.surfaces[0], scene.temperature_state.source.model, {}
     fields = reliefs(scene, times, geometry, progress) if "terrain" in model.needs else dict.fromkeys(times, {})
     if material:
         names = sorted(load_library())
@@ -184,12 +184,10 @@ def mapped(scene, times, geometry=None, progress=None, material=False):
         report = {}
         texels = Texels(surface.colour, surface.material, scene.materials, scene.grid, surface.texel_m, scene.where,
                         report)  # fmt: skip
-        told = conditions(scene.weather, time, spec.weather.inside_c)
+        given = conditions(scene.weather, time, spec.weather.inside_c)
         # A material's own temperature knows nothing of the hour; the air's does.
-        values, flags = from_map(model, Inputs(surface.colour, surface.texel_m, fields[time], told), texels, sky,
-                                 told["air_k"])  # fmt: skip
-        one = scene.heated(time, [values])
-        known = replace(one.surfaces[0], flags=(surface.flags & ~np.uint8(FALLBACK)) | flags)
-        made[time] = replace(one, surfaces=(known, *one.surfaces[1:]), report=report)
-        made[time].__dict__["weather"] = scene.weather
+        values, flags = from_map(model, Inputs(surface.colour, surface.texel_m, fields[time], given), texels, sky,
+                                 given["air_k"])  # fmt: skip
+        known = (surface.flags & ~np.uint8(FALLBACK)) | flags
+        made[time] = scene.with_solved_temperatures(time, [values], flags=[known], report=report)
     return [made[time] for time in times]

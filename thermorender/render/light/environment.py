@@ -91,7 +91,7 @@ def sky_bins(air, at_m):
 
 def _sunlight(scene, spectrum, geometry, at_m):
     """The sun's irradiance on each face over π, (F, N) [W m⁻²]."""
-    mi, towards = geometry.mi, sun.direction(scene.spec.sun.elevation_deg, scene.spec.sun.azimuth_deg)
+    mi, towards = geometry.mi, sun.direction(scene.sun.elevation_deg, scene.sun.azimuth_deg)
     passed = scene.air.sun_transmittance(at_m, towards[2])
     points = spectrum.points
     share = points.air.shares(sun.BRIGHTNESS_TEMPERATURE_K)[points.node]

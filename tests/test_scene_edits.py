@@ -1,0 +1,428 @@
+"""Edits of a scene: in any order the same scene and the same frame, no part left stale, and short words for each value.
+
+The scenes are of 16 × 16 posts; a frame has 16 × 12 pixels.
+"""
+
+import copy
+import dataclasses
+import itertools
+import pickle
+
+import numpy as np
+import pytest
+import trimesh
+
+import thermorender as tr
+from scenes import WEATHER, write_balance, write_mesh, write_terrain
+from thermorender.atmosphere.model import Atmosphere
+from thermorender.errors import ThermorenderError
+from thermorender.learned.temperature_map import MODELS
+from thermorender.materials.library import load_library
+from thermorender.render.plan import make_plan
+from thermorender.scene.spec import AtmosphereSpec, EmissivitySpec, TemperatureSpec, WeatherSpec
+from thermorender.scene.surface import SURFACE
+from thermorender.scene.temperature_state import Balance, Known, Moved, Pending
+from thermorender.sensor.camera import load_camera
+
+CAMERA = dataclasses.replace(load_camera("zenmuse-xt2"), width=16, height=12, pixel_pitch_um=400.0, f_number=12.0)
+NARROW = dataclasses.replace(CAMERA, name="narrow", band_um=(8.0, 12.0))
+AT = "2018-07-28T15:00Z"
+MARKER = """[[object]]
+name = "marker"
+shape = "box"
+size = [3, 3, 1]
+position = [2, 1, 0]
+temperature = 330
+material = "asphalt"
+"""
+CAR = MARKER.replace("marker", "car") + 'track = "car.csv"\n'
+
+
+def frame_of(scene, **settings):
+    """The radiance of a small frame, looking down."""
+    return tr.Renderer(scene, rays=2, samples=1, **settings).frame(tr.pose(0, 0, 12, pitch_deg=-90)).radiance
+
+
+def written(folder, extra=WEATHER + MARKER):
+    return tr.load_scene(write_terrain(folder, extra=extra)).with_camera(CAMERA)
+
+
+@pytest.fixture(scope="module")
+def weathered(tmp_path_factory):
+    """A raster of kelvin, two classes, weather, truth and one object."""
+    return written(tmp_path_factory.mktemp("weathered") / "tiny")
+
+
+@pytest.fixture(scope="module")
+def balanced(tmp_path_factory):
+    """The same at the temperatures of its heat balance, under air."""
+    scene = tr.load_scene(write_balance(tmp_path_factory.mktemp("balanced") / "tiny", WEATHER + MARKER))
+    return scene.with_camera(CAMERA).with_air("midlatitude-summer")
+
+
+@pytest.fixture(scope="module")
+def solved(balanced):
+    return tr.Renderer(balanced, rays=2, samples=1).scene
+
+
+# --- order --------------------------------------------------------------------------------------------------------
+
+EDITS = {
+    "camera": lambda scene: scene.with_camera(NARROW),
+    "air": lambda scene: scene.with_air("tropical"),
+    "sky": lambda scene: scene.with_sky(240.0),
+    "sun": lambda scene: scene.with_sun(40.0, 150.0),
+    "no sun": lambda scene: scene.with_sun(None),
+    "weather": lambda scene: scene.with_weather(wind_m_s=6.0),
+    "kelvin": lambda scene: scene.with_temperature(305.0),
+    "balance": lambda scene: scene.with_temperature("balance"),
+    "map": lambda scene: scene.with_temperature("fok-1to1"),
+    "material": lambda scene: scene.with_material(grass_green="soil_loam"),
+    "class": lambda scene: scene.with_material({2: 0.8}),
+    "object's material": lambda scene: scene.with_material(marker="sand_quartz"),
+    "object": lambda scene: scene.with_objects({"marker": {"temperature_k": 310.0, "east_m": -2.0}}),
+    "learned materials": lambda scene: scene.with_learned_materials(
+        EmissivitySpec("learned", model="procedural", fallback="sand_quartz")
+    ),
+    "instant": lambda scene: scene.at(AT),
+}
+# The last of these counts, as the second declares what the first did.
+SAME = [{"air", "sky"}, {"sun", "no sun"}, {"kelvin", "balance"}, {"kelvin", "map"}, {"balance", "map"}]
+# Each of these refuses what the other declares.
+CONTRADICT = [{"sun", "balance"}, {"class", "learned materials"}, {"instant", "map"}]
+PAIRS = [set(pair) for pair in itertools.combinations(EDITS, 2)]
+
+
+@pytest.mark.parametrize("pair", [sorted(pair) for pair in PAIRS if pair not in SAME + CONTRADICT], ids=" and ".join)
+def test_two_edits_in_either_order_make_the_same_scene(weathered, pair):
+    """Same digest and same declarations, under air where the sun needs it."""
+    base = weathered if "sun" not in pair or pair == ["sky", "sun"] else weathered.with_air("midlatitude-summer")
+    one, two = (EDITS[name] for name in pair)
+    both, other = two(one(base)), one(two(base))
+    assert both.digest() == other.digest()
+    assert (both.digest(), both.spec) != (base.digest(), base.spec)
+    assert both.spec == other.spec and both.time == other.time and repr(both) == repr(other)
+    assert type(both.temperature_state) is type(other.temperature_state)
+    for first, second in zip(both.surfaces, other.surfaces, strict=True):
+        for field in dataclasses.fields(first):
+            np.testing.assert_array_equal(getattr(first, field.name), getattr(second, field.name))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pair", [sorted(pair) for pair in PAIRS if pair not in SAME + CONTRADICT], ids=" and ".join)
+def test_two_edits_in_either_order_make_the_same_frame(weathered, pair):
+    base = weathered.with_air("midlatitude-summer")
+    if pair == ["sky", "sun"]:
+        pytest.skip("a sun without air is refused")
+    one, two = (EDITS[name] for name in pair)
+    assert frame_of(two(one(base))).tobytes() == frame_of(one(two(base))).tobytes()
+
+
+@pytest.mark.parametrize("pair", [sorted(pair) for pair in CONTRADICT[:2]], ids=" and ".join)
+def test_edits_that_contradict_each_other_are_refused_in_either_order(weathered, pair):
+    one, two = (EDITS[name] for name in pair)
+    for first, second in ((one, two), (two, one)):
+        with pytest.raises(ThermorenderError):
+            second(first(weathered))
+
+
+@pytest.mark.parametrize("band_um", [(8.0, 14.0), (8.0, 12.0), (7.5, 9.0)])
+def test_air_follows_the_band_of_a_later_camera(weathered, band_um):
+    """Camera after air errs by +0.57, +24 and +94 K where the air stays in the old band."""
+    camera = dataclasses.replace(CAMERA, band_um=band_um)
+    after = weathered.with_air("tropical").with_camera(camera)
+    before = weathered.with_camera(camera).with_air("tropical")
+    assert (after.air.lower_um.min(), after.air.upper_um.max()) == pytest.approx(band_um)
+    assert frame_of(after).tobytes() == frame_of(before).tobytes()
+
+
+def test_an_atmosphere_in_memory_follows_the_band_too(weathered):
+    air = Atmosphere.standard("tropical")
+    named = weathered.with_air("tropical").with_camera(NARROW)
+    given = weathered.with_air(air).with_camera(NARROW)
+    assert given.digest() == named.digest()
+
+
+# --- what no edit may leave stale -----------------------------------------------------------------------------------
+
+
+def test_no_part_of_a_scene_can_be_replaced_alone(weathered):
+    with pytest.raises(TypeError):
+        dataclasses.replace(weathered, camera=NARROW)
+    with pytest.raises(ThermorenderError, match="would leave parts of it stale; use with_camera, with_air, with_sky"):
+        weathered.__replace__(camera=NARROW)
+    for name in ("camera", "spec", "air", "time", "surfaces", "materials", "weather"):
+        with pytest.raises(ThermorenderError, match=rf"scene.{name} cannot be set; use with_camera"):
+            setattr(weathered, name, None)
+    with pytest.raises(ThermorenderError, match="scene.camera cannot be deleted"):
+        del weathered.camera
+    assert copy.copy(weathered).digest() == weathered.digest()
+
+
+def test_temperatures_are_those_declared(weathered):
+    """With the specification alone replaced they stayed, 47 K off."""
+    warm = weathered.with_temperature(345.0)
+    assert warm.spec.temperature == TemperatureSpec("constant", value=345.0)
+    assert (warm.surfaces[0].temperature == 345.0).all() and (frame_of(warm) > 1.3 * frame_of(weathered)).any()
+    back = warm.with_temperature(weathered.spec.folder / "temperature.tif")
+    assert back.digest() == weathered.digest()
+    np.testing.assert_array_equal(frame_of(back), frame_of(weathered))
+    learned = weathered.with_temperature(MODELS["fok-1to1"])
+    assert learned.digest() == weathered.with_temperature("fok-1to1").digest()
+    assert list(learned.temperature_state.report) == ["fok-1to1"]
+
+
+def test_emissivity_is_the_one_declared(tmp_path):
+    """With the specification alone replaced it stayed, 15.6 K off."""
+    scene = tr.load_scene(write_mesh(tmp_path / "m", trimesh.creation.box((40, 40, 2)))).with_camera(CAMERA)
+    dark = scene.with_material(constant=0.6)
+    direct = tr.load_scene(write_mesh(tmp_path / "d", trimesh.creation.box((40, 40, 2)), emissivity=0.6))
+    np.testing.assert_array_equal(frame_of(dark), frame_of(direct.with_camera(CAMERA)))
+    assert frame_of(dark).mean() < 0.95 * frame_of(scene).mean()
+
+
+def test_a_time_or_weather_is_that_of_the_temperatures(balanced, solved):
+    """With `weather.time` alone replaced they stayed, 18.5 K off."""
+    later = balanced.at("2018-07-28T01:00Z")
+    assert later.time == later.spec.weather.time and isinstance(later.temperature_state, Pending)
+    asked = balanced.with_weather(time="2018-07-28T01:00Z")
+    assert asked.digest() == later.digest()
+    cold = tr.Renderer(later, rays=2, samples=1).scene
+    assert cold.temperature_state.time == later.time and cold.sun is None and solved.sun is not None
+    assert solved.surfaces[0].temperature.mean() - cold.surfaces[0].temperature.mean() > 10.0
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        lambda scene: scene.at(AT),
+        lambda scene: scene.with_weather(cloud=0.9),
+        lambda scene: scene.with_weather(WeatherSpec(np.datetime64(AT[:-1], "s"), air_low_c=5.0, air_high_c=9.0,
+                                                     humidity=0.9, wind_m_s=6.0, cloud=1.0)),
+        lambda scene: scene.with_material(grass_green="asphalt"),
+        lambda scene: scene.with_objects({"marker": 300.0}),
+        lambda scene: scene.with_objects({"marker": {"east_m": -3.0}}),
+        lambda scene: scene.with_surfaces(materials=scene.materials[::-1]),
+    ],
+)  # fmt: skip
+def test_solved_temperatures_are_pending_again_after_an_edit_they_depend_on(balanced, solved, edit):
+    """They stayed, up to 18.5 K off."""
+    assert isinstance(solved.temperature_state, Known) and isinstance(solved.temperature_state.source, Balance)
+    edited, unsolved = edit(solved), edit(balanced)
+    assert isinstance(edited.temperature_state, Pending) and isinstance(edited.temperature_state.source, Balance)
+    assert np.isnan(edited.surfaces[0].temperature).all() and edited.digest() == unsolved.digest()
+    with pytest.raises(ThermorenderError, match="are not solved yet"):
+        make_plan(edited)
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [lambda s: s.with_camera(NARROW), lambda s: s.with_air("tropical"), lambda s: s.with_sky(230.0)],
+    ids=["camera", "air", "sky"],
+)
+def test_solved_temperatures_stay_after_an_edit_they_do_not_depend_on(balanced, solved, edit):
+    edited = edit(solved)
+    assert isinstance(edited.temperature_state, Known) and edited.time == solved.time
+    np.testing.assert_array_equal(edited.surfaces[0].temperature, solved.surfaces[0].temperature)
+    assert edited.digest() == tr.Renderer(edit(balanced), rays=2, samples=1).scene.digest()
+
+
+def test_another_air_keeps_the_sun_of_a_solved_scene(solved):
+    azimuth, elevation = map(float, solved.weather.sun(solved.time))
+    sun = solved.with_air("tropical").sun
+    assert (sun.elevation_deg, sun.azimuth_deg) == pytest.approx((elevation, azimuth)) and elevation > 30.0
+    assert solved.with_sky(250.0).sun is None and solved.with_sky(250.0).with_air("tropical").sun == sun
+
+
+def test_air_is_that_of_its_own_altitude(weathered):
+    """The specification's air was ignored and its altitude obeyed."""
+    high = weathered.with_air(AtmosphereSpec(standard="tropical", altitude_m=2000.0))
+    assert high.altitude_m == 2000.0 and high.sky_temperature < weathered.with_air("tropical").sky_temperature - 5.0
+    # The altitude is of the place: another air, or none, leaves it.
+    again = high.with_sky(250.0).with_air("midlatitude-winter")
+    assert again.altitude_m == 2000.0 and again.sky_temperature != high.sky_temperature
+
+
+def test_no_air_returns_to_the_sky_declared(weathered):
+    """`air=None` was a TypeError."""
+    assert weathered.with_air("tropical").with_air(None).digest() == weathered.digest()
+    folder = weathered.spec.folder.parent / "aired"
+    write_terrain(folder)
+    text = (folder / "scene.toml").read_text()
+    text = text.replace("[sky]\ntemperature = 260.0", '[atmosphere]\nstandard = "tropical"')
+    (folder / "scene.toml").write_text(text)
+    with pytest.raises(ThermorenderError, match=r"with_air\(None\) leaves the scene without a sky; call with_sky"):
+        tr.load_scene(folder).with_air(None)
+
+
+def test_an_object_has_the_temperature_and_place_declared(weathered, tmp_path):
+    warm = weathered.with_objects({"marker": 400.0})
+    assert warm.spec.objects[0].temperature == 400.0 and (warm.surfaces[1].temperature == 400.0).all()
+    moved = weathered.with_objects({"marker": {"east_m": -4.0, "yaw_deg": 30.0}})
+    assert moved.targets["marker"][0] == pytest.approx(-4.0) and moved.spec.objects[0].yaw_deg == 30.0
+    # The ground is finer where the object stands now.
+    near = np.linalg.norm(moved.surfaces[0].vertices[:, :2] - [-4.0, 1.0], axis=1) < 1.5
+    assert near.sum() > 3 * (np.linalg.norm(weathered.surfaces[0].vertices[:, :2] - [-4.0, 1.0], axis=1) < 1.5).sum()
+    direct = tmp_path / "direct"
+    write_terrain(direct, extra=WEATHER + MARKER.replace("position = [2, 1, 0]", "position = [-4, 1, 0]\nyaw_deg = 30"))
+    np.testing.assert_array_equal(frame_of(moved), frame_of(tr.load_scene(direct).with_camera(CAMERA)))
+
+
+def test_an_edit_holds_a_column_of_a_track(tmp_path):
+    write_terrain(tmp_path / "t", extra=CAR)
+    (tmp_path / "t/car.csv").write_text("time_s,east_m,temperature_k\n0,0,310\n10,3,330\n")
+    scene = tr.load_scene(tmp_path / "t").with_camera(CAMERA)
+    (car,) = scene.with_objects({"car": 300.0}).tracked_objects
+    assert car.at(5.0)["temperature_k"] == 300.0 and car.at(5.0)["east_m"] == 1.5
+    assert scene.tracked_objects[0].at(5.0)["temperature_k"] == 320.0
+    assert scene.with_objects({"car": 300.0}).digest() != scene.digest()
+
+
+def test_a_material_is_replaced_everywhere_it_is_used(weathered):
+    names = [each.name for each in weathered.materials]
+    assert names == ["grass_green", "sand_quartz", "asphalt"]
+    snow = weathered.with_material(grass_green="snow", marker="snow")
+    assert [each.name for each in snow.materials] == ["snow", "sand_quartz"]
+    assert (snow.surfaces[1].material == 0).all()
+    np.testing.assert_array_equal(snow.surfaces[0].material, weathered.surfaces[0].material)
+    # All at once, by the names of the files.
+    swapped = weathered.with_material(grass_green="sand_quartz", sand_quartz="grass_green")
+    assert [each.name for each in swapped.materials] == ["sand_quartz", "grass_green", "asphalt"]
+    own = dataclasses.replace(load_library()["grass_green"], solar_absorptance=0.5)
+    assert weathered.with_material(grass_green=own).materials[0] is own
+    assert weathered.with_material({1: 0.7}).materials[0].emissivity_at(np.array([10.0])) == pytest.approx(0.7)
+
+
+def test_a_raster_in_memory_is_a_source(weathered):
+    kelvin = np.full(weathered.surfaces[0].material.shape, 301.0)
+    kelvin[0, 0] = np.nan
+    given = weathered.with_temperature(TemperatureSpec("raster"), kelvin=[kelvin])
+    assert (given.surfaces[0].temperature == 301.0).all() and given.surfaces[0].flags[0, 0] != SURFACE
+    assert given.with_camera(NARROW).surfaces[0].temperature is given.surfaces[0].temperature
+    trained = WeatherSpec(np.datetime64("2018-07-28T09:00:00"), air_low_c=5.0, air_high_c=9.0, humidity=0.9,
+                          wind_m_s=6.0, cloud=1.0)  # fmt: skip
+    moved = weathered.with_temperature(TemperatureSpec("raster", trained=trained), kelvin=[kelvin])
+    assert isinstance(moved.temperature_state.source, Moved) and moved.temperature_state.source.trained == trained
+    assert isinstance(moved.with_material(grass_green="snow").temperature_state.source, Moved)
+
+
+def test_a_truth_raster_is_of_its_own_weather(weathered):
+    assert weathered.with_weather(cloud=0.9).spec.truth_temperature is None
+    assert weathered.with_weather(time=str(weathered.time) + "Z").spec.truth_temperature is not None
+
+
+# --- refusals -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (lambda s: s.with_camera("none"), "with_camera: camera 'none' is unknown; give one of"),
+        (lambda s: s.with_camera(640), "with_camera was given a int; give the name of a camera"),
+        (lambda s: s.with_camera(dataclasses.replace(CAMERA, band_um=(2.0, 5.0))), "was measured|wavelength"),
+        (lambda s: s.with_air("mars"), "standard='mars' is unknown"),
+        (lambda s: s.with_air(3), "with_air was given a int; give the name of a standard atmosphere"),
+        (lambda s: s.with_sky(-5.0), "with_sky: kelvin=-5 is"),
+        (lambda s: s.with_sun(120.0, 0.0), "elevation_deg=120.0 is not allowed; give a number -90…90"),
+        (lambda s: s.with_sun(30.0), r"has no azimuth, and the scene declares no sun; give azimuth_deg"),
+        (lambda s: s.with_weather(), "with_weather was given nothing"),
+        (lambda s: s.with_weather(wind=3), "unknown key 'wind'; did you mean 'wind_m_s'"),
+        (lambda s: s.with_weather(humidity=60), "humidity=60 is not allowed; give a number above 0 and up to 1"),
+        (lambda s: s.with_weather(air_low_c=40.0), "air_low_c=40.0 is not allowed; give what is not above"),
+        (lambda s: s.with_weather("rain"), "with_weather was given a str"),
+        (lambda s: s.with_temperature(21.5), "with_temperature=21.5 is below 100 K"),
+        (lambda s: s.with_temperature("gone.tif"), "gone.tif does not exist; give a raster of kelvin"),
+        (lambda s: s.with_temperature("fok-1to2"), "learned map 'fok-1to2' is unknown; did you mean 'fok-1to1'"),
+        (lambda s: s.with_temperature(TemperatureSpec("raster"), kelvin=[np.zeros((2, 2))]), "does not cover the terr"),
+        (lambda s: s.with_material(moon="sand_quartz"), "given 'moon', which this scene does not have; give one of"),
+        (lambda s: s.with_material({7: "sand_quartz"}), "given class 7, which this scene does not have"),
+        (lambda s: s.with_material(grass_green="gras_green"), "with_material: grass_green"),
+        (lambda s: s.with_material(grass_green=1.2), "grass_green=1.2 is not allowed; give an emissivity above 0"),
+        (lambda s: s.with_material(grass_green=None), "grass_green=None is not a material; give a name"),
+        (lambda s: s.with_objects({"marke": 300.0}), "has no object 'marke'; did you mean 'marker'"),
+        (lambda s: s.with_objects({"marker": {"up": 1.0}}), "object 'marker' has no 'up' to set; give east_m"),
+        (lambda s: s.with_objects({"marker": {"east_m": 900.0}}), "where there is no terrain; keep its position on it"),
+        (lambda s: s.with_objects({"marker": "hot"}), "temperature_k='hot' is not allowed; give a finite number"),
+        (lambda s: s.with_surfaces(materials=s.materials[:1]), "a texel has material number 2, but there are 1 mater"),
+        (lambda s: s.with_surfaces().with_material(grass_green="snow"), "with_material needs materials that files"),
+        (lambda s: s.with_surfaces().with_objects({"marker": 300.0}), "an object cannot be edited, because its surf"),
+        (lambda s: s.with_solved_temperatures(s.time, [300.0]), "are not solved for an instant; call with_temperature"),
+    ],
+)  # fmt: skip
+def test_an_edit_that_cannot_be_is_refused_in_one_sentence(weathered, edit, words):
+    with pytest.raises(ThermorenderError, match=words) as error:
+        edit(weathered)
+    assert "\n" not in str(error.value)
+
+
+def test_a_sun_without_air_is_refused_when_the_scene_is_rendered(weathered):
+    shone = weathered.with_sun(30.0, 180.0)
+    with pytest.raises(ThermorenderError, match=r"has no air; call with_air, or with_sun\(None\)"):
+        tr.Renderer(shone, rays=1)
+    assert frame_of(shone.with_sun(None)).tobytes() == frame_of(weathered).tobytes()
+
+
+def tampered(scene, **changes):
+    """A scene whose parts were replaced behind its back."""
+    other = copy.copy(scene)
+    vars(other)["_derived"] = dataclasses.replace(scene._derived, **changes)
+    return other
+
+
+def test_the_renderer_refuses_a_scene_whose_parts_disagree(weathered, solved):
+    renderer = tr.Renderer(weathered.with_air("tropical"), rays=1, samples=1)
+    known = dataclasses.replace(solved.temperature_state, time=solved.time - np.timedelta64(1, "h"))
+    cases = [
+        (tampered(weathered.with_air("tropical"), air=weathered.with_camera(NARROW).with_air("tropical").air),
+         "the air is that of 8–12 µm and the camera 'zenmuse-xt2' sees 7.5–13.5 µm; set the camera by with_camera"),
+        (tampered(solved, temperature_state=known), "the temperatures were solved for 2018-07-28T11:00:00Z and the"),
+        (tampered(weathered, cover=dataclasses.replace(weathered._derived.cover, materials=weathered.materials[:1])),
+         "a texel has material number 2, but the scene has 1 materials"),
+        (tampered(solved, surfaces=tuple(dataclasses.replace(s, temperature=s.temperature * np.nan)
+                                         for s in solved.surfaces)), "texels of the terrain have no temperature"),
+    ]  # fmt: skip
+    for scene, words in cases:
+        for use in (lambda s: tr.Renderer(s, rays=1), make_plan, renderer.baked.solved_for):
+            with pytest.raises(ThermorenderError, match=words) as error:
+                use(scene)
+            assert "\n" not in str(error.value)
+
+
+# --- words --------------------------------------------------------------------------------------------------------
+
+
+def test_values_say_what_they_are_in_a_line_or_two(weathered, balanced, solved):
+    """A scene took 147,867 characters, a plan 35,384."""
+    renderer = tr.Renderer(weathered, rays=2, samples=1)
+    frame = renderer.frame(tr.pose(0, 0, 12, pitch_deg=-90))
+    values = [weathered, balanced, solved, weathered.surfaces[0], renderer, renderer.baked, renderer.plan, frame,
+              balanced.air, weathered.camera, weathered.materials[0], MODELS["fok-1to1"]]  # fmt: skip
+    for value in values:
+        assert len(repr(value)) < 260 and repr(value).count("\n") < 2, repr(value)
+        assert repr(value).startswith(type(value).__name__ + "("), repr(value)
+    for value in (weathered, balanced, solved, renderer.plan, MODELS["fok-1to1"]):
+        assert 5 < len(str(value).splitlines()) <= 15 and max(map(len, str(value).splitlines())) < 260, str(value)
+    shown = [
+        (weathered, ("'tiny'", "1024", "texels of 0.5 m", "285.0–300.0 K", "sky of 260 K", "zenmuse-xt2 16×12")),
+        (balanced, ("to be solved for 2018-07-28T12:00:00Z", "m above sea level")),
+        (solved, (" K at 2018-07-28T12:00:00Z",)),
+        (weathered.surfaces[0], ("'terrain'", "triangles", "32×32 texels of 0.5 m", "K")),
+        (renderer.plan, ("nodes", "rays", "mK")),
+        (frame, ("16×12", "K", "zenmuse-xt2")),
+        (weathered.camera, ("zenmuse-xt2", "16×12", "7.5–13.5 µm", "°")),
+        (weathered.materials[0], ("grass_green", "µm", "emissivity")),
+        (MODELS["fok-1to1"], ("fok-1to1", "7.5–13.5 µm", "°C")),
+    ]
+    for value, words in shown:
+        for word in words:
+            assert word in repr(value), (word, repr(value))
+
+
+def test_a_scene_equals_itself_alone_and_can_be_a_key(weathered):
+    """`scene == other` and `hash(scene)` raised."""
+    same = tr.load_scene(weathered.spec.folder)
+    assert weathered == weathered and weathered != same and len({weathered, same}) == 2
+    baked = tr.Renderer(weathered, rays=2, samples=1).baked
+    assert pickle.loads(pickle.dumps(baked)).scene.digest() == weathered.digest()
+    for value in (weathered.surfaces[0], baked.plan):
+        assert value == value and hash(value) is not None and value != copy.copy(value)

@@ -1,0 +1,440 @@
+"""Edits of a scene: each returns another Scene in which everything that depends on the edit is made again.
+
+An edit changes what the scene declares; `thermorender.scene.state.derived` makes the rest follow. So edits may come in
+any order. Two edits of the same thing are the exception, and the last one counts: `with_sky` and `with_air`, `at` and
+`with_weather(time=…)`, an edit and itself.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from os import PathLike
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from thermorender.atmosphere.model import Atmosphere
+from thermorender.errors import ThermorenderError
+from thermorender.learned.temperature_map import TemperatureMap
+from thermorender.materials.library import Material
+from thermorender.scene.parts.cover import OBJECT, Cover, Painted
+from thermorender.scene.parts.read import Parts
+from thermorender.scene.spec import AtmosphereSpec, EmissivitySpec, SunSpec, TemperatureSpec, WeatherSpec
+from thermorender.scene.state.arguments import changed_object, changed_weather, material_of, temperature_spec
+from thermorender.scene.state.declared import Declared
+from thermorender.scene.state.derived import Derived, of_surfaces
+from thermorender.scene.surface import FALLBACK, UNMOVED, Surface, scene_kelvin
+from thermorender.scene.temperature import learned_map
+from thermorender.scene.temperature_state import Known, Moved
+from thermorender.schema import Where, did_you_mean, read
+from thermorender.sensor.camera import Camera, load_camera
+from thermorender.units import instant, utc_text
+
+_S = TypeVar("_S", bound="Edits")
+
+
+class Edits:
+    """The edits of a Scene."""
+
+    _parts: Parts | None
+    _declared: Declared
+    _derived: Derived
+
+    def _edited(self: _S, declared: Declared) -> _S:
+        """Return the scene that declares something else."""
+        raise NotImplementedError
+
+    def _made(self: _S, parts: Parts | None, declared: Declared, derived: Derived) -> _S:
+        """Return the scene of these parts."""
+        raise NotImplementedError
+
+    def with_camera(self: _S, camera: str | PathLike[str] | Camera) -> _S:
+        """Return this scene seen by another camera: air and learned materials follow its band.
+
+        Parameters
+        ----------
+        camera : str, path or Camera
+            The name of a shipped model, the path of a TOML file, or a Camera.
+
+        Raises
+        ------
+        ThermorenderError
+            An unknown camera, or a band that the scene's air or materials do not cover.
+        """
+        if not isinstance(camera, (str, PathLike, Camera)):
+            raise ThermorenderError(
+                f"with_camera was given a {type(camera).__name__}; give the name of a camera, the path of a TOML file "
+                "or a Camera"
+            )
+        own = camera if isinstance(camera, Camera) else load_camera(camera, "with_camera: camera")
+        name = camera.name if isinstance(camera, Camera) else str(camera)
+        spec = replace(self._declared.spec, camera=name)
+        return self._edited(replace(self._declared, camera=own, spec=spec))
+
+    def with_air(self: _S, air: str | AtmosphereSpec | Atmosphere | None, aerosol: str = "none") -> _S:
+        """Return this scene under another air, in place of its own sky or air.
+
+        Parameters
+        ----------
+        air : str, AtmosphereSpec, Atmosphere or None
+            The name of a standard atmosphere, the keys of [atmosphere], or an Atmosphere that covers the camera's band.
+            None: no air, under the sky that was declared last.
+        aerosol : str
+            Of a standard atmosphere, as `Atmosphere.standard`.
+
+        Raises
+        ------
+        ThermorenderError
+            An unknown air, one that does not cover the camera's band, or no air for a scene that declares no sky.
+
+        Notes
+        -----
+        The altitude that the scene file states in [atmosphere] is of the place and stays.
+        """
+        now = self._declared
+        if air is None:
+            if now.sky_temperature is None:
+                raise ThermorenderError(
+                    f"{now.where}: with_air(None) leaves the scene without a sky; call with_sky(kelvin) instead"
+                )
+            return self.with_sky(now.sky_temperature)
+        if isinstance(air, str):
+            air = AtmosphereSpec(standard=air, aerosol=aerosol)
+        elif aerosol != "none":
+            raise ThermorenderError(f"aerosol={aerosol!r} goes with a standard atmosphere's name only; leave it out")
+        if isinstance(air, Atmosphere):
+            spec = replace(now.spec, atmosphere=None, sky_temperature=None)
+            return self._edited(replace(now, spec=spec, air=air))
+        if not isinstance(air, AtmosphereSpec):
+            raise ThermorenderError(
+                f"with_air was given a {type(air).__name__}; give the name of a standard atmosphere, an "
+                "AtmosphereSpec, an Atmosphere or None"
+            )
+        altitude_m = now.altitude_m if air.altitude_m is None else air.altitude_m
+        spec = replace(now.spec, atmosphere=air, sky_temperature=None)
+        return self._edited(replace(now, spec=spec, air=None, altitude_m=altitude_m))
+
+    def with_sky(self: _S, kelvin: float, surroundings: float | None = None) -> _S:
+        """Return this scene under an isotropic black sky and without air.
+
+        Parameters
+        ----------
+        kelvin : float
+            Temperature of the sky [K]; 0 for none.
+        surroundings : float, optional
+            Temperature of the black surroundings beyond the terrain [K]; by default it stays as it is.
+        """
+        now = self._declared
+        scene_kelvin("with_sky: kelvin", kelvin, allow_zero=True)
+        around = now.spec.surroundings_temperature
+        if surroundings is not None:
+            around = float(scene_kelvin("with_sky: surroundings", surroundings, allow_zero=True))
+        spec = replace(now.spec, atmosphere=None, sky_temperature=float(kelvin), surroundings_temperature=around)
+        return self._edited(replace(now, spec=spec, air=None, sky_temperature=float(kelvin)))
+
+    def with_sun(self: _S, elevation_deg: float | None, azimuth_deg: float | None = None) -> _S:
+        """Return this scene with the sun elsewhere.
+
+        Parameters
+        ----------
+        elevation_deg : float or None
+            Above the horizon [deg]; None: no sun.
+        azimuth_deg : float, optional
+            From north, eastward positive [deg]; by default that of the scene's own sun.
+
+        Raises
+        ------
+        ThermorenderError
+            An angle out of range, or a scene whose weather says where the sun stands. A sun without air is refused
+            when the scene is rendered.
+        """
+        now, sun = self._declared, None
+        if elevation_deg is not None:
+            if azimuth_deg is None and now.spec.sun is not None:
+                azimuth_deg = now.spec.sun.azimuth_deg
+            if azimuth_deg is None:
+                raise ThermorenderError(
+                    f"with_sun(elevation_deg={elevation_deg:g}) has no azimuth, and the scene declares no sun; give "
+                    "azimuth_deg, from north, eastward positive"
+                )
+            angles = {"elevation_deg": elevation_deg, "azimuth_deg": azimuth_deg}
+            sun = read(SunSpec, angles, Where("with_sun"))
+        return self._edited(replace(now, spec=replace(now.spec, sun=sun)))
+
+    def at(self: _S, time: "str | np.datetime64") -> _S:
+        """Return this scene at another instant; temperatures that follow the weather become pending.
+
+        A truth raster is of the scene's own instant and left out at any other.
+
+        Parameters
+        ----------
+        time : str, datetime or datetime64
+            As by `thermorender.units.instant`: text with its zone; a datetime64 is UTC.
+
+        Raises
+        ------
+        ThermorenderError
+            No instant, a scene without [weather], or temperatures of a learned map that holds for no stated hour.
+        """
+        asked, now = instant("time", time), self._declared
+        if now.spec.weather is None:
+            raise ThermorenderError(
+                f"{now.where}: time={utc_text(asked)} needs temperature.source='balance' with [weather], and this "
+                f"scene's temperatures are of source={now.spec.temperature.source!r} without an hour; add both, or "
+                "leave the time out"
+            )
+        if asked == now.time:
+            return self
+        if now.spec.temperature.source == "learned" and not self._derived.temperature_state.weather_driven:
+            raise ThermorenderError(
+                f"{now.where}: time={utc_text(asked)} cannot be had of learned map {now.spec.temperature.model!r}, "
+                "which does not say when and in what weather it was trained; add [temperature.trained] with the keys "
+                "of [weather], or leave the time out"
+            )
+        spec = replace(now.spec, weather=replace(now.spec.weather, time=asked), truth_temperature=None)
+        return self._edited(replace(now, spec=spec, time=asked))
+
+    def with_weather(self: _S, weather: Any = None, **keys: Any) -> _S:
+        """Return this scene under another weather; temperatures that follow it become pending.
+
+        A truth raster is of the scene's own weather and left out under any other.
+
+        Parameters
+        ----------
+        weather : WeatherSpec or Weather, optional
+            All keys of [weather], or the weather itself. A Weather comes with `time` where the scene has none.
+        **keys
+            Keys of [weather] to change, as the scene file has them: `wind_m_s=8`, `time="2018-07-28T12:00Z"`.
+
+        Raises
+        ------
+        ThermorenderError
+            An unknown key, a value out of range, or neither weather nor keys.
+        """
+        now = self._declared
+        if weather is None and not keys:
+            raise ThermorenderError("with_weather was given nothing; give a WeatherSpec, a Weather or keys to change")
+        series = now.weather if weather is None and set(keys) <= {"time", "inside_c"} else None
+        spec = now.spec.weather
+        if isinstance(weather, WeatherSpec):
+            spec = weather
+        elif weather is not None:
+            if not all(hasattr(weather, name) for name in ("time", "at", "sun")):
+                raise ThermorenderError(
+                    f"with_weather was given a {type(weather).__name__}; give a WeatherSpec, a Weather or keys of "
+                    "[weather]"
+                )
+            series = weather
+            if spec is None and "time" not in keys:
+                raise ThermorenderError(f"{now.where}: with_weather needs time=…, for the scene has none; add it")
+        if keys:
+            spec = changed_weather(spec, keys, now, series is None)
+        assert spec is not None
+        truth = now.spec.truth_temperature if spec == now.spec.weather and series is now.weather else None
+        spec_now = replace(now.spec, weather=spec, truth_temperature=truth)
+        return self._edited(replace(now, spec=spec_now, weather=series, time=spec.time))
+
+    def with_temperature(
+        self: _S, source: "TemperatureSpec | float | str | PathLike[str] | TemperatureMap",
+        model: TemperatureMap | None = None, kelvin: Sequence[ArrayLike] | None = None,
+    ) -> _S:  # fmt: skip
+        """Return this scene with its terrain's temperatures from another source.
+
+        Parameters
+        ----------
+        source : TemperatureSpec, number, str, path or TemperatureMap
+            Kelvin for all texels, the path of a raster of kelvin, the name or path of a learned map, "balance", or the
+            keys of [temperature].
+        model : TemperatureMap, optional
+            The learned map that `source` names, where it has been read already.
+        kelvin : sequence of (h, w) arrays, optional
+            Temperatures of each terrain surface in place of those of the raster or map that `source` describes, NaN
+            for no data [K].
+
+        Raises
+        ------
+        ThermorenderError
+            A source that cannot be used in this scene.
+        """
+        if isinstance(source, TemperatureMap):
+            model, spec = source, TemperatureSpec(source="learned", model=source.name)
+        else:
+            spec = temperature_spec(source)
+        now = replace(
+            self._declared, spec=replace(self._declared.spec, temperature=spec), model=model, given=False,
+            kelvin=None if kelvin is None else tuple(np.asarray(values, np.float32) for values in kelvin),
+        )  # fmt: skip
+        if model is None:
+            now = replace(now, model=learned_map(spec))
+        return self._edited(now)
+
+    def with_learned_materials(self: _S, spec: EmissivitySpec) -> _S:
+        """Return this scene with its terrain's materials read from the orthophoto, as of a source "learned".
+
+        Raises
+        ------
+        ThermorenderError
+            A terrain without an orthophoto, or a map that cannot be used.
+        """
+        if not self._declared.spec.terrain.orthophoto:
+            raise ThermorenderError(
+                f"{self._declared.where}: a learned emissivity map reads materials from an orthophoto; add "
+                "terrain.orthophoto"
+            )
+        return self._edited(replace(self._declared, spec=replace(self._declared.spec, emissivity=spec)))
+
+    def with_material(
+        self: _S, replaced: Mapping[int | str, str | float | Material] | None = None, /,
+        **more: str | float | Material,
+    ) -> _S:  # fmt: skip
+        """Return this scene with materials of its terrain or objects replaced by others.
+
+        Parameters
+        ----------
+        replaced, **more : str, float or Material, by what it replaces
+            What is replaced: a class number, the name of an object, or the name of a material, as the files of the
+            scene give them. What replaces it: the name of a material, a grey emissivity 0…1, or a Material. All
+            replacements hold at once: with `grass="sand"` and `sand="snow"` grass becomes sand, and sand becomes snow.
+
+        Raises
+        ------
+        ThermorenderError
+            Something the scene does not have, an unknown material, or one not measured over the camera's band.
+        """
+        now, parts = self._declared, self._parts
+        given: dict[int | str, str | float | Material] = dict(replaced or {})
+        given.update(more)
+        if parts is None:
+            raise ThermorenderError(
+                f"{now.where}: with_material needs materials that files describe, and this scene's surfaces were made "
+                "in memory; give with_surfaces other materials"
+            )
+        names = {item.name for item in now.spec.objects}
+        found = {
+            OBJECT + key if isinstance(key, str) and key in names else key: material_of(key, value, parts.library)
+            for key, value in given.items()
+        }
+        return self._edited(replace(now, replaced={**now.replaced, **found}))
+
+    def with_objects(self: _S, objects: Mapping[str, float | Mapping[str, float]]) -> _S:
+        """Return this scene with objects at other temperatures or places.
+
+        Parameters
+        ----------
+        objects : dict
+            {name: kelvin}, or {name: {column of a track: value}}: `east_m`, `north_m`, `above_ground_m`, `yaw_deg`,
+            `temperature_k`. A column that a track has is held at the value.
+
+        Raises
+        ------
+        ThermorenderError
+            An unknown object or column, a temperature that no object has, or a place without terrain.
+        """
+        now, known = self._declared, {item.name: item for item in self._declared.spec.objects}
+        held = dict(now.held)
+        for name, given in objects.items():
+            if name not in known:
+                raise ThermorenderError(
+                    f"{now.where} has no object {name!r}; {did_you_mean(name, known)}it has "
+                    f"{', '.join(known) or 'none'}"
+                )
+            values = given if isinstance(given, Mapping) else {"temperature_k": given}
+            known[name] = changed_object(known[name], values)
+            if known[name].track is not None:
+                held[name] = held.get(name, frozenset()) | frozenset(values)
+        spec = replace(now.spec, objects=tuple(known.values()))
+        return self._edited(replace(now, spec=spec, held=held))
+
+    def with_surfaces(
+        self: _S, surfaces: Sequence[Surface] | None = None, materials: Sequence[Material] | None = None,
+        terrain_count: int | None = None,
+    ) -> _S:  # fmt: skip
+        """Return this scene with surfaces or materials made in memory, in place of those its files describe.
+
+        Temperatures that follow the weather become pending; others are those in the surfaces' texels. Edits of
+        materials and objects are refused from then on, for no file describes them.
+
+        Parameters
+        ----------
+        surfaces : sequence of Surface, optional
+            The terrain's first.
+        materials : sequence of Material, optional
+            What `Surface.material` indexes.
+        terrain_count : int, optional
+            How many of the surfaces are terrain.
+
+        Raises
+        ------
+        ThermorenderError
+            A texel whose material number is beyond the materials.
+        """
+        now, had = self._declared, self._derived
+        shown = tuple(had.surfaces if surfaces is None else surfaces)
+        count = len(had.shape.ground) if terrain_count is None else terrain_count
+        made = tuple(had.cover.materials if materials is None else materials)
+        highest = max(int(surface.material.max(initial=0)) for surface in shown)
+        if highest >= len(made):
+            raise ThermorenderError(
+                f"{now.where}: a texel has material number {highest}, but there are {len(made)} materials; give one "
+                "for each number"
+            )
+        if isinstance(had.temperature_state.source, Moved) and surfaces is None:
+            # What is moved is the map, not what a heat balance made of it.
+            own = had.temperature_state.source.temperatures
+            shown = (*map(_at, shown, own), *shown[len(own) :])
+        ground, static = shown[:count], shown[count:]
+        painted = tuple(Painted(s.material, s.colour, s.flags & ~np.uint8(FALLBACK | UNMOVED)) for s in ground)
+        shape = replace(
+            had.shape, ground=ground, static=static, static_of=(), tracked=had.tracked_objects, tracked_of=(),
+            highest_m=max(float(surface.vertices[:, 2].max()) for surface in shown),
+        )  # fmt: skip
+        now, cover = replace(now, given=True), Cover(made, painted, (), had.cover.report)
+        return self._made(None, now, of_surfaces(now, shape, cover, had.air))
+
+    def with_solved_temperatures(
+        self: _S, time: np.datetime64, temperatures: Sequence[ArrayLike], *, flags: "Sequence[ArrayLike] | None" = None,
+        report: Mapping[str, Any] | None = None, moved_report: Mapping[str, Any] | None = None,
+        notes: tuple[str, ...] = (),
+    ) -> _S:  # fmt: skip
+        """Return this scene at an instant of its weather, with the temperatures that were solved for it.
+
+        Where there is air the sun stands in it as it does at that instant, if it shines.
+
+        Parameters
+        ----------
+        time : datetime64
+            UTC.
+        temperatures : sequence of (h, w) arrays
+            Kinetic temperature of the texels of each of the terrain's surfaces [K].
+        flags : sequence of (h, w) uint8 arrays, optional
+            Flags of these texels, in place of the scene's own.
+        report, moved_report, notes : optional
+            As of `Known`.
+
+        Raises
+        ------
+        ThermorenderError
+            A scene whose temperatures do not follow the weather.
+        """
+        had, state = self._derived, self._derived.temperature_state
+        if state.source is None:
+            raise ThermorenderError(
+                f"{self._declared.where}: temperatures of source {self._declared.spec.temperature.source!r} are not "
+                "solved for an instant; call with_temperature('balance') first"
+            )
+        terrain = had.surfaces[: len(had.shape.ground)]
+        made = [
+            replace(surface, temperature=np.asarray(values, dtype=np.float32).reshape(surface.flags.shape))
+            for surface, values in zip(terrain, temperatures, strict=True)
+        ]
+        if flags is not None:
+            made = [replace(s, flags=np.asarray(own, np.uint8)) for s, own in zip(made, flags, strict=True)]
+        moment = time.astype("datetime64[s]")
+        known = Known(state.source, moment, report or state.report, moved_report or {}, notes)
+        surfaces = (*made, *had.surfaces[len(terrain) :])
+        declared = replace(self._declared, time=moment)
+        return self._made(self._parts, declared, replace(had, surfaces=surfaces, temperature_state=known))
+
+
+def _at(surface: Surface, kelvin: NDArray[np.float32]) -> Surface:
+    return replace(surface, temperature=kelvin)

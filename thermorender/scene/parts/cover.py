@@ -1,0 +1,207 @@
+"""Which material covers each texel and each object: the scene file's emissivity, materials that edits replace, bands.
+
+The Cover follows from the Parts of a scene, what it declares and the camera's band, and from nothing else.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.errors import ThermorenderError
+from thermorender.learned.emissivity import load_map
+from thermorender.materials import library as material_tables
+from thermorender.materials.library import Material
+from thermorender.scene.material_map import learned_materials
+from thermorender.scene.parts.read import Parts
+from thermorender.scene.spec import EmissivitySpec, ObjectSpec
+from thermorender.scene.surface import FILLED, MOST_MATERIALS, SURFACE, UNKNOWN, Surface, fill, nearest_valid
+
+# What is replaced: a class number, the name of a material, or "object:" and the name of an object.
+Replaced = Mapping[int | str, Material]
+OBJECT = "object:"
+# The name of the grey material of an emissivity of source "constant".
+CONSTANT = "constant"
+
+
+@dataclass(frozen=True, eq=False)
+class Painted:
+    """What covers the texels of one terrain surface: material number, colour and flags, each of (h, w) texels."""
+
+    material: NDArray[np.uint8]
+    colour: NDArray[np.uint8]
+    flags: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class Cover:
+    """Materials of a scene.
+
+    Attributes
+    ----------
+    materials : tuple of Material
+        In the order of their first use; what material numbers index.
+    ground : tuple of Painted
+        One per terrain surface.
+    objects : tuple of int
+        The material number of each object.
+    report : dict
+        What the learned emissivity map reports; empty without one.
+    """
+
+    materials: tuple[Material, ...]
+    ground: tuple[Painted, ...]
+    objects: tuple[int, ...]
+    report: Mapping[str, Any]
+
+
+class MaterialList:
+    """Materials a scene uses, in the order of their first use; each checked against the camera's band."""
+
+    def __init__(
+        self, library: Mapping[str, Material], replaced: Replaced, band_um: tuple[float, float], where: str
+    ) -> None:
+        self.library, self.replaced, self.band_um, self.where = library, replaced, band_um, where
+        self.used: list[Material] = []
+        self.unused = set(replaced)
+
+    def index(self, name: str, key: str, *by: int | str) -> int:
+        """Return the number of a material by its name; `by` are what else may be replaced in its place, first first."""
+        own = [one for one in (*by, name) if one in self.replaced]
+        self.unused -= set(own)
+        if own:
+            return self.add(self.replaced[own[0]])
+        return self.add(material_tables.find(self.library, name, f"{self.where}: {key}"))
+
+    def add(self, material: Material) -> int:
+        """Return the number of a material, which is added where it is new."""
+        if material not in self.used:
+            refuse_band(material, self.band_um, self.where)
+            if len(self.used) == MOST_MATERIALS:
+                raise ThermorenderError(
+                    f"{self.where}: {material.name!r} would be the scene's material number {len(self.used) + 1}; a "
+                    f"scene may use up to {MOST_MATERIALS}, mixes of a learned emissivity map included, so give fewer"
+                )
+            self.used.append(material)
+        return self.used.index(material)
+
+
+def refuse_band(material: Material, band_um: tuple[float, float], where: str) -> None:
+    """Refuse a material that was not measured over the camera's band."""
+    try:
+        material.emissivity_at(np.array(band_um))
+    except ThermorenderError as error:
+        raise ThermorenderError(f"{where}: {error}") from None
+
+
+def cover_of(
+    parts: Parts, emissivity: EmissivitySpec, objects: tuple[ObjectSpec, ...], replaced: Replaced,
+    band_um: tuple[float, float], where: str,
+) -> Cover:  # fmt: skip
+    """Return the Cover of a scene.
+
+    Parameters
+    ----------
+    parts : Parts
+    emissivity : EmissivitySpec
+    objects : tuple of ObjectSpec
+    replaced : dict
+        Materials in place of others, as `Replaced` says; all are replaced at once, by the names the files give.
+    band_um : (2,) floats
+        The camera's band [µm].
+    where : str
+        Path of the scene file, for messages.
+
+    Raises
+    ------
+    ThermorenderError
+        A material that is unknown or not measured over the band, too many materials, or a replacement of something
+        that the scene does not have.
+    """
+    materials = MaterialList(parts.library, replaced, band_um, where)
+    report: dict[str, Any] = {}
+    if parts.grid is None:
+        number = _single(emissivity, materials)
+        ground = [
+            Painted(np.full(surface.flags.shape, number, np.uint8), surface.colour, surface.flags)
+            for surface in parts.ground
+        ]
+    else:
+        ground = [_raster_cover(parts, parts.ground[0], emissivity, materials, report)]
+    numbers = tuple(materials.index(item.material, f"object {item.name!r}", OBJECT + item.name) for item in objects)
+    for key in materials.unused:
+        known = dict.fromkeys(part.name for each in materials.used for part, _ in _pure(each))
+        raise ThermorenderError(
+            f"{where}: with_material was given {_key_words(key)}, which this scene does not have; give one of its "
+            f"materials {', '.join(known)}, a class number or the name of an object"
+        )
+    return Cover(tuple(materials.used), tuple(ground), numbers, report)
+
+
+def _pure(material: Material) -> tuple[tuple[Material, float], ...]:
+    parts: tuple[tuple[Material, float], ...] = getattr(material, "parts", None) or ((material, 1.0),)
+    return parts
+
+
+def _key_words(key: int | str) -> str:
+    return f"class {key}" if isinstance(key, int) else repr(str(key).removeprefix(OBJECT))
+
+
+def _raster_cover(
+    parts: Parts, surface: Surface, emissivity: EmissivitySpec, materials: MaterialList, report: dict[str, Any]
+) -> Painted:
+    shape, colour = surface.flags.shape, parts.colour
+    valid, unknown = np.ones(shape, dtype=bool), np.zeros(shape, dtype=bool)
+    if parts.valid is not None:
+        valid = parts.valid.copy()
+    if emissivity.source == "learned":
+        material, unknown = _learned(parts, emissivity, surface.texel_m, materials, report)
+    elif emissivity.source == "classes" and parts.classes is not None:
+        lookup = np.full(256, 255, dtype=np.uint8)
+        for value, name in emissivity.classes.items():
+            lookup[value] = materials.index(name, f"emissivity.classes.{value}", value)
+        known = parts.classes != 0
+        material = np.where(known, lookup[parts.classes], 0).astype(np.uint8)
+        valid &= known
+    else:
+        material = np.full(shape, _single(emissivity, materials), np.uint8)
+    if colour is None:
+        colour = np.array([m.colour for m in materials.used], dtype=np.uint8)[material]
+    if not valid.all():
+        index = nearest_valid(valid)
+        colour, material = fill(colour, index), fill(material, index)
+    if parts.filled is not None:
+        valid &= ~parts.filled
+    flags = SURFACE | np.where(valid, 0, FILLED) | np.where(unknown, UNKNOWN, 0)
+    return Painted(material, colour, flags.astype(np.uint8))
+
+
+def _learned(
+    parts: Parts, emissivity: EmissivitySpec, texel_m: float, materials: MaterialList, report: dict[str, Any]
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    """(material number, whether it is unknown) of the terrain's texels by their colour, (h, w) each."""
+    colour, valid = parts.colour, parts.valid
+    if colour is None or valid is None:
+        raise ThermorenderError(
+            f"{materials.where}: a learned emissivity map reads materials from an orthophoto; add terrain.orthophoto"
+        )
+    if not valid.all():
+        colour = fill(colour, nearest_valid(valid))
+    names = {*load_map(emissivity.model).without(emissivity.without).materials, emissivity.fallback}
+    own = {name: material for name, material in materials.replaced.items() if name in names}
+    materials.unused -= set(own)
+    number, used, unknown, found = learned_materials(
+        emissivity, {**materials.library, **own}, colour, valid, texel_m, materials.band_um, materials.where
+    )
+    report.update(found)
+    return np.array([materials.add(material) for material in used], dtype=np.uint8)[number], unknown
+
+
+def _single(source: EmissivitySpec, materials: MaterialList) -> int:
+    if source.source == "material" and source.material:
+        return materials.index(source.material, "emissivity.material")
+    if CONSTANT in materials.replaced:
+        return materials.index(CONSTANT, "emissivity.value")
+    return materials.add(material_tables.grey(CONSTANT, source.value))

@@ -1,0 +1,200 @@
+"""What the files of a scene folder hold: terrain, orthophoto, classes, objects and materials, before any edit."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.errors import ThermorenderError
+from thermorender.materials import library as material_tables
+from thermorender.materials.library import Material
+from thermorender.physics.geodesy import FARTHEST_M, LocalFrame
+from thermorender.scene import terrain
+from thermorender.scene.parts import mesh
+from thermorender.scene.parts.tracks import TrackedObject, read_track
+from thermorender.scene.raster import Grid, bounds_in, grid_of, onto, read_classes, read_colour
+from thermorender.scene.spec import ObjectSpec, SceneSpec
+from thermorender.scene.surface import SURFACE, Surface
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """What a scene folder holds.
+
+    Attributes
+    ----------
+    frame : LocalFrame or None
+    grid : Grid or None
+        Map grid of the terrain's texels; None for a mesh.
+    ground : tuple of Surface
+        The terrain, not refined yet; materials and temperatures are placeholders.
+    colour : (h, w, 3) uint8 or None
+        The orthophoto with its holes; None without one.
+    valid : (h, w) bool or None
+        Where the orthophoto has colour.
+    classes : (h, w) uint8 or None
+        Class numbers on the texel grid, 0 for no data; None without a class raster.
+    filled : (h, w) bool or None
+        Where heights were filled; None where none were.
+    objects : tuple of TrackedObject
+        Every object, in its own frame; one without a track has one row.
+    library : dict of str to Material
+    """
+
+    frame: LocalFrame | None
+    grid: Grid | None
+    ground: tuple[Surface, ...]
+    colour: NDArray[np.uint8] | None
+    valid: NDArray[np.bool_] | None
+    classes: NDArray[np.uint8] | None
+    filled: NDArray[np.bool_] | None
+    objects: tuple[TrackedObject, ...]
+    library: Mapping[str, Material]
+
+
+def read_parts(spec: SceneSpec, where: str) -> Parts:
+    """Return the Parts of a scene file.
+
+    Raises
+    ------
+    ThermorenderError
+        A file that cannot be used, or files that do not belong together.
+    """
+    own = spec.folder / "materials"
+    library = material_tables.load_library(own if own.is_dir() else None)
+    parts = _raster_terrain(spec, where, library) if spec.terrain.elevation else _mesh_terrain(spec, where, library)
+    return replace(parts, objects=tuple(_object(item, spec.folder) for item in spec.objects))
+
+
+def _raster_terrain(spec: SceneSpec, where: str, library: Mapping[str, Material]) -> Parts:
+    source = spec.terrain
+    height, grid = terrain.read_elevation(source.elevation)
+    if source.height_reference == "geoid":
+        height = height + (source.geoid_undulation_m or 0.0)
+    height, made = terrain.filled(height) if source.fill else (height, None)
+    frame = LocalFrame(*spec.frame) if spec.frame else terrain.frame_of(height, grid)
+    texels = _texel_grid(spec, grid)
+    if texels.crs != grid.crs:
+        raise ThermorenderError(
+            f"{texels.name} has CRS {texels.crs.to_string()} but {grid.name} has {grid.crs.to_string()}; bring both "
+            "together with `thermorender import-terrain`"
+        )
+    _require_overlap(texels, grid)
+    try:
+        vertices, faces, uv = terrain.mesh(height, grid, frame, texels)
+    except MemoryError:
+        raise ThermorenderError(
+            f"{source.elevation} has {grid.width}×{grid.height} posts, for whose mesh this machine's memory is not "
+            "enough; thin it with `thermorender import-terrain --max-vertices`"
+        ) from None
+    away = np.linalg.norm(vertices, axis=-1).min()
+    if away > FARTHEST_M:
+        raise ThermorenderError(
+            f"{where}: frame lies {away / 1e3:.0f} km from {grid.name}; give a position on it, or leave [frame] out"
+        )
+    shape = (texels.height, texels.width)
+    colour = valid = None
+    if source.orthophoto:
+        colour, valid = read_colour(source.orthophoto)
+        if not valid.any():
+            raise ThermorenderError(f"{source.orthophoto} is empty: every texel is masked; give another orthophoto")
+    elif spec.emissivity.source == "learned":
+        raise ThermorenderError(
+            f"{where}: emissivity.source='learned' reads materials from an orthophoto; add terrain.orthophoto"
+        )
+    classes = _classes(spec, texels, where) if spec.emissivity.source == "classes" else None
+    surface = _surface("terrain", vertices, faces, uv, shape, terrain.texel_size_m(texels, frame))
+    filled = None if made is None else onto(made.astype(np.float32), grid, texels, "max") == 1.0
+    return Parts(frame, texels, (surface,), colour, valid, classes, filled, (), library)
+
+
+def _texel_grid(spec: SceneSpec, elevation_grid: Grid) -> Grid:
+    """The finest description of the ground sets the texels: orthophoto, else classes, else temperature."""
+    for path in (spec.terrain.orthophoto, spec.emissivity.raster, spec.temperature.raster):
+        if path:
+            return grid_of(path)
+    return elevation_grid
+
+
+def _require_overlap(one: Grid, other: Grid) -> None:
+    a, b = bounds_in(other.crs, one), other.bounds
+    if min(a[2], b[2]) <= max(a[0], b[0]) or min(a[3], b[3]) <= max(a[1], b[1]):
+        raise ThermorenderError(
+            f"{one.name} covers {_extent(a)} and {other.name} covers {_extent(b)}: they do not overlap; "
+            "give rasters of the same area"
+        )
+
+
+def _extent(bounds: tuple[float, ...]) -> str:
+    return f"x {bounds[0]:.0f}…{bounds[2]:.0f}, y {bounds[1]:.0f}…{bounds[3]:.0f}"
+
+
+def _classes(spec: SceneSpec, texels: Grid, where: str) -> NDArray[np.uint8]:
+    """Class numbers on the texel grid, (h, w) uint8; 0 for no data."""
+    source = spec.emissivity
+    grid = grid_of(source.raster)
+    _require_overlap(grid, texels)
+    classes: NDArray[np.uint8] = onto(read_classes(source.raster), grid, texels, "nearest")
+    for value in np.unique(classes[classes != 0]):
+        if value not in source.classes:
+            raise ThermorenderError(
+                f"{source.raster} holds class {value}, which emissivity.classes of {where} does not name; "
+                "add it there (0 marks no data)"
+            )
+    if not classes.any():
+        raise ThermorenderError(f"{source.raster} has no class in it, only 0 (no data); give a raster of class numbers")
+    return classes
+
+
+def _mesh_terrain(spec: SceneSpec, where: str, library: Mapping[str, Material]) -> Parts:
+    if spec.emissivity.source in ("classes", "learned"):
+        raise ThermorenderError(
+            f"{where}: emissivity.source={spec.emissivity.source!r} needs an elevation raster; give "
+            "'constant' or 'material'"
+        )
+    ground = tuple(_part_surface(part) for part in mesh.load(spec.terrain.mesh, spec.folder))
+    frame = LocalFrame(*spec.frame) if spec.frame else None
+    return Parts(frame, None, ground, None, None, None, None, (), library)
+
+
+def _object(item: ObjectSpec, folder: Path) -> TrackedObject:
+    """The TrackedObject of one object: its surfaces in its own frame, and its track; one row where it has none."""
+    if item.shape:
+        vertices, faces = mesh.primitive(item.shape, item.size)
+        colour = np.array(item.colour, dtype=np.uint8).reshape(1, 1, 3)
+        parts = [mesh.Part(item.shape, vertices, faces, np.full((len(faces), 3, 2), 0.5, np.float32), colour)]
+    else:
+        parts = mesh.load(item.file, folder)
+    # A flat object lies a finger above the ground it covers, so that neither hides the other.
+    lift = 0.02 if item.shape == "disc" else 0.0
+    surfaces = tuple(_part_surface(replace(part, name=f"{item.name}:{part.name}")) for part in parts)
+    time_s, columns = read_track(item.track) if item.track else (np.zeros(1), {})
+    return TrackedObject(item, surfaces, lift, time_s, columns)
+
+
+def _part_surface(part: mesh.Part) -> Surface:
+    shape = part.colour.shape[:2]
+    corners = part.vertices[part.faces]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1).sum()
+    made = _surface(part.name, part.vertices, part.faces, part.uv, shape, float(np.sqrt(area / (shape[0] * shape[1]))))
+    return replace(made, colour=part.colour)
+
+
+def _surface(
+    name: str, vertices: NDArray[np.float64], faces: NDArray[np.int32], uv: NDArray[np.float32],
+    shape: tuple[int, ...], texel_m: float,
+) -> Surface:  # fmt: skip
+    """A Surface whose colour, material and temperature are placeholders without memory of their own."""
+    return Surface(
+        name=name,
+        vertices=vertices,
+        faces=faces,
+        uv=uv,
+        colour=np.broadcast_to(np.uint8(0), (*shape, 3)),
+        material=np.broadcast_to(np.uint8(0), shape),
+        temperature=np.broadcast_to(np.float32(np.nan), shape),
+        flags=np.full(shape, SURFACE, np.uint8),
+        texel_m=texel_m,
+    )

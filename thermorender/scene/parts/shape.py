@@ -1,0 +1,98 @@
+"""Where a scene's surfaces lie: objects stood on the terrain, and triangles made finer beside them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from thermorender.errors import ThermorenderError
+from thermorender.physics.geodesy import LocalFrame
+from thermorender.scene.ground import Ground
+from thermorender.scene.parts.read import Parts
+from thermorender.scene.parts.refine import evened, refined
+from thermorender.scene.parts.tracks import TrackedObject
+from thermorender.scene.raster import Grid
+from thermorender.scene.spec import ObjectSpec
+from thermorender.scene.surface import Surface
+
+# Columns of a track that an edit holds at one value, by the name of the object.
+Held = Mapping[str, frozenset[str]]
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """Surfaces of a scene without what covers them.
+
+    Attributes
+    ----------
+    frame : LocalFrame or None
+    grid : Grid or None
+    ground : tuple of Surface
+        The terrain.
+    static : tuple of Surface
+        Of objects without a track, in the scene's frame.
+    static_of : tuple of int
+        Number of the object that each of `static` belongs to.
+    tracked : tuple of TrackedObject
+    tracked_of : tuple of int
+        Number of the object of each of `tracked`.
+    highest_m : float
+        Highest vertex of terrain and objects, along their tracks too [m].
+    """
+
+    frame: LocalFrame | None
+    grid: Grid | None
+    ground: tuple[Surface, ...]
+    static: tuple[Surface, ...]
+    static_of: tuple[int, ...]
+    tracked: tuple[TrackedObject, ...]
+    tracked_of: tuple[int, ...]
+    highest_m: float
+
+
+def shape_of(parts: Parts, objects: Sequence[ObjectSpec], held: Held, where: str) -> Shape:
+    """Return the Shape of a scene's parts with its objects where `objects` says.
+
+    Raises
+    ------
+    ThermorenderError
+        An object stands where there is no terrain.
+    """
+    ground = Ground(parts.ground)
+    posed = [_posed(part, item, held) for part, item in zip(parts.objects, objects, strict=True)]
+
+    def placed(one: TrackedObject, values: Mapping[str, float]) -> list[Surface]:
+        try:
+            matrix = one.world_from_own(values, ground)
+        except ThermorenderError as error:
+            raise ThermorenderError(f"{where}: {error}") from None
+        return [
+            replace(surface, vertices=surface.vertices @ matrix[:3, :3].T + matrix[:3, 3]) for surface in one.surfaces
+        ]
+
+    static, static_of = [], []
+    for number, one in enumerate(posed):
+        if not one.item.track:
+            own = placed(one, one.at(0.0))
+            static += own
+            static_of += [number] * len(own)
+    tracked_of = [number for number, one in enumerate(posed) if one.item.track]
+    tracked = [posed[number] for number in tracked_of]
+    along = [surface for one in tracked for values in one.stations() for surface in placed(one, values)]
+    highest = max(float(surface.vertices[:, 2].max()) for surface in (*parts.ground, *static, *along))
+    finer, done = refined(parts.ground, static + along)
+    return Shape(
+        frame=parts.frame,
+        grid=parts.grid,
+        ground=tuple(evened(surface) for surface in finer),
+        static=tuple(done[: len(static)]),
+        static_of=tuple(static_of),
+        tracked=tuple(replace(one, surfaces=tuple(refined((), one.surfaces)[1])) for one in tracked),
+        tracked_of=tuple(tracked_of),
+        highest_m=highest,
+    )
+
+
+def _posed(part: TrackedObject, item: ObjectSpec, held: Held) -> TrackedObject:
+    """An object as it is declared now, its track without the columns that an edit holds."""
+    fixed = held.get(item.name, frozenset())
+    columns = {name: values for name, values in part.columns.items() if name not in fixed}
+    return replace(part, item=item, columns=columns)

@@ -1,0 +1,356 @@
+"""The Scene: a value that holds what is declared, and beside it everything that follows from that.
+
+A Scene never changes. Its edits (`thermorender.scene.edit`) return other scenes, in which whatever depends on the edit
+is made again; a field cannot be replaced by itself.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.atmosphere.model import Atmosphere
+from thermorender.errors import ThermorenderError
+from thermorender.materials.library import Material
+from thermorender.physics.geodesy import LocalFrame
+from thermorender.scene.edit import Edits
+from thermorender.scene.ground import Ground
+from thermorender.scene.parts.cover import Cover, Painted
+from thermorender.scene.parts.read import Parts
+from thermorender.scene.parts.shape import Shape
+from thermorender.scene.parts.tracks import TrackedObject
+from thermorender.scene.raster import Grid
+from thermorender.scene.spec import SceneSpec, SunSpec, TemperatureSpec
+from thermorender.scene.state import digest, text
+from thermorender.scene.state.agreement import refuse_disagreement
+from thermorender.scene.state.declared import Declared
+from thermorender.scene.state.derived import Derived, camera_alone_differs, derived, of_surfaces
+from thermorender.scene.surface import Surface
+from thermorender.scene.temperature_state import TemperatureState
+from thermorender.sensor.camera import Camera
+from thermorender.units import utc_text
+
+if TYPE_CHECKING:
+    from thermorender.weather.series import Weather
+
+# The sun shines where its direct irradiance is above this [W m⁻²]: World Meteorological Organization, Guide to
+# Instruments and Methods of Observation, WMO-No. 8 (2018), volume I, 8.1.1.
+_SUNSHINE_W_M2 = 120.0
+
+
+class Scene(Edits):
+    """Everything a render needs; made by `load_scene`, equal to itself alone.
+
+    Attributes
+    ----------
+    spec : SceneSpec
+        What the scene file says, with the edits that it has keys for.
+    camera : Camera
+    time : datetime64[s] or None
+        The instant that is asked for, or that the temperatures were solved for, UTC; None without [weather].
+    frame : LocalFrame or None
+        Where the local East-North-Up frame lies on Earth; None for a mesh without [frame].
+    grid : Grid or None
+        Map grid of the terrain's texels.
+    surfaces : tuple of Surface
+        The terrain's first, then one or more per static object.
+    terrain_count : int
+        How many of them are terrain.
+    materials : tuple of Material
+        What `Surface.material` indexes.
+    air : Atmosphere or None
+        What the scene declares, in the camera's band.
+    tracked_objects : tuple of TrackedObject
+        Objects with a track.
+    temperature_state : Known or Pending
+        Whether the terrain's temperatures are there, and where those that follow the weather come from.
+    emissivity_report : dict
+        What the learned emissivity map reports; empty without one.
+    """
+
+    _parts: Parts | None
+    _declared: Declared
+    _derived: Derived
+
+    def __init__(self, parts: Parts | None, declared: Declared, made: Derived | None = None) -> None:
+        vars(self).update(_parts=parts, _declared=declared, _derived=derived(parts, declared) if made is None else made)
+
+    @classmethod
+    def of_surfaces(
+        cls, spec: SceneSpec, surfaces: Sequence[Surface], materials: Sequence[Material], camera: Camera,
+        terrain_count: int | None = None,
+    ) -> "Scene":  # fmt: skip
+        """Return the Scene of surfaces made in memory, without files, place or objects of its own.
+
+        Parameters
+        ----------
+        spec : SceneSpec
+            Its sky, surroundings and title count.
+        surfaces : sequence of Surface
+            The terrain's first, with their temperatures.
+        materials : sequence of Material
+            What `Surface.material` indexes.
+        camera : Camera
+        terrain_count : int, optional
+            How many of the surfaces are terrain; all by default.
+        """
+        declared = Declared(spec, camera, sky_temperature=spec.sky_temperature, given=True)
+        count = len(surfaces) if terrain_count is None else terrain_count
+        ground, static = tuple(surfaces[:count]), tuple(surfaces[count:])
+        highest_m = max(float(surface.vertices[:, 2].max()) for surface in surfaces)
+        shape = Shape(None, None, ground, static, (), (), (), highest_m)
+        painted = tuple(Painted(each.material, each.colour, each.flags) for each in ground)
+        return cls(None, declared, of_surfaces(declared, shape, Cover(tuple(materials), painted, (), {}), None))
+
+    def _made(self, parts: Parts | None, declared: Declared, made: Derived) -> "Scene":
+        scene = Scene(parts, declared, made)
+        if "_weather" in vars(self) and self._weather_key() == scene._weather_key():
+            # Whatever was read for the instant asked for holds for the others of its day.
+            vars(scene)["_weather"] = self._weather
+        if made.shape.ground is self._derived.shape.ground and "ground" in vars(self):
+            vars(scene)["ground"] = self.ground
+        return scene
+
+    def _edited(self, declared: Declared) -> "Scene":
+        return self._made(self._parts, declared, derived(self._parts, declared, (self._declared, self._derived)))
+
+    def __setattr__(self, name: str, value: Any) -> NoReturn:
+        raise ThermorenderError(f"scene.{name} cannot be set; {_EDITS}")
+
+    def __delattr__(self, name: str) -> NoReturn:
+        raise ThermorenderError(f"scene.{name} cannot be deleted; {_EDITS}")
+
+    def __replace__(self, **changes: Any) -> NoReturn:
+        raise ThermorenderError(f"replace(scene, {', '.join(changes)}=…) would leave parts of it stale; {_EDITS}")
+
+    @property
+    def spec(self) -> SceneSpec:  # noqa: D102 - as the attributes of the class say
+        return self._declared.spec
+
+    @property
+    def camera(self) -> Camera:  # noqa: D102
+        return self._declared.camera
+
+    @property
+    def time(self) -> "np.datetime64 | None":  # noqa: D102
+        return self._declared.time
+
+    @property
+    def frame(self) -> LocalFrame | None:  # noqa: D102
+        return self._derived.shape.frame
+
+    @property
+    def grid(self) -> Grid | None:  # noqa: D102
+        return self._derived.shape.grid
+
+    @property
+    def surfaces(self) -> tuple[Surface, ...]:  # noqa: D102
+        return self._derived.surfaces
+
+    @property
+    def terrain_count(self) -> int:  # noqa: D102
+        return len(self._derived.shape.ground)
+
+    @property
+    def materials(self) -> tuple[Material, ...]:  # noqa: D102
+        return self._derived.cover.materials
+
+    @property
+    def air(self) -> Atmosphere | None:  # noqa: D102
+        return self._derived.air
+
+    @property
+    def tracked_objects(self) -> tuple[TrackedObject, ...]:  # noqa: D102
+        return self._derived.tracked_objects
+
+    @property
+    def temperature_state(self) -> TemperatureState:  # noqa: D102
+        return self._derived.temperature_state
+
+    @property
+    def emissivity_report(self) -> Mapping[str, Any]:  # noqa: D102
+        return self._derived.cover.report
+
+    @property
+    def name(self) -> str:
+        """Name of the scene's folder."""
+        return str(self.spec.folder.name)
+
+    @property
+    def where(self) -> str:
+        """Path of the scene file, for messages."""
+        return self._declared.where
+
+    @property
+    def altitude_m(self) -> float:
+        """Altitude of the local frame's origin above sea level [m]: as declared, else as the frame lies, else 0."""
+        return self._declared.height_m(self.frame)
+
+    @property
+    def geoid_undulation_m(self) -> float | None:
+        """Height of the geoid above the ellipsoid that this scene declares [m], or None."""
+        return self._declared.geoid_undulation_m
+
+    @property
+    def sky_temperature(self) -> float:
+        """Temperature of the isotropic black sky that shines in the camera's band as the scene's does [K]."""
+        if self.air is not None:
+            return float(self.air.sky_temperature(self.altitude_m))
+        assert self.spec.sky_temperature is not None
+        return float(self.spec.sky_temperature)
+
+    @property
+    def surroundings_temperature(self) -> float:
+        """Temperature of the black background beyond the terrain's edge [K]: as stated, else its texels' mean."""
+        if self.spec.surroundings_temperature is not None:
+            return float(self.spec.surroundings_temperature)
+        self.refuse_unsolved()
+        terrain = [surface.temperature.ravel() for surface in self.surfaces[: self.terrain_count]]
+        return float(np.concatenate(terrain).mean(dtype=np.float64))
+
+    @property
+    def truth_temperature_spec(self) -> TemperatureSpec:
+        """TemperatureSpec of the truth raster, or without one of the heat balance.
+
+        Raises
+        ------
+        ThermorenderError
+            The scene has neither.
+        """
+        if self.spec.truth_temperature is None:
+            if self.balanced:
+                return self.spec.temperature
+            raise ThermorenderError(f"{self.where} has no truth.temperature; name a raster of kelvin there")
+        return TemperatureSpec(source="raster", raster=self.spec.truth_temperature)
+
+    @property
+    def balanced(self) -> bool:
+        """Whether the terrain's temperatures are those of a heat balance, at an instant and under a weather."""
+        return bool(self.spec.temperature.source == "balance")
+
+    @cached_property
+    def sun(self) -> SunSpec | None:
+        """The sun that shines on the scene; None without one.
+
+        Where temperatures follow the weather it stands where it does at `time`, and shines through air if its direct
+        irradiance is above 120 W m⁻²; until they are solved there is none. Elsewhere it is the one declared.
+        """
+        if not self.temperature_state.weather_driven:
+            return self.spec.sun
+        if self.air is None or not self.temperature_state.solved:
+            return None
+        azimuth, elevation = map(float, self.weather.sun(self.time))
+        shines = elevation > 0.0 and float(self.weather.at(self.time).direct_w_m2) > _SUNSHINE_W_M2
+        return SunSpec(elevation, azimuth) if shines else None
+
+    @cached_property
+    def weather(self) -> "Weather":
+        """The Weather that the scene declares, at its own place; read when first asked for.
+
+        Raises
+        ------
+        ThermorenderError
+            No [weather], no place, a file that cannot be used, or `time` outside of it.
+        """
+        notes = getattr(self.temperature_state, "notes", ())
+        return replace(self._weather, notes=(*self._weather.notes, *notes)) if notes else self._weather
+
+    @cached_property
+    def _weather(self) -> "Weather":
+        """The Weather without what solving the temperatures adds to its notes."""
+        if self.spec.weather is None or self.time is None:
+            raise ThermorenderError(f"{self.where} has no [weather]; add it")
+        if self._declared.weather is not None:
+            given: Weather = self._declared.weather
+            return given
+        if self.frame is None:
+            raise ThermorenderError(
+                f"{self.where}: [weather] needs a place, which a mesh does not have; add [frame] with latitude_deg, "
+                "longitude_deg and height_m"
+            )
+        from thermorender.weather.declared import declared_weather
+
+        place = self.frame.latitude_deg, self.frame.longitude_deg, self.altitude_m
+        try:
+            return declared_weather(self.spec.weather, *place)
+        except ThermorenderError as error:
+            raise ThermorenderError(f"{self.where}: {error}") from None
+
+    def _weather_key(self) -> tuple[Any, ...]:
+        return self.spec.weather, id(self._declared.weather), self.altitude_m, self.frame
+
+    @property
+    def weather_notes(self) -> tuple[str, ...]:
+        """What the weather lacked and how it was filled, and how little of it lies before `time`, in sentences."""
+        before_h = (self.time - self.weather.time[0]) / np.timedelta64(3600, "s")
+        notes = list(self.weather.notes)
+        if before_h < 24.0:
+            notes.append(
+                f"the weather begins {before_h:.1f} h before {utc_text(self.time)}: less than a day leaves the ground "
+                "near the state it was started in"
+            )
+        snow = float(self.weather.at(self.time).snow_m)
+        if snow > 0.0 and not any(each.thermal and each.thermal.cover == "snow" for each in self.materials):
+            notes.append(
+                f"snow lies {snow:g} m deep by the weather, but no material of the scene is snow: its ground is taken "
+                "as bare; map the material snow where it lies"
+            )
+        return tuple(notes)
+
+    @cached_property
+    def ground(self) -> Ground:
+        """Callable (east, north) → local height of the terrain [m], NaN off it."""
+        return Ground(self.surfaces[: self.terrain_count])
+
+    @cached_property
+    def targets(self) -> dict[str, NDArray[np.float64]]:
+        """{name: (3,) local position of its middle [m]} of the static objects."""
+        found = {}
+        for item in (item for item in self.spec.objects if item.track is None):
+            corners = np.concatenate(
+                [s.vertices for s in self.surfaces[self.terrain_count :] if s.name.split(":")[0] == item.name]
+            )
+            found[item.name] = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+        return found
+
+    def refuse_unsolved(self) -> None:
+        """Raise unless the terrain's temperatures are there."""
+        state = self.temperature_state
+        if not state.solved and state.source is not None:
+            raise ThermorenderError(
+                f"{self.where}: the temperatures of {state.source.words} are not solved yet; take "
+                "Renderer(scene).scene, whose are"
+            )
+
+    def refuse_disagreement(self) -> None:
+        """Raise unless band, materials, air, sun and the instant of the temperatures agree with each other."""
+        refuse_disagreement(self._declared, self._derived)
+
+    def like_but_for_camera(self, other: "Scene") -> bool:
+        """Return whether another scene has the same surfaces and declares the same, but for the camera."""
+        same = self._derived.shape is other._derived.shape and self._derived.cover is other._derived.cover
+        return same and camera_alone_differs(self._declared, other._declared)
+
+    def digest(self) -> str:
+        """Return a fingerprint (hex) of everything a frame of this scene depends on."""
+        weather = self.weather if self.temperature_state.weather_driven else None
+        return digest.digest_of(self._declared, self._derived, self.sun, weather)
+
+    def weather_digest(self) -> str:
+        """Return a fingerprint (hex) of the weather: its series, its place and what was filled in."""
+        return digest.weather_digest_of(self.weather)
+
+    def __repr__(self) -> str:
+        return text.line_of(self._declared, self._derived)
+
+    def __str__(self) -> str:
+        return text.table_of(self._declared, self._derived)
+
+
+_EDITS = (
+    "use with_camera, with_air, with_sky, with_sun, with_weather, with_temperature, with_material, with_objects or at, "
+    "which return another scene"
+)

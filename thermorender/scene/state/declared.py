@@ -1,0 +1,84 @@
+"""What a scene declares: the scene file, the edits made to it, and values given in place of files.
+
+Everything else a scene holds is derived from this and from the files of its folder, so no edit can leave a part stale.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.atmosphere.model import Atmosphere
+from thermorender.materials.library import Material
+from thermorender.scene.spec import SceneSpec
+from thermorender.sensor.camera import Camera
+
+
+@dataclass(frozen=True, eq=False)
+class Declared:
+    """What a scene declares.
+
+    Attributes
+    ----------
+    spec : SceneSpec
+        The scene file with the edits that it has keys for.
+    camera : Camera
+    time : datetime64[s] or None
+        The instant that is asked for, UTC; None without [weather].
+    altitude_m : float or None
+        Altitude of the frame's origin that the scene file's [atmosphere] states [m]. It is of the place, so that
+        another air leaves it.
+    sky_temperature : float or None
+        The last sky declared [K]: what `with_air(None)` returns to.
+    air : Atmosphere or None
+        In place of the air that `spec` names; not cut to the camera's band.
+    weather : Weather or None
+        In place of the weather that `spec` names.
+    model : TemperatureMap or None
+        The learned map of the temperatures, in place of its file.
+    kelvin : tuple of (h, w) arrays, or None
+        Temperatures of the terrain in place of the raster's or the map's [K].
+    replaced : dict
+        Materials in place of others, as `thermorender.scene.parts.cover.Replaced` says.
+    held : dict
+        Columns of tracks that an edit holds at one value, by the name of the object.
+    given : bool
+        Whether the terrain's temperatures came with surfaces made in memory.
+    """
+
+    spec: SceneSpec
+    camera: Camera
+    time: "np.datetime64 | None" = None
+    altitude_m: float | None = None
+    sky_temperature: float | None = None
+    air: Atmosphere | None = None
+    weather: Any = None
+    model: Any = None
+    kelvin: tuple[NDArray[Any], ...] | None = None
+    replaced: Mapping[int | str, Material] = field(default_factory=dict)
+    held: Mapping[str, frozenset[str]] = field(default_factory=dict)
+    given: bool = False
+
+    @property
+    def where(self) -> str:
+        """Path of the scene file, for messages."""
+        return str(self.spec.folder / "scene.toml")
+
+    @property
+    def has_air(self) -> bool:
+        """Whether an air is declared, by its Atmosphere or by `spec`."""
+        return self.air is not None or self.spec.atmosphere is not None
+
+    def height_m(self, frame: Any) -> float:
+        """Return the altitude of a frame's origin above sea level [m]: as declared, else as it lies, else 0."""
+        if self.altitude_m is not None:
+            return self.altitude_m
+        return float(frame.height_m - (self.geoid_undulation_m or 0.0)) if frame else 0.0
+
+    @property
+    def geoid_undulation_m(self) -> float | None:
+        """Height of the geoid above the ellipsoid [m], or None where it is not declared."""
+        declared: float | None = self.spec.terrain.geoid_undulation_m
+        return 0.0 if declared is None and self.spec.terrain.height_reference == "geoid" else declared

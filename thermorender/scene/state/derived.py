@@ -1,0 +1,316 @@
+"""What follows from a scene's files and declarations: shape, cover, air and temperatures, each made again when stale.
+
+Each stage names what it depends on. After an edit a stage is kept where none of that changed, and made again elsewhere;
+the result depends on what is declared now, not on the order of the edits.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.atmosphere.declared import declared_air
+from thermorender.atmosphere.model import Atmosphere
+from thermorender.errors import ThermorenderError
+from thermorender.scene.parts.cover import Cover, cover_of, refuse_band
+from thermorender.scene.parts.read import Parts
+from thermorender.scene.parts.shape import Shape, shape_of
+from thermorender.scene.parts.tracks import TrackedObject
+from thermorender.scene.state.declared import Declared
+from thermorender.scene.surface import FALLBACK, UNMOVED, Surface, fill, nearest_valid, scene_kelvin
+from thermorender.scene.temperature import Texels, map_error_k, resolve, trained
+from thermorender.scene.temperature_state import Balance, Conditional, Known, Moved, Pending, TemperatureState
+
+
+@dataclass(frozen=True, eq=False)
+class Derived:
+    """What follows from a scene's files and declarations.
+
+    Attributes
+    ----------
+    shape : Shape
+    cover : Cover
+    air : Atmosphere or None
+        In the camera's band.
+    surfaces : tuple of Surface
+        The terrain's first, then those of objects without a track.
+    tracked_objects : tuple of TrackedObject
+    temperature_state : Known or Pending
+    """
+
+    shape: Shape
+    cover: Cover
+    air: Atmosphere | None
+    surfaces: tuple[Surface, ...]
+    tracked_objects: tuple[TrackedObject, ...]
+    temperature_state: TemperatureState
+
+
+def derived(parts: Parts | None, now: Declared, old: tuple[Declared, Derived] | None = None) -> Derived:
+    """Return what follows from a scene's parts and declarations.
+
+    Parameters
+    ----------
+    parts : Parts or None
+        None for a scene of surfaces made in memory, whose shape and cover are those of `old`.
+    now : Declared
+    old : (Declared, Derived), optional
+        Before an edit; what it does not touch is kept.
+
+    Raises
+    ------
+    ThermorenderError
+        What is declared does not hold together, in one sentence.
+    """
+    before, had = old or (None, None)
+    shape = had.shape if had and before and _shape_key(before) == _shape_key(now) else _shape(parts, now)
+    if had and before and _cover_key(before) == _cover_key(now):
+        cover = had.cover
+    else:
+        cover = _cover(parts, now)
+    if before and before.camera.band_um != now.camera.band_um:
+        for material in cover.materials:
+            refuse_band(material, now.camera.band_um, now.where)
+    if had and before and _air_key(before) == _air_key(now):
+        air = had.air
+    else:
+        air = _air(now)
+    if air is not None and not (had and had.air is air and had.shape is shape):
+        altitude_m = now.height_m(shape.frame) + shape.highest_m
+        air.refuse_above_clouds(f"{now.where}: the highest surface", altitude_m)
+    if parts is None and before and _objects_key(before) != _objects_key(now):
+        raise _in_memory(now, "an object")
+    made = Derived(shape, cover, air, (), (), Known())
+    if had and before and _temperature_key(before, had) == _temperature_key(now, made):
+        if cover is had.cover and shape is had.shape and _objects_key(before) == _objects_key(now):
+            return replace(had, air=air)
+        ground = had.surfaces[: len(shape.ground)]
+        kelvin = [surface.temperature for surface in ground]
+        flags = [surface.flags & np.uint8(FALLBACK | UNMOVED) for surface in ground]
+        state = had.temperature_state
+    else:
+        kelvin, flags, state = _temperatures(now, shape, cover)
+    return _combined(parts, now, made, kelvin, flags, state)
+
+
+def of_surfaces(now: Declared, shape: Shape, cover: Cover, air: Atmosphere | None) -> Derived:
+    """Return what follows for surfaces made in memory, whose texels `shape` and `cover` hold."""
+    made = Derived(shape, cover, air, (), (), Known())
+    return _combined(None, now, made, *_temperatures(now, shape, cover))
+
+
+def _combined(
+    parts: Parts | None, now: Declared, made: Derived, kelvin: list[NDArray[np.float32]],
+    flags: list[NDArray[np.uint8]], state: TemperatureState,
+) -> Derived:  # fmt: skip
+    """Shape, cover and temperatures put together."""
+    shape, cover = made.shape, made.cover
+    surfaces = tuple(
+        replace(bare, colour=own.colour, material=own.material, temperature=warm, flags=own.flags | more)
+        for bare, own, warm, more in zip(shape.ground, cover.ground, kelvin, flags, strict=True)
+    )
+    if parts is None:
+        static, tracked = shape.static, shape.tracked
+    else:
+        static = tuple(
+            _covered(surface, cover.objects[number], now.spec.objects[number].temperature)
+            for surface, number in zip(shape.static, shape.static_of, strict=True)
+        )
+        tracked = tuple(
+            _tracked(one, now, cover, number) for one, number in zip(shape.tracked, shape.tracked_of, strict=True)
+        )
+    return replace(made, surfaces=(*surfaces, *static), tracked_objects=tracked, temperature_state=state)
+
+
+def camera_alone_differs(one: Declared, other: Declared) -> bool:
+    """Return whether two scenes of the same parts declare the same but for the camera."""
+    same = ("air", "weather", "model", "kelvin")
+    equal = ("time", "altitude_m", "sky_temperature", "replaced", "held", "given")
+    return (
+        all(getattr(one, name) is getattr(other, name) for name in same)
+        and all(getattr(one, name) == getattr(other, name) for name in equal)
+        and replace(one.spec, camera="") == replace(other.spec, camera="")
+    )
+
+
+# What each stage depends on
+
+
+def _shape_key(of: Declared) -> tuple[Any, ...]:
+    return tuple((item.position, item.yaw_deg) for item in of.spec.objects), of.held
+
+
+def _cover_key(of: Declared) -> tuple[Any, ...]:
+    band = of.camera.band_um if of.spec.emissivity.source == "learned" else None
+    return of.spec.emissivity, tuple(item.material for item in of.spec.objects), of.replaced, band
+
+
+def _air_key(of: Declared) -> tuple[Any, ...]:
+    return id(of.air), of.spec.atmosphere, of.camera.band_um
+
+
+def _objects_key(of: Declared) -> tuple[Any, ...]:
+    return of.spec.objects, of.held
+
+
+def _temperature_key(of: Declared, made: Derived) -> tuple[Any, ...]:
+    """What the terrain's temperatures depend on, by their source."""
+    spec = of.spec
+    if of.given:
+        # Those of surfaces made in memory are what they are, unless a source is set or the weather changes them.
+        source: tuple[Any, ...] = (made.shape,)
+    else:
+        source = spec.temperature, id(of.model), id(of.kelvin), made.shape, made.cover
+    if not _weather_driven(of):
+        return source
+    own = tuple(item.temperature for item in spec.objects if item.track is None)
+    # A sun of its own contradicts the weather's, and is refused where the temperatures are made.
+    key = (*source, spec.weather, id(of.weather), of.time, of.altitude_m, own, spec.sun)
+    if _conditional(of):
+        # What it reads as apparent temperature is seen under the sky.
+        key += (made.air if of.has_air else spec.sky_temperature,)
+    return key
+
+
+def _conditional(of: Declared) -> bool:
+    return of.model is not None and bool(of.model.needs)
+
+
+def _moved(of: Declared) -> bool:
+    return not _conditional(of) and of.spec.weather is not None and trained(of.spec.temperature, of.model) is not None
+
+
+def _source_moved(now: Declared, kelvin: list[NDArray[np.float32]]) -> Moved:
+    spec = now.spec.temperature
+    return Moved(tuple(kelvin), trained(spec, now.model), map_error_k(spec, now.model))
+
+
+def _weather_driven(of: Declared) -> bool:
+    return of.spec.temperature.source == "balance" or _conditional(of) or _moved(of)
+
+
+# Stages
+
+
+def _shape(parts: Parts | None, now: Declared) -> Shape:
+    if parts is None:
+        raise _in_memory(now, "the place of its objects")
+    return shape_of(parts, now.spec.objects, now.held, now.where)
+
+
+def _cover(parts: Parts | None, now: Declared) -> Cover:
+    band = now.camera.band_um
+    if parts is not None:
+        return cover_of(parts, now.spec.emissivity, now.spec.objects, now.replaced, band, now.where)
+    raise _in_memory(now, "its materials")
+
+
+def _in_memory(now: Declared, what: str) -> ThermorenderError:
+    return ThermorenderError(
+        f"{now.where}: {what} cannot be edited, because its surfaces were made in memory; edit the scene before "
+        "with_surfaces, or give with_surfaces other ones"
+    )
+
+
+def _air(now: Declared) -> Atmosphere | None:
+    if now.air is None:
+        found: Atmosphere | None = declared_air(now.spec.atmosphere, now.camera.band_um, now.where)
+        return found
+    band = now.camera.band_um
+    if (now.air.lower_um.min(), now.air.upper_um.max()) == tuple(band):
+        return now.air
+    try:
+        cut: Atmosphere = now.air.in_band(*band)
+        return cut
+    except ThermorenderError as error:
+        raise ThermorenderError(f"{now.where}: {error}") from None
+
+
+def _covered(surface: Surface, material: int, kelvin: float) -> Surface:
+    """A surface of one material and temperature."""
+    shape = surface.flags.shape
+    return replace(surface, material=np.full(shape, material, np.uint8), temperature=np.full(shape, kelvin, np.float32))
+
+
+def _tracked(one: TrackedObject, now: Declared, cover: Cover, number: int) -> TrackedObject:
+    item = now.spec.objects[number]
+    surfaces = tuple(_covered(surface, cover.objects[number], item.temperature) for surface in one.surfaces)
+    return replace(one, item=item, surfaces=surfaces)
+
+
+def _temperatures(
+    now: Declared, shape: Shape, cover: Cover
+) -> tuple[list[NDArray[np.float32]], list[NDArray[np.uint8]], TemperatureState]:
+    """(kelvin, flags, state) of the terrain's surfaces, from the source that is declared."""
+    spec, weather_driven = now.spec.temperature, _weather_driven(now)
+    if weather_driven:
+        _refuse_source(now, shape)
+    nothing = [np.zeros(surface.flags.shape, np.uint8) for surface in shape.ground]
+    waiting = [np.full(surface.flags.shape, np.nan, np.float32) for surface in shape.ground]
+    if _conditional(now):
+        return waiting, nothing, Pending(Conditional(now.model))
+    if spec.source == "balance":
+        return waiting, nothing, Pending(Balance())
+    if now.given:
+        kept = [surface.temperature for surface in shape.ground]
+        own = [surface.flags & np.uint8(FALLBACK | UNMOVED) for surface in shape.ground]
+        if weather_driven:
+            return waiting, own, Pending(_source_moved(now, kept))
+        return kept, own, Known()
+    report: dict[str, Any] = {}
+    if now.kelvin is not None:
+        found = [_filled(values, surface) for values, surface in zip(now.kelvin, shape.ground, strict=True)]
+    else:
+        found = [
+            resolve(spec, Texels(own.colour, own.material, cover.materials, shape.grid, surface.texel_m, now.where,
+                                 report, now.model))
+            for surface, own in zip(shape.ground, cover.ground, strict=True)
+        ]  # fmt: skip
+    kelvin, flags = [each[0] for each in found], [each[1] for each in found]
+    if weather_driven:
+        return waiting, flags, Pending(_source_moved(now, kelvin), report)
+    return kelvin, flags, Known(report=report)
+
+
+def _filled(values: NDArray[Any], surface: Surface) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """(kelvin, flags) of temperatures given in memory; the nearest one stands in where they are NaN."""
+    kelvin = np.asarray(values, np.float32)
+    if kelvin.shape != surface.flags.shape or not np.isfinite(kelvin).any():
+        raise ThermorenderError(
+            f"kelvin of shape {kelvin.shape} does not cover the terrain's {surface.flags.shape} texels; give an array "
+            "of that shape per terrain surface, with NaN for no data"
+        )
+    scene_kelvin("kelvin", kelvin[np.isfinite(kelvin)])
+    valid = np.isfinite(kelvin)
+    if not valid.all():
+        kelvin = fill(kelvin, nearest_valid(valid))
+    return kelvin, np.where(valid, 0, FALLBACK).astype(np.uint8)
+
+
+def _refuse_source(now: Declared, shape: Shape) -> None:
+    """Refuse temperatures that follow the weather where something that they need is missing or contradicts them."""
+    spec, moved = now.spec.temperature, _moved(now)
+    if _conditional(now) and spec.trained:
+        raise ThermorenderError(
+            f"{now.where}: temperature.model={spec.model!r} takes hour and weather as input and is not moved by "
+            "temperature.trained; leave that out"
+        )
+    if _conditional(now) and shape.grid is None:
+        raise ThermorenderError(
+            f"{now.where}: temperature.model={spec.model!r} takes relief or hour as input and needs a terrain with an "
+            "elevation raster, and this one is a mesh; take a map that sees colour only"
+        )
+    key = "trained" if moved else f"model={spec.model!r}" if spec.model else "source='balance'"
+    why = f"{now.where}: temperature.{key} "
+    if now.spec.weather is None:
+        raise ThermorenderError(f"{why}needs the weather; add [weather] with time and one of file, epw, air_high_c")
+    if shape.frame is None:
+        raise ThermorenderError(
+            f"{why}needs a place, which a mesh does not have; add [frame] with latitude_deg, longitude_deg and height_m"
+        )
+    if now.spec.sun is not None:
+        raise ThermorenderError(
+            f"{why}puts the sun where it stands at weather.time, but this scene declares another sun; leave [sun] out, "
+            "or call with_sun(None) first"
+        )

@@ -1,0 +1,80 @@
+"""Fingerprints of a scene and of its weather: what a frame depends on, in one short text.
+
+Flights are continued and light is kept by these, so their input changes only where a frame may change.
+"""
+
+import hashlib
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from thermorender.scene.state.declared import Declared
+from thermorender.scene.state.derived import Derived
+from thermorender.scene.temperature_state import Conditional, Moved
+from thermorender.schema import every_field
+
+
+def digest_of(declared: Declared, derived: Derived, sun: Any, weather: Any) -> str:
+    """Return the fingerprint (hex) of everything a frame of a scene depends on.
+
+    Parameters
+    ----------
+    declared : Declared
+    derived : Derived
+    sun : SunSpec or None
+        The sun that shines.
+    weather : Weather or None
+        None where the temperatures do not follow it.
+    """
+    # Libraries change how NumPy writes numbers, for the whole process.
+    with np.printoptions(legacy=False):
+        return _digest(declared, derived, sun, weather)
+
+
+def weather_digest_of(weather: Any) -> str:
+    """Return the fingerprint (hex) of a Weather: its series, its place and what was filled in."""
+    state = hashlib.blake2b(digest_size=16)
+    with np.printoptions(legacy=False):
+        for item in fields(weather):
+            value = getattr(weather, item.name)
+            state.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
+    return state.hexdigest()
+
+
+def _digest(declared: Declared, derived: Derived, sun: Any, weather: Any) -> str:
+    state, spec, air = hashlib.blake2b(digest_size=16), declared.spec, derived.air
+    own = [surface for tracked in derived.tracked_objects for surface in tracked.surfaces]
+    for surface in (*derived.surfaces, *own):
+        for item in fields(surface):
+            value = getattr(surface, item.name)
+            state.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
+    for material in derived.cover.materials:
+        state.update(material.name.encode() + material.wavelength_um.tobytes() + material.emissivity.tobytes())
+        for table in (material.cosines, material.emissivity_by_angle):
+            state.update(b"" if table is None else table.tobytes())
+        layers = material.thermal.layers if material.thermal else ()
+        state.update(repr((material.solar_absorptance, [layer.values for layer in layers])).encode())
+    for tracked in derived.tracked_objects:
+        state.update(repr((tracked.item, tracked.lift_m)).encode() + tracked.time_s.tobytes())
+        for name, values in tracked.columns.items():
+            state.update(name.encode() + values.tobytes())
+    skies = f"{spec.sky_temperature!r}, {spec.surroundings_temperature!r}"
+    state.update(f"({every_field(declared.camera)}, {skies})".encode())
+    if air:
+        altitude_m = declared.height_m(derived.shape.frame)
+        state.update(repr((air.cloud_fraction, air.cloud_base_m, altitude_m, sun)).encode())
+        for item in fields(air):
+            if isinstance(value := getattr(air, item.name), np.ndarray):
+                state.update(value.tobytes())
+    if weather is not None:
+        asked = repr((declared.time, spec.temperature, spec.weather))
+        state.update(asked.encode() + weather_digest_of(weather).encode())
+    source = derived.temperature_state.source
+    if isinstance(source, Moved):
+        for values in source.temperatures:
+            state.update(values.tobytes())
+    if isinstance(source, Conditional):
+        # At this instant another map may give the same, and differ at others of a flight.
+        state.update(source.model.digest().encode())
+    return state.hexdigest()

@@ -1,0 +1,78 @@
+"""A scene in words: one line for `repr`, a short table with sizes, units and ranges for `str`."""
+
+from typing import Any
+
+from thermorender.materials.mixture import Mixture
+from thermorender.scene.state.declared import Declared
+from thermorender.scene.state.derived import Derived
+from thermorender.units import utc_text
+
+# Names in a line, the rest counted.
+_MOST_NAMES = 12
+
+
+def line_of(declared: Declared, derived: Derived) -> str:
+    """Return one line on a scene: name, size, temperatures, sky and camera."""
+    texels = sum(surface.material.size for surface in derived.surfaces)
+    camera, folder = declared.camera, declared.spec.folder.name
+    return (
+        f"Scene({folder!r}, {texels} texels of {derived.surfaces[0].texel_m:.3g} m, {_temperature(declared, derived)}, "
+        f"{_sky(declared, derived)}, {camera.name} {camera.width}×{camera.height})"
+    )
+
+
+def table_of(declared: Declared, derived: Derived) -> str:
+    """Return a short table on a scene, a line for each of its parts."""
+    frame, camera, spec = derived.shape.frame, declared.camera, declared.spec
+    faces = sum(len(surface.faces) for surface in derived.surfaces)
+    texels = sum(surface.material.size for surface in derived.surfaces)
+    lines = [
+        f"{spec.folder.name}: {spec.title}",
+        f"  mesh          {faces} triangles, {texels} texels of {derived.surfaces[0].texel_m:.3g} m",
+        f"  temperature   {spec.temperature.source}, {_temperature(declared, derived)}",
+        f"  materials     {_materials(derived)}",
+        f"  sky           {_sky(declared, derived, True)}",
+        f"  objects       {_listed([item.name for item in spec.objects])}",
+        f"  camera        {camera.name}, {camera.width}×{camera.height}",
+    ]
+    if frame:
+        lines.insert(2, f"  origin        {frame.latitude_deg:.6f}°, {frame.longitude_deg:.6f}°, "
+                        f"{frame.height_m:g} m above the ellipsoid")  # fmt: skip
+    return "\n".join(lines)
+
+
+def _temperature(declared: Declared, derived: Derived) -> str:
+    state = derived.temperature_state
+    if not state.solved:
+        return f"to be solved for {utc_text(declared.time)}"
+    terrain = [surface.temperature for surface in derived.surfaces[: len(derived.shape.ground)]]
+    low, high = min(values.min() for values in terrain), max(values.max() for values in terrain)
+    return f"{low:.1f}–{high:.1f} K" + (f" at {utc_text(declared.time)}" if state.weather_driven else "")
+
+
+def _sky(declared: Declared, derived: Derived, long: bool = False) -> str:
+    if derived.air is None:
+        kelvin = declared.spec.sky_temperature
+        return "no sky" if kelvin is None else f"{kelvin:g} K" if long else f"sky of {kelvin:g} K"
+    altitude_m = declared.height_m(derived.shape.frame)
+    if long:
+        return f"that of {derived.air}, {altitude_m:.0f} m above sea level"
+    return f"air, {altitude_m:.0f} m above sea level"
+
+
+def _materials(derived: Derived) -> str:
+    materials, report = derived.cover.materials, derived.cover.report
+    pure = [material.name for material in materials if not isinstance(material, Mixture)]
+    mixes = len(materials) - len(pure)
+    words = _listed(pure) + (f" and {mixes} mixes of them" if mixes else "")
+    if report:
+        words += (
+            f"; read from colour by {report['model']!r}, {report['share_unknown']:.1%} unknown and taken for "
+            f"{report['fallback']}"
+        )
+    return words
+
+
+def _listed(names: list[Any]) -> str:
+    more = len(names) - _MOST_NAMES
+    return (", ".join(names[:_MOST_NAMES]) or "none") + (f" and {more} more" if more > 0 else "")

@@ -1,0 +1,137 @@
+"""The state of a scene's terrain temperatures: known, or pending until a renderer solves them for an instant.
+
+`Scene.temperature_state` is one of the two. Both name the source of temperatures that follow the weather, so that a
+solved scene still knows where its temperatures come from and can be solved again.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.scene.spec import WeatherSpec
+
+
+@dataclass(frozen=True, eq=False)
+class Balance:
+    """Temperatures of the terrain's heat balance."""
+
+    @property
+    def words(self) -> str:
+        """The source in words, for messages."""
+        return "source='balance'"
+
+
+@dataclass(frozen=True, eq=False)
+class Moved:
+    """Temperatures of a map at the instant it was trained for, which the heat balance moves to the scene's instant.
+
+    Attributes
+    ----------
+    temperatures : tuple of (h, w) float32
+        Of each terrain surface at the trained instant [K].
+    trained : WeatherSpec
+        The instant and the weather that these are of.
+    error_k : float
+        One standard deviation of the map's own error [K].
+    """
+
+    temperatures: tuple[NDArray[np.float32], ...]
+    trained: WeatherSpec
+    error_k: float
+
+    @property
+    def words(self) -> str:
+        """The source in words, for messages."""
+        return "a map that is moved to another time"
+
+
+@dataclass(frozen=True, eq=False)
+class Conditional:
+    """Temperatures of a learned map that takes relief, hour or weather as input.
+
+    Attributes
+    ----------
+    model : TemperatureMap
+        As it was when the source was set, whatever its file holds later.
+    """
+
+    model: Any
+
+    @property
+    def words(self) -> str:
+        """The source in words, for messages."""
+        return "a learned map that takes hour and weather as input"
+
+
+WeatherSource = Balance | Moved | Conditional
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """The terrain's temperatures are in its texels.
+
+    Attributes
+    ----------
+    source : Balance, Moved, Conditional or None
+        What solved them; None where they do not follow the weather.
+    time : datetime64[s] or None
+        The instant they were solved for, UTC; None where they do not follow the weather.
+    report : dict
+        What each learned map reports, by its name.
+    moved_report : dict
+        What moving a map to `time` reports; empty for other sources.
+    notes : tuple of str
+        What solving them adds to the notes of the weather.
+    """
+
+    source: WeatherSource | None = None
+    time: "np.datetime64 | None" = None
+    report: Mapping[str, Any] = field(default_factory=dict)
+    moved_report: Mapping[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def solved(self) -> bool:
+        """Whether the texels hold their temperatures: True."""
+        return True
+
+    @property
+    def weather_driven(self) -> bool:
+        """Whether the temperatures follow the weather."""
+        return self.source is not None
+
+
+@dataclass(frozen=True, eq=False)
+class Pending:
+    """The terrain's temperatures are NaN: a renderer solves them for the scene's instant.
+
+    Attributes
+    ----------
+    source : Balance, Moved or Conditional
+    report : dict
+        What the learned map of a Moved source reports, by its name.
+    """
+
+    source: WeatherSource
+    report: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def solved(self) -> bool:
+        """Whether the texels hold their temperatures: False."""
+        return False
+
+    @property
+    def weather_driven(self) -> bool:
+        """Whether the temperatures follow the weather: True."""
+        return True
+
+    @property
+    def moved_report(self) -> Mapping[str, Any]:
+        """Empty: nothing has been moved yet."""
+        return {}
+
+
+TemperatureState = Known | Pending
