@@ -433,11 +433,12 @@ def compare(
             path = _trajectory(loaded, trajectory, format, anchor, duplicates, clock_offset_s, mount, lever_arm_m)
             _above_ground(loaded, path, rate_hz, start_s, stop_s, allow_below_ground)
             flights.append(run.Flight.of(loaded, path, rate_hz, start_s, stop_s))
-        summary = run.compare(
-            flights, output, split(models), letters, oracle, folders, [read_dataset(one) for one in dataset or ()],
-            learned_materials(emissivity, fallback), arrays, seed, tell,
-            quality=quality, rays=rays, tolerance_mk=tolerance_mk, device=device,
+        options = run.Options(
+            letters, oracle, folders, [read_dataset(one) for one in dataset or ()],
+            learned_materials(emissivity, fallback), arrays, seed,
+            {"quality": quality, "rays": rays, "tolerance_mk": tolerance_mk, "device": device},
         )  # fmt: skip
+        summary = run.compare(flights, output, split(models), options, tell)
     rows = run.rows(summary)
     if rows:
         table(run.HEADER, rows)
