@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from thermorender import files
+from thermorender.compare.evaluation.figures import pyplot, save
 
 # Errors that the axis of landings ends at [m].
 _FARTHEST_M = 12.0
@@ -18,13 +18,8 @@ def figure(path, found):
     found : list of dict
         As by `examples.landing.run.fly`.
     """
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
     kinds = list(dict.fromkeys(each["frames"] for each in found))
-    drawing, (share, contrast) = pyplot.subplots(1, 2, figsize=(12, 4.2), layout="constrained")
+    drawing, (share, contrast) = pyplot().subplots(1, 2, figsize=(12, 4.2), layout="constrained")
     for number, kind in enumerate(kinds):
         own = [each for each in found if each["frames"] == kind]
         landed = [each for each in own if each["error_m"] is not None]
@@ -46,6 +41,4 @@ def figure(path, found):
     for panel in (share, contrast):
         panel.grid(True, lw=0.3, color="0.85")
     contrast.legend(fontsize=8, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    with files.atomic(path) as part:
-        drawing.savefig(part, dpi=80)
-    pyplot.close(drawing)
+    save(drawing, path)

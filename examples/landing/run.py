@@ -58,7 +58,7 @@ def fly(folder, models, runs, progress=None, sizes=None, **settings):
         Names or files of learned maps that see colour only.
     runs : int
     progress : callable, optional
-        Called with (what, share done).
+        Called with (step, share done).
     sizes : dict, optional
         Sides of the worlds, as of `sites.SIZES`.
     **settings
@@ -69,7 +69,7 @@ def fly(folder, models, runs, progress=None, sizes=None, **settings):
     ThermorenderError
         A map that is told more than colour, or a folder with runs of other settings.
     """
-    tell = progress or (lambda what, share: None)
+    report = progress or (lambda step, share: None)
     loaded = [(text, load_model(text)) for text in models]
     for _, model in loaded:
         if model.needs:
@@ -90,13 +90,13 @@ def fly(folder, models, runs, progress=None, sizes=None, **settings):
         own = [run for run in range(number, runs, sites.WORLDS) if any((run, kind) not in have for kind in kinds)]
         if not own:
             continue
-        tell(f"world {number}: making", number / sites.WORLDS)
+        report(f"world {number}: making", number / sites.WORLDS)
         scene = sites.world(number, folder / "worlds" / str(number), sizes)
         made = _kinds(scene, loaded, settings)
         for count, run in enumerate(own):
             for kind in kinds:
                 if (run, kind) not in have:
-                    tell(f"world {number}, run {run}: {kind}", (number + count / len(own)) / sites.WORLDS)
+                    report(f"world {number}, run {run}: {kind}", (number + count / len(own)) / sites.WORLDS)
                     done.append(_landing(run, kind, made[kind], scene))
                     files.append_json(log, done[-1])
     wanted = set(kinds)

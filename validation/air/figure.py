@@ -1,16 +1,11 @@
 """Figure of what `validation.air.study` measures."""
 
-from thermorender import files
+from thermorender.compare.evaluation.figures import pyplot, save
 
 
 def figure(path, result):
     """Draw the error against the frame's time over that without air."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    drawing, axis = pyplot.subplots(figsize=(7.5, 4.6), layout="constrained")
+    drawing, axis = pyplot().subplots(figsize=(7.5, 4.6), layout="constrained")
     views = dict.fromkeys((case["height_m"], case["view"]) for case in result["cases"])
     for number, (height_m, view) in enumerate(views):
         own = [case for case in result["cases"] if (case["height_m"], case["view"]) == (height_m, view)]
@@ -26,6 +21,4 @@ def figure(path, result):
              title=f"{result['scene']}, {', '.join(result['air'])}: channels at each point")  # fmt: skip
     axis.grid(True, which="both", lw=0.3, color="0.85")
     axis.legend(fontsize=8)
-    with files.atomic(path) as part:
-        drawing.savefig(part, dpi=90)
-    pyplot.close(drawing)
+    save(drawing, path, dpi=90)

@@ -39,7 +39,7 @@ def run(scene, air=("midlatitude-summer", "rural-23km"), heights_m=(120.0, 2000.
         Turns of each measurement.
     device : {"auto", "cpu", "cuda"}
     progress : callable, optional
-        Called with (what, share done).
+        Called with (step, share done).
 
     Returns
     -------
@@ -47,13 +47,13 @@ def run(scene, air=("midlatitude-summer", "rural-23km"), heights_m=(120.0, 2000.
         machine, versions, scene, air, and cases: [{height_m, view, tolerance_mk, nodes, channels, planned_mk,
         error_mk, frame_ms, over_vacuum}].
     """
-    tell = progress or (lambda what, share: None)
+    report = progress or (lambda step, share: None)
     own = {"rays": rays, "device": device}
     vacuum = Renderer(scene, **own)
     aired = vacuum.scene.with_air(*air)
     made = []
     for number, tolerance in enumerate((FINEST_MK, *tolerances_mk)):
-        tell(f"baking for {tolerance:g} mK", number / (len(tolerances_mk) + 1))
+        report(f"baking for {tolerance:g} mK", number / (len(tolerances_mk) + 1))
         made.append(Renderer(aired, tolerance_mk=tolerance, like=vacuum, **own))
         _ = made[-1].baked
     cases = []
@@ -78,7 +78,7 @@ def run(scene, air=("midlatitude-summer", "rural-23km"), heights_m=(120.0, 2000.
                     "frame_ms": 1e3 * float(np.median(seconds[:, number])),
                     "over_vacuum": float(np.median(seconds[:, number] / seconds[:, 0])),
                 })  # fmt: skip
-    tell("measured", 1.0)
+    report("measured", 1.0)
     return {"machine": machine(), "versions": versions(), "scene": scene.name, "air": list(air), "cases": cases}
 
 

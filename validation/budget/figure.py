@@ -2,22 +2,17 @@
 
 import numpy as np
 
-from thermorender import files
+from thermorender.compare.evaluation.figures import pyplot, save
 
 
 def figure(path, cases):
     """Draw the stated against the true error, and the true error against height."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
     shown = [case for case in cases.values() if case["true_mk"] > 0.0]
-    drawing, (held, height) = pyplot.subplots(1, 2, figsize=(12, 5.2), layout="constrained")
+    drawing, (held, height) = pyplot().subplots(1, 2, figsize=(12, 5.2), layout="constrained")
     names = list(dict.fromkeys(case["scene"] for case in shown))
     for number, name in enumerate(names):
         own = [case for case in shown if case["scene"] == name]
-        colour = pyplot.get_cmap("tab10")(number % 10)
+        colour = pyplot().get_cmap("tab10")(number % 10)
         for drawn, mark in ((True, "."), (False, "o")):
             part = [case for case in own if case["drawn"] == drawn]
             true, stated = (np.array([case[key] for case in part]) for key in ("true_mk", "stated_mk"))
@@ -37,6 +32,4 @@ def figure(path, cases):
     held.legend(fontsize=8)
     for panel in (held, height):
         panel.grid(True, which="both", lw=0.3, color="0.85")
-    with files.atomic(path) as part:
-        drawing.savefig(part, dpi=80)
-    pyplot.close(drawing)
+    save(drawing, path)

@@ -39,7 +39,7 @@ def run(folder, scenes=defaults.SCENES, drawn=105, seed=0, qualities=QUALITIES, 
         Of the drawn views and of the made scenes.
     qualities : sequence of str
     progress : callable, optional
-        Called with (what, share done).
+        Called with (step, share done).
     device : {"auto", "cpu", "cuda"}
 
     Returns

@@ -3,6 +3,7 @@
 import numpy as np
 
 from thermorender import files
+from thermorender.compare.evaluation.figures import pyplot, save
 
 _COLUMNS = ("engine", "setting", "frame [s]", "error [mK]", "range [mK]", "after lens [mK]", "sampling [mK]",
             "budget [mK]", "bake [s]")  # fmt: skip
@@ -67,14 +68,9 @@ def _text(value):
 
 def figure(path, cases, scene):
     """Draw a scene's cases: error against seconds per frame, raw and after optics, and against the bake's, per view."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
     chosen = [record for record in cases.values() if record["scene"] == scene.name and "view" in record]
     views = list({record["view"]: None for record in chosen})
-    drawing, axes = pyplot.subplots(len(views), 3, figsize=(15, 4.6 * len(views)), layout="constrained", squeeze=False)
+    drawing, axes = pyplot().subplots(len(views), 3, figsize=(15, 4.6 * len(views)), layout="constrained", squeeze=False)
     camera = scene.camera
     netd = camera.netd_mk * (4 * camera.f_number**2 + 1) / (4 * camera.netd_f_number**2 + 1)
     for row, view in zip(axes, views, strict=True):
@@ -95,9 +91,7 @@ def figure(path, cases, scene):
                       transform=axis.get_yaxis_transform())  # fmt: skip
             if axis.get_legend_handles_labels()[0]:
                 axis.legend(fontsize=8)
-    with files.atomic(path) as part:
-        drawing.savefig(part, dpi=80)
-    pyplot.close(drawing)
+    save(drawing, path)
 
 
 def _scatter(axis, records, name):

@@ -131,7 +131,7 @@ def convergence(scenes=defaults.SCENES, folder="validation", progress=None, mode
     folder : path
         Receives `convergence.json`, `convergence.md` and `convergence_<scene>.png`.
     progress : callable, optional
-        Called with (what, share done).
+        Called with (step, share done).
     mode : {"full", "quick"} or Mode
     overwrite : bool
         Measure anew what is there.

@@ -40,14 +40,15 @@ def evaluate(model="procedural", seeds=(201, 202), fallback="soil_loam", confide
         Below it a texel is unknown.
     kinds : sequence of str
         Kinds of procedural scene.
-    progress : callable (what, share), optional
+    progress : callable, optional
+        Called with (step, share done).
 
     Raises
     ------
     ThermorenderError
         The map was trained on one of these scenes.
     """
-    tell = progress or (lambda what, share: None)
+    report = progress or (lambda step, share: None)
     model, library = load_map(model), load_library()
     # Of the others nothing is known in this band.
     low, high = BAND_UM
@@ -63,7 +64,7 @@ def evaluate(model="procedural", seeds=(201, 202), fallback="soil_loam", confide
     confusion = np.zeros((len(names), len(names) + 1), np.int64)
     scenes, every = {}, {method: [] for method in METHODS}
     for number, (kind, seed) in enumerate(jobs):
-        tell("making and mapping landscapes", number / len(jobs))
+        report("making and mapping landscapes", number / len(jobs))
         scene = make(kind, seed)
         number_of = np.zeros(256, np.int64)
         for value, name in scene.class_names.items():

@@ -47,13 +47,13 @@ def compare(paths, output, base=defaults.CAMERA, scale=None, scene=defaults.SCEN
         Scene the simulated frames show, from above.
     seed : int
     progress : callable, optional
-        Called with (what, share done).
+        Called with (step, share done).
     **options
         Of the Renderer.
     """
-    tell = progress or (lambda what, share: None)
+    report = progress or (lambda step, share: None)
     camera, frames = load_camera(base, "base camera"), frame_files(paths)
-    found = fit_camera(paths, base, scale, lambda share: tell("reading the footage", share))
+    found = fit_camera(paths, base, scale, lambda share: report("reading the footage", share))
     fitted_path = Path(output) / f"{name}.toml"
     write_camera(fitted_path, base, found)
     sides = {
@@ -95,7 +95,7 @@ def _views(scene, camera, seed, tell, options):
         east, north = rng.uniform(-_AWAY_M, _AWAY_M, 2)
         view = pose(east, north, _HEIGHT_M + float(loaded.ground(east, north)), rng.uniform(0.0, 360.0), -90.0, 0.0)
         views.append(renderer.frame(view, index=number).radiance)
-        tell("rendering", (number + 1) / _FRAMES)
+        report("rendering", (number + 1) / _FRAMES)
     return views
 
 

@@ -38,7 +38,7 @@ def run(folder, axes=AXES, base=BASE, progress=None, device="auto"):
         Values of triangles, texels (along a side) and nodes; the others stand at `base`.
     base : (int, int, int)
     progress : callable, optional
-        Called with (what, share done).
+        Called with (step, share done).
     device : {"auto", "cpu", "cuda"}
     """
     folder = files.make_folder(folder)

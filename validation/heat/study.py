@@ -54,18 +54,19 @@ def run(sites, folder, progress=None):
         A file such as `validation/heat/sites.toml`.
     folder : path
         Where the measured tables lie; sites without theirs are left out and named under "missing".
-    progress : callable (what, share), optional
+    progress : callable, optional
+        Called with (step, share done).
     """
-    tell = progress or (lambda what, share: None)
+    report = progress or (lambda step, share: None)
     declared = read_sites(sites)
     there = [site for site in declared if (Path(folder) / site.file).is_file()]
     result = {"sites": {}, "missing": [site.name for site in declared if site not in there]}
     for number, site in enumerate(there):
-        tell(f"site {site.name}", number / len(there))
+        report(f"site {site.name}", number / len(there))
         result["sites"][site.name] = _of_site(measured(site, folder))
     chosen = [site for site in there if site.name in _COST_SITES]
-    result["cost"] = _cost([measured(site, folder) for site in chosen], lambda share: tell("run time", share))
-    tell("run time", 1.0)
+    result["cost"] = _cost([measured(site, folder) for site in chosen], lambda share: report("run time", share))
+    report("run time", 1.0)
     return result
 
 
@@ -207,7 +208,7 @@ def _cost(sites, tell):
     found = []
     cases = [(layers, 900.0) for layers in _COST_LAYERS] + [(12, step) for step in _COST_STEPS_S if step != 900.0]
     for number, (layers, step_s) in enumerate(cases):
-        tell(number / len(cases))
+        report(number / len(cases))
         begin = time.perf_counter()
         runs = [modelled(site, step_s, layers) for site in sites]
         seconds = time.perf_counter() - begin

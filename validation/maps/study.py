@@ -40,7 +40,7 @@ def run(dataset, methods=None, vary=None, limit=60, seed=0, progress=None):
         Test pairs that are scored, evenly spaced.
     seed : int
     progress : callable, optional
-        Called with (what, share done).
+        Called with (step, share done).
 
     Returns
     -------

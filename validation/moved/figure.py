@@ -2,21 +2,16 @@
 
 import numpy as np
 
-from thermorender import files
+from thermorender.compare.evaluation.figures import pyplot, save
 
 _COLOURS = {"moved": "C3", "unmoved": "0.6", "offset": "C1", "balance": "C0"}
 
 
 def figure(path, result):
     """Draw the mean absolute error of each method, and the deviation that is stated, per map and case."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
     every, cases = result["all"], list(result["cases"])
     maps = list(dict.fromkeys(key.split(": ")[0] for key in every))
-    drawing, axes = pyplot.subplots(len(maps), 1, figsize=(8.5, 3.2 * len(maps)), layout="constrained", squeeze=False)
+    drawing, axes = pyplot().subplots(len(maps), 1, figsize=(8.5, 3.2 * len(maps)), layout="constrained", squeeze=False)
     place = np.arange(len(cases))
     for axis, name in zip(axes[:, 0], maps, strict=True):
         found = [every[f"{name}: {case}"] for case in cases]
@@ -35,6 +30,4 @@ def figure(path, result):
         axis.set_ylim(top=2.5 * axis.get_ylim()[1])
         axis.set_axisbelow(True)
     axes[0, 0].legend(fontsize=8, ncols=5)
-    with files.atomic(path) as part:
-        drawing.savefig(part, dpi=90)
-    pyplot.close(drawing)
+    save(drawing, path, dpi=90)

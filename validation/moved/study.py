@@ -66,7 +66,8 @@ def run(kinds=tuple(SIZES), seeds=(301,), cases=None, progress=None, device="aut
         Of the scenes; the 9-to-1 map is fitted on a scene of the seed above it.
     cases : sequence of str, optional
         Of CASES; all by default.
-    progress : callable (what, share), optional
+    progress : callable, optional
+        Called with (step, share done).
     device : {"auto", "cpu", "cuda"}
     sizes : dict, optional
         In place of SIZES.
@@ -82,11 +83,11 @@ def run(kinds=tuple(SIZES), seeds=(301,), cases=None, progress=None, device="aut
             if one not in known:
                 raise ThermorenderError(f"{name}={one!r} is not in this study; give one of {', '.join(known)}")
     mi = activate(device)
-    tell = progress or (lambda what, share: None)
+    report = progress or (lambda step, share: None)
     scenes, sums = {}, {}
     jobs = [(kind, seed) for seed in seeds for kind in kinds]
     for number, (kind, seed) in enumerate(jobs):
-        own = lambda share, n=number: tell("moving maps of procedural scenes", (n + share) / len(jobs))  # noqa: E731
+        own = lambda share, n=number: report("moving maps of procedural scenes", (n + share) / len(jobs))  # noqa: E731
         found = _scene_errors(mi, kind, seed, cases, (sizes or SIZES)[kind], own)
         scenes[f"{kind} {seed}"] = {key: _summary(values) for key, values in found.items()}
         for key, values in found.items():
@@ -128,7 +129,7 @@ def _scene_errors(mi, kind, seed, cases, size, tell):
         truths = hidden.solved(times, here, geometry)
         after = expected(here, times, geometry)
         done += 2
-        tell((4 + done) / steps)
+        report((4 + done) / steps)
         for key, (kelvin, error_k) in maps.items():
             spec = TemperatureSpec(source="raster", trained=there.spec.weather, map_error_k=error_k)
             mapped = replace(here, spec=replace(here.spec, temperature=spec), mapped=(kelvin,))

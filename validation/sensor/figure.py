@@ -3,6 +3,7 @@
 import numpy as np
 
 from thermorender import files
+from thermorender.compare.evaluation.figures import pyplot, save
 
 _LAG = ("allowed to instants [mK]", "motion between renders [px]", "instants", "renders", "time [ms]",
         "smooth pixels [mK]", "all pixels [mK]", "estimate [mK]")  # fmt: skip
@@ -73,12 +74,11 @@ def table(path, result):
 
 def figure(path, result):
     """Draw error against run time: of the lag, one panel per flight, and of the blur."""
-    pyplot = _pyplot()
     from matplotlib.ticker import NullFormatter
 
     flights = result["lag"]
     columns = -(-(len(flights) + 1) // 2)
-    drawing, axes = pyplot.subplots(2, columns, figsize=(4.8 * columns, 8.0), layout="constrained", squeeze=False)
+    drawing, axes = pyplot().subplots(2, columns, figsize=(4.8 * columns, 8.0), layout="constrained", squeeze=False)
     *rest, last = axes.ravel()
     axes = [*rest[: len(flights)], last]
     for spare in rest[len(flights) :]:
@@ -114,15 +114,12 @@ def figure(path, result):
         axis.xaxis.set_minor_formatter(NullFormatter())
         axis.grid(True, which="both", lw=0.3, color="0.85")
         axis.legend(fontsize=6)
-    with files.atomic(path) as part:
-        drawing.savefig(part, dpi=72)
-    pyplot.close(drawing)
+    save(drawing, path, dpi=72)
 
 
 def pictures(path, images):
     """Draw images [(title, (H, W) array, unit), …], each with its own scale."""
-    pyplot = _pyplot()
-    drawing, axes = pyplot.subplots(2, -(-len(images) // 2), figsize=(18, 7.4), layout="constrained")
+    drawing, axes = pyplot().subplots(2, -(-len(images) // 2), figsize=(18, 7.4), layout="constrained")
     for axis, (title, image, unit) in zip(axes.ravel(), images, strict=False):
         low, high = np.percentile(image, (0.5, 99.5))
         drawn = axis.imshow(image, cmap="gray", vmin=low, vmax=high, interpolation="nearest")
@@ -130,19 +127,8 @@ def pictures(path, images):
         drawing.colorbar(drawn, ax=axis, shrink=0.75)
     for axis in axes.ravel()[len(images) :]:
         axis.axis("off")
-    with files.atomic(path) as part:
-        drawing.savefig(part, dpi=45)
-    pyplot.close(drawing)
+    save(drawing, path, dpi=45)
 
 
 def _text(value):
     return "" if value is None else f"{value:.1f}"
-
-
-def _pyplot():
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    return pyplot

@@ -62,7 +62,7 @@ def sensor(folder, scene=defaults.SCENE, flights=tuple(FLIGHTS), device="auto", 
         Some of `FLIGHTS`.
     device : {"auto", "cpu", "cuda"}
     progress : callable, optional
-        Called with (what, share done).
+        Called with (step, share done).
 
     Returns
     -------
@@ -78,15 +78,15 @@ def sensor(folder, scene=defaults.SCENE, flights=tuple(FLIGHTS), device="auto", 
     unknown = [name for name in flights if name not in FLIGHTS]
     if unknown:
         raise ThermorenderError(f"flight {unknown[0]!r} is unknown; give some of {', '.join(FLIGHTS)}")
-    tell = progress or (lambda what, share: None)
+    report = progress or (lambda step, share: None)
     loaded = scene if isinstance(scene, Scene) else load_scene(scene)
     renderer = Renderer(loaded, device=device)
     of = Sensor(loaded.camera, renderer.seed)
     lags, seen = {}, {}
     for number, name in enumerate(flights):
-        tell(name, number / (len(flights) + 1))
+        report(name, number / (len(flights) + 1))
         lags[name], seen[name] = _lag(renderer, of, FLIGHTS[name])
-    tell("blur and chain", len(flights) / (len(flights) + 1))
+    report("blur and chain", len(flights) / (len(flights) + 1))
     result = {
         "machine": machine(),
         "versions": versions(),
@@ -102,7 +102,7 @@ def sensor(folder, scene=defaults.SCENE, flights=tuple(FLIGHTS), device="auto", 
         table(folder / "sensor.md", result)
         figure(folder / "sensor.png", result)
         pictures(folder / "effects.png", _effects(renderer, of, seen))
-    tell("measured", 1.0)
+    report("measured", 1.0)
     return result
 
 

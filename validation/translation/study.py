@@ -45,7 +45,7 @@ def run(models, dataset, scene=defaults.SCENE, pictures=6, progress=None):
     pictures : int
         Of the test part, evenly spaced.
     progress : callable, optional
-        Called with (what, share done).
+        Called with (step, share done).
 
     Returns
     -------

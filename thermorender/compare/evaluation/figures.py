@@ -126,10 +126,10 @@ def pyplot() -> Any:
     return pyplot
 
 
-def save(figure: Any, path: Path) -> None:
+def save(figure: Any, path: Path, dpi: int = 80) -> None:
     """Write a figure as PNG, whole or not at all, and close it."""
     from matplotlib import pyplot
 
     with files.atomic(path) as part:
-        figure.savefig(part, dpi=80)
+        figure.savefig(part, dpi=dpi)
     pyplot.close(figure)
