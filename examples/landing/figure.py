@@ -1,22 +1,22 @@
-"""Figure of what `examples.landing` flies."""
+"""Figure of the landings."""
 
 import numpy as np
 
 from thermorender.compare.evaluation.figures import pyplot, save
 
-# Errors that the axis of landings ends at [m].
+# Upper end of the axis of landing errors [m].
 _FARTHEST_M = 12.0
 
 
 def figure(path, found):
-    """Draw how many runs have landed within which distance, and which landed where by the marker's contrast.
+    """Draw the share of runs that landed within a distance, and the landing error against the marker's contrast.
 
     Parameters
     ----------
     path : Path
         PNG.
     found : list of dict
-        As by `examples.landing.run.fly`.
+        As `examples.landing.run.fly` returns it.
     """
     kinds = list(dict.fromkeys(each["frames"] for each in found))
     drawing, (share, contrast) = pyplot().subplots(1, 2, figsize=(12, 4.2), layout="constrained")
@@ -31,10 +31,10 @@ def figure(path, found):
         distance = np.minimum([each["error_m"] for each in landed], _FARTHEST_M)
         contrast.plot([each["contrast_k"] for each in landed], distance, "o" if kind == "A" else "x", ms=4,
                       color=style["color"], label=kind)  # fmt: skip
-    share.set(xlim=(0.0, _FARTHEST_M), ylim=(0.0, 1.02), xlabel="distance of the touch-down from the marker [m]",
+    share.set(xlim=(0.0, _FARTHEST_M), ylim=(0.0, 1.02), xlabel="distance of the touchdown from the marker [m]",
               ylabel="share of runs")  # fmt: skip
-    contrast.set(xscale="log", ylim=(0.0, _FARTHEST_M * 1.02), xlabel="contrast of the marker to its ground [K]",
-                 ylabel="distance of the touch-down [m]")  # fmt: skip
+    contrast.set(xscale="log", ylim=(0.0, _FARTHEST_M * 1.02), xlabel="contrast of the marker to the ground [K]",
+                 ylabel="distance of the touchdown [m]")  # fmt: skip
     ticks = [2, 5, 10, 20, 40]
     contrast.set_xticks(ticks, [str(tick) for tick in ticks])
     contrast.set_xticks([], minor=True)

@@ -1,9 +1,9 @@
-"""The learned emissivity map evaluated on procedural scenes whose materials are known.
+"""Evaluation of the learned emissivity map on procedural scenes with known materials.
 
-Beside the map stand three simpler methods: the colour nearest to the scene's own mean colour of each material (told the
-truth it needs), the scene's commonest material everywhere, and the fallback everywhere. Errors are of the band's
-emissivity and, with the scene's sky and each texel at the typical temperature of its true material, of apparent
-temperature seen from straight above through no air, the sky reflected whole.
+Three simpler methods are compared: the material whose mean colour in the scene is nearest (it uses the truth), the
+scene's most common material everywhere, and the fallback everywhere. Errors are those of the band emissivity and of
+apparent temperature. The latter is seen from straight above without air, under the scene's unobstructed sky, with each
+texel at the typical temperature of its true material.
 """
 
 import time
@@ -26,18 +26,18 @@ METHODS = ("learned, mix of three", "learned, most probable", "nearest colour", 
 
 def evaluate(model="procedural", seeds=(201, 202), fallback="soil_loam", confidence=DEFAULT_CONFIDENCE,
              kinds=tuple(KINDS), progress=None):  # fmt: skip
-    """Return the comparison as a dict: per scene and over all, the errors of each of METHODS; the confusion table.
+    """Return the errors of each of METHODS, per scene and over all, and the confusion table, as a dict.
 
     Parameters
     ----------
     model : str
         Name or file of the emissivity map.
     seeds : sequence of int
-        Of the scenes; none the map was trained on.
+        Seeds of scenes that the map was not trained on.
     fallback : str
-        Material that stands in for unknown texels.
+        Material of unknown texels.
     confidence : float
-        Below it a texel is unknown.
+        Confidence below which a texel is unknown.
     kinds : sequence of str
         Kinds of procedural scene.
     progress : callable, optional
@@ -50,7 +50,7 @@ def evaluate(model="procedural", seeds=(201, 202), fallback="soil_loam", confide
     """
     report = progress or (lambda step, share: None)
     model, library = load_map(model), load_library()
-    # Of the others nothing is known in this band.
+    # The other materials have no data in this band.
     low, high = BAND_UM
     library = {n: m for n, m in library.items() if m.valid_range_um[0] <= low and m.valid_range_um[1] >= high}
     names = list(library)
@@ -60,7 +60,7 @@ def evaluate(model="procedural", seeds=(201, 202), fallback="soil_loam", confide
     jobs = [(kind, seed) for seed in seeds for kind in kinds]
     for kind, seed in jobs:
         if f"procedural {kind} seed {seed}" in str(model.about.get("trained_on", "")).split("; "):
-            raise ThermorenderError(f"seed {seed} is one that {model.name!r} was trained on; give another")
+            raise ThermorenderError(f"seed={seed} is a seed that {model.name!r} was trained on; give another one")
     confusion = np.zeros((len(names), len(names) + 1), np.int64)
     scenes, every = {}, {method: [] for method in METHODS}
     for number, (kind, seed) in enumerate(jobs):
@@ -84,11 +84,11 @@ def evaluate(model="procedural", seeds=(201, 202), fallback="soil_loam", confide
             METHODS[3]: _pure(np.full(truth.shape, np.bincount(truth.ravel()).argmax())),
             METHODS[4]: _pure(np.full(truth.shape, stand_in)),
         }
-        warm = np.array([library[name].temperature for name in names], dtype=np.float32)
-        judge = _Judge(list(library.values()), warm[truth], scene.sky_temperature)
+        kelvin = np.array([library[name].temperature for name in names], dtype=np.float32)
+        errors_of = _Errors(list(library.values()), kelvin[truth], scene.sky_temperature)
         found = {}
         for method, (index, share) in guesses.items():
-            errors = judge(truth, index, share)
+            errors = errors_of(truth, index, share)
             every[method].append(errors)
             found[method] = _summary(*errors)
         scenes[f"{kind} {seed}"] = {
@@ -117,7 +117,7 @@ def evaluate(model="procedural", seeds=(201, 202), fallback="soil_loam", confide
 
 
 def rows(result):
-    """Return the comparison as table rows of text, one per method."""
+    """Return the comparison as table rows of text under HEADER, one per method."""
     return [
         (method, f"{e['accuracy']:.1%}", f"{e['emissivity_mean']:.4f}", f"{e['emissivity_rms']:.4f}",
          f"{e['mk_mean']:.0f}", f"{e['mk_rms']:.0f}", f"{e['mk_95']:.0f}")
@@ -128,8 +128,8 @@ def rows(result):
 HEADER = ("method", "accuracy", "mean |Δε|", "rms Δε", "mean |ΔT|, mK", "rms ΔT, mK", "95 % of |ΔT|, mK")
 
 
-class _Judge:
-    """Errors of guessed materials on the texels of a scene of known temperature."""
+class _Errors:
+    """Errors of predicted materials on the texels of a scene with known temperatures."""
 
     def __init__(self, materials, temperature, sky):
         wavelength, weight = quadrature(*BAND_UM)
@@ -144,7 +144,7 @@ class _Judge:
         self.temperature = temperature.astype(np.float64)
 
     def __call__(self, truth, index, share):
-        """Return ((N,) right or not, Δε, ΔT [K]) of every texel."""
+        """Return (correct, Δε, ΔT [K]) of every texel, (N,) each."""
         radiance, emissivity = self._seen(index, share)
         true_radiance, true_emissivity = self._seen(*_pure(truth))
         error = self.apparent.inverse(radiance) - self.apparent.inverse(true_radiance)
@@ -170,7 +170,7 @@ def _pure(index):
 
 
 def _nearest_colour(rgb, truth):
-    """Material whose mean colour in this scene, in CIELAB, is nearest."""
+    """Return the material whose mean colour in this scene is nearest in CIELAB."""
     image = lab(rgb)
     best, nearest = np.full(truth.shape, np.inf, np.float32), np.zeros(truth.shape, np.int64)
     for material in np.unique(truth):
@@ -193,7 +193,7 @@ def _summary(right, emissivity, temperature):
 
 
 def write_confusion(result, path):
-    """Write the confusion table as CSV: rows the true material, columns the mapped one, in texels."""
+    """Write the confusion table as CSV: texels by true material (rows) and mapped material (columns)."""
     import csv
 
     with atomic(path) as part, open(part, "w", newline="", encoding="utf-8") as file:

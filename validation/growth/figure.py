@@ -1,12 +1,12 @@
-"""Figure of what `validation.growth.study` measures."""
+"""Figure of the study of growth."""
 
 from thermorender.compare.evaluation.figures import pyplot, save
 
 
 def figure(path, cases):
-    """Draw bake, frame and memory along each axis that was varied."""
+    """Draw bake time, frame time and memory along each varied axis."""
     kinds = (("bake_s", "bake, 16 rays per face [s]", 1.0), ("frame_ms", "frame at 45° [ms]", 1.0),
-             ("peak_mib", "most memory [GiB]", 1.0 / 1024))  # fmt: skip
+             ("peak_mib", "peak memory [GiB]", 1.0 / 1024))  # fmt: skip
     varied = list(dict.fromkeys(case["varied"] for case in cases.values()))
     drawing, panels = pyplot().subplots(len(kinds), len(varied), figsize=(11, 8), layout="constrained", squeeze=False)
     for column, axis in zip(panels.T, varied, strict=True):

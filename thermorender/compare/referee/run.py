@@ -108,7 +108,7 @@ class Options:
 
 @dataclass(frozen=True)
 class _Contestants:
-    """The loaded maps [(name or file, map)], the oracle likewise or None, and the foreign frames."""
+    """The loaded maps and oracle, (name or file, map) each, and the foreign frames."""
 
     maps: list[tuple[str, TemperatureMap]]
     oracle: tuple[str, TemperatureMap] | None
@@ -380,7 +380,7 @@ def _notes(scenes: Sequence[dict[str, Any]]) -> list[str]:
                      "and the constant and the means per material are left out.")  # fmt: skip
     dark = [each["name"] for each in scenes if (each["sun_elevation_deg"] or 0.0) < 0.0]
     if dark:
-        notes.append("Photographs show the orthophoto in the light of its own hour, which differs from the scene's "
+        notes.append("Photographs show the orthophoto as it was lit when it was taken, which differs from the scene "
                      f"where the sun is below the horizon, here in {', '.join(dark)}.")  # fmt: skip
     lands = len({each["land"] for each in scenes if each["reference"]})
     if lands:
