@@ -77,43 +77,31 @@ def evaluate(model="procedural", seeds=(201, 202), fallback="soil_loam", confide
         index, share = own[mapped.index], mapped.share.copy()
         np.add.at(confusion, (truth, np.where(unknown, len(names), index[..., 0])), 1)
         index[unknown, 0], share[unknown] = stand_in, (1.0, 0.0, 0.0)
-        guesses = {
-            METHODS[0]: (index, share),
-            METHODS[1]: _pure(index[..., 0]),
-            METHODS[2]: _pure(_nearest_colour(scene.orthophoto, truth)),
-            METHODS[3]: _pure(np.full(truth.shape, np.bincount(truth.ravel()).argmax())),
-            METHODS[4]: _pure(np.full(truth.shape, stand_in)),
-        }
+        simple = (
+            index[..., 0], _nearest_colour(scene.orthophoto, truth),
+            np.full(truth.shape, np.bincount(truth.ravel()).argmax()), np.full(truth.shape, stand_in),
+        )  # fmt: skip
+        guesses = dict(zip(METHODS, ((index, share), *map(_pure, simple)), strict=True))
         kelvin = np.array([library[name].temperature for name in names], dtype=np.float32)
         errors_of = _Errors(list(library.values()), kelvin[truth], scene.sky_temperature)
         found = {}
-        for method, (index, share) in guesses.items():
-            errors = errors_of(truth, index, share)
+        for method, guess in guesses.items():
+            errors = errors_of(truth, *guess)
             every[method].append(errors)
             found[method] = _summary(*errors)
-        scenes[f"{kind} {seed}"] = {
-            "texels": truth.size,
-            "share_unknown": round(float(unknown.mean()), 5),
-            "seconds": round(seconds, 2),
-            "methods": found,
-        }
+        scenes[f"{kind} {seed}"] = {"texels": truth.size, "share_unknown": round(float(unknown.mean()), 5),
+                                    "seconds": round(seconds, 2), "methods": found}  # fmt: skip
     seen = np.flatnonzero(confusion.sum(axis=1) + confusion.sum(axis=0)[:-1])
     confusion, names = confusion[seen][:, [*seen, -1]], [names[k] for k in seen]
     accuracy = np.diag(confusion) / np.maximum(confusion.sum(axis=1), 1)
     return {
-        "model": model.name,
-        "about": model.about,
-        "seeds": list(seeds),
-        "materials": names,
+        "model": model.name, "about": model.about, "seeds": list(seeds), "materials": names,
         "confusion": confusion.tolist(),
-        "class_accuracy": {
-            name: round(float(part), 4)
-            for name, part, row in zip(names, accuracy, confusion.sum(axis=1), strict=True)
-            if row
-        },
+        "class_accuracy": {name: round(float(part), 4) for name, part, row in
+                           zip(names, accuracy, confusion.sum(axis=1), strict=True) if row},
         "scenes": scenes,
         "all": {method: _summary(*map(np.concatenate, zip(*errors, strict=True))) for method, errors in every.items()},
-    }
+    }  # fmt: skip
 
 
 def rows(result):
