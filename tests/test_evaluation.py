@@ -1,4 +1,4 @@
-"""Learned maps evaluated in kelvin: known errors come out, tables and figures are written, mistakes are refused."""
+"""Evaluation of learned maps in kelvin: known errors are reproduced, tables and figures written, mistakes refused."""
 
 import dataclasses
 import functools
@@ -10,9 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-import thermorender.campaign
-from thermorender.campaign.dataset import Entry, ThermalScale, read_dataset
-from thermorender.campaign.dataset_writer import Writer, packed
+from thermorender.campaign.dataset import Entry, ThermalScale, Writer, packed, read_dataset
 from thermorender.campaign.map_inputs import inputs_of
 from thermorender.compare.evaluation import classes, figures, paired, report, similarity, sums
 from thermorender.compare.evaluation.estimators import LearnedMap
@@ -27,7 +25,7 @@ from thermorender.physics.planck import band_radiance, brightness_temperature
 
 SHAPE = (48, 64)
 MATERIALS = ["grass_green", "asphalt", "own_material"]
-BALANCE, REDRAWN = "heat balance of tables", "floor: hidden state drawn anew, over √2"
+BALANCE, REDRAWN = "heat balance of tables", "floor: hidden state redrawn, over √2"
 MEAN = "constant: mean of the training part"
 HIDDEN_K = 0.8
 
@@ -104,7 +102,7 @@ def scored(tmp_path_factory):
 # --- sums, intervals, similarity --------------------------------------------------------------------------------
 
 
-def test_sums_are_those_of_all_errors_together():
+def test_sums_of_parts_add_up_to_the_statistics_of_all_errors():
     rng = np.random.default_rng(1)
     error, group = rng.normal(1.5, 2.0, (30, 40)), rng.integers(0, 3, (30, 40))
     error[3, 4:9] = np.nan
@@ -119,7 +117,7 @@ def test_sums_are_those_of_all_errors_together():
     np.testing.assert_allclose(sums.row(error), rows.sum(axis=0))
 
 
-def test_interval_of_a_known_law():
+def test_interval_of_a_known_distribution():
     """Means of 400 independent clusters of 9 equal errors: ±1.96 σ/√400, whatever is inside a cluster."""
     error = np.repeat(np.random.default_rng(2).normal(0.5, 2.0, 400), 9)
     rows = np.stack([sums.row(one) for one in error])
@@ -138,7 +136,7 @@ def of_errors(absolute, pixels=100):
     return row
 
 
-def test_the_interval_of_a_difference_knows_that_pictures_are_the_same():
+def test_the_interval_of_a_difference_uses_that_pictures_are_the_same():
     rng = np.random.default_rng(5)
     common, own = rng.normal(9.0, 2.0, 400), rng.normal(0.25, 0.1, 400)
     cluster = np.arange(3600) // 9
@@ -157,7 +155,7 @@ def test_the_interval_of_a_difference_knows_that_pictures_are_the_same():
     assert paired.differences(rows[:, :0], [[0], [1]], cluster[:0]) == [([1], None, None)]
 
 
-def test_the_interval_of_a_difference_knows_how_seeds_scatter():
+def test_the_interval_of_a_difference_includes_the_scatter_of_seeds():
     """Pictures alike, so that seeds alone scatter: s √(1/3 + 1/3) of two methods with three seeds each."""
     first, other = np.array([1.0, 1.3, 1.6]), np.array([2.0, 2.3, 2.6])
     rows = of_errors(np.repeat([*first, *other], 50).reshape(6, 50))
@@ -167,7 +165,7 @@ def test_the_interval_of_a_difference_knows_how_seeds_scatter():
     assert high - low == pytest.approx(2 * 1.96 * first.std(ddof=1) * np.sqrt(2.0 / 3.0), rel=0.15)
 
 
-def test_maps_that_differ_in_their_seed_alone_stand_together():
+def test_maps_that_differ_only_in_their_seed_are_grouped():
     maps = [dataclasses.replace(linear_map(), about=about) for about in (
         {"seed": 0, "options": {"depth": True}}, {"seed": 0, "options": {"depth": False}},
         {"seed": 1, "options": {"depth": True}}, {}, {},
@@ -178,7 +176,7 @@ def test_maps_that_differ_in_their_seed_alone_stand_together():
     assert paired.kin([LearnedMap("m", maps[0]), LearnedMap("n", maps[0])]) == [[0], [1]]
 
 
-def test_few_sequences_are_drawn_by_parents():
+def test_parents_are_drawn_where_sequences_are_few():
     entries = [Entry(f"k{n}", "test", f"parent{n // 4}", f"flight{n % 2}", 0, SHAPE) for n in range(12)]
     number, what = sums.clusters(entries)
     assert what == "parents" and number.tolist() == [0] * 4 + [1] * 4 + [2] * 4
@@ -187,7 +185,7 @@ def test_few_sequences_are_drawn_by_parents():
     assert what == "sequences" and number.tolist() == [n // 2 for n in range(24)]
 
 
-def test_structural_similarity_by_direct_sum():
+def test_structural_similarity_equals_a_direct_sum():
     rng = np.random.default_rng(4)
     true = np.rint(rng.uniform(0, 255, (20, 23)))
     other = np.clip(true + np.rint(rng.normal(10, 30, true.shape)), 0, 255)
@@ -216,7 +214,7 @@ def test_structural_similarity_by_direct_sum():
     assert same["ssim"] == pytest.approx(1.0) and same["psnr_db"] is None
 
 
-def test_eight_bits_between_bounds():
+def test_eight_bit_values_are_clipped_between_bounds():
     shown = similarity.eight_bit(np.array([280.0, 290.0, 295.0, 310.0, 320.0, np.nan]), (290.0, 310.0))
     assert shown.tolist() == [0.0, 0.0, 64.0, 255.0, 255.0, 0.0]
 
@@ -241,7 +239,7 @@ def test_edges_are_two_pixels_around_a_step():
 # --- the whole --------------------------------------------------------------------------------------------------
 
 
-def test_errors_that_are_known(scored):
+def test_known_errors_are_reproduced(scored):
     """Errors planted per pixel: mean, mean absolute, deviation over all, per picture, material and group."""
     _, result, _ = scored
     found, error = result["methods"]["linear"], known_errors(range(4, 10))
@@ -267,7 +265,7 @@ def test_errors_that_are_known(scored):
     assert low < found["mae_k"] < high and result["drawn"] == "parents"
 
 
-def test_simple_methods(scored):
+def test_baselines_have_the_expected_errors(scored):
     _, result, _ = scored
     methods = result["methods"]
     true = {n: known_pair(n)[1][2:, 3:] for n in range(10)}
@@ -292,7 +290,7 @@ def test_simple_methods(scored):
     )
 
 
-def test_an_exact_map_errs_by_nothing(undrawn, tmp_path, monkeypatch):
+def test_an_exact_map_has_no_error(undrawn, tmp_path, monkeypatch):
     monkeypatch.setitem(globals(), "known_pair", lambda n, of=known_pair: _exact(*of(n)))
     dataset = make_dataset(tmp_path / "d", 4, 2)
     save_map(linear_map(), tmp_path / "m.npz")
@@ -304,7 +302,7 @@ def _exact(visible, temperature, error, material):
     return visible, temperature + error, 0.0 * error, material
 
 
-def test_what_is_written(scored):
+def test_tables_numbers_and_figures_are_written(scored):
     dataset, result, folder = scored
     written = json.loads((folder / "evaluation.json").read_text())
     assert written["methods"] == json.loads(json.dumps(result["methods"]))
@@ -321,7 +319,7 @@ def test_what_is_written(scored):
         assert {len(line) for line in lines} == {len(header)}
 
 
-def test_pictures_without_truth_of_an_assumed_range(undrawn, tmp_path):
+def test_pictures_without_truth_use_an_assumed_range(undrawn, tmp_path):
     writer = Writer(tmp_path / "d", {}, ThermalScale("intensity", 1 / 255, 0.0, (14.0, 24.0)))
     rng = np.random.default_rng(0)
     thermal = [rng.integers(0, 256, SHAPE).astype(np.uint8) for _ in range(3)]
@@ -342,8 +340,7 @@ def test_pictures_without_truth_of_an_assumed_range(undrawn, tmp_path):
     assert "not available" in (tmp_path / "o/evaluation.md").read_text()
 
 
-def test_maps_of_more_than_colour(undrawn, tmp_path, monkeypatch):
-    """The oracle alone is shown the material; the others what the card names."""
+def test_maps_get_the_inputs_that_the_card_names_and_only_the_oracle_the_material(undrawn, tmp_path, monkeypatch):
     seen = {}
 
     def predict(self, inputs, texel_m):
@@ -362,8 +359,8 @@ def test_maps_of_more_than_colour(undrawn, tmp_path, monkeypatch):
     assert result["methods"]["oracle b"]["knows"] == "the material"
 
 
-def test_pictures_of_other_programs(undrawn, tmp_path):
-    """Without a scale they are fitted first, which finds an affine map of the truth again; with one they are not."""
+def test_pictures_without_a_scale_are_fitted_and_others_are_not(undrawn, tmp_path):
+    """The fit recovers an affine function of the truth; bad or missing pictures are refused."""
     dataset = make_dataset(tmp_path / "d", 4, 2)
     for name in ("plain", "scaled"):
         (tmp_path / name).mkdir()
@@ -380,7 +377,7 @@ def test_pictures_of_other_programs(undrawn, tmp_path):
     with pytest.raises(ThermorenderError, match="has no picture of 1 of 2 pairs, the first 'p3'"):
         evaluate(dataset, ["fok-1to1"], tmp_path / "q", foreign=others)
     cv2.imwrite(str(tmp_path / "plain/p3.png"), np.zeros((4, 4), np.uint16))
-    with pytest.raises(ThermorenderError, match="p3.png is no grey picture of 64×48 pixels"):
+    with pytest.raises(ThermorenderError, match="p3.png is not a grey picture of 64×48 pixels"):
         evaluate(dataset, ["fok-1to1"], tmp_path / "q", foreign=others)
     for key in ("p2", "p3"):
         cv2.imwrite(str(tmp_path / f"plain/{key}.png"), np.full(SHAPE, 7, np.uint8))
@@ -389,7 +386,7 @@ def test_pictures_of_other_programs(undrawn, tmp_path):
     assert not (tmp_path / "q").exists()
 
 
-def test_the_command(undrawn, tmp_path, call, monkeypatch):
+def test_the_command_scores_the_given_split_and_part(undrawn, tmp_path, call, monkeypatch):
     make_dataset(tmp_path / "d", 4, 2)
     asked = []
 
@@ -397,7 +394,7 @@ def test_the_command(undrawn, tmp_path, call, monkeypatch):
         asked.append({entry.key: entry.part for entry in dataset.entries})
         return types.SimpleNamespace(lines=lambda: ["nothing leaks"], summary=lambda: {"siblings": 0.0})
 
-    monkeypatch.setattr(thermorender.compare.evaluation, "audit", audit)
+    monkeypatch.setattr("thermorender.compare.evaluation.evaluate.audit", audit)
     splits = types.SimpleNamespace(read_split=lambda path: {"p0": "validation", "p1": "train", "p3": "validation"})
     monkeypatch.setitem(sys.modules, "thermorender.campaign.splits", splits)
     status, out, err = call(
@@ -412,7 +409,7 @@ def test_the_command(undrawn, tmp_path, call, monkeypatch):
     assert asked == [{"p1": "train", "p0": "test"}] and result["seed"] == 7 and result["split"] == "given"
 
 
-def test_refusals(tmp_path, call):
+def test_mistakes_are_refused(tmp_path, call):
     dataset = make_dataset(tmp_path / "d", 3, 2)
     with pytest.raises(ThermorenderError, match="models is empty"):
         evaluate(dataset, [], tmp_path / "o")
@@ -432,6 +429,6 @@ def test_refusals(tmp_path, call):
     assert not (tmp_path / "o").exists()
 
 
-def test_error_against_the_share_of_training_data(tmp_path):
+def test_error_against_the_share_of_training_data_is_drawn(tmp_path):
     figures.against_share(tmp_path / "s.png", {"trees": [(1.0, 0.8), (0.1, 1.4), (0.01, 2.0)], "linear": [(1.0, 1.5)]})
     assert (tmp_path / "s.png").stat().st_size > 5000

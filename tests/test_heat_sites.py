@@ -52,7 +52,7 @@ def test_upwelling_longwave_becomes_a_temperature(tmp_path):
     assert measured(site, tmp_path).observed_k == pytest.approx(np.full(49, kelvin), abs=1e-4)
 
 
-def test_a_column_that_is_its_own_measurement_scores_nothing(tmp_path):
+def test_a_model_that_equals_the_measurement_has_no_error(tmp_path):
     text = 'cover = [["asphalt", 0.5], ["soil_loam", 0.5]]\nsurface = "surface_c"\n'
     site = site_of(tmp_path, text, surface_c=np.zeros(49))
     own = modelled(measured(site, tmp_path))
@@ -63,7 +63,7 @@ def test_a_column_that_is_its_own_measurement_scores_nothing(tmp_path):
     assert study["missing"] == []
 
 
-def test_a_mixed_cover_lies_between_its_parts(tmp_path):
+def test_the_temperature_of_a_mixed_cover_is_between_those_of_its_parts(tmp_path):
     parts = [
         modelled(measured(site_of(tmp_path, f'cover = {cover}\nsurface = "air_c"\n'), tmp_path))
         for cover in ('[["asphalt", 1.0]]', '[["grass_green", 1.0]]', '[["asphalt", 0.3], ["grass_green", 0.7]]')
@@ -71,7 +71,7 @@ def test_a_mixed_cover_lies_between_its_parts(tmp_path):
     assert (np.minimum(*parts[:2]) < parts[2]).all() and (parts[2] < np.maximum(*parts[:2])).all()
 
 
-def test_measured_soil_is_where_the_model_starts(tmp_path):
+def test_the_model_starts_from_measured_soil_temperatures(tmp_path):
     soil = 'soil = [[0.05, "a_c"], [1.0, "b_c"]]\n'
     text = 'cover = [["soil_loam", 1.0]]\nsurface = "air_c"\n' + soil
     warm, cold = (
@@ -90,7 +90,7 @@ def test_measured_soil_is_where_the_model_starts(tmp_path):
         ('cover = ["asphalt"]\nsurface = "air_c"\n', "a list of pairs"),
     ],
 )
-def test_a_site_that_cannot_be_is_refused(tmp_path, text, words):
+def test_an_inconsistent_site_is_refused(tmp_path, text, words):
     with pytest.raises(ThermorenderError, match=words):
         site_of(tmp_path, text)
 
@@ -103,18 +103,18 @@ def test_sensors_inside_the_cover_are_refused(tmp_path):
         modelled(found)
 
 
-def test_what_a_table_lacks_is_told(tmp_path):
+def test_missing_columns_tables_and_materials_are_refused(tmp_path):
     site = site_of(tmp_path, 'cover = [["asphalt", 1.0]]\nsurface = "ground_c"\n')
     with pytest.raises(ThermorenderError, match=r"made.csv has no column 'ground_c'; row 1 names time_utc, air_c"):
         measured(site, tmp_path)
-    with pytest.raises(ThermorenderError, match="made.csv does not exist; give the folder that holds made.csv"):
+    with pytest.raises(ThermorenderError, match="made.csv does not exist; give the folder of made.csv"):
         measured(site, tmp_path / "elsewhere")
     site = site_of(tmp_path, 'cover = [["asfalt", 1.0]]\nsurface = "air_c"\n')
-    with pytest.raises(ThermorenderError, match="site 'made': cover 'asfalt' is no material"):
+    with pytest.raises(ThermorenderError, match="site 'made': cover='asfalt' is not a material"):
         modelled(measured(site, tmp_path))
 
 
-def test_a_day_repeated_settles():
+def test_a_repeated_day_settles():
     """Columns of all kinds end a repeated day where they began it, to 0.1 K."""
     from thermorender.weather.named_day import named_day
 
@@ -131,7 +131,7 @@ def test_a_day_repeated_settles():
 
 
 @pytest.mark.parametrize("name", ["grass", "desert", "square", "lake"])
-def test_stated_figures_are_those_of_the_code(name):
+def test_stated_figures_agree_with_the_code(name):
     """Against `validation/heat/heat.json`, to its rounding and that of other processors' arithmetic."""
     stated = json.loads((SITES.parent / "heat.json").read_text())["sites"][name]["scores"]["balance"]
     site = next(site for site in read_sites(SITES) if site.name == name)
@@ -142,7 +142,7 @@ def test_stated_figures_are_those_of_the_code(name):
         assert scores[part]["mae"] == pytest.approx(stated[part]["mae"], abs=2e-3, nan_ok=True)
 
 
-def test_what_was_measured_is_read_as_the_weather_is(tmp_path):
+def test_measurements_are_read_like_the_weather(tmp_path):
     """−9999 is no temperature, and times may tell their offset."""
     surface = np.full(49, 20.0)
     surface[7] = -9999.0

@@ -12,7 +12,7 @@ from thermorender.errors import ThermorenderError
 FOCAL_PX = 765.0
 
 
-def test_the_vehicle_moves_as_the_closed_form_says():
+def test_the_vehicle_follows_the_closed_form():
     """dv/dt = (u − v)/τ + k (w − v) has v∞ = (u/τ + k w)/(1/τ + k) and decays at 1/τ + k."""
     command, wind = np.array([1.0, -0.5, -1.0]), np.array([4.0, 2.0, 0.0])
     start, velocity = np.array([3.0, 2.0, 40.0]), np.array([0.2, 0.0, 0.0])
@@ -26,7 +26,7 @@ def test_the_vehicle_moves_as_the_closed_form_says():
     assert pushed[0] == pytest.approx(0.1 * vehicle.MOST_M_S2, rel=0.01)
 
 
-def test_gusts_have_their_spread_and_correlation():
+def test_gusts_have_the_stated_spread_and_correlation():
     wind = vehicle.winds(np.array([6.0, 8.0]), 200_000, 1.0 / 9.0, np.random.default_rng(1))
     assert wind.mean(axis=0) == pytest.approx([6.0, 8.0, 0.0], abs=0.1)
     gust = wind[:, 0] - 6.0
@@ -45,7 +45,7 @@ def picture(spots, height_m, seed=0, shape=(256, 320)):
     return image.astype(np.uint16)
 
 
-def test_a_spot_is_locked_after_pictures_that_agree_followed_past_a_warmer_one_and_lost():
+def test_a_spot_is_locked_then_followed_past_a_warmer_one_and_lost():
     tracker = guidance.Tracker(FOCAL_PX, sites.MARKER_M)
     for step in range(guidance.AGREEING):
         assert not tracker.locked
@@ -61,14 +61,14 @@ def test_a_spot_is_locked_after_pictures_that_agree_followed_past_a_warmer_one_a
     assert not tracker.locked and tracker.at is None
 
 
-def test_noise_alone_is_not_locked():
+def test_the_tracker_does_not_lock_on_noise():
     tracker = guidance.Tracker(FOCAL_PX, sites.MARKER_M)
     for step in range(20):
         tracker.look(picture({}, 40.0, 100 + step), 40.0)
         assert not tracker.locked
 
 
-def test_steering_brings_the_vehicle_over_the_marker_against_wind():
+def test_steering_brings_the_vehicle_to_the_marker_against_wind():
     steering, span = guidance.Steering(np.zeros(2)), 1.0 / 9.0
     position, velocity, wind = np.array([6.0, -4.0, 40.0]), np.zeros(3), np.array([5.0, 3.0, 0.0])
     time_s = 0.0
@@ -80,15 +80,14 @@ def test_steering_brings_the_vehicle_over_the_marker_against_wind():
     assert steering.command(None, 20.0, span)[2] == 0.0
 
 
-def test_conditions_are_those_of_the_run_and_differ_between_runs():
+def test_conditions_are_reproducible_and_differ_between_runs():
     found = [sites.conditions_of(number) for number in range(104)]
     assert found[3] == sites.conditions_of(3) and len({each.contrast_k for each in found}) == 104
     assert Counter(each.world for each in found) == dict.fromkeys(range(sites.WORLDS), 13)
     assert all(2.0 <= each.contrast_k <= 40.0 and 1.0 <= each.noise <= 4.0 for each in found)
 
 
-@pytest.mark.slow
-def test_landings_are_paired_resumed_and_told(tmp_path):
+def test_landings_are_paired_resumed_and_summarised(tmp_path):
     small = {"heath": (48.0, 0.5, 1.0)}
     found = run.fly(tmp_path, ["fok-1to1"], 1, sizes=small, quality="fast", rays=8)
     assert [each["frames"] for each in found] == ["A", "B fok-1to1", "C fok-1to1"]
@@ -107,7 +106,7 @@ def test_landings_are_paired_resumed_and_told(tmp_path):
     assert (tmp_path / run.LOG).read_text() == lines
     told = run.write(found, tmp_path)
     assert told["A"]["near"] == 1.0 and len(run.rows(told)) == 3
-    with pytest.raises(ThermorenderError, match="holds landings of other settings"):
+    with pytest.raises(ThermorenderError, match="has landings of other settings"):
         run.fly(tmp_path, ["fok-1to1"], 1, sizes=small, quality="high", rays=8)
-    with pytest.raises(ThermorenderError, match="is told hour and weather"):
+    with pytest.raises(ThermorenderError, match="takes hour and weather as input"):
         run.fly(tmp_path, ["procedural-trees+"], 1)

@@ -599,13 +599,13 @@ def test_the_shipped_map_beats_simpler_methods_on_unseen_land(monkeypatch):
 
 
 def test_the_map_is_not_evaluated_on_what_it_was_trained_on():
-    with pytest.raises(ThermorenderError, match="seed 101 is one that 'procedural' was trained on; give another"):
+    with pytest.raises(ThermorenderError, match="seed=101 is a seed that .procedural. was trained on; give another"):
         validation.evaluate("procedural", (101,))
 
 
 def test_errors_of_temperature_are_those_of_grey_surfaces():
     temperature = np.array([[280.0, 300.0, 320.0]])
-    judge = validation._Judge([grey("black", 1.0), grey("grey", 0.9)], temperature, 250.0)
+    judge = validation._Errors([grey("black", 1.0), grey("grey", 0.9)], temperature, 250.0)
     truth = np.zeros((1, 3), int)
     _, emissivity, kelvin = judge(truth, *validation._pure(truth + 1))
     band = (7.5, 13.5)

@@ -385,7 +385,7 @@ def test_methods_that_the_data_set_does_not_allow(tmp_path):
 
 @pytest.mark.parametrize(
     ("vary", "words"),
-    [(("kind",), "pairs of one kind of land, which cannot be left out"),
+    [(("kind",), "a single kind of land, which cannot be left out"),
      (("shape",), "vary='shape' is unknown; give share, shift_px, kind")],
 )  # fmt: skip
 def test_what_cannot_be_varied_is_refused(tmp_path, vary, words):

@@ -335,5 +335,5 @@ def test_the_study_tells_errors_of_every_method():
     # At the trained instant nothing is moved.
     assert now["mae_k"]["moved"] == now["mae_k"]["unmoved"] == now["mae_k"]["offset"]
     assert later["mae_k"]["moved"] < later["mae_k"]["offset"] < later["mae_k"]["unmoved"]
-    with pytest.raises(ThermorenderError, match="case='noon' is not in this study; give one of 14 h, 15 h"):
+    with pytest.raises(ThermorenderError, match="case='noon' is not part of this study; give one of 14 h, 15 h"):
         study.run(cases=("noon",))

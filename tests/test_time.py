@@ -18,7 +18,7 @@ import trimesh
 
 import thermorender as tr
 from scenes import coarse, write_balance, write_mesh, write_terrain
-from thermorender.compare.referee.run import Flight, compare
+from thermorender.compare.referee.run import Flight, Options, compare
 from thermorender.errors import ThermorenderError
 from thermorender.output import timed
 from thermorender.output.day import day, instant_of, solar_midnight
@@ -531,7 +531,8 @@ def test_an_hour_that_changes_nothing_is_said(tmp_path, call):
 
 
 def test_a_balance_is_the_truth_of_a_comparison_without_a_raster(scene, path, tmp_path):
-    found = compare([Flight.of(scene, path, 0.01)], tmp_path / "c", ("fok-1to1",), rays=4, samples=1)
+    options = Options(settings={"rays": 4, "samples": 1})
+    found = compare([Flight.of(scene, path, 0.01)], tmp_path / "c", ("fok-1to1",), options)
     (told,) = found["scenes"]
     assert told["time"] == "2018-07-28T14:30:00Z" and told["weather"]["source"] == "named day"
     assert found["methods"]["C1 fok-1to1"]["errors"]["radiometric"]["ground"]["pixels"] > 0

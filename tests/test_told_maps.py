@@ -12,7 +12,7 @@ import trimesh
 
 import thermorender as tr
 from scenes import write_balance, write_mesh
-from thermorender.compare.referee.run import Flight, compare
+from thermorender.compare.referee.run import Flight, Options, compare
 from thermorender.errors import ThermorenderError
 from thermorender.learned.correlation import Correlation
 from thermorender.learned.linear import Linear, names_of_columns
@@ -294,13 +294,13 @@ def test_compare_takes_files_and_maps_that_are_told(tmp_path):
     plain = save(tmp_path / "plain.npz", Correlation(np.zeros((1, 1, 3)), 0.5))
     told = str(folder / "told.npz")
     flown = Flight.of(tr.load_scene(folder), path_of(0))
-    summary = compare([flown], tmp_path / "c", [str(plain), told], rays=4)
+    summary = compare([flown], tmp_path / "c", [str(plain), told], Options(settings={"rays": 4}))
     assert {"B plain", "C1 plain", "C1 told"} < set(summary["methods"]) and "B told" not in summary["methods"]
     assert summary["methods"]["C1 told"]["errors"]["radiometric"]["ground"]["mae_k"] < TOLERANCE_K
     assert summary["scenes"][0]["maps"]["C1 told"]["told"]["share_outside_0_1"] == 0.0
     shutil.copy(plain, tmp_path / "other.npz")
     with pytest.raises(ThermorenderError, match="two methods are called 'plain'; give maps"):
-        compare([flown], tmp_path / "e", [str(plain), str(tmp_path / "other.npz")], rays=4)
+        compare([flown], tmp_path / "e", [str(plain), str(tmp_path / "other.npz")], Options(settings={"rays": 4}))
     assert not (tmp_path / "e").exists()
 
 

@@ -1,4 +1,4 @@
-"""Trainings beside each other: what their logs tell, and what is refused."""
+"""Comparison of trainings: numbers from their logs, and refused folders."""
 
 import json
 
@@ -25,7 +25,7 @@ def write(folder, errors, crops=100, core_s=10.0, method="pix2pix", pairs=30):
     return folder
 
 
-def test_curves_and_what_they_have_come_to(tmp_path):
+def test_curves_best_errors_and_plateaus_are_read_from_logs(tmp_path):
     falling = write(tmp_path / "falling.run", [5.0, 4.0, 3.0, 2.0, 1.0])
     flat = write(tmp_path / "flat.run", [3.0, 2.0, 2.5, 2.2, 1.99], core_s=100.0)
     result = trainings.run([flat, falling])
@@ -42,12 +42,12 @@ def test_curves_and_what_they_have_come_to(tmp_path):
     assert not trainings.sentences(result)
 
 
-def test_ahead_is_less_error_at_a_tenth_of_the_time(tmp_path):
+def test_a_method_is_ahead_with_less_error_in_a_tenth_of_the_time(tmp_path):
     slow = write(tmp_path / "slow.run", [3.0, 2.0], core_s=100.0)
     # Within 20 core seconds 1.5 K; the slower one's best, 2 K, took 200.
     fast = write(tmp_path / "fast.run", [2.5, 1.5], method="compact")
     assert trainings.sentences(trainings.run([slow, fast])) == [
-        "compact is ahead of pix2pix by 0.50 K at least, at 1/10 of the core time that its best took"
+        "compact is ahead of pix2pix by at least 0.50 K, within 1/10 of the core time of its best error"
     ]
     # A second whose best is less, or one that came to its best sooner, is not beaten.
     for number, other in enumerate(([1.4], [1.9])):
@@ -55,14 +55,14 @@ def test_ahead_is_less_error_at_a_tenth_of_the_time(tmp_path):
         assert not trainings.sentences(trainings.run([slow, fast, more]))
 
 
-def test_the_verb_draws_curves_and_strips(tmp_path, call_module):
+def test_the_study_draws_curves_and_strips(tmp_path, call_module):
     run = write(tmp_path / "one.run", [5.0, 4.0, 3.0])
     status, out, err = call_module("validation.trainings", run, "-o", tmp_path / "o")
     assert status == 0 and "one" in out and "3.00" in out, err
     assert {path.name for path in (tmp_path / "o").iterdir()} == {"trainings.json", "curves.png", "strip_one.png"}
 
 
-def test_what_is_no_training_is_refused(tmp_path):
+def test_folders_without_comparable_trainings_are_refused(tmp_path):
     with pytest.raises(ThermorenderError, match="no training was given"):
         trainings.run([])
     with pytest.raises(ThermorenderError, match="is no folder of a training: it has no settings.json of one"):
@@ -71,11 +71,11 @@ def test_what_is_no_training_is_refused(tmp_path):
         (tmp_path / "settings.json").write_text(text, encoding="utf-8")
         with pytest.raises(ThermorenderError, match="is no folder of a training"):
             trainings.run([tmp_path])
-    with pytest.raises(ThermorenderError, match="holds a training without a whole epoch"):
+    with pytest.raises(ThermorenderError, match="has a training without a complete epoch"):
         trainings.run([write(tmp_path / "empty", [])])
     same = [write(tmp_path / name / "r.run", [1.0]) for name in "ab"]
     with pytest.raises(ThermorenderError, match="two trainings are called 'r'"):
         trainings.run(same)
     other = write(tmp_path / "other", [1.0], pairs=40)
-    with pytest.raises(ThermorenderError, match="on data sets of 30, 40 pairs, whose errors do not compare"):
+    with pytest.raises(ThermorenderError, match="used data sets of 30, 40 pairs, so their errors are not comparable"):
         trainings.run([same[0], other])

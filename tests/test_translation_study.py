@@ -1,4 +1,4 @@
-"""What translating costs and where tiles meet, of maps and pictures whose steps are known."""
+"""Cost of translation and steps at the borders of tiles, for maps and pictures with known steps."""
 
 from types import SimpleNamespace
 
@@ -28,7 +28,7 @@ def make_dataset(folder, shape, pairs=2):
     return folder
 
 
-def test_steps_at_the_lines_and_elsewhere():
+def test_steps_are_summed_at_borders_and_elsewhere():
     temperature = 290.0 + np.repeat([0.1 * np.arange(600)], 300, axis=0)
     temperature[:, 256:] += 3.0
     sums = translation._steps(temperature, (np.array([], int), np.array([256])))
@@ -40,8 +40,8 @@ def test_steps_at_the_lines_and_elsewhere():
     assert translation._steps(temperature, ((), np.array([256])))[0] == pytest.approx([299 * 3.1, 299])
 
 
-def test_tiles_have_faded_by_half_where_they_meet():
-    """Five tiles, each of which gives its own number: halfway between two numbers is where they meet."""
+def test_tiles_have_equal_weights_at_their_borders():
+    """Five tiles with one number each: the border is halfway between two numbers."""
     numbers = iter(range(100))
     length, side, overlap = 1000, 256, 64
     found = tiles.stitched(lambda part: np.full((1, *part.shape[1:]), float(next(numbers))),
@@ -54,7 +54,7 @@ def test_tiles_have_faded_by_half_where_they_meet():
     assert len(tiles.joints(256, 256, 64)) == 0
 
 
-def test_pictures_at_another_distance_meet_where_their_own_pixels_do():
+def test_borders_of_resampled_pictures_are_in_their_own_pixels():
     inputs = Inputs(picture(0, 600, 1000), 0.05)
     rows, columns = network("pix2pix").joints(inputs)
     # Applied at 0.1 m, the finest it knows: half as many pixels.
@@ -62,7 +62,7 @@ def test_pictures_at_another_distance_meet_where_their_own_pixels_do():
     assert rows == pytest.approx(2.0 * own[0]) and columns == pytest.approx(2.0 * own[1])
 
 
-def test_squares_of_known_temperatures():
+def test_steps_of_squares_of_known_temperatures():
     numbers = iter(range(4))
 
     def radiance(inputs):
@@ -75,7 +75,7 @@ def test_squares_of_known_temperatures():
     assert steps == pytest.approx(np.array([[512 * 3.0, 1024], [0.0, 2 * 512 * 510]]), abs=0.1)
 
 
-def test_costs_and_seams_of_maps(tmp_path):
+def test_costs_and_border_steps_of_maps_are_measured(tmp_path):
     save_map(map_of(network("pix2pix")), tmp_path / "p.npz")
     save_map(linear_map(), tmp_path / "l.npz")
     data = make_dataset(tmp_path / "d", (520, 640))
@@ -91,9 +91,9 @@ def test_costs_and_seams_of_maps(tmp_path):
                                                       for row in translation.rows(result))  # fmt: skip
 
 
-def test_what_cannot_be_measured_is_refused(tmp_path):
+def test_impossible_requests_are_refused(tmp_path):
     data = make_dataset(tmp_path / "d", (100, 120))
-    with pytest.raises(ThermorenderError, match="no test pairs of 640×512 or more"):
+    with pytest.raises(ThermorenderError, match="no test pairs of 640×512 pixels or more"):
         translation._pictures(data, 3)
     with pytest.raises(ThermorenderError, match="pictures=0 is not allowed"):
         translation.run(["fok-1to1"], data, pictures=0)

@@ -1,4 +1,4 @@
-"""The tools that measure: errors, fronts, unbiased references, run times."""
+"""Studies and their tools: errors, Pareto fronts, unbiased references, run times."""
 
 import json
 from dataclasses import replace
@@ -47,12 +47,12 @@ def small(scene, width=64, height=48):
     return scene.with_camera(camera)
 
 
-def test_no_error_between_identical_images():
+def test_identical_images_have_no_error():
     image = band_radiance(np.random.default_rng(0).uniform(280.0, 300.0, (20, 30)), *CAMERA.band_um)
     assert metrics.rms_mk(image, image, CAMERA) == 0.0 == metrics.rms_mk(image, image, CAMERA, 0.4)
 
 
-def test_an_error_reads_in_millikelvin():
+def test_errors_are_in_millikelvin():
     image = band_radiance(np.full((20, 30), 290.0), *CAMERA.band_um)
     warmer = band_radiance(np.full((20, 30), 290.1), *CAMERA.band_um)
     assert metrics.rms_mk(warmer, image, CAMERA) == pytest.approx(100.0, rel=2e-3)
@@ -60,7 +60,7 @@ def test_an_error_reads_in_millikelvin():
     assert metrics.rms_mk(warmer, image, CAMERA, 2.0) == pytest.approx(100.0, rel=2e-3)
 
 
-def test_the_lens_passes_what_diffraction_does_at_the_detector_s_limit():
+def test_the_gaussian_equals_diffraction_at_the_nyquist_frequency():
     sigma = metrics.optics_sigma_px(CAMERA)
     assert sigma == pytest.approx(0.363, abs=1e-3)
     # The finest stripes of a cosine series, 511/1024 of a cycle per pixel, keep their shape.
@@ -84,7 +84,7 @@ def test_squared_error_does_not_count_the_references_noise():
     assert ((image - first) ** 2).mean() > 100 * standard_error
 
 
-def test_front_of_settings_that_none_beats():
+def test_pareto_front_of_settings():
     points = [(2.0, 5.0), (1.0, 9.0), (3.0, 6.0), (4.0, 1.0), (1.0, 8.0), (5.0, 1.0)]
     assert pareto(points) == [4, 0, 3]
     assert pareto([]) == []
@@ -102,7 +102,7 @@ def test_synthetic_terrain_has_the_triangles_asked_for(asked, made):
         terrain(4)
 
 
-def test_converged_image_shows_what_the_renderer_does():
+def test_converged_image_agrees_with_the_renderer():
     scene = small(terrain(200))
     scene = scene.with_camera(replace(scene.camera, principal_offset_px=(3.3, -2.7)))
     pose = bench.views(scene)["oblique"]
@@ -114,7 +114,7 @@ def test_converged_image_shows_what_the_renderer_does():
         assert error < 0.1 * metrics.rms_mk(np.roll(image, 1, axis), finest, scene.camera)
 
 
-def test_bench_tells_finite_numbers(tmp_path, monkeypatch):
+def test_bench_returns_finite_numbers(tmp_path, monkeypatch):
     monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path))
     monkeypatch.setattr(cache, "WORTH_RAYS", 1)
     result = bench.bench((small(terrain(200)),), repeats=2, settings=(("one", {"samples": 1, "rays": 4}),))
@@ -134,8 +134,8 @@ def test_bench_tells_finite_numbers(tmp_path, monkeypatch):
     assert "200 triangles" in bench.costs(result)[0]
 
 
-def test_bench_refuses_nothing_to_measure():
-    with pytest.raises(ThermorenderError, match=r"there is no scene to measure; give a scene, or triangles=…"):
+def test_bench_refuses_an_empty_list_of_scenes():
+    with pytest.raises(ThermorenderError, match="there is no scene to measure; give a scene folder or the name of a"):
         bench.bench(())
     with pytest.raises(ThermorenderError, match=r"repeats=0 is not allowed; give 1 or more"):
         bench.bench((terrain(8),), repeats=0)
@@ -160,7 +160,7 @@ def seen_through(loop, point, normal):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("emissivity", [0.5, 0.1])
-def test_open_cavity_against_the_closed_form_of_its_polyhedron(emissivity):
+def test_open_cavity_agrees_with_the_closed_form_of_its_polyhedron(emissivity):
     import trimesh
 
     rays = 4096
@@ -203,8 +203,7 @@ def test_open_cavity_against_the_closed_form_of_its_polyhedron(emissivity):
     assert seen > 150 and abs(found["mean_mk"] - own) < 3.0 * error < 9.0
 
 
-@pytest.mark.slow
-def test_convergence_measures_what_is_missing_only(tmp_path, monkeypatch):
+def test_convergence_measures_missing_cases_only(tmp_path, monkeypatch):
     monkeypatch.setattr(convergence, "QUALITIES", {"standard": (1, 4, np.inf)})
     engine = "stock direct, BSDF samples"
     sampling, rays = ((1, 1, np.inf),), (4,)
@@ -224,7 +223,7 @@ def test_convergence_measures_what_is_missing_only(tmp_path, monkeypatch):
     assert (tmp_path / "figures" / f"convergence_{scene.name}.png").stat().st_size > 5000
     monkeypatch.setattr(convergence._Site, "measure", lambda *_, **__: pytest.fail("measured a case that was there"))
     assert convergence.convergence((scene,), tmp_path, mode=mode) == first
-    with pytest.raises(ThermorenderError, match=r"convergence.json holds cases of other settings; give another folder"):
+    with pytest.raises(ThermorenderError, match=r"convergence.json has cases of other settings; give another folder"):
         convergence.convergence((scene,), tmp_path, mode=replace(mode, reference_paths=8))
     (tmp_path / "convergence.json").write_text("{", encoding="utf-8")
     with pytest.raises(ThermorenderError, match=r"convergence.json is damaged"):
@@ -233,34 +232,32 @@ def test_convergence_measures_what_is_missing_only(tmp_path, monkeypatch):
         convergence.convergence((), tmp_path, mode="slow")
 
 
-@pytest.mark.slow
-def test_growth_measures_each_axis_in_a_process_of_its_own(tmp_path):
+def test_growth_measures_each_case_in_a_separate_process(tmp_path):
     base, axes = (200, 16, 2), {"triangles": (200,), "texels": (16,), "nodes": (1, 4)}
     cases = growth.run(tmp_path, axes, base)
     assert [case["nodes"] for case in cases.values()] == [2, 2, 1, 4]
     assert all(case["bake_s"] > 0.0 and case["frame_ms"] > 0.0 for case in cases.values())
     assert len(growth.rows(cases)) == 4 and (tmp_path / "growth.png").stat().st_size > 5000
-    # What is there is not measured again.
+    # Existing cases are not measured again.
     path = tmp_path / "growth.json"
     path.write_text(path.read_text().replace('"bake_s": ', '"bake_s": 1e9, "was": '))
     assert all(case["bake_s"] == 1e9 for case in growth.run(tmp_path, axes, base).values())
 
 
 @pytest.mark.parametrize("text", ["{", "[1]", '{"cases": 3}', "\0"])
-def test_kept_cases_that_are_damaged_are_told(tmp_path, text):
+def test_damaged_cases_are_refused(tmp_path, text):
     for name, run in (("growth", growth.run), ("budget", study.run)):
         (tmp_path / f"{name}.json").write_text(text)
         with pytest.raises(ThermorenderError, match=f"{name}.json is damaged; remove it, or give another folder"):
             run(tmp_path)
 
 
-@pytest.mark.slow
-def test_stated_errors_are_held_against_finer_frames(tmp_path, monkeypatch):
+def test_stated_errors_are_compared_with_finer_frames(tmp_path, monkeypatch):
     folder = write_terrain(tmp_path / "tiny", height=np.random.default_rng(1).uniform(0, 1, (32, 32)))
     monkeypatch.setattr(study.scenes, "CHOSEN", ((12, -90),))
     monkeypatch.setattr(study.scenes, "HEIGHTS_M", (20.0, 60.0))
     monkeypatch.setattr(study.scenes, "made", lambda seed: [])
-    found = study.run(tmp_path / "out", scenes=(str(folder),), drawn=2)
+    found = study.run(tmp_path / "out", scene_names=(str(folder),), drawn=2)
     assert [(case["drawn"], case["quality"]) for case in found.values()] == [
         (False, "standard"), (False, "high"), (True, "standard"), (True, "standard")
     ]  # fmt: skip
@@ -268,12 +265,12 @@ def test_stated_errors_are_held_against_finer_frames(tmp_path, monkeypatch):
     assert 0.0 < fine["true_mk"] < plain["true_mk"] < 3.0 * plain["stated_mk"] and plain["pixels"] > 1000
     assert (tmp_path / "out/budget.png").stat().st_size > 5000 and len(study.rows(found)) == 2
     assert study.summary(found)["views"] == 2
-    # What is there is not measured again.
+    # Existing cases are not measured again.
     monkeypatch.setattr(study, "converged", lambda *_: pytest.fail("measured a view that was there"))
-    assert study.run(tmp_path / "out", scenes=(str(folder),), drawn=2) == found
+    assert study.run(tmp_path / "out", scene_names=(str(folder),), drawn=2) == found
 
 
-def test_made_scenes_are_what_they_are_called():
+def test_made_scenes_match_their_names():
     scenes = {scene.name: (scene, views) for scene, views in made()}
     assert set(scenes) == {"random texels", "brass checker", "fire specks", "posts of 4 cm"}
     camera = scenes["random texels"][0].camera
@@ -287,8 +284,7 @@ def test_made_scenes_are_what_they_are_called():
 # --- the verbs --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-def test_air_s_channels_err_by_less_than_planned(tmp_path, monkeypatch):
+def test_errors_of_air_channels_are_below_the_plan(tmp_path, monkeypatch):
     scene = small(terrain(200))
     run = air.run
     monkeypatch.setattr("thermorender.scene.load.load_scene", lambda name: scene)
@@ -325,7 +321,7 @@ def test_air_s_channels_err_by_less_than_planned(tmp_path, monkeypatch):
         (["emissivity", "--seeds", "7, 8"], emissivity, "evaluate", ("procedural", [7, 8])),
     ],
 )  # fmt: skip
-def test_verbs_hand_on_what_was_asked(tmp_path, monkeypatch, verb, module, function, expected):
+def test_studies_receive_their_command_line_options(tmp_path, monkeypatch, verb, module, function, expected):
     asked = []
 
     def stand_in(*arguments, **keywords):
@@ -338,14 +334,14 @@ def test_verbs_hand_on_what_was_asked(tmp_path, monkeypatch, verb, module, funct
     monkeypatch.setattr(emissivity, "write_confusion", lambda result, path: path.write_text(""))
     done = study_command(*verb, "-o", str(tmp_path))
     assert done.exit_code == 0 and str(tmp_path) in "".join(done.output.split())
-    told = tuple(item for item in asked if not callable(item))
-    # Of scenes and files the name.
-    told = tuple([getattr(one, "name", one) for one in item] if isinstance(item, list) else item for item in told)
-    told = tuple(item.name if isinstance(item, Scene) else item for item in told)
-    assert told == tuple(tmp_path if item == "OUT" else item for item in expected)
+    given = tuple(item for item in asked if not callable(item))
+    # Scenes and files by their names.
+    given = tuple([getattr(one, "name", one) for one in item] if isinstance(item, list) else item for item in given)
+    given = tuple(item.name if isinstance(item, Scene) else item for item in given)
+    assert given == tuple(tmp_path if item == "OUT" else item for item in expected)
 
 
-def test_bench_verb_writes_what_it_measured(tmp_path, monkeypatch):
+def test_bench_command_writes_its_result(tmp_path, monkeypatch):
     run = bench.bench
     few = {"settings": (("one", {"samples": 1, "rays": 4}),)}
     monkeypatch.setattr(bench, "bench", lambda *arguments, **keywords: run(*arguments, **keywords, **few))

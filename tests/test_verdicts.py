@@ -1,4 +1,4 @@
-"""The page of every study: cases are read from results, judged, and told."""
+"""The page of all studies: cases are read from results and get a verdict."""
 
 import json
 from pathlib import Path
@@ -21,7 +21,7 @@ SHIPPED = Path(__file__).parents[1] / "validation"
     [(1.0, 0.0, True), (1.5, 0.5, True), (0.4, 0.5, False), (1.1, 0.0, False), (np.nan, 1.0, False),
      (np.inf, 1.0, False)],
 )  # fmt: skip
-def test_a_case_holds_where_its_error_is_allowed(found, allowed, holds):
+def test_a_case_holds_if_its_error_is_within_the_tolerance(found, allowed, holds):
     assert Verdict("a scene", "a source", 1.0, found, allowed, None).holds == holds
 
 
@@ -32,11 +32,11 @@ def stability(folder, found_k, raised=None):
     (folder / "stability/stability.json").write_text(json.dumps({"cases": [case], "machine": None}))
 
 
-def test_the_page_tells_what_fails_and_what_was_not_run(tmp_path):
+def test_the_page_shows_failures_and_studies_without_results(tmp_path):
     stability(tmp_path, 290.01)
-    told = rows(write_page(tmp_path))
-    assert told[0] == ("stability", "1", "0", "10.00", "0.5")
-    assert all(row[1] == "not run" for row in told[1:])
+    summary = rows(write_page(tmp_path))
+    assert summary[0] == ("stability", "1", "0", "10.00", "0.5")
+    assert all(row[1] == "not run" for row in summary[1:])
     page = (tmp_path / PAGE).read_text()
     assert "does not hold" in page and "class=grave" in page and "<b>wall" not in page
     stability(tmp_path, 290.0005)
@@ -45,7 +45,7 @@ def test_the_page_tells_what_fails_and_what_was_not_run(tmp_path):
     assert rows(write_page(tmp_path))[0][2:4] == ("0", "nan")
 
 
-def test_a_result_of_something_else_is_refused(tmp_path):
+def test_a_file_that_is_not_a_result_is_refused(tmp_path):
     (tmp_path / "heat").mkdir()
     (tmp_path / "heat/heat.json").write_text('{"sites": 3}')
     with pytest.raises(ThermorenderError, match=r"heat\.json is not a result of `python -m validation.heat`"):
@@ -53,7 +53,7 @@ def test_a_result_of_something_else_is_refused(tmp_path):
 
 
 def test_shipped_results_are_read_with_their_figures():
-    """Of every study that has results in the repository, with verdicts where it expects something."""
+    """Every study with results in the repository has verdicts if it has expected values."""
     found = {study.name: verdicts for study, verdicts, _ in gathered(SHIPPED)}
     assert set(found) == {study.name for study in STUDIES}
     for study in STUDIES:
@@ -65,7 +65,7 @@ def test_shipped_results_are_read_with_their_figures():
     assert night.found_k == stated["scores"]["balance"]["night"]["mae"] and night.tolerance_k == stated["aim_k"][1]
 
 
-def test_the_page_runs_what_is_missing(tmp_path, monkeypatch):
+def test_the_page_runs_studies_without_results(tmp_path, monkeypatch):
     from validation import __main__ as runner
 
     ran = []

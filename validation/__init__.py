@@ -1,1 +1,1 @@
-"""Studies that prove the shipped code, each beside its results: `python -m validation` makes the page of verdicts."""
+"""Studies that validate the shipped code, with their results: `python -m validation` makes the page of verdicts."""

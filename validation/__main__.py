@@ -1,4 +1,4 @@
-"""`python -m validation`: every study that is missing, then one page of verdicts."""
+"""Run the studies without results, then write one page of verdicts: `python -m validation`."""
 
 from contextlib import suppress
 from functools import partial
@@ -18,23 +18,23 @@ from validation.verdicts import gathered
 
 def main(
     output: Annotated[
-        Path, typer.Option("-o", "--output", help="Folder of all results; what it holds is not run again.")
+        Path, typer.Option("-o", "--output", help="Folder of all results; studies with results are not run again.")
     ] = Path("validation"),
     data: Annotated[Path | None, typer.Option(help="Folder of measured tables, for heat.")] = None,
     dataset: Annotated[Path | None, typer.Option(help="Folder of a data set, for maps.")] = None,
 ):
-    """Run the studies that have no results yet, and write one page of verdicts; status 1 where a case fails."""
+    """Run the studies without results, and write one page of verdicts; the status is 1 if a case fails."""
     files.check_output_folder(output)
     needs = {"heat": data, "maps": dataset}
     failed = []
     for study, verdicts, _ in gathered(output):
-        # A study without what it needs is left out, and the page says so.
+        # A study without its data is left out; the page says so.
         if not study.runs or needs.get(study.name, True) is None or not (verdicts is None or study.continues):
             continue
         typer.echo(f"{study.name}: {study.title}")
         job = import_module(f"{study.module}.__main__").main
         job = partial(job, needs[study.name]) if study.name in needs else job
-        # A study ends with a status where a case fails; the others run all the same.
+        # A study exits with a status if a case fails; the others still run.
         with suppress(typer.Exit):
             try:
                 job(output=output / Path(study.result).parent)

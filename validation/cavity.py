@@ -1,4 +1,4 @@
-"""Cavities whose radiance is known in closed form, as the renderer sees them."""
+"""Rendered cavities whose radiance is known in closed form."""
 
 from functools import partial
 
@@ -13,7 +13,7 @@ from validation.made_scenes import in_memory
 
 
 def cases(emissivities, rays_per_face, device):
-    """Yield (name, function that measures it) of cavities, closed and with a tenth of their wall missing."""
+    """Yield (name, function that measures it) of closed cavities and of cavities with an opening of a tenth."""
     for share in (0.0, 0.1):
         for emissivity in emissivities:
             for rays in rays_per_face:
@@ -22,11 +22,11 @@ def cases(emissivities, rays_per_face, device):
 
 
 def measure(setting, share, emissivity, rays, device):
-    """Return {scene, setting, mean_mk, error_mk} of a spherical cavity with a hole at its top, seen from its middle.
+    """Return {scene, setting, mean_mk, error_mk} of a spherical cavity with a hole at its top, seen from its centre.
 
     Notes
     -----
-    All of a sphere sees all of it alike: with a share s of its area open to a sky of radiance S, its wall of
+    Every point of a sphere sees all others equally. With a share s of the area open to a sky of radiance S, a wall of
     emissivity ε and blackbody radiance B receives x = ((1−s) ε B + s S) / (1 − (1−ε)(1−s)) everywhere.
     """
     import trimesh
@@ -34,7 +34,7 @@ def measure(setting, share, emissivity, rays, device):
     ball = trimesh.creation.icosphere(subdivisions=4)
     ball.invert()
     whole = ball.area
-    # The hole's edge is jagged; what counts is the area that is missing.
+    # The hole has a jagged edge, so its area is measured.
     ball.update_faces(ball.triangles_center[:, 2] < (1.0 - 2.0 * share if share else 2.0))
     ball.remove_unreferenced_vertices()
     s = 1.0 - ball.area / whole

@@ -1,4 +1,4 @@
-"""Results of a study that was stopped, to continue from."""
+"""Earlier results of a study that continues."""
 
 import json
 
@@ -7,7 +7,7 @@ from thermorender.errors import ThermorenderError
 
 
 def kept_cases(path):
-    """Return the cases {name: record} that a study's JSON file holds, none where there is no file.
+    """Return the cases {name: record} of a study's JSON file; empty without a file.
 
     Raises
     ------

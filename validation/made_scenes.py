@@ -1,4 +1,4 @@
-"""Scenes made in memory for studies and tests: any surfaces, and a rough terrain of a given size."""
+"""Scenes in memory for studies and tests: from any surfaces, and a rough terrain of a given size."""
 
 from pathlib import Path
 
@@ -14,14 +14,14 @@ from thermorender.sensor.camera import load_camera
 
 
 def terrain(triangles, texels=None, seed=0, side_m=400.0):
-    """Return a Scene of a rough terrain made in memory.
+    """Return a Scene of a rough terrain in memory.
 
     Parameters
     ----------
     triangles : int
-        About how many; exact where half of it is a square number, as for 2 million.
+        Approximate number of triangles; exact if half of it is a square number, as for 2 million.
     texels : int, optional
-        Texels along each side; two per cell where None.
+        Texels along each side; two per cell by default.
     seed : int
     side_m : float
         Side of the terrain [m].
@@ -71,7 +71,7 @@ def terrain(triangles, texels=None, seed=0, side_m=400.0):
 
 
 def in_memory(name, surfaces, materials, sky=260.0, surroundings=None, camera=defaults.CAMERA, terrain_count=None):
-    """Return the Scene of surfaces made in memory: no files, no position on Earth, no objects."""
+    """Return a Scene of surfaces in memory, without files, a position on Earth or objects."""
     spec = SceneSpec(
         folder=Path(name), title=name,
         terrain=TerrainSpec(None, None, None, "ellipsoid", None),
@@ -84,7 +84,7 @@ def in_memory(name, surfaces, materials, sky=260.0, surroundings=None, camera=de
 
 
 def _noise(rng, shape, fall):
-    """Gaussian noise (h, w) of unit variance whose amplitude falls as frequency^−fall."""
+    """Return Gaussian noise (h, w) of unit variance whose amplitude falls as frequency^−fall."""
     along, across = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])
     frequency = np.hypot(along, across)
     frequency[0, 0] = np.inf

@@ -1,4 +1,4 @@
-"""One page of every study: what holds, what does not, and the figures."""
+"""One page of all studies: verdicts and figures."""
 
 import math
 from pathlib import Path
@@ -8,54 +8,54 @@ from thermorender.compare.html import document, figure, table, text
 from validation.verdicts import gathered
 
 PAGE = "index.html"
-HEADER = ("study", "cases", "hold", "largest error by what is allowed", "longest case [s]")
+HEADER = ("study", "cases", "hold", "largest error over tolerance", "longest case [s]")
 
 
 def write_page(folder):
-    """Write `index.html` of a folder's results; return what `gathered` found.
+    """Write `index.html` of a folder's results; return them as `gathered` does.
 
     Parameters
     ----------
     folder : Path
-        As of `verdicts.gathered`.
+        As in `verdicts.gathered`.
     """
-    told = gathered(folder)
+    results = gathered(folder)
     head = ("study", "", *HEADER[1:])
     lines = [((study.name, study.title, *cells), verdicts is not None and not all(each.holds for each in verdicts))
-             for (study, verdicts, _), (_, *cells) in zip(told, rows(told), strict=True)]  # fmt: skip
+             for (study, verdicts, _), (_, *cells) in zip(results, rows(results), strict=True)]  # fmt: skip
     words = (
-        "Every case says what it is held against, such as a closed form, a measurement or path tracing, and how much "
-        "is allowed: a bound, an aim, or what the renderer states of its own error. It holds where the error is no "
-        "more than that. Studies without an expected value have figures only."
+        "Every case names the source of its expected value, such as a closed form, a measurement or path tracing, and "
+        "its tolerance: a bound, an aim, or the renderer's own estimate of its error. A case holds if its error is not "
+        "larger than the tolerance. Studies without an expected value have figures only."
     )
     parts = ["<h1>Validation</h1>", f"<p class=note>{text(words)}</p>", table(head, lines, (1,))]
-    for study, verdicts, machine in told:
+    for study, verdicts, machine in results:
         if verdicts is not None:
             parts += _section(folder, study, verdicts, machine)
     formats.write_text(Path(folder) / PAGE, document("Validation of thermorender", parts))
-    return told
+    return results
 
 
-def rows(told):
+def rows(results):
     """Return the summary as table rows of text under HEADER."""
-    made = []
-    for study, verdicts, _ in told:
+    found = []
+    for study, verdicts, _ in results:
         if not verdicts:
-            made.append((study.name, "not run" if verdicts is None else "figures", "", "", ""))
+            found.append((study.name, "not run" if verdicts is None else "figures", "", "", ""))
             continue
         shares = [each.share for each in verdicts]
         worst = math.nan if any(math.isnan(share) for share in shares) else max(shares)
         seconds = [each.seconds for each in verdicts if each.seconds is not None]
-        made.append((study.name, str(len(verdicts)), str(sum(each.holds for each in verdicts)), f"{worst:.2f}",
-                     f"{max(seconds):.2g}" if seconds else ""))  # fmt: skip
-    return made
+        found.append((study.name, str(len(verdicts)), str(sum(each.holds for each in verdicts)), f"{worst:.2f}",
+                      f"{max(seconds):.2g}" if seconds else ""))  # fmt: skip
+    return found
 
 
 def _section(folder, study, verdicts, machine):
     parts = [f"<h2 id='{text(study.name)}'>{text(study.title)}</h2>",
              f"<p class=note>python -m {text(study.module)}{text(_on(machine))}</p>"]  # fmt: skip
     if verdicts:
-        head = ("case", "held against", "expected [K]", "found [K]", "error [K]", "allowed [K]", "verdict", "time [s]")
+        head = ("case", "source", "expected [K]", "found [K]", "error [K]", "tolerance [K]", "verdict", "time [s]")
         lines = [((each.scene, each.source, f"{each.expected_k:.6g}", f"{each.found_k:.6g}",
                    f"{abs(each.found_k - each.expected_k):.2g}", f"{each.tolerance_k:.2g}",
                    "holds" if each.holds else "does not hold", "" if each.seconds is None else f"{each.seconds:.3g}"),

@@ -1,7 +1,7 @@
-"""What every study of the folder `validation` comes to: each case's scene, source, expected value, tolerance, verdict.
+"""Verdicts of all studies: each case has a scene, a source, an expected value, a tolerance, a verdict and a run time.
 
-A study writes its numbers as JSON; here stands how its cases are read from them. A later study joins by a line in
-`STUDIES`. Cases are in kelvin and hold where what was found differs from what is expected by no more than is allowed.
+A study writes its numbers as JSON; the functions below read its cases from them. A new study needs a line in `STUDIES`.
+Values are in kelvin. A case holds if the found value differs from the expected one by no more than the tolerance.
 Studies without an expected value, such as those of cost or of learned maps, have figures only.
 """
 
@@ -23,12 +23,14 @@ class Verdict:
 
     Attributes
     ----------
-    scene, source : str
-        What is looked at, and what it is held against.
+    scene : str
+        The case in words.
+    source : str
+        Source of the expected value.
     expected_k, found_k, tolerance_k : float
         [K]
     seconds : float or None
-        Run time of the setting that is judged [s].
+        Run time of the case [s].
     """
 
     scene: str
@@ -40,19 +42,19 @@ class Verdict:
 
     @property
     def share(self):
-        """The error by what is allowed; above 1 the case does not hold, and NaN where nothing was found."""
+        """Error over tolerance; above 1 the case does not hold. NaN if there is no found value."""
         error = abs(self.found_k - self.expected_k)
         return error / self.tolerance_k if self.tolerance_k else (0.0 if error == 0.0 else float("inf"))
 
     @property
     def holds(self):
-        """Whether the case holds; what was not found does not."""
+        """Whether the case holds; a case without a found value does not."""
         return self.share <= 1.0
 
 
 @dataclass(frozen=True)
 class Study:
-    """A study and where its results lie in the folder.
+    """A study and the paths of its results in the folder.
 
     Attributes
     ----------
@@ -61,15 +63,15 @@ class Study:
         The package whose `__main__` runs it: `python -m MODULE`.
     title : str
     result : str
-        Path of its JSON in the folder.
+        Path of its JSON.
     figures : tuple of str
-        Paths or patterns of PNGs there.
+        Paths or patterns of its PNGs.
     read : callable or None
-        (result) → list of Verdict; None where nothing is expected.
+        (result) → list of Verdict; None without expected values.
     runs : bool
-        Whether the page runs it where it is missing; False where it needs what the user names, or hours.
+        Whether `python -m validation` runs it if it has no results; False if it needs further arguments, or hours.
     continues : bool
-        Whether its command continues what is there, and costs little where nothing is missing.
+        Whether its command continues earlier results, and is fast if none are missing.
     """
 
     name: str
@@ -82,19 +84,20 @@ class Study:
     continues: bool = False
 
 
-# What the cases of stability are held against, by their group.
-_AGAINST = {"faults": "the same work undisturbed, counts of what is wrong", "precision": "the same code in double"}
+# Sources of the expected values of stability, by group.
+_SOURCES = {"faults": "the same work undisturbed, counts of deviations", "precision": "the same code in double"}
 
 
 def _stability(found):
+    """Cases at the edge; the tolerance is that of each case."""
     return [Verdict(f"{each['group']}: {each['name']}",
-                    _AGAINST.get(each["group"], "closed form or limit, each stated in its code"),
+                    _SOURCES.get(each["group"], "closed form or limit, stated in the case's code"),
                     each["expected_k"], float("nan") if each["raised"] else each["found_k"], each["tolerance_k"],
                     each["seconds"]) for each in found["cases"]]  # fmt: skip
 
 
 def _convergence(found):
-    """Frames of the qualities by name, against path tracing; allowed is what each frame states of its own error."""
+    """Frames of the named qualities against path tracing; the tolerance is each frame's own error estimate."""
     presets = ("(fast)", "(standard)", "(high)")
     return [Verdict(f"{each['scene']}, {each['view']}, {each['setting']}", "path tracing by stock Mitsuba, RMS", 0.0,
                     _MK * each["error_mk"], _MK * each["budget_mk"], each["seconds"])
@@ -104,43 +107,43 @@ def _convergence(found):
 
 
 def _air(found):
-    """Channels of the air against every node of its table; allowed is what the plan states."""
+    """Channels of the air against every node of its table; the tolerance is the plan's estimate."""
     return [Verdict(f"{found['scene']}, {each['height_m']:g} m, {each['view']}, {each['nodes']} nodes",
                     "all nodes of the table, RMS of a frame", 0.0, _MK * each["error_mk"],
                     _MK * each["planned_mk"], _MK * each["frame_ms"]) for each in found["cases"]]  # fmt: skip
 
 
 def _sensor(found):
-    """Lag as a flight follows it, the first setting of each motion; allowed is what the frame states."""
-    told = []
+    """Lag as a flight models it, the first setting of each motion; the tolerance is the frame's own estimate."""
+    verdicts = []
     for motion, cases in found["lag"].items():
         used = next((each for each in cases if each["estimate_mk"] is not None), None)
         if used is None:
             continue
-        told.append(Verdict(f"{found['camera']}, {motion}, {used['renders']} renders",
-                            "64 renders in a time constant, RMS of a frame", 0.0, _MK * used["all_mk"],
-                            _MK * used["estimate_mk"], _MK * used["ms"]))  # fmt: skip
-    return told
+        verdicts.append(Verdict(f"{found['camera']}, {motion}, {used['renders']} renders",
+                                "64 renders per time constant, RMS of a frame", 0.0, _MK * used["all_mk"],
+                                _MK * used["estimate_mk"], _MK * used["ms"]))  # fmt: skip
+    return verdicts
 
 
 def _heat(found):
-    """Mean absolute errors of the heat balance by day and by night; allowed is what was aimed at."""
+    """Mean absolute errors of the heat balance by day and by night; the tolerance is the aim."""
     return [Verdict(f"{site['title']}, {part}", "measured surface temperature, mean absolute error", 0.0,
                     site["scores"]["balance"][part]["mae"], aim, site["seconds"])
             for site in found["sites"].values() if site["aim_k"]
             for part, aim in zip(("day", "night"), site["aim_k"], strict=True)
-            # A site may have no night, or not have been measured by night.
+            # A site may have no night, or no measurements at night.
             if np.isfinite(site["scores"]["balance"].get(part, {}).get("mae", np.nan))]  # fmt: skip
 
 
 def _moved(found):
-    """Maps moved to another hour; allowed is the standard deviation that is stated of them."""
+    """Maps moved to another hour; the tolerance is their stated standard deviation."""
     return [Verdict(name, "truth of procedural scenes, mean absolute error", 0.0, each["mae_k"]["moved"],
                     each["stated_k"], None) for name, each in found["all"].items()]  # fmt: skip
 
 
 def _budget(found):
-    """Frames of the chosen views against 256 rays per pixel; allowed is what each states of its sampling error."""
+    """Frames of the chosen views against 256 rays per pixel; the tolerance is each frame's own estimate."""
     source = "256 rays per pixel of the same light, RMS"
     return [Verdict(f"{each['scene']}, {each['view']}, {each['quality']}", source, 0.0, _MK * each["true_mk"],
                     _MK * each["stated_mk"], _MK * each["frame_ms"])
@@ -148,14 +151,14 @@ def _budget(found):
 
 
 def _fuzz(found):
-    """Damaged files by reader; allowed is no fault: no foreign error, number that is not finite, hanging or crash."""
-    told = []
+    """Damaged files by reader; no fault is allowed: no foreign error, non-finite number, hanging or crash."""
+    verdicts = []
     for reader, of in found["counts"].items():
         ends = sum(count for kind, count in of.items() if kind not in ("rendered", "unfit"))
         what = f"{reader}: {ends} damaged files, {of.get('accepted', 0)} read, {of.get('rendered', 0)} rendered"
         faults = sum(fault["reader"] == reader for fault in found["faults"])
-        told.append(Verdict(what, "a sentence or finite numbers; how many gave neither", 0.0, faults, 0.0, None))
-    return told
+        verdicts.append(Verdict(what, "a sentence or finite numbers; count of others", 0.0, faults, 0.0, None))
+    return verdicts
 
 
 STUDIES = (
@@ -184,29 +187,34 @@ STUDIES = (
 
 
 def gathered(folder):
-    """Return [(Study, list of Verdict or None, machine or None)] of a folder; None where a study has no results there.
+    """Return [(Study, list of Verdict or None, machine or None)] of a folder; None for a study without results there.
 
     Raises
     ------
     ThermorenderError
-        A result that is not one of its study.
+        A file that is not a result of its study.
     """
-    told = []
-    for study in STUDIES:
-        path = Path(folder) / study.result
-        if not path.is_file():
-            told.append((study, None, None))
-            continue
-        try:
-            found = json.loads(path.read_text(encoding="utf-8"))
-            verdicts = study.read(found) if study.read else []
-            for each in verdicts:
-                # Which all but numbers refuse.
-                _ = each.share
-            told.append((study, verdicts, found.get("machine")))
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise ThermorenderError(
-                f"{path} is not a result of `python -m {study.module}` ({type(error).__name__}: {error}); "
-                "remove it to run that study again"
-            ) from None
-    return told
+    return [(study, *(verdicts_of(study, path) if path.is_file() else (None, None)))
+            for study in STUDIES for path in [Path(folder) / study.result]]  # fmt: skip
+
+
+def verdicts_of(study, path):
+    """Return (list of Verdict, machine or None) of a Study's JSON file; the list is empty without expected values.
+
+    Raises
+    ------
+    ThermorenderError
+        The file is not a result of the study.
+    """
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        verdicts = study.read(found) if study.read else []
+        for each in verdicts:
+            # Raises unless all values are numbers.
+            _ = each.share
+        return verdicts, found.get("machine")
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ThermorenderError(
+            f"{path} is not a result of `python -m {study.module}` ({type(error).__name__}: {error}); "
+            "remove it to run that study again"
+        ) from None

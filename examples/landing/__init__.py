@@ -1,1 +1,1 @@
-"""A vehicle that lands on a heated marker by what its infrared camera sees, the renderer in the loop."""
+"""A vehicle lands on a heated marker with an infrared camera; the renderer is in the loop."""

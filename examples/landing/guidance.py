@@ -1,8 +1,8 @@
-"""Image-based control: a plain detector says where the marker is, and the vehicle is steered there and down.
+"""Image-based control: a simple detector locates the marker, and the controller steers the vehicle there and down.
 
-The tracker looks for the strongest hot spot of the marker's size in the whole picture, takes it for the marker once it
-has been there in several pictures in a row, and then follows the strongest one near where it was. It knows its height
-above the ground, as by a laser altimeter, and the size of the marker; nothing of the scene.
+The tracker searches the whole picture for the strongest hot spot of the marker's size. A spot in several consecutive
+pictures is accepted as the marker; then the tracker follows the strongest spot near the last position. It knows the
+height above the ground (as from a laser altimeter) and the size of the marker, but nothing of the scene.
 """
 
 from dataclasses import dataclass
@@ -11,23 +11,25 @@ import numpy as np
 
 from thermorender.compare import hot_spots
 
-# Responses from which on a spot is looked at and from which on it is still followed, in standard deviations of the
-# picture's own response; pictures in a row until it is taken for the marker, and without it until it is lost.
+# Smallest responses to detect and to follow a spot, in standard deviations of the response; consecutive pictures with
+# the spot until it is accepted, and without it until it is lost.
 SEEN, FOLLOWED = 6.0, 5.0
 AGREEING, MISSING = 3, 5
-# Pixels around a spot in which it is looked for in the next picture: so many of its sizes, at least so many.
+# Radius of the search around a spot in the next picture: in sizes of the spot, and at least this many pixels.
 _GATE_SIZES, _GATE_PX = 3.0, 40.0
-# Gains: velocity by offset [1/s], and by its integral [1/s²]; the fastest sideways [m/s].
+# Gains of velocity: proportional [1/s] and integral [1/s²]; largest horizontal speed [m/s].
 _ALONG, _INTEGRAL, _FASTEST_M_S = 1.0, 0.3, 5.0
-# Descent by height [1/s], at most so fast [m/s], and only while the marker lies within this share of the height.
+# Descent rate per height [1/s], largest descent rate [m/s], and largest offset of the marker for descent, as a share of
+# the height.
 _DOWN, _DOWN_M_S, _CONE = 0.25, 4.0, 0.25
-# Below this the detector's ring no longer fits the picture: straight down, held against the wind as before [m, m/s].
+# Below this height the detector's ring no longer fits the picture: the vehicle descends vertically at this speed with
+# the last wind correction [m, m/s].
 BLIND_M, _BLIND_M_S = 4.5, 1.5
 
 
 @dataclass
 class Tracker:
-    """Which spot is taken for the marker.
+    """The spot that is tracked as the marker.
 
     Attributes
     ----------
@@ -36,9 +38,9 @@ class Tracker:
     size_m : float
         Width of the marker [m].
     at : (2,) array or None
-        Row and column of the spot that is followed; None while the whole picture is looked through.
+        Row and column of the followed spot; None while the whole picture is searched.
     locked : bool
-        Whether it is taken for the marker.
+        Whether the spot is accepted as the marker.
     """
 
     focal_px: float
@@ -48,7 +50,7 @@ class Tracker:
     _run: int = 0
 
     def look(self, counts, height_m):
-        """Return the spot's row and column (2,) in counts (H, W) from a height [m]; None where none is seen."""
+        """Return the spot's row and column (2,) in counts (H, W) from a height [m]; None if no spot is detected."""
         size = self.focal_px * self.size_m / max(height_m, 0.1)
         found = hot_spots.response(counts, size)
         rows, columns, values = hot_spots.peaks(found, size, SEEN if self.at is None else FOLLOWED)
@@ -63,7 +65,7 @@ class Tracker:
     def _count(self, seen):
         if seen is None:
             self._run = min(self._run, 0) - 1
-            # Before it is locked a spot has to be there in every picture.
+            # Before it is locked, a spot must be detected in every picture.
             if not self.locked or self._run <= -MISSING:
                 self.at, self.locked, self._run = None, False, 0
             return
@@ -74,12 +76,12 @@ class Tracker:
 
 @dataclass
 class Steering:
-    """Commands from what the tracker sees.
+    """Velocity commands from the tracker's offset.
 
     Attributes
     ----------
     wind_m_s : (2,) array
-        What has to be added against the wind, as integrated so far [m/s].
+        Integrated correction of the wind [m/s].
     """
 
     wind_m_s: np.ndarray
@@ -90,11 +92,11 @@ class Steering:
         Parameters
         ----------
         offset_m : (2,) array or None
-            Where the marker is seen, east and north of the vehicle [m]; None while it is not tracked.
+            Position of the marker east and north of the vehicle [m]; None while it is not tracked.
         height_m : float
-            Above the ground [m].
+            Height above the ground [m].
         span_s : float
-            Until the next command [s].
+            Time until the next command [s].
         """
         if height_m < BLIND_M:
             return np.array([*self.wind_m_s, -_BLIND_M_S])

@@ -1,10 +1,10 @@
-"""Landings in the loop: a frame, what the detector makes of it, a command, and the vehicle a frame interval later.
+"""Landings in the loop: a frame, the detector's result, a command, and the vehicle's state a frame interval later.
 
-Every run is flown with each kind of frames under the same conditions: the same start, wind and gusts, marker, air and
-sensor noise. *A*, the radiometric render; *B*, a learned map applied to the photograph of the same pose; *C*, the same
-map applied to the orthophoto and rendered. In B and C the marker has the temperature that the map gives its colour: no
-map can know that it is heated. The pixels' own lag of about 10 ms is left out: at 9 Hz a frame holds nothing of the one
-before.
+Every run is flown with each kind of frames under the same conditions: start, wind and gusts, marker, air and sensor
+noise. *A* is the radiometric render; *B* is a learned map applied to the photograph of the same pose; *C* is the same
+map applied to the orthophoto and rendered. In B and C the marker has the temperature that the map predicts from its
+colour: no map can know that it is heated. The pixels' thermal lag of about 10 ms is left out: at 9 Hz a frame does not
+depend on the one before.
 """
 
 import json
@@ -29,17 +29,17 @@ from thermorender.versions import versions
 LOG, SETTINGS = "runs.jsonl", "settings.json"
 HEADER = ("frames", "runs", "acquired", "after [s]", "lost the marker", "landed", "median error [m]", "90 % [m]",
           "within 1 m", "elsewhere", "frame [ms]", "run [s]")  # fmt: skip
-# The longest that a run may take, and the height at which the vehicle stands on the ground [s, m].
+# Longest duration of a run [s], and height below which the vehicle has landed [m].
 LONGEST_S, _DOWN_M = 20.0, 0.2
-# Farther from the marker than this a landing is elsewhere [m].
+# Largest distance from the marker of a landing that counts as on it [m].
 NEAR_M = 1.0
-# Camera axes of a gimbal that looks straight down, the picture's top in the north: world_from_camera.
+# Rotation of a camera that looks straight down with the top of the picture to the north: world_from_camera.
 _NADIR = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 @dataclass(frozen=True, eq=False)
 class _Pose:
-    """What a Method is given in place of a View."""
+    """The part of a View that a Method uses."""
 
     pose: np.ndarray
     time_s: float
@@ -48,33 +48,33 @@ class _Pose:
 
 
 def fly(folder, models, runs, progress=None, sizes=None, **settings):
-    """Fly the runs that a folder does not hold yet, and return all of them, a list of dict.
+    """Fly the runs that a folder lacks, and return all runs, a list of dict.
 
     Parameters
     ----------
     folder : path
-        With `runs.jsonl`, a line for each run and kind of frames, and the worlds.
+        Folder of the worlds and of `runs.jsonl`, which has a line for each run and kind of frames.
     models : sequence of str
-        Names or files of learned maps that see colour only.
+        Names or files of learned maps without extra inputs.
     runs : int
     progress : callable, optional
-        Called with (what, share done).
+        Called with (step, share done).
     sizes : dict, optional
-        Sides of the worlds, as of `sites.SIZES`.
+        Sides of the worlds, as in `sites.SIZES`.
     **settings
-        Passed to Renderer.
+        Keywords of Renderer.
 
     Raises
     ------
     ThermorenderError
-        A map that is told more than colour, or a folder with runs of other settings.
+        A map with extra inputs, or a folder with runs of other settings.
     """
-    tell = progress or (lambda what, share: None)
+    report = progress or (lambda step, share: None)
     loaded = [(text, load_model(text)) for text in models]
     for _, model in loaded:
         if model.needs:
             raise ThermorenderError(
-                f"models={model.name!r} is told hour and weather, which a photograph is not; give maps of colour only"
+                f"models={model.name!r} takes hour and weather as input; give maps without extra inputs"
             )
     kinds = ["A", *(f"{letter} {model.name}" for _, model in loaded for letter in "BC")]
     names = [model.name for _, model in loaded]
@@ -90,13 +90,13 @@ def fly(folder, models, runs, progress=None, sizes=None, **settings):
         own = [run for run in range(number, runs, sites.WORLDS) if any((run, kind) not in have for kind in kinds)]
         if not own:
             continue
-        tell(f"world {number}: making", number / sites.WORLDS)
+        report(f"world {number}: making", number / sites.WORLDS)
         scene = sites.world(number, folder / "worlds" / str(number), sizes)
         made = _kinds(scene, loaded, settings)
         for count, run in enumerate(own):
             for kind in kinds:
                 if (run, kind) not in have:
-                    tell(f"world {number}, run {run}: {kind}", (number + count / len(own)) / sites.WORLDS)
+                    report(f"world {number}, run {run}: {kind}", (number + count / len(own)) / sites.WORLDS)
                     done.append(_landing(run, kind, made[kind], scene))
                     formats.append_json(log, done[-1])
     wanted = set(kinds)
@@ -104,13 +104,13 @@ def fly(folder, models, runs, progress=None, sizes=None, **settings):
 
 
 def summary(found):
-    """Return {kind of frames: statistics} of runs as by `fly`, plain numbers."""
-    told = {}
+    """Return {kind of frames: statistics} of runs, as plain numbers."""
+    statistics = {}
     for kind in dict.fromkeys(each["frames"] for each in found):
         own = [each for each in found if each["frames"] == kind]
         error = np.array([each["error_m"] for each in own if each["error_m"] is not None])
         acquired = [each["acquired_s"] for each in own if each["acquired_s"] is not None]
-        told[kind] = {
+        statistics[kind] = {
             "runs": len(own), "acquired": len(acquired) / len(own),
             "acquired_s": float(np.median(acquired)) if acquired else None,
             "lost": sum(each["lost"] > 0 for each in own) / len(own),
@@ -122,10 +122,10 @@ def summary(found):
             "frame_ms": 1e3 * float(np.median([each["frame_s"] for each in own])),
             "run_s": float(np.median([each["wall_s"] for each in own])),
         }  # fmt: skip
-    return told
+    return statistics
 
 
-def rows(told):
+def rows(statistics):
     """Return a summary as table rows of text under HEADER."""
 
     def text(value, form):
@@ -135,12 +135,12 @@ def rows(told):
         (kind, str(own["runs"]), f"{own['acquired']:.0%}", text(own["acquired_s"], ".2f"), f"{own['lost']:.0%}",
          f"{own['landed']:.0%}", text(own["error_m"], ".2f"), text(own["error_90_m"], ".2f"), f"{own['near']:.0%}",
          f"{own['elsewhere']:.0%}", f"{own['frame_ms']:.0f}", f"{own['run_s']:.1f}")
-        for kind, own in told.items()
+        for kind, own in statistics.items()
     ]  # fmt: skip
 
 
 def _flown(folder, asked):
-    """The runs that a folder holds; those of other settings, or of another map of the same name, are refused."""
+    """Return the runs in a folder; refuse runs of other settings, or of another map with the same name."""
     path, log = folder / SETTINGS, folder / LOG
     try:
         if log.is_file() and not path.is_file():
@@ -151,15 +151,15 @@ def _flown(folder, asked):
         same &= all(models.get(name, digest) == digest for name, digest in asked["models"].items())
         done = formats.read_json_lines(log)
     except (ValueError, KeyError, TypeError):
-        raise ThermorenderError(f"{folder} holds something else than landings; give another folder") from None
+        raise ThermorenderError(f"{folder} has files that are not landings; give another folder") from None
     if not same:
-        raise ThermorenderError(f"{folder} holds landings of other settings or maps; give another folder")
+        raise ThermorenderError(f"{folder} has landings of other settings or maps; give another folder")
     formats.write_json(path, {**asked, "models": models | asked["models"], "versions": versions()})
     return done
 
 
 def _kinds(scene, loaded, settings):
-    """{kind of frames: Method or Renderer} of a world."""
+    """Return {kind of frames: (Renderer, Method or None)} of a world."""
     reference = Renderer(scene, **settings)
     made = {"A": (reference, None)}
     for text, model in loaded:
@@ -170,7 +170,7 @@ def _kinds(scene, loaded, settings):
 
 
 def _landing(run, kind, made, scene):
-    """One landing with one kind of frames, plain numbers."""
+    """Return the record of one landing with one kind of frames, as plain numbers."""
     began = time.perf_counter()
     reference, method = made
     given = sites.conditions_of(run)
@@ -201,7 +201,7 @@ def _landing(run, kind, made, scene):
         frame_s.append(time.perf_counter() - frame_began)
         moment = in_sequence(camera, step, when)
         counts = sensor.counts(sensor.power(radiance, moment), moment)
-        # Too near to be seen whole, it is neither followed nor lost.
+        # Too near to be visible as a whole, the marker is neither followed nor lost.
         blind, before, offset = height < BLIND_M, tracker.locked, None
         spot = None if blind else tracker.look(counts, height)
         lost += before and not tracker.locked
@@ -226,7 +226,7 @@ def _landing(run, kind, made, scene):
 
 
 def write(found, folder):
-    """Write the summary of runs beside their log: `landing.json`; return it."""
-    told = summary(found)
-    formats.write_json(folder / "landing.json", {"frames": told})
-    return told
+    """Write the summary of runs to `landing.json` in their folder; return it."""
+    statistics = summary(found)
+    formats.write_json(folder / "landing.json", {"frames": statistics})
+    return statistics

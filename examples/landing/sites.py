@@ -1,4 +1,4 @@
-"""Where and when the vehicle lands: procedural worlds with a heated marker, and what varies from run to run."""
+"""Landing sites: procedural worlds with a heated marker, and the conditions that vary between runs."""
 
 from dataclasses import dataclass, replace
 
@@ -9,37 +9,37 @@ from thermorender.campaign.procedural_truth import write
 from thermorender.scene.load import load_scene
 from thermorender.synthetic.procedural_scene import make, weather_of
 
-# The marker: a black disc, its width [m], and what the kinds call one of their own.
+# Name and width [m] of the marker, a black disc, and the name of the worlds' own marker, which is removed.
 MARKER, MARKER_M, _OTHER = "landing_marker", 0.5, "marker"
-# Kinds by turns, a land and a weather for each; haze by turns.
+# Kinds of land and hazes alternate over the worlds.
 KINDS = defaults.SCENES[:2]
 WORLDS, _FIRST_SEED = 8, 401
 HAZES = (None, "rural-23km", "rural-5km", "maritime-23km")
 _AIR = "midlatitude-summer"
-# Sides of the square, of a texel and of a post [m].
+# Sides of the terrain, of a texel and of a height post [m].
 SIZES = dict(zip(KINDS, ((96.0, 0.25, 1.0), (96.0, 0.25, 0.5)), strict=True))
-# Temperatures that the marker may have in any run [K].
+# Range of the marker's temperature over all runs [K].
 _RANGE_K = (240.0, 380.0)
-# The marker lies where the ground is most even within so many metres of the middle, over this radius [m].
+# The marker is placed on the flattest ground within this distance of the middle, over this radius [m].
 _AROUND_M, _EVEN_M = 12.0, 1.5
 START_M = 40.0
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """What one run meets.
+    """The conditions of one run.
 
     Attributes
     ----------
     world : int
     offset_m : (2,) tuple of float
-        Of the start from the marker, east and north [m].
+        Offset of the start from the marker, east and north [m].
     wind_m_s : (2,) tuple of float
-        Mean, east and north [m/s].
+        Mean wind, east and north [m/s].
     contrast_k : float
-        Of the marker against the ground around it [K].
+        Contrast of the marker to the ground around it [K].
     noise : float
-        By which the camera's NETD is larger.
+        Factor on the camera's NETD.
     """
 
     world: int
@@ -63,20 +63,20 @@ def conditions_of(run):
 
 
 def world(number, folder, sizes=None):
-    """Return the Scene of a world (int) with its marker, its folder made where it is not there.
+    """Return the Scene of a world with its marker; its folder is made if it is missing.
 
     Parameters
     ----------
     number : int
     folder : Path
     sizes : dict, optional
-        In place of SIZES.
+        Replaces SIZES.
     """
     if not folder.is_dir():
         kind = KINDS[number % len(KINDS)]
         size, texel, post = (sizes or SIZES)[kind]
         made = make(kind, _FIRST_SEED + number, size, texel, post, weather=weather_of(kind, number))
-        # Cars and houses may mislead the vehicle; a second marker would leave nothing to tell.
+        # Cars and houses may mislead the vehicle, but a second marker would make the task ambiguous.
         write(replace(made, objects=tuple(item for item in made.objects if item["name"] != _OTHER)), folder)
     scene = load_scene(folder)
     east, north = _even_place(scene)
@@ -95,7 +95,7 @@ def world(number, folder, sizes=None):
 
 
 def _even_place(scene):
-    """East and north of the most even ground near the middle [m]."""
+    """Return east and north of the flattest ground near the middle [m]."""
     ring = [(0.0, 0.0), *((_EVEN_M * np.sin(a), _EVEN_M * np.cos(a)) for a in np.linspace(0.0, 2.0 * np.pi, 9)[:-1])]
     steps = np.arange(-_AROUND_M, _AROUND_M + 1.0)
     places = [(float(east), float(north)) for east in steps for north in steps]

@@ -1,24 +1,24 @@
-"""A multirotor as a point mass: velocities are commanded, its autopilot follows them with a lag, wind drags it along.
+"""A multirotor as a point mass: its autopilot follows a commanded velocity with a lag, and wind exerts drag.
 
     dv/dt = clip((u − v) / τ, a_max) + k (w − v)
 
-with the commanded velocity u and the wind w. The wind is a mean and, along each horizontal axis, gusts of the first
-order, which is the longitudinal form of the Dryden spectrum (MIL-F-8785C, 3.7.1) seen from a slow vehicle.
+with the commanded velocity u and the wind w. The wind is a mean plus first-order gusts along each horizontal axis, the
+longitudinal form of the Dryden spectrum (MIL-F-8785C, 3.7.1) for a slow vehicle.
 """
 
 import numpy as np
 
-# Lag of the velocity controller [s], drag [1/s], and the most that tilting gives [m/s²]: of a camera drone of some
-# kilograms, chosen.
+# Lag of the velocity controller [s], drag [1/s], and largest acceleration by tilting [m/s²]: assumed for a camera drone
+# of a few kilograms.
 LAG_S, DRAG_PER_S, MOST_M_S2 = 0.5, 0.15, 5.0
-# Standard deviation of a gust's component by the mean wind, and its correlation time [s], chosen: a moderate breeze
+# Standard deviation of a gust component over the mean wind, and its correlation time [s]: assumed for a moderate breeze
 # near the ground.
 GUST_SHARE, GUST_S = 0.2, 2.0
 _STEP_S = 0.01
 
 
 def flown(position, velocity, command, wind, span_s):
-    """Return (position, velocity) (3,) after a span of time in a steady wind [m, m/s].
+    """Return (position, velocity), (3,) each, after a span of time in a steady wind [m, m/s].
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def flown(position, velocity, command, wind, span_s):
 
     Notes
     -----
-    By the midpoint rule in steps of 10 ms: within 0.1 mm of the closed form where nothing is clipped, over a second.
+    Midpoint rule with steps of 10 ms: within 0.1 mm of the closed form over a second, without clipping.
     """
     count = max(1, int(np.ceil(span_s / _STEP_S)))
     step = span_s / count
@@ -42,7 +42,7 @@ def flown(position, velocity, command, wind, span_s):
 
 
 def winds(mean, count, span_s, rng):
-    """Return the wind over `count` spans of time, (count, 3) [m/s]: a mean (2,) east and north, and gusts about it."""
+    """Return the wind over `count` spans of time, (count, 3) [m/s]: a mean (2,) east and north plus gusts."""
     keep = np.exp(-span_s / GUST_S)
     spread = GUST_SHARE * float(np.hypot(*mean))
     gusts = np.empty((count, 2))

@@ -74,10 +74,11 @@ def compare(
         for name in scenes:
             loaded = situation.load(name)
             flights.append(run.Flight.of(loaded, log.read(loaded, rate_hz), rate_hz, log.start_s, log.stop_s))
-        summary = run.compare(
-            flights, output, split(models), letters, oracle, folders, [read_dataset(one) for one in dataset or ()],
-            learned_materials(emissivity, fallback), arrays, seed, report, device=device, **sampling.settings(),
+        options = run.Options(
+            letters, oracle, folders, [read_dataset(one) for one in dataset or ()],
+            learned_materials(emissivity, fallback), arrays, seed, {"device": device, **sampling.settings()},
         )  # fmt: skip
+        summary = run.compare(flights, output, split(models), options, report)
     rows = run.rows(summary)
     if rows:
         table(run.HEADER, rows)

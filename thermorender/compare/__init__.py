@@ -1,1 +1,1 @@
-"""Comparison of learned 2D translation with the render, of maps with a data set, and of frames with their cost."""
+"""Comparisons: learned 2D translation with the render, learned maps with a data set, and frames with their cost."""

@@ -1,63 +1,74 @@
-"""Run time of a frame beside that of its ray casting alone, and what is wrong with the frame, in mK.
+"""Run time of a frame, run time of its ray casting alone, and the frame's sampling error in mK.
 
-Everything is measured within one run and taken in turns (rays, frame, frame with sensor, rays, …), so that a busy
-machine slows all alike; ratios are medians of the ratios of each turn. The error is that against the same
-renderer with 256 rays per pixel: what sampling alone leaves, once as it is and once behind the camera's optics.
+The measurements alternate (rays, frame, frame with sensor, rays, …), so a busy machine slows all of them alike. Ratios
+are medians of the ratios of each turn. The sampling error is the difference from the same renderer with 256 rays per
+pixel, once as it is and once after the camera's optics.
 """
 
 import time
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender import defaults
 from thermorender.compare.machine import forget_peak_memory, machine, peak_memory_mib
 from thermorender.compare.sampling_error import SAMPLING, cache_off, converged, optics_sigma_px, rms_mk
 from thermorender.errors import ThermorenderError
+from thermorender.render.baked import Progress
 from thermorender.render.renderer import Renderer
 from thermorender.scene.load import load_scene
 from thermorender.scene.scene import Scene
 from thermorender.trajectory import path
 from thermorender.versions import versions
 
-SETTINGS = tuple((name, {"quality": name}) for name in ("fast", "standard", "high"))
+Settings = Sequence[tuple[str, dict[str, Any]]]
+SETTINGS: Settings = tuple((name, {"quality": name}) for name in ("fast", "standard", "high"))
 HEIGHT_M = 120.0
-# Camera pitch [deg] of each view; all look at the middle of the scene.
+# Camera pitch [deg] of each view; every view looks at the middle of the scene.
 VIEWS = {"nadir": -90.0, "oblique": -45.0}
 HEADER = ("scene", "view", "setting", "rays per pixel", "rays only [ms]", "frame [ms]", "÷ rays", "with sensor [ms]",
           "÷ rays", "frames/s", "error [mK]", "after optics [mK]")  # fmt: skip
 
 
-def bench(scene_names=(defaults.SCENE,), repeats=15, progress=None, settings=SETTINGS, device="auto", air=None):
-    """Return what a frame costs and how wrong it is, for each scene, view and setting; plain numbers.
+def bench(
+    scene_names: Sequence[str | Scene] = (defaults.SCENE,),
+    repeats: int = 15,
+    progress: Progress | None = None,
+    settings: Settings = SETTINGS,
+    device: str = "auto",
+    air: tuple[str, str] | None = None,
+) -> dict[str, Any]:
+    """Return the cost and the error of a frame for each scene, view and setting, as plain numbers.
 
     Parameters
     ----------
     scene_names : sequence of str or Scene
-        Scene folders, names of shipped ones, or scenes in memory.
+        Scene folders, names of shipped scenes, or scenes in memory.
     repeats : int
-        Turns of each measurement.
+        Number of turns of each measurement.
     progress : callable, optional
-        Called with (what, share done).
+        Called with (step, share done).
     settings : sequence of (label, dict)
-        Keywords of Renderer under the name they go by in the result.
+        Keywords of Renderer, each with its name in the result.
     device : {"auto", "cpu", "cuda"}
     air : (str, str), optional
-        Standard atmosphere and aerosol to measure the scenes under.
+        Standard atmosphere and aerosol that replace the scenes' own air.
 
     Returns
     -------
     dict
         machine, versions, repeats, and scenes: {name: {triangles, texels, pixels, optics_sigma_px, build_s, bake_s,
         peak_mib, settings: {label: {plan, views: {view: {rays_per_pixel, rays_ms, radiance_ms, frame_ms,
-        radiance_over_rays, frame_over_rays, frames_per_s, error_mk, optics_error_mk}}}}}}. rays_ms is casting all rays
-        of the frame and nothing else. Times are medians; a ratio is given as its quartiles, the median in the middle.
-        peak_mib is the most memory the process held from the first renderer's start to the last timed frame, None
-        where the system does not tell (anything but Linux).
+        radiance_over_rays, frame_over_rays, frames_per_s, error_mk, optics_error_mk}}}}}}. rays_ms is the time of
+        casting all rays of the frame. Times are medians; ratios are (25, 50, 75) percentiles. peak_mib is the
+        process's peak memory from the first renderer to the last timed frame, None where unknown (not on Linux).
 
     Raises
     ------
     ThermorenderError
-        Nothing to measure, an unknown scene, or repeats below 1.
+        No scene, an unknown scene, or repeats below 1.
     """
     if repeats < 1:
         raise ThermorenderError(f"repeats={repeats} is not allowed; give 1 or more")
@@ -65,17 +76,17 @@ def bench(scene_names=(defaults.SCENE,), repeats=15, progress=None, settings=SET
     jobs = [scene.with_air(*air) for scene in jobs] if air else jobs
     if not jobs:
         raise ThermorenderError("there is no scene to measure; give a scene folder or the name of a shipped scene")
-    tell = progress or (lambda what, share: None)
-    found = {}
+    report = progress or (lambda step, share: None)
+    measured = {}
     for number, scene in enumerate(jobs):
-        tell(scene.name, number / len(jobs))
-        found[scene.name] = _measure(scene, settings, device, repeats)
-    tell("measured", 1.0)
-    return {"machine": machine(), "versions": versions(), "repeats": repeats, "scenes": found}
+        report(scene.name, number / len(jobs))
+        measured[scene.name] = _measure(scene, settings, device, repeats)
+    report("measured", 1.0)
+    return {"machine": machine(), "versions": versions(), "repeats": repeats, "scenes": measured}
 
 
-def rows(result):
-    """Return a result of `bench` as rows of text under `HEADER`."""
+def rows(result: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Return a result of `bench` as table rows of text under `HEADER`."""
     return [
         (
             name, view, label, f"{seen['rays_per_pixel']:.2f}", f"{seen['rays_ms']:.1f}", f"{seen['radiance_ms']:.1f}",
@@ -88,8 +99,8 @@ def rows(result):
     ]  # fmt: skip
 
 
-def costs(result):
-    """Return what each scene of a result costs before its first frame, as sentences."""
+def costs(result: dict[str, Any]) -> list[str]:
+    """Return one line per scene: its size, and the time and memory needed before its first frame."""
     return [
         f"{name}: {scene['triangles']} triangles, {scene['texels']} texels; {scene['build_s']:.1f} s to build, "
         f"{scene['bake_s']:.1f} s to bake, "
@@ -98,11 +109,13 @@ def costs(result):
     ]
 
 
-def _measure(scene, settings, device, repeats):
-    """One scene's part of the result."""
+def _measure(scene: Scene, settings: Settings, device: str, repeats: int) -> dict[str, Any]:
+    """Return the result of one scene."""
     forget_peak_memory()
     poses, sigma = views(scene), optics_sigma_px(scene.camera)
-    first, done, made = None, {}, []
+    first: Renderer | None = None
+    done: dict[str, dict[str, Any]] = {}
+    renderers: list[tuple[Renderer, dict[str, Any]]] = []
     for label, keywords in settings:
         start = time.perf_counter()
         renderer = Renderer(scene, **{"device": device, "like": first, **keywords})
@@ -111,13 +124,13 @@ def _measure(scene, settings, device, repeats):
             _ = renderer.baked
         if first is None:
             first, build_s, bake_s = renderer, built - start, time.perf_counter() - built
-        found = {view: _times(renderer, pose, repeats) for view, pose in poses.items()}
-        done[label] = {"plan": renderer.plan.as_dict(), "views": found}
-        made.append((renderer, keywords))
-    # The converged images are what nobody renders in use; their memory does not count.
+        times = {view: _times(renderer, pose, repeats) for view, pose in poses.items()}
+        done[label] = {"plan": renderer.plan.as_dict(), "views": times}
+        renderers.append((renderer, keywords))
+    # The peak is read here, because users do not render the converged images below.
     peak = peak_memory_mib()
-    finest_of = {}
-    for (renderer, keywords), measured in zip(made, done.values(), strict=True):
+    finest_of: dict[Any, NDArray[np.float64]] = {}
+    for (renderer, keywords), measured in zip(renderers, done.values(), strict=True):
         light = {key: value for key, value in keywords.items() if key not in SAMPLING}
         for view, pose in poses.items():
             key = view, renderer.plan.rays, tuple(sorted(light.items()))
@@ -138,21 +151,21 @@ def _measure(scene, settings, device, repeats):
     }
 
 
-def _times(renderer, pose, repeats):
-    """Times of rays, radiance and frame with sensor from one pose, and their ratios as (25, 50, 75) percentiles."""
+def _times(renderer: Renderer, pose: NDArray[np.float64], repeats: int) -> dict[str, Any]:
+    """Return times of rays, radiance and frame with sensor at one pose, and ratios as (25, 50, 75) percentiles."""
 
-    def sensor(pose):
+    def sensor(pose: NDArray[np.float64]) -> Any:
         frame = renderer.frame(pose)
         return frame.counts, frame.display
 
     rays = renderer.rays(pose)
     per_pixel = sum(len(x) for x, _ in rays) / (renderer.scene.camera.width * renderer.scene.camera.height)
     jobs = (lambda pose: renderer.cast_only(pose, rays), renderer.radiance, sensor)
-    # A millimetre further each time: what a frame keeps of the last pose does not count as fast.
+    # The camera moves by a millimetre each time, so that nothing cached for the last pose is reused.
     step = np.zeros((4, 4))
     step[2, 3] = 1e-3
     seconds = np.empty((repeats, len(jobs)))
-    # The first two turns compile kernels and are not counted.
+    # The first two turns compile kernels; they do not count.
     for turn in range(-2, repeats):
         for number, job in enumerate(jobs):
             here = pose + turn * step
@@ -173,8 +186,8 @@ def _times(renderer, pose, repeats):
     }
 
 
-def views(scene, height_m=HEIGHT_M):
-    """Return {view: pose}: straight down and 45° down on the middle of the terrain, `height_m` [m] above it."""
+def views(scene: Scene, height_m: float = HEIGHT_M) -> Mapping[str, NDArray[np.float64]]:
+    """Return {view: pose (4, 4)}: straight and 45° down at the middle of the terrain, `height_m` [m] above it."""
     vertices = np.concatenate([surface.vertices for surface in scene.surfaces[: scene.terrain_count]])
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     east, north = 0.5 * (low + high)[:2]

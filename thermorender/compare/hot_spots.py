@@ -1,29 +1,30 @@
-"""A plain detector of hot spots: what a target's contrast to its surroundings is worth behind a camera.
+"""A simple detector of hot spots: is a target's contrast high enough to find it in a camera picture?
 
-The mean of a square of the target's size less that of a ring around it, over the standard deviation of that response
-in the picture: a matched filter for a small bright disc in a textured background. It knows nothing else, neither
-temperatures nor what targets look like.
+The response is the mean of a square of the target's size minus the mean of a ring around it, divided by the standard
+deviation of this difference over the picture: a matched filter for a small bright disc on a textured background.
+The detector uses neither temperatures nor the look of the target.
 """
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-# The ring lies this many target sizes out, so that the target's own edge is in neither.
+# Inner and outer width of the ring in target sizes; the gap keeps the target's edge out of both means.
 _INNER, _OUTER = 2.0, 4.0
 
 
-def response(counts, size_px):
-    """Return the detector's response, (H, W) float32, in standard deviations of itself.
+def response(counts: ArrayLike, size_px: float) -> NDArray[np.float32]:
+    """Return the detector's response, (H, W) float32, in its own standard deviations.
 
     Parameters
     ----------
     counts : (H, W) array
-        What a camera reads.
+        Camera counts.
     size_px : float
         Width of the target in the picture [px].
 
     Notes
     -----
-    The deviation is 1.4826 times the median absolute one, so that the target itself does not widen it.
+    The standard deviation is 1.4826 times the median absolute deviation, which a small target does not change.
     """
     import cv2
 
@@ -36,14 +37,16 @@ def response(counts, size_px):
     )
     areas = [float(width * width) for width in widths[1:]]
     ring = (outer * areas[1] - inner * areas[0]) / (areas[1] - areas[0])
-    found = small - ring
-    middle = np.median(found)
-    scale = 1.4826 * np.median(np.abs(found - middle))
-    return (found - middle) / max(float(scale), 1e-6)
+    difference: NDArray[np.float32] = small - ring
+    middle = np.median(difference)
+    scale = 1.4826 * np.median(np.abs(difference - middle))
+    return (difference - middle) / max(float(scale), 1e-6)
 
 
-def peaks(found, size_px, least):
-    """Return local maxima of a response above `least`: (rows, columns, values), the highest first."""
+def peaks(
+    found: NDArray[np.float32], size_px: float, least: float
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float32]]:
+    """Return (rows, columns, values) of the local maxima of a response above `least`, highest first."""
     import cv2
 
     width = 2 * max(1, round(size_px)) + 1

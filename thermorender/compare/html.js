@@ -1,5 +1,5 @@
 "use strict";
-// Tables are sorted by the column whose head is clicked: numbers as numbers, what is no number last.
+// A click on a column head sorts the table: numbers by value, text last.
 for (const table of document.querySelectorAll("table")) {
   table.querySelectorAll("th").forEach((head, column) => head.addEventListener("click", () => {
     const down = head.getAttribute("aria-sort") === "ascending";

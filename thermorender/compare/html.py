@@ -1,14 +1,15 @@
-"""Pages of results that stand alone: one style, tables sorted by a click, pictures inside."""
+"""HTML pages of results in one file: shared style, sortable tables, embedded pictures."""
 
 import base64
 import html
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
 _HERE = Path(__file__)
 
 
-def document(title, parts, style="", script=""):
-    """Return an HTML page (a str) of parts, HTML each, with more style and script where given."""
+def document(title: str, parts: Iterable[str], style: str = "", script: str = "") -> str:
+    """Return an HTML page of parts (HTML each); `style` and `script` are added to the shared ones."""
     common = {kind: _HERE.with_suffix(kind).read_text(encoding="utf-8") for kind in (".css", ".js")}
     return "\n".join([
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{text(title)}</title>",
@@ -17,8 +18,10 @@ def document(title, parts, style="", script=""):
     ])  # fmt: skip
 
 
-def table(head, rows, words=()):
-    """Return a sortable table of rows, (cells, whether it is marked); columns numbered in `words` may break lines."""
+def table(
+    head: Iterable[object], rows: Iterable[tuple[Iterable[object], bool]], words: Collection[int] = ()
+) -> str:
+    """Return a sortable table of rows (cells, marked in red); the columns numbered in `words` may break lines."""
     body = []
     for cells, marked in rows:
         inner = "".join(f"<td{' class=words' if k in words else ''}>{text(cell)}</td>" for k, cell in enumerate(cells))
@@ -27,12 +30,12 @@ def table(head, rows, words=()):
     return f"<table><thead><tr>{titles}</tr></thead><tbody>{''.join(body)}</tbody></table>"
 
 
-def figure(content, words):
-    """Return a figure of a PNG's bytes with words below it."""
+def figure(content: bytes, words: str) -> str:
+    """Return a figure of a PNG's bytes with a caption."""
     data = base64.b64encode(content).decode()
     return f"<figure><img src='data:image/png;base64,{data}' alt=''><figcaption>{text(words)}</figcaption></figure>"
 
 
-def text(value):
-    """Return a value as text that no markup can hide in."""
+def text(value: object) -> str:
+    """Return a value as text with its markup escaped."""
     return html.escape(str(value))

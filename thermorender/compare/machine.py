@@ -1,18 +1,22 @@
-"""The machine a result was measured on, and the memory and time of a function in its own process."""
+"""The machine that a result was measured on, peak memory, and functions run in a separate process."""
 
 import multiprocessing
 import os
 import platform
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from pathlib import Path
+from typing import Any, TypeVar
 
 from thermorender.errors import ThermorenderError
 
+_Result = TypeVar("_Result")
 
-def machine():
-    """Return {processor, cores, memory_gib, system} of this machine, None for what it does not tell."""
+
+def machine() -> dict[str, Any]:
+    """Return {processor, cores, memory_gib, system} of this machine; None for unknown values."""
     processor, memory = platform.processor() or None, None
     with suppress(OSError, StopIteration):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
@@ -22,33 +26,32 @@ def machine():
     return {"processor": processor, "cores": os.cpu_count(), "memory_gib": memory, "system": platform.system()}
 
 
-def apart(function, *arguments):
-    """Return what a function returns in a process of its own, whose memory and time are that function's alone.
+def apart(function: Callable[..., _Result], *arguments: Any) -> _Result:
+    """Run a function in a separate process, so that its memory and time can be measured; return its result.
 
     Raises
     ------
     ThermorenderError
-        The process is killed before it is done.
+        The process was killed before it ended.
     """
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         try:
             return pool.submit(function, *arguments).result()
         except BrokenProcessPool:
             raise ThermorenderError(
-                "a process that measures was killed before it was done, perhaps for want of memory; free some and "
+                "the measuring process was killed before it ended, perhaps because memory ran out; free memory and "
                 "start again"
             ) from None
 
 
-def forget_peak_memory():
-    """Start the record of the most memory this process held anew, where the system keeps one."""
-    # Linux starts its record of the most memory held anew.
+def forget_peak_memory() -> None:
+    """Reset the peak memory of this process (Linux only; elsewhere nothing happens)."""
     with suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
 
 
-def peak_memory_mib():
-    """Return the most memory this process held since [MiB], or None where the system does not tell."""
+def peak_memory_mib() -> float | None:
+    """Return the peak memory of this process since the last reset [MiB], or None where it is unknown."""
     with suppress(OSError, StopIteration):
         lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
         return float(next(line.split()[1] for line in lines if line.startswith("VmHWM"))) / 1024.0

@@ -1,29 +1,33 @@
-"""Errors of an image in mK: against a converged one, as it is and behind the camera's optics."""
+"""Error of an image against a converged one, in mK: as it is, and after the camera's optics."""
 
 import os
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance_derivative, brightness_temperature
 from thermorender.render.renderer import Renderer
+from thermorender.sensor.camera import Camera
 from thermorender.sensor.psf import filtered, gaussian_otf, lens_otf
 
-# Pixels of the converged image per pixel and direction, and rays in each: 256 per pixel.
+# Subpixels per pixel and direction, and rays in each: 256 rays per pixel.
 FINER, RAYS = 8, 4
-# No edge errs so much; what is thinner than a pixel gets its rays.
+# A threshold that no edge error exceeds, so only objects thinner than a pixel get extra rays.
 _NO_EDGE_MK = 1e12
-# Keywords of Renderer that decide how a pixel is sampled, and nothing else.
+# Keywords of Renderer that affect the sampling of a pixel only.
 SAMPLING = ("quality", "samples", "taps", "edge_mk")
 
 
 @contextmanager
-def cache_off():
-    """Within it, light between surfaces is traced and neither read from disk nor kept there: for timing a bake."""
+def cache_off() -> Iterator[None]:
+    """Switch off the disk cache of light between surfaces within the context, so that bakes can be timed."""
     name, before = "THERMORENDER_CACHE", os.environ.get("THERMORENDER_CACHE")
-    # No folder can be made below it.
+    # No folder can be created below the null device.
     os.environ[name] = os.devnull
     try:
         yield
@@ -34,17 +38,17 @@ def cache_off():
             os.environ[name] = before
 
 
-def converged(renderer, pose, keywords):
-    """Return (H, W) float64 radiance [W m⁻² sr⁻¹] of a renderer's scene with 256 rays per pixel.
+def converged(renderer: Renderer, pose: ArrayLike, keywords: Mapping[str, Any]) -> NDArray[np.float64]:
+    """Return the band radiance of a renderer's scene with 256 rays per pixel, (H, W) [W m⁻² sr⁻¹].
 
     Parameters
     ----------
     renderer : Renderer
-        Its light between surfaces is used again.
+        Its baked light between surfaces is reused.
     pose : (4, 4) array
         world_from_camera.
     keywords : dict
-        What the renderer was made with.
+        Keywords that the renderer was made with.
     """
     camera = renderer.scene.camera
     settings = {"rays": renderer.plan.rays, **keywords}
@@ -59,10 +63,10 @@ def converged(renderer, pose, keywords):
     return np.block([quarters[:2], quarters[2:]])
 
 
-def _quarter(camera, right, lower):
-    """A quarter of a camera's image with each pixel cut into 8 × 8; both sides must be even.
+def _quarter(camera: Camera, right: int, lower: int) -> Camera:
+    """Return a quarter of a camera's image with 8 × 8 subpixels per pixel; width and height must be even.
 
-    In quarters, since the rays of a whole image so fine take more than a gigabyte.
+    The rays of the whole image would take more than a gigabyte.
     """
     width, height = (n // 2 * FINER for n in (camera.width, camera.height))
     middle = zip(camera.principal_offset_px, (right, lower), (width, height), strict=True)
@@ -75,7 +79,7 @@ def _quarter(camera, right, lower):
     )
 
 
-def rms_mk(image, reference, camera, sigma_px=0.0):
+def rms_mk(image: ArrayLike, reference: NDArray[np.floating], camera: Camera, sigma_px: float = 0.0) -> float:
     """Return the root mean square difference of two images in apparent temperature [mK].
 
     Parameters
@@ -84,7 +88,7 @@ def rms_mk(image, reference, camera, sigma_px=0.0):
         Band radiance [W m⁻² sr⁻¹].
     camera : Camera
     sigma_px : float
-        Width of a Gaussian both are filtered with first [px].
+        Standard deviation of a Gaussian blur applied to both first [px].
     """
     difference = np.asarray(image, np.float64) - reference
     if sigma_px:
@@ -92,21 +96,26 @@ def rms_mk(image, reference, camera, sigma_px=0.0):
     return float(np.sqrt((difference**2).mean())) * mk_per_radiance(reference, camera.band_um)
 
 
-def mk_per_radiance(radiance, band_um):
-    """Return mK of apparent temperature per W m⁻² sr⁻¹ at the mean of an image of band radiance."""
+def mk_per_radiance(radiance: ArrayLike, band_um: tuple[float, float]) -> float:
+    """Return the slope of apparent temperature at an image's mean band radiance [mK per W m⁻² sr⁻¹]."""
     middle = brightness_temperature(float(np.mean(radiance)), *band_um)
     return float(1e3 / band_radiance_derivative(middle, *band_um))
 
 
-def optics_sigma_px(camera):
-    """Return the width of the Gaussian that stands for diffraction in the lens of a camera [px].
+def optics_sigma_px(camera: Camera) -> float:
+    """Return the standard deviation of the Gaussian that approximates diffraction in a camera's lens [px].
 
     Notes
     -----
-    The Gaussian passes as much as `lens_otf` at the detector's Nyquist frequency, 1/2 per pixel, at the middle of the
-    band: exp(−π² σ²/2) = MTF. At f/1.25, 10.5 µm and 17 µm pixels MTF = 0.521 and σ = 0.363 px. A pixel's own width
-    is in the images already; with it, 1/√12 px, the whole is as wide as a Gaussian of 0.464 px. A real lens blurs
-    more, and so hides more of the error.
+    The Gaussian equals `lens_otf` at the detector's Nyquist frequency, 1/2 per pixel, at the middle of the band:
+    exp(−π² σ²/2) = MTF. At f/1.25, 10.5 µm and 17 µm pixels MTF = 0.521 and σ = 0.363 px. The images already contain
+    the pixel's own width, 1/√12 px; together they are as wide as a Gaussian of 0.464 px. A real lens blurs more and
+    hides more of the error.
+
+    Raises
+    ------
+    ThermorenderError
+        Diffraction removes all contrast at the Nyquist frequency.
     """
     mtf = float(lens_otf(0.5 / camera.pixel_pitch_um, np.mean(camera.band_um), camera.f_number))
     if mtf <= 0.0:
@@ -116,9 +125,9 @@ def optics_sigma_px(camera):
     return float(np.sqrt(-2.0 * np.log(mtf)) / np.pi)
 
 
-def after_optics(image, sigma_px):
-    """Return an image (H, W) filtered with a Gaussian of `sigma_px`, mirrored at its borders.
+def after_optics(image: ArrayLike, sigma_px: float) -> NDArray[np.float64]:
+    """Return an image (H, W) blurred with a Gaussian of `sigma_px`, mirrored at its borders.
 
-    Exactly: sampled at pixels, so narrow a Gaussian would hardly blur.
+    The blur is exact: a kernel sampled at pixels would hardly blur for such a narrow Gaussian.
     """
     return filtered(image, lambda frequency: gaussian_otf(frequency, sigma_px))

@@ -1,1 +1,1 @@
-"""What air costs a frame, and the error of its spectral channels."""
+"""Cost of air in a frame, and the error of its spectral channels."""

@@ -1,16 +1,11 @@
-"""Figure of what `validation.air.study` measures."""
+"""Figure of the study of air."""
 
-from thermorender import files
+from thermorender.compare.evaluation.figures import pyplot, save
 
 
 def figure(path, result):
-    """Draw the error against the frame's time over that without air."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    drawing, axis = pyplot.subplots(figsize=(7.5, 4.6), layout="constrained")
+    """Draw the error against the frame's time relative to that without air."""
+    drawing, axis = pyplot().subplots(figsize=(7.5, 4.6), layout="constrained")
     views = dict.fromkeys((case["height_m"], case["view"]) for case in result["cases"])
     for number, (height_m, view) in enumerate(views):
         own = [case for case in result["cases"] if (case["height_m"], case["view"]) == (height_m, view)]
@@ -21,11 +16,9 @@ def figure(path, result):
             axis.annotate(str(case["channels"]), (case["over_vacuum"], case["error_mk"]), (4, 4),
                           textcoords="offset points", fontsize=8)  # fmt: skip
     axis.axvline(1.5, color="0.6", lw=1, ls=":")
-    axis.set(yscale="log", xlabel="time of a frame with air over one without [1]",
+    axis.set(yscale="log", xlabel="time of a frame with air over that without [1]",
              ylabel="RMS error of channels and nodes [mK]",
              title=f"{result['scene']}, {', '.join(result['air'])}: channels at each point")  # fmt: skip
     axis.grid(True, which="both", lw=0.3, color="0.85")
     axis.legend(fontsize=8)
-    with files.atomic(path) as part:
-        drawing.savefig(part, dpi=90)
-    pyplot.close(drawing)
+    save(drawing, path, dpi=90)

@@ -1,7 +1,7 @@
-"""What air costs a frame, and what its spectral channels leave wrong: error against run time.
+"""Cost of air in a frame, and the error of its spectral channels: error against run time.
 
-Times are taken in turns, the frame without air first, and stand as medians of the ratios of each turn. The error is
-that against the most channels there are, over a whole frame, and what the plan allows for, over any path and surface.
+Times are measured in turns, the frame without air first, and reported as medians of the ratios of each turn. The error
+is that of a whole frame against the most channels available; the plan's estimate is for any path and surface.
 """
 
 import time
@@ -22,7 +22,7 @@ HEADER = ("height [m]", "view", "asked [mK]", "nodes", "channels", "planned [mK]
 
 def run(scene, air=("midlatitude-summer", "rural-23km"), heights_m=(120.0, 2000.0), tolerances_mk=TOLERANCES_MK,
         rays=32, repeats=15, device="auto", progress=None):  # fmt: skip
-    """Return what frames of a scene cost with and without air; plain numbers.
+    """Return the cost of a scene's frames with and without air, and the error of the channels, as plain numbers.
 
     Parameters
     ----------
@@ -30,16 +30,16 @@ def run(scene, air=("midlatitude-summer", "rural-23km"), heights_m=(120.0, 2000.
     air : (str, str)
         Standard atmosphere and aerosol.
     heights_m : sequence of float
-        Of the camera above the ground [m], each seen straight and 45° down.
+        Heights of the camera above the ground [m]; it looks straight and 45° down from each.
     tolerances_mk : sequence of float
-        Allowed to nodes and channels [mK].
+        Tolerances of nodes and channels [mK].
     rays : int
-        Per face of the bake.
+        Rays per face of the bake.
     repeats : int
-        Turns of each measurement.
+        Number of turns of each measurement.
     device : {"auto", "cpu", "cuda"}
     progress : callable, optional
-        Called with (what, share done).
+        Called with (step, share done).
 
     Returns
     -------
@@ -47,13 +47,13 @@ def run(scene, air=("midlatitude-summer", "rural-23km"), heights_m=(120.0, 2000.
         machine, versions, scene, air, and cases: [{height_m, view, tolerance_mk, nodes, channels, planned_mk,
         error_mk, frame_ms, over_vacuum}].
     """
-    tell = progress or (lambda what, share: None)
+    report = progress or (lambda step, share: None)
     own = {"rays": rays, "device": device}
     vacuum = Renderer(scene, **own)
     aired = vacuum.scene.with_air(*air)
     made = []
     for number, tolerance in enumerate((FINEST_MK, *tolerances_mk)):
-        tell(f"baking for {tolerance:g} mK", number / (len(tolerances_mk) + 1))
+        report(f"baking for {tolerance:g} mK", number / (len(tolerances_mk) + 1))
         made.append(Renderer(aired, tolerance_mk=tolerance, like=vacuum, **own))
         _ = made[-1].baked
     cases = []
@@ -78,12 +78,12 @@ def run(scene, air=("midlatitude-summer", "rural-23km"), heights_m=(120.0, 2000.
                     "frame_ms": 1e3 * float(np.median(seconds[:, number])),
                     "over_vacuum": float(np.median(seconds[:, number] / seconds[:, 0])),
                 })  # fmt: skip
-    tell("measured", 1.0)
+    report("measured", 1.0)
     return {"machine": machine(), "versions": versions(), "scene": scene.name, "air": list(air), "cases": cases}
 
 
 def rows(result):
-    """Return a result of `run` as rows of text under `HEADER`."""
+    """Return a result of `run` as table rows of text under `HEADER`."""
     return [
         (f"{case['height_m']:g}", case["view"], f"{case['tolerance_mk']:g}", str(case["nodes"]), str(case["channels"]),
          f"{case['planned_mk']:.1f}", f"{case['error_mk']:.2f}", f"{case['frame_ms']:.1f}",

@@ -5,28 +5,26 @@ from typing import Annotated
 
 import typer
 
-from thermorender.cli.terminal import progress, table
 from validation.budget import study
-from validation.command import Device, Out, alone, run_command
+from validation.command import Device, Out, conclude, continued_results, run_command
 
 
 def main(
     output: Out = Path("out/validation/budget"),
     drawn: Annotated[int, typer.Option(min=0, help="Views to draw between 20 m and 20 km, 10° and 90°.")] = 105,
-    seed: Annotated[int, typer.Option(min=0, help="Of the drawn views and of the made scenes.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the drawn views and of the made scenes.")] = 0,
     device: Device = "auto",
 ):
-    """What frames state of their sampling error, held against 256 rays per pixel; continues where it was stopped."""
-    with progress() as tell, alone(output):
-        cases = study.run(output, drawn=drawn, seed=seed, progress=tell, device=device)
-    table(study.HEADER, study.rows(cases))
-    told = study.summary(cases)
-    if told["views"]:
+    """The stated sampling error of frames against 256 rays per pixel; continues earlier results."""
+    with continued_results(output) as report:
+        cases = study.run(output, drawn=drawn, seed=seed, progress=report, device=device)
+    summary = study.summary(cases)
+    if summary["views"]:
         typer.echo(
-            f"of {told['views']} drawn views {told['covered']:.0%} err by no more than is stated; in the median "
-            f"{told['median']:.2f} times the error is stated"
+            f"the stated error exceeds the true one in {summary['covered']:.0%} of {summary['views']} drawn views; "
+            f"the median of stated over true is {summary['median']:.2f}"
         )
-    typer.echo(f"numbers and figure in {output}")
+    conclude("budget", output, study.HEADER, study.rows(cases))
 
 
 if __name__ == "__main__":

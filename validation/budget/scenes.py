@@ -1,4 +1,4 @@
-"""Views on which the stated error of a frame is tried: chosen ones of shipped and of made scenes, and drawn ones."""
+"""Views for which the stated error of a frame is tested: chosen ones of shipped and made scenes, and drawn ones."""
 
 from dataclasses import dataclass
 
@@ -24,7 +24,7 @@ class View:
     Attributes
     ----------
     height_m, pitch_deg, yaw_deg : float
-        Above the ground there; −90° looks down.
+        Height above the ground at the middle; a pitch of −90° looks down.
     """
 
     height_m: float
@@ -33,7 +33,7 @@ class View:
 
     @property
     def name(self):
-        """As in tables."""
+        """Its name in tables."""
         return f"{self.height_m:.0f} m, {-self.pitch_deg:.0f}°"
 
     def pose(self, scene):
@@ -59,7 +59,7 @@ def drawn(count, seed=0):
 
 
 def made(seed=0):
-    """Return [(Scene, Views)] of scenes in memory that are hard to sample, each from where it is hardest."""
+    """Return [(Scene, Views)] of scenes in memory that are hard to sample, with their hardest views."""
     random = np.random.Generator(np.random.Philox(seed))
     shape, library = (_TEXELS, _TEXELS), load_library()
     near, far = 0.157 / 2.5, 0.12
@@ -84,7 +84,7 @@ def made(seed=0):
 
 
 def level(texel_m, material, temperature):
-    """Return level ground of two triangles at 0 m, a Surface; material and temperature [K] are (rows, columns)."""
+    """Return a Surface of level ground at 0 m, two triangles; material and temperature [K] are (rows, columns)."""
     half = 0.5 * texel_m * np.array(material.shape[::-1])
     corner = np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]])
     faces = np.array([[0, 3, 1], [1, 3, 2]], np.int32)
@@ -94,7 +94,7 @@ def level(texel_m, material, temperature):
 
 
 def box(name, place, size, kelvin):
-    """Return a box of `size` [m] on the ground at `place`, (east, north) [m], a Surface of the second material."""
+    """Return a Surface of a box of `size` [m] on the ground at `place` (east, north) [m], of the second material."""
     import trimesh
 
     solid = trimesh.creation.box(extents=size)

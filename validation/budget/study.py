@@ -1,7 +1,7 @@
-"""What frames state of their own sampling error, held against frames of 256 rays per pixel of the same light.
+"""The stated sampling error of frames against frames of 256 rays per pixel with the same light.
 
-The error is that over the pixels that show a surface, of sampling alone: both frames share the light between surfaces.
-A view costs as much as its reference, a few seconds.
+The error is that of sampling alone, over the pixels that show a surface: both frames share the light between surfaces.
+A view takes a few seconds, mostly for its reference.
 """
 
 import time
@@ -19,27 +19,27 @@ from validation.budget.figure import figure
 from validation.kept_cases import kept_cases
 
 QUALITIES = ("standard", "high")
-# Light, which is not what is measured, is the same for all.
+# The same light for all, because it is not measured here.
 _RAYS = 128
 HEADER = ("scene", "view", "quality", "pixels", "true [mK]", "stated [mK]", "stated ÷ true", "frame [ms]")
 _TURNS = 5
 
 
-def run(folder, scenes=defaults.SCENES, drawn=105, seed=0, qualities=QUALITIES, progress=None, device="auto"):
-    """Measure what is not yet in `budget.json` of a folder; return its cases {name: record}, as written there.
+def run(folder, scene_names=defaults.SCENES, drawn=105, seed=0, qualities=QUALITIES, progress=None, device="auto"):
+    """Measure the cases that `budget.json` of a folder lacks; return all cases {name: record}, as written there.
 
     Parameters
     ----------
     folder : path
-    scenes : sequence of str
-        Whose chosen views are looked at, and over which the drawn ones are spread.
+    scene_names : sequence of str
+        Scenes of the chosen views; the drawn views are distributed over them.
     drawn : int
-        Views drawn in all, of the first quality.
+        Total number of drawn views, of the first quality.
     seed : int
-        Of the drawn views and of the made scenes.
+        Seed of the drawn views and of the made scenes.
     qualities : sequence of str
     progress : callable, optional
-        Called with (what, share done).
+        Called with (step, share done).
     device : {"auto", "cpu", "cuda"}
 
     Returns
@@ -53,8 +53,8 @@ def run(folder, scenes=defaults.SCENES, drawn=105, seed=0, qualities=QUALITIES, 
     views = scenes.drawn(drawn, seed)
     jobs = [
         (load_scene(name), [(view, False) for view in map(_view, scenes.CHOSEN)]
-         + [(view, True) for view in views[number :: len(scenes)]])
-        for number, name in enumerate(scenes)
+         + [(view, True) for view in views[number :: len(scene_names)]])
+        for number, name in enumerate(scene_names)
     ]  # fmt: skip
     jobs += [(scene, [(view, False) for view in chosen]) for scene, chosen in scenes.made(seed)]
     for number, (scene, chosen) in enumerate(jobs):
@@ -87,7 +87,7 @@ def run(folder, scenes=defaults.SCENES, drawn=105, seed=0, qualities=QUALITIES, 
 
 
 def summary(kept):
-    """Return {drawn views, covered share, median of stated ÷ true} of the drawn views that show something."""
+    """Return {views, covered, median} of the drawn views with an error: number, share covered, stated ÷ true."""
     drawn = [case for case in kept.values() if case["drawn"] and case["true_mk"]]
     ratio = np.array([case["stated_mk"] / case["true_mk"] for case in drawn])
     median = float(np.median(ratio)) if ratio.size else None
@@ -95,7 +95,7 @@ def summary(kept):
 
 
 def rows(kept):
-    """Return the chosen cases as rows of text under `HEADER`."""
+    """Return the chosen cases as table rows of text under `HEADER`."""
     return [
         (case["scene"], case["view"], case["quality"], str(case["pixels"]), f"{case['true_mk']:.0f}",
          f"{case['stated_mk']:.0f}", f"{case['stated_mk'] / max(case['true_mk'], 1e-9):.2f}", f"{case['frame_ms']:.0f}")
@@ -112,7 +112,7 @@ def _key(scene, view, quality):
 
 
 def _measure(renderer, pose, truth):
-    """{pixels, true_mk, stated_mk, frame_ms} of one view."""
+    """Return {pixels, true_mk, stated_mk, frame_ms} of one view."""
     frame = renderer.frame(pose)
     shown = np.isfinite(frame.error_mk)
     difference = (frame.radiance - truth)[shown] / renderer.plan.radiance_per_mk

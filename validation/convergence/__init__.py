@@ -1,1 +1,1 @@
-"""Error against run time, beside stock Mitsuba, against a path-traced reference."""
+"""Error against run time of this renderer and of stock Mitsuba, with a path-traced reference."""

@@ -1,4 +1,4 @@
-"""Error against run time, beside stock Mitsuba, against a path-traced reference.
+"""Error against run time of this renderer and of stock Mitsuba, with a path-traced reference.
 
 Run it as `python -m validation.convergence`.
 """
@@ -9,8 +9,8 @@ from typing import Annotated
 import typer
 
 from thermorender import defaults
-from thermorender.cli.terminal import Time, at_time, progress
-from validation.command import Device, Out, alone, run_command
+from thermorender.cli.terminal import Time, at_time
+from validation.command import Device, Out, continued_results, run_command
 from validation.convergence import study
 
 
@@ -18,14 +18,14 @@ def main(
     scenes: Annotated[list[str] | None, typer.Argument(help=f"Scenes; default: {' '.join(defaults.SCENES)}.")] = None,
     output: Out = Path("out/validation/convergence"),
     quick: Annotated[bool, typer.Option("--quick", help="Minutes instead of an hour.")] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Measure anew what is there.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Measure existing cases again.")] = False,
     time: Time = None,
     device: Device = "auto",
 ):
-    """Error against run time, beside stock Mitsuba, against the path-traced reference."""
-    with progress() as tell, alone(output):
+    """Error against run time of this renderer and of stock Mitsuba, with a path-traced reference."""
+    with continued_results(output) as report:
         loaded = [at_time(name, time) for name in scenes or defaults.SCENES]
-        study.convergence(loaded, output, tell, "quick" if quick else "full", overwrite, device)
+        study.convergence(loaded, output, report, "quick" if quick else "full", overwrite, device)
     typer.echo(f"table, numbers and figures in {output}")
 
 

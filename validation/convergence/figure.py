@@ -1,15 +1,16 @@
-"""Table and figures of the cases that `validation.convergence.study` measures."""
+"""Table and figures of the study of convergence."""
 
 import numpy as np
 
-from thermorender import files, formats
+from thermorender import formats
+from thermorender.compare.evaluation.figures import pyplot, save
 
 _COLUMNS = ("engine", "setting", "frame [s]", "error [mK]", "range [mK]", "after lens [mK]", "sampling [mK]",
             "budget [mK]", "bake [s]")  # fmt: skip
 
 
 def pareto(points):
-    """Return the indices of (seconds, error) pairs that no other beats in both, the fastest first."""
+    """Return the indices of the Pareto front of (seconds, error) pairs, fastest first."""
     best, front = np.inf, []
     for index in sorted(range(len(points)), key=lambda index: tuple(points[index])):
         if points[index][1] < best:
@@ -19,17 +20,16 @@ def pareto(points):
 
 
 def table(path, cases, settings):
-    """Write the cases as Markdown, the fastest of each view first; those no other beats are in bold."""
+    """Write the cases as Markdown, the fastest of each view first; the Pareto front is in bold."""
     (width, height), paths = settings["window"], settings["reference_paths"]
     lines = [
         "# Error against run time",
         "",
-        f"Seconds of a whole frame without noise; RMS error over those of its middle {width}×{height} pixels",
-        f"that show a surface, against two independent path-traced renders of {paths} paths per pixel, free of",
-        "their noise, with its range of two standard errors. Settings of thermorender are rays per pixel · texture",
-        "taps per ray · error from which on a pixel at an edge gets more rays (inf: never). Sampling: against the",
-        "same renderer with 256 rays per pixel. Budget: what the frame itself says of its error. Bold: no other",
-        "setting is both faster and closer.",
+        f"Seconds of a whole frame without noise. RMS error over the pixels of its central {width}×{height} that show",
+        f"a surface, against two independent path-traced renders of {paths} paths per pixel, free of their noise, with",
+        "a range of two standard errors. Settings of thermorender: rays per pixel · texture taps per ray · error above",
+        "which a pixel at an edge gets more rays (inf: never). Sampling: error against the same renderer with 256 rays",
+        "per pixel. Budget: the frame's own error estimate. Bold: no other setting is both faster and more accurate.",
     ]
     scenes = {record["scene"]: None for record in cases.values() if "view" in record}
     for scene in scenes:
@@ -66,15 +66,11 @@ def _text(value):
 
 
 def figure(path, cases, scene):
-    """Draw a scene's cases: error against seconds per frame, raw and after optics, and against the bake's, per view."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
+    """Draw a scene's cases per view: error against time per frame, as rendered and after optics, and bake time."""
     chosen = [record for record in cases.values() if record["scene"] == scene.name and "view" in record]
     views = list({record["view"]: None for record in chosen})
-    drawing, axes = pyplot.subplots(len(views), 3, figsize=(15, 4.6 * len(views)), layout="constrained", squeeze=False)
+    size = 15, 4.6 * len(views)
+    drawing, axes = pyplot().subplots(len(views), 3, figsize=size, layout="constrained", squeeze=False)
     camera = scene.camera
     netd = camera.netd_mk * (4 * camera.f_number**2 + 1) / (4 * camera.netd_f_number**2 + 1)
     for row, view in zip(axes, views, strict=True):
@@ -91,17 +87,15 @@ def figure(path, cases, scene):
             axis.axhline(netd, color="0.6", lw=1, ls=":")
             axis.set(xscale="log", yscale="log", ylabel="RMS error [mK]")
             axis.grid(True, which="both", lw=0.3, color="0.85")
-            axis.text(0.99, netd, f"camera's noise {netd:.0f} mK", color="0.4", ha="right", va="bottom", fontsize=8,
+            axis.text(0.99, netd, f"camera noise {netd:.0f} mK", color="0.4", ha="right", va="bottom", fontsize=8,
                       transform=axis.get_yaxis_transform())  # fmt: skip
             if axis.get_legend_handles_labels()[0]:
                 axis.legend(fontsize=8)
-    with files.atomic(path) as part:
-        drawing.savefig(part, dpi=80)
-    pyplot.close(drawing)
+    save(drawing, path)
 
 
 def _scatter(axis, records, name):
-    """Error against seconds per frame by engine, the front, and the default."""
+    """Draw error against seconds per frame by engine, the Pareto front, and the default."""
     for number, engine in enumerate({record["engine"]: None for record in records}):
         own = [record for record in records if record["engine"] == engine]
         x, y = np.array([(record["seconds"], _shown(record, name)) for record in own]).T
@@ -119,7 +113,7 @@ def _scatter(axis, records, name):
     points = [(record["seconds"], _shown(record, name)) for record in records]
     if points:
         front = [points[index] for index in pareto(points)]
-        axis.step(*np.array(front).T, where="post", color="k", lw=0.8, ls="--", label="none is faster and closer")
+        axis.step(*np.array(front).T, where="post", color="k", lw=0.8, ls="--", label="Pareto front")
 
 
 def _bakes(axis, records):
@@ -134,6 +128,6 @@ def _bakes(axis, records):
 
 
 def _shown(record, name):
-    """A case's error [mK], or the upper end of its range where that reaches zero: a log axis shows no zero."""
+    """Return a case's error [mK], or the upper end of its range if that contains zero, for a logarithmic axis."""
     low, high = record[f"{name}_range_mk"]
     return record[f"{name}_mk"] if low > 0.0 else max(high, 1e-3)

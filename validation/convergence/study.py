@@ -1,10 +1,10 @@
-"""Error against run time: this renderer and stock Mitsuba path tracing, against a path-traced reference.
+"""Error against run time of this renderer and of stock Mitsuba path tracing, with a path-traced reference.
 
-A case is one engine at one setting, seen from one pose. Its seconds are those of a whole frame of the camera; its
-error is that of the middle of the same frame against two independent reference renders, so that their noise does not
-count (`thermorender.render.reference.squared_error`). Beside it stands the error of sampling alone, against the
-same renderer with 256 rays per pixel. Cavities of known radiance close the table. Every case is written as soon as
-it is measured; a later run measures what is missing.
+A case is one engine at one setting and one pose. Its time is that of a whole frame. Its error is that of the middle of
+the frame against two independent reference renders, whose noise therefore does not count
+(`thermorender.render.reference.squared_error`). The sampling error is that against the same renderer with 256 rays per
+pixel. Cavities of known radiance complete the table. Every case is written when it is measured; a later run measures
+the missing ones.
 """
 
 import json
@@ -36,7 +36,7 @@ from validation import cavity
 from validation.convergence import figure as convergence_report
 
 OWN, DEFAULT = "thermorender", "standard"
-# Paths of two reflections, as the reference has them; "direct" sees one.
+# Paths with two reflections, as in the reference; "direct" has one.
 STOCK = {
     "stock path": {"type": "path", "max_depth": 3},
     "stock direct, BSDF samples": {"type": "direct", "emitter_samples": 0, "bsdf_samples": 1},
@@ -46,31 +46,31 @@ _MOST_AT_ONCE = 64
 
 @dataclass(frozen=True)
 class Mode:
-    """How much is measured.
+    """The extent of the study.
 
     Attributes
     ----------
     window : (2,) int
-        Width and height of the part of the image, around its middle, whose error is taken [px].
+        Width and height of the central part of the image whose error is measured [px].
     views : tuple of str
-        Of `bench.views`.
+        Names in `bench.views`.
     far_m : tuple of float
-        Heights from which, straight down, the error against sampling is looked at as well [m].
+        Heights of further views straight down, of sampling only [m].
     reference_paths : int
         Paths per pixel of each of the two reference renders.
     engines, stock : tuples of str and int
         Stock engines, and their paths per pixel.
     sampling : tuple of (int, int, float)
-        Rays per pixel, texture taps per ray and the error of an edge pixel from which on it gets more [mK], beside
-        the qualities'.
+        Rays per pixel, texture taps per ray and the error above which an edge pixel gets more rays [mK], in addition
+        to the qualities.
     rays : tuple of int
-        Rays per face of the bake, the default's first.
+        Rays per face of the bake, the default first.
     tolerances_mk : tuple of float
-        Allowed to the spectral nodes and the solution [mK], the default's first.
+        Tolerances of the spectral nodes and the solution [mK], the default first.
     emissivities : tuple of float
-        Of the cavities.
+        Emissivities of the cavities.
     seconds : float
-        Spent on timing one case; at least one frame, at most 15.
+        Time for timing one case; at least one frame, at most 15 frames.
     """
 
     window: tuple
@@ -123,32 +123,31 @@ MODES = {
 
 def convergence(scenes=defaults.SCENES, folder="validation", progress=None, mode="full", overwrite=False,
                 device="auto"):  # fmt: skip
-    """Measure the cases of some scenes; return {case: record}, as is also written.
+    """Measure the cases of some scenes; return {case: record}, which is also written.
 
     Parameters
     ----------
     scenes : sequence of str or Scene
     folder : path
-        Receives `convergence.json`, `convergence.md` and `convergence_<scene>.png`.
+        Folder for `convergence.json`, `convergence.md` and `convergence_<scene>.png`.
     progress : callable, optional
-        Called with (what, share done).
+        Called with (step, share done).
     mode : {"full", "quick"} or Mode
     overwrite : bool
-        Measure anew what is there.
+        Measure existing cases again.
     device : {"auto", "cpu", "cuda"}
 
     Raises
     ------
     ThermorenderError
-        An unknown mode or scene, or a folder that holds the cases of another mode.
+        An unknown mode or scene, or a folder with cases of another mode.
     """
     if isinstance(mode, str) and mode not in MODES:
         raise ThermorenderError(f"mode={mode!r} is unknown; give one of {', '.join(MODES)}")
     mode = MODES[mode] if isinstance(mode, str) else mode
     folder = files.make_folder(folder)
-    files.make_folder(folder)
     path = folder / "convergence.json"
-    # Through JSON once, so that it equals what is read back.
+    # Converted by JSON, so that it equals the settings read back.
     settings = json.loads(json.dumps({**asdict(mode), "device": device}))
     kept = {} if overwrite else _read(path, settings)
     sites = [_Site(scene if not isinstance(scene, str) else load_scene(scene), mode, device) for scene in scenes]
@@ -171,7 +170,7 @@ def convergence(scenes=defaults.SCENES, folder="validation", progress=None, mode
 
 
 def _read(path, settings):
-    """Cases already measured with these settings."""
+    """Return the cases already measured with these settings."""
     if not path.is_file():
         return {}
     try:
@@ -180,19 +179,19 @@ def _read(path, settings):
     except (ValueError, KeyError, TypeError):
         raise ThermorenderError(f"{path} is damaged; remove it, or overwrite it") from None
     if found != settings:
-        raise ThermorenderError(f"{path} holds cases of other settings; give another folder, or overwrite it")
+        raise ThermorenderError(f"{path} has cases of other settings; give another folder, or overwrite it")
     return cases
 
 
 def _cases(site, mode):
-    """(name, function that measures it) of every case of a scene."""
+    """Yield (name, function that measures it) of every case of a scene."""
 
     def named(engine, group, setting, views=mode.views, **more):
         for view in views:
             key = {"scene": site.scene.name, "view": view, "engine": engine, "group": group, "setting": setting}
             yield "/".join(key.values()), lambda key=key: {**key, **site.measure(view=key["view"], **more)}
 
-    # Light is that of as many rays per face for all of them.
+    # All of them use the same number of rays per face.
     named_settings = {numbers[:3]: name for name, numbers in QUALITIES.items()}
     for numbers in dict.fromkeys((*named_settings, *mode.sampling)):
         name = named_settings.get(numbers)
@@ -200,10 +199,10 @@ def _cases(site, mode):
         keywords = dict(zip(("samples", "taps", "edge_mk"), numbers, strict=True))
         yield from named(OWN, "sampling", label, tuple(site.poses), keywords=keywords, default=name == DEFAULT)
     for rays in mode.rays:
-        yield from named(OWN, "bake rays", f"{rays} rays", keywords={"quality": "high", "rays": rays}, anew=True)
+        yield from named(OWN, "bake rays", f"{rays} rays", keywords={"quality": "high", "rays": rays}, rebake=True)
     for tolerance in mode.tolerances_mk:
         yield from named(
-            OWN, "nodes", f"{tolerance:g} mK", keywords={"quality": "high", "tolerance_mk": tolerance}, anew=True
+            OWN, "nodes", f"{tolerance:g} mK", keywords={"quality": "high", "tolerance_mk": tolerance}, rebake=True
         )
     for name in mode.engines:
         for samples in mode.stock:
@@ -211,10 +210,10 @@ def _cases(site, mode):
 
 
 class _Site:
-    """A scene and what its cases share, each made when first needed."""
+    """A scene and the data that its cases share, each made when first needed."""
 
     def __init__(self, scene, mode, device):
-        # Stock Mitsuba is given temperatures too.
+        # Stock Mitsuba needs temperatures, too.
         scene = scene if scene.temperature_state.solved else Renderer(scene, device=device).scene
         self.scene, self.mode, self.device = scene, mode, device
         width, height = mode.window
@@ -226,7 +225,7 @@ class _Site:
         self.forget()
 
     def forget(self):
-        """Let go of renderers and images."""
+        """Release renderers and images."""
         self.base = cache(lambda: Renderer(self.scene, **self.own))
         self.truth = cache(self._truth)
         self.seen = cache(self._seen)
@@ -234,8 +233,8 @@ class _Site:
         self.stock = cache(lambda view: Stock(self.scene, self.poses[view], self.device))
         self._baked = None
 
-    def measure(self, view, keywords=None, anew=False, default=False, integrator=None, samples=None):
-        """One case's record."""
+    def measure(self, view, keywords=None, rebake=False, default=False, integrator=None, samples=None):
+        """Return the record of one case."""
         if integrator:
             render = partial(self.stock(view).render, integrator)
             # The first two renders compile kernels; more samples are rendered in parts of this size.
@@ -244,17 +243,17 @@ class _Site:
             seconds, image = _seconds(partial(render, samples, seed=3), self.mode.seconds)
             found = {"seconds": seconds}
         else:
-            renderer, bake_s = self._renderer(keywords, anew)
+            renderer, bake_s = self._renderer(keywords, rebake)
             render = partial(renderer.radiance, self.poses[view])
             for _ in range(2):
                 render()
             seconds, image = _seconds(render, self.mode.seconds)
-            # The budget of the same part of the frame that the error is taken over.
+            # The budget of the part of the frame whose error is measured.
             part = Renderer(self.part, **{**self.own, **keywords}, like=renderer)
             budget = part.frame(self.poses[view]).budget_mk["total"]
             found = {"seconds": seconds, "bake_s": bake_s, "default": default, "sampling_mk": None, "budget_mk": budget}
         image = self._middle(image)
-        if keywords and not anew:
+        if keywords and not rebake:
             seen = self.seen(view)
             found["sampling_mk"] = rms_mk(image[seen], self.finest(view)[seen], self.scene.camera)
         return {
@@ -262,18 +261,18 @@ class _Site:
         }  # fmt: skip
 
     def _middle(self, image):
-        """The part of an image whose error is taken."""
+        """Return the part of an image whose error is measured."""
         camera, (width, height) = self.scene.camera, self.mode.window
         left, top = (camera.width - width) // 2, (camera.height - height) // 2
         return image[top : top + height, left : left + width]
 
-    def _renderer(self, keywords, anew):
-        """(renderer of whole frames, seconds of its bake, None where another's is used)."""
+    def _renderer(self, keywords, rebake):
+        """Return (renderer of whole frames, seconds of its bake or None if it uses another's)."""
         settings = {**self.own, **keywords}
-        if not anew:
+        if not rebake:
             return Renderer(self.scene, **settings, like=self.base()), None
         if not self._baked or self._baked[0] != settings:
-            # Only the last is kept, for the next view: a finely traced scene fills the memory.
+            # Only the last one is kept, because a finely traced scene fills the memory.
             self._baked = None
             renderer = Renderer(self.scene, **settings)
             start = time.perf_counter()
@@ -283,12 +282,12 @@ class _Site:
         return self._baked[1:]
 
     def _truth(self, view):
-        # The same seeds as another case's would give the same noise.
+        # The seeds differ from those of the cases, so the noise is independent.
         pose, paths = self.poses[view], self.mode.reference_paths
         return [reference.render(self.part, pose, samples=paths, seed=seed, device=self.device) for seed in (1, 2)]
 
     def _seen(self, view):
-        """Which pixels of the window show a surface in their middle, bool."""
+        """Return whether each pixel of the window shows a surface at its centre, bool."""
         part = Renderer(self.part, **self.own, like=self.base())
         return np.isfinite(part.frame(self.poses[view]).truth["depth"])
 
@@ -297,7 +296,7 @@ class _Site:
         return converged(part, self.poses[view], self.own)
 
     def _error(self, image, view, name, sigma):
-        """RMS error of pixels that show a surface [mK], and its range of two standard errors."""
+        """Return the RMS error of pixels that show a surface [mK], and its range of two standard errors."""
         images = [np.asarray(image, np.float64), *self.truth(view)]
         seen = self.seen(view)
         scale = mk_per_radiance(images[1][seen], self.scene.camera.band_um)
@@ -309,7 +308,7 @@ class _Site:
 
 
 class Stock:
-    """A scene in stock Mitsuba, built once and rendered by any of its integrators.
+    """A scene in stock Mitsuba, built once and rendered by any integrator.
 
     Parameters
     ----------
@@ -330,7 +329,7 @@ class Stock:
             switch(self._mi, self._mono)
 
     def render(self, integrator, samples, seed=0):
-        """Return band radiance, (H, W) float64 [W m⁻² sr⁻¹], of an integrator (a dict of Mitsuba's)."""
+        """Return band radiance, (H, W) float64 [W m⁻² sr⁻¹], by an integrator (a Mitsuba dict)."""
         switch(self._mi, reference.VARIANTS[self._mono])
         try:
             method = self._mi.load_dict(integrator)
@@ -339,14 +338,14 @@ class Stock:
                 count = min(_MOST_AT_ONCE, samples - done)
                 image = self._mi.render(self._world, integrator=method, spp=count, seed=(seed << 12) + done)
                 total += np.array(image)[..., 0].astype(np.float64) * count
-            # The film integrates over nanometres what is radiance per micrometre.
+            # The film integrates radiance per micrometre over nanometres.
             return total / samples * 1e-3
         finally:
             switch(self._mi, self._mono)
 
 
 def _seconds(job, budget):
-    """(median seconds of a job, what it returned)."""
+    """Return (median seconds of a job, its result)."""
     taken = []
     while not taken or (sum(taken) < budget and len(taken) < 15):
         start = time.perf_counter()

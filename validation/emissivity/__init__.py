@@ -1,1 +1,1 @@
-"""Errors of a learned emissivity map on procedural scenes, beside simpler methods."""
+"""Errors of a learned emissivity map and of simpler methods on procedural scenes."""

@@ -1,4 +1,4 @@
-"""Errors of a learned emissivity map on procedural scenes, beside simpler methods.
+"""Errors of a learned emissivity map and of simpler methods on procedural scenes.
 
 Run it as `python -m validation.emissivity`.
 """
@@ -8,9 +8,8 @@ from typing import Annotated
 
 import typer
 
-from thermorender import files, formats
-from thermorender.cli.terminal import progress, table
-from validation.command import Out, run_command, seeds_of
+from thermorender import formats
+from validation.command import Out, conclude, new_results, run_command, seeds_of
 from validation.emissivity import study
 
 
@@ -19,14 +18,13 @@ def main(
     model: Annotated[str, typer.Option(help="Emissivity map: a file, or procedural.")] = "procedural",
     seeds: Annotated[str, typer.Option(help="Comma-separated seeds of procedural scenes not trained on.")] = "201,202",
 ):
-    """Errors of a learned emissivity map on procedural scenes, beside simpler methods."""
+    """Errors of a learned emissivity map and of simpler methods on procedural scenes."""
     numbers = seeds_of(seeds)
-    with progress() as tell, files.output_folder(output) as folder:
-        result = study.evaluate(model, numbers, progress=tell)
+    with new_results(output) as (report, folder):
+        result = study.evaluate(model, numbers, progress=report)
         formats.write_json(folder / "emissivity.json", result)
         study.write_confusion(result, folder / "emissivity_confusion.csv")
-    table(study.HEADER, study.rows(result))
-    typer.echo(f"numbers and confusion table in {output}")
+    conclude("emissivity", output, study.HEADER, study.rows(result), "numbers and confusion table")
 
 
 if __name__ == "__main__":

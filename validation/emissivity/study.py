@@ -1,9 +1,9 @@
-"""The learned emissivity map evaluated on procedural scenes whose materials are known.
+"""Evaluation of the learned emissivity map on procedural scenes with known materials.
 
-Beside the map stand three simpler methods: the colour nearest to the scene's own mean colour of each material (told the
-truth it needs), the scene's commonest material everywhere, and the fallback everywhere. Errors are of the band's
-emissivity and, with the scene's sky and each texel at the typical temperature of its true material, of apparent
-temperature seen from straight above through no air, the sky reflected whole.
+Three simpler methods are compared: the material whose mean colour in the scene is nearest (it uses the truth), the
+scene's most common material everywhere, and the fallback everywhere. Errors are those of the band emissivity and of
+apparent temperature. The latter is seen from straight above without air, under the scene's unobstructed sky, with each
+texel at the typical temperature of its true material.
 """
 
 import time
@@ -26,30 +26,31 @@ METHODS = ("learned, mix of three", "learned, most probable", "nearest colour", 
 
 def evaluate(model="procedural", seeds=(201, 202), fallback="soil_loam", confidence=DEFAULT_CONFIDENCE,
              kinds=tuple(KINDS), progress=None):  # fmt: skip
-    """Return the comparison as a dict: per scene and over all, the errors of each of METHODS; the confusion table.
+    """Return the errors of each of METHODS, per scene and over all, and the confusion table, as a dict.
 
     Parameters
     ----------
     model : str
         Name or file of the emissivity map.
     seeds : sequence of int
-        Of the scenes; none the map was trained on.
+        Seeds of scenes that the map was not trained on.
     fallback : str
-        Material that stands in for unknown texels.
+        Material of unknown texels.
     confidence : float
-        Below it a texel is unknown.
+        Confidence below which a texel is unknown.
     kinds : sequence of str
         Kinds of procedural scene.
-    progress : callable (what, share), optional
+    progress : callable, optional
+        Called with (step, share done).
 
     Raises
     ------
     ThermorenderError
         The map was trained on one of these scenes.
     """
-    tell = progress or (lambda what, share: None)
+    report = progress or (lambda step, share: None)
     model, library = load_map(model), load_library()
-    # Of the others nothing is known in this band.
+    # The other materials have no data in this band.
     low, high = BAND_UM
     library = {n: m for n, m in library.items() if m.valid_range_um[0] <= low and m.valid_range_um[1] >= high}
     names = list(library)
@@ -59,11 +60,11 @@ def evaluate(model="procedural", seeds=(201, 202), fallback="soil_loam", confide
     jobs = [(kind, seed) for seed in seeds for kind in kinds]
     for kind, seed in jobs:
         if f"procedural {kind} seed {seed}" in str(model.about.get("trained_on", "")).split("; "):
-            raise ThermorenderError(f"seed {seed} is one that {model.name!r} was trained on; give another")
+            raise ThermorenderError(f"seed={seed} is a seed that {model.name!r} was trained on; give another one")
     confusion = np.zeros((len(names), len(names) + 1), np.int64)
     scenes, every = {}, {method: [] for method in METHODS}
     for number, (kind, seed) in enumerate(jobs):
-        tell("making and mapping landscapes", number / len(jobs))
+        report("making and mapping landscapes", number / len(jobs))
         scene = make(kind, seed)
         number_of = np.zeros(256, np.int64)
         for value, name in scene.class_names.items():
@@ -76,47 +77,35 @@ def evaluate(model="procedural", seeds=(201, 202), fallback="soil_loam", confide
         index, share = own[mapped.index], mapped.share.copy()
         np.add.at(confusion, (truth, np.where(unknown, len(names), index[..., 0])), 1)
         index[unknown, 0], share[unknown] = stand_in, (1.0, 0.0, 0.0)
-        guesses = {
-            METHODS[0]: (index, share),
-            METHODS[1]: _pure(index[..., 0]),
-            METHODS[2]: _pure(_nearest_colour(scene.orthophoto, truth)),
-            METHODS[3]: _pure(np.full(truth.shape, np.bincount(truth.ravel()).argmax())),
-            METHODS[4]: _pure(np.full(truth.shape, stand_in)),
-        }
-        warm = np.array([library[name].temperature for name in names], dtype=np.float32)
-        judge = _Judge(list(library.values()), warm[truth], scene.sky_temperature)
+        simple = (
+            index[..., 0], _nearest_colour(scene.orthophoto, truth),
+            np.full(truth.shape, np.bincount(truth.ravel()).argmax()), np.full(truth.shape, stand_in),
+        )  # fmt: skip
+        guesses = dict(zip(METHODS, ((index, share), *map(_pure, simple)), strict=True))
+        kelvin = np.array([library[name].temperature for name in names], dtype=np.float32)
+        errors_of = _Errors(list(library.values()), kelvin[truth], scene.sky_temperature)
         found = {}
-        for method, (index, share) in guesses.items():
-            errors = judge(truth, index, share)
+        for method, guess in guesses.items():
+            errors = errors_of(truth, *guess)
             every[method].append(errors)
             found[method] = _summary(*errors)
-        scenes[f"{kind} {seed}"] = {
-            "texels": truth.size,
-            "share_unknown": round(float(unknown.mean()), 5),
-            "seconds": round(seconds, 2),
-            "methods": found,
-        }
+        scenes[f"{kind} {seed}"] = {"texels": truth.size, "share_unknown": round(float(unknown.mean()), 5),
+                                    "seconds": round(seconds, 2), "methods": found}  # fmt: skip
     seen = np.flatnonzero(confusion.sum(axis=1) + confusion.sum(axis=0)[:-1])
     confusion, names = confusion[seen][:, [*seen, -1]], [names[k] for k in seen]
     accuracy = np.diag(confusion) / np.maximum(confusion.sum(axis=1), 1)
     return {
-        "model": model.name,
-        "about": model.about,
-        "seeds": list(seeds),
-        "materials": names,
+        "model": model.name, "about": model.about, "seeds": list(seeds), "materials": names,
         "confusion": confusion.tolist(),
-        "class_accuracy": {
-            name: round(float(part), 4)
-            for name, part, row in zip(names, accuracy, confusion.sum(axis=1), strict=True)
-            if row
-        },
+        "class_accuracy": {name: round(float(part), 4) for name, part, row in
+                           zip(names, accuracy, confusion.sum(axis=1), strict=True) if row},
         "scenes": scenes,
         "all": {method: _summary(*map(np.concatenate, zip(*errors, strict=True))) for method, errors in every.items()},
-    }
+    }  # fmt: skip
 
 
 def rows(result):
-    """Return the comparison as table rows of text, one per method."""
+    """Return the comparison as table rows of text under HEADER, one per method."""
     return [
         (method, f"{e['accuracy']:.1%}", f"{e['emissivity_mean']:.4f}", f"{e['emissivity_rms']:.4f}",
          f"{e['mk_mean']:.0f}", f"{e['mk_rms']:.0f}", f"{e['mk_95']:.0f}")
@@ -127,8 +116,8 @@ def rows(result):
 HEADER = ("method", "accuracy", "mean |Δε|", "rms Δε", "mean |ΔT|, mK", "rms ΔT, mK", "95 % of |ΔT|, mK")
 
 
-class _Judge:
-    """Errors of guessed materials on the texels of a scene of known temperature."""
+class _Errors:
+    """Errors of predicted materials on the texels of a scene with known temperatures."""
 
     def __init__(self, materials, temperature, sky):
         wavelength, weight = quadrature(*BAND_UM)
@@ -143,7 +132,7 @@ class _Judge:
         self.temperature = temperature.astype(np.float64)
 
     def __call__(self, truth, index, share):
-        """Return ((N,) right or not, Δε, ΔT [K]) of every texel."""
+        """Return (correct, Δε, ΔT [K]) of every texel, (N,) each."""
         radiance, emissivity = self._seen(index, share)
         true_radiance, true_emissivity = self._seen(*_pure(truth))
         error = self.apparent.inverse(radiance) - self.apparent.inverse(true_radiance)
@@ -169,7 +158,7 @@ def _pure(index):
 
 
 def _nearest_colour(rgb, truth):
-    """Material whose mean colour in this scene, in CIELAB, is nearest."""
+    """Return the material whose mean colour in this scene is nearest in CIELAB."""
     image = lab(rgb)
     best, nearest = np.full(truth.shape, np.inf, np.float32), np.zeros(truth.shape, np.int64)
     for material in np.unique(truth):
@@ -192,7 +181,7 @@ def _summary(right, emissivity, temperature):
 
 
 def write_confusion(result, path):
-    """Write the confusion table as CSV: rows the true material, columns the mapped one, in texels."""
+    """Write the confusion table as CSV: texels by true material (rows) and mapped material (columns)."""
     import csv
 
     with atomic(path) as part, open(part, "w", newline="", encoding="utf-8") as file:

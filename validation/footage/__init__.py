@@ -1,1 +1,1 @@
-"""Power spectra and noise of simulated frames beside those of real ones."""
+"""Power spectra and noise of simulated and of real frames."""

@@ -1,14 +1,13 @@
-"""Power spectra and noise of simulated frames beside those of real ones: `python -m validation.footage`."""
+"""Power spectra and noise of simulated and of real frames: `python -m validation.footage`."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from thermorender import defaults, files
+from thermorender import defaults
 from thermorender.cli.camera import Base, Frames, Scale, parse_scale
-from thermorender.cli.terminal import progress, table
-from validation.command import Device, Out, run_command
+from validation.command import Device, Out, conclude, new_results, run_command
 from validation.footage import study
 
 
@@ -17,15 +16,14 @@ def main(
     output: Out = Path("out/validation/footage"),
     base: Base = defaults.CAMERA,
     scale: Scale = None,
-    scene: Annotated[str, typer.Option(help="Scene the simulated frames show.")] = defaults.SCENE,
-    name: Annotated[str, typer.Option(help="Of the files to write.")] = "footage",
+    scene: Annotated[str, typer.Option(help="Scene of the simulated frames.")] = defaults.SCENE,
+    name: Annotated[str, typer.Option(help="Name of the files to write.")] = "footage",
     device: Device = "auto",
 ):
-    """Power spectra and noise of simulated frames beside those of real ones."""
-    with progress() as tell, files.output_folder(output) as folder:
-        result = study.compare(frames, folder, base, parse_scale(scale), scene, name, progress=tell, device=device)
-    table(study.HEADER, study.rows(result))
-    typer.echo(f"numbers, figure and fitted camera in {output}")
+    """Power spectra and noise of simulated and of real frames."""
+    with new_results(output) as (report, folder):
+        result = study.compare(frames, folder, base, parse_scale(scale), scene, name, progress=report, device=device)
+    conclude("footage", output, study.HEADER, study.rows(result), "numbers, figure and fitted camera")
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""Simulated frames beside real ones by their statistics: power spectra, parts of the noise, noise over the field.
+"""Statistics of simulated and of real frames: power spectra, parts of the noise, noise over the field.
 
-The scenes differ, so only what the camera makes is compared: where the spectrum of the scene bends down and the noise
-takes over, the lines of rows and columns, what stays on the detector, and how noise grows towards the corners. Twice:
-with the camera as its file has it, and with the file that `fit-camera` makes of the same footage.
+The scenes differ, so only effects of the camera are compared: the frequency above which noise exceeds the scene, noise
+of rows and columns, fixed-pattern noise, and the growth of noise towards the corners. Two cameras are simulated: the
+one in the camera file, and the one that `fit-camera` fits to the same footage.
 """
 
 from dataclasses import asdict
@@ -23,15 +23,15 @@ from validation.footage.figure import figure
 
 HEADER = ("frames", "pixel [mK]", "row", "column", "fixed pixel", "fixed row", "fixed column")
 _PARTS = ("pixel", "row", "column", "fixed_pixel", "fixed_row", "fixed_column")
-# Simulated frames, and how high above the ground and how far from the middle of the scene they are taken [m]: high
-# enough for a texel of the shipped scenes to fill no more than a pixel.
+# Number of simulated frames, their height above the ground, and their largest distance from the middle of the scene
+# [m]. At this height a texel of the shipped scenes is no larger than a pixel.
 _FRAMES, _HEIGHT_M, _AWAY_M = 12, 200.0, 60.0
 _RINGS = 6
 
 
 def compare(paths, output, base=defaults.CAMERA, scale=None, scene=defaults.SCENE, name="footage", seed=0,
             progress=None, **options):  # fmt: skip
-    """Write `name`.json, `name`.png and `name`.toml of a camera's footage and its simulations; return what JSON holds.
+    """Write `name`.json, `name`.png and `name`.toml of a camera's footage and its simulations; return the JSON result.
 
     Parameters
     ----------
@@ -42,18 +42,18 @@ def compare(paths, output, base=defaults.CAMERA, scale=None, scene=defaults.SCEN
     base : str or path
         Camera model of the footage.
     scale : (2,) floats, optional
-        (kelvin per count, kelvin of count 0) of TIFFs that declare none.
+        (kelvin per count, kelvin at count 0) of TIFFs that declare none.
     scene : str
-        Scene the simulated frames show, from above.
+        Scene of the simulated frames, seen from above.
     seed : int
     progress : callable, optional
-        Called with (what, share done).
+        Called with (step, share done).
     **options
-        Of the Renderer.
+        Keywords of Renderer.
     """
-    tell = progress or (lambda what, share: None)
+    report = progress or (lambda step, share: None)
     camera, frames = load_camera(base, "base camera"), frame_files(paths)
-    found = fit_camera(paths, base, scale, lambda share: tell("reading the footage", share))
+    found = fit_camera(paths, base, scale, lambda share: report("reading the footage", share))
     fitted_path = Path(output) / f"{name}.toml"
     write_camera(fitted_path, base, found)
     sides = {
@@ -61,46 +61,46 @@ def compare(paths, output, base=defaults.CAMERA, scale=None, scene=defaults.SCEN
         "simulated, as the file has it": None,
         "simulated, fitted": None,
     }
-    radiance = _views(scene, camera, seed, tell, options)
+    radiance = _views(scene, camera, seed, report, options)
     for side, model in zip(list(sides)[1:], (camera, load_camera(fitted_path)), strict=True):
         sides[side] = _readings(radiance, model, seed)
-    told = {side: _statistics(images, camera) for side, images in sides.items()}
+    statistics = {side: _statistics(images, camera) for side, images in sides.items()}
     estimates = {key: asdict(estimate) for key, estimate in found.items()}
-    result = {"camera": camera.name, "scene": scene, "estimates": estimates, "sides": told}
+    result = {"camera": camera.name, "scene": scene, "estimates": estimates, "sides": statistics}
     formats.write_json(Path(output) / f"{name}.json", result)
-    figure(Path(output) / f"{name}.png", told, name)
+    figure(Path(output) / f"{name}.png", statistics, name)
     return result
 
 
 def rows(result):
-    """Return the parts of the noise of each side as a camera file states them, for a table with `HEADER`."""
+    """Return the parts of the noise of each side, in the units of a camera file, as table rows under `HEADER`."""
     found = []
-    for side, told in result["sides"].items():
-        parts = ("—" if told["noise_mk"][p] is None else "{:.1f} ± {:.1f}".format(*told["noise_mk"][p]) for p in _PARTS)
-        found.append((f"{side}: {told['frames']}", *parts))
+    for side, own in result["sides"].items():
+        parts = ("—" if own["noise_mk"][p] is None else "{:.1f} ± {:.1f}".format(*own["noise_mk"][p]) for p in _PARTS)
+        found.append((f"{side}: {own['frames']}", *parts))
     return found
 
 
-def _views(scene, camera, seed, tell, options):
-    """Band radiance of views straight down at positions and headings drawn from the seed."""
+def _views(scene, camera, seed, report, options):
+    """Return band radiance of views straight down at positions and headings drawn from the seed."""
     from thermorender.render.renderer import Renderer
     from thermorender.scene.load import load_scene
     from thermorender.trajectory.path import pose
 
     loaded = load_scene(scene).with_camera(camera)
-    renderer = Renderer(loaded, seed=seed, progress=tell, **options)
+    renderer = Renderer(loaded, seed=seed, progress=report, **options)
     rng = np.random.default_rng(seed)
     views = []
     for number in range(_FRAMES):
         east, north = rng.uniform(-_AWAY_M, _AWAY_M, 2)
         view = pose(east, north, _HEIGHT_M + float(loaded.ground(east, north)), rng.uniform(0.0, 360.0), -90.0, 0.0)
         views.append(renderer.frame(view, index=number).radiance)
-        tell("rendering", (number + 1) / _FRAMES)
+        report("rendering", (number + 1) / _FRAMES)
     return views
 
 
 def _readings(views, camera, seed):
-    """Apparent temperatures that a camera at rest reads of views [K]."""
+    """Yield apparent temperatures that a camera at rest reads of views [K]."""
     grid = RadianceTable.grid(*camera.count_range_k)
     table = RadianceTable(grid, band_radiance(grid, *camera.band_um))
     sensor = Sensor(camera, seed)
@@ -109,14 +109,14 @@ def _readings(views, camera, seed):
 
 
 def _statistics(images, camera):
-    """The statistics of frames, as plain values."""
+    """Return the statistics of frames, as plain values."""
     gain = 1.0 / relative_illumination(camera).astype(np.float64)
     spectra, powers = Spectra((camera.height, camera.width), gain), []
     for image in images:
         spectra.add(image)
         powers.append(block_powers(np.where(np.isfinite(image), image, np.nanmean(image))))
     noise, mean_k = noise_of(spectra), float(spectra.image.mean())
-    # At one temperature and without the lens, as a camera file states it, or warm scenes would look less noisy.
+    # Noise at one temperature and without the lens, as in a camera file; otherwise warm scenes would seem less noisy.
     scale = noise_scale(camera, mean_k)
     frequency, total, fixed = _radial(spectra)
     down, right = spectra.frequencies()
@@ -143,13 +143,13 @@ def _short(values):
 
 
 def _line(frequency, power):
-    """Means over eight neighbours, or the lines are all scatter."""
+    """Return means over eight neighbours, which smooths the lines."""
     frequency, power = (a[: a.size // 8 * 8].reshape(-1, 8).mean(axis=1) for a in (frequency, power))
     return {"frequency": _short(frequency), "power": _short(power)}
 
 
 def _radial(spectra):
-    """(mean frequency, total power, fixed power) of rings of frequencies off the axes."""
+    """Return (mean frequency, total power, fixed power) of rings of frequencies off the axes."""
     down, right = spectra.frequencies()
     radius = np.hypot(down, right)
     edges = np.geomspace(0.01, 0.7, 45)
@@ -164,7 +164,7 @@ def _radial(spectra):
 
 
 def _field(powers, camera):
-    """Noise of the flattest blocks in rings around the middle of the image: {radius [share of the corner's], mK}."""
+    """Return the noise of the flattest blocks in rings around the image centre: {radius [share of corner's], mK}."""
     row, column = np.mgrid[: camera.height, : camera.width]
     off = np.hypot(row - 0.5 * camera.height, column - 0.5 * camera.width)
     off = block_means(off / off.max())

@@ -2,19 +2,15 @@
 
 from pathlib import Path
 
-import typer
-
-from thermorender.cli.terminal import progress, table
-from validation.command import Device, Out, alone, run_command
+from validation.command import Device, Out, conclude, continued_results, run_command
 from validation.growth import study
 
 
 def main(output: Out = Path("out/validation/growth"), device: Device = "auto"):
-    """How time and memory grow with triangles, texels and spectral nodes; continues where it was stopped."""
-    with progress() as tell, alone(output):
-        cases = study.run(output, progress=tell, device=device)
-    table(study.HEADER, study.rows(cases))
-    typer.echo(f"numbers and figure in {output}")
+    """Time and memory against triangles, texels and spectral nodes; continues earlier results."""
+    with continued_results(output) as report:
+        cases = study.run(output, progress=report, device=device)
+    conclude("growth", output, study.HEADER, study.rows(cases))
 
 
 if __name__ == "__main__":

@@ -1,19 +1,14 @@
-"""Figure of what `validation.growth.study` measures."""
+"""Figure of the study of growth."""
 
-from thermorender import files
+from thermorender.compare.evaluation.figures import pyplot, save
 
 
 def figure(path, cases):
-    """Draw bake, frame and memory along each axis that was varied."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
+    """Draw bake time, frame time and memory along each varied axis."""
     kinds = (("bake_s", "bake, 16 rays per face [s]", 1.0), ("frame_ms", "frame at 45° [ms]", 1.0),
-             ("peak_mib", "most memory [GiB]", 1.0 / 1024))  # fmt: skip
+             ("peak_mib", "peak memory [GiB]", 1.0 / 1024))  # fmt: skip
     varied = list(dict.fromkeys(case["varied"] for case in cases.values()))
-    drawing, panels = pyplot.subplots(len(kinds), len(varied), figsize=(11, 8), layout="constrained", squeeze=False)
+    drawing, panels = pyplot().subplots(len(kinds), len(varied), figsize=(11, 8), layout="constrained", squeeze=False)
     for column, axis in zip(panels.T, varied, strict=True):
         own = sorted((case for case in cases.values() if case["varied"] == axis), key=lambda case: case[axis])
         for panel, (key, label, unit) in zip(column, kinds, strict=True):
@@ -24,6 +19,4 @@ def figure(path, cases):
             panel.set(xscale="log", yscale="log", xlabel=axis + (" along a side" if axis == "texels" else ""),
                       ylabel=label)  # fmt: skip
             panel.grid(True, which="both", lw=0.3, color="0.85")
-    with files.atomic(path) as part:
-        drawing.savefig(part, dpi=80)
-    pyplot.close(drawing)
+    save(drawing, path)

@@ -1,7 +1,7 @@
-"""How cost grows: triangles, texels and spectral nodes, one at a time, each case in a process of its own.
+"""Cost against triangles, texels and spectral nodes, varied one at a time, each case in a separate process.
 
-A fresh process tells the most memory that one case held: synthetic terrain, caster, bake and frames, but not the
-making of the terrain. Nodes are given in number, not by a tolerance.
+A separate process measures the peak memory of one case: synthetic terrain, ray caster, bake and frames, without the
+generation of the terrain. The number of nodes is given directly, not by a tolerance.
 """
 
 import time
@@ -17,7 +17,7 @@ from validation.growth.figure import figure
 from validation.kept_cases import kept_cases
 from validation.made_scenes import terrain
 
-# What the two axes that are not varied stand at: triangles, texels along a side, nodes.
+# Values of the axes that are not varied: triangles, texels along a side, nodes.
 BASE = (1_000_000, 2048, 8)
 AXES = {
     "triangles": (100_000, 300_000, 1_000_000, 3_000_000, 10_000_000),
@@ -29,16 +29,17 @@ HEADER = ("varied", "triangles", "texels", "nodes", "build [s]", "bake [s]", "fr
 
 
 def run(folder, axes=AXES, base=BASE, progress=None, device="auto"):
-    """Measure what is not yet in `growth.json` of a folder; return {case: record}, as is written there.
+    """Measure the cases that `growth.json` of a folder lacks; return {case: record}, as written there.
 
     Parameters
     ----------
     folder : path
     axes : dict
-        Values of triangles, texels (along a side) and nodes; the others stand at `base`.
+        Values of triangles, texels (along a side) and nodes.
     base : (int, int, int)
+        Values of the axes that are not varied.
     progress : callable, optional
-        Called with (what, share done).
+        Called with (step, share done).
     device : {"auto", "cpu", "cuda"}
     """
     folder = files.make_folder(folder)
@@ -94,7 +95,7 @@ def _measure(triangles, texels, nodes, device):
 
 
 def rows(cases):
-    """Return the cases as rows of text under `HEADER`."""
+    """Return the cases as table rows of text under `HEADER`."""
     return [
         (case["varied"], str(case["triangles"]), f"{case['texels']}²", str(case["nodes"]), f"{case['build_s']:.1f}",
          f"{case['bake_s']:.1f}", f"{case['frame_ms']:.0f}",

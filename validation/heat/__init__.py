@@ -1,1 +1,1 @@
-"""The heat balance against measured surface temperatures, beside simpler methods."""
+"""The heat balance and simpler methods against measured surface temperatures."""

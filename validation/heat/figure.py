@@ -1,11 +1,11 @@
-"""Figure of what `validation.heat.study` compares: measured and modelled surface temperature at every site."""
+"""Figure of the study of heat: measured and modelled surface temperature at every site."""
 
 import numpy as np
 
 from thermorender import files
 from thermorender.units import ZERO_CELSIUS_K
 
-# So much of a record is drawn [h].
+# Length of the drawn part of a record [h].
 _SHOWN_H = 96.0
 _COLOURS = {"measured": "black", "balance": "#0072B2", "force–restore": "#E69F00", "sinusoid": "#009E73", "air": "0.6"}
 

@@ -1,4 +1,4 @@
-"""Measured places: weather and the surface temperature that it made, read as a file of sites declares them."""
+"""Measured sites: weather and surface temperature, read as declared in a file of sites."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +15,6 @@ from thermorender.units import ZERO_CELSIUS_K, instant
 from thermorender.weather.series import Conditions, Weather
 from thermorender.weather.station import read_columns, read_station
 
-# What drives the model before the first row, where a site starts by repeating its first day.
 _DAY_S = 86400
 
 
@@ -39,34 +38,34 @@ def _two(read_one):
 
 @dataclass(frozen=True, kw_only=True)
 class Site:
-    """A place: see the head of `validation/heat/sites.toml`.
+    """A site: see the head of `validation/heat/sites.toml`.
 
     Attributes
     ----------
     canopy_m : float or None
-        Height of what stands there, a tenth of which is the roughness length of all its cover: Garratt, The Atmospheric
-        Boundary Layer (1992), section 4.1; None: the tables' own.
+        Height of the vegetation or buildings; the roughness length of the cover is a tenth of it (Garratt, The
+        Atmospheric Boundary Layer (1992), section 4.1). None: the tables' values.
     wetness : float or None
-        Moisture available to evaporation, as a class tells it; None: the tables' own.
+        Moisture available to evaporation, in the classes of materials; None: the tables' values.
     depth_m : float or None
-        Of water.
+        Depth of water.
     longwave_up, surface, water : str or None
-        Column of what was measured: up-welling long-wave [W m⁻²], an infrared surface temperature [°C], or that of the
+        Column of the measurement: upwelling longwave [W m⁻²], infrared surface temperature [°C], or temperature of the
         water's uppermost layer [°C].
     emissivity : float or None
-        Broadband, for what up-welling long-wave tells; that of the cover where None.
+        Broadband emissivity for upwelling longwave; that of the cover where None.
     shortwave_up : str or None
-        Column of the reflected sunlight, where it drives the model in place of the table's absorptance.
+        Column of the reflected sunlight, if it replaces the table's absorptance.
     radiation : tuple of two str or None
-        Columns whose sum is absorbed sunlight and long-wave down.
+        Columns whose sum is absorbed sunlight and downwelling longwave.
     soil : tuple of (depth [m], column [°C])
-        Measured temperatures beneath, at the first row, that the model starts with.
+        Measured soil temperatures; their first row is the initial state.
     start : str
-        "settle": in balance with the first day; "repeat": that day, of one-day files, is also what is scored.
+        "settle": start in balance with the first day; "repeat": the same, and that day is also scored (one-day files).
     without_offset : bool
-        Scores are also given without the mean error.
+        Whether scores are without the mean error.
     aim_k : (2,) tuple or None
-        Mean absolute error aimed at by day and by night [K].
+        Aimed mean absolute error by day and by night [K].
     """
 
     name: str = key(text)
@@ -99,7 +98,7 @@ class Site:
     aim_k: tuple | None = key(number(0.0, 100.0, count=2), None)
 
     def check(self, where, given):
-        """Refuse none or two measurements, and shares that are no whole."""
+        """Refuse none or several measurements, and shares that do not add up to 1."""
         where.exactly_one(given, ("longwave_up", "surface", "water"))
         total = sum(share for _, share in self.cover)
         if abs(total - 1.0) > 1e-6:
@@ -113,18 +112,18 @@ class _File:
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """A site with its weather and what was measured there.
+    """A site with its weather and measurements.
 
     Attributes
     ----------
     site : Site
     weather : Weather
     absorbed : (N,) float64 or None
-        Sunlight absorbed where it is measured [W m⁻²].
+        Measured absorbed sunlight [W m⁻²].
     observed_k : (N,) float64
-        Surface temperature [K]; NaN where there is none.
+        Measured surface temperature [K]; NaN where missing.
     begin_k : (depths [m], temperatures [K]) or None
-        Beneath the surface at the first row.
+        Soil temperatures at the first row.
     scored : (N,) bool
     """
 
@@ -137,7 +136,7 @@ class Measured:
 
     @property
     def elevation_deg(self):
-        """Of the sun at each instant, (N,)."""
+        """Elevation of the sun at each instant, (N,)."""
         return self.weather.sun(self.weather.time)[1]
 
 
@@ -148,16 +147,16 @@ def read_sites(path):
 
 
 def measured(site, folder):
-    """Return the Measured of a site whose table lies in `folder`.
+    """Return the Measured of a site from its table in `folder`.
 
     Raises
     ------
     ThermorenderError
-        A table that is missing or has no such column.
+        A missing table or column.
     """
     path = Path(folder) / site.file
     if not path.is_file():
-        raise ThermorenderError(f"{path} does not exist; give the folder that holds {site.file} with --data")
+        raise ThermorenderError(f"{path} does not exist; give the folder of {site.file} with --data")
     weather = read_station(
         path, site.latitude_deg, site.longitude_deg, site.altitude_m, names=dict(site.names), during=site.during,
         longest_gap_h=site.longest_gap_h, wind_m_s=site.wind_m_s, snow_depth_m=site.snow_depth_m,
@@ -194,21 +193,24 @@ def _materials(site):
     library = load_library()
     for name, _ in site.cover:
         if name not in library:
-            raise ThermorenderError(f"site {site.name!r}: cover {name!r} is no material of the library")
+            raise ThermorenderError(
+                f"site {site.name!r}: cover={name!r} is not a material of the library; "
+                "`thermorender materials list` prints the names"
+            )
     return [(library[name], share) for name, share in site.cover]
 
 
 def _whole(values, time):
-    """Values with their holes bridged in time."""
+    """Return values with gaps interpolated in time."""
     second, known = (time - time[0]).astype(float), np.isfinite(values)
     return np.interp(second, second[known], values[known])
 
 
 def modelled(found, step_s=None, layers=None, edit=None):
-    """Return the temperature that the heat balance gives the surface of a Measured at each of its instants, (N,) [K].
+    """Return the surface temperature of a Measured by the heat balance at each of its instants, (N,) [K].
 
-    Of a mixed cover the mean of the fourth powers, weighted with share and emissivity; of water that of its first layer
-    where that was measured.
+    For a mixed cover, the fourth root of the mean fourth power, weighted with share and emissivity; for water, the
+    temperature of the first layer if that was measured.
 
     Parameters
     ----------
@@ -217,7 +219,7 @@ def modelled(found, step_s=None, layers=None, edit=None):
         Longest step [s].
     layers : int, optional
     edit : callable, optional
-        Called with each Material before it is used, returns the one to use.
+        (Material) → Material, applied to each material.
     """
     site, weather = found.site, found.weather
     materials = _materials(site)
@@ -235,23 +237,23 @@ def modelled(found, step_s=None, layers=None, edit=None):
         depth, kelvin = found.begin_k
         known = np.isfinite(kelvin)
         state = balance.at_rest(np, list(np.interp(made.node_m.T, depth[known], kelvin[known])), made.ground)
-        kelvin = series.march(state, step_s)
+        kelvin = series.simulate(state, step_s)
     else:
         state = series.settled(2.0 * step_s)
-        kelvin = series.march(state, step_s)
+        kelvin = series.simulate(state, step_s)
     share = np.array([share for _, share in materials]) * made.ground.emissivity
     return (kelvin**4 @ (share / share.sum())) ** 0.25
 
 
 class _Drive:
-    """Marches the columns of a Measured under its weather, row to row."""
+    """Simulates the columns of a Measured under its weather, from row to row."""
 
     def __init__(self, found, columns):
         self.found, self.columns = found, columns
         self.first_layer = found.site.water is not None
 
-    def march(self, state, step_s, count=None):
-        """Temperatures (N, M) at each row, or the first `count` of them."""
+    def simulate(self, state, step_s, count=None):
+        """Return temperatures (N, M) at each row, or at the first `count` rows."""
         weather, columns = self.found.weather, self.columns
         time, absorbed = weather.time[:count], self.found.absorbed
         second = (time - time[0]).astype(float)
@@ -267,9 +269,9 @@ class _Drive:
         return np.array(seen)
 
     def settled(self, step_s):
-        """The State at the first row of columns that have had the first day over and over.
+        """Return the State at the first row after repeating the first day until it no longer changes.
 
-        A file of less than a day goes on to the day after in a straight line.
+        A file of less than a day is continued to the next day by linear interpolation.
         """
         day = self.found.weather.time[0] + np.timedelta64(_DAY_S, "s")
         if self.found.weather.time[-1] < day:
@@ -278,14 +280,14 @@ class _Drive:
         count = min(np.searchsorted(weather.time, day) + 1, len(weather.time))
 
         def again(state):
-            seen = self.march(state, step_s, count)
+            seen = self.simulate(state, step_s, count)
             return self.state, seen
 
         return open_ground.settle(self.columns, weather.air_k[:count].mean(), again)[0]
 
 
 def _closed(found, day):
-    """A Measured whose first row comes again a day later."""
+    """Return a Measured with its first row repeated a day later."""
     weather = found.weather
     again = lambda values: np.append(values, values[0])  # noqa: E731
     series = {name: again(getattr(weather, name)) for name in Conditions._fields}

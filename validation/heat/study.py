@@ -1,8 +1,8 @@
-"""The heat balance against measured surface temperatures, beside simpler methods that know the same weather.
+"""The heat balance and simpler methods with the same weather against measured surface temperatures.
 
-Each site is run with properties from tables. Beside it: the same with one parameter fitted to the site, to show what
-knowing it would give; force–restore in the form that the synthetic scenes once used; a sinusoid for each kind of cover,
-as SOLWEIG has it; and the temperature of the air itself.
+Each site is simulated with properties from tables. For comparison: the same with one parameter fitted to the site,
+which shows the effect of knowing it; force–restore as the synthetic scenes once used it; a sinusoid for each kind of
+cover, as in SOLWEIG; and the air temperature.
 """
 
 import time
@@ -17,11 +17,11 @@ from validation.heat.sites import measured, modelled, read_sites
 
 METHODS = ("balance", "one fitted", "force–restore", "sinusoid", "air")
 HEADER = ("site", "method", "day bias", "MAE", "RMS [K]", "night bias", "MAE", "RMS [K]", "aim, MAE")
-SITES = Path(__file__).with_name("sites.toml")
-# Sun that counts as day, and as night when it stands as far below [deg].
+SITES = Path("heat") / "sites.toml"
+# Elevation of the sun above which it is day; night is below minus this [deg].
 _EDGE_DEG = 3.0
 _FACTORS = (0.25, 0.5, 2.0, 4.0)
-# What is fitted, by cover: of ground its conductivity, of leaves the water they have.
+# The fitted parameter by cover: conductivity of ground, moisture of leaves.
 _FITTED = {"bare": "conductivity_w_m_k", "snow": "conductivity_w_m_k", "water": "roughness_m", "leaves": "wetness"}
 # Absorptance, thermal inertia [J m⁻² K⁻¹ s^-½], exchange over that of a smooth plate, wetness.
 _FORCE_RESTORE = {
@@ -31,41 +31,42 @@ _FORCE_RESTORE = {
     "granite_paving": (0.66, 1700.0, 1.0, 0.01), "asphalt": (0.91, 1300.0, 1.0, 0.0),
     "water": (0.92, 14000.0, 0.9, 0.9), "snow": (0.28, 550.0, 0.8, 0.5),
 }  # fmt: skip
-# Slope over the sun's highest elevation [K/deg], constant [K], hour of the crest: SOLWEIG's classes cobble, asphalt,
+# Slope with the sun's highest elevation [K/deg], constant [K], hour of the maximum: SOLWEIG's classes cobble, asphalt,
 # grass, bare soil and water, Lindberg, Onomura & Grimmond, Int. J. Biometeorol. 60 (2016) 1439, table 1.
 _SINUSOID = {
     "granite_paving": (0.37, -3.41, 15.0), "asphalt": (0.58, -9.78, 15.0), "grass_green": (0.21, -3.38, 14.0),
     "soil_arid": (0.33, -3.01, 14.0), "water": (0.0, 0.0, 12.0),
 }  # fmt: skip
-# Of other covers: trees, shrubs and dry grass as grass, other ground as bare soil, snow as the air.
+# Classes of other covers: trees, shrubs and dry grass as grass, other ground as bare soil, snow as the air.
 _LIKE = {"conifer": "grass_green", "grass_dry": "grass_green", "heath_shrub": "grass_green", "soil_dark": "soil_arid",
          "soil_loam": "soil_arid", "snow": "water"}  # fmt: skip
-# Of the study of run time: layers and steps, sites, and the columns that are taken for the truth.
+# Sites, layers and time steps of the study of run time, and the settings that serve as truth.
 _COST_SITES, _COST_LAYERS, _COST_STEPS_S = ("grass", "desert", "square"), (6, 8, 12, 16), (300.0, 900.0, 1800.0, 3600.0)
 _FINE = {"layers": 24, "step_s": 60.0}
 
 
 def run(sites, folder, progress=None):
-    """Return the study as a dict: scores of every method at every site, the series, and error against run time.
+    """Return the scores of every method at every site, the time series, and error against run time, as a dict.
 
     Parameters
     ----------
     sites : path
         A file such as `validation/heat/sites.toml`.
     folder : path
-        Where the measured tables lie; sites without theirs are left out and named under "missing".
-    progress : callable (what, share), optional
+        Folder of the measured tables; sites without a table are left out and named under "missing".
+    progress : callable, optional
+        Called with (step, share done).
     """
-    tell = progress or (lambda what, share: None)
+    report = progress or (lambda step, share: None)
     declared = read_sites(sites)
     there = [site for site in declared if (Path(folder) / site.file).is_file()]
     result = {"sites": {}, "missing": [site.name for site in declared if site not in there]}
     for number, site in enumerate(there):
-        tell(f"site {site.name}", number / len(there))
+        report(f"site {site.name}", number / len(there))
         result["sites"][site.name] = _of_site(measured(site, folder))
     chosen = [site for site in there if site.name in _COST_SITES]
-    result["cost"] = _cost([measured(site, folder) for site in chosen], lambda share: tell("run time", share))
-    tell("run time", 1.0)
+    result["cost"] = _cost([measured(site, folder) for site in chosen], lambda share: report("run time", share))
+    report("run time", 1.0)
     return result
 
 
@@ -87,7 +88,7 @@ def _of_site(found):
     own = modelled(found)
     seconds = time.perf_counter() - begin
     names = [name for name, _ in found.site.cover]
-    # Long records cost minutes a run; half-hour steps tell which factor is best.
+    # Long records take minutes; half-hour steps suffice to find the best factor.
     coarse = 1800.0 if len(own) > 3000 else None
     fitted = min(
         ((own, 1.0), *((modelled(found, coarse, edit=_scaled(factor)), factor) for factor in _FACTORS)),
@@ -116,7 +117,7 @@ def _of_site(found):
 
 
 def _scaled(factor):
-    """A function that multiplies what is fitted of a material."""
+    """Return a function that multiplies the fitted parameter of a material."""
 
     def edit(material):
         thermal = material.known_thermal()
@@ -159,7 +160,7 @@ def _absorbed(found, absorptance):
 
 
 def _force_restored(found, name):
-    """Surface temperature (N,) [K] by force–restore with h = 5.7 + 3.8 v and the deep layer near the mean air."""
+    """Return surface temperature (N,) [K] by force–restore: h = 5.7 + 3.8 v, deep layer near the mean air."""
     absorptance, inertia, exchange, wet = _FORCE_RESTORE["snow" if name.startswith("snow") else name]
     weather = found.weather
     second = (weather.time - weather.time[0]).astype(float)
@@ -179,7 +180,7 @@ def _force_restored(found, name):
 
 
 def _sinusoid(found, name):
-    """Surface temperature (N,) [K]: the air's and a sine of the day, dimmed as the sun is by clouds."""
+    """Return surface temperature (N,) [K]: air temperature plus a sine over the day, reduced by clouds."""
     slope, constant, crest = _SINUSOID[_LIKE.get("snow" if name.startswith("snow") else name, name)]
     weather, elevation = found.weather, found.elevation_deg
     hour = (weather.time - weather.time.astype("datetime64[D]")).astype(float) / 3600.0
@@ -199,15 +200,15 @@ def _sinusoid(found, name):
     return weather.air_k + np.maximum(added, 0.0)
 
 
-def _cost(sites, tell):
-    """Error against run time of layers and steps: [{layers, step_s, seconds, error_k}], root mean square over sites."""
+def _cost(sites, report):
+    """Return error (RMS over sites) against run time: [{layers, step_s, seconds, error_k}]."""
     if not sites:
         return []
     fine = [modelled(found, **_FINE) for found in sites]
     found = []
     cases = [(layers, 900.0) for layers in _COST_LAYERS] + [(12, step) for step in _COST_STEPS_S if step != 900.0]
     for number, (layers, step_s) in enumerate(cases):
-        tell(number / len(cases))
+        report(number / len(cases))
         begin = time.perf_counter()
         runs = [modelled(site, step_s, layers) for site in sites]
         seconds = time.perf_counter() - begin
@@ -217,7 +218,7 @@ def _cost(sites, tell):
 
 
 def page(path, result):
-    """Write the study as a page of Markdown."""
+    """Write the study as a Markdown page."""
     from thermorender.formats import write_text
 
     lines = ["# The heat balance against measured surface temperatures", ""]
@@ -226,12 +227,12 @@ def page(path, result):
     lines += ["| " + " | ".join(row) + " |" for row in rows(result)]
     lines += ["", "| site | what | starts from | scored from | rows | notes |", "|---|---|---|---|---|---|"]
     for name, site in result["sites"].items():
-        offset = " Its mean error is taken off." if site["without_offset"] else ""
+        offset = " Its mean error is subtracted." if site["without_offset"] else ""
         lines.append(f"| {name} | {site['title']}: {', '.join(site['cover'])}.{offset} | {site['start']} | "
                      f"{site['scored_from']}Z | {site['scored']} | {' '.join(site['notes'])} |")  # fmt: skip
     lines += ["", "| layers | step [s] | run time of three sites [s] | error against 24 layers at 60 s [K] |"]
     lines += ["|---|---|---|---|"]
     lines += [f"| {c['layers']} | {c['step_s']:g} | {c['seconds']:.2f} | {c['error_k']:.3f} |" for c in result["cost"]]
     if result["missing"]:
-        lines += ["", f"Left out, as their tables were not there: {', '.join(result['missing'])}."]
+        lines += ["", f"Left out, because their tables are missing: {', '.join(result['missing'])}."]
     write_text(path, "\n".join(lines) + "\n")

@@ -1,1 +1,1 @@
-"""Errors of learned temperature maps against what they were trained on: how much, how aligned, which land."""
+"""Errors of learned temperature maps against their training data: amount, alignment, kinds of land."""

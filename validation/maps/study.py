@@ -1,8 +1,8 @@
-"""What learned maps lose with less to learn from, with pairs that are not aligned, and on a kind of land never seen.
+"""Errors of learned maps with less training data, with misaligned pairs, and on a kind of land absent from training.
 
-Each method is trained on a growing share of the training part's sequences, on all of it with thermal pictures moved
-against the visible ones by 0 to 16 pixels, and without each kind of land; the mean absolute error is that on the test
-part, which is never moved, or on its pairs of the kind that was left out. Beside it the seconds of each training.
+Each method is trained on a growing share of the training part's sequences, on all of it with thermal pictures shifted
+by 0 to 16 pixels, and without each kind of land. The mean absolute error is that on the test part, which is never
+shifted, or on its pairs of the kind left out. The time of each training is recorded, too.
 """
 
 import numpy as np
@@ -16,43 +16,43 @@ from thermorender.learned.training_methods import method
 from thermorender.versions import versions
 
 METHODS = ("correlation-1to1", "correlation-9to1", "correlation-5x5", "palette", "correlation+")
-# Besides all of the training part, not moved.
+# In addition to the whole training part without a shift.
 SHIFTS_PX = (1.0, 2.0, 4.0, 8.0, 16.0)
 SHARES = (0.02, 0.05, 0.1, 0.25, 0.5)
 VARIED = ("share", "shift_px", "kind")
-HEADER = ("method", "varied", "value", "pairs", "training [s]", "mean absolute error [K]", "trained on it too [K]")
-# Every so many rows and columns of a test picture are scored: neighbours err alike.
+HEADER = ("method", "varied", "value", "pairs", "training [s]", "mean absolute error [K]", "with this kind [K]")
+# Spacing of the scored rows and columns of a test picture; errors of neighbours are correlated.
 _EVERY = 2
 
 
 def run(dataset, methods=None, vary=None, limit=60, seed=0, progress=None):
-    """Return mean absolute errors of methods against what they were trained on; plain numbers.
+    """Return mean absolute errors of methods against their training data, as plain numbers.
 
     Parameters
     ----------
     dataset : Dataset
-        With parts to train and to test on.
+        With a training and a test part.
     methods : sequence of str, optional
         `METHODS` by default, as far as the data set allows.
     vary : sequence of str, optional
-        Of `VARIED`; all by default, but "kind" only where pairs of several kinds say theirs.
+        Some of `VARIED`; all by default, but "kind" only if the pairs are labelled with several kinds.
     limit : int
-        Test pairs that are scored, evenly spaced.
+        Number of test pairs to score, evenly spaced.
     seed : int
     progress : callable, optional
-        Called with (what, share done).
+        Called with (step, share done).
 
     Returns
     -------
     dict
-        Its "cases" have method, varied, value, pairs, training_s, mae_k, and for a kind left out seen_mae_k: the error
-        on the same pairs of the map that was trained on all kinds.
+        Its "cases" have method, varied, value, pairs, training_s, mae_k. For a kind left out, seen_mae_k is the error
+        of the map trained on all kinds on the same pairs.
 
     Raises
     ------
     ThermorenderError
-        An unknown method or thing to vary, a method that needs what the data set lacks, kinds to be left out where
-        there is one only, or no test part.
+        An unknown method or variation, a method whose inputs the data set lacks, "kind" with a single kind, or no test
+        part.
     """
     if methods is None:
         methods = [name for name in METHODS if has_conditions(dataset) or not method(name).plus]
@@ -60,22 +60,22 @@ def run(dataset, methods=None, vary=None, limit=60, seed=0, progress=None):
         refuse_missing_conditions(name, dataset)
     test = dataset.of("test")
     if not len(test):
-        raise ThermorenderError(f"{dataset.folder} has no pairs of part 'test'; give a data set or a split with some")
+        raise ThermorenderError(f"{dataset.folder} has no pairs of part 'test'; give a data set with a test part")
     kinds = sorted({entry.labels["kind"] for entry in dataset.of("train").entries if "kind" in entry.labels})
     vary = tuple(vary or (VARIED if len(kinds) > 1 else VARIED[:2]))
     for each in vary:
         if each not in VARIED:
             raise ThermorenderError(f"vary={each!r} is unknown; give {', '.join(VARIED)}")
     if "kind" in vary and len(kinds) < 2:
-        raise ThermorenderError(f"{dataset.folder} has pairs of one kind of land, which cannot be left out")
+        raise ThermorenderError(f"{dataset.folder} has a single kind of land, which cannot be left out; drop 'kind'")
     chosen = np.unique(np.linspace(0, len(test) - 1, min(limit, len(test))).astype(int))
     scored = [test.entries[k] for k in chosen]
-    # Pairs for validation would be there whatever the share is, and tell an error that nobody asks for here.
+    # Without the validation part, which would be the same for every share.
     train = dataset.of("train")
     values = {
         "share": SHARES,
         "shift_px": SHIFTS_PX,
-        # Those that a test pair shows.
+        # Kinds that occur in the test pairs.
         "kind": [kind for kind in kinds if any(entry.labels.get("kind") == kind for entry in scored)],
     }
     changes = [(None, None), *((each, value) for each in vary for value in values[each])]
@@ -94,7 +94,7 @@ def run(dataset, methods=None, vary=None, limit=60, seed=0, progress=None):
                 "mae_k": _mean(errors)}  # fmt: skip
         if varied is None:
             whole = errors
-            # Everything, not moved, is an end of both curves.
+            # The whole training part without a shift is an end of both curves.
             ends = {"share": 1.0, "shift_px": 0.0}
             found += [{**case, "varied": each, "value": end} for each, end in ends.items() if each in vary]
         else:
@@ -107,7 +107,7 @@ def run(dataset, methods=None, vary=None, limit=60, seed=0, progress=None):
 
 
 def rows(result):
-    """Return the rows of a result's table."""
+    """Return the result as table rows under HEADER."""
     order = sorted(result["cases"], key=lambda case: (VARIED.index(case["varied"]), case["method"], case["value"]))
     return [
         (case["method"], case["varied"], str(case["value"]), case["pairs"], case["training_s"], f"{case['mae_k']:.3f}",
@@ -117,12 +117,12 @@ def rows(result):
 
 
 def _mean(errors):
-    """Mean absolute error [K] of (n, 2) sums and numbers of pixels."""
+    """Return the mean absolute error [K] of (n, 2) sums and numbers of pixels."""
     return float(errors[:, 0].sum() / max(errors[:, 1].sum(), 1))
 
 
 def _errors(model, dataset, entries):
-    """Sum of absolute errors of a map on ground [K], and number of pixels, of each pair, (n, 2) float64."""
+    """Return the sum of absolute errors of a map on ground [K] and the number of pixels of each pair, (n, 2)."""
     found = np.zeros((len(entries), 2))
     for row, entry in zip(found, entries, strict=True):
         pair = dataset.pair(entry)

@@ -1,1 +1,1 @@
-"""Errors of maps moved to another hour and weather, beside simpler methods."""
+"""Errors of learned maps moved to another hour and weather, compared with simpler methods."""

@@ -1,13 +1,12 @@
-"""Errors of maps moved to another hour and weather, beside simpler methods: `python -m validation.moved`."""
+"""Errors of learned maps moved to another hour and weather, and of simpler methods: `python -m validation.moved`."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from thermorender import files, formats
-from thermorender.cli.terminal import progress, table
-from validation.command import Device, Out, run_command, seeds_of
+from thermorender import formats
+from validation.command import Device, Out, conclude, new_results, run_command, seeds_of
 from validation.moved import study
 from validation.moved.figure import figure
 
@@ -17,13 +16,12 @@ def main(
     seeds: Annotated[str, typer.Option(help="Comma-separated seeds of procedural scenes.")] = "301",
     device: Device = "auto",
 ):
-    """Errors of maps moved to another hour and weather, beside the map unmoved, offset, and the heat balance alone."""
-    with progress() as tell, files.output_folder(output) as folder:
-        result = study.run(seeds=seeds_of(seeds), progress=tell, device=device)
+    """Errors of maps moved to another hour and weather, of unmoved and offset maps, and of the heat balance alone."""
+    with new_results(output) as (report, folder):
+        result = study.run(seeds=seeds_of(seeds), progress=report, device=device)
         formats.write_json(folder / "moved.json", result)
         figure(folder / "moved.png", result)
-    table(study.HEADER, study.rows(result))
-    typer.echo(f"numbers and figure in {output}")
+    conclude("moved", output, study.HEADER, study.rows(result))
 
 
 if __name__ == "__main__":

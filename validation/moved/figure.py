@@ -1,29 +1,24 @@
-"""Figure of what `validation.moved.study` measures."""
+"""Figure of the study of moved maps."""
 
 import numpy as np
 
-from thermorender import files
+from thermorender.compare.evaluation.figures import pyplot, save
 
 _COLOURS = {"moved": "C3", "unmoved": "0.6", "offset": "C1", "balance": "C0"}
 
 
 def figure(path, result):
-    """Draw the mean absolute error of each method, and the deviation that is stated, per map and case."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
+    """Draw the mean absolute error of each method and the stated standard deviation, per map and case."""
     every, cases = result["all"], list(result["cases"])
     maps = list(dict.fromkeys(key.split(": ")[0] for key in every))
-    drawing, axes = pyplot.subplots(len(maps), 1, figsize=(8.5, 3.2 * len(maps)), layout="constrained", squeeze=False)
+    drawing, axes = pyplot().subplots(len(maps), 1, figsize=(8.5, 3.2 * len(maps)), layout="constrained", squeeze=False)
     place = np.arange(len(cases))
     for axis, name in zip(axes[:, 0], maps, strict=True):
         found = [every[f"{name}: {case}"] for case in cases]
         for number, (method, colour) in enumerate(_COLOURS.items()):
             height = [one["mae_k"][method] for one in found]
             axis.bar(place + 0.2 * (number - 1.5), height, 0.18, color=colour, label=method)
-        # The mean of the absolute values of a normal variable is √(2/π) of its deviation.
+        # The mean absolute value of a normal variable is √(2/π) times its standard deviation.
         stated = [np.sqrt(2.0 / np.pi) * one["stated_k"] for one in found]
         axis.plot(place - 0.3, stated, "k_", ms=14, mew=2, label="stated for moved")
         labels = [f"{case}\n{one['within_1_sigma']:.0%} · {one['within_2_sigma']:.0%}"
@@ -35,6 +30,4 @@ def figure(path, result):
         axis.set_ylim(top=2.5 * axis.get_ylim()[1])
         axis.set_axisbelow(True)
     axes[0, 0].legend(fontsize=8, ncols=5)
-    with files.atomic(path) as part:
-        drawing.savefig(part, dpi=90)
-    pyplot.close(drawing)
+    save(drawing, path, dpi=90)

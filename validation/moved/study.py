@@ -1,12 +1,13 @@
-"""Maps trained at 14 h and asked for at other hours and weathers: moved, left as they are, offset, and without them.
+"""Maps trained at 14 h and used at other hours and weathers: moved, unmoved, offset, and the heat balance alone.
 
-Procedural scenes; the truth is a heat balance too, but not the one that predicts. Per scene it draws every property of
-each material from its table's uncertainty, again with half of that for each of a few patches of a class, a reflectance
-for each texel, and errors of wind, air and long-wave; who predicts has the tables and the weather as it was declared.
+The scenes are procedural. The truth is a heat balance, too, but with other inputs than the prediction. For each scene
+it draws every property of each material from its table's uncertainty, again with half the uncertainty for each of a few
+patches of a class, a reflectance for each texel, and errors of wind, air and longwave. The prediction has the tables
+and the declared weather.
 
-Two maps. One is a good thermal picture: the truth at 14 h, blurred by a texel, with errors of 1 K in patches of 8
-texels and of 0.5 K from texel to texel. The other is a 9-to-1 correlation with an intercept, fitted by least squares
-on the truth of another scene of the same kind at the same instant.
+There are two maps. One is a good thermal picture: the truth at 14 h, blurred by a texel, with errors of 1 K in patches
+of 8 texels and of 0.5 K per texel. The other is a 9-to-1 correlation with an intercept, fitted by least squares to the
+truth of another scene of the same kind at the same instant.
 """
 
 import tempfile
@@ -29,12 +30,12 @@ from thermorender.scene.spec import TemperatureSpec, WeatherSpec
 from thermorender.scene.surface import FILLED, UNMOVED
 from thermorender.synthetic.procedural_scene import make
 
-# Kinds with sides of the square, of a texel and of a post [m].
+# Kinds with the sides of the terrain, of a texel and of a height post [m].
 SIZES = dict(zip(defaults.SCENES, ((64.0, 0.5, 2.0), (64.0, 0.5, 1.0), (256.0, 2.0, 8.0)), strict=True))
 _SUMMER = {"air_low_c": 11.0, "air_high_c": 23.0, "humidity": 0.7, "wind_m_s": 3.0, "cloud": 0.1}
 _SPRING = {"air_low_c": 1.0, "air_high_c": 11.0, "humidity": 0.8, "wind_m_s": 4.0, "cloud": 0.3}
 _OVERCAST = {"air_low_c": 13.0, "air_high_c": 18.0, "humidity": 0.85, "wind_m_s": 5.0, "cloud": 1.0}
-# Name: (apparent date, hour of mean solar time, weather).
+# Name: (date, hour of mean solar time, weather).
 TRAINED = ("2018-07-15", 14.0, _SUMMER)
 CASES = {
     "14 h": TRAINED,
@@ -48,28 +49,29 @@ CASES = {
 }
 MAPS = ("picture", "9-to-1")
 METHODS = ("moved", "unmoved", "offset", "balance")
-HEADER = ("map", "asked at", *(f"{name} [K]" for name in METHODS), "stated [K]", "within 1σ", "within 2σ", "unmoved")
-# What the truth has beside its materials, standard deviations.
+HEADER = ("map", "used at", *(f"{name} [K]" for name in METHODS), "stated [K]", "within 1σ", "within 2σ", "unmoved")
+# Standard deviations of the truth in addition to those of its materials.
 _PATCHES, _PATCH_TEXELS = 4, 12.0
 _REFLECTANCE, _WIND, _AIR_K, _LONGWAVE_W_M2 = 0.1, 0.15, 0.3, 8.0
 _BLUR, _ERROR_PATCH_TEXELS, _ERROR_K, _NOISE_K = 1.0, 8.0, 1.0, 0.5
 
 
 def run(kinds=tuple(SIZES), seeds=(301,), cases=None, progress=None, device="auto", sizes=None):
-    """Return the comparison as a dict: per map and case, mean absolute errors of METHODS and how far the stated
-    uncertainty holds, over all scenes and for each.
+    """Return the mean absolute errors of METHODS and the coverage of the stated uncertainty as a dict, per map and
+    case, over all scenes and for each.
 
     Parameters
     ----------
     kinds : sequence of str
     seeds : sequence of int
-        Of the scenes; the 9-to-1 map is fitted on a scene of the seed above it.
+        Seeds of the scenes; the 9-to-1 map is fitted on the scene of the next seed.
     cases : sequence of str, optional
-        Of CASES; all by default.
-    progress : callable (what, share), optional
+        Some of CASES; all by default.
+    progress : callable, optional
+        Called with (step, share done).
     device : {"auto", "cpu", "cuda"}
     sizes : dict, optional
-        In place of SIZES.
+        Replaces SIZES.
 
     Raises
     ------
@@ -80,13 +82,13 @@ def run(kinds=tuple(SIZES), seeds=(301,), cases=None, progress=None, device="aut
     for name, given, known in (("kind", kinds, SIZES), ("case", cases, CASES)):
         for one in given:
             if one not in known:
-                raise ThermorenderError(f"{name}={one!r} is not in this study; give one of {', '.join(known)}")
+                raise ThermorenderError(f"{name}={one!r} is not part of this study; give one of {', '.join(known)}")
     mi = activate(device)
-    tell = progress or (lambda what, share: None)
+    report = progress or (lambda step, share: None)
     scenes, sums = {}, {}
     jobs = [(kind, seed) for seed in seeds for kind in kinds]
     for number, (kind, seed) in enumerate(jobs):
-        own = lambda share, n=number: tell("moving maps of procedural scenes", (n + share) / len(jobs))  # noqa: E731
+        own = lambda share, n=number: report("moving maps of procedural scenes", (n + share) / len(jobs))  # noqa: E731
         found = _scene_errors(mi, kind, seed, cases, (sizes or SIZES)[kind], own)
         scenes[f"{kind} {seed}"] = {key: _summary(values) for key, values in found.items()}
         for key, values in found.items():
@@ -106,8 +108,8 @@ def rows(result):
     ]  # fmt: skip
 
 
-def _scene_errors(mi, kind, seed, cases, size, tell):
-    """{"map: case": {method: errors, "std": …, "unmoved": …}} over the texels of a scene."""
+def _scene_errors(mi, kind, seed, cases, size, report):
+    """Return {"map: case": {method: errors, "std": …, "unmoved": …}} over the texels of a scene."""
     scene = _loaded(kind, seed, size)
     geometry = Geometry(mi, scene.surfaces)
     rng = np.random.default_rng([seed, 7])
@@ -128,7 +130,7 @@ def _scene_errors(mi, kind, seed, cases, size, tell):
         truths = hidden.solved(times, here, geometry)
         after = expected(here, times, geometry)
         done += 2
-        tell((4 + done) / steps)
+        report((4 + done) / steps)
         for key, (kelvin, error_k) in maps.items():
             spec = TemperatureSpec(source="raster", trained=there.spec.weather, map_error_k=error_k)
             mapped = here.with_temperature(spec, kelvin=(kelvin,))
@@ -173,13 +175,13 @@ def _instant(scene, case):
 
 
 def _asked(scene, case):
-    """The scene with the heat balance of a case."""
+    """Return the scene with the heat balance of a case."""
     weather = WeatherSpec(time=_instant(scene, case), **case[2])
     return scene.with_weather(weather).with_temperature("balance")
 
 
 class _Hidden:
-    """The truth of a scene: drawn materials in patches, a reflectance of each texel, and a weather that errs."""
+    """The truth of a scene: drawn materials in patches, a reflectance of each texel, and weather with errors."""
 
     def __init__(self, scene, rng):
         surface = scene.surfaces[0]
@@ -190,13 +192,13 @@ class _Hidden:
         self.materials = tuple(_drawn(one, rng, 0.5) for one in classes for _ in range(_PATCHES))
         self.material = (surface.material.astype(np.int64) * _PATCHES + patch).astype(np.uint8)
         light = np.exp(_REFLECTANCE * _smooth(rng, shape, 2.0))
-        # `brightness` takes the reflectance of texels inside a class from their colour.
+        # `brightness` derives the reflectance of texels within a class from their colour.
         grey = 255.0 * np.clip(0.2 * light, 0.0, 1.0) ** (1.0 / 2.2)
         self.colour = np.repeat(np.round(grey).astype(np.uint8)[..., None], 3, axis=2)
         self.wind, self.air_k, self.longwave = np.exp(_WIND * rng.normal()), _AIR_K * rng.normal(), rng.normal()
 
     def solved(self, times, here, geometry):
-        """[(h, w) float32] true temperatures at some instants [K], under the weather of `here`."""
+        """Return true temperatures at some instants [K], a list of (h, w) float32, under the weather of `here`."""
         surface = replace(here.surfaces[0], material=self.material, colour=self.colour)
         others = tuple(replace(s, material=(s.material * _PATCHES).astype(np.uint8)) for s in here.surfaces[1:])
         made = here.with_temperature(TemperatureSpec(source="balance", brightness=True))
@@ -209,7 +211,7 @@ class _Hidden:
 
 
 def _drawn(material: Material, rng, scale):
-    """A material whose properties are drawn from their uncertainties, `scale` of these."""
+    """Return a material with properties drawn from `scale` times their uncertainties."""
     absorptance = material.solar_absorptance + scale * material.solar_uncertainty * rng.normal()
     return replace(
         material,
@@ -224,7 +226,7 @@ def _drawn_thermal(thermal, rng, scale):
 
 
 def _picture(truth, rng):
-    """(kelvin (h, w) float32, its error [K]) of a thermal picture of the truth."""
+    """Return (kelvin (h, w) float32, its RMS error [K]) of a thermal picture of the truth."""
     import cv2
 
     blurred = cv2.GaussianBlur(truth, (0, 0), _BLUR)
@@ -234,7 +236,7 @@ def _picture(truth, rng):
 
 
 def _nine(mi, kind, seed, size, scene):
-    """(kelvin (h, w) float32, its error [K]) of a 9-to-1 map fitted on the truth of another scene."""
+    """Return (kelvin (h, w) float32, its error [K]) of a 9-to-1 map fitted to the truth of another scene."""
     other = _loaded(kind, seed, size)
     there = _asked(other, TRAINED)
     hidden = _Hidden(other, np.random.default_rng([seed, 7]))
@@ -247,7 +249,7 @@ def _nine(mi, kind, seed, size, scene):
 
 
 def _neighbourhoods(colour):
-    """(h·w, 28) float64: 3 × 3 × RGB about each texel, and one."""
+    """Return 3 × 3 × RGB around each texel, and 1, (h·w, 28) float64."""
     padded = np.pad(colour.astype(np.float64) / 255.0, ((1, 1), (1, 1), (0, 0)), mode="edge")
     h, w, _ = colour.shape
     parts = [padded[i : i + h, j : j + w].reshape(-1, 3) for i in range(3) for j in range(3)]
@@ -255,7 +257,7 @@ def _neighbourhoods(colour):
 
 
 def _smooth(rng, shape, texels):
-    """A normal field (h, w) of unit variance, smooth over so many texels."""
+    """Return a normal field (h, w) of unit variance that is smooth over `texels` texels."""
     import cv2
 
     field = cv2.GaussianBlur(rng.normal(size=shape), (0, 0), texels, borderType=cv2.BORDER_REFLECT)

@@ -15,14 +15,14 @@ from validation.sensor import study
 
 
 def main(
-    scene: Annotated[str, typer.Argument(help="Scene folder, or the name of a shipped one.")] = defaults.SCENE,
+    scene: Annotated[str, typer.Argument(help="Scene folder, or the name of a shipped scene.")] = defaults.SCENE,
     output: Out = Path("out/validation/sensor"),
     time: Time = None,
     device: Device = "auto",
 ):
-    """Errors of lag and blur against run time, and what the whole chain costs."""
-    with progress() as tell:
-        study.sensor(output, at_time(scene, time), device=device, progress=tell)
+    """Errors of lag and blur against run time, and the cost of the whole chain."""
+    with progress() as report:
+        study.sensor(output, at_time(scene, time), device=device, progress=report)
     typer.echo(f"table, numbers and figures in {output}")
 
 

@@ -1,10 +1,11 @@
-"""Table, figure and pictures of what `validation.sensor.study` measures."""
+"""Table, figure and pictures of the study of the sensor."""
 
 import numpy as np
 
-from thermorender import files, formats
+from thermorender import formats
+from thermorender.compare.evaluation.figures import pyplot, save
 
-_LAG = ("allowed to instants [mK]", "motion between renders [px]", "instants", "renders", "time [ms]",
+_LAG = ("tolerance of instants [mK]", "motion between renders [px]", "instants", "renders", "time [ms]",
         "smooth pixels [mK]", "all pixels [mK]", "estimate [mK]")  # fmt: skip
 
 
@@ -14,19 +15,19 @@ def table(path, result):
     lines = [
         "# The sensor's error against run time",
         "",
-        f"Camera {result['camera']} over {result['scene']}, 30 frames/s, rows read one after another. From radiance",
-        f"to counts: {chain['standing_ms']:.1f} ms for a camera that stands, {chain['standing_ratio']:.2f} times one",
+        f"Camera {result['camera']} over {result['scene']}, 30 frames/s, rolling readout. From radiance to counts:",
+        f"{chain['standing_ms']:.1f} ms for a static camera, {chain['standing_ratio']:.2f} times a",
         f"`scipy.ndimage.gaussian_filter` of σ = 1 px ({chain['gaussian_ms']:.1f} ms); {chain['subpixel_ms']:.1f} ms",
-        f"for a drone's that moves 0.6 px in a time constant, {chain['subpixel_ratio']:.2f} times.",
+        f"for a drone's camera that moves 0.6 px per time constant, {chain['subpixel_ratio']:.2f} times.",
         "",
-        "## Lag: how a moving view is followed",
+        "## Lag of a moving view",
         "",
-        "RMS error of a frame without noise against 64 renders per time constant; smooth pixels see less than 1 K",
-        "within a time constant. Times hold the renders but for the frame's own. In bold what a flight uses.",
+        "RMS error of a frame without noise against 64 renders per time constant; smooth pixels change by less than",
+        "1 K within a time constant. Times include the renders, except the frame's own. Bold: the setting of flights.",
     ]
     for name, records in result["lag"].items():
         share, motion = records[0]["smooth_share"], records[0]["motion_px"]
-        lines += ["", f"### {name}: {motion:.1f} px in a time constant, {share:.1%} of the pixels smooth", ""]
+        lines += ["", f"### {name}: {motion:.1f} px per time constant, {share:.1%} of the pixels smooth", ""]
         lines += [f"| {' | '.join(_LAG)} |", "|" + "--:|" * len(_LAG)]
         for record in records:
             cells = [
@@ -38,8 +39,8 @@ def table(path, result):
             if (record["lag_mk"], record["render_px"]) == (10.0, 20.0):
                 cells = [f"**{cell}**" for cell in cells]
             lines.append(f"| {' | '.join(cells)} |")
-    lines += ["", "## Blur: sizes of the lens's kernels", "",
-              "RMS error of two views against the transfer function itself. In bold what is used.", "",
+    lines += ["", "## Blur: kernel sizes of the lens", "",
+              "RMS error of two views against the transfer function itself. Bold: the sizes used.", "",
               "| kernel on pixels | on 8×8 squares | time [ms] | error [mK] | of a scene's contrast |",
               "|--:|--:|--:|--:|--:|"]  # fmt: skip
     for record in result["blur"]:
@@ -53,17 +54,17 @@ def table(path, result):
             cells = [f"**{cell}**" for cell in cells]
         lines.append(f"| {' | '.join(cells)} |")
     aliasing = result["aliasing"]
-    lines += ["", "## Aliasing: blur after the pixels' samples in place of before", "",
-              "A lens takes away what is finer than pixels show before they sample it; the chain blurs samples. RMS",
-              "error over the middle of views against a blur on pixels a quarter as wide, by the transfer function",
-              "itself and by the chain's kernels.", "",
+    lines += ["", "## Aliasing: blur after sampling instead of before", "",
+              "A lens removes detail finer than pixels before they sample it, but the chain blurs the samples. RMS",
+              "error over the middle of views against a blur on pixels a quarter as wide, with the transfer function",
+              "itself and with the chain's kernels.", "",
               "| view | error [mK] | largest [mK] | of the chain [mK] |", "|---|--:|--:|--:|"]  # fmt: skip
     for record in aliasing["views"]:
         values = (record[key] for key in ("aliasing_mk", "worst_mk", "chain_mk"))
         lines.append(f"| {record['view']} | {' | '.join(f'{value:.1f}' for value in values)} |")
-    lines += ["", "Squares on even ground, at 16 places within a pixel: what the brightest pixel rises by in the mean,",
-              "the RMS error of that over the places, and the largest error of any pixel.", "",
-              "| side [px] | warmer by [mK] | brightest pixel [mK] | error [mK] | largest [mK] |",
+    lines += ["", "Squares on uniform ground, at 16 places within a pixel: mean rise of the brightest pixel, RMS error",
+              "of this rise over the places, and largest error of any pixel.", "",
+              "| side [px] | contrast [mK] | brightest pixel [mK] | error [mK] | largest [mK] |",
               "|--:|--:|--:|--:|--:|"]  # fmt: skip
     for record in aliasing["targets"]:
         values = (record[key] for key in ("contrast_mk", "peak_mk", "error_mk", "worst_mk"))
@@ -72,13 +73,12 @@ def table(path, result):
 
 
 def figure(path, result):
-    """Draw error against run time: of the lag, one panel per flight, and of the blur."""
-    pyplot = _pyplot()
+    """Draw error against run time of the lag, one panel per flight, and of the blur."""
     from matplotlib.ticker import NullFormatter
 
     flights = result["lag"]
     columns = -(-(len(flights) + 1) // 2)
-    drawing, axes = pyplot.subplots(2, columns, figsize=(4.8 * columns, 8.0), layout="constrained", squeeze=False)
+    drawing, axes = pyplot().subplots(2, columns, figsize=(4.8 * columns, 8.0), layout="constrained", squeeze=False)
     *rest, last = axes.ravel()
     axes = [*rest[: len(flights)], last]
     for spare in rest[len(flights) :]:
@@ -101,28 +101,25 @@ def figure(path, result):
         axis.axhline(20.0, color="0.6", lw=1, ls=":")
     axis = axes[-1]
     for label, mark, chosen in (
-        ("on pixels alone", "o-", [r for r in result["blur"] if r["fine"] > 1 and not r["coarse"]]),
+        ("pixels only", "o-", [r for r in result["blur"] if r["fine"] > 1 and not r["coarse"]]),
         ("with squares of 8×8", "s-", [r for r in result["blur"] if r["coarse"]]),
     ):
         axis.plot([r["ms"] for r in chosen], [r["error_mk"] for r in chosen], mark, ms=5, lw=1, label=label)
         for record in chosen:
             point = (record["ms"], record["error_mk"])
             axis.annotate(f"{record['fine']}×{record['fine']}", point, (4, 4), textcoords="offset points", fontsize=7)
-    axis.set(title="lens's blur", xlabel="time of the blur [ms]")
+    axis.set(title="blur of the lens", xlabel="time of the blur [ms]")
     for axis in axes:
         axis.set(xscale="log", yscale="log", ylabel="RMS error [mK]")
         axis.xaxis.set_minor_formatter(NullFormatter())
         axis.grid(True, which="both", lw=0.3, color="0.85")
         axis.legend(fontsize=6)
-    with files.atomic(path) as part:
-        drawing.savefig(part, dpi=72)
-    pyplot.close(drawing)
+    save(drawing, path, dpi=72)
 
 
 def pictures(path, images):
     """Draw images [(title, (H, W) array, unit), …], each with its own scale."""
-    pyplot = _pyplot()
-    drawing, axes = pyplot.subplots(2, -(-len(images) // 2), figsize=(18, 7.4), layout="constrained")
+    drawing, axes = pyplot().subplots(2, -(-len(images) // 2), figsize=(18, 7.4), layout="constrained")
     for axis, (title, image, unit) in zip(axes.ravel(), images, strict=False):
         low, high = np.percentile(image, (0.5, 99.5))
         drawn = axis.imshow(image, cmap="gray", vmin=low, vmax=high, interpolation="nearest")
@@ -130,19 +127,8 @@ def pictures(path, images):
         drawing.colorbar(drawn, ax=axis, shrink=0.75)
     for axis in axes.ravel()[len(images) :]:
         axis.axis("off")
-    with files.atomic(path) as part:
-        drawing.savefig(part, dpi=45)
-    pyplot.close(drawing)
+    save(drawing, path, dpi=45)
 
 
 def _text(value):
     return "" if value is None else f"{value:.1f}"
-
-
-def _pyplot():
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    return pyplot

@@ -1,9 +1,9 @@
-"""What the sensor's short cuts cost and err: instants and renders of a moving view, sizes of the lens's kernel.
+"""Cost and error of the sensor model's approximations: instants and renders of a moving view, kernel sizes of the lens.
 
-The lag is compared with a view followed in 64 renders per time constant, each frame's rows read at their own time; the
-blur against the transfer function itself, applied to the image's cosine series. A lens blurs before pixels take their
-samples, and the chain after it: what that folds down from beyond the pixels' frequencies is told by images that are
-finer. Times are taken in the same process as one Gaussian filter of SciPy, the unit the whole chain is measured in.
+The lag is compared with 64 renders per time constant, with each row of a frame read at its own time. The blur is
+compared with the transfer function itself, applied to the image's cosine series. A lens blurs before the pixels sample,
+but the chain blurs afterwards; finer images show the resulting aliasing. Times are measured in the same process as a
+Gaussian filter of SciPy, which is the unit for the whole chain.
 """
 
 import time
@@ -21,7 +21,7 @@ from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.render.renderer import Renderer
 from thermorender.scene.load import load_scene
 from thermorender.scene.scene import Scene
-from thermorender.sensor import psf
+from thermorender.sensor import exposure, psf
 from thermorender.sensor.chain import Sensor, at_rest, in_sequence
 from thermorender.sensor.detector import advanced, read_rows, row_delays, steady
 from thermorender.sensor.exposure import Exposure
@@ -40,56 +40,57 @@ FLIGHTS = {
 }
 RATE_HZ = 30.0
 REFERENCE = 64
-# Error allowed to instants [mK] and motion between renders [px]; 0: every instant is rendered.
+# Tolerance of instants [mK] and motion between renders [px]; 0: every instant is rendered.
 SETTINGS = ((10.0, 20.0), (10.0, 80.0), (10.0, 40.0), (10.0, 10.0), (100.0, 20.0), (30.0, 20.0), (1000.0, 0.0),
             (300.0, 0.0), (100.0, 0.0), (30.0, 0.0), (10.0, 0.0))  # fmt: skip
 KERNELS = ((3, 0), (5, 0), (7, 0), (9, 0), (3, 5), (5, 5), (7, 5), (9, 5))
-# How many times finer images are on which the lens blurs first; middle of the image for which they are made [px], and
-# its rim that is left out, as the blur mirrors it.
+# Subpixels per pixel of the images that are blurred before sampling, side of their central part, and width of its rim
+# that is left out because the blur mirrors it [px].
 FINER, MIDDLE_PX, RIM_PX = 4, 256, 16
-# Square targets [px] on even ground, warmer by so much [K], drawn so many times finer, at so many places a pixel along.
+# Sides of square targets on uniform ground [px], their contrast [K], subpixels per pixel, and places per pixel and
+# direction.
 TARGETS_PX, TARGET_K, DRAWN, PLACES = (0.5, 1.0, 1.5, 2.0, 3.0), 30.0, 16, 4
-# Pixels count that see less than this within a time constant [K].
+# A pixel is smooth if its value changes by less than this within a time constant [K].
 SMOOTH_K = 1.0
 
 
 def sensor(folder, scene=defaults.SCENE, flights=tuple(FLIGHTS), device="auto", progress=None):
-    """Measure the sensor, write `sensor.json`, `sensor.md` and figures into a folder, and return the result.
+    """Measure the sensor model, write `sensor.json`, `sensor.md` and figures to a folder, and return the result.
 
     Parameters
     ----------
     folder : path
     scene : str or Scene
-        Scene folder, name of a shipped one, or a scene in memory.
+        Scene folder, name of a shipped scene, or a scene in memory.
     flights : sequence of str
         Some of `FLIGHTS`.
     device : {"auto", "cpu", "cuda"}
     progress : callable, optional
-        Called with (what, share done).
+        Called with (step, share done).
 
     Returns
     -------
     dict
         machine, versions, scene, camera; lag: {flight: [{lag_mk, render_px, instants, renders, ms, smooth_mk, all_mk,
-        estimate_mk}, …]}, lag_mk None for one image without memory; blur: [{fine, coarse, ms, error_mk, predicted}];
-        aliasing: {views: [{view, aliasing_mk, worst_mk, chain_mk}], targets: [{side_px, contrast_mk, peak_mk, error_mk,
-        worst_mk}]}; chain: {standing_ms, subpixel_ms, gaussian_ms, standing_ratio, subpixel_ratio}. smooth_mk is over
-        pixels that see less than 1 K within a time constant. aliasing_mk is the error of a blur after sampling by the
-        transfer function itself, chain_mk by the chain's kernels; of a target, error_mk is that of its brightest pixel
-        over places within a pixel, and worst_mk the largest of any pixel.
+        estimate_mk}, …]}, lag_mk None for a single image without memory; blur: [{fine, coarse, ms, error_mk,
+        predicted}]; aliasing: {views: [{view, aliasing_mk, worst_mk, chain_mk}], targets: [{side_px, contrast_mk,
+        peak_mk, error_mk, worst_mk}]}; chain: {standing_ms, subpixel_ms, gaussian_ms, standing_ratio, subpixel_ratio}.
+        smooth_mk is over smooth pixels (see SMOOTH_K). aliasing_mk is the error of blurring after sampling with the
+        transfer function itself, chain_mk with the chain's kernels. For a target, error_mk is that of its brightest
+        pixel over places within a pixel, and worst_mk the largest error of any pixel.
     """
     unknown = [name for name in flights if name not in FLIGHTS]
     if unknown:
         raise ThermorenderError(f"flight {unknown[0]!r} is unknown; give some of {', '.join(FLIGHTS)}")
-    tell = progress or (lambda what, share: None)
+    report = progress or (lambda step, share: None)
     loaded = scene if isinstance(scene, Scene) else load_scene(scene)
     renderer = Renderer(loaded, device=device)
     of = Sensor(loaded.camera, renderer.seed)
     lags, seen = {}, {}
     for number, name in enumerate(flights):
-        tell(name, number / (len(flights) + 1))
+        report(name, number / (len(flights) + 1))
         lags[name], seen[name] = _lag(renderer, of, FLIGHTS[name])
-    tell("blur and chain", len(flights) / (len(flights) + 1))
+    report("blur and chain", len(flights) / (len(flights) + 1))
     result = {
         "machine": machine(),
         "versions": versions(),
@@ -105,12 +106,12 @@ def sensor(folder, scene=defaults.SCENE, flights=tuple(FLIGHTS), device="auto", 
         table(folder / "sensor.md", result)
         figure(folder / "sensor.png", result)
         pictures(folder / "effects.png", _effects(renderer, of, seen))
-    tell("measured", 1.0)
+    report("measured", 1.0)
     return result
 
 
 def _lag(renderer, of, flight):
-    """Errors and times of one flight's settings; and (one image, reference) of its frame in band radiance."""
+    """Return errors and times of a flight's settings, and (single image, reference) of its frame in band radiance."""
     camera, path = of.camera, _flight(renderer, flight)
 
     def radiance_at(time_s, camera=None, lit_s=None):
@@ -142,7 +143,7 @@ def _lag(renderer, of, flight):
         signal, how = taken.signal(at_rest(camera), 0.0, now)
         ms = 1e3 * (time.perf_counter() - start)
         if any((how["instants"], how["renders"]) == (record["instants"], record["renders"]) for record in records):
-            # A slow flight needs so few that several settings are the same.
+            # For a slow flight, several settings give the same renders.
             continue
         records.append(
             {
@@ -156,7 +157,7 @@ def _lag(renderer, of, flight):
 
 
 def _reference(of, radiance_at, delays):
-    """A frame followed in `REFERENCE` renders per time constant: band radiance, and its span in the last of them."""
+    """Return band radiance of a frame with `REFERENCE` renders per time constant, and its range within the last one."""
     tau = of.camera.time_constant_s
     first = int(np.floor((delays[0] / tau - MEMORY) * REFERENCE))
     last = int(np.ceil(delays[-1] / tau * REFERENCE))
@@ -179,7 +180,7 @@ def _reference(of, radiance_at, delays):
 
 
 def _blur(renderer, camera):
-    """Error and time of each pair of kernels, on two views of the scene."""
+    """Return error and time of each pair of kernels, on two views of the scene."""
     images = [renderer.radiance(view) for view in views(renderer.scene).values()]
     per_mk = band_radiance_derivative(300.0, *camera.band_um) * 1e-3
     table = np.linspace(0.0, np.sqrt(0.5), 4000)
@@ -199,7 +200,7 @@ def _blur(renderer, camera):
 
 
 def _aliasing(renderer, camera):
-    """What blurring after sampling errs by in the middle of two views of the scene."""
+    """Return the error of blurring after sampling in the middle of two views of the scene."""
     across, along = (0.5 * (n - min(MIDDLE_PX, n)) for n in (camera.width, camera.height))
     rows, columns = slice(int(along), int(camera.height - along)), slice(int(across), int(camera.width - across))
     fine = finer(camera.part(rows, columns), FINER)
@@ -220,7 +221,7 @@ def _aliasing(renderer, camera):
 
 
 def _small_targets(camera):
-    """What blurring after sampling errs by on squares of a few pixels, wherever within a pixel they lie."""
+    """Return the error of blurring after sampling on squares of a few pixels, at several places within a pixel."""
     dark, bright = band_radiance(np.array([300.0, 300.0 + TARGET_K]), *camera.band_um)
     per_mk = band_radiance_derivative(300.0, *camera.band_um) * 1e-3
     records = []
@@ -242,7 +243,7 @@ def _small_targets(camera):
 
 
 def finer(camera, times):
-    """Return the Camera of the same view on pixels `times` as fine."""
+    """Return the Camera of the same view with `times` × `times` pixels per pixel."""
     offset = tuple(times * part for part in camera.principal_offset_px)
     return replace(
         camera, width=times * camera.width, height=times * camera.height, principal_offset_px=offset,
@@ -251,13 +252,13 @@ def finer(camera, times):
 
 
 def blurred_before_and_after(fine, camera, times):
-    """Return (blurred on the fine grid, then sampled; sampled, then blurred; sampled), of the camera's pixels.
+    """Return (blurred on the fine grid and then sampled; sampled and then blurred; sampled) on the camera's pixels.
 
     Parameters
     ----------
     fine : (times·H, times·W) array
     camera : Camera
-        Whose lens blurs, by its transfer function itself.
+        Camera of the lens, whose transfer function is applied itself.
     times : int
     """
     table = np.linspace(0.0, times * np.sqrt(0.5), 4000)
@@ -274,21 +275,21 @@ def blurred_before_and_after(fine, camera, times):
 
 
 def _covered(start, side, count):
-    """Share of each of `DRAWN` parts of `count` pixels in a line that lies in a target, (DRAWN · count,)."""
+    """Return the share of each subpixel of `count` pixels in a line that a target covers, (DRAWN · count,)."""
     edge = np.arange(DRAWN * count + 1) / DRAWN
     return np.diff(np.clip(edge - start, 0.0, side)) * DRAWN
 
 
 def _chain(renderer, of):
-    """Times from radiance to counts of a camera that stands and of a drone's, over one Gaussian filter's."""
+    """Return times from radiance to counts of a static camera and of a drone's, and over that of a Gaussian filter."""
     from scipy.ndimage import gaussian_filter
 
     flight = _flight(renderer, FLIGHTS["drone, down"])
     image = renderer.radiance(flight(0.0))
-    # With drift and pattern, as in a flight that has lasted.
+    # With the drift and pattern of a long flight.
     moment = in_sequence(of.camera, 900, 100.0)
-    taken = Exposure(of, None, flight, renderer.depth, 1.0 / RATE_HZ)
-    # In turns, so that a busy machine slows all alike.
+    taken = exposure.Exposure(of, None, flight, renderer.depth, 1.0 / RATE_HZ)
+    # In turns, so that a busy machine slows all of them alike.
     jobs = {
         "standing": lambda: of.counts(of.power(image, moment), moment),
         "subpixel": lambda: of.counts(taken.signal(moment, 0.0, image)[0], moment),
@@ -306,14 +307,14 @@ def _chain(renderer, of):
 
 
 def _flight(renderer, flight):
-    """Time [s] → pose, of a flight."""
+    """Return the function from time [s] to pose of a flight."""
     speed, roll, height_m, pitch = flight
     up_m = height_m + float(renderer.scene.ground(0.0, 0.0))
     return lambda time_s: pose(0.0, speed * time_s, up_m, 0.0, pitch, roll * time_s)
 
 
 def _ms(job, repeats=25):
-    """Median time of a job [ms]."""
+    """Return the median time of a job [ms]."""
     seconds = []
     for _ in range(repeats + 2):
         start = time.perf_counter()
@@ -323,25 +324,25 @@ def _ms(job, repeats=25):
 
 
 def _effects(renderer, of, seen):
-    """Pictures of single effects, [(title, (H, W) array, unit)]."""
+    """Return pictures of single effects, [(title, (H, W) array, unit)]."""
     camera, per_mk = of.camera, band_radiance_derivative(300.0, *of.camera.band_um) * 1e-3
     image = renderer.radiance(views(renderer.scene)["oblique"])
     found = [("as rendered", apparent_temperature(image, camera.band_um), "K")]
-    found.append(("lens: blurred less sharp", (of.blurred(image) - image) / per_mk, "mK"))
+    found.append(("lens: blurred minus sharp", (of.blurred(image) - image) / per_mk, "mK"))
     for name, (single, expected) in seen.items():
         if name.startswith("rocket"):
             found += [(f"{name}: as read", apparent_temperature(expected, camera.band_um), "K")]
-            found += [(f"{name}: that less an instant", (expected - single) / per_mk * 1e-3, "K")]
+            found += [(f"{name}: as read minus one instant", (expected - single) / per_mk * 1e-3, "K")]
             break
     even = np.full(image.shape, band_radiance(300.0, *camera.band_um), np.float32)
     frames = np.array([of.counts_at_rest(even, index) for index in range(100)], np.float32)
     step = np.diff(radiance_from_counts(np.array([0, 1]), camera))[0]
     scale = step / per_mk
-    found.append(("one frame of an even scene", (frames[1] - frames.mean()) * scale, "mK"))
+    found.append(("one frame of a uniform scene", (frames[1] - frames.mean()) * scale, "mK"))
     found.append(("mean of 100: the fixed pattern", (frames.mean(axis=0) - frames.mean()) * scale, "mK"))
     found.append(("deviation over 100: noise by pixel", frames.std(axis=0) * scale, "mK"))
     drifted = replace(at_rest(camera, 1), case_k=at_rest(camera).case_k + 3.0)
     later = of.counts(of.power(even, drifted), drifted).astype(np.float32)
-    found.append(("3 K of drift of the case", (later - frames[1]) * scale, "mK"))
+    found.append(("3 K of case drift", (later - frames[1]) * scale, "mK"))
     return found
 

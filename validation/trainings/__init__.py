@@ -1,1 +1,1 @@
-"""Trainings of networks beside each other: validation error against cost, and strips of epochs."""
+"""Comparison of trainings of networks: validation error against cost, and strips of epochs."""

@@ -1,4 +1,4 @@
-"""Trainings of networks beside each other: validation error against cost, and strips of epochs.
+"""Comparison of trainings of networks: validation error against cost, and strips of epochs.
 
 Run it as `python -m validation.trainings`.
 """
@@ -9,8 +9,7 @@ from typing import Annotated
 import typer
 
 from thermorender import files, formats
-from thermorender.cli.terminal import table
-from validation.command import Out, run_command
+from validation.command import Out, conclude, run_command
 from validation.trainings import study
 from validation.trainings.figure import write
 
@@ -19,15 +18,14 @@ def main(
     runs: Annotated[list[Path], typer.Argument(help="Folders that `train --run` wrote.")],
     output: Out = Path("out/validation/trainings"),
 ):
-    """Trainings of networks beside each other: validation error against what each has cost, and strips of epochs."""
+    """Comparison of trainings of networks: validation error against cost, and strips of epochs."""
     result = study.run(runs)
     with files.output_folder(output) as folder:
         formats.write_json(folder / "trainings.json", result)
         write(folder, result, runs)
-    table(study.HEADER, study.rows(result))
     for line in study.sentences(result):
         typer.echo(line)
-    typer.echo(f"numbers and figures in {output}")
+    conclude("trainings", output, study.HEADER, study.rows(result), "numbers and figures")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Figures of trainings: curves of validation error, and what a network gave after some of its epochs."""
+"""Figures of trainings: curves of validation error, and translations after some of the epochs."""
 
 from pathlib import Path
 
@@ -7,18 +7,18 @@ import numpy as np
 from thermorender import files
 from thermorender.learned.networks.runs import SAMPLES, read_log
 
-# Epochs of a strip, spread by the logarithm of their crops, as the DLR study shows four.
+# Number of epochs in a strip, spaced by the logarithm of their crops.
 _EPOCHS = 4
 
 
 def curves(path, result):
-    """Draw validation error against core hours of every training, its best marked.
+    """Draw validation error against core hours of every training, with a mark at its best.
 
     Parameters
     ----------
     path : path
     result : dict
-        Of `validation.trainings.study.run`.
+        As `validation.trainings.study.run` returns it.
     """
     from thermorender.compare.evaluation.figures import pyplot, save
 
@@ -43,7 +43,7 @@ def strip(path, folder):
     path : path
         PNG to write.
     folder : path
-        Of the training.
+        Folder of the training.
     """
     import cv2
 
@@ -59,7 +59,7 @@ def strip(path, folder):
     figure, axes = pyplot().subplots(len(chosen), 1, figsize=size, layout="constrained", squeeze=False)
     for axis, crop in zip(axes[:, 0], chosen, strict=True):
         image = cv2.imread(str(pictures[crop]))[..., ::-1]
-        # Squares of a sample stand in four columns.
+        # A sample has four columns of squares.
         axis.imshow(image[: image.shape[1] // 4])
         axis.set_title(f"after {crop} crops, {error[crop]:.2f} K: photograph, truth, translation, error ±10 K")
         axis.set_axis_off()
@@ -67,7 +67,7 @@ def strip(path, folder):
 
 
 def write(folder, result, folders):
-    """Write curves.png and a strip_NAME.png of each training's folder."""
+    """Write curves.png, and strip_NAME.png of each training with samples."""
     folder = files.make_folder(folder)
     curves(folder / "curves.png", result)
     for each in folders:

@@ -1,9 +1,9 @@
-"""Trainings of networks beside each other: validation error against the time that each has cost so far.
+"""Comparison of trainings of networks: validation error against run time.
 
-All of them validate on crops of the same pictures, so their errors stand on one axis. Time is that of the machine's
-cores, all threads of a process added up: what a training costs whatever ran beside it. A training has come to its
-plateau where its best error fell by less than 1 % over the last fifth of its crops. One method is ahead of another
-where it errs less within a tenth of the time.
+All trainings validate on crops of the same pictures, so their errors are comparable. Time is core time, summed over all
+threads of a process, so other load does not matter. A training has reached its plateau if its best error fell by less
+than 1 % over the last fifth of its crops. A method is ahead of another if its error is smaller within a tenth of the
+time.
 """
 
 import numpy as np
@@ -15,21 +15,21 @@ from thermorender.learned.networks.runs import read_log, read_settings
 HEADER = ("run", "method", "width", "batch", "crops seen", "published", "core hours", "validation [K]", "at crops",
           "at core hours", "last fifth")  # fmt: skip
 PLATEAU = 0.01
-# A curve of fewer epochs before its last fifth says nothing of that.
+# Fewest epochs before the last fifth of a curve for a statement about the plateau.
 _EPOCHS = 4
-# How much sooner one training has to come to another's best error to be called ahead of it.
+# Factor of time by which a training must be sooner to be ahead.
 SOONER = 10.0
-# Below this no training is ahead [K].
+# Smallest difference of errors for a training to be ahead [K].
 _LEAST_K = 0.01
 
 
 def run(folders):
-    """Return what the logs of trainings tell; plain numbers.
+    """Return the numbers in the logs of trainings.
 
     Parameters
     ----------
     folders : sequence of path
-        As `train --run` wrote them.
+        Folders written by `train --run`.
 
     Returns
     -------
@@ -41,7 +41,8 @@ def run(folders):
     Raises
     ------
     ThermorenderError
-        No folder, one of no training, two of one name, a training without an epoch, or data sets of other sizes.
+        No folder, a folder without a training, two of the same name, a training without a complete epoch, or data sets
+        of different sizes.
     """
     if not folders:
         raise ThermorenderError("no training was given; give the folders that `train --run` wrote")
@@ -53,8 +54,8 @@ def run(folders):
     pairs = sorted({each["pairs"] for each in found})
     if len(pairs) > 1:
         raise ThermorenderError(
-            f"the trainings were on data sets of {', '.join(map(str, pairs))} pairs, whose errors do not compare; give "
-            "those of one data set"
+            f"the trainings used data sets of {', '.join(map(str, pairs))} pairs, so their errors are not comparable; "
+            "give trainings on one data set"
         )
     return {"runs": sorted(found, key=lambda each: each["best_mae_k"])}
 
@@ -62,7 +63,7 @@ def run(folders):
 def _read(folder):
     settings, log = read_settings(folder), read_log(folder)
     if not log:
-        raise ThermorenderError(f"{folder} holds a training without a whole epoch; let it train longer")
+        raise ThermorenderError(f"{folder} has a training without a complete epoch; train longer")
     curve = [(line["crops"], line["core_seconds"], line["validation_mae_k"]) for line in log]
     crops, seconds, errors = (np.array(column, np.float64) for column in zip(*curve, strict=True))
     best = int(errors.argmin())
@@ -79,7 +80,7 @@ def _read(folder):
 
 
 def rows(result):
-    """Return the rows of a result's table."""
+    """Return the result as table rows under HEADER."""
     return [
         (each["name"], each["method"], each["options"]["width"], each["options"]["batch"], each["crops"],
          each["published_crops"] or "–", f"{each['core_s'] / 3600.0:.2f}", f"{each['best_mae_k']:.2f}",
@@ -89,9 +90,9 @@ def rows(result):
 
 
 def sentences(result):
-    """Return one sentence for each pair of methods one of which is ahead of every training of the other.
+    """Return one sentence for each method that is ahead of every training of another.
 
-    Ahead is a training that errs less than the best of the other's, within a tenth of the core seconds that took.
+    A training is ahead if its error is smaller than the other's best, within a tenth of the core time of that best.
     """
     of_method = {}
     for each in result["runs"]:
@@ -103,13 +104,13 @@ def sentences(result):
                 continue
             margin = min(each["best_mae_k"] - _before(own, each["best_core_s"] / SOONER) for each in others)
             if margin >= _LEAST_K:
-                found.append(f"{winner} is ahead of {loser} by {margin:.2f} K at least, at 1/{SOONER:g} of the core "
-                             "time that its best took")  # fmt: skip
+                found.append(f"{winner} is ahead of {loser} by at least {margin:.2f} K, within 1/{SOONER:g} of the "
+                             "core time of its best error")  # fmt: skip
     return found
 
 
 def _before(runs, seconds):
-    """The least validation error of trainings within so many core seconds; infinite where there is none."""
+    """Return the smallest validation error of trainings within `seconds` core seconds; infinite without any."""
     curves = (point for each in runs for point in each["curve"])
     return min((error for _, core_s, error in curves if core_s <= seconds > 0.0), default=np.inf)
 

@@ -1,1 +1,1 @@
-"""Seconds and memory of translating a picture with each learned map, and the steps where its tiles meet."""
+"""Time and memory of translating a picture with each learned map, and the steps at its tiles' borders."""

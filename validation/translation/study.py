@@ -1,10 +1,10 @@
-"""What translating a picture costs with each learned map, and how far its tiles disagree where they meet.
+"""Time and memory of translating a picture with each learned map, and the steps at the borders of its tiles.
 
-Seconds and memory are those of pictures of 640×512 in a process of its own for each map. A network that takes squares
-of one size gives another temperature on either side of where two of them meet. That is the mean step from one line of
-pixels to the next there, beside the mean step everywhere else: of squares of 256 pixels side by side, each translated
-alone, once as pix2pix applies itself (statistics of each square, and dropout, the same for all), and of the picture as
-`translate` gives it.
+Time and memory are for pictures of 640×512 pixels in a separate process for each map. A network that takes squares of a
+fixed size predicts different temperatures on both sides of a border. The study compares the mean step between the pixel
+lines at borders with the mean step elsewhere: for adjacent squares of 256 pixels, each translated alone; for the same
+as pix2pix was published (statistics of each square, and dropout, the same for all); and for the picture as `translate`
+makes it.
 """
 
 import time
@@ -27,38 +27,38 @@ HEADER = ("map", "load [s]", "640×512 [s]", "peak [MiB]", "picture", "squares [
           "as published [K]", "elsewhere [K]", "as applied [K]", "elsewhere [K]")  # fmt: skip
 SIDE = 256
 SIZE = (512, 640)
-# Translations that are timed, after one that is not.
+# Number of timed translations, after an untimed one.
 _TURNS = 5
 
 
 def run(models, dataset, scene=defaults.SCENE, pictures=6, progress=None):
-    """Return what learned maps cost and how far their tiles disagree; plain numbers.
+    """Return the cost of learned maps and the steps at the borders of their tiles, as plain numbers.
 
     Parameters
     ----------
     models : sequence of str
         Names or files.
     dataset : path
-        Folder of a data set, pictures of whose test part are translated, cut to 640×512 where they are larger.
+        Folder of a data set; pictures of its test part are translated, cropped to 640×512.
     scene : str or None
-        Whose terrain's orthophoto is translated, too, by maps that need colour only; None: none.
+        Scene whose orthophoto is translated, too, by maps without extra inputs.
     pictures : int
-        Of the test part, evenly spaced.
+        Number of pictures of the test part, evenly spaced.
     progress : callable, optional
-        Called with (what, share done).
+        Called with (step, share done).
 
     Returns
     -------
     dict
-        Its "maps" have load_s, translate_s, peak_mib (None where the system does not tell), and seams: {"pictures" or
-        the scene's name: {way: (mean step where squares meet, mean step elsewhere) [K]}}, the ways being "squares",
-        "published" (pix2pix) and "applied", which is missing where a picture needs one tile only.
+        Its "maps" have load_s, translate_s, peak_mib (None where unknown), and seams: {"pictures" or the scene's name:
+        {way: (mean step at borders, mean step elsewhere) [K]}}. The ways are "squares", "published" (pix2pix and
+        pix2pix-b25) and "applied", which is missing if a picture needs a single tile.
 
     Raises
     ------
     ThermorenderError
-        Unknown maps, pictures below 1, a data set without a test part or too small pictures, or maps that need what it
-        lacks.
+        Unknown maps, pictures below 1, a data set without a test part or with too small pictures, or maps whose inputs
+        it lacks.
     """
     if pictures < 1:
         raise ThermorenderError(f"pictures={pictures} is not allowed; give 1 or more")
@@ -91,12 +91,12 @@ def _measure(name, folder, scene, pictures):
 
 
 def _pictures(folder, number):
-    """Inputs of 640×512 pixels of a data set's test part."""
+    """Return Inputs of 640×512 pixels of a data set's test part."""
     dataset = read_dataset(folder)
     test = dataset.of("test")
     large = [entry for entry in test.entries if entry.shape[0] >= SIZE[0] and entry.shape[1] >= SIZE[1]]
     if not large:
-        raise ThermorenderError(f"{folder} has no test pairs of 640×512 or more; give a data set that has")
+        raise ThermorenderError(f"{folder} has no test pairs of 640×512 pixels or more; give another data set")
     chosen = np.unique(np.linspace(0, len(large) - 1, min(number, len(large))).astype(int))
     whole = (inputs_of(test.pair(large[k]), dataset.card) for k in chosen)
     return [_part(each, np.s_[: SIZE[0], : SIZE[1]]) for each in whole]
@@ -109,7 +109,7 @@ def _part(inputs, here):
 
 
 def _seams(model, shown):
-    """{way: (step where squares meet, step elsewhere)} over pictures [K]."""
+    """Return {way: (mean step at borders, mean step elsewhere)} over pictures [K]."""
     ways = {"squares": model, "applied": model}
     if model.method in RECIPES and "published" in RECIPES[model.method].options:
         for way, published in (("squares", False), ("published", True)):
@@ -131,7 +131,7 @@ def _seams(model, shown):
 
 
 def _side_by_side(model, inputs):
-    """Radiance of a picture in squares, each translated alone; what is left of whole squares is not."""
+    """Return the radiance of a picture in squares, each translated alone; partial squares are left out."""
     height, width = (n // SIDE * SIDE for n in inputs.rgb.shape[:2])
     found = np.empty((height, width))
     for top in range(0, height, SIDE):
@@ -142,7 +142,7 @@ def _side_by_side(model, inputs):
 
 
 def _steps(temperature, lines):
-    """Sum [K] and number of steps from pixel to pixel, at given lines and elsewhere, (2, 2)."""
+    """Return the sum [K] and number of steps from pixel to pixel, at given lines and elsewhere, (2, 2)."""
     sums = np.zeros((2, 2))
     for axis, places in enumerate(lines):
         steps = np.abs(np.diff(temperature.astype(np.float64), axis=axis))
@@ -156,7 +156,7 @@ def _steps(temperature, lines):
 
 
 def rows(result):
-    """Return the rows of a result's table."""
+    """Return the result as table rows under HEADER."""
     return [
         (name, f"{each['load_s']:.2f}", f"{each['translate_s']:.2f}", _number(each["peak_mib"], 0), picture,
          *(_number(value) for way in ("squares", "published", "applied") for value in seams.get(way, (None, None))))

@@ -1,1 +1,1 @@
-"""Errors of learned maps on a data set, in kelvin, beside simpler methods."""
+"""Errors of learned maps and of simpler methods on a data set, in kelvin."""

@@ -1,11 +1,14 @@
-"""Which classes errors are told for: of pixels, by material, man-made or natural, and edges; and of pictures."""
+"""Classes for which errors are reported: of pixels (material, man-made or natural, edges) and of pictures."""
+
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from thermorender.campaign.dataset import Entry
 from thermorender.campaign.map_inputs import NO_MATERIAL
 
-# The materials of the library: what people made or laid, and what lies or grows by itself. One that stands in neither,
-# as a scene's own, counts for neither.
+# Man-made and natural materials of the library; other materials, such as a scene's own, count for neither group.
 MAN_MADE = frozenset(
     "asphalt concrete roof_shingle roof_slate roof_rubber glass paint_black paint_metallic wood brass tar "
     "paint_black_gloss paint_black_matt gold_plate roof_rubber_black roof_rubber_white brick_clay roof_tile_clay "
@@ -20,19 +23,19 @@ NATURAL = frozenset(
     "limestone basalt water snow ice lichen needles_dry oak_leaves maple_leaves soil_arid sand_gypsum granite_powder "
     "sandstone marble sea_foam frost snow_fine snow_medium snow_coarse water_fresnel water_breeze ice_fresnel".split()
 )
-# An edge: where the true apparent temperature changes by more than this [K/px], and so many pixels around.
+# An edge: a gradient of the true apparent temperature above this [K/px], widened by this many pixels.
 EDGE_K_PX = 1.0
 EDGE_PX = 2
 EDGES = (f"within {EDGE_PX} px of an edge", "elsewhere")
-# Labels of pairs that make groups, where they have them.
+# Labels of pairs that define groups.
 LABELS = ("kind", "view", "weather", "season")
 
 
-def edge_class(temperature):
-    """Return (H, W) int: number in `EDGES` of each pixel of a true picture [K].
+def edge_class(temperature: ArrayLike) -> NDArray[np.intp]:
+    """Return the number in `EDGES` of each pixel of a true picture [K], (H, W) int.
 
-    The gradient is that of central differences; a pixel counts whose square of 5 × 5 holds one of a strong gradient.
-    Where the temperature is not known there is no edge.
+    Gradients are central differences. A pixel is near an edge where its 5 × 5 neighbourhood has a strong gradient.
+    Unknown temperatures make no edge.
     """
     import cv2
 
@@ -40,11 +43,12 @@ def edge_class(temperature):
     # False where either is NaN.
     strong = np.hypot(down, right) > EDGE_K_PX
     side = 2 * EDGE_PX + 1
-    return 1 - cv2.dilate(strong.astype(np.uint8), np.ones((side, side), np.uint8)).astype(np.intp)
+    widened: NDArray[np.intp] = cv2.dilate(strong.astype(np.uint8), np.ones((side, side), np.uint8)).astype(np.intp)
+    return 1 - widened
 
 
-def picture_classes(entry):
-    """Return {grouping: class} of an Entry: local solar hour and labels, those that it has."""
+def picture_classes(entry: Entry) -> dict[str, str]:
+    """Return {grouping: class} of an Entry: its local solar hour and its labels, where present."""
     found = {}
     if "solar_hour" in entry.conditions:
         hour = int(entry.conditions["solar_hour"] % 24.0)
@@ -52,9 +56,12 @@ def picture_classes(entry):
     return found | {name: str(entry.labels[name]) for name in LABELS if name in entry.labels}
 
 
-def material_groups(rows, names):
-    """Return ({material: row of sums}, {"man-made" and "natural": row}) of the rows of all material numbers."""
-    materials, surfaces = {}, {}
+def material_groups(
+    rows: NDArray[np.float64], names: Sequence[str]
+) -> tuple[dict[str, NDArray[np.float64]], dict[str, NDArray[np.float64]]]:
+    """Return ({material: sums}, {"man-made" and "natural": sums}) of the rows of sums of all material numbers."""
+    materials: dict[str, NDArray[np.float64]] = {}
+    surfaces: dict[str, NDArray[np.float64]] = {}
     for number, name in enumerate(names[:NO_MATERIAL]):
         if rows[number].any():
             materials[name] = rows[number]

@@ -1,94 +1,100 @@
-"""What is scored: learned maps, pictures of other translators, and the simple methods that stand beside them.
+"""The scored methods: learned maps, pictures of other programs, and simple baselines.
 
-Each method gives the apparent temperature of a view [K], or None where it has none to give. Some know what a map
-cannot: they say so in `knows`, and are there to show how far an error can be brought down at all.
+Each method returns the apparent temperature of a view [K], or None where it has none. Some baselines know more than a
+map can (see `knows`): they show how small the error can become.
 """
 
 import time
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from thermorender.campaign.dataset import Pair
+from thermorender.campaign.dataset import Entry, Pair
 from thermorender.campaign.map_inputs import NO_MATERIAL, inputs_of
 from thermorender.compare.evaluation.sums import WIDTH, rows_by, summary
+from thermorender.compare.evaluation.training_part import TrainingPart
 from thermorender.compare.machine import forget_peak_memory, peak_memory_mib
 from thermorender.errors import ThermorenderError
 from thermorender.footage.radiometric_files import read_temperature
 from thermorender.formats import decoded
 from thermorender.frame import apparent_temperature
+from thermorender.learned.temperature_map import Inputs, TemperatureMap
 
+Image = NDArray[np.floating]
 PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A pair as it is scored.
+    """A pair with its true temperature and the pixels that are scored.
 
     Attributes
     ----------
     pair : Pair
     card : dict
-        Of its data set.
+        Card of its data set.
     band_um : (2,) tuple of float
     true : (H, W) float32
-        Apparent temperature [K].
+        True apparent temperature [K].
     known : (H, W) bool
-        Where it is scored.
+        Pixels that are scored.
     sky : (H, W) bool
-        Where the truth tells that there is sky.
+        Pixels of the sky according to the truth.
     """
 
     pair: Pair
-    card: dict
-    band_um: tuple
-    true: np.ndarray
-    known: np.ndarray
-    sky: np.ndarray
+    card: dict[str, Any]
+    band_um: tuple[float, float]
+    true: NDArray[np.float32]
+    known: NDArray[np.bool_]
+    sky: NDArray[np.bool_]
 
 
 @dataclass
 class LearnedMap:
-    """A TemperatureMap as a method, with what its predictions cost.
+    """A TemperatureMap as a method, with the cost of its predictions.
 
     Attributes
     ----------
     label : str
     model : TemperatureMap
     oracle : bool
-        Whether it is shown the material.
+        Whether it takes the material as input.
     seconds_per_mpixel : list of float
-        Of each prediction.
+        Run time of each prediction.
     peak_mib : float or None
-        Most memory the process held during one.
+        Peak memory of the process during a prediction.
     covered : (5,) float64
-        Where the map tells a standard deviation σ for each pixel: pixels, those with an error within σ and within 2 σ,
-        Σσ² and Σ of squared errors [K²].
+        For maps that predict a standard deviation σ for each pixel: number of pixels, of errors within σ and within
+        2 σ, Σσ² and Σ of squared errors [K²].
     unseen : (2, sums.WIDTH) float64
-        Where the map tells colours never seen: sums of errors elsewhere, and of those pixels.
+        For maps that flag colours absent from training: sums of errors of the other and of the flagged pixels.
     """
 
     label: str
-    model: Any
+    model: TemperatureMap
     oracle: bool = False
-    seconds_per_mpixel: list = field(default_factory=list)
+    seconds_per_mpixel: list[float] = field(default_factory=list)
     peak_mib: float | None = None
-    covered: np.ndarray = field(default_factory=lambda: np.zeros(5))
-    unseen: np.ndarray = field(default_factory=lambda: np.zeros((2, WIDTH)))
+    covered: NDArray[np.float64] = field(default_factory=lambda: np.zeros(5))
+    unseen: NDArray[np.float64] = field(default_factory=lambda: np.zeros((2, WIDTH)))
 
     @property
-    def kind(self):
+    def kind(self) -> str:
         """ "oracle" or "map"."""
         return "oracle" if self.oracle else "map"
 
     @property
-    def knows(self):
-        """What it is shown beside the picture."""
+    def knows(self) -> str:
+        """Its inputs beside the picture."""
         return "the material" if self.oracle else ", ".join(self.model.needs)
 
-    def guess(self, view):
+    def guess(self, view: View) -> NDArray[np.float32]:
         """Return its apparent temperature, (H, W) float32 [K]."""
         inputs = inputs_of(view.pair, view.card, material=self.oracle)
         forget_peak_memory()
@@ -96,26 +102,29 @@ class LearnedMap:
         radiance, spread = self.model.translated(inputs)
         self.seconds_per_mpixel.append((time.perf_counter() - began) / (radiance.size / 1e6))
         self.peak_mib = max(filter(None, (self.peak_mib, peak_memory_mib())), default=None)
-        found = apparent_temperature(radiance, self.model.band_um)
-        self._doubt(inputs, found[view.known].astype(np.float64) - view.true[view.known], spread, view.known)
-        return found
+        seen: NDArray[np.float32] = apparent_temperature(radiance, self.model.band_um)
+        self._doubt(inputs, seen[view.known].astype(np.float64) - view.true[view.known], spread, view.known)
+        return seen
 
-    def _doubt(self, inputs, error, spread, known):
-        """Hold what the map tells of its own errors against them."""
+    def _doubt(
+        self, inputs: Inputs, error: NDArray[np.float64], spread: Image | None, known: NDArray[np.bool_]
+    ) -> None:
+        """Compare the map's predicted standard deviations and flags with its errors."""
         if spread is not None:
             here = np.isfinite(error)
-            off, told = np.abs(error[here]), spread[known][here]
-            self.covered += off.size, (off <= told).sum(), (off <= 2.0 * told).sum(), (told**2).sum(), (off**2).sum()
+            off, sigma = np.abs(error[here]), spread[known][here]
+            self.covered += [off.size, (off <= sigma).sum(), (off <= 2.0 * sigma).sum(), (sigma**2).sum(),
+                             (off**2).sum()]  # fmt: skip
         predictor = self.model.predictor
         if hasattr(predictor, "unseen"):
             self.unseen += rows_by(error, predictor.unseen(inputs)[known].astype(np.intp), 2)
 
-    def doubt(self):
-        """Return {"covered": …, "unseen": …}, each None where the map tells no such thing."""
-        pixels, one, two, told, squares = map(float, self.covered)
+    def doubt(self) -> dict[str, Any]:
+        """Return {"covered": …, "unseen": …}, each None where the map does not predict it."""
+        pixels, one, two, variances, squares = map(float, self.covered)
         covered = None
         if pixels:
-            covered = {"within_1": one / pixels, "within_2": two / pixels, "told_rms_k": np.sqrt(told / pixels),
+            covered = {"within_1": one / pixels, "within_2": two / pixels, "told_rms_k": np.sqrt(variances / pixels),
                        "rmse_k": np.sqrt(squares / pixels)}  # fmt: skip
         unseen = None
         if self.unseen.any():
@@ -124,11 +133,8 @@ class LearnedMap:
             unseen = {"share": share, "mae_k": own["mae_k"], "elsewhere_k": rest["mae_k"]}
         return {"covered": covered, "unseen": unseen}
 
-    def cost(self):
-        """Return {seconds_per_mpixel, peak_memory_mib, training_s}: a median, the most, and what the file tells.
-
-        With `doubt` beside them.
-        """
+    def cost(self) -> dict[str, Any]:
+        """Return {seconds_per_mpixel (median), peak_memory_mib, training_s (from its file)}, and `doubt`."""
         return {
             "seconds_per_mpixel": float(np.median(self.seconds_per_mpixel)) if self.seconds_per_mpixel else None,
             "peak_memory_mib": self.peak_mib,
@@ -138,49 +144,49 @@ class LearnedMap:
 
 @dataclass
 class Simple:
-    """A method in one function of a View."""
+    """A method given by one function of a View."""
 
     label: str
     kind: str
     knows: str
-    guess: Any
+    guess: Callable[[View], Image | None]
 
-    def cost(self):
-        """Return nothing: it costs nothing worth telling."""
+    def cost(self) -> dict[str, Any]:
+        """Return nothing: its cost is negligible."""
         return {}
 
 
-def baselines(training):
-    """Return the simple methods that stand beside every map, of a TrainingPart."""
+def baselines(training: TrainingPart) -> list[Simple]:
+    """Return the baselines that every map is compared with, from a TrainingPart."""
 
-    def constant(view):
+    def constant(view: View) -> Image | None:
         return None if training.mean_k is None else np.full(view.true.shape, training.mean_k)
 
-    def own_mean(view):
+    def own_mean(view: View) -> Image:
         return np.full(view.true.shape, view.true[view.known].mean(dtype=np.float64) if view.known.any() else np.nan)
 
-    def per_material(view):
+    def per_material(view: View) -> Image | None:
         if "material" not in view.pair.truth or training.mean_k is None:
             return None
-        # A material that the training part lacks, and what has none, gets the mean of all.
-        kelvin = np.full(256, training.mean_k)
+        # Pixels without a material, or of one that the training part lacks, get the mean of all.
+        kelvin: NDArray[np.float64] = np.full(256, training.mean_k)
         for number, name in enumerate(view.card.get("materials", [])[:NO_MATERIAL]):
             kelvin[number] = training.material_k.get(name, training.mean_k)
         return kelvin[view.pair.truth["material"]]
 
-    def air(view):
+    def air(view: View) -> Image | None:
         kelvin = view.pair.entry.conditions.get("air_k")
         return None if kelvin is None else np.full(view.true.shape, kelvin)
 
-    def balance(view):
-        found = view.pair.truth.get("balance")
-        return None if found is None else apparent_temperature(found, view.band_um)
+    def balance(view: View) -> Image | None:
+        radiance = view.pair.truth.get("balance")
+        return None if radiance is None else apparent_temperature(radiance, view.band_um)
 
-    def floor(view):
-        found = view.pair.truth.get("redrawn")
-        if found is None:
+    def floor(view: View) -> Image | None:
+        radiance = view.pair.truth.get("redrawn")
+        if radiance is None:
             return None
-        return view.true + (apparent_temperature(found, view.band_um) - view.true) / np.sqrt(2.0)
+        return view.true + (apparent_temperature(radiance, view.band_um) - view.true) / np.sqrt(2.0)
 
     return [
         Simple("constant: mean of the training part", "baseline", "", constant),
@@ -188,22 +194,22 @@ def baselines(training):
         Simple("mean per material", "baseline", "the material", per_material),
         Simple("air temperature", "baseline", "the weather", air),
         Simple("heat balance of tables", "baseline", "shape, material, weather", balance),
-        Simple("floor: hidden state drawn anew, over √2", "floor", "all but the hidden state", floor),
+        Simple("floor: hidden state redrawn, over √2", "floor", "all but the hidden state", floor),
     ]
 
 
 class Foreign:
     """Pictures that another program made of the views, named by the pairs' keys.
 
-    A TIFF that declares its unit is taken for what it says. Others carry no scale: their values are brought to kelvin
-    by the affine fit that suits the truth of the scored pairs best in least squares, which flatters them.
+    A TIFF that declares its unit is used as it is. Other pictures have no scale: the affine fit that minimises their
+    squared error against the truth of the scored pairs converts them to kelvin, which favours them.
 
     Parameters
     ----------
     name : str
     folder : path
     entries : sequence of Entry
-        Of the pairs that are scored.
+        Entries of the scored pairs.
 
     Raises
     ------
@@ -213,46 +219,49 @@ class Foreign:
 
     kind = "foreign"
 
-    def __init__(self, name, folder, entries):
+    def __init__(self, name: str, folder: str | PathLike[str], entries: Sequence[Entry]) -> None:
         self.name, self.folder = name, Path(folder)
         if not self.folder.is_dir():
-            raise ThermorenderError(f"--foreign {name}={folder} is no folder; give one with a picture for each pair")
-        found = {path.stem: path for path in sorted(self.folder.iterdir()) if path.suffix.lower() in PICTURES}
-        missing = [entry.key for entry in entries if entry.key not in found]
+            raise ThermorenderError(
+                f"--foreign {name}={folder} is not a folder; give a folder with a picture for each pair"
+            )
+        pictures = {path.stem: path for path in sorted(self.folder.iterdir()) if path.suffix.lower() in PICTURES}
+        missing = [entry.key for entry in entries if entry.key not in pictures]
         if missing:
             raise ThermorenderError(
                 f"--foreign {name}={folder} has no picture of {len(missing)} of {len(entries)} pairs, the first "
-                f"{missing[0]!r}; name each by its pair's key, such as {missing[0]}.png"
+                f"{missing[0]!r}; name each picture by its pair's key, such as {missing[0]}.png"
             )
-        self.files = {entry.key: found[entry.key] for entry in entries}
-        # As the first of them, so are all.
+        self.files = {entry.key: pictures[entry.key] for entry in entries}
+        # The first picture decides for all.
         self.scaled = bool(entries) and _declares(self.files[entries[0].key])
-        self.fit = None if self.scaled else (0.0, np.nan)
+        self.fit = (1.0, 0.0) if self.scaled else (0.0, np.nan)
 
     @property
-    def label(self):
-        """Its name, with what was done to it."""
+    def label(self) -> str:
+        """Its name, and whether it was fitted."""
         return self.name if self.scaled else f"{self.name} after its best affine fit"
 
     @property
-    def knows(self):
-        """What it was allowed to know."""
+    def knows(self) -> str:
+        """Its knowledge of the truth."""
         return "" if self.scaled else "the truth, by two numbers"
 
-    def cost(self):
-        """Return nothing: pictures do not tell what they cost."""
+    def cost(self) -> dict[str, Any]:
+        """Return nothing: the cost of pictures is unknown."""
         return {}
 
-    def guess(self, view):
+    def guess(self, view: View) -> NDArray[np.float64]:
         """Return its apparent temperature, (H, W) float64 [K]."""
         values = self.values(view)
         return values if self.scaled else self.fit[0] * values + self.fit[1]
 
-    def values(self, view):
-        """Return a picture's values, (H, W) float64; kelvin where it declares them."""
+    def values(self, view: View) -> NDArray[np.float64]:
+        """Return a picture's values, (H, W) float64; kelvin where the picture declares its unit."""
         import cv2
 
         path = self.files[view.pair.entry.key]
+        image: NDArray[Any] | None
         if self.scaled:
             image = read_temperature(path)
         else:
@@ -262,12 +271,12 @@ class Foreign:
         if image is None or image.shape != view.true.shape:
             height, width = view.true.shape
             raise ThermorenderError(
-                f"{path} is no grey picture of {width}×{height} pixels, as its pair is; write it anew at that size, "
-                "without a palette"
+                f"{path} is not a grey picture of {width}×{height} pixels, the size of its pair; write it again at "
+                "that size and without a palette"
             )
         return image.astype(np.float64)
 
-    def fitted(self, views):
+    def fitted(self, views: Iterable[View]) -> "Foreign":
         """Find the affine fit over Views, where one is needed; return self.
 
         Raises
@@ -277,29 +286,29 @@ class Foreign:
         """
         if self.scaled:
             return self
-        # Σ 1, x, y, x², xy from the first values on, so that squares stay small.
-        moments, origin = np.zeros(5), None
+        # Σ 1, x, y, x², xy relative to the first values, so that squares stay small.
+        moments, origin = np.zeros(5), (0.0, 0.0)
         for view in views:
             x, y = self.values(view)[view.known], view.true[view.known].astype(np.float64)
-            if origin is None and x.size:
+            if not moments[0] and x.size:
                 origin = float(x[0]), float(y[0])
             if x.size:
                 x, y = x - origin[0], y - origin[1]
-                moments += x.size, x.sum(), y.sum(), (x * x).sum(), (x * y).sum()
-        count, x, y, xx, xy = moments
-        spread = count * xx - x * x
+                moments += [x.size, x.sum(), y.sum(), (x * x).sum(), (x * y).sum()]
+        count, sum_x, sum_y, xx, xy = moments
+        spread = count * xx - sum_x * sum_x
         if spread <= 0.0:
             raise ThermorenderError(
-                f"--foreign {self.name}={self.folder}: all values are the same, so that no scale can be fitted; give "
+                f"--foreign {self.name}={self.folder}: all values are the same, so no scale can be fitted; give "
                 "translated pictures"
             )
-        slope = (count * xy - x * y) / spread
-        self.fit = slope, (y - slope * x) / count + origin[1] - slope * origin[0]
+        slope = (count * xy - sum_x * sum_y) / spread
+        self.fit = slope, (sum_y - slope * sum_x) / count + origin[1] - slope * origin[0]
         return self
 
 
-def _declares(path):
-    """Whether a picture is a TIFF that tells its unit."""
+def _declares(path: Path) -> bool:
+    """Return whether a picture is a TIFF that declares its unit."""
     try:
         return path.suffix.lower() in (".tif", ".tiff") and read_temperature(path) is not None
     except ThermorenderError:

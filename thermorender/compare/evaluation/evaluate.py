@@ -1,43 +1,59 @@
-"""Learned maps evaluated on a data set, in kelvin, beside simple methods and beside the least error there is.
+"""Evaluation of learned maps on a data set, in kelvin, with baselines and the smallest possible error.
 
-The error of a pixel is the apparent temperature that a method gives less the true one. Maps are judged as they are,
-never refitted. Sky is no ground: where the truth tells it, its errors stand apart. The same pairs are given to every
-method; a method that some pairs lack says on how many it stands.
+The error of a pixel is the apparent temperature of a method minus the true one. Maps are evaluated as they are, never
+refitted. The sky is not ground: where the truth marks it, its errors are reported separately. Every method gets the
+same pairs; where a method lacks some, the result says how many pairs it has.
 
-The *floor* is what no map can go below, where the data set holds the same view with its hidden state (moisture,
-roughness, properties of the materials) drawn anew. Let T = f + a be the truth and T′ = f + b the redrawn one, f being
-the mean over all draws of what is known and a, b independent draws of one law. The best that can be given is f, with
-error a. If that law is Gaussian of standard deviation σ, a − b has √2 σ, so the mean of |T − T′| is √2 times that of
-|a|; hence the mean of |T − T′| over √2. For other laws of mean zero it lies between the mean of |a| and twice that.
+The *floor* is the smallest error that a map can reach. It needs a data set with the same view rendered again with
+redrawn hidden state (moisture, roughness, material properties). Let T = f + a be the truth and T′ = f + b the redrawn
+one; f is the mean over all draws given the map's inputs, and a and b are independent draws of one distribution. The
+best prediction is f, with error a. For a Gaussian of standard deviation σ, a − b has √2 σ, so the mean of |T − T′| over
+√2 is the mean of |a|. For other distributions of mean zero, the mean of |T − T′| lies between the mean of |a| and twice
+that.
 """
 
 import hashlib
 import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender import files, formats
-from thermorender.campaign.audit import audit
+from thermorender.campaign.audit import Audit, audit
+from thermorender.campaign.dataset import Dataset, Entry, ThermalScale
 from thermorender.campaign.map_inputs import NO_MATERIAL, ground_of
 from thermorender.compare.evaluation import figures, paired, report, similarity, sums
 from thermorender.compare.evaluation.classes import EDGES, edge_class, material_groups, picture_classes
-from thermorender.compare.evaluation.estimators import Foreign, LearnedMap, View, baselines
+from thermorender.compare.evaluation.estimators import Foreign, LearnedMap, Simple, View, baselines
 from thermorender.compare.evaluation.training_part import Levels, read_training_part
 from thermorender.compare.machine import machine
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
-from thermorender.learned.temperature_map import load_model
+from thermorender.learned.temperature_map import TemperatureMap, load_model
 from thermorender.versions import versions
 
-# Pictures are drawn of the pairs at these quantiles of the first map's mean absolute error.
+# The pairs at these quantiles of the first map's mean absolute error are drawn.
 SHOWN = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 
-def evaluate(dataset, models, folder, oracle=None, foreign=None, split=None, part="test", limit=None, seed=0,
-             progress=None):  # fmt: skip
-    """Evaluate learned maps on a part of a data set; return the result that is also written.
+def evaluate(
+    dataset: Dataset,
+    models: Sequence[str | Path],
+    folder: str | PathLike[str],
+    oracle: str | Path | None = None,
+    foreign: Mapping[str, str | PathLike[str]] | None = None,
+    split: Mapping[str, str] | None = None,
+    part: str = "test",
+    limit: int | None = None,
+    seed: int = 0,
+    progress: Callable[[str, float], object] | None = None,
+) -> dict[str, Any]:
+    """Evaluate learned maps on a part of a data set; return the result, which is also written.
 
     Parameters
     ----------
@@ -45,30 +61,30 @@ def evaluate(dataset, models, folder, oracle=None, foreign=None, split=None, par
     models : sequence of str
         Names or files of learned maps.
     folder : path
-        New folder: `evaluation.json`, `evaluation.md` and figures, all or nothing.
+        New folder: `evaluation.json`, `evaluation.md` and figures. It is written whole or not at all.
     oracle : str, optional
-        File of a map that is shown the material, too.
+        File of a map that also takes the material as input.
     foreign : dict of str to path, optional
-        Folders of other translators' pictures, by their names.
+        Folders of other programs' pictures, by name.
     split : dict of str to str, optional
-        {key: part} in place of the data set's own.
+        {key: part} that replaces the data set's own split.
     part : str
-        Which is scored.
+        Part to score.
     limit : int, optional
-        Take so many pairs of the part, evenly spaced, and as many of the training part.
+        Number of pairs of the part to score, evenly spaced, and number of training pairs to read.
     seed : int
-        Of the bootstrap.
+        Seed of the bootstrap.
     progress : callable, optional
-        Called with (what, share done).
+        Called with (step, share done).
 
     Raises
     ------
     ThermorenderError
-        No map or no pair to score, an unknown map, a map that needs what the data set lacks.
+        No map or no pair to score, an unknown map, or a map whose inputs the data set lacks.
     """
     if not models:
         raise ThermorenderError("models is empty; give at least one learned map, by its name or file")
-    tell = progress or (lambda what, share: None)
+    report_progress = progress or (lambda step, share: None)
     if split is not None:
         dataset = dataset.split(split)
     scored, train = (_limited(dataset.of(each), limit) for each in (part, "train"))
@@ -77,41 +93,25 @@ def evaluate(dataset, models, folder, oracle=None, foreign=None, split=None, par
     maps = _maps(models, oracle)
     began, levels = time.perf_counter(), Levels(dataset.scale)
     views = _Views(scored, levels)
-    # What was left out by `limit` was trained on all the same.
+    # The maps were trained on the pairs that `limit` leaves out, too.
     leaks = _audit(dataset.of("train"), scored) if part != "train" and train.entries else None
-    training = read_training_part(train, levels, lambda share: tell("reading the training part", share))
+    training = read_training_part(train, levels, lambda share: report_progress("reading the training part", share))
     bounds = training.bounds_k or maps[0].model.range_k
     others = [Foreign(name, place, scored.entries) for name, place in (foreign or {}).items()]
     others = [other.fitted(views) for other in others]
     tallies = [_Tally(method, len(scored)) for method in (*maps, *others, *baselines(training))]
     for number, view in enumerate(views):
-        tell("scoring", number / len(scored))
+        report_progress("scoring", number / len(scored))
         _score(view, number, tallies, bounds)
-    entries = scored.entries
-    cluster, what = sums.clusters(entries)
+    texts = [*models, *([oracle] if oracle else [])]
     result = {
-        "dataset": {
-            "folder": str(dataset.folder), "card_sha256": _digest(dataset.folder / "card.json"),
-            "title": dataset.card.get("title", dataset.card.get("name")), "thermal": dataset.card["thermal"],
-        },
-        "part": part, "pairs": len(scored), "parts": {name: len(dataset.of(name)) for name in _parts(dataset)},
-        "split": "given" if split is not None else "the data set's own", "limit": limit, "seed": seed,
-        "training_pairs": training.pairs, "bounds_k": list(bounds), "notes": _notes(dataset.scale, maps, entries),
+        "part": part, "split": "given" if split is not None else "the data set's own", "limit": limit, "seed": seed,
+        "training_pairs": training.pairs, "bounds_k": list(bounds),
         "audit": None if leaks is None else {"lines": leaks.lines(), **leaks.summary()},
-        "drawn": what,
-        "methods": {tally.label: tally.summary(entries, scored.card, cluster, seed) for tally in tallies},
-        "differences": _differences(maps, tallies, cluster, seed),
-        "images": {
-            entry.key: {tally.label: _brief(tally.rows[number]) for tally in tallies if tally.rows[number].any()}
-            for number, entry in enumerate(entries)
-        },
-        "models": {each.label: _header(each.model, text) for each, text in
-                   zip(maps, (*models, *([oracle] if oracle else ())), strict=True)},
-        "published": report.PUBLISHED, "machine": machine(), "versions": versions(),
+        **_result(dataset, scored, maps, texts, tallies, seed),
     }  # fmt: skip
-    shown = _quantiles(tallies[0].rows)
     with files.atomic_folder(folder) as draft:
-        for number, share in shown.items():
+        for number, share in _quantiles(tallies[0].rows).items():
             view = views[number]
             guesses = {method.label: method.guess(view) for method in (*maps, *others)}
             figures.picture(draft / f"errors_{round(100 * share):02d}_{view.pair.entry.key}.png", view, guesses, share)
@@ -122,13 +122,43 @@ def evaluate(dataset, models, folder, oracle=None, foreign=None, split=None, par
     return result
 
 
+def _result(
+    dataset: Dataset,
+    scored: Dataset,
+    maps: list[LearnedMap],
+    texts: list[str | Path],
+    tallies: "list[_Tally]",
+    seed: int,
+) -> dict[str, Any]:
+    """Return the part of the result that follows from the tallies; `texts` are the maps' names or files."""
+    entries = scored.entries
+    cluster, drawn = sums.clusters(entries)
+    return {
+        "dataset": {
+            "folder": str(dataset.folder), "card_sha256": _digest(dataset.folder / "card.json"),
+            "title": dataset.card.get("title", dataset.card.get("name")), "thermal": dataset.card["thermal"],
+        },
+        "pairs": len(scored),
+        "parts": {name: len(dataset.of(name)) for name in dict.fromkeys(entry.part for entry in dataset.entries)},
+        "notes": _notes(dataset.scale, maps, entries), "drawn": drawn,
+        "methods": {tally.label: tally.summary(entries, scored.card, cluster, seed) for tally in tallies},
+        "differences": _differences(maps, tallies, cluster, seed),
+        "images": {
+            entry.key: {tally.label: _brief(tally.rows[number]) for tally in tallies if tally.rows[number].any()}
+            for number, entry in enumerate(entries)
+        },
+        "models": {each.label: _header(each.model, text) for each, text in zip(maps, texts, strict=True)},
+        "published": report.PUBLISHED, "machine": machine(), "versions": versions(),
+    }  # fmt: skip
+
+
 class _Views:
     """The Views of a Dataset, read one by one."""
 
-    def __init__(self, dataset, levels):
+    def __init__(self, dataset: Dataset, levels: Levels) -> None:
         self.dataset, self.levels = dataset, levels
 
-    def __getitem__(self, number):
+    def __getitem__(self, number: int) -> View:
         pair = self.dataset.pair(self.dataset.entries[number])
         band = self.dataset.scale.band_um
         if "radiance" in pair.truth:
@@ -138,14 +168,14 @@ class _Views:
         known, ground = pair.valid & np.isfinite(true), ground_of(pair)
         return View(pair, self.dataset.card, band, true, known & ground, known & ~ground)
 
-    def __iter__(self):
+    def __iter__(self) -> Iterator[View]:
         return (self[number] for number in range(len(self.dataset)))
 
 
 class _Tally:
-    """What one method is found to err, over all pairs."""
+    """The errors of one method, summed over all pairs."""
 
-    def __init__(self, method, pairs):
+    def __init__(self, method: LearnedMap | Foreign | Simple, pairs: int) -> None:
         self.method = method
         self.label = method.label
         self.rows = np.zeros((pairs, sums.WIDTH))
@@ -155,9 +185,11 @@ class _Tally:
         self.alike = np.zeros(4)
         self.pairs = 0
 
-    def summary(self, entries, card, cluster, seed):
-        """Return everything that is known of the method, plain numbers."""
-        groups = {}
+    def summary(
+        self, entries: Sequence[Entry], card: Mapping[str, Any], cluster: NDArray[np.intp], seed: int
+    ) -> dict[str, Any]:
+        """Return the statistics of the method, as plain numbers."""
+        groups: dict[str, dict[str, Any]] = {}
         for entry, row in zip(entries, self.rows, strict=True):
             for grouping, name in picture_classes(entry).items():
                 own = groups.setdefault(grouping, {})
@@ -176,8 +208,8 @@ class _Tally:
         }  # fmt: skip
 
 
-def _score(view, number, tallies, bounds):
-    """Add a View, the number of which is given, to every method's tally."""
+def _score(view: View, number: int, tallies: list[_Tally], bounds: tuple[float, float]) -> None:
+    """Add View number `number` to every method's tally."""
     known = view.known
     alike = similarity.Similarity(similarity.eight_bit(view.true, bounds), known)
     edges = edge_class(np.where(known, view.true, np.nan))[known]
@@ -196,13 +228,13 @@ def _score(view, number, tallies, bounds):
             off = guess[view.sky].astype(np.float64) - view.true[view.sky]
             tally.sky += sums.rows_by(off, np.zeros(off.size, np.intp), 1)[0]
         tally.pairs += 1
-        # The floor is an error, and its picture no guess.
+        # The floor is an error estimate, not a picture to compare.
         if tally.method.kind != "floor":
             tally.alike += alike.row(similarity.eight_bit(guess, bounds))
 
 
-def _maps(models, oracle):
-    """The LearnedMaps of names and files, by names that differ."""
+def _maps(models: Sequence[str | Path], oracle: str | Path | None) -> list[LearnedMap]:
+    """Return the LearnedMaps of names and files, with unique labels."""
     loaded = [load_model(model) for model in models]
     names = [model.name for model in loaded]
     labels = [name if names.count(name) == 1 else f"{name} ({text})" for name, text in zip(names, models, strict=True)]
@@ -215,15 +247,17 @@ def _maps(models, oracle):
     return found
 
 
-def _differences(maps, tallies, cluster, seed):
-    """What maps err more than the first, those that differ in their seed alone taken together; plain numbers."""
+def _differences(
+    maps: list[LearnedMap], tallies: list[_Tally], cluster: NDArray[np.intp], seed: int
+) -> dict[str, Any]:
+    """Return the error of each map minus the first map's; maps that differ only in their seed count as one."""
     groups, names = paired.kin(maps), [each.label for each in maps]
     found = paired.differences([tally.rows for tally in tallies[: len(maps)]], groups, cluster, seed)
     more = [{"maps": [names[k] for k in group], "more_k": more, "interval_95": ends} for group, more, ends in found]
     return {"than": [names[k] for k in groups[0]], "maps": more}
 
 
-def _limited(dataset, limit):
+def _limited(dataset: Dataset, limit: int | None) -> Dataset:
     if limit is None or limit >= len(dataset):
         return dataset
     if limit < 1:
@@ -232,52 +266,47 @@ def _limited(dataset, limit):
     return dataset.having([dataset.entries[number] for number in chosen])
 
 
-def _audit(train, scored):
-    """The audit of what is scored against what was trained on."""
-    # An audit looks at the test part, whatever part is scored.
+def _audit(train: Dataset, scored: Dataset) -> Audit:
+    """Return the audit of the scored pairs against the training pairs."""
+    # An audit looks at the test part, so the scored part is renamed.
     return audit(train.having([*train.entries, *(replace(entry, part="test") for entry in scored.entries)]))
 
 
-def _parts(dataset):
-    return dict.fromkeys(entry.part for entry in dataset.entries)
-
-
-def _notes(scale, maps, entries):
-    """What a reader has to know before the numbers, in sentences."""
+def _notes(scale: ThermalScale, maps: list[LearnedMap], entries: Sequence[Entry]) -> list[str]:
+    """Return sentences that a reader should know before the numbers."""
     notes = []
     if scale.unit == "intensity":
         low, high = scale.range_c
         notes.append(
-            f"the scale of the thermal pictures is unknown: kelvin are those of an assumed {low:g}…{high:g} °C for "
-            "intensity 0…1"
+            f"the scale of the thermal pictures is unknown: temperatures assume {low:g}…{high:g} °C for intensity 0…1"
         )
     sizes = [entry.texel_m for entry in entries if entry.texel_m is not None]
     for each in maps:
         found = [each.model.texel_warning(size) for size in (min(sizes), max(sizes))] if sizes else []
         notes += dict.fromkeys(filter(None, found))
         if tuple(each.model.band_um) != tuple(scale.band_um):
-            told = "–".join(f"{limit:g}" for limit in each.model.band_um)
-            notes.append(f"learned map {each.model.name!r} gives apparent temperatures of {told} µm, another band")
+            band = "–".join(f"{limit:g}" for limit in each.model.band_um)
+            notes.append(f"learned map {each.model.name!r} gives apparent temperatures of {band} µm, another band")
     return notes
 
 
-def _quantiles(rows):
-    """{number of a pair: quantile of its mean absolute error} of the pairs to draw."""
+def _quantiles(rows: NDArray[np.float64]) -> dict[int, float]:
+    """Return {pair number: quantile of its mean absolute error} of the pairs to draw."""
     have = np.flatnonzero(rows[:, 0])
     order = have[np.argsort(rows[have, 2] / rows[have, 0], kind="stable")]
     return {int(order[round(share * (len(order) - 1))]): share for share in SHOWN} if len(order) else {}
 
 
-def _brief(row):
-    told = sums.summary(row)
-    return {name: told[name] for name in ("me_k", "mae_k", "sd_k", "pixels")}
+def _brief(row: NDArray[np.float64]) -> dict[str, Any]:
+    statistics = sums.summary(row)
+    return {name: statistics[name] for name in ("me_k", "mae_k", "sd_k", "pixels")}
 
 
-def _header(model, text):
-    """What a map's file says of it, and its digest where it is one."""
-    told = {each.name: getattr(model, each.name) for each in fields(model) if each.name != "predictor"}
-    return told | {"sha256": _digest(text) if str(text).endswith(".npz") else None}
+def _header(model: TemperatureMap, text: str | Path) -> dict[str, Any]:
+    """Return the header of a map's file, and its digest where `text` is a file."""
+    header = {each.name: getattr(model, each.name) for each in fields(model) if each.name != "predictor"}
+    return header | {"sha256": _digest(text) if str(text).endswith(".npz") else None}
 
 
-def _digest(path):
+def _digest(path: str | Path) -> str:
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()

@@ -1,19 +1,27 @@
-"""Figures of what `thermorender.compare.evaluation` finds."""
+"""Figures of an evaluation: error images, and error against run time, training share and shift."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender import files
+from thermorender.compare.evaluation.estimators import View
 from thermorender.units import ZERO_CELSIUS_K
 
-# Of maps beyond the ten colours, and of the simple methods' lines.
+Curves = Mapping[str, Sequence[tuple[float, float]]]
+
+# Markers of maps (one per ten colours), and dashes of the baselines' lines.
 _MARKERS = "osv^"
 _DASHES = ((1, 1), (4, 1), (1, 4), (8, 2), (4, 1, 1, 1), (8, 1, 1, 1, 1, 1), (12, 4))
-# From so many methods on they stand in three columns.
+# From this many methods on, three columns are used.
 _FOLDED = 6
 
 
-def picture(path, view, guesses, share):
-    """Draw a view: visible and true picture, and below them what each method gives and its error.
+def picture(path: Path, view: View, guesses: Mapping[str, NDArray[np.floating]], share: float) -> None:
+    """Draw a view: its visible and true picture, and below them each method's picture and error.
 
     Parameters
     ----------
@@ -22,7 +30,7 @@ def picture(path, view, guesses, share):
     guesses : dict of str to (H, W) array
         Apparent temperatures [K].
     share : float
-        Quantile of the first method's error at which this view lies.
+        Quantile of this view in the first method's error.
     """
     plot, (height, width) = pyplot(), view.true.shape
     columns = 1 if len(guesses) < _FOLDED else 3
@@ -54,14 +62,14 @@ def picture(path, view, guesses, share):
     save(figure, path)
 
 
-def against_time(path, result):
-    """Draw mean absolute error against inference time of the maps, with the simple methods as lines.
+def against_time(path: Path, result: dict[str, Any]) -> None:
+    """Draw the maps' mean absolute error against inference time, with the baselines as lines.
 
     Parameters
     ----------
     path : path
     result : dict
-        Of `thermorender.compare.evaluation.evaluate`.
+        As `evaluate` returns it.
     """
     plot = pyplot()
     figure, axis = plot.subplots(figsize=(10, 5), layout="constrained")
@@ -85,42 +93,31 @@ def against_time(path, result):
     save(figure, path)
 
 
-def against_share(path, curves):
-    """Draw mean absolute error against the share of the training part.
+def against_share(path: Path, curves: Curves) -> None:
+    """Draw {method: [(share, mean absolute error [K])]} against the share of the training part."""
+    _curves(path, curves, "share of the training part", "log")
 
-    Parameters
-    ----------
-    path : path
-    curves : dict of str to list of (share, mean absolute error [K])
-        By method.
-    """
+
+def against_shift(path: Path, curves: Curves) -> None:
+    """Draw {method: [(shift [px], mean absolute error [K])]} against the shift of the training pairs."""
+    _curves(path, curves, "shift of thermal against visible pictures in training [px]", "linear")
+
+
+def _curves(path: Path, curves: Curves, label: str, scale: str) -> None:
     plot = pyplot()
     figure, axis = plot.subplots(figsize=(8, 5), layout="constrained")
     for name, curve in curves.items():
-        share, error = np.array(sorted(curve)).T
-        axis.plot(share, error, "o-", label=name)
-    axis.set(xscale="log", xlabel="share of the training part", ylabel="mean absolute error [K]")
+        x, error = np.array(sorted(curve)).T
+        axis.plot(x, error, "o-", label=name)
+    axis.set(xscale=scale, xlabel=label, ylabel="mean absolute error [K]")
     axis.set_ylim(bottom=0.0)
     axis.grid(True, which="both", lw=0.3, color="0.85")
     axis.legend(fontsize=8)
     save(figure, path)
 
 
-def against_shift(path, curves):
-    """Draw mean absolute error against how far the training pairs were moved; curves of (shift [px], error [K])."""
-    plot = pyplot()
-    figure, axis = plot.subplots(figsize=(8, 5), layout="constrained")
-    for name, curve in curves.items():
-        shift, error = np.array(sorted(curve)).T
-        axis.plot(shift, error, "o-", label=name)
-    axis.set(xlabel="shift of thermal against visible pictures in training [px]", ylabel="mean absolute error [K]")
-    axis.set_ylim(bottom=0.0)
-    axis.grid(True, lw=0.3, color="0.85")
-    axis.legend(fontsize=8)
-    save(figure, path)
-
-
-def pyplot():
+def pyplot() -> Any:
+    """Return matplotlib.pyplot, drawing without a display."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -129,9 +126,10 @@ def pyplot():
     return pyplot
 
 
-def save(figure, path):
+def save(figure: Any, path: Path, dpi: int = 80) -> None:
+    """Write a figure as PNG, whole or not at all, and close it."""
     from matplotlib import pyplot
 
     with files.atomic(path) as part:
-        figure.savefig(part, dpi=80)
+        figure.savefig(part, dpi=dpi)
     pyplot.close(figure)

@@ -1,52 +1,61 @@
-"""Differences of mean absolute errors between maps, on the same pictures, with what lands and seeds leave uncertain.
+"""Differences of mean absolute errors between maps on the same pictures, with intervals over lands and seeds.
 
-Maps that were trained alike but for their seed stand for one method: theirs is the mean of their errors.
+Maps that differ only in their training seed count as one method, whose error is the mean of theirs.
 """
 
 import json
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from thermorender.compare.evaluation.sums import CONFIDENCE, DRAWS
+from thermorender.compare.evaluation.sums import CONFIDENCE, DRAWS, Interval
 
-# What tells two trainings apart, besides the method; the seed does not.
-_TOLD = ("dataset", "pairs", "sequences", "conditions", "bounds", "share", "shift_px", "options")
+if TYPE_CHECKING:
+    from thermorender.compare.evaluation.estimators import LearnedMap
+
+# Keys that distinguish two trainings, besides the method; the seed is not one of them.
+_KEYS = ("dataset", "pairs", "sequences", "conditions", "bounds", "share", "shift_px", "options")
 
 
-def kin(maps):
-    """Return lists of numbers of LearnedMaps that were trained alike but for their seed, in the order given."""
-    groups, seeds = {}, set()
+def kin(maps: Sequence["LearnedMap"]) -> list[list[int]]:
+    """Return groups of numbers of LearnedMaps whose trainings differ only in the seed, in the given order."""
+    groups: dict[tuple[str, int | None], list[int]] = {}
+    seeds = set()
     for number, each in enumerate(maps):
         model = each.model
-        told = [model.method, each.oracle, *(model.about.get(name) for name in _TOLD)]
-        alike, seed = json.dumps(told, sort_keys=True), model.about.get("seed")
-        # Of one seed twice something else must differ, which their files do not tell.
+        training = [model.method, each.oracle, *(model.about.get(name) for name in _KEYS)]
+        alike, seed = json.dumps(training, sort_keys=True), model.about.get("seed")
+        # Two maps of the same seed must differ in something that their files do not record.
         alone = number if seed is None or (alike, seed) in seeds else None
         seeds.add((alike, seed))
         groups.setdefault((alike, alone), []).append(number)
     return list(groups.values())
 
 
-def differences(rows, groups, cluster, seed=0):
-    """Return what each group but the first errs more than the first: [(group, K or None, (low, high) [K] or None)].
+def differences(
+    rows: ArrayLike, groups: list[list[int]], cluster: ArrayLike, seed: int = 0
+) -> list[tuple[list[int], float | None, Interval | None]]:
+    """Return the mean absolute error of each later group minus the first's: [(group, K or None, interval or None)].
 
     Parameters
     ----------
-    rows : sequence of (P, 5) array
-        Sums of each map's errors on each picture, as of `sums.row`.
+    rows : (M, P, 5) array
+        Sums of each map's errors on each picture, as `sums.row` returns them.
     groups : list of list of int
-        Maps that stand for one method.
+        Numbers of the maps of each method.
     cluster : (P,) array of int
-        Pictures of one number are drawn together.
+        Pictures with the same number are drawn together.
     seed : int
 
     Notes
     -----
-    95 % intervals, percentile bootstrap of 1000 draws: clusters, the same for both, and of each group its maps. Since n
-    maps of few seeds scatter about their own mean by less than about the true one, their deviations are taken
-    √(n / (n − 1)) times; even so the intervals of three seeds hold the true difference in 86 % of simulated cases, and
-    a group of one map tells nothing of how its seeds scatter. Pictures that a map has no error for count for none;
-    where none is left, there is no difference.
+    95 % intervals [K] by a percentile bootstrap of 1000 draws: of clusters, the same for both groups, and of the maps
+    in each group. The sample of n seeds scatters less about its own mean than about the true one, so deviations are
+    multiplied by √(n / (n − 1)). Even so, intervals of three seeds contain the true difference in only 86 % of
+    simulated cases, and a single map does not show how seeds scatter. Only pictures for which every map has an error
+    count; if there are none, the difference is None.
     """
     rows = np.asarray(rows, np.float64)
     shared = (rows[..., 0] > 0).all(axis=0)
@@ -60,7 +69,7 @@ def differences(rows, groups, cluster, seed=0):
     generator = np.random.default_rng(seed)
     times = generator.multinomial(kept.shape[1], np.full(kept.shape[1], 1.0 / kept.shape[1]), DRAWS)
     drawn = _mean(times, kept)
-    found, errors = [], []
+    measured, errors = [], []
     for group in groups:
         own = drawn[group]
         centre = own.mean(axis=0)
@@ -70,16 +79,16 @@ def differences(rows, groups, cluster, seed=0):
             errors.append(centre + wider * (np.take_along_axis(own, chosen, axis=0).mean(axis=0) - centre))
         else:
             errors.append(centre)
-        found.append(float(_mean(np.ones((1, kept.shape[1])), kept[group]).mean()))
+        measured.append(float(_mean(np.ones((1, kept.shape[1])), kept[group]).mean()))
     ends = 50.0 * (1.0 - CONFIDENCE), 50.0 * (1.0 + CONFIDENCE)
-    told = []
-    for group, error, own in zip(groups[1:], errors[1:], found[1:], strict=True):
-        sure = tuple(np.percentile(error - errors[0], ends).tolist()) if kept.shape[1] > 1 else None
-        told.append((group, own - found[0], sure))
-    return told
+    found: list[tuple[list[int], float | None, Interval | None]] = []
+    for group, error, own in zip(groups[1:], errors[1:], measured[1:], strict=True):
+        low, high = np.percentile(error - errors[0], ends).tolist()
+        found.append((group, own - measured[0], (low, high) if kept.shape[1] > 1 else None))
+    return found
 
 
-def _mean(times, sums):
-    """Mean absolute errors of (maps, clusters, 2) sums, each cluster so many times: (maps, draws)."""
+def _mean(times: NDArray[np.number], sums: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return mean absolute errors (maps, draws) of (maps, clusters, 2) sums, each cluster repeated `times`."""
     absolute, count = (sums[..., column] @ times.T for column in (0, 1))
     return absolute / count

@@ -1,10 +1,14 @@
-"""Tables of an evaluation: a page of Markdown, and rows for the terminal."""
+"""Tables of an evaluation: a Markdown page, and rows for the terminal."""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
 
 from thermorender import formats
 
 # Mean error, mean absolute error and standard deviation [K], and training, of the published methods: "Generation of
 # artificial infrared camera images for visual navigation simulation", tables 7 and 2.
-PUBLISHED = {
+PUBLISHED: dict[str, dict[str, Any]] = {
     "correlation 1-to-1": {"me_k": -0.46, "mae_k": 1.84, "sd_k": 2.23, "training": "less than a minute on a PC"},
     "correlation 9-to-1": {"me_k": -0.4, "mae_k": 1.78, "sd_k": 2.16, "training": "less than a minute on a PC"},
     "pix2pix": {"me_k": -0.086, "mae_k": 0.73, "sd_k": 0.99, "training": "200 epochs of 175 s"},
@@ -12,15 +16,19 @@ PUBLISHED = {
     "pix2pixHD": {"me_k": 0.11, "mae_k": 0.69, "sd_k": 0.96, "training": "200 epochs of 790 s"},
 }
 CAVEAT = (
-    "Published for 502 test crops of another campaign, split after four were cut from each picture. Their temperatures "
-    "are arbitrary, as the publication says: the bounds of intensity were taken for 14 and 24 °C."
+    "The published values are for 502 test crops of another campaign, which was split after cutting four crops from "
+    "each picture. Their temperatures are arbitrary, as the publication says: intensity 0 and 1 were set to 14 and "
+    "24 °C."
 )
 FLOOR = (
-    "Floor: the mean difference of two independent draws of the hidden state over √2, which is the mean absolute error "
-    "of the best map there can be where the law of these draws is Gaussian."
+    "Floor: the mean difference of two independent draws of the hidden state, divided by √2. For Gaussian draws it is "
+    "the mean absolute error of the best possible map."
 )
-SEEDS = "Intervals know how lands scatter, and seeds where several maps of a method are given; of one map, lands alone."
-LAPLACE = "Of errors by Laplace's law 75.7 % lie within one standard deviation and 94.1 % within two."
+SEEDS = (
+    "Intervals include the scatter between lands, and between seeds where several maps of a method are given; for a "
+    "single map, lands only."
+)
+LAPLACE = "For errors with a Laplace distribution, 75.7 % are within one standard deviation and 94.1 % within two."
 HEADER = ("method", "knows besides the picture", "pairs", "ME [K]", "MAE [K]", "95 % of MAE", "SD [K]", "RMSE [K]",
           "PSNR [dB]", "SSIM")  # fmt: skip
 _TITLES = {
@@ -29,8 +37,8 @@ _TITLES = {
 }  # fmt: skip
 
 
-def rows(result):
-    """Return the methods as rows of text under `HEADER`."""
+def rows(result: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Return the methods as table rows of text under `HEADER`."""
     return [
         (label, found["knows"] or "–", str(found["pairs"]), _signed(found["me_k"]), _number(found["mae_k"]),
          _interval(found["interval_95"]["mae_k"]), _number(found["sd_k"]), _number(found["rmse_k"]),
@@ -41,23 +49,22 @@ def rows(result):
     ]  # fmt: skip
 
 
-def published_rows():
-    """Return the published methods as rows of text under the same header."""
+def published_rows() -> list[tuple[str, ...]]:
+    """Return the published methods as table rows of text under `HEADER`."""
     return [
-        (f"published: {name}", "–", "502", f"{told['me_k']:+g}", f"{told['mae_k']:g}", "", f"{told['sd_k']:g}",
-         *[""] * 3)
-        for name, told in PUBLISHED.items()
-    ]  # fmt: skip
+        (f"published: {name}", "–", "502", f"{own['me_k']:+g}", f"{own['mae_k']:g}", "", f"{own['sd_k']:g}", *[""] * 3)
+        for name, own in PUBLISHED.items()
+    ]
 
 
-def lines_before(result):
-    """Return what has to be read before the numbers: notes and the audit's verdict, in sentences."""
-    audit = result["audit"]["lines"] if result["audit"] else ["no audit for leaks between the parts was made"]
+def lines_before(result: dict[str, Any]) -> list[str]:
+    """Return the lines to read before the numbers: notes and the verdict of the audit."""
+    audit = result["audit"]["lines"] if result["audit"] else ["the parts were not audited for leaks"]
     return [*(f"note: {note}" for note in result["notes"]), *audit]
 
 
-def cost_rows(result):
-    """Return (method, s per megapixel, training s, peak memory MiB, MAE) of the maps, the fastest first."""
+def cost_rows(result: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Return (method, s per megapixel, training s, peak memory MiB, MAE) of the maps, fastest first."""
     maps = {label: found for label, found in result["methods"].items() if found.get("seconds_per_mpixel") is not None}
     order = sorted(maps, key=lambda label: maps[label]["seconds_per_mpixel"])
     return [
@@ -67,24 +74,25 @@ def cost_rows(result):
     ]  # fmt: skip
 
 
-def write(path, result):
-    """Write a result as a page of Markdown."""
+def write(path: Path, result: dict[str, Any]) -> None:
+    """Write a result as a Markdown page."""
     low, high = result["bounds_k"]
     sources = ", ".join(f"{number} {name}" for name, number in result["parts"].items())
     lines = [
         f"# Evaluation on {result['dataset']['title'] or result['dataset']['folder']}", "",
         f"{result['pairs']} pairs of part {result['part']} ({result['split']} split: {sources}"
-        f"{'' if result['limit'] is None else '; every so many, by --limit'}), "
-        f"{result['training_pairs']} training pairs read for the constant and the means. Errors are apparent "
-        "temperature given less the true one; ME mean, MAE mean absolute, SD standard deviation, over all pixels. "
-        f"Intervals: 95 %, percentile bootstrap over {result['drawn']}, seed {result['seed']}. PSNR and SSIM on 8 bits "
+        f"{'' if result['limit'] is None else '; a subset, by --limit'}), "
+        f"{result['training_pairs']} training pairs read for the constant and the means. Errors are predicted minus "
+        "true apparent temperature; ME mean, MAE mean absolute, SD standard deviation, over all pixels. "
+        f"Intervals: 95 %, percentile bootstrap over {result['drawn']}, seed {result['seed']}. PSNR and SSIM: 8 bits "
         f"between {low:.2f} and {high:.2f} K, PSNR of the mean square over all pixels.", "",
         *(f"- {line}" for line in lines_before(result)), "",
         *_table(HEADER, [*rows(result), *published_rows()], 2), "",
         CAVEAT, "", FLOOR, "",
         "## Cost", "",
         *_table(("map", "inference [s/megapixel]", "training [s]", "peak memory [MiB]", "MAE [K]"), cost_rows(result)),
-        "", f"Peak memory is that of the whole process. Published training: {_published_training()}.",
+        "", "Peak memory is that of the whole process. Published training: "
+        + "; ".join(f"{name} {own['training']}" for name, own in PUBLISHED.items()) + ".",
     ]  # fmt: skip
     lines += [*_differences(result), *_doubts(result)]
     methods = {label: found for label, found in result["methods"].items() if found["mae_k"] is not None}
@@ -102,63 +110,59 @@ def write(path, result):
     formats.write_text(path, "\n".join(lines) + "\n")
 
 
-def _differences(result):
-    """Lines on how much more than the first map the others err, picture by picture."""
-    told = result["differences"]
+def _differences(result: dict[str, Any]) -> list[str]:
+    """Return lines with the maps' errors minus the first map's, picture by picture."""
+    compared = result["differences"]
     body = [(_seeds(each["maps"]), _signed(each["more_k"]),
              "" if each["interval_95"] is None else "{:+.2f}…{:+.2f}".format(*each["interval_95"]))
-            for each in told["maps"]]  # fmt: skip
-    header = ("map", "MAE more [K]", "95 %")
+            for each in compared["maps"]]  # fmt: skip
     if not body:
         return []
-    return ["", f"## More than {_seeds(told['than'])}, on the same pictures", "", *_table(header, body), "", SEEDS]
+    title = f"## MAE minus that of {_seeds(compared['than'])}, on the same pictures"
+    return ["", title, "", *_table(("map", "difference [K]", "95 %"), body), "", SEEDS]
 
 
-def _seeds(names):
+def _seeds(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} of other seeds"
 
 
-def _doubts(result):
-    """Lines on what maps tell of their own errors, against those."""
-    told = {label: found for label, found in result["methods"].items() if found.get("covered")}
+def _doubts(result: dict[str, Any]) -> list[str]:
+    """Return lines that compare the maps' predicted standard deviations and flags with their errors."""
+    covered = {label: found["covered"] for label, found in result["methods"].items() if found.get("covered")}
     flagged = {label: found["unseen"] for label, found in result["methods"].items() if found.get("unseen")}
     lines = []
-    if told:
-        body = [(label, f"{each['covered']['within_1']:.1%}", f"{each['covered']['within_2']:.1%}",
-                 _number(each["covered"]["told_rms_k"]), _number(each["covered"]["rmse_k"]))
-                for label, each in told.items()]  # fmt: skip
-        header = ("map", "within 1 σ", "within 2 σ", "told, RMS [K]", "RMSE [K]")
-        lines += ["", "## Told error", "", *_table(header, body), "", LAPLACE]
+    if covered:
+        body = [(label, f"{each['within_1']:.1%}", f"{each['within_2']:.1%}", _number(each["told_rms_k"]),
+                 _number(each["rmse_k"])) for label, each in covered.items()]  # fmt: skip
+        header = ("map", "within 1 σ", "within 2 σ", "predicted σ, RMS [K]", "RMSE [K]")
+        lines += ["", "## Predicted standard deviation", "", *_table(header, body), "", LAPLACE]
     if flagged:
-        body = [(label, f"{each['share']:.2%}", _number(each["mae_k"]), _number(each["elsewhere_k"]))
+        rare = [(label, f"{each['share']:.2%}", _number(each["mae_k"]), _number(each["elsewhere_k"]))
                 for label, each in flagged.items()]  # fmt: skip
-        lines += ["", "## Colours never seen", "", *_table(("map", "pixels", "MAE there [K]", "elsewhere [K]"), body)]
+        header_rare = ("map", "pixels", "MAE there [K]", "elsewhere [K]")
+        lines += ["", "## Colours absent from training", "", *_table(header_rare, rare)]
     return lines
 
 
-def _published_training():
-    return "; ".join(f"{name} {told['training']}" for name, told in PUBLISHED.items())
-
-
-def _table(header, body, left=1):
-    """Lines of a Markdown table, the first columns to the left."""
+def _table(header: Sequence[str], body: Iterable[Sequence[str]], left: int = 1) -> list[str]:
+    """Return the lines of a Markdown table whose first `left` columns are aligned left."""
     return [
         f"| {' | '.join(header)} |", "|---" * left + "|--:" * (len(header) - left) + "|",
         *(f"| {' | '.join(line)} |" for line in body),
     ]  # fmt: skip
 
 
-def _both(found):
+def _both(found: dict[str, Any] | None) -> str:
     return "" if not found or found["mae_k"] is None else f"{found['mae_k']:.2f} ({found['me_k']:+.2f})"
 
 
-def _number(value, digits=2):
+def _number(value: float | None, digits: int = 2) -> str:
     return "" if value is None else f"{value:.{digits}f}"
 
 
-def _signed(value):
+def _signed(value: float | None) -> str:
     return "" if value is None else f"{value:+.2f}"
 
 
-def _interval(ends):
+def _interval(ends: Sequence[float] | None) -> str:
     return "" if ends is None else f"{ends[0]:.2f}…{ends[1]:.2f}"

@@ -1,66 +1,73 @@
-"""What the training part tells without any method: its mean, that of each material, and the bounds of its values."""
+"""Statistics of the training part: its mean, the mean of each material, and the bounds of its values."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.campaign.bounds import Histogram, bounds_of
+from thermorender.campaign.dataset import Dataset, ThermalScale
 from thermorender.campaign.map_inputs import NO_MATERIAL, ground_of
 from thermorender.frame import apparent_temperature
 from thermorender.units import ZERO_CELSIUS_K
 
 
 class Levels:
-    """Radiance and apparent temperature of the values of thermal pictures, looked up: they are whole numbers.
+    """Look-up tables of radiance and apparent temperature for the integer values of thermal pictures.
 
     Parameters
     ----------
     scale : ThermalScale
     """
 
-    def __init__(self, scale):
-        self.scale, self._tables = scale, {}
+    def __init__(self, scale: ThermalScale) -> None:
+        self.scale = scale
+        self._tables: dict[Any, tuple[NDArray[np.float64], NDArray[np.float32]]] = {}
 
-    def _table(self, values):
+    def _table(self, values: NDArray[np.integer]) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
         kind = values.dtype
         if kind not in self._tables:
             radiance = self.scale.radiance(np.arange(np.iinfo(kind).max + 1))
             self._tables[kind] = radiance, apparent_temperature(radiance, self.scale.band_um)
         return self._tables[kind]
 
-    def radiance(self, values):
+    def radiance(self, values: NDArray[np.integer]) -> NDArray[np.float64]:
         """Return band radiance [W m⁻² sr⁻¹], float64."""
         return self._table(values)[0][values]
 
-    def temperature(self, values):
+    def temperature(self, values: NDArray[np.integer]) -> NDArray[np.float32]:
         """Return apparent temperature [K], float32."""
         return self._table(values)[1][values]
 
 
 @dataclass(frozen=True)
 class TrainingPart:
-    """What is known of the training part.
+    """Statistics of the training part.
 
     Attributes
     ----------
     pairs : int
-        How many were read.
+        Number of pairs read.
     mean_k : float or None
-        Apparent temperature of the mean radiance [K]; None where there is no pair.
+        Apparent temperature of the mean radiance [K]; None without pairs.
     material_k : dict of str to float
-        The same per material [K]; those that occur.
+        The same for each material that occurs [K].
     bounds_k : (2,) tuple of float or None
-        Of the 8-bit scale [K]: 1.5 interquartile ranges beyond the quartiles of all values; for pictures of unknown
-        scale the temperatures that these are taken for.
+        Bounds of the 8-bit scale [K]: 1.5 interquartile ranges beyond the quartiles of all values; for pictures of
+        unknown scale, the assumed temperatures.
     """
 
     pairs: int
     mean_k: float | None
-    material_k: dict
-    bounds_k: tuple | None
+    material_k: dict[str, float]
+    bounds_k: tuple[float, float] | None
 
 
-def read_training_part(dataset, levels, progress=lambda share: None):
+def read_training_part(
+    dataset: Dataset, levels: Levels, progress: Callable[[float], object] = lambda share: None
+) -> TrainingPart:
     """Return the TrainingPart of a Dataset, read pair by pair."""
     materials = dataset.card.get("materials", [])
     histogram = Histogram()
@@ -75,19 +82,21 @@ def read_training_part(dataset, levels, progress=lambda share: None):
             where = pair.truth["material"][known]
             total += np.bincount(where, levels.radiance(values), 256)
             amount += np.bincount(where, minlength=256)
-    bounds = None
+    bounds: tuple[float, float] | None = None
     if dataset.scale.unit == "intensity":
-        bounds = tuple(ZERO_CELSIUS_K + limit for limit in dataset.scale.range_c)
+        cold_c, warm_c = dataset.scale.range_c
+        bounds = ZERO_CELSIUS_K + cold_c, ZERO_CELSIUS_K + warm_c
     counts = histogram.counts
     if not counts.any():
         return TrainingPart(len(dataset), None, {}, bounds)
     band, value = dataset.scale.band_um, np.arange(len(counts), dtype=np.uint16)
     mean = (levels.radiance(value) * counts).sum() / counts.sum()
     if bounds is None:
-        found = bounds_of(histogram)
-        bounds = tuple(map(float, apparent_temperature(dataset.scale.radiance([found.low, found.high]), band)))
+        limits = bounds_of(histogram)
+        low, high = map(float, apparent_temperature(dataset.scale.radiance([limits.low, limits.high]), band))
+        bounds = low, high
     seen = [number for number in range(min(len(materials), NO_MATERIAL)) if amount[number]]
-    warm = apparent_temperature(np.array([total[number] / amount[number] for number in seen]), band)
-    own = {materials[number]: float(kelvin) for number, kelvin in zip(seen, warm, strict=True)}
-    return TrainingPart(len(dataset), float(apparent_temperature(mean, band)), own, bounds)
+    means = apparent_temperature(np.array([total[number] / amount[number] for number in seen]), band)
+    material_k = {materials[number]: float(kelvin) for number, kelvin in zip(seen, means, strict=True)}
+    return TrainingPart(len(dataset), float(apparent_temperature(mean, band)), material_k, bounds)
 

@@ -1,1 +1,1 @@
-"""The referee: learned 2D translation against the radiometric render of the same poses, in kelvin."""
+"""The referee: compares learned 2D translation with the radiometric render of the same poses, in kelvin."""

@@ -1,37 +1,47 @@
-"""Rendered frames of methods, made one method after the other and kept on disk until all are scored.
+"""Rendered frames of the methods, rendered method by method and kept on disk until all are scored.
 
-The lit scenes of all methods at once do not fit an ordinary machine's memory, and a comparison that was stopped goes on
-with the first method that was not finished.
+The lit scenes of all methods together do not fit in memory. An interrupted comparison continues with the first
+unfinished method.
 """
 
 import hashlib
 import json
 import shutil
 import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from os import PathLike
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender import formats
+from thermorender.compare.referee.methods import Method
 from thermorender.compare.referee.terms import Terms
 from thermorender.errors import ThermorenderError
+from thermorender.render.baked import Progress
+from thermorender.scene.scene import Scene
 from thermorender.versions import versions
+
+if TYPE_CHECKING:
+    from thermorender.compare.referee.run import Flight
 
 
 @contextmanager
-def waiting(output):
-    """Give the folder beside an output in which frames wait until all are scored and it is removed.
+def waiting(output: str | PathLike[str]) -> Iterator[Path]:
+    """Give the folder beside an output that holds the frames until all are scored; the caller removes it then.
 
-    A comparison that is refused takes it with it; a kill, a full disk or an interruption leaves it, and the same
-    comparison goes on from there.
+    It is removed when the comparison is refused. It remains after a kill, a full disk or an interruption, so that the
+    same comparison can continue.
     """
     output = Path(output).resolve()
     place = output.with_name(f".{output.name}.frames")
     try:
         yield place
     except ThermorenderError as error:
-        # What the system refuses it may grant another time.
+        # An error of the operating system may be temporary, so the frames remain.
         if not isinstance(error.__cause__ or error.__context__, OSError):
             shutil.rmtree(place, ignore_errors=True)
         raise
@@ -43,91 +53,101 @@ class Frames:
     Parameters
     ----------
     folder : Path
-        Where frames of any scenes are kept.
+        Folder of the frames of all scenes.
     flight : Flight
     reference, learned : Scene or None
         The scene at its true temperatures, and with learned materials.
-    asked : object
-        All else that frames depend on, told by its `repr`.
+    settings : object
+        Everything else that the frames depend on, identified by its `repr`.
     """
 
-    def __init__(self, folder, flight, reference, learned, asked):
+    def __init__(self, folder: Path, flight: "Flight", reference: Scene, learned: Scene | None, settings: object):
         scene = flight.scene
-        # A scene with temperatures of its own does not depend on its weather; maps and balances of it do.
+        # The scene's digest leaves out the weather where it gives the temperatures itself; maps and balances need it.
         weather = scene.weather_digest() if scene.spec.weather and scene.frame else None
         scenes = [each.digest() for each in (scene, reference, learned) if each is not None]
-        state = hashlib.blake2b(repr((scenes, scene.time, weather, asked, versions())).encode(), digest_size=8)
+        state = hashlib.blake2b(repr((scenes, scene.time, weather, settings, versions())).encode(), digest_size=8)
         for values in (flight.times, flight.poses):
             state.update(np.ascontiguousarray(values).tobytes())
-        self._folder, self._flight, self._places = folder / state.hexdigest(), flight, {}
+        self._folder, self._flight = folder / state.hexdigest(), flight
+        self._places: dict[str, Path] = {}
 
-    def rendered(self, method, describe, split=False, say=None):
-        """Render a Method's frames where they are not there yet, let go of its renderer, and return what is told of it.
+    def rendered(
+        self,
+        method: Method,
+        describe: Callable[[Method], dict[str, Any]],
+        split: bool = False,
+        report: Progress = lambda step, share: None,
+    ) -> dict[str, Any]:
+        """Render the frames of a Method that are missing, close its renderer, and return its facts.
 
         Parameters
         ----------
         method : Method
-            A rendered one.
+            A rendered method.
         describe : callable
-            (Method) → dict of plain values, asked while its scene is there.
+            (Method) → dict of plain values; called while its scene is in memory.
         split : bool
-            Whether the pictures of its terms are kept, too.
-        say : callable, optional
-            Called with (what, share done).
+            Whether to keep the pictures of its terms, too.
+        report : callable, optional
+            Called with (step, share done).
 
         Returns
         -------
         dict
-            As by `describe`, and "once_s", what making its temperatures and solving its light took [s], and "seconds",
-            of each frame.
+            The values of `describe`; "once_s", the time for its temperatures and its light [s]; "seconds", the time of
+            each frame.
         """
         place = self._place(method)
-        facts = place / "facts.json"
-        told = _kept(facts)
-        if told and (told["split"] or not split):
-            return told
-        say = say or (lambda what, share: None)
-        say(f"solving the light of {method.label}", 0.0)
+        path = place / "facts.json"
+        kept = _kept(path)
+        if kept and (kept["split"] or not split):
+            return kept
+        report(f"solving the light of {method.label}", 0.0)
         place.mkdir(parents=True, exist_ok=True)
         began = method.clock()
         renderer = method.renderer
-        # Once for a scene, and so not part of a frame's time.
+        # Baked once per scene, so it is not part of a frame's time.
         _ = renderer.baked
-        told = {"once_s": method.clock() - began, "seconds": [], "split": split}
+        facts: dict[str, Any] = {"once_s": method.clock() - began, "seconds": [], "split": split}
         terms = Terms(method) if split else None
         for index, (time_s, pose) in enumerate(zip(self._flight.times, self._flight.poses, strict=True)):
-            say(f"rendering {method.label}", index / len(self._flight.times))
+            report(f"rendering {method.label}", index / len(self._flight.times))
             began = time.perf_counter()
             radiance = renderer.radiance(pose, time_s, method.objects)
-            told["seconds"].append(time.perf_counter() - began)
+            facts["seconds"].append(time.perf_counter() - began)
             np.save(place / f"{index:04d}.npy", radiance)
             if terms:
                 np.save(place / f"{index:04d}_terms.npy", terms.pictures(pose, time_s))
-        told |= describe(method)
+        facts |= describe(method)
         method.close()
-        told["checksums"] = {path.name: formats.checksum(path) for path in sorted(place.glob("*.npy"))}
-        formats.write_json(facts, formats.sealed(told))
-        return told
+        facts["checksums"] = {frame.name: formats.checksum(frame) for frame in sorted(place.glob("*.npy"))}
+        formats.write_json(path, formats.sealed(facts))
+        return facts
 
-    def radiance(self, method, index):
+    def radiance(self, method: Method, index: int) -> NDArray[np.float32]:
         """Return the band radiance of a Method's frame, (H, W) float32 [W m⁻² sr⁻¹]."""
-        return np.load(self._place(method) / f"{index:04d}.npy", allow_pickle=False)
+        return self._load(method, f"{index:04d}.npy")
 
-    def terms(self, method, index):
-        """Return the pictures of a Method's terms, as by `Terms.pictures`."""
-        return np.load(self._place(method) / f"{index:04d}_terms.npy", allow_pickle=False)
+    def terms(self, method: Method, index: int) -> NDArray[np.float32]:
+        """Return the pictures of a Method's terms, as `Terms.pictures` returns them."""
+        return self._load(method, f"{index:04d}_terms.npy")
 
-    def _place(self, method):
+    def _load(self, method: Method, name: str) -> NDArray[np.float32]:
+        values: NDArray[np.float32] = np.load(self._place(method) / name, allow_pickle=False)
+        return values
+
+    def _place(self, method: Method) -> Path:
         if method.label not in self._places:
             own = (method.label, sorted(method.kelvin.items()), method.model.digest() if method.model else None)
             self._places[method.label] = self._folder / hashlib.blake2b(repr(own).encode(), digest_size=8).hexdigest()
         return self._places[method.label]
 
 
-def _kept(facts):
-    """What is told of frames that wait, or None where it or one of them is damaged or missing."""
+def _kept(path: Path) -> dict[str, Any] | None:
+    """Return the facts of kept frames, or None where the file or one of the frames is damaged or missing."""
     with suppress(OSError, ValueError):
-        told = formats.unsealed(json.loads(facts.read_text(encoding="utf-8")))
-        if all(formats.checksum(facts.with_name(name)) == known for name, known in told["checksums"].items()):
-            return told
+        facts: dict[str, Any] = formats.unsealed(json.loads(path.read_text(encoding="utf-8")))
+        if all(formats.checksum(path.with_name(name)) == known for name, known in facts["checksums"].items()):
+            return facts
     return None

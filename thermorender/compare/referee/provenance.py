@@ -1,52 +1,58 @@
-"""What was trained on what: whether a map has seen the scene under test, or has made the reference itself."""
+"""Provenance of maps: whether training used the scene under test, and whether the map made the reference itself."""
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.campaign import duplicates
+from thermorender.campaign.dataset import Dataset
 from thermorender.errors import ThermorenderError
+from thermorender.learned.temperature_map import TemperatureMap
+from thermorender.scene.scene import Scene
 
-# The reference is the map's own where its kinetic temperatures agree so well on average [K]: a map that did not make
-# the truth errs by tens of times as much.
+# A map made the reference if their kinetic temperatures agree to this mean difference [K]; the errors of other maps are
+# tens of times larger.
 _SAME_K = 0.1
-# Photographs of a scene that are looked for among training pictures, and training pictures that are looked at.
+# Number of photographs per scene to search for, and of training pictures to search in.
 PHOTOGRAPHS, _PICTURES = 6, 2000
 
 
 @dataclass
 class Provenance:
-    """What is known of one map.
+    """Provenance of one map.
 
     Attributes
     ----------
-    told : dict
-        What its file says of its training.
+    header : dict
+        What its file records of its training.
     audited : str
-        Against what its training was held, in words.
+        The pictures that its training was compared with, in words.
     leaks : list of str
-        Sentences; empty where none was found.
+        Sentences; empty where no leak was found.
     """
 
-    told: dict
-    audited: str = "not audited: its training pictures are not at hand"
-    leaks: list = field(default_factory=list)
+    header: dict[str, Any]
+    audited: str = "not audited: its training pictures are not available"
+    leaks: list[str] = field(default_factory=list)
 
 
-def provenance_of(model):
+def provenance_of(model: TemperatureMap) -> Provenance:
     """Return the Provenance of a TemperatureMap, from its file alone."""
     about = model.about
     dataset = about.get("dataset", {})
-    told = {
+    header = {
         "method": model.method, "source": model.source, "data set": dataset.get("name"),
         "origin": dataset.get("origin"), "pairs": about.get("pairs"), "sequences": about.get("sequences"),
         "training_s": about.get("training_s"), "texel_m": list(model.texel_range_m),
     }  # fmt: skip
-    return Provenance(told)
+    return Provenance(header)
 
 
 class TrainingPictures:
-    """The training pictures of a data set, sketched once, to look for photographs of a scene in.
+    """Sketches of a data set's training pictures, in which photographs of a scene are searched.
 
     Parameters
     ----------
@@ -55,7 +61,7 @@ class TrainingPictures:
         Called with the share done.
     """
 
-    def __init__(self, dataset, progress=None):
+    def __init__(self, dataset: Dataset, progress: Callable[[float], object] | None = None) -> None:
         self.name = dataset.card.get("name")
         entries = [entry for entry in dataset.entries if entry.part != "test"]
         step = max(1, -(-len(entries) // _PICTURES))
@@ -66,9 +72,9 @@ class TrainingPictures:
             if progress:
                 progress((number + 1) / len(self.entries))
 
-    def audit(self, provenance, scenes):
-        """Look for photographs {scene: sequence of (H, W, 3)} among the pictures, and tell a Provenance."""
-        pairs = sum((provenance.told["pairs"] or {}).values())
+    def audit(self, provenance: Provenance, scenes: Mapping[str, Sequence[NDArray[np.uint8]]]) -> None:
+        """Search photographs {scene: sequence of (H, W, 3)} among the pictures, and add leaks to a Provenance."""
+        pairs = sum((provenance.header["pairs"] or {}).values())
         if pairs > self.of_all:
             provenance.audited = (
                 f"not audited: it was trained on {pairs} pairs of a data set called {self.name!r}, and the one given "
@@ -76,8 +82,8 @@ class TrainingPictures:
             )
             return
         provenance.audited = (
-            f"{sum(len(pictures) for pictures in scenes.values())} photographs of the test held against "
-            f"{len(self.entries)} of {self.of_all} pictures of {self.name!r} by content"
+            f"{sum(len(pictures) for pictures in scenes.values())} photographs of the test compared by content with "
+            f"{len(self.entries)} of {self.of_all} pictures of {self.name!r}"
         )
         for scene, pictures in scenes.items():
             found = duplicates.find([duplicates.sketch(picture) for picture in pictures], self._sketches)
@@ -85,18 +91,18 @@ class TrainingPictures:
             if hits:
                 key, correlation = max(hits, key=lambda hit: hit[1])
                 provenance.leaks.append(
-                    f"training has seen {scene}: {len(hits)} of {len(pictures)} photographs of it show what training "
-                    f"pictures show, such as {key!r} (correlation {correlation:.2f})"
+                    f"training has seen {scene}: {len(hits)} of {len(pictures)} photographs match training "
+                    f"pictures, such as {key!r} (correlation {correlation:.2f})"
                 )
 
 
-def circular(rendered, truth):
-    """Return a sentence where the reference's temperatures are a rendered method's own, else None.
+def circular(rendered: Scene, truth: Scene) -> str | None:
+    """Return a sentence if the reference's temperatures are a rendered method's own, else None.
 
     Parameters
     ----------
     rendered, truth : Scene
-        Of the same texels, temperatures solved.
+        Scenes of the same texels with solved temperatures.
     """
     apart, count = 0.0, 0
     for own, true in zip(rendered.surfaces[: rendered.terrain_count], truth.surfaces, strict=False):
@@ -106,13 +112,13 @@ def circular(rendered, truth):
     if not count or apart / count > _SAME_K:
         return None
     return (
-        f"circular: the reference of {truth.name} is this method's own temperature to {1e3 * apart / count:.0f} mK, so "
-        "its error says nothing"
+        f"circular: the reference of {truth.name} equals this method's own temperature to {1e3 * apart / count:.0f} "
+        "mK, so its error is meaningless"
     )
 
 
-def matched(datasets, model):
-    """Return the TrainingPictures among several that a map names as its training, or None.
+def matched(datasets: Sequence[TrainingPictures], model: TemperatureMap) -> TrainingPictures | None:
+    """Return the TrainingPictures that a map names as its training data, or None.
 
     Raises
     ------

@@ -1,30 +1,37 @@
-"""A comparison from beginning to end: scenes, their campaigns, methods, poses, and what is written.
+"""A comparison from start to end: scenes, their campaigns, methods, poses, and the files written.
 
-Two passes. The first reads thermal frames of every scene, for the bounds and means of the campaigns they belong to. The
-second takes the scenes one by one: the reference is baked, the frames of each method are made, and every pose of all of
-them is judged with the same sensor and the same noise.
+There are two passes. The first reads thermal frames of every scene, for the bounds and means of its campaign. The
+second takes the scenes one by one: it bakes the reference, renders the frames of each method, and scores every pose of
+all methods with the same sensor and the same noise.
 """
 
 import csv
 import shutil
 import time
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender import files, formats
+from thermorender.campaign.dataset import Dataset
 from thermorender.compare.machine import machine
 from thermorender.compare.referee import findings, methods, provenance, scores, training, views
 from thermorender.compare.referee.frames import Frames, waiting
 from thermorender.compare.referee.report.page import write_page
 from thermorender.compare.referee.report.pictures import Pictures
-from thermorender.compare.referee.targets import Targets
-from thermorender.compare.referee.trial import Trial
+from thermorender.compare.referee.trial import Setup, Totals, Trial
 from thermorender.errors import ThermorenderError
-from thermorender.learned.temperature_map import load_model
+from thermorender.learned.temperature_map import TemperatureMap, load_model
+from thermorender.render.baked import Progress
 from thermorender.render.renderer import Renderer
+from thermorender.scene.scene import Scene
+from thermorender.scene.spec import EmissivitySpec
+from thermorender.trajectory.path import Trajectory
 from thermorender.versions import versions
 
 COLUMNS = (
@@ -36,7 +43,7 @@ HEADER = ("method", "mean error [°C]", "mean absolute error [°C]", "95 %", "st
 
 @dataclass(frozen=True)
 class Flight:
-    """A scene and where it is looked at from.
+    """A scene and the poses from which it is seen.
 
     Attributes
     ----------
@@ -44,83 +51,178 @@ class Flight:
     times : (P,) array
         [s]
     poses : (P, 4, 4) array
+        world_from_camera.
     """
 
-    scene: Any
-    times: np.ndarray
-    poses: np.ndarray
+    scene: Scene
+    times: NDArray[np.float64]
+    poses: NDArray[np.float64]
 
     @classmethod
-    def of(cls, scene, trajectory, rate_hz=1.0, start_s=None, stop_s=None):
-        """Return that of a Trajectory or a part of it [s], so many poses per second."""
+    def of(
+        cls,
+        scene: Scene,
+        trajectory: Trajectory,
+        rate_hz: float = 1.0,
+        start_s: float | None = None,
+        stop_s: float | None = None,
+    ) -> "Flight":
+        """Return the Flight of a Trajectory, or of a part of it [s], with `rate_hz` poses per second."""
         times = trajectory.frame_times(rate_hz, start_s, stop_s)
         return cls(scene, times, trajectory.sampled(times).poses())
 
 
 @dataclass(frozen=True)
-class _Asked:
-    """What is the same for all scenes: which methods, maps, oracle, foreign frames, learned materials, and settings."""
+class Options:
+    """Options of a comparison.
 
-    letters: frozenset
-    maps: list
-    oracle: tuple | None
-    others: list
-    emissivity: Any
-    settings: dict
+    Attributes
+    ----------
+    letters : sequence of str
+        Methods to compare with the reference, some of `methods.LETTERS`.
+    oracle : str or None
+        File of a map that also takes the material as input.
+    foreign : dict of str to path
+        Folders of other programs' frames, by name.
+    datasets : sequence of Dataset
+        Training data of the maps, in which the scenes' photographs are searched.
+    emissivity : EmissivitySpec
+        Learned materials of C2.
+    arrays : bool
+        Whether to keep the frames as `.npz`, apparent temperature [K].
+    seed : int
+        Seed of the sensor's noise and of the intervals.
+    settings : dict
+        Keywords of Renderer.
+    """
+
+    letters: Collection[str] = methods.LETTERS
+    oracle: str | None = None
+    foreign: Mapping[str, str | PathLike[str]] = field(default_factory=dict)
+    datasets: Sequence[Dataset] = ()
+    emissivity: EmissivitySpec = field(default_factory=methods.learned_materials)
+    arrays: bool = False
+    seed: int = 0
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
 
-def compare(flights, folder, models, letters=methods.LETTERS, oracle=None, foreign=None, datasets=(),
-            emissivity=None, arrays=False, seed=0, progress=None, **settings):  # fmt: skip
-    """Compare methods with the radiometric render of the same poses; return the summary that is also written.
+@dataclass(frozen=True)
+class _Contestants:
+    """The loaded maps and oracle, (name or file, map) each, and the foreign frames."""
+
+    maps: list[tuple[str, TemperatureMap]]
+    oracle: tuple[str, TemperatureMap] | None
+    others: list[methods.Foreign]
+
+    @property
+    def models(self) -> list[TemperatureMap]:
+        """All maps, the oracle last."""
+        return [model for _, model in (*self.maps, *([self.oracle] if self.oracle else []))]
+
+
+def compare(
+    flights: Sequence[Flight],
+    folder: str | PathLike[str],
+    models: Sequence[str],
+    options: Options | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Compare methods with the radiometric render of the same poses; return the summary, which is also written.
 
     Parameters
     ----------
     flights : sequence of Flight
-        Scenes of different names. Those without a truth raster are compared without a reference.
+        Scenes with different names. Scenes without true temperatures are compared without a reference.
     folder : path
-        New folder: `report.html`, `comparison.json`, `pixels.csv`, pictures, all or nothing.
+        New folder: `report.html`, `comparison.json`, `pixels.csv` and pictures. It is written whole or not at all.
     models : sequence of str
         Names or files of learned maps.
-    letters : sequence of str
-        Of the methods that are put beside the reference.
-    oracle : str, optional
-        File of a map that is shown the material, too.
-    foreign : dict of str to Path, optional
-        Folders of other programs' frames, by their names.
-    datasets : sequence of Dataset
-        That maps were trained on, to look for the scenes in.
-    emissivity : EmissivitySpec, optional
-        Of the learned materials of C2, by default as of `methods.learned_materials`.
-    arrays : bool
-        Whether the frames are kept as `.npz`, apparent temperature [K].
-    seed : int
-        Of the sensor's noise and of the intervals.
+    options : Options, optional
     progress : callable, optional
-        Called with (what, share done).
-    **settings
-        Passed to Renderer.
+        Called with (step, share done).
 
     Raises
     ------
     ThermorenderError
-        No map and no foreign frames, two scenes or two maps of one name, or what a map needs is not there.
+        No map and no foreign frames, two scenes or two maps of the same name, cameras of different size, or a missing
+        input of a map.
     """
-    tell = progress or (lambda what, share: None)
+    options = options or Options()
+    report = progress or (lambda step, share: None)
+    contestants = _contestants(flights, models, options)
+    known = [provenance.TrainingPictures(each, lambda share: report("sketching training pictures", share))
+             for each in options.datasets]  # fmt: skip
+    began = time.perf_counter()
+    lands = training.lands_of([flight.scene for flight in flights])
+    calibrated = [model for _, model in contestants.maps if not model.needs]
+    thermals = _thermals(
+        flights, lands, calibrated if {"B", "C1", "C2"} & set(options.letters) else [], options, report
+    )
+    totals = Totals()
+    scenes, notes = [], []
+    photographs: dict[str, list[NDArray[np.uint8]]] = {}
+    with files.atomic_folder(folder) as draft, waiting(folder) as work:
+        pictures = Pictures(draft, len(flights))
+        for number, (flight, land, thermal) in enumerate(zip(flights, lands, thermals, strict=True)):
+
+            def own_report(step: str, share: float, flight: Flight = flight, number: int = number) -> None:
+                report(f"{flight.scene.name}: {step}", (number + share) / len(flights))
+
+            campaign = None
+            if thermal is not None:
+                others = [each for each in thermals if each is not None]
+                campaign = training.training_of(thermal, others, flight.scene.camera)
+            setup, left_out = _setup(flight, land, campaign, contestants, options, work, own_report)
+            notes += left_out
+            trial = Trial(setup, totals, options.seed, draft if options.arrays else None)
+            trial.run(pictures, own_report)
+            scenes.append(trial.summary())
+            photographs[flight.scene.name] = trial.photographs
+        summary = _summary(scenes, notes, totals, _origins(contestants.models, known, photographs), options)
+        summary["seconds"] = time.perf_counter() - began
+        with files.atomic(draft / "pixels.csv") as part, open(part, "w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(COLUMNS)
+            writer.writerows(totals.table)
+        formats.write_json(draft / "comparison.json", summary)
+        write_page(draft / "report.html", summary, pictures.views)
+    shutil.rmtree(work, ignore_errors=True)
+    return summary
+
+
+def rows(summary: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Return the rows of a table of errors on ground, noise-free, under HEADER."""
+    found = []
+    for label, own in summary["methods"].items():
+        if own["errors"]:
+            ground = own["errors"][scores.RADIOMETRIC]["ground"]
+            ends = (ground.get("interval_95") or {}).get("mae_k")
+            mean, absolute, deviation = [
+                "none" if ground[key] is None else format(ground[key], form)
+                for key, form in (("me_k", "+.3f"), ("mae_k", ".3f"), ("sd_k", ".3f"))
+            ]
+            interval = "" if ends is None else f"{ends[0]:.2f}…{ends[1]:.2f}"
+            found.append((label, mean, absolute, interval, deviation, str(ground["pixels"])))
+    return found
+
+
+def _contestants(flights: Sequence[Flight], models: Sequence[str], options: Options) -> _Contestants:
+    """Load the maps, the oracle and the foreign frames; refuse equal names and pictures that do not fit together."""
     names = [flight.scene.name for flight in flights]
     for name in names:
         if names.count(name) > 1:
             raise ThermorenderError(f"two scenes are called {name!r}; give folders of different names")
-    shown = (oracle, load_model(oracle)) if oracle else None
+    oracle = (options.oracle, load_model(options.oracle)) if options.oracle else None
     shapes = {(flight.scene.camera.height, flight.scene.camera.width): flight.scene.name for flight in flights}
     if len(shapes) > 1:
-        told = "; ".join(f"{name!r} {width}×{height}" for (height, width), name in shapes.items())
-        raise ThermorenderError(f"the scenes' cameras have different pictures: {told}; compare each camera by itself")
+        sizes = "; ".join(f"{name!r} {width}×{height}" for (height, width), name in shapes.items())
+        raise ThermorenderError(f"the scenes' cameras have different picture sizes: {sizes}; compare them separately")
     maps = [(text, load_model(text)) for text in models]
-    others = [methods.Foreign(name, Path(place)) for name, place in (foreign or {}).items()]
+    others = [methods.Foreign(name, Path(place)) for name, place in options.foreign.items()]
     if not maps and not others:
         raise ThermorenderError("models is empty; give at least one learned map, or foreign frames")
-    every = [model for _, model in (*maps, *([shown] if shown else []))]
-    called = [each.name for each in (*every, *others)]
+    found = _Contestants(maps, oracle, others)
+    called = [*(model.name for model in found.models), *(other.name for other in others)]
     for name in called:
         if called.count(name) > 1:
             raise ThermorenderError(
@@ -130,138 +232,131 @@ def compare(flights, folder, models, letters=methods.LETTERS, oracle=None, forei
         for flight in flights:
             camera = flight.scene.camera
             other.check(flight.scene.name, len(flight.times), len(flights) > 1, (camera.height, camera.width))
-    asked = _Asked(frozenset(letters), maps, shown, others, emissivity or methods.learned_materials(), settings)
-    known = [provenance.TrainingPictures(each, lambda share: tell("sketching training pictures", share))
-             for each in datasets]  # fmt: skip
-    began = time.perf_counter()
-    lands = training.lands_of([flight.scene for flight in flights])
-    calibrated = [model for _, model in maps if not model.needs] if {"B", "C1", "C2"} & asked.letters else []
-    thermals = _thermals(flights, lands, calibrated, seed, settings, tell)
-    found, told, photographs, table, left_out = {}, [], {}, [], []
-    with files.atomic_folder(folder) as draft, waiting(folder) as work:
-        pictures, targets, kept = Pictures(draft, len(flights)), Targets(), draft if arrays else None
-        for number, flight in enumerate(flights):
-            name = flight.scene.name
-
-            def say(what, share, name=name, number=number):
-                tell(f"{name}: {what}", (number + share) / len(flights))
-
-            campaign = None
-            if thermals[number] is not None:
-                rest = [each for each in thermals if each is not None]
-                campaign = training.training_of(thermals[number], rest, flight.scene.camera)
-            truth = _truth(flight.scene)
-            reference = Renderer(truth or flight.scene, progress=say, **settings)
-            learned = None
-            if "C2" in asked.letters and flight.scene.spec.terrain.orthophoto:
-                say("telling materials from the orthophoto", 0.0)
-                learned = flight.scene.with_learned_materials(asked.emissivity)
-            made, missing = _methods(flight.scene, reference, learned, truth is not None, asked, campaign, say)
-            left_out += missing
-            frames = Frames(work, flight, reference.scene, learned, settings)
-            one = Trial(flight, lands[number], reference, truth is not None, made, campaign, found, targets, pictures,
-                        seed, frames, kept)  # fmt: skip
-            one.run(table, say)
-            told.append(one.summary())
-            photographs[name] = one.photographs
-        summary = {
-            "scenes": told, "notes": [*_notes(told), *left_out], "targets": targets.summary(), "methods": {},
-            "seed": seed, "machine": machine(),
-            "settings": {key: str(value) for key, value in settings.items()}, "versions": versions(),
-            "bounds": "of thermal frames of other lands in the same hour and weather; refitted: by eq. 2; calibrated: "
-                      "a straight line from what the map says of their photographs, by least squares",
-        }  # fmt: skip
-        origins, constant = _origins(every, known, photographs), found.get("D constant")
-        for label, own in found.items():
-            summary["methods"][label] = own.summary(origins.get(own.method.name), seed) | {
-                "more_than_constant": None if constant is None else own.tally.more_than(constant.tally, seed)
-            }
-        summary["findings"] = findings.of(summary)
-        summary["seconds"] = time.perf_counter() - began
-        with files.atomic(draft / "pixels.csv") as part, open(part, "w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow(COLUMNS)
-            writer.writerows(table)
-        formats.write_json(draft / "comparison.json", summary)
-        write_page(draft / "report.html", summary, pictures.views)
-    shutil.rmtree(work, ignore_errors=True)
-    return summary
+    return found
 
 
-def rows(summary):
-    """Return the rows of a table of errors on ground, noise-free, under HEADER."""
-    made = []
-    for label, own in summary["methods"].items():
-        if own["errors"]:
-            found = own["errors"][scores.RADIOMETRIC]["ground"]
-            ends = (found.get("interval_95") or {}).get("mae_k")
-            told = [("none" if found[key] is None else format(found[key], form))
-                    for key, form in (("me_k", "+.3f"), ("mae_k", ".3f"), ("sd_k", ".3f"))]  # fmt: skip
-            sure = "" if ends is None else f"{ends[0]:.2f}…{ends[1]:.2f}"
-            made.append((label, told[0], told[1], sure, told[2], str(found["pixels"])))
-    return made
-
-
-def _truth(scene):
-    """The scene at its true temperatures, or None where it has none."""
+def _truth(scene: Scene) -> Scene | None:
+    """Return the scene at its true temperatures, or None if they are unknown."""
     if scene.spec.truth_temperature is None and not scene.balanced:
         return None
     return scene.with_temperature(scene.truth_temperature_spec)
 
 
-def _thermals(flights, lands, models, seed, settings, tell):
-    """The Thermal of each flight's scene; None where it has no truth, or no other scene could learn from it."""
+def _thermals(
+    flights: Sequence[Flight],
+    lands: Sequence[str],
+    models: Sequence[TemperatureMap],
+    options: Options,
+    report: Progress,
+) -> list[training.Thermal | None]:
+    """Return the Thermal of each flight's scene; None if it has no truth, or no other scene shares its campaign."""
     keys = [(training.campaign_of(flight.scene, land), land) for flight, land in zip(flights, lands, strict=True)]
-    found = []
+    found: list[training.Thermal | None] = []
     for number, (flight, (campaign, land)) in enumerate(zip(flights, keys, strict=True)):
         useful = any(other == campaign and where != land for other, where in keys)
         truth = _truth(flight.scene) if useful else None
         if truth is None:
             found.append(None)
             continue
-        tell(f"{flight.scene.name}: thermal frames of its campaign", number / len(flights))
-        renderer = Renderer(truth, **settings)
+        report(f"{flight.scene.name}: thermal frames of its campaign", number / len(flights))
+        renderer = Renderer(truth, **options.settings)
         chosen = views.evenly(len(flight.times), training.POSES)
         seen = (views.view_of(renderer, flight.poses[k], flight.times[k], k, True) for k in chosen)
-        found.append(training.thermal_of(truth, land, seen, seed, models))
+        found.append(training.thermal_of(truth, land, seen, options.seed, models))
     return found
 
 
-def _methods(scene, reference, learned, has_truth, asked, campaign, say):
-    """(All Methods of a scene, what had to be left out and why, in sentences)."""
-    made, left_out, settings = [], [], asked.settings
+def _setup(
+    flight: Flight,
+    land: str,
+    campaign: training.Training | None,
+    contestants: _Contestants,
+    options: Options,
+    work: Path,
+    report: Progress,
+) -> tuple[Setup, list[str]]:
+    """Return the Setup of a scene with its baked reference and methods, and sentences on methods left out."""
+    truth = _truth(flight.scene)
+    reference = Renderer(truth or flight.scene, progress=report, **options.settings)
+    learned = None
+    if "C2" in options.letters and flight.scene.spec.terrain.orthophoto:
+        report("classifying materials from the orthophoto", 0.0)
+        learned = flight.scene.with_learned_materials(options.emissivity)
+    setup = Setup(flight, land, reference, truth is not None, campaign,
+                  Frames(work, flight, reference.scene, learned, dict(options.settings)))  # fmt: skip
+    found, left_out = _methods(setup, learned, contestants, options, report)
+    setup.methods += found
+    return setup, left_out
+
+
+def _methods(
+    setup: Setup, learned: Scene | None, contestants: _Contestants, options: Options, report: Progress
+) -> tuple[list[methods.Method], list[str]]:
+    """Return (all Methods of a scene, sentences on methods left out)."""
+    found: list[methods.Method] = []
+    left_out: list[str] = []
+    scene, reference, campaign = setup.flight.scene, setup.reference, setup.campaign
+    letters, settings = set(options.letters), options.settings
     weathered = scene.spec.weather is not None and scene.frame is not None
-    for text, model in asked.maps:
-        say(f"preparing {model.name}", 0.0)
+    for text, model in contestants.maps:
+        report(f"preparing {model.name}", 0.0)
         if model.needs and not weathered:
             raise ThermorenderError(
-                f"{scene.where}: learned map {model.name!r} is told hour and weather, which this scene does not have; "
+                f"{scene.where}: learned map {model.name!r} takes hour and weather as input, but this scene has none; "
                 "add [weather], or leave the map out"
             )
-        if "B" in asked.letters and not model.needs:
-            made += methods.translated(model, campaign, scene.sky_temperature)
-        if {"C1", "C2"} & asked.letters:
-            true = "C1" in asked.letters
-            made += methods.rendered(scene, text, model, reference, campaign, true, learned, settings)
-    if asked.oracle is not None and weathered:
-        made.append(methods.oracle(scene, *asked.oracle, reference, settings))
-    if has_truth:
+        if "B" in letters and not model.needs:
+            found += methods.translated(model, campaign, scene.sky_temperature)
+        if {"C1", "C2"} & letters:
+            true = "C1" in letters
+            found += methods.rendered(scene, text, model, reference, campaign, true, learned, settings)
+    if contestants.oracle is not None and weathered:
+        found.append(methods.oracle(scene, *contestants.oracle, reference, settings))
+    if setup.has_truth:
         painted = methods.painted(campaign, scene.camera.band_um)
-        made += [each for each in painted if each.letter in asked.letters]
-    if "F" in asked.letters and has_truth and weathered and not scene.balanced:
-        say("solving the heat balance of tables", 0.0)
+        found += [each for each in painted if each.letter in letters]
+    if "F" in letters and setup.has_truth and weathered and not scene.balanced:
+        report("solving the heat balance of tables", 0.0)
         try:
-            one = methods.balanced(scene, reference, settings)
-            # Solved here, where it can be left out.
-            _ = one.renderer
-            made.append(one)
+            balance = methods.balanced(scene, reference, settings)
+            # Solved here, so that a failure leaves out this method only.
+            _ = balance.renderer
+            found.append(balance)
         except ThermorenderError as error:
             left_out.append(f"F, the heat balance of tables, is left out of {scene.name}: {error}")
-    return made + [other.method(scene.name, scene.camera.band_um) for other in asked.others], left_out
+    return found + [other.method(scene.name, scene.camera.band_um) for other in contestants.others], left_out
 
 
-def _origins(models, known, photographs):
-    """{map: Provenance}, audited against the training pictures that are at hand."""
+def _summary(
+    scenes: list[dict[str, Any]],
+    left_out: list[str],
+    totals: Totals,
+    origins: Mapping[str, provenance.Provenance],
+    options: Options,
+) -> dict[str, Any]:
+    """Return the summary of a comparison, as plain numbers."""
+    constant, seed = totals.methods.get("D constant"), options.seed
+    summary: dict[str, Any] = {
+        "scenes": scenes, "notes": [*_notes(scenes), *left_out], "targets": totals.targets.summary(), "methods": {},
+        "seed": seed, "machine": machine(),
+        "settings": {key: str(value) for key, value in options.settings.items()}, "versions": versions(),
+        "bounds": "from thermal frames of other lands in the same hour and weather; refitted: by eq. 2; calibrated: "
+                  "a least-squares line from the map's intensities of their photographs",
+    }  # fmt: skip
+    for label, own in totals.methods.items():
+        summary["methods"][label] = own.summary(origins.get(own.method.name), seed) | {
+            "more_than_constant": None if constant is None else own.tally.more_than(constant.tally, seed)
+        }
+    summary["findings"] = findings.of(summary)
+    return summary
+
+
+def _origins(
+    models: Iterable[TemperatureMap],
+    known: Sequence[provenance.TrainingPictures],
+    photographs: Mapping[str, Sequence[NDArray[np.uint8]]],
+) -> dict[str, provenance.Provenance]:
+    """Return {map: Provenance}, audited against the available training pictures."""
     found = {}
     for model in models:
         own = provenance.provenance_of(model)
@@ -272,26 +367,26 @@ def _origins(models, known, photographs):
     return found
 
 
-def _notes(told):
-    """What a reader has to know before the numbers, in sentences."""
+def _notes(scenes: Sequence[dict[str, Any]]) -> list[str]:
+    """Return sentences that a reader should know before the numbers."""
     notes = []
-    without = [each["name"] for each in told if not each["reference"]]
+    without = [each["name"] for each in scenes if not each["reference"]]
     if without:
-        notes.append(f"No true temperature is known of {', '.join(without)}: of that only differences between methods "
-                     "are told, and none of them is an error.")  # fmt: skip
-    alone = [each["name"] for each in told if each["reference"] and each["campaign"] is None]
+        notes.append(f"The true temperature of {', '.join(without)} is unknown: only differences between methods are "
+                     "reported there, not errors.")  # fmt: skip
+    alone = [each["name"] for each in scenes if each["reference"] and each["campaign"] is None]
     if alone:
-        notes.append(f"No other land in the hour and weather of {', '.join(alone)} is compared: there bounds are not "
-                     "refitted, and constant and means per material are left out.")  # fmt: skip
-    dark = [each["name"] for each in told if (each["sun_elevation_deg"] or 0.0) < 0.0]
+        notes.append(f"No other land shares the hour and weather of {', '.join(alone)}: bounds are not refitted there, "
+                     "and the constant and the means per material are left out.")  # fmt: skip
+    dark = [each["name"] for each in scenes if (each["sun_elevation_deg"] or 0.0) < 0.0]
     if dark:
-        notes.append("Photographs show the orthophoto as it was lit when it was taken: where the sun is down they are "
-                     f"of another hour, here of {', '.join(dark)}.")  # fmt: skip
-    lands = len({each["land"] for each in told if each["reference"]})
+        notes.append("Photographs show the orthophoto as it was lit when it was taken, which differs from the scene "
+                     f"where the sun is below the horizon, here in {', '.join(dark)}.")  # fmt: skip
+    lands = len({each["land"] for each in scenes if each["reference"]})
     if lands:
-        notes.append("Intervals are 95 %, of poses, of blocks of ground or of whole scenes drawn anew, whichever are "
+        notes.append("Intervals are 95 %, by a bootstrap of poses, of ground blocks or of whole scenes, whichever are "
                      f"widest; {'one land was' if lands == 1 else f'{lands} lands were'} seen.")  # fmt: skip
-        notes.append("A scene of `make-scene` has temperatures by the heat balance, which F is too, with properties "
-                     "drawn from their uncertainty and hidden fields; maps called procedural were trained on such "
-                     "scenes. What all have wrong alike does not show here.")  # fmt: skip
+        notes.append("A scene of `make-scene` has temperatures by a heat balance like F, with properties drawn from "
+                     "their uncertainty and with hidden fields; maps called procedural were trained on such scenes. "
+                     "Errors that all of them share do not show here.")  # fmt: skip
     return notes

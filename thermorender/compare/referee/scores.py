@@ -1,31 +1,37 @@
-"""Errors of methods as sums that add up: by pose, material, object, range, view angle and edges, and by ground block.
+"""Errors of methods as sums: by pose, material, object, range, view angle and edges, and by ground block.
 
-An error is the apparent temperature that a method gives less the reference's. Pixels of one pose err alike, so does one
-piece of ground in every pose that sees it, and so do all poses of one hour; intervals of means are therefore those of
-whole poses, of whole blocks of ground, or where there are several of whole scenes drawn with replacement, whichever are
-widest (Künsch 1989, doi:10.1214/aos/1176347265, for the blocks). Of one scene they tell what other poses over it would
-bring, of many what other lands, hours and weathers like these would.
+An error is the apparent temperature of a method minus that of the reference. Errors of pixels are correlated within a
+pose, within a piece of ground over all poses, and within an hour. The bootstrap therefore draws whole poses, whole
+blocks of ground (Künsch 1989, doi:10.1214/aos/1176347265), or whole scenes where there are several; the widest interval
+counts. For one scene the intervals hold for other poses over it; for several, for other lands, hours and weathers like
+these.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.campaign.map_inputs import NO_MATERIAL
 from thermorender.compare.evaluation import paired, sums
 from thermorender.compare.evaluation.classes import EDGES, edge_class
+from thermorender.compare.referee.views import View
+
+Sums = NDArray[np.float64]
 
 RADIOMETRIC, SENSOR = "radiometric", "sensor"
 STAGES = (RADIOMETRIC, SENSOR)
 GROUND = "ground"
-# Limits of the classes of range [m] and of the angle between line of sight and plumb line [deg].
+# Class limits of range [m] and of the angle between the line of sight and the vertical [deg].
 RANGES_M = (50.0, 100.0, 200.0, 400.0, 800.0)
 ANGLES_DEG = (15.0, 30.0, 45.0, 60.0, 75.0)
-# A land is cut into so many blocks a side.
+# Ground blocks per side of a land.
 BLOCKS = 8
 
 
-def class_names(limits, unit):
+def class_names(limits: Sequence[float], unit: str) -> list[str]:
     """Return the names of the classes between limits: "below 50 m", "50–100 m", …, "above 800 m"."""
     inner = [f"{low:g}–{high:g} {unit}" for low, high in zip(limits[:-1], limits[1:], strict=True)]
     return [f"below {limits[0]:g} {unit}", *inner, f"above {limits[-1]:g} {unit}"]
@@ -39,18 +45,20 @@ CLASSES = {
 
 
 class PixelClasses:
-    """Which classes the known pixels of a View belong to, as flat numbers.
+    """Classes of the known pixels of a View, as flat numbers.
 
     Parameters
     ----------
     view : View
+        With a reference.
     objects : sequence of str
         Names of the scene's objects.
     corners : (2, 2) array
         Lowest and highest east and north of the terrain [m].
     """
 
-    def __init__(self, view, objects, corners):
+    def __init__(self, view: View, objects: Sequence[str], corners: ArrayLike) -> None:
+        assert view.truth is not None
         known = view.known
         self.known, self.surfaces = known, [GROUND, *objects]
         surface = view.object[known] + 1
@@ -68,42 +76,42 @@ class PixelClasses:
         cell = np.clip(cell.astype(int), 0, BLOCKS - 1)
         self._block = np.where(surface == 0, cell[:, 1] * BLOCKS + cell[:, 0], BLOCKS * BLOCKS)
 
-    def sums(self, error):
-        """Return the rows of sums of an error (n,) of the known pixels [K]: (surface, material, …classes, 5)."""
+    def sums(self, error: NDArray[np.float64]) -> Sums:
+        """Return the sums of an error (n,) of the known pixels [K]: (surface, material, …classes, 5)."""
         size = int(np.prod(self._shape))
         return sums.rows_by(error, self._flat, size).reshape(*self._shape, sums.WIDTH)
 
-    def block_sums(self, error):
-        """Return the rows of sums of the ground's blocks, (BLOCKS², 5)."""
+    def block_sums(self, error: NDArray[np.float64]) -> Sums:
+        """Return the sums of the ground blocks, (BLOCKS², 5)."""
         return sums.rows_by(error, self._block, BLOCKS * BLOCKS + 1)[:-1]
 
 
 @dataclass
 class Gain:
-    """How much of the reference's contrast a method shows on the ground, over all poses.
+    """The share of the reference's contrast that a method shows on the ground, over all poses.
 
     Attributes
     ----------
     moments : (3,) array
-        Σs², Σst, Σt² of what it shows (s) and what is true (t) [K²], each less its mean over the pose: an offset of a
-        pose or of a scene is no contrast.
+        Σs², Σst, Σt² of the method's (s) and the true (t) temperature minus their means over the pose [K²]: an offset
+        of a pose is not contrast.
     """
 
-    moments: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    moments: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
 
-    def add(self, seen, truth):
+    def add(self, seen: NDArray[np.floating], truth: NDArray[np.floating]) -> None:
         """Add the apparent temperatures (n,) of a pose's ground [K]."""
         both = np.isfinite(seen) & np.isfinite(truth)
         if both.any():
             own, true = (values[both].astype(np.float64) for values in (seen, truth))
             own, true = own - own.mean(), true - true.mean()
-            self.moments += (own @ own, own @ true, true @ true)
+            self.moments += [own @ own, own @ true, true @ true]
 
-    def summary(self):
-        """Return {"gain", "correlation", "explained"} or None where nothing varies.
+    def summary(self) -> dict[str, float] | None:
+        """Return {"gain", "correlation", "explained"}, or None where a temperature is constant.
 
-        The gain is the slope of s on t by least squares, `explained` the share of the square error about each pose's
-        mean that this slope alone takes away.
+        The gain is the least-squares slope of s on t. `explained` is the share of the square error about each pose's
+        mean that this slope explains.
         """
         own, both, true = self.moments
         if not own > 0.0 or not true > 0.0:
@@ -115,27 +123,29 @@ class Gain:
 
 @dataclass
 class Tally:
-    """What a method errs, over all scenes.
+    """Errors of a method over all scenes.
 
     Attributes
     ----------
     poses : dict of (stage, part) to list of (5,) array
         Sums of each pose; parts are "ground", "with objects" and "objects".
     blocks : dict of (land, block) to (5,) array
-        Of the ground, radiometric.
+        Sums of the ground, radiometric.
     groups : dict of (stage, grouping, class) to (5,) array
-        Of ground and objects.
+        Sums of ground and objects.
     scenes : dict of (stage, scene) to (5,) array
-        Of ground.
+        Sums of the ground.
     """
 
-    poses: dict = field(default_factory=dict)
-    blocks: dict = field(default_factory=dict)
-    groups: dict = field(default_factory=dict)
-    scenes: dict = field(default_factory=dict)
+    poses: dict[tuple[str, str], list[Sums]] = field(default_factory=dict)
+    blocks: dict[tuple[str, int], Sums] = field(default_factory=dict)
+    groups: dict[tuple[str, str, str], Sums] = field(default_factory=dict)
+    scenes: dict[tuple[str, str], Sums] = field(default_factory=dict)
 
-    def add(self, scene, land, view, stage, classes, error):
-        """Add the error (n,) of a View's known pixels; return its rows: [(surface, material, (5,) sums)]."""
+    def add(
+        self, scene: str, land: str, view: View, stage: str, classes: PixelClasses, error: NDArray[np.float64]
+    ) -> list[tuple[str, str, Sums]]:
+        """Add the error (n,) of a View's known pixels [K]; return its rows [(surface, material, (5,) sums)]."""
         found = classes.sums(error)
         by_surface = found.reshape(len(classes.surfaces), -1, sums.WIDTH).sum(axis=1)
         parts = {GROUND: by_surface[0], "objects": by_surface[1:].sum(axis=0), "with objects": by_surface.sum(axis=0)}
@@ -160,29 +170,27 @@ class Tally:
         used = np.argwhere(materials.any(axis=-1))
         return [(classes.surfaces[s], _material(view, m), materials[s, m]) for s, m in used]
 
-    def summary(self, seed):
-        """Return {stage: {part: statistics}}, plain numbers; of the ground, radiometric, with intervals."""
-        told = {stage: {} for stage in STAGES}
+    def summary(self, seed: int) -> dict[str, dict[str, Any]]:
+        """Return {stage: {part: statistics with intervals}}, as plain numbers."""
+        found_of: dict[str, dict[str, Any]] = {stage: {} for stage in STAGES}
         for (stage, part), rows in self.poses.items():
             own = np.array(rows)
             found = sums.summary(own.sum(axis=0))
             if found["pixels"]:
-                drawn = {"poses": own}
+                drawn: dict[str, Sequence[Sums] | Sums] = {"poses": own}
                 if part == GROUND:
-                    drawn["scenes"] = self._of_scenes(stage)
-                    drawn |= {"ground blocks": list(self.blocks.values())} if stage == RADIOMETRIC else {}
+                    drawn["scenes"] = [row for (at, _), row in self.scenes.items() if at == stage]
+                    if stage == RADIOMETRIC:
+                        drawn["ground blocks"] = list(self.blocks.values())
                 found |= intervals(drawn, found["sd_k"], seed)
-            told[stage][part] = found
-        return told
+            found_of[stage][part] = found
+        return found_of
 
-    def _of_scenes(self, stage):
-        return [row for (own, _), row in self.scenes.items() if own == stage]
+    def more_than(self, other: "Tally", seed: int) -> dict[str, Any] | None:
+        """Return the mean absolute error on ground minus that of another Tally, noise-free, as {"mae_k", "interval_95",
+        "own_mae_k", "other_mae_k"}; None if this one lacks a scene of the other.
 
-    def more_than(self, other, seed):
-        """Return by how much this errs more than another Tally on ground, noise-free, as {"mae_k", "interval_95",
-        "own_mae_k", "other_mae_k"}; None where it lacks a scene of the other's.
-
-        The other's scenes are drawn anew, the same for both; of a single one its poses.
+        The bootstrap draws the other's scenes, the same for both, or the poses of a single scene.
         """
         mine, theirs = ({scene: row for (stage, scene), row in each.scenes.items() if stage == RADIOMETRIC and row[0]}
                         for each in (self, other))  # fmt: skip
@@ -195,51 +203,51 @@ class Tally:
         own, limit = (sums.summary(np.sum(each, axis=0))["mae_k"] for each in reversed(rows))
         return {"mae_k": error, "interval_95": ends, "own_mae_k": own, "other_mae_k": limit}
 
-    def grouped(self):
-        """Return {stage: {grouping: {class: statistics}}}, plain numbers."""
-        told = {}
+    def grouped(self) -> dict[str, dict[str, dict[str, Any]]]:
+        """Return {stage: {grouping: {class: statistics}}}, as plain numbers."""
+        found: dict[str, dict[str, dict[str, Any]]] = {}
         for (stage, grouping, name), row in self.groups.items():
-            told.setdefault(stage, {}).setdefault(grouping, {})[name] = sums.summary(row)
+            found.setdefault(stage, {}).setdefault(grouping, {})[name] = sums.summary(row)
         for (stage, name), row in self.scenes.items():
-            told.setdefault(stage, {}).setdefault("scene", {})[name] = sums.summary(row)
-        return told
+            found.setdefault(stage, {}).setdefault("scene", {})[name] = sums.summary(row)
+        return found
 
 
-def intervals(drawn, sd_k, seed):
-    """Return {interval_95: {me_k, mae_k}, drawn, effective_pixels}: those of what is drawn, the widest.
+def intervals(drawn: Mapping[str, Sequence[Sums] | Sums], sd_k: float, seed: int) -> dict[str, Any]:
+    """Return {interval_95: {me_k, mae_k}, drawn, effective_pixels}, the widest intervals of all units drawn.
 
     Parameters
     ----------
     drawn : dict of str to sequence of (5,) arrays
-        Sums of each that is drawn, by what they are.
+        Sums of each unit of the bootstrap, by the name of the unit.
     sd_k : float
         Standard deviation of single pixels [K].
     seed : int
 
     Notes
     -----
-    The effective number of pixels is (σ / standard error of the mean error)²: so many independent pixels would tell the
-    mean as well.
+    The effective number of pixels is (σ / standard error of the mean error)²: the number of independent pixels with
+    the same standard error.
     """
-    found = []
-    for what, rows in drawn.items():
-        rows = np.asarray(rows, float)
+    found: list[tuple[str, dict[str, Any]]] = []
+    for what, units in drawn.items():
+        rows = np.asarray(units, float)
         if len(rows) and (rows[:, 0] > 0).sum() > 1:
             found.append((what, sums.intervals(rows, np.arange(len(rows)), seed)))
     if not found:
         return {"interval_95": {"me_k": None, "mae_k": None}, "drawn": None, "effective_pixels": None}
-    # Each statistic by itself: errors of either sign wander in the mean, and not in the mean absolute error.
+    # The widest of each statistic: the mean may vary with the unit when the mean absolute error does not.
     ends = {name: max((each[name] for _, each in found), key=np.ptp) for name in ("me_k", "mae_k")}
     what = next(what for what, each in found if each["me_k"] == ends["me_k"])
-    # A normal law's 95 % are 3.92 standard errors wide.
+    # The 95 % interval of a normal distribution is 3.92 standard errors wide.
     width = float(np.ptp(ends["me_k"]))
     effective = (sd_k / (width / 3.92)) ** 2 if width > 0.0 else None
     return {"interval_95": ends, "drawn": what, "effective_pixels": effective}
 
 
-def _into(where, key, row):
+def _into(where: dict[Any, Sums], key: object, row: Sums) -> None:
     where[key] = where[key] + row if key in where else row.copy()
 
 
-def _material(view, number):
+def _material(view: View, number: int) -> str:
     return view.material_names[number] if number < len(view.material_names) else "none"

@@ -1,30 +1,36 @@
-"""Where the structure of a picture lies: its power spectrum, its shift against the reference, and its steadiness.
+"""Structure of pictures: power spectrum, shift against the reference, and temporal stability.
 
-A mean error says nothing of these. A translation that blurs has too little power at high frequencies, one that was
-registered badly is shifted, and one that changes its mind between frames makes the same ground warmer and colder as
-the camera moves.
+A mean error does not show these. A translation that blurs has too little power at high frequencies. A badly registered
+one is shifted. One that is not stable makes the same ground warmer and colder as the camera moves.
 """
 
 from dataclasses import dataclass, field
 from functools import cache
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-# Side of the square in the middle of a picture whose spectrum is taken, at most [px]; shifts are looked for up to so
-# many pixels, and a quarter of the square.
+from thermorender.compare.referee.views import View
+from thermorender.sensor.camera import Camera
+
+Transform = NDArray[np.complexfloating]
+
+# Largest side of the central square whose spectrum is taken, and largest shift searched (at most a quarter of the
+# square) [px].
 _SIDE, _MOST_SHIFT = 512, 48
-# Poses are summed in so many groups.
+# Number of groups of poses of the jackknife.
 _GROUPS = 16
-# Only fine structure tells a shift: broader than this is left out [px].
+# Structure broader than this is filtered out before the shift is measured [px].
 _FINE_PX = 6.0
-# Ground points are followed from one frame to the next in each direction every so many pixels, and count where the
-# depths agree within this share.
+# Spacing of the ground points that are followed from frame to frame [px], and the relative difference of depth up to
+# which a point counts as the same.
 _EVERY, _SAME_DEPTH = 2, 0.02
 
 
 @cache
-def window(shape):
-    """Return (rows, columns) slices of the square in the middle of a picture, and its Hann window."""
+def window(shape: tuple[int, int]) -> tuple[tuple[slice, slice], NDArray[np.float32]]:
+    """Return (rows, columns) slices of the central square of a picture, and its Hann window."""
     side = min(_SIDE, *shape)
     top, left = (shape[0] - side) // 2, (shape[1] - side) // 2
     taper = np.hanning(side + 2)[1:-1]
@@ -32,33 +38,35 @@ def window(shape):
 
 
 @cache
-def _frequencies(side):
-    """Square of the spatial frequency at each place of a transform (side, side) float32 [cycles²/px²], and its ring."""
+def _frequencies(side: int) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
+    """Return the squared spatial frequency (side, side) [cycles²/px²] of a transform, and the flat ring numbers."""
     frequency = np.fft.fftfreq(side)
     square = frequency[:, None] ** 2 + frequency[None] ** 2
     return square.astype(np.float32), np.rint(np.sqrt(square) * side).astype(int).ravel()
 
 
-def transform(image, known):
-    """Return the two-dimensional Fourier transform of a picture's middle, (N, N) complex64, its mean taken out.
+def transform(image: NDArray[np.floating], known: NDArray[np.bool_]) -> Transform:
+    """Return the two-dimensional Fourier transform of a picture's central square minus its mean, (N, N) complex64.
 
     Parameters
     ----------
     image : (H, W) array
         [K]
     known : (H, W) bool
-        Elsewhere it has the mean.
+        Other pixels are set to the mean.
     """
     from scipy import fft
 
-    where, taper = window(image.shape)
+    height, width = image.shape
+    where, taper = window((height, width))
     inside, here = np.asarray(image[where], np.float32), known[where] & np.isfinite(image[where])
     mean = inside[here].mean(dtype=np.float64) if here.any() else 0.0
-    return fft.fft2(np.where(here, inside - np.float32(mean), np.float32(0.0)) * taper)
+    spectrum: Transform = fft.fft2(np.where(here, inside - np.float32(mean), np.float32(0.0)) * taper)
+    return spectrum
 
 
-def power(found):
-    """Return (frequency [cycles/px], power [K² px²]) of a transform, means over rings.
+def power(found: Transform) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return (frequency [cycles/px], power [K² px²]) of a transform, averaged over rings.
 
     Notes
     -----
@@ -75,23 +83,23 @@ def power(found):
 
 @dataclass
 class Registration:
-    """How well pictures lie on others, over all poses.
+    """Shift of pictures against others, over all poses.
 
     Attributes
     ----------
     surfaces : list of (2 n + 1, 2 n + 1) array
-        Sums of cross-correlations at small shifts, as by `correlation`, of up to `_GROUPS` groups of poses: what
-        leaving out each in turn changes tells the error.
+        Sums of cross-correlations at small shifts (see `correlation`) of up to `_GROUPS` groups of poses; leaving out
+        one at a time gives the standard error.
     scales : list of float
         Sums of their scales.
     poses : int
     """
 
-    surfaces: list = field(default_factory=list)
-    scales: list = field(default_factory=list)
+    surfaces: list[NDArray[np.float64]] = field(default_factory=list)
+    scales: list[float] = field(default_factory=list)
     poses: int = 0
 
-    def add(self, found, reference):
+    def add(self, found: Transform, reference: Transform) -> None:
         """Add the transforms of a pose's two pictures."""
         surface, scale = correlation(found, reference)
         if self.poses < _GROUPS:
@@ -102,15 +110,15 @@ class Registration:
             self.scales[self.poses % _GROUPS] += scale
         self.poses += 1
 
-    def summary(self):
-        """Return {"right_px", "down_px", "error_px", "correlation", "unshifted"}, or None where nothing correlates.
+    def summary(self) -> dict[str, Any] | None:
+        """Return {"right_px", "down_px", "error_px", "correlation", "unshifted"}, or None without a peak.
 
-        The peak of the correlations of all poses together, with standard errors by the delete-a-group jackknife (None
-        of a single pose), its height, and how high the correlation is without a shift.
+        The position of the peak of the summed correlations, its standard errors by the delete-a-group jackknife (None
+        for a single pose), the correlation at the peak, and the correlation without a shift.
         """
         if not self.poses:
             return None
-        total, scale = sum(self.surfaces), sum(self.scales)
+        total, scale = np.sum(self.surfaces, axis=0), sum(self.scales)
         found = peak(total, scale)
         if found is None:
             return None
@@ -130,28 +138,28 @@ class Structure:
     Attributes
     ----------
     power, frequency : array or None
-        Sum over poses of the power at each frequency [cycles/px].
+        Sum over poses of the power [K² px²] at each frequency [cycles/px].
     poses : int
     registration : Registration
         Against the reference.
     """
 
-    power: np.ndarray | None = None
-    frequency: np.ndarray | None = None
+    power: NDArray[np.float64] | None = None
+    frequency: NDArray[np.float64] | None = None
     poses: int = 0
     registration: Registration = field(default_factory=Registration)
 
-    def add(self, found, reference):
+    def add(self, found: Transform, reference: Transform) -> None:
         """Add the transform of a pose, and its correlation with that of the reference."""
         self.frequency, density = power(found)
         self.power = density if self.power is None else self.power + density
         self.poses += 1
         self.registration.add(found, reference)
 
-    def summary(self):
-        """Return plain numbers: {"shift", "spectrum"}, the spectrum in 24 steps."""
+    def summary(self) -> dict[str, Any]:
+        """Return {"shift", "spectrum"} as plain numbers, the spectrum in 24 steps."""
         spectrum = None
-        if self.power is not None:
+        if self.power is not None and self.frequency is not None:
             edges = np.geomspace(self.frequency[0], 0.5, 25)
             step = np.clip(np.digitize(self.frequency, edges) - 1, 0, 23)
             rows = [(self.frequency[step == k].mean(), self.power[step == k].mean() / self.poses)
@@ -160,17 +168,18 @@ class Structure:
         return {"shift": self.registration.summary(), "spectrum": spectrum}
 
 
-def correlation(found, reference):
+def correlation(found: Transform, reference: Transform) -> tuple[NDArray[np.float64], float]:
     """Return (cross-correlation (2 n + 1, 2 n + 1) at shifts of −n…n pixels down and right, n ≤ 48, its scale).
 
     Parameters
     ----------
     found, reference : (N, N) complex
-        As by `transform`.
+        As `transform` returns them.
 
     Notes
     -----
-    After a high-pass, as broad structure hardly tells a shift. Divided by the scale it is a correlation coefficient.
+    Taken after a high-pass filter, since broad structure hardly constrains the shift. The correlation coefficient is
+    the value divided by the scale.
     """
     from scipy import fft
 
@@ -182,15 +191,15 @@ def correlation(found, reference):
     most = max(1, min(_MOST_SHIFT, side // 4))
     shifts = np.arange(-most, most + 1)
     scale = np.sqrt((np.abs(one) ** 2).sum() * (np.abs(other) ** 2).sum())
-    # A copy: the whole surface must not stay in memory.
+    # The copy lets the whole surface be freed.
     return surface[np.ix_(shifts, shifts)].astype(np.float64), float(scale) / (side * side)
 
 
-def peak(surface, scale):
-    """Return (right, down, height, height without a shift) of the highest correlation of either sign, or None.
+def peak(surface: NDArray[np.float64], scale: float) -> tuple[float, float, float, float] | None:
+    """Return (right [px], down [px], correlation, correlation without a shift) of the largest absolute correlation.
 
-    A translation may turn contrast around. To a fraction of a pixel by parabolas through the highest and its
-    neighbours; at the border of the shifts looked for there is none.
+    A translation may invert the contrast. Parabolas through the peak and its neighbours give fractions of a pixel. None
+    if the peak is at the border of the shifts searched.
     """
     if not scale > 0.0:
         return None
@@ -201,7 +210,7 @@ def peak(surface, scale):
     height = surface[row, column]
     signed = np.sign(height) * surface
 
-    def vertex(before, here, after):
+    def vertex(before: float, here: float, after: float) -> float:
         bend = before - 2.0 * here + after
         return 0.5 * (before - after) / bend if bend else 0.0
 
@@ -211,7 +220,7 @@ def peak(surface, scale):
 
 
 class Track:
-    """Ground points seen in one View, and where the next one shows them.
+    """Ground points of one View and their pixels in the next.
 
     Parameters
     ----------
@@ -219,7 +228,7 @@ class Track:
     camera : Camera
     """
 
-    def __init__(self, before, after, camera):
+    def __init__(self, before: View, after: View, camera: Camera) -> None:
         grid = np.zeros(before.known.shape, bool)
         grid[_EVERY // 2 :: _EVERY, _EVERY // 2 :: _EVERY] = True
         self._from = before.known & grid & (before.object < 0)
@@ -234,9 +243,9 @@ class Track:
         self._kept = inside & same & after.known[row, column] & (after.object[row, column] < 0)
         self._to = pixel[self._kept] - 0.5
 
-    def change(self, before, after):
-        """Return how much warmer each point is in the second picture than in the first, (n,) [K]."""
+    def change(self, before: NDArray[np.floating], after: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Return the second picture's temperature of each point minus the first's, (n,) [K]."""
         from scipy.ndimage import map_coordinates
 
-        there = map_coordinates(after, self._to[:, ::-1].T, order=1)
+        there: NDArray[np.floating] = map_coordinates(after, self._to[:, ::-1].T, order=1)
         return there - before[self._from][self._kept]

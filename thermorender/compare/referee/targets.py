@@ -1,46 +1,54 @@
-"""What each method makes of targets: their contrast, where they are, and whether a plain detector finds them.
+"""Targets in the frames of a method: contrast, position, and whether a simple detector finds them.
 
-A target may be warmer or colder than what is around it: a response of either sign counts. The detector sees the
-method's own picture behind the sensor, in standard deviations of that picture: one that shows little else makes its
-targets easy to find.
+A target may be warmer or colder than its surroundings, so responses of both signs count. The detector uses the
+method's own frame after the sensor, in standard deviations of that frame: in a frame with little other contrast,
+targets are easy to find.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.compare import hot_spots
+from thermorender.compare.referee.views import View
 
-# Objects smaller than this are not asked for [px], and detections on them or so near are theirs.
+# Objects with fewer pixels are ignored; detections within this distance of an object are its own [px].
 _LEAST_PX, _NEAR_PX = 4, 3
-# The ring around an object that its contrast is told against [px].
+# Width of the ring around an object against which its contrast is measured [px].
 _RING_PX = 6
-# Responses from which on peaks are kept: fewer standard deviations are the background's own.
+# Weaker responses are background [standard deviations].
 _LEAST = 3.0
+# Highest number of false alarms per frame in the ROC.
 _MOST_FALSE = 10.0
 
 
 @dataclass
 class Targets:
-    """What a method makes of the targets of all poses.
+    """Targets in the frames of a method, over all poses.
 
     Attributes
     ----------
     rows : list of dict
-        Of each pose and target: scene, pose, object, pixels, contrast_k, true_contrast_k, offset_px, response.
+        For each pose and target: scene, pose, object, pixels, contrast_k, true_contrast_k, offset_px, response.
     false : list of float
         Responses of peaks away from any target.
     frames : int
-        Poses in which targets were looked for.
+        Number of poses with targets.
     """
 
-    rows: list = field(default_factory=list)
-    false: list = field(default_factory=list)
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    false: list[float] = field(default_factory=list)
     frames: int = 0
 
-    def add(self, scene, view, objects, seen, counts):
-        """Add a View: what the method sees, (H, W) [K], and what the sensor reads of it, (H, W) counts."""
+    def add(
+        self, scene: str, view: View, objects: Sequence[str], seen: NDArray[np.floating], counts: NDArray[np.generic]
+    ) -> None:
+        """Add a View with a reference: the method's apparent temperature (H, W) [K] and sensor counts (H, W)."""
+        assert view.truth is not None
         present = [(number, name) for number, name in enumerate(objects) if (view.object == number).sum() >= _LEAST_PX]
         if not present:
             return
@@ -62,28 +70,28 @@ class Targets:
                 "offset_px": None if first is None else float(distance[first]),
                 "response": None if first is None else float(values[first]),
             })  # fmt: skip
-        # What lies outside the judged part of the picture is nobody's fault.
+        # Peaks outside the scored pixels do not count.
         counted = view.known[rows, columns] & ~theirs
         self.false += values[counted].tolist()
 
-    def summary(self):
-        """Return {object: {…}} and the ROC, plain numbers."""
-        told = {}
+    def summary(self) -> dict[str, Any]:
+        """Return {"objects": {object: statistics}, "roc", "frames"}, as plain numbers."""
+        objects = {}
         for name in dict.fromkeys(row["object"] for row in self.rows):
             own = [row for row in self.rows if row["object"] == name]
             contrast, true = (np.array([row[key] for row in own], float) for key in ("contrast_k", "true_contrast_k"))
             hit = [row for row in own if row["offset_px"] is not None]
-            # Of the same poses, so that the three add up.
+            # All three over the same poses, so that they are consistent.
             both = np.where(np.isfinite(contrast - true), 1.0, np.nan)
-            told[name] = {
+            objects[name] = {
                 "poses": len(own), "true_contrast_k": _mean(true * both), "contrast_k": _mean(contrast * both),
                 "contrast_error_k": _mean((contrast - true) * both),
                 "found": len(hit) / len(own), "offset_px": _mean([row["offset_px"] for row in hit]),
             }  # fmt: skip
-        return {"objects": told, "roc": self.roc(), "frames": self.frames}
+        return {"objects": objects, "roc": self.roc(), "frames": self.frames}
 
-    def roc(self):
-        """Return [(false alarms per frame, share of targets found, response)] from strict to lax."""
+    def roc(self) -> list[tuple[float, float, float]]:
+        """Return [(false alarms per frame, share of targets found, threshold)], highest threshold first."""
         if not self.frames:
             return []
         responses = np.array([row["response"] if row["response"] is not None else -np.inf for row in self.rows])
@@ -96,8 +104,8 @@ class Targets:
         return [point for point in curve if point[0] <= _MOST_FALSE]
 
 
-def _contrast(image, mask, view):
-    """Mean of an image on a target less that of a ring around it, of known ground [K]."""
+def _contrast(image: NDArray[np.floating], mask: NDArray[np.bool_], view: View) -> float:
+    """Return the mean of an image on a target minus that of a ring of known ground around it [K]."""
     ring = _widened(mask, _RING_PX) & view.known & (view.object < 0)
     own = mask & view.known
     if not ring.any() or not own.any():
@@ -105,12 +113,13 @@ def _contrast(image, mask, view):
     return float(image[own].mean(dtype=np.float64) - image[ring].mean(dtype=np.float64))
 
 
-def _widened(mask, px):
-    """A mask and so many pixels around it."""
+def _widened(mask: NDArray[np.bool_], px: int) -> NDArray[np.bool_]:
+    """Return a mask widened by `px` pixels."""
     side = 2 * px + 1
-    return cv2.dilate(mask.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
+    widened: NDArray[np.bool_] = cv2.dilate(mask.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
+    return widened
 
 
-def _mean(values):
-    values = np.asarray(values, float)
-    return float(np.nanmean(values)) if values.size and np.isfinite(values).any() else None
+def _mean(values: ArrayLike) -> float | None:
+    array = np.asarray(values, float)
+    return float(np.nanmean(array)) if array.size and np.isfinite(array).any() else None

@@ -1,55 +1,60 @@
-"""What thermal frames of a campaign tell before the test: bounds, a mean, a mean per material, and maps' calibrations.
+"""Statistics of a campaign's thermal frames for its methods: bounds, means, means per material, maps' calibrations.
 
-A campaign is an hour, a weather and a camera. Its training part are the other lands that are flown in it: nothing of
-the scene under test is ever seen. Bounds are those of eq. 2 of Generation of artificial infrared camera images for
-visual navigation simulation: 1.5 interquartile ranges beyond the quartiles of all values. They suit a map whose
-intensities were made by the same rule in one campaign. One that was trained in many gives temperatures, of which the
-same rule makes a fraction of their contrast; a calibration, the straight line by least squares from what the map says
-of the training part's photographs to what the camera reads of them, is fair to both.
+A campaign is an hour, a weather and a camera. Its training part consists of the other lands in it, never of the scene
+under test. Bounds follow eq. 2 of "Generation of artificial infrared camera images for visual navigation simulation":
+1.5 interquartile ranges beyond the quartiles of all values. They suit a map whose intensities follow the same rule
+within one campaign. A map that was trained in many campaigns predicts temperatures, and this rule reduces their
+contrast. A calibration is fair to both: the least-squares line from the map's intensities of the training photographs
+to the camera's radiances.
 """
 
 import hashlib
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.campaign.bounds import Histogram, bounds_of
+from thermorender.compare.referee.views import View
 from thermorender.frame import apparent_temperature
-from thermorender.learned.temperature_map import Inputs
+from thermorender.learned.temperature_map import Inputs, TemperatureMap
+from thermorender.scene.scene import Scene
 from thermorender.schema import every_field
+from thermorender.sensor.camera import Camera
 from thermorender.sensor.chain import sensor_of
 from thermorender.sensor.readout import radiance_from_counts
 from thermorender.units import ZERO_CELSIUS_K
 
-# Poses of a land that are read for its campaign's training part, evenly spaced.
+# Number of poses per land that are read for the training part, evenly spaced.
 POSES = 12
-# Two scenes are of one land where their heights differ by no more than this share of the relief, at so many places
-# along each side. Meshes may differ all the same: they are finer beside objects.
+# Two scenes have the same land if their heights differ by no more than this share of the relief, at this many places
+# along each side. Their meshes may differ, since they are finer near objects.
 _SAME, _PLACES = 0.05, 128
 
 
 @dataclass(frozen=True, eq=False)
 class Thermal:
-    """What the thermal frames of one scene hold.
+    """Statistics of the thermal frames of one scene.
 
     Attributes
     ----------
     land, campaign : str
-        Fingerprints of its relief, and of its hour and weather.
+        Fingerprints of its relief, and of its hour, weather and camera.
     histogram : Histogram
-        Of the counts of known ground.
+        Counts of known ground.
     radiance, pixels : dict of str to float
         Sum of band radiance and number of pixels of each material.
     pairs : dict of str to (5,) array
-        Of each map: number, Σs, ΣL, Σs², ΣsL of its intensities s and band radiances L of the same ground.
+        For each map: number, Σs, ΣL, Σs², ΣsL of its intensities s and band radiances L of the same ground.
     """
 
     land: str
     campaign: str
     histogram: Histogram
-    radiance: dict
-    pixels: dict
-    pairs: dict
+    radiance: dict[str, float]
+    pixels: dict[str, int]
+    pairs: dict[str, NDArray[np.float64]]
 
 
 @dataclass(frozen=True)
@@ -66,22 +71,23 @@ class Training:
     material_k : dict of str to float
         The same per material [K].
     calibrations : dict of str to (2,) tuple of float
-        Of each map: band radiance at intensity 0, and its change from 0 to 1 [W m⁻² sr⁻¹].
+        For each map: band radiance at intensity 0, and its change from 0 to 1 [W m⁻² sr⁻¹].
     """
 
     lands: int
-    bounds_c: tuple
+    bounds_c: tuple[float, float]
     mean_k: float
-    material_k: dict
-    calibrations: dict
+    material_k: dict[str, float]
+    calibrations: dict[str, tuple[float, float]]
 
 
-def lands_of(scenes):
-    """Return the name of each Scene's land, a fingerprint of its relief, the same where reliefs are the same.
+def lands_of(scenes: Sequence[Scene]) -> list[str]:
+    """Return the name of each Scene's land: a fingerprint of its relief, equal for equal reliefs.
 
-    A land is the same under any weather: what lies on it, such as snow, changes heights by little against the relief.
+    A land is the same under any weather: a cover such as snow changes heights little compared with the relief.
     """
-    known, names = [], []
+    known: list[tuple[str, NDArray[np.float64]]] = []
+    names = []
     for scene in scenes:
         vertices = np.concatenate([surface.vertices for surface in scene.surfaces[: scene.terrain_count]])
         sides = np.linspace(vertices.min(axis=0), vertices.max(axis=0), _PLACES)[:, :2]
@@ -95,16 +101,15 @@ def lands_of(scenes):
     return names
 
 
-def _same_relief(one, other):
+def _same_relief(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
     hole = np.isnan(one[:, 2])
     if not np.allclose(one[:, :2], other[:, :2], rtol=0.0, atol=1e-3) or (hole != np.isnan(other[:, 2])).any():
         return False
     return bool((one - other)[~hole, 2].std() <= _SAME * one[~hole, 2].std())
 
 
-def campaign_of(scene, land):
-    """Return a fingerprint of a scene's hour, weather and camera; a scene without weather is by itself, with its
-    land."""
+def campaign_of(scene: Scene, land: str) -> str:
+    """Return a fingerprint of a scene's hour, weather and camera; of its land alone if the scene has no weather."""
     spec = scene.spec
     if spec.weather is None:
         return land
@@ -112,23 +117,30 @@ def campaign_of(scene, land):
     return hashlib.blake2b(known.encode(), digest_size=8).hexdigest()
 
 
-def thermal_of(scene, land, views, seed, models=()):
-    """Return the Thermal of a scene from Views of it, behind its sensor.
+def thermal_of(
+    scene: Scene, land: str, views: Iterable[View], seed: int, models: Sequence[TemperatureMap] = ()
+) -> Thermal:
+    """Return the Thermal of a scene from Views of it, after its sensor.
 
     Parameters
     ----------
     scene : Scene
     land : str
-        As by `lands_of`.
+        As `lands_of` names it.
     views : iterable of View
+        With a reference.
     seed : int
-        Of the sensor's noise.
+        Seed of the sensor's noise.
     models : sequence of TemperatureMap
-        Of colour only: those that are calibrated.
+        Maps to calibrate, without extra inputs.
     """
-    camera, histogram, radiance, pixels, pairs = scene.camera, Histogram(), {}, {}, {}
+    camera, histogram = scene.camera, Histogram()
+    radiance: dict[str, float] = {}
+    pixels: dict[str, int] = {}
+    pairs: dict[str, NDArray[np.float64]] = {}
     sensor = sensor_of(camera, seed)
     for view in views:
+        assert view.truth_radiance is not None
         counts = sensor.counts_at_rest(view.truth_radiance, view.index)
         ground = view.known & (view.object < 0)
         histogram.add(counts[ground])
@@ -138,20 +150,23 @@ def thermal_of(scene, land, views, seed, models=()):
             radiance[name] = radiance.get(name, 0.0) + float(value[here].sum())
             pixels[name] = pixels.get(name, 0) + int(here.sum())
         for model in models:
-            said = model.predictor.predict(Inputs(view.visible, view.texel_m), model.texel_m)[ground]
-            here = np.isfinite(said)
-            s, read = said[here].astype(np.float64), value[here]
+            predicted = model.predictor.predict(Inputs(view.visible, view.texel_m), model.texel_m)[ground]
+            here = np.isfinite(predicted)
+            s, read = predicted[here].astype(np.float64), value[here]
             row = np.array([here.sum(), s.sum(), read.sum(), s @ s, s @ read])
             pairs[model.name] = pairs.get(model.name, 0.0) + row
     return Thermal(land, campaign_of(scene, land), histogram, radiance, pixels, pairs)
 
 
-def training_of(own, others, camera):
-    """Return the Training of a scene's Thermal from those of others in the same campaign; None where there are none."""
+def training_of(own: Thermal, others: Iterable[Thermal], camera: Camera) -> Training | None:
+    """Return the Training of a scene's Thermal from other lands of the same campaign; None if there are none."""
     chosen = [each for each in others if each.campaign == own.campaign and each.land != own.land]
     if not chosen or not any(each.histogram.counts.any() for each in chosen):
         return None
-    together, radiance, pixels, pairs = Histogram(), {}, {}, {}
+    together = Histogram()
+    radiance: dict[str, float] = {}
+    pixels: dict[str, int] = {}
+    pairs: dict[str, NDArray[np.float64]] = {}
     for each in chosen:
         together.counts += each.histogram.counts
         for name, row in each.pairs.items():
@@ -172,9 +187,8 @@ def training_of(own, others, camera):
     )  # fmt: skip
 
 
-def _line(row):
-    """(Value at 0, slope) of the straight line by least squares of sums as of `Thermal.pairs`; level where all s are
-    one."""
+def _line(row: NDArray[np.float64]) -> tuple[float, float]:
+    """Return (value at 0, slope) of the least-squares line of sums as in `Thermal.pairs`; slope 0 if s is constant."""
     count, s, read, square, both = row / row[0]
     spread = square - s * s
     slope = (both - s * read) / spread if spread > 1e-12 * max(square, 1e-12) else 0.0

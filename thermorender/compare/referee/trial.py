@@ -1,75 +1,95 @@
-"""One scene's poses given to all of its methods: every method sees the same View, the same sensor, the same noise."""
+"""The trial of one scene: all of its methods at all of its poses, with the same View, sensor and noise."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.compare.evaluation import sums
-from thermorender.compare.referee import emissivities, methods, provenance, scores, views
+from thermorender.compare.referee import emissivities, provenance, scores, views
+from thermorender.compare.referee.frames import Frames
+from thermorender.compare.referee.methods import OWN, Method
+from thermorender.compare.referee.report.pictures import Pictures
 from thermorender.compare.referee.structure import Registration, Structure, Track, transform
 from thermorender.compare.referee.targets import Targets
 from thermorender.compare.referee.terms import NAMES, terms_of
+from thermorender.compare.referee.training import Training
 from thermorender.frame import apparent_temperature
 from thermorender.output.record import weather_of
 from thermorender.physics.sun import position_at
-from thermorender.sensor.chain import sensor_of
+from thermorender.render.baked import Progress
+from thermorender.render.renderer import Renderer
+from thermorender.scene.scene import Scene
+from thermorender.sensor.camera import Camera
+from thermorender.sensor.chain import Sensor, sensor_of
 from thermorender.sensor.readout import radiance_from_counts
 from thermorender.units import ZERO_CELSIUS_K, utc_text
 
-# A material is told whose band emissivity a rendered method has wrong by this on average, where it covers this share.
+if TYPE_CHECKING:
+    from thermorender.compare.referee.run import Flight
+
+Image = NDArray[np.floating]
+Images = dict[str, Image]
+
+# A material is reported if a rendered method's band emissivity is wrong by more than this on average, and it covers at
+# least this share of the ground.
 _EMISSIVITY, _SHARE = 0.02, 0.01
 
 
 @dataclass
 class Found:
-    """What a method is found to do, over all scenes.
+    """Results of a method, summed over all scenes.
 
     Attributes
     ----------
     method : Method
-        Without its renderers: what is told of it in the end is the same in all scenes.
+        Without renderer: the fields that the summary uses are equal in all scenes.
     tally, targets, structure, explained
         Sums over all poses.
     gain : Gain
     scene_emissivities : dict of str to (4,) array
-        Of a rendered method, as by `emissivities.of_scenes`.
+        For a rendered method, as `emissivities.of_scenes` returns them.
     registered : Registration
-        Of its pictures against the same map rendered.
+        Shift of its pictures against the same map rendered.
     changes : (3,) array
         Number, sum and square sum of changes of the same ground from pose to pose [K].
     seconds : list of float
-        What each pose took.
+        Run time of each pose.
     circular : list of str
         Sentences.
     once_s : float
-        What was needed once for each scene, all together [s].
+        Time needed once per scene, summed over scenes [s].
     in_scenes : int
     """
 
-    method: methods.Method
+    method: Method
     tally: scores.Tally = field(default_factory=scores.Tally)
     targets: Targets = field(default_factory=Targets)
     structure: Structure = field(default_factory=Structure)
     explained: emissivities.Emissivities = field(default_factory=emissivities.Emissivities)
     gain: scores.Gain = field(default_factory=scores.Gain)
-    scene_emissivities: dict = field(default_factory=dict)
+    scene_emissivities: dict[str, NDArray[np.float64]] = field(default_factory=dict)
     registered: Registration = field(default_factory=Registration)
-    changes: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    seconds: list = field(default_factory=list)
-    circular: list = field(default_factory=list)
+    changes: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    seconds: list[float] = field(default_factory=list)
+    circular: list[str] = field(default_factory=list)
     once_s: float = 0.0
     in_scenes: int = 0
 
-    def summary(self, origin, seed):
-        """Return what is told of the method, plain numbers.
+    def summary(self, origin: provenance.Provenance | None, seed: int) -> dict[str, Any]:
+        """Return the results as plain numbers.
 
         Parameters
         ----------
         origin : Provenance or None
         seed : int
-            Of the intervals.
+            Seed of the intervals.
         """
         method, scored = self.method, bool(self.tally.poses)
+        own_range = method.model.range_k if method.model and method.bounds == OWN else None
         wrong = {
             name: {"share": row[0] / row[3], "used": row[1] / row[0], "true": row[2] / row[0]}
             for name, row in self.scene_emissivities.items()
@@ -78,8 +98,7 @@ class Found:
         return {
             "letter": method.letter, "map": method.name, "bounds": method.bounds, "knows": method.knows,
             "true_objects": method.true_objects,
-            "range_c": None if method.bounds != methods.OWN else
-            [limit - ZERO_CELSIUS_K for limit in method.model.range_k],
+            "range_c": None if own_range is None else [limit - ZERO_CELSIUS_K for limit in own_range],
             "once_s": self.once_s / max(self.in_scenes, 1), "scenes": len({name for _, name in self.tally.scenes}),
             "errors": self.tally.summary(seed) if scored else None,
             "groups": self.tally.grouped() if scored else {},
@@ -88,154 +107,208 @@ class Found:
             "emissivities": {"told": self.explained.summary(), "scene": wrong},
             "steadiness_k": _deviation(self.changes),
             "seconds_per_frame": float(np.median(self.seconds)) if self.seconds else None,
-            "training_s": None if origin is None else origin.told["training_s"],
-            "training": None if origin is None else {**origin.told, "audited": origin.audited},
+            "training_s": None if origin is None else origin.header["training_s"],
+            "training": None if origin is None else {**origin.header, "audited": origin.audited},
             "leaks": [] if origin is None else origin.leaks, "circular": self.circular,
         }  # fmt: skip
 
 
-class Trial:
-    """One scene's poses given to all of its methods.
+@dataclass
+class Totals:
+    """Results of a comparison, summed over all scenes.
 
-    Parameters
+    Attributes
+    ----------
+    methods : dict of str to Found
+        By label.
+    targets : Targets
+        Targets of the reference.
+    table : list of tuple
+        Rows of `pixels.csv`.
+    """
+
+    methods: dict[str, Found] = field(default_factory=dict)
+    targets: Targets = field(default_factory=Targets)
+    table: list[tuple[Any, ...]] = field(default_factory=list)
+
+
+@dataclass
+class Setup:
+    """A scene with its reference and methods.
+
+    Attributes
     ----------
     flight : Flight
     land : str
-        As by `training.lands_of`.
+        As `training.lands_of` names it.
     reference : Renderer
-        Of the true temperatures, or where none are known of the scene as it is.
+        Renderer at the true temperatures, or of the scene as it is if they are unknown.
     has_truth : bool
-    made : sequence of Method
     campaign : Training or None
-    found : dict of str to Found
-        By label; gains those of this scene.
-    targets : Targets
-        Of the reference; gains those of this scene.
-    pictures : Pictures
-    seed : int
-        Of the sensor's noise.
     frames : Frames
-        Of the methods that are rendered.
-    arrays : Path or None
-        Folder of the frames that are kept.
+        Frames of the rendered methods.
+    methods : list of Method
     """
 
-    def __init__(self, flight, land, reference, has_truth, made, campaign, found, targets, pictures, seed, frames,
-                 arrays):  # fmt: skip
-        self._flight, self._reference, self._has_truth, self._made = flight, reference, has_truth, made
-        self._campaign, self._pictures, self._seed, self._arrays = campaign, pictures, seed, arrays
-        self._targets, self._frames = targets, frames
-        self.scene = reference.scene
-        self._found = {}
-        for method in made:
-            # Renderers go with their scene; what is told of a method in the end is the same in all.
+    flight: "Flight"
+    land: str
+    reference: Renderer
+    has_truth: bool
+    campaign: Training | None
+    frames: Frames
+    methods: list[Method] = field(default_factory=list)
+
+
+class Trial:
+    """All methods of one scene at all of its poses.
+
+    Parameters
+    ----------
+    setup : Setup
+    totals : Totals
+        Gains the results of this scene.
+    seed : int
+        Seed of the sensor's noise.
+    arrays : Path or None
+        Folder of the frames that are kept.
+
+    Attributes
+    ----------
+    photographs : list of (H, W, 3) uint8
+        Evenly spaced ones, to search for in training pictures.
+    """
+
+    def __init__(self, setup: Setup, totals: Totals, seed: int, arrays: Path | None) -> None:
+        self._setup, self._totals, self._seed, self._arrays = setup, totals, seed, arrays
+        self.scene: Scene = setup.reference.scene
+        self._found: dict[str, Found] = {}
+        for method in setup.methods:
+            # Without renderers, which belong to this scene.
             plain = replace(method, build=None, paint=None)
-            self._found[method.label] = found.setdefault(method.label, Found(plain))
+            self._found[method.label] = totals.methods.setdefault(method.label, Found(plain))
             self._found[method.label].in_scenes += 1
         self._emissivity = emissivities.band_emissivities(self.scene)
         self._objects = [item.name for item in self.scene.spec.objects]
-        self._land = land
         vertices = np.concatenate([s.vertices[:, :2] for s in self.scene.surfaces[: self.scene.terrain_count]])
         self._corners = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
-        self._pairs = self._between()
+        self._pairs = self._twins()
         self._terms = {name: np.zeros((len(NAMES) + 1, sums.WIDTH)) for name in self._pairs}
         self._apart = 0.0
         self._reference_structure, self._changes = Structure(), np.zeros(3)
-        self.photographs = []
-        self._between_methods, self._reports = {}, {}
+        self.photographs: list[NDArray[np.uint8]] = []
+        self._between_methods: dict[tuple[str, str], NDArray[np.float64]] = {}
+        self._reports: dict[str, Any] = {}
 
-    def _between(self):
-        """{map: (its B, its C1)} by the best bounds that both have."""
+    def _twins(self) -> dict[str, tuple[Method, Method]]:
+        """Return {map: (its B, its C1)} with the best bounds that both have."""
         found = {}
-        for method in self._made:
+        for method in self._setup.methods:
             if method.letter == "B":
-                twins = [each for each in self._made if each.letter == "C1" and each.name == method.name
+                twins = [each for each in self._setup.methods if each.letter == "C1" and each.name == method.name
                          and each.bounds == method.bounds and not each.true_objects]  # fmt: skip
                 if twins:
                     found[method.name] = method, twins[0]
         return found
 
-    def run(self, table, say):
-        """Give every pose to every method; `table` gains its rows."""
-        flight, camera = self._flight, self.scene.camera
-        sensor, before, seen_before = sensor_of(camera, self._seed), None, {}
+    def run(self, pictures: Pictures, report: Progress) -> None:
+        """Score every method at every pose; `pictures` gains those of this scene."""
+        flight, camera = self._setup.flight, self.scene.camera
+        sensor = sensor_of(camera, self._seed)
+        before: views.View | None = None
+        seen_before: Images = {}
         chosen = views.evenly(len(flight.times), provenance.PHOTOGRAPHS)
-        self._render(say)
+        self._render(report)
         for index, (time_s, pose) in enumerate(zip(flight.times, flight.poses, strict=True)):
-            say("comparing", index / len(flight.times))
-            view = views.view_of(self._reference, pose, time_s, index, self._has_truth)
+            report("comparing", index / len(flight.times))
+            view = views.view_of(self._setup.reference, pose, time_s, index, self._setup.has_truth)
             if index in chosen:
                 self.photographs.append(view.visible)
-            seen, read, counts = self._looked(view, sensor)
-            if self._has_truth:
+            seen, read, counts = self._seen(view, sensor)
+            if view.truth is not None:
                 true_counts = sensor.counts_at_rest(view.truth_radiance, index)
                 true_read = apparent_temperature(radiance_from_counts(true_counts, camera), camera.band_um)
-                self._targets.add(self.scene.name, view, self._objects, view.truth, true_counts)
-                self._score(view, seen, read, counts, true_read, table)
+                self._totals.targets.add(self.scene.name, view, self._objects, view.truth, true_counts)
+                self._score(view, view.truth, seen, read, counts, true_read)
             else:
                 self._differences(view, seen)
             self._split(view, seen, read)
             if before is not None:
                 self._follow(Track(before, view, camera), seen_before, seen, before, view)
-            self._pictures.add(self.scene.name, view, seen, index, len(flight.times))
+            pictures.add(self.scene.name, view, seen, index, len(flight.times))
             if self._arrays is not None:
-                self._keep(view, seen)
+                self._keep(self._arrays / "arrays", view, seen)
             before, seen_before = view, seen
 
-    def _looked(self, view, sensor):
-        """{label: what a method gives of a View}: apparent temperature, the same behind the sensor, and its counts."""
-        seen, read, counts, camera, contrast = {}, {}, {}, self.scene.camera, None
-        if self._has_truth:
+    def _seen(self, view: views.View, sensor: Sensor) -> tuple[Images, Images, dict[str, NDArray[Any]]]:
+        """Return {label: values of a View}: apparent temperature, the same after the sensor, and sensor counts."""
+        seen: Images = {}
+        read: Images = {}
+        counts: dict[str, NDArray[Any]] = {}
+        camera, contrast = self.scene.camera, None
+        if view.truth is not None:
             contrast = emissivities.contrast(view, self.scene.sky_temperature, camera.band_um)
-        for method in self._made:
+        for method in self._setup.methods:
             own = self._found[method.label]
+            radiance: Image
             if method.build is not None:
-                radiance = self._frames.radiance(method, view.index)
+                radiance = self._setup.frames.radiance(method, view.index)
             else:
                 began = method.clock()
                 radiance = method.radiance(view)
                 own.seconds.append(method.clock() - began)
             image = seen[method.label] = apparent_temperature(radiance, camera.band_um)
             counts[method.label], read[method.label] = _read(radiance, sensor, camera, view.index)
-            if self._has_truth and method.letter not in ("D", "E"):
+            if view.truth is not None and contrast is not None and method.letter not in ("D", "E"):
                 ground = view.known & (view.object < 0)
                 own.explained.add(self.scene.name, view, contrast, radiance, image - view.truth, self._emissivity)
                 own.gain.add(image[ground], view.truth[ground])
         return seen, read, counts
 
-    def _keep(self, view, seen):
+    def _keep(self, folder: Path, view: views.View, seen: Images) -> None:
         """Write the frames of a View."""
-        folder = self._arrays / "arrays"
         folder.mkdir(exist_ok=True)
         names = array_names(seen)
-        named = {names[label]: image.astype(np.float32) for label, image in seen.items()}
-        reference = {} if view.truth is None else {"reference": view.truth}
+        arrays: dict[str, Any] = {names[label]: image.astype(np.float32) for label, image in seen.items()}
+        reference: dict[str, Any] = {} if view.truth is None else {"reference": view.truth}
         path = folder / f"{self.scene.name}_{view.index:04d}.npz"
-        np.savez_compressed(path, known=view.known, **reference, **named)
+        np.savez_compressed(path, known=view.known, **reference, **arrays)
 
-    def _score(self, view, seen, read, counts, true_read, table):
+    def _score(
+        self,
+        view: views.View,
+        truth: Image,
+        seen: Images,
+        read: Images,
+        counts: dict[str, NDArray[Any]],
+        true_read: Image,
+    ) -> None:
+        """Add the errors of all methods at a View, before and after the sensor."""
+        scene, land = self.scene.name, self._setup.land
         classes = scores.PixelClasses(view, self._objects, self._corners)
-        reference = transform(view.truth, view.known)
+        reference = transform(truth, view.known)
         self._reference_structure.add(reference, reference)
         for label, image in seen.items():
             own = self._found[label]
-            stages = ((scores.RADIOMETRIC, image, view.truth), (scores.SENSOR, read[label], true_read))
-            for stage, picture, truth in stages:
-                error = picture[view.known].astype(np.float64) - truth[view.known]
-                for surface, material, row in own.tally.add(self.scene.name, self._land, view, stage, classes, error):
-                    told = sums.summary(row)
-                    table.append((self.scene.name, self._land, view.index, view.time_s, label, stage, surface, material,
-                                 told["pixels"], told["pixels_without_temperature"], told["me_k"], told["mae_k"],
-                                 told["rmse_k"]))  # fmt: skip
+            stages = ((scores.RADIOMETRIC, image, truth), (scores.SENSOR, read[label], true_read))
+            for stage, picture, true in stages:
+                error = picture[view.known].astype(np.float64) - true[view.known]
+                for surface, material, row in own.tally.add(scene, land, view, stage, classes, error):
+                    errors = sums.summary(row)
+                    self._totals.table.append((
+                        scene, land, view.index, view.time_s, label, stage, surface, material, errors["pixels"],
+                        errors["pixels_without_temperature"], errors["me_k"], errors["mae_k"], errors["rmse_k"],
+                    ))  # fmt: skip
             own.structure.add(transform(image, view.known), reference)
-            own.targets.add(self.scene.name, view, self._objects, image, counts[label])
+            own.targets.add(scene, view, self._objects, image, counts[label])
 
-    def _split(self, view, seen, read):
+    def _split(self, view: views.View, seen: Images, read: Images) -> None:
+        """Add the terms of the differences between B and C1 at a View."""
         for name, (flat, solid) in self._pairs.items():
-            pictures = self._frames.terms(solid, view.index)
+            pictures = self._setup.frames.terms(solid, view.index)
             parts = terms_of(pictures, seen[flat.label], seen[solid.label], read[flat.label], read[solid.label])
-            whole, together = read[solid.label] - read[flat.label], sum(parts.values())
-            # Where a step on the way has no temperature, nothing is split.
+            whole = read[solid.label] - read[flat.label]
+            together: Image = sum(parts.values(), start=np.float32(0.0))
+            # Pixels where a step has no temperature do not count.
             known = view.known & np.isfinite(whole) & np.isfinite(together)
             pair = (transform(image, view.known) for image in (seen[flat.label], seen[solid.label]))
             self._found[flat.label].registered.add(*pair)
@@ -243,7 +316,7 @@ class Trial:
             for k, image in enumerate((*parts.values(), whole)):
                 self._terms[name][k] += sums.row(image[known])
 
-    def _differences(self, view, seen):
+    def _differences(self, view: views.View, seen: Images) -> None:
         labels = list(seen)
         for k, one in enumerate(labels):
             for other in labels[k + 1 :]:
@@ -251,54 +324,58 @@ class Trial:
                 row = self._between_methods.setdefault((one, other), np.zeros(sums.WIDTH))
                 row += sums.row(off)
 
-    def _follow(self, track, seen_before, seen, before, view):
-        if self._has_truth:
+    def _follow(
+        self, track: Track, seen_before: Images, seen: Images, before: views.View, view: views.View
+    ) -> None:
+        """Add the changes of the same ground points from one View to the next."""
+        if before.truth is not None and view.truth is not None:
             self._changes += _moments(track.change(before.truth, view.truth))
         for label, image in seen.items():
             self._found[label].changes += _moments(track.change(seen_before[label], image))
 
-    def _render(self, say):
-        """Render the frames of all methods that are rendered, one after the other."""
+    def _render(self, report: Progress) -> None:
+        """Render the frames of all rendered methods, one method after the other."""
         split = [solid.label for _, solid in self._pairs.values()]
-        for method in self._made:
+        for method in self._setup.methods:
             if method.build is None:
                 continue
             own = self._found[method.label]
-            told = self._frames.rendered(method, self._described, method.label in split, say)
-            own.once_s += told["once_s"]
-            own.seconds += told["seconds"]
-            own.circular += told["circular"]
-            for name, row in told["emissivities"].items():
+            facts = self._setup.frames.rendered(method, self._described, method.label in split, report)
+            own.once_s += facts["once_s"]
+            own.seconds += facts["seconds"]
+            own.circular += facts["circular"]
+            for name, row in facts["emissivities"].items():
                 own.scene_emissivities[name] = own.scene_emissivities.get(name, 0.0) + np.array(row)
-            if told["report"]:
-                self._reports[method.label] = told["report"]
+            if facts["report"]:
+                self._reports[method.label] = facts["report"]
 
-    def _described(self, method):
-        """What a rendered method's scene tells: whether the truth is its own, and emissivities beside the true ones."""
+    def _described(self, method: Method) -> dict[str, Any]:
+        """Return facts of a rendered method's scene: whether it made the truth, and its and the true emissivities."""
         scene = method.renderer.scene
-        told = {"circular": [], "emissivities": {}, "report": dict(scene.temperature_state.report)}
-        if self._has_truth and method.letter != "F":
+        facts: dict[str, Any] = {"circular": [], "emissivities": {}, "report": dict(scene.temperature_state.report)}
+        if self._setup.has_truth and method.letter != "F":
             text = provenance.circular(scene, self.scene) if method.letter != "O" else None
-            told["circular"] += [text] if text else []
+            facts["circular"] += [text] if text else []
             rows = emissivities.of_scenes(scene, self.scene)
-            told["emissivities"] = {name: row.tolist() for name, row in rows.items()}
-        return told
+            facts["emissivities"] = {name: row.tolist() for name, row in rows.items()}
+        return facts
 
-    def summary(self):
-        """Return what is told of the scene, plain numbers."""
-        scene, campaign = self.scene, self._campaign
+    def summary(self) -> dict[str, Any]:
+        """Return the results of the scene, as plain numbers."""
+        scene, setup = self.scene, self._setup
         pairs = {}
         for name, (flat, solid) in self._pairs.items():
             rows = [sums.summary(row) for row in self._terms[name]]
             pairs[name] = {"from": flat.label, "to": solid.label,
                            "terms": dict(zip((*NAMES, "whole"), rows, strict=True))}  # fmt: skip
-        spectrum = self._reference_structure.summary()["spectrum"] if self._has_truth else None
+        spectrum = self._reference_structure.summary()["spectrum"] if setup.has_truth else None
         return {
-            "name": scene.name, "title": scene.spec.title, "land": self._land,
+            "name": scene.name, "title": scene.spec.title, "land": setup.land,
             "time": None if scene.time is None else utc_text(scene.time), **weather_of(scene),
             "sun_elevation_deg": _sun_elevation(scene),
-            "digest": scene.digest(), "poses": len(self._flight.times), "reference": self._has_truth,
-            "campaign": None if campaign is None else vars(campaign), "plan": self._reference.plan.as_dict(),
+            "digest": scene.digest(), "poses": len(setup.flight.times), "reference": setup.has_truth,
+            "campaign": None if setup.campaign is None else vars(setup.campaign),
+            "plan": setup.reference.plan.as_dict(),
             "terms": pairs, "terms_apart_mk": 1e3 * self._apart, "spectrum": spectrum,
             "steadiness_k": _deviation(self._changes), "maps": self._reports,
             "differences": [{"one": one, "other": other, **sums.summary(row)}
@@ -306,36 +383,36 @@ class Trial:
         }  # fmt: skip
 
 
-def _sun_elevation(scene):
-    """That of the sun at a scene's hour and place [deg], None where these are not known."""
+def _sun_elevation(scene: Scene) -> float | None:
+    """Return the sun's elevation at a scene's time and place [deg], None if these are unknown."""
     if scene.time is None or scene.frame is None:
         return None
     return float(position_at(scene.time, scene.frame.latitude_deg, scene.frame.longitude_deg)[1])
 
 
-def _read(radiance, sensor, camera, index):
-    """(Counts, apparent temperature) of radiance (H, W) behind a sensor; NaN where there is none to begin with."""
+def _read(radiance: Image, sensor: Sensor, camera: Camera, index: int) -> tuple[NDArray[Any], Image]:
+    """Return (counts, apparent temperature) of radiance (H, W) after a sensor; NaN where the radiance is unknown."""
     known = np.isfinite(radiance)
     middle = np.median(radiance[known]) if known.any() else 0.0
-    # What is not there must not chill what is, through the lens.
+    # The median at unknown pixels keeps the optics from darkening their neighbours.
     counts = sensor.counts_at_rest(np.where(known, radiance, middle).astype(np.float32), index)
     seen = apparent_temperature(radiance_from_counts(counts, camera), camera.band_um)
     return counts, np.where(known, seen, np.float32(np.nan))
 
 
-def _moments(change):
+def _moments(change: Image) -> NDArray[np.float64]:
     finite = change[np.isfinite(change)].astype(np.float64)
     return np.array([finite.size, finite.sum(), (finite**2).sum()])
 
 
-def _deviation(moments):
-    """Root mean square of changes [K], or None."""
+def _deviation(moments: NDArray[np.float64]) -> float | None:
+    """Return the root mean square of changes [K], or None."""
     return float(np.sqrt(moments[2] / moments[0])) if moments[0] else None
 
 
-def array_names(labels):
-    """Return {label: name in a `.npz`}: letters, digits, + and −, else underscores; numbered where two are alike."""
-    found = {}
+def array_names(labels: Iterable[str]) -> dict[str, str]:
+    """Return {label: name in a `.npz`}: letters, digits, + and −, underscores for others; numbered if not unique."""
+    found: dict[str, str] = {}
     for label in labels:
         plain = name = "".join(char if char.isalnum() or char in "+-" else "_" for char in label)
         number = 1

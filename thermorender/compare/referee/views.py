@@ -1,11 +1,14 @@
-"""A pose as it is judged: its photograph, and what is really there."""
+"""The data of a pose for its comparison: its photograph and the truth."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.frame import apparent_temperature
 from thermorender.output.photograph import photograph
+from thermorender.render.renderer import Renderer
 from thermorender.scene.surface import FALLBACK, FILLED, SURFACE
 
 
@@ -22,47 +25,48 @@ class View:
     visible : (H, W, 3) uint8
         Photograph registered to the thermal camera.
     texel_m : float or None
-        Ground sampling distance [m], a median; None where no ground is seen.
+        Median ground sampling distance [m]; None where no ground is visible.
     known : (H, W) bool
-        Where methods are judged: something of the scene, in a known colour and at a known temperature.
+        Pixels that are scored: surfaces of known colour and temperature.
     object : (H, W) int
-        Number of the object that is seen, −1 for ground and sky.
+        Number of the visible object, −1 for ground and sky.
     material : (H, W) uint8
         Number in `material_names`, 255 for none.
     material_names : tuple of str
     kinetic : (H, W) float32
-        Temperature of the surface [K].
+        Kinetic temperature of the surface [K].
     depth : (H, W) float32
-        Along the optical axis [m], infinite where nothing is.
+        Depth along the optical axis [m], infinite without a surface.
     position : (H, W, 3) float32
-        [m]
+        Position of the surface in the world [m].
     truth_radiance : (H, W) float32 or None
-        Of the reference [W m⁻² sr⁻¹]; None where the scene's temperatures are not known.
+        Band radiance of the reference [W m⁻² sr⁻¹]; None if the scene's temperatures are unknown.
     truth : (H, W) float32 or None
         Its apparent temperature [K].
     """
 
     index: int
     time_s: float
-    pose: np.ndarray
-    visible: np.ndarray
+    pose: NDArray[np.float64]
+    visible: NDArray[np.uint8]
     texel_m: float | None
-    known: np.ndarray
-    object: np.ndarray
-    material: np.ndarray
-    material_names: tuple
-    kinetic: np.ndarray
-    depth: np.ndarray
-    position: np.ndarray
-    truth_radiance: np.ndarray | None
-    truth: np.ndarray | None
+    known: NDArray[np.bool_]
+    object: NDArray[np.integer]
+    material: NDArray[np.uint8]
+    material_names: tuple[str, ...]
+    kinetic: NDArray[np.float32]
+    depth: NDArray[np.float32]
+    position: NDArray[np.float32]
+    truth_radiance: NDArray[np.float32] | None
+    truth: NDArray[np.float32] | None
 
 
-def view_of(renderer, pose, time_s, index, has_truth):
-    """Return the View of a pose; with `has_truth` the renderer's temperatures are the true ones."""
+def view_of(renderer: Renderer, pose: ArrayLike, time_s: float, index: int, has_truth: bool) -> View:
+    """Return the View of a pose; `has_truth` says whether the renderer's temperatures are the true ones."""
     frame = renderer.frame(pose, time_s, index)
     visible, covered = photograph(renderer, pose, time_s)
-    images, camera = frame.truth, renderer.scene.camera
+    images: dict[str, Any] = frame.truth
+    camera = renderer.scene.camera
     flags = images["mask"]
     known = covered & ((flags & SURFACE) > 0) & ((flags & FILLED) == 0)
     if has_truth:
@@ -78,6 +82,7 @@ def view_of(renderer, pose, time_s, index, has_truth):
     )  # fmt: skip
 
 
-def evenly(count, most):
-    """Return up to `most` different numbers of 0…count − 1, evenly spaced, the first and the last among them."""
-    return list(dict.fromkeys(np.linspace(0, count - 1, min(most, count)).round().astype(int).tolist()))
+def evenly(count: int, most: int) -> list[int]:
+    """Return up to `most` different numbers of 0…count − 1, evenly spaced, with the first and the last."""
+    numbers: list[int] = np.linspace(0, count - 1, min(most, count)).round().astype(int).tolist()
+    return list(dict.fromkeys(numbers))

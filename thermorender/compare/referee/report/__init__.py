@@ -1,1 +1,1 @@
-"""The page of a comparison: tables, figures and pictures."""
+"""The HTML report of a comparison: tables, figures and pictures."""

@@ -1,18 +1,26 @@
 """Figures of a comparison: error images, errors against run time, spectra, the terms of a difference, and ROC."""
 
 import io
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender import files
+from thermorender.compare.referee.views import View
 from thermorender.units import ZERO_CELSIUS_K
+
+Summary = dict[str, Any]
+_Look = dict[str, Any]
 
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#F0E442", "#000000")
 _STYLE = {"B": "-", "C1": "--", "C2": ":"}
 _LETTER = {"B": "o", "C1": "s", "C2": "D", "D": "x", "E": "+", "F": "^", "O": "*", "foreign": "P"}
 
 
-def colour_tables():
+def colour_tables() -> dict[str, list[list[int]]]:
     """Return {"temperature", "error"}: 256 colours (red, green, blue) each, 0…255."""
     from matplotlib import colormaps
 
@@ -21,9 +29,9 @@ def colour_tables():
             for name, table in tables.items()}  # fmt: skip
 
 
-def error_images(path, view, seen):
-    """Write the frames of a pose beside the reference and below each how it errs, as PNG; without a reference the
-    frames alone."""
+def error_images(path: Path, view: View, seen: Mapping[str, NDArray[np.floating]]) -> None:
+    """Write the reference and the frames of a pose, each with its error image below, as PNG; without a reference the
+    frames only."""
     figure, pyplot = _figure()
     labels = list(seen)
     columns = min(6, len(labels) + 1)
@@ -36,13 +44,10 @@ def error_images(path, view, seen):
     base = view.truth if view.truth is not None else seen[labels[0]]
     warm = base[view.known & np.isfinite(base)] - ZERO_CELSIUS_K
     low, high = np.percentile(warm, [1, 99]) if warm.size else (0.0, 1.0)
-    errors = {label: np.where(view.known, image - view.truth, np.nan) for label, image in seen.items()
-              } if view.truth is not None else {}  # fmt: skip
-    off = (
-        np.concatenate([np.abs(error[np.isfinite(error)][::17]) for error in errors.values()])
-        if errors
-        else np.zeros(0)
-    )
+    errors: dict[str, NDArray[np.floating]] = {}
+    if view.truth is not None:
+        errors = {label: np.where(view.known, image - view.truth, np.nan) for label, image in seen.items()}
+    off = np.concatenate([np.zeros(0), *(np.abs(error[np.isfinite(error)][::17]) for error in errors.values())])
     limit = float(np.percentile(off, 95)) if off.size else 1.0
     step = 2 if errors else 1
     shown = drawn = None
@@ -73,17 +78,18 @@ def error_images(path, view, seen):
     pyplot.close(drawing)
 
 
-def against_time(summary):
-    """Return a PNG (bytes) of mean absolute error on ground against seconds per frame, or None."""
+def against_time(summary: Summary) -> bytes | None:
+    """Return a PNG of mean absolute error on ground against seconds per frame, or None."""
     scored = [(own, own["errors"]["radiometric"]["ground"]) for own in summary["methods"].values() if own["errors"]]
-    # An error of exactly 0 has no place on a logarithmic scale.
+    # A logarithmic scale cannot show an error of exactly 0.
     scored = [(own, error) for own, error in scored if error["mae_k"] and own["seconds_per_frame"]]
     if not scored:
         return None
     figure, pyplot = _figure()
     drawing = figure(figsize=(8.0, 4.6), layout="constrained")
     axis = drawing.subplots()
-    colours, used = _coloured(own for own, _ in scored), set()
+    colours = _coloured(own for own, _ in scored)
+    used: set[str] = set()
     for own, error in scored:
         ends = (error.get("interval_95") or {}).get("mae_k")
         bars = None if ends is None else [[max(error["mae_k"] - ends[0], 0.0)], [max(ends[1] - error["mae_k"], 0.0)]]
@@ -99,10 +105,10 @@ def against_time(summary):
     return _png(drawing, pyplot)
 
 
-def spectra(summary):
-    """Return a PNG (bytes) of the power of the methods and of the reference against spatial frequency, or None."""
+def spectra(summary: Summary) -> bytes | None:
+    """Return a PNG of the power of the methods and of the reference against spatial frequency, or None."""
     references = [each["spectrum"] for each in summary["scenes"] if each["spectrum"]]
-    # One without any structure has no place on a logarithmic scale; materials that are learned change little in it.
+    # A logarithmic scale cannot show zero power. C2 is left out: learned materials change its spectrum little.
     curves = [(own, own["structure"]["spectrum"]) for own in _best(summary)
               if own["letter"] not in ("C2", "D", "E") and own["structure"]["spectrum"]
               and min(own["structure"]["spectrum"]["k2_px2"]) > 0.0]  # fmt: skip
@@ -126,17 +132,16 @@ def spectra(summary):
     return _png(drawing, pyplot)
 
 
-def differences(summary):
-    """Return a PNG (bytes) of the mean absolute difference between every two methods where no truth is known, or
-    None."""
-    total = {}
+def differences(summary: Summary) -> bytes | None:
+    """Return a PNG of the mean absolute difference of each pair of methods in scenes without truth, or None."""
+    total: dict[tuple[str, str], NDArray[np.float64]] = {}
     for scene in summary["scenes"]:
         for each in scene["differences"]:
             if each["pixels"]:
                 row = total.setdefault((each["one"], each["other"]), np.zeros(2))
                 row += np.array([each["mae_k"], 1.0]) * each["pixels"]
     labels = list(dict.fromkeys(label for pair in total for label in pair))
-    # Two are told by a line of the table.
+    # For two methods, the table suffices.
     if len(labels) < 3:
         return None
     matrix = np.full((len(labels), len(labels)), np.nan)
@@ -159,9 +164,9 @@ def differences(summary):
     return _png(drawing, pyplot)
 
 
-def terms(summary, names):
-    """Return a PNG (bytes) of the mean absolute size of the terms between B and C, per map over all scenes."""
-    total = {}
+def terms(summary: Summary, names: Sequence[str]) -> bytes | None:
+    """Return a PNG of the mean absolute size of the terms between B and C, per map over all scenes, or None."""
+    total: dict[str, dict[str, NDArray[np.float64]]] = {}
     for scene in summary["scenes"]:
         for name, pair in scene["terms"].items():
             for term in (*names, "whole"):
@@ -185,8 +190,8 @@ def terms(summary, names):
     return _png(drawing, pyplot)
 
 
-def roc(summary):
-    """Return a PNG (bytes) of the share of targets that a plain detector finds, against its false alarms."""
+def roc(summary: Summary) -> bytes | None:
+    """Return a PNG of the share of targets that a simple detector finds against its false alarms, or None."""
     curves = [(own, own["targets"]["roc"]) for own in _best(summary) if own["letter"] != "C2" and own["targets"]["roc"]]
     known = summary["targets"]["roc"]
     if not curves:
@@ -194,7 +199,8 @@ def roc(summary):
     figure, pyplot = _figure()
     drawing = figure(figsize=(8.0, 4.6), layout="constrained")
     axis = drawing.subplots()
-    colours, black = _coloured(own for own, _ in curves), {"color": "black", "lw": 2.5}
+    colours = _coloured(own for own, _ in curves)
+    black: _Look = {"color": "black", "lw": 2.5}
     if known:
         x, y = np.array(known)[:, :2].T
         axis.step(np.maximum(x, 1e-2), y, where="post", **black)
@@ -207,35 +213,41 @@ def roc(summary):
     return _png(drawing, pyplot)
 
 
-def _best(summary):
-    """The methods that a figure has room for: of each map and letter that with the best bounds, which stands last."""
+def _best(summary: Summary) -> list[dict[str, Any]]:
+    """Return the methods that a figure shows: for each map and letter the one with the best bounds, which is last."""
     methods = [own for own in summary["methods"].values() if not own["true_objects"]]
     return list({(own["letter"], own["map"]): own for own in methods}.values())
 
 
-def _coloured(methods):
-    """{map: colour}."""
+def _coloured(methods: Iterable[dict[str, Any]]) -> dict[str, Any]:
+    """Return {map: colour}."""
     from matplotlib import colormaps
 
     names = list(dict.fromkeys(own["map"] for own in methods))
-    palette = _COLOURS if len(names) <= len(_COLOURS) else colormaps["tab20"].colors
+    palette: Sequence[Any] = _COLOURS if len(names) <= len(_COLOURS) else list(colormaps["tab20"](np.arange(20)))
     return {name: palette[number % len(palette)] for number, name in enumerate(names)}
 
 
-def _line(own, colours):
+def _line(own: dict[str, Any], colours: Mapping[str, Any]) -> _Look:
     return {"color": colours[own["map"]], "ls": _STYLE.get(own["letter"], "-.")}
 
 
-def _legend(axis, pyplot, methods, colours, first=()):
-    """Tell maps by colour, and letters by dashes."""
+def _legend(
+    axis: Any,
+    pyplot: Any,
+    methods: Sequence[dict[str, Any]],
+    colours: Mapping[str, Any],
+    first: Sequence[tuple[str, _Look]] = (),
+) -> None:
+    """Draw a legend of maps by colour, and of letters by dashes."""
     letters = [letter for letter in _STYLE if any(own["letter"] == letter for own in methods)]
-    entries = [*first, *((name, {"color": colour}) for name, colour in colours.items())]
+    entries: list[tuple[str, _Look]] = [*first, *((name, {"color": colour}) for name, colour in colours.items())]
     entries += [(letter, {"color": "grey", "ls": _STYLE[letter]}) for letter in letters]
     handles = [pyplot.Line2D([], [], label=name, **look) for name, look in entries]
     axis.legend(handles=handles, fontsize=7, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
-def _figure():
+def _figure() -> tuple[Callable[..., Any], Any]:
     import matplotlib
 
     matplotlib.use("Agg")
@@ -244,7 +256,7 @@ def _figure():
     return pyplot.figure, pyplot
 
 
-def _png(drawing, pyplot):
+def _png(drawing: Any, pyplot: Any) -> bytes:
     content = io.BytesIO()
     drawing.savefig(content, dpi=100, format="png")
     pyplot.close(drawing)

@@ -1,4 +1,4 @@
-// A picture's red and green are the high and low byte of temperature in steps of 1/20 K; blue tells where it is judged.
+// Red and green of a picture are the high and low byte of temperature in steps of 1/20 K; blue marks scored pixels.
 const views = JSON.parse(document.getElementById("views").textContent);
 const maps = JSON.parse(document.getElementById("colours").textContent);
 const viewer = document.querySelector(".viewer"), chooser = document.getElementById("pose");
@@ -44,7 +44,7 @@ function paint(each, valueAt, from, to, table) {
 function draw() {
   const truth = shown.find((each) => each.reference);
   const error = mode.value === "error" && truth !== undefined;
-  // Without a reference all pictures share the scale of all of them.
+  // Without a reference, all pictures share one scale.
   const ends = (truth ? [truth] : shown).map((each) => range(each.picture.values, each.picture.known, 0.01));
   const cold = Math.min(...ends.map((each) => each[0])), warm = Math.max(...ends.map((each) => each[1]));
   let most = 1;

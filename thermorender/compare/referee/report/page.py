@@ -1,7 +1,9 @@
-"""The report: one HTML page that stands alone, its pictures inside, its tables sorted by a click."""
+"""The report: one HTML file with embedded pictures and sortable tables."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from thermorender import formats
 from thermorender.compare.html import document, figure, table, text
@@ -9,20 +11,22 @@ from thermorender.compare.referee import findings
 from thermorender.compare.referee.report import figures
 from thermorender.compare.referee.terms import NAMES
 
-# Longer lists and tables are folded, but for what is grave and for errors.
+Summary = dict[str, Any]
+
+# Longer lists and tables are folded, except grave findings and errors.
 _OPEN = 5
 
 
-def write_page(path, summary, views):
+def write_page(path: Path, summary: Summary, views: Sequence[dict[str, Any]]) -> None:
     """Write the page of a comparison's summary.
 
     Parameters
     ----------
     path : path
     summary : dict
-        As `compare` returns.
+        As `compare` returns it.
     views : list of dict
-        As `Pictures.views`.
+        As in `Pictures.views`.
     """
     here = Path(__file__)
     style, script = (here.with_name(name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
@@ -36,40 +40,38 @@ def write_page(path, summary, views):
     formats.write_text(path, document("Comparison of infrared frames", parts, style, script))
 
 
-def _head(summary):
+def _head(summary: Summary) -> str:
     scenes, poses = summary["scenes"], sum(each["poses"] for each in summary["scenes"])
     first = (
-        f"{len(scenes)} scene{'s' * (len(scenes) > 1)}, {poses} poses, {len(summary['methods'])} methods. All see the "
-        "same poses with the same camera, and photographs of the same light; errors are differences of apparent "
-        "temperature from the reference, a render from the true temperatures and materials. By letter: B a map applied "
-        "to the photograph, C applied to the orthophoto and rendered (C1 true materials, C2 learned ones), D a "
-        "constant, E a mean per material, F the heat balance, O an oracle. A map of intensities stands here with the "
-        "bounds it brings, refitted (1.5 interquartile ranges of thermal frames of other lands in the same hour and "
-        "weather) and calibrated (a straight line, by least squares, from what it says of their photographs to those "
-        "frames). "
-        "Refitted bounds suit a map trained in one campaign; of one trained in many they leave a fraction of the "
-        "contrast."
+        f"{len(scenes)} scene{'s' * (len(scenes) > 1)}, {poses} poses, {len(summary['methods'])} methods. All methods "
+        "get the same poses, camera and photographs. Errors are apparent temperature minus that of the reference, a "
+        "render from the true temperatures and materials. By letter: B is a map applied to the photograph, C is the "
+        "map applied to the orthophoto and rendered (C1 true materials, C2 learned ones), D a constant, E a mean per "
+        "material, F the heat balance, O an oracle. A map of intensities is shown with its own bounds, with refitted "
+        "bounds (1.5 interquartile ranges beyond the quartiles of thermal frames of other lands in the same hour and "
+        "weather), and calibrated (a least-squares line from its intensities of their photographs to those frames). "
+        "Refitted bounds suit a map that was trained in one campaign; they reduce the contrast of one trained in many."
     )
     return f"<p>{text(first)}</p><ul class=note>{''.join(f'<li>{text(note)}</li>' for note in summary['notes'])}</ul>"
 
 
-def _findings(summary):
+def _findings(summary: Summary) -> str:
     parts = []
     for title, grave, lines in findings.grouped(summary["findings"]):
         rows = "".join(f"<li class={'grave' if grave else 'plain'}>{text(line)}</li>" for line in lines)
         parts.append(_folded(title, len(lines), f"<ul>{rows}</ul>", grave))
-    return f"<h2>What was found</h2>{''.join(parts) or '<p>Nothing stands out.</p>'}"
+    return f"<h2>Findings</h2>{''.join(parts) or '<p>Nothing unusual was found.</p>'}"
 
 
-def _errors(summary):
+def _errors(summary: Summary) -> str:
     scored = {label: own for label, own in summary["methods"].items() if own["errors"]}
     if not scored:
         return ""
     rows = []
     for label, own in scored.items():
-        ground = own["errors"]["radiometric"]["ground"]
+        radiometric, sensor = own["errors"]["radiometric"], own["errors"]["sensor"]
+        ground = radiometric["ground"]
         ends = ground.get("interval_95") or {"me_k": None, "mae_k": None}
-        part = lambda stage, name, own=own: own["errors"][stage].get(name, {}).get("mae_k")  # noqa: E731
         seconds, limits = own["seconds_per_frame"], own["range_c"]
         cells = {
             "method": label,
@@ -78,9 +80,9 @@ def _errors(summary):
             "mean absolute error [°C]": _number(ground["mae_k"]),
             "95 % ": _range(ends["mae_k"]),
             "standard deviation [°C]": _number(ground["sd_k"]),
-            "objects": _number(part("radiometric", "objects")),
-            "with objects": _number(part("radiometric", "with objects")),
-            "behind the sensor": _number(part("sensor", "ground")),
+            "objects": _number(radiometric.get("objects", {}).get("mae_k")),
+            "with objects": _number(radiometric.get("with objects", {}).get("mae_k")),
+            "after the sensor": _number(sensor.get("ground", {}).get("mae_k")),
             "ms per frame": _number(None if seconds is None else 1e3 * seconds, ".1f"),
             "s per scene": _number(own["once_s"] or None, ".1f"),
             "scenes": str(own["scenes"]),
@@ -92,40 +94,41 @@ def _errors(summary):
         rows.append((tuple(cells.values()), bool(own["leaks"] or own["circular"])))
     head = tuple(cells)
     words = (
-        "Mean error, mean absolute error and standard deviation as published studies give them, noise-free, on ground "
-        "alone; then the mean absolute error with objects, on objects, and behind the same sensor with the same noise. "
-        "What thermal frames of other lands tell is had only of scenes with others in their hour and weather. Seconds "
-        "per scene are those of making its temperatures and solving its light."
+        "Mean error, mean absolute error and standard deviation as in published studies, noise-free and on ground "
+        "only; then the mean absolute error on objects, with objects, and after the same sensor with the same noise. "
+        "Methods that use thermal frames of other lands exist only for scenes with others in their hour and weather. "
+        "Seconds per scene are the time for its temperatures and its light."
     )
     return f"<h2>Errors on ground</h2><p class=note>{words}</p>" + table(head, rows)
 
 
-def _pictures(views):
+def _pictures(views: Sequence[dict[str, Any]]) -> str:
     if not views:
         return ""
     options = "".join(f"<option value={number}>{text(view['title'])}</option>" for number, view in enumerate(views))
-    return ("<h2>Frames</h2><p class=note>Point at a picture: it tells kelvin. At half the camera's resolution here; "
-            "whole ones lie in the folder pictures.</p><div id=controls><label>pose <select id=pose>" + options +
+    return ("<h2>Frames</h2><p class=note>Point at a picture to read kelvin. These pictures have half the camera's "
+            "resolution; full ones are in the folder pictures.</p><div id=controls><label>pose <select id=pose>"
+            + options +
             "</select></label><label>show <select id=mode><option value=frame>frames</option><option value=error>errors"
             "</option></select></label><span><span id=low></span> <span id=scale></span> <span id=high></span></span>"
             "<output id=kelvin></output></div><div class=viewer></div>")  # fmt: skip
 
 
-def _figures(summary):
+def _figures(summary: Summary) -> str:
     drawn = (
         (figures.against_time(summary),
-         "Error against run time of a frame, on the machine named below; training is not in it, nor what a rendered "
-         "scene needs once."),
-        (figures.spectra(summary), "Power spectra of the frames' middles: below the reference a method blurs, above it "
-                                   "it invents structure."),
-        (figures.roc(summary), "Whether a plain detector of spots warmer or colder than around them finds the targets "
-                               "behind the sensor. It measures by each picture's own scatter: in one that shows little "
-                               "else a target is found easily, whatever its contrast."),
+         "Error against run time of a frame on the machine named below, without training and without the time that a "
+         "rendered scene needs once."),
+        (figures.spectra(summary), "Power spectra of the frames' central squares: a method below the reference blurs, "
+                                   "one above it invents structure."),
+        (figures.roc(summary), "Share of targets found after the sensor by a simple detector of spots that are warmer "
+                               "or colder than their surroundings. Its unit is each frame's own standard deviation: in "
+                               "a frame with little other contrast, a weak target is found easily."),
     )  # fmt: skip
     return "".join(figure(content, words) for content, words in drawn if content)
 
 
-def _differences(summary):
+def _differences(summary: Summary) -> str:
     rows = [((scene["name"], each["one"], each["other"], _number(each["me_k"], "+.3f"), _number(each["mae_k"]),
               _number(each["sd_k"])), False)
             for scene in summary["scenes"] for each in scene["differences"]]  # fmt: skip
@@ -133,12 +136,13 @@ def _differences(summary):
         return ""
     head = ("scene", "method", "against", "mean difference [K]", "mean absolute [K]", "standard deviation [K]")
     drawn = figures.differences(summary)
-    return ("<h2>Differences between methods</h2><p class=note>No true temperature is known here: these are no errors."
-            "</p>" + (figure(drawn, "Mean absolute difference between every two methods.") if drawn else "")
-            + _folded("Every two of them", len(rows), table(head, rows)))  # fmt: skip
+    return ("<h2>Differences between methods</h2><p class=note>The true temperature is unknown here: these are "
+            "differences, not errors.</p>"
+            + (figure(drawn, "Mean absolute difference of each pair of methods.") if drawn else "")
+            + _folded("All pairs", len(rows), table(head, rows)))  # fmt: skip
 
 
-def _terms(summary):
+def _terms(summary: Summary) -> str:
     rows = []
     for scene in summary["scenes"]:
         for name, pair in scene["terms"].items():
@@ -151,9 +155,9 @@ def _terms(summary):
     apart = max(scene["terms_apart_mk"] for scene in summary["scenes"])
     head = ("scene", "map", "from", "to", *(f"{term} [K]" for term in (*NAMES, "whole")))
     words = (
-        "Mean (and mean absolute) terms of the way from B to C, behind the sensor, each changing one thing: how the "
-        "map saw the ground, what emits, what is reflected, the air, the sensor. Steps of one way, they add up to the "
-        f"whole at every pixel, here to {apart:.2g} mK."
+        "Mean (and mean absolute) terms of the difference between B and C after the sensor: geometry (how the map saw "
+        "the ground), emission, reflection, air, sensor. They add up to the whole at every pixel, here to "
+        f"{apart:.2g} mK."
     )
     drawn = figures.terms(summary, NAMES)
     return (f"<h2>Why B and C differ</h2><p class=note>{words}</p>"
@@ -161,7 +165,7 @@ def _terms(summary):
             + _folded("By scene and map", len(rows), table(head, rows)))  # fmt: skip
 
 
-def _targets(summary):
+def _targets(summary: Summary) -> str:
     rows = []
     every = {"reference": summary["targets"], **{label: own["targets"] for label, own in summary["methods"].items()}}
     for label, own in every.items():
@@ -175,11 +179,11 @@ def _targets(summary):
     return "<h2>Targets</h2>" + _folded("By method and target", len(rows), table(head, rows))
 
 
-def _structure(summary):
+def _structure(summary: Summary) -> str:
     rows = []
     for label, own in summary["methods"].items():
         shift = own["structure"]["shift"] if own["letter"] == "foreign" else own["registered"]
-        # What does not look alike has no shift.
+        # Pictures that do not correlate have no shift.
         shift = None if shift is None or abs(shift["correlation"]) < findings.ALIKE else shift
         steady, gain = own["steadiness_k"], own["gain"] or {"gain": None, "correlation": None}
         if shift is None and steady is None and gain["gain"] is None:
@@ -191,19 +195,19 @@ def _structure(summary):
     if not rows:
         return ""
     own = [scene["steadiness_k"] for scene in summary["scenes"] if scene["steadiness_k"] is not None]
-    words = "Ground points followed from frame to frame: root mean square of how a method changes its mind about them."
+    words = "Change between frames: root mean square change of ground points that are followed from frame to frame."
     if own:
         mean = (sum(each * each for each in own) / len(own)) ** 0.5
-        words += f" The reference itself, by view and sampling: {mean:.3f} K."
-    words += " What shows no contrast does not change."
+        words += f" For the reference, due to view and sampling: {mean:.3f} K."
+    words += " A frame without contrast does not change."
     words += " Shifts are those of B against C1 of the same map, and of foreign frames against the reference."
-    words += " Contrast is the slope of a method on the reference within a pose's ground, beside their correlation."
+    words += " Contrast is the slope of a method on the reference within a pose's ground, with their correlation."
     head = ("method", "shifted right [px]", "down [px]", "standard error [px]", "change between frames [K]", "contrast",
             "correlation")  # fmt: skip
-    return f"<h2>Registration, steadiness and contrast</h2><p class=note>{text(words)}</p>" + table(head, rows)
+    return f"<h2>Registration, stability and contrast</h2><p class=note>{text(words)}</p>" + table(head, rows)
 
 
-def _groups(summary):
+def _groups(summary: Summary) -> str:
     scored = {label: own for label, own in summary["methods"].items() if own["errors"]}
     parts = []
     for grouping in ("scene", "surface", "material", "range", "view angle", "edges"):
@@ -216,30 +220,30 @@ def _groups(summary):
             found = own["groups"]["radiometric"].get(grouping, {})
             rows.append(((label, *(f"{_number(found[name]['me_k'], '+.2f')} ({_number(found[name]['mae_k'], '.2f')})"
                                    if name in found else "" for name in classes)), False))  # fmt: skip
-        of = "scene, ground alone" if grouping == "scene" else f"{grouping}, with objects"
+        of = "scene, ground only" if grouping == "scene" else f"{grouping}, with objects"
         parts.append(f"<h3>By {of}</h3>" + table(("method", *classes), rows))
     words = "<p class=note>Mean (and mean absolute) error [K], noise-free.</p>"
-    return f"<h2>Where methods err</h2>{words}{''.join(parts)}" if parts else ""
+    return f"<h2>Errors by group</h2>{words}{''.join(parts)}" if parts else ""
 
 
-def _training(summary):
+def _training(summary: Summary) -> str:
     rows, seen = [], set()
     for own in summary["methods"].values():
-        if own["training"] is None or own["map"] in seen:
+        training = own["training"]
+        if training is None or own["map"] in seen:
             continue
         seen.add(own["map"])
-        told = own["training"]
-        pairs = told["pairs"] or {}
-        counts = ", ".join(f"{count} {part}" for part, count in pairs.items())
-        rows.append(((own["map"], told["method"], told["source"], counts, _number(told["training_s"], ".0f"),
-                      told["audited"], "; ".join(own["leaks"])), bool(own["leaks"])))  # fmt: skip
+        counts = ", ".join(f"{count} {part}" for part, count in (training["pairs"] or {}).items())
+        cells = (own["map"], training["method"], training["source"], counts, _number(training["training_s"], ".0f"),
+                 training["audited"], "; ".join(own["leaks"]))  # fmt: skip
+        rows.append((cells, bool(own["leaks"])))
     if not rows:
         return ""
     head = ("map", "method", "trained on", "pairs", "seconds", "audit", "leaks")
-    return "<h2>What was trained on what</h2>" + table(head, rows, words=(2, 5, 6))
+    return "<h2>Training of the maps</h2>" + table(head, rows, words=(2, 5, 6))
 
 
-def _scenes(summary):
+def _scenes(summary: Summary) -> str:
     rows = []
     for scene in summary["scenes"]:
         campaign = scene["campaign"]
@@ -256,30 +260,30 @@ def _scenes(summary):
     return "<h2>Scenes</h2>" + table(head, rows, words=(1,)) + f"<p class=note>{text(words)}</p>"
 
 
-def _legend():
+def _legend() -> str:
     words = (
-        "Errors of poses, surfaces, materials and scenes, and their means, can be formed anew from pixels.csv beside "
-        "this page; everything else stands in comparison.json. 1 K is 1 °C of difference. The effective number of "
-        "pixels is that of independent ones that would tell the mean as well. A method in red has seen the test, or "
-        "made the reference."
+        "Errors by pose, surface, material and scene can be computed from pixels.csv in the folder of this page; all "
+        "other values are in comparison.json. 1 K is a difference of 1 °C. The effective number of pixels is the "
+        "number of independent pixels with the same standard error of the mean. A method in red was trained on the "
+        "test scene, or made the reference."
     )
     return f"<h2>How to read this</h2><p>{words}</p>"
 
 
-def _folded(title, count, inner, opened=False):
-    """A list or table of so many lines that opens by a click, and is open from the start where they are few."""
-    opened = " open" * (opened or count <= _OPEN)
-    return f"<details{opened}><summary>{text(title)} ({count})</summary>{inner}</details>"
+def _folded(title: str, count: int, inner: str, opened: bool = False) -> str:
+    """Return a list or table of `count` lines that opens by a click; a short one is open at the start."""
+    state = " open" * (opened or count <= _OPEN)
+    return f"<details{state}><summary>{text(title)} ({count})</summary>{inner}</details>"
 
 
-def _number(value, form=".3f"):
+def _number(value: float | None, form: str = ".3f") -> str:
     return "" if value is None else format(int(value) if form == "d" else value, form)
 
 
-def _range(ends, form=".2f"):
+def _range(ends: Sequence[float] | None, form: str = ".2f") -> str:
     return "" if ends is None else "…".join(format(end, form) for end in ends)
 
 
-def _json(value):
-    # Nothing in it may look like a tag.
+def _json(value: object) -> str:
+    # Escaped, so that no content can close the script element.
     return json.dumps(value).replace("<", "\\u003c")

@@ -1,19 +1,22 @@
-"""Pictures of a comparison: kept small inside the page, where hovering tells kelvin, and at full size as files."""
+"""Pictures of a comparison: small ones inside the page, which show kelvin under the pointer, and full-size files."""
 
 import base64
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.compare.referee.report.figures import error_images
-from thermorender.compare.referee.views import evenly
+from thermorender.compare.referee.views import View, evenly
 
-# Steps of a picture's values inside the page, per kelvin; and how much the page may hold of them [bytes].
+# Steps per kelvin of the pictures inside the page, and their largest total size [bytes].
 STEPS_PER_K = 20.0
 MOST_BYTES = 12_000_000
-# Poses that are drawn, at most: of a scene, and of all, but one of each.
+# Largest number of poses drawn per scene and in total; each scene gets at least one.
 _POSES, _ALL = 3, 12
 
 
@@ -24,20 +27,20 @@ class Pictures:
     Attributes
     ----------
     folder : Path
-        Where files go, below `pictures`.
+        Files are written to its folder `pictures`.
     scenes : int
-        How many scenes share them.
+        Number of scenes.
     views : list of dict
-        {"title", "visible", "pictures": [{"label", "source", "reference"}]} of each pose that the page shows.
+        {"title", "visible", "pictures": [{"label", "source", "reference"}]} of each pose on the page.
     """
 
     folder: Path
     scenes: int = 1
-    views: list = field(default_factory=list)
+    views: list[dict[str, Any]] = field(default_factory=list)
     _bytes: int = 0
 
-    def add(self, scene, view, seen, index, count):
-        """Add the pictures of a View where it is among those that are drawn: `seen` is {label: (H, W) kelvin}."""
+    def add(self, scene: str, view: View, seen: Mapping[str, NDArray[np.floating]], index: int, count: int) -> None:
+        """Add the pictures of View `index` of `count` if it is drawn: `seen` is {label: (H, W) kelvin}."""
         if index not in evenly(count, min(_POSES, max(1, _ALL // self.scenes))):
             return
         place = self.folder / "pictures"
@@ -58,11 +61,11 @@ class Pictures:
         })  # fmt: skip
 
 
-def encoded(kelvin, known):
-    """Return a picture at half its size as a data URL of a PNG that keeps kelvin.
+def encoded(kelvin: NDArray[np.floating], known: NDArray[np.bool_]) -> str:
+    """Return a picture at half its size as a data URL of a PNG that encodes kelvin.
 
-    Red and green are the high and the low byte of the temperature in steps of 1/20 K, 0 for none; blue is 255 where it
-    is judged.
+    Red and green are the high and low byte of the temperature in steps of 1/20 K, 0 for none; blue is 255 at scored
+    pixels.
     """
     small = kelvin[::2, ::2]
     steps = np.where(np.isfinite(small), np.clip(np.rint(np.nan_to_num(small) * STEPS_PER_K), 0, 65535), 0).astype(
@@ -73,5 +76,5 @@ def encoded(kelvin, known):
     return _data("png", cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 6])[1])
 
 
-def _data(kind, content):
+def _data(kind: str, content: Any) -> str:
     return f"data:image/{kind};base64,{base64.b64encode(np.asarray(content).tobytes()).decode()}"
