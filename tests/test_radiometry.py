@@ -321,7 +321,7 @@ def test_damaged_files_give_one_sentence(tmp_path):
         (fff(np.full((12, 16), 1, np.uint16), records=1), "holds no camera block"),
         (fff(raw, pixels=png(raw[:3, :4], ">")), "the PNG inside is 4×3"),
         (fff(raw, pixels=png(raw, ">")[:-60]), "the PNG inside cannot be read"),
-        (fff(raw, pieces=3).replace(b"FLIR\0\x01\x01", b"XXXX\0\x01\x01"), "announces 3 pieces of FLIR data and holds 2"),
+        (fff(raw, pieces=3).replace(b"FLIR\0\x01\x01", b"XXXX\0\x01\x01"), "3 pieces of FLIR data and holds 2"),
     ):
         path.write_bytes(data)
         with pytest.raises(ThermorenderError, match=words):
