@@ -63,6 +63,7 @@ coverage: $(READY)
 # Every study without results is run, which takes hours; then one page of verdicts is written: validation/index.html.
 validation: $(READY)
 	$(BIN)/python -m validation
+
 # The pages of docs/, with the notebooks of examples/ executed; a warning is an error.
 docs: $(READY)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
@@ -89,4 +90,4 @@ maps: $(READY)
 	  --run out/pix2pix.run --resume --set width=16 --set batch=4 --set crops=60000 --set every=3000
 
 clean:
-	rm -rf $(VENV) out build dist
+	rm -rf $(VENV) out build dist docs/_build

@@ -11,9 +11,9 @@ PACKAGE = Path(__file__).resolve().parents[1] / "thermorender"
 DRAWING = Path(__file__).with_name("architecture.svg")
 # From the ground up, with what each room holds: a room imports only from itself and from those before it.
 ROOMS = {
-    "ground": "errors, units, defaults, paths, versions, files, schema",
+    "ground": "errors, units, defaults, paths, versions, files, formats, cache, schema",
     "physics": "Planck's law, bands, emission, Fresnel, surfaces, sun, heat, geodesy: NumPy only",
-    "atmosphere": "air: model, rays, profile, standard table, MODTRAN; lowtran/ is how the table was fitted",
+    "atmosphere": "air: model, rays, profile, standard table, MODTRAN, LOWTRAN7's aerosols",
     "weather": "a station's, a typical year's or a named day's: what is missing is modelled, what is wrong refused",
     "materials": "one material, the library, mixtures, files; import, check, compare, plot",
     "trajectory": "flight logs to timed poses",

@@ -4,6 +4,7 @@ import atexit
 import functools
 import os
 import shutil
+import signal
 import sys
 import tarfile
 import tempfile
@@ -67,6 +68,9 @@ def call(monkeypatch, capfd):
     """Run the command line in this process; return (status, output, errors)."""
     from thermorender.cli.app import main
 
+    # The command line takes the signal over for the whole process.
+    ending = signal.getsignal(signal.SIGTERM)
+
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["thermorender", *map(str, arguments)])
         capfd.readouterr()
@@ -74,7 +78,8 @@ def call(monkeypatch, capfd):
             main()
         return exit.value.code, *capfd.readouterr()
 
-    return run
+    yield run
+    signal.signal(signal.SIGTERM, ending)
 
 
 @pytest.fixture

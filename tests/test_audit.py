@@ -12,10 +12,11 @@ from conftest import shared_data
 
 from thermorender.campaign import audit as audits
 from thermorender.campaign import duplicates
-from thermorender.campaign.dataset import Entry, ThermalScale, Writer, packed, read_dataset
+from thermorender.campaign.dataset import Entry, ThermalScale, read_dataset
+from thermorender.campaign.dataset_writer import Writer, packed
 from thermorender.campaign.splits import assign
 from thermorender.errors import ThermorenderError
-from thermorender.synthetic.worlds import make
+from thermorender.synthetic.procedural_scene import make
 
 
 def entry(key, part="train", parent=None, sequence=None, order=0, **known):
@@ -56,8 +57,8 @@ def test_a_planted_copy_is_found_and_named_and_no_other_picture_is(tmp_path):
     found = audits.audit(dataset(tmp_path / "clean", pictures))
     assert found.leaks["duplicate"].tests == 0
     assert found.verdict == (
-        "training knows none of the 2 test pairs: results on this split measure new pictures, as far as can be told "
-        "without places and labels and conditions"
+        "none of the 2 test pairs has a leak from training: results on this split measure new pictures, "
+        "as far as can be checked without places and labels and conditions"
     )
     leaky = pictures | {("test", "planted"): copied(lands()["heath2"])}
     found = audits.audit(dataset(tmp_path / "leaky", leaky))
@@ -168,7 +169,7 @@ def test_places_within_a_distance():
     assert (leak.tests, leak.asked) == (1, 2)
     assert leak.worst[0][:2] == ("near", "a") and isclose(leak.median, 30.9, abs_tol=0.05)
     assert str(audits.places(test, [entry("b")])) == (
-        "not known whether places are the same: no test pair or no training pair has one"
+        "unknown whether places coincide: no test pair or no training pair has one"
     )
 
 
@@ -212,7 +213,7 @@ def test_the_gravest_leak_gives_the_verdict():
         "1 of 40 test pairs (2.5 %) have a picture that shows the same in training: results on these measure memory"
     )
     assert verdict(conditions=40).endswith("results on this split do not tell of other land, hours or weather")
-    assert verdict() == "training knows none of the 40 test pairs: results on this split measure new pictures"
+    assert verdict() == "none of the 40 test pairs has a leak from training: results on this split measure new pictures"
 
 
 def test_a_part_without_pairs_is_refused(tmp_path):

@@ -1030,7 +1030,7 @@ def test_wrong_options_of_a_flight(scene, refused, options, words):
     [
         ("--pose nonsense", ["--pose='nonsense' has 1 values; 6 are needed: E,N,U,YAW,PITCH,ROLL"]),
         ("--pose 0,0,20,0,nan,0", ["--pose='0,0,20,0,nan,0': PITCH is 'nan'"]),
-        ("--pose 0,0,1e30,0,-90,0", ["up 1e+30 m lies beyond 100 km"]),
+        ("--pose 0,0,1e30,0,-90,0", ["up 1e+30 m is more than 100 km"]),
         ("--pose 1e300,0,0,0,-90,0", ["is outside the terrain"]),
         ("--seed -1", ["seed=-1 is not allowed"]),
         ("--quality finest", ["quality='finest' is unknown"]),

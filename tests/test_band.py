@@ -5,7 +5,8 @@ import pytest
 from scipy.integrate import quad
 
 from thermorender.frame import apparent_temperature
-from thermorender.materials.library import grey, load_library
+from thermorender.materials.library import load_library
+from thermorender.materials.material import grey
 from thermorender.physics.band import RadianceTable, emitted_radiance, quadrature
 from thermorender.physics.planck import (
     band_radiance,

@@ -34,7 +34,7 @@ def test_the_package_imports_nothing_of_the_checkout_around_it():
 
 
 def test_physics_is_pure():
-    allowed = {"numpy", "thermorender", "dataclasses", "functools", "typing"}
+    allowed = {"numpy", "thermorender", "collections", "dataclasses", "functools", "typing"}
     for module, path in architecture.modules().items():
         if architecture.room_of(module) == "physics":
             assert {name.split(".")[0] for name in architecture.imports(path)} <= allowed, path

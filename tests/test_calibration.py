@@ -10,12 +10,12 @@ from typer.testing import CliRunner
 
 from thermorender.cli import app as cli
 from thermorender.errors import ThermorenderError
-from thermorender.files import write_image
 from thermorender.footage import calibration
 from thermorender.footage.edge_width import edge_widths, sharpest, width_through
 from thermorender.footage.field_statistics import Field
 from thermorender.footage.noise_statistics import Spectra, block_powers, noise_of
 from thermorender.footage.radiometric_files import write_tlinear
+from thermorender.formats import write_image
 from thermorender.physics.band import RadianceTable
 from thermorender.physics.planck import band_radiance
 from thermorender.sensor.camera import load_camera

@@ -8,7 +8,8 @@ import pytest
 from thermorender.errors import ThermorenderError
 from thermorender.learned.apply import kinetic_from_map
 from thermorender.learned.temperature_map import MODELS, Inputs, load_model
-from thermorender.materials.library import grey, load_library
+from thermorender.materials.library import load_library
+from thermorender.materials.material import grey
 from thermorender.physics.planck import band_radiance, brightness_temperature
 
 

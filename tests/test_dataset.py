@@ -12,7 +12,8 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from thermorender.campaign.dataset import Entry, ThermalScale, Writer, packed, read_dataset
+from thermorender.campaign.dataset import Entry, ThermalScale, read_dataset
+from thermorender.campaign.dataset_writer import Writer, packed
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance
 
@@ -196,7 +197,7 @@ def test_an_index_cut_short_anywhere_loses_no_pair(tmp_path, line, keep):
     assert len(list(read_dataset(folder).pairs())) == 4
 
 
-def test_a_shard_that_is_half_written_or_has_no_lines_is_written_anew(tmp_path):
+def test_a_shard_that_is_half_written_or_has_no_lines_is_written_again(tmp_path):
     whole, folder = made(tmp_path / "whole"), made(tmp_path / "set", "a")
     half = bytes_of(whole)["b.tar"][:700]
     (folder / "shards/.b.0123abcd.part.tar").write_bytes(half)
@@ -207,7 +208,7 @@ def test_a_shard_that_is_half_written_or_has_no_lines_is_written_anew(tmp_path):
     assert (folder / "shards/.b.0123abcd.part.tar").read_bytes() == half
 
 
-def test_a_shard_that_is_gone_or_cut_is_written_anew(tmp_path):
+def test_a_shard_that_is_gone_or_cut_is_written_again(tmp_path):
     whole, folder = made(tmp_path / "whole"), made(tmp_path / "set")
     (folder / "shards/a.tar").unlink()
     assert continued(folder) == ["a"]
@@ -245,7 +246,7 @@ def test_what_is_no_continuation_is_refused(tmp_path):
             Writer(folder, card, scale, resume=True)
     (tmp_path / "other").mkdir()
     (tmp_path / "other/picture.png").write_bytes(b"")
-    with pytest.raises(ThermorenderError, match="other is not empty and holds no data set; give a new folder"):
+    with pytest.raises(ThermorenderError, match="other is not empty and does not hold a data set; give a new folder"):
         Writer(tmp_path / "other", CARD, SCALE, resume=True)
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
 
@@ -298,16 +299,16 @@ def test_keys_and_names_that_would_escape_are_refused(tmp_path, key):
     folder = made(tmp_path / "set", "a")
     before = lines(folder), bytes_of(folder)
     writer = Writer(folder, CARD, SCALE, resume=True)
-    with pytest.raises(ThermorenderError, match=r"is no key of a pair; give letters, digits, _ and -"):
+    with pytest.raises(ThermorenderError, match=r"is not a key of a pair; give letters, digits, _ and -"):
         writer.shard("b", [(entry(key), packed(*pictures(0)))])
     if len(key) < 121:
-        with pytest.raises(ThermorenderError, match=r"is no name for a shard; give letters, digits, _ and -"):
+        with pytest.raises(ThermorenderError, match=r"is not a name for a shard; give letters, digits, _ and -"):
             writer.shard(key, shard_of("b"))
     # Nor does a reader follow what somebody else wrote.
     told = json.loads(lines(folder)[0])
     for name, value in (("key", key), ("shard", f"shards/{key}"), ("shard", "shards/../../a.tar"), ("shard", "/a.tar")):
         (folder / "index.jsonl").write_text(json.dumps({**told, name: value}) + "\n")
-        with pytest.raises(ThermorenderError, match=r"index.jsonl, line 1 is no pair of its own; remove the line"):
+        with pytest.raises(ThermorenderError, match=r"index.jsonl, line 1 is not a pair or repeats a key; remove"):
             read_dataset(folder)
     (folder / "index.jsonl").write_bytes(b"".join(before[0]))
     assert (lines(folder), bytes_of(folder)) == before and set(tmp_path.iterdir()) == {folder}
@@ -321,7 +322,7 @@ def test_what_could_not_be_read_again_is_not_written(tmp_path):
         ([(entry("b-0"), files), (entry("b-0"), files)], "'b-0' is the key of two pairs; give each its own"),
         ([(entry("a-1"), files)], "'a-1' is the key of two pairs; give each its own"),
         ([(entry("b-0", "tests"), files)], "part='tests' of 'b-0' is unknown; give one of train, validation, test"),
-        ([(entry("b-0"), {"../../x.png": b""})], "'../../x.png' of 'b-0' is no end of a name; give one such as "),
+        ([(entry("b-0"), {"../../x.png": b""})], "'../../x.png' of 'b-0' is not a suffix of a name; give one such as "),
     ):
         with pytest.raises(ThermorenderError, match=words):
             writer.shard("b", pairs)
@@ -356,7 +357,7 @@ def test_lines_that_are_no_pairs_are_refused_wherever_they_stand(tmp_path, chang
     bad = json.dumps({**json.loads(first), **change}).encode() + b"\n"
     for content, number in ((bad + second, 1), (second + bad, 2)):
         (folder / "index.jsonl").write_bytes(content)
-        with pytest.raises(ThermorenderError, match=f"index.jsonl, line {number} is no pair of its own; remove"):
+        with pytest.raises(ThermorenderError, match=f"index.jsonl, line {number} is not a pair or repeats a key;"):
             read_dataset(folder)
 
 
@@ -375,12 +376,12 @@ def test_lines_that_are_no_pairs_are_refused_wherever_they_stand(tmp_path, chang
 def test_cards_that_tell_no_scale_are_refused(tmp_path, text):
     folder = made(tmp_path / "set", "a")
     (folder / "card.json").write_text(text)
-    with pytest.raises(ThermorenderError, match="card.json is no card of a data set of format 1 .*; make the data set"):
+    with pytest.raises(ThermorenderError, match="card.json is not the card of a data set of format 1 .*; make the"):
         read_dataset(folder)
 
 
 def test_no_data_set(tmp_path):
-    with pytest.raises(ThermorenderError, match="is no data set: card.json is missing; make one with `thermorender"):
+    with pytest.raises(ThermorenderError, match="is not a data set: card.json is missing; make one with `thermorender"):
         read_dataset(tmp_path)
 
 
@@ -432,8 +433,8 @@ def test_damaged_files_are_named_in_one_sentence(tmp_path, capfd, end, data):
     with pytest.raises(ThermorenderError) as refused:
         dataset[0]
     said = str(refused.value)
-    assert f"{tmp_path / 'set/shards/s.tar'} is damaged: a-0.{end} is no " in said
-    assert said.endswith("; make the shard anew")
+    assert f"{tmp_path / 'set/shards/s.tar'} is damaged: a-0.{end} is not " in said
+    assert said.endswith("; write the shard again")
     assert "\n" not in said and said.count(". ") == 0
 
 
@@ -443,12 +444,12 @@ def test_damaged_shards_are_named_in_one_sentence(tmp_path):
     whole, dataset = path.read_bytes(), read_dataset(folder)
     last = dataset.entries[-1]
     end = sum(last.members["truth.npz"])
-    # Cut inside the last file; a shard made anew with files of other lengths; nothing in it.
+    # Cut inside the last file; a shard made again with files of other lengths; nothing in it.
     for data in (whole[: end - 5], whole[512:], bytes(512) + whole, b""):
         path.write_bytes(data)
-        with pytest.raises(ThermorenderError, match=r"shards/a.tar is damaged: a-1\.\S+ is no .*; make the shard anew"):
+        with pytest.raises(ThermorenderError, match=r"shards/a.tar is damaged: a-1\.\S+ is not .*; write the"):
             dataset.pair(last)
     path.unlink()
-    words = r"shards/a.tar cannot be read \(No such file or directory\); copy the data set anew, or leave the shard's"
+    words = r"shards/a.tar cannot be read \(No such file or directory\); copy the data set again, or remove the shard's"
     with pytest.raises(ThermorenderError, match=words):
         dataset[0]

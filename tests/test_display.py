@@ -6,7 +6,7 @@ import pytest
 from conftest import shared_data
 
 from thermorender.errors import ThermorenderError
-from thermorender.files import write_image
+from thermorender.formats import write_image
 from thermorender.output.video import write_video
 from thermorender.sensor.display import MODES, DisplaySettings
 from thermorender.sensor.palettes import PALETTES, palette

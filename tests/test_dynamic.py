@@ -6,7 +6,7 @@ import pytest
 import thermorender as tr
 from scenes import write_terrain
 from thermorender.errors import ThermorenderError
-from thermorender.files import write_image
+from thermorender.formats import write_image
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, brightness_temperature
 from thermorender.render.light import radiosity
 from thermorender.scene.tracks import read_track

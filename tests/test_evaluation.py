@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 import thermorender.campaign
-from thermorender.campaign.dataset import Entry, ThermalScale, Writer, packed, read_dataset
+from thermorender.campaign.dataset import Entry, ThermalScale, read_dataset
+from thermorender.campaign.dataset_writer import Writer, packed
 from thermorender.campaign.map_inputs import inputs_of
 from thermorender.compare.evaluation import classes, figures, paired, report, similarity, sums
 from thermorender.compare.evaluation.estimators import LearnedMap
@@ -404,7 +405,7 @@ def test_the_command(undrawn, tmp_path, call, monkeypatch):
         "--part", "validation", "--limit", "1", "--seed", "7",
     )  # fmt: skip
     assert status == 0, err
-    for text in ("nothing leaks", "fok-9to1", "published: pix2pix-b25", "arbitrary", BALANCE):
+    for text in ("nothing leaks", "fok-9to1", "published: pix2pix, batch 25", "arbitrary", BALANCE):
         assert text in out, text
     result = json.loads((tmp_path / "o/evaluation.json").read_text())
     assert result["audit"] == {"lines": ["nothing leaks"], "siblings": 0.0} and result["pairs"] == 1

@@ -11,7 +11,7 @@ from thermorender.materials.library import load_library
 from thermorender.materials.mixture import mix
 from thermorender.physics import humidity
 from thermorender.render.heat import march as heat
-from thermorender.scene import columns as open_ground
+from thermorender.scene import open_ground
 from thermorender.scene.load import load_scene
 
 AT = np.datetime64("2018-07-28T12:00:00")
@@ -158,7 +158,7 @@ def test_scene_without_balance_imports_none_of_it():
     code = (
         "import sys; from thermorender.render.renderer import Renderer; from thermorender.scene.load import load_scene;"
         "load_scene('heath'); print([name for name in sys.modules if name in ('thermorender.render.heat.march',"
-        "'thermorender.scene.columns', 'thermorender.physics.balance', 'thermorender.weather.station')])"
+        "'thermorender.scene.open_ground', 'thermorender.physics.balance', 'thermorender.weather.station')])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

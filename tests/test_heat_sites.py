@@ -8,13 +8,12 @@ from conftest import shared_data
 
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
-from thermorender.paths import data_folder
 from thermorender.physics.balance import STEFAN_BOLTZMANN
-from thermorender.scene import columns as open_ground
+from thermorender.scene import open_ground
 from validation.heat import study as heat
 from validation.heat.sites import measured, modelled, read_sites
 
-SITES = data_folder("validation") / heat.SITES
+SITES = heat.SITES
 HEAD = """[[site]]
 name = "made"
 title = "Made"

@@ -3,6 +3,7 @@
 import filecmp
 import json
 import os
+import re
 import subprocess
 import sys
 import zipfile
@@ -12,10 +13,12 @@ import pytest
 from typer.testing import CliRunner
 
 import thermorender as tr
+from scenes import write_terrain
 from thermorender.cli import app as cli
 from thermorender.cli import doctor
 from thermorender.errors import ThermorenderError
 from thermorender.render import variant
+from thermorender.sensor.camera import model_path
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -41,16 +44,29 @@ def run(site, *arguments):
     return done.stdout
 
 
-@pytest.mark.slow
-def test_the_wheel_holds_all_that_ships_and_nothing_else(wheel):
+def shipping():
+    """{path in the wheel: file of the checkout} of all that must be in the wheel."""
     shipped = {Path("thermorender", "_data", kind): ROOT / kind for kind in ("scenes", "materials")}
     shipped[Path("thermorender")] = ROOT / "thermorender"
-    wanted = {
+    return {
         (into / path.relative_to(source)): path
         for into, source in shipped.items()
         for path in source.rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }
+
+
+def test_the_list_of_the_wheels_files_is_all_that_ships():
+    """As the builder would take them, without building: the slow tests build it."""
+    from hatchling.builders.wheel import WheelBuilder
+
+    files = WheelBuilder(str(ROOT)).recurse_included_files()
+    assert {Path(file.distribution_path): Path(file.path) for file in files} == shipping()
+
+
+@pytest.mark.slow
+def test_the_wheel_holds_all_that_ships_and_nothing_else(wheel):
+    wanted = shipping()
     there = {path.relative_to(wheel) for path in wheel.rglob("*") if path.is_file()}
     (about,) = wheel.glob("*.dist-info")
     assert {path for path in there if about.name not in path.parts} == set(wanted)
@@ -158,6 +174,23 @@ def test_make_scene_refuses_what_it_does_not_know(tmp_path):
     done = CliRunner().invoke(cli.app, ["make-scene", "moon", "-o", str(tmp_path / "m")])
     assert isinstance(done.exception, ThermorenderError) and "'moon'" in str(done.exception)
     assert "heath, village, ridge" in str(done.exception) and not (tmp_path / "m").exists()
+
+
+def test_the_verb_demo_on_a_tiny_scene(tmp_path, monkeypatch):
+    small = re.sub("(?m)^(width|height) = .*", r"\1 = 48", model_path("zenmuse-xt2").read_text(encoding="utf-8"))
+    folder = write_terrain(tmp_path / "tiny", extra='[camera]\nmodel = "small.toml"')
+    (folder / "small.toml").write_text(small, encoding="utf-8")
+    (folder / "flight.csv").write_text(
+        "time_s,east_m,north_m,above_ground_m,gimbal_pitch_deg\n0,0,0,20,-90\n0.5,1,0,20,-90\n"
+    )
+    monkeypatch.setattr(cli.defaults, "SCENE", str(folder))
+    done = CliRunner().invoke(cli.app, ["demo", "-o", str(tmp_path / "demo")], catch_exceptions=False)
+    assert done.exit_code == 0 and "report.html" in done.output, done.output
+    assert (tmp_path / "demo" / "flight" / "flight.mp4").stat().st_size > 1000
+    found = json.loads((tmp_path / "demo" / "comparison" / "comparison.json").read_text())
+    assert {label.partition(" ")[0] for label in found["methods"]} == {"B", "C1", "D"}
+    with pytest.raises(ThermorenderError, match="already holds a demo; give another folder with -o, or remove it"):
+        CliRunner().invoke(cli.app, ["demo", "-o", str(tmp_path / "demo")], catch_exceptions=False)
 
 
 @pytest.mark.slow

@@ -17,12 +17,13 @@ from thermorender.learned.emissivity import EmissivityMap, load_map, map_materia
 from thermorender.learned.emissivity_features import NAMES, NEAR, features
 from thermorender.learned.emissivity_training import Labelled, train
 from thermorender.learned.features import lab
-from thermorender.materials.library import grey, load_library
+from thermorender.materials.library import load_library
+from thermorender.materials.material import grey
 from thermorender.materials.mixture import Mixture, mix, palette
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.scene.material_map import UNKNOWN_CLASS, write_map
 from thermorender.scene.surface import FILLED, UNKNOWN
-from thermorender.synthetic.worlds import make
+from thermorender.synthetic.procedural_scene import make
 from validation.emissivity import study as validation
 
 # Three materials in stripes: mean colour and noise of each.
@@ -526,13 +527,13 @@ def test_polygons_in_longitude_and_latitude_land_in_the_same_place(scene, tmp_pa
 @pytest.mark.parametrize(
     ("make_file", "words"),
     [
-        (lambda p: polygons(p, boxes(), key="class"), "feature 1 is no polygon with a property 'material'"),
+        (lambda p: polygons(p, boxes(), key="class"), "feature 1 is not a polygon with a property 'material'"),
         (lambda p: polygons(p, boxes(100000.0)), "covers no texel of .*orthophoto.tif"),
         (lambda p: polygons(p, [("gras_green", boxes()[0][1])]), "uses material 'gras_green'.* closest are grass"),
         (lambda p: polygons(p, []), "names 0 materials; label polygons of 2…254 materials"),
         (lambda p: polygons(p, boxes()[:1]), "two or more materials, but .* has those of grass_green only; label more"),
-        (lambda p: polygons(p, boxes(), crs="EPSG:nonsense"), "is no GeoJSON FeatureCollection"),
-        (lambda p: p.write_text("[1, 2"), "is no GeoJSON FeatureCollection"),
+        (lambda p: polygons(p, boxes(), crs="EPSG:nonsense"), "is not a GeoJSON FeatureCollection"),
+        (lambda p: p.write_text("[1, 2"), "is not a GeoJSON FeatureCollection"),
         (lambda p: p.write_text('{"features": [{"geometry": 1, "properties": {"material": "snow"}}]}'), "feature 1 is"),
         (lambda p: None, "labels.geojson cannot be read: No such file"),
     ],

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from scipy import integrate
 
+from thermorender.atmosphere import lowtran
 from thermorender.atmosphere import profile as weather
-from thermorender.atmosphere.lowtran import program as lowtran
-from thermorender.atmosphere.lowtran import reference
 from thermorender.atmosphere.tables import read_table
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance
+from tools.lowtran import reference
 
 SCALE_KM, ABSORPTION_PER_KM, AEROSOL_PER_KM = 8.0, 0.05, 0.4
 LEVELS_KM = np.linspace(0.0, 100.0, 34)

@@ -10,15 +10,16 @@ import numpy as np
 import pytest
 
 from thermorender.atmosphere import absorbers
-from thermorender.atmosphere.lowtran import fit, program, spectra
+from thermorender.atmosphere import lowtran as program
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.atmosphere.rays import EARTH_RADIUS_M
 from thermorender.atmosphere.tables import read_table
 from thermorender.physics.planck import spectral_radiance
+from tools.lowtran import fit
 
 GRID = np.arange(program.FIRST, program.LAST + 1, program.STEP, dtype=float)
 OPAQUE = np.arange(len(GRID)) % 2 == 1
-TWO = (2,) * len(spectra.SUB_BANDS)
+TWO = (2,) * len(program.SUB_BANDS)
 # LOWTRAN's columns of the eleven absorbers, and what makes our densities of theirs per kilometre.
 COLUMN = np.array([17, 18, 35, 36, 31, 47, 45, 10, 4, 8, 9])
 UNIT = np.array([10.0, 10.0, *np.ones(6), *np.full(3, 1.0 / 2.6868e24 * 273.15 / 296.0)])
@@ -60,7 +61,7 @@ def test_fit_finds_the_terms_that_made_the_spectra(fitted):
     _, true, _, (weight, _, absorption, error) = fitted
     # Nothing but the optimiser stands between the fit and its spectra; it ends where a step gains 1e-6 of the cost.
     assert np.abs(error).max() < 1e-5
-    for number, band in enumerate(spectra.SUB_BANDS):
+    for number, band in enumerate(program.SUB_BANDS):
         nodes = slice(2 * number, 2 * number + 2)
         order = np.argsort(absorption[nodes].sum(axis=1))
         opaque = OPAQUE @ planck_weights(band, 285.0)
@@ -80,7 +81,7 @@ def test_fit_holds_for_paths_and_temperatures_it_has_not_seen(fitted, temperatur
     worst = 0.0
     for run, mine in zip(runs[60:], ours[60:], strict=True):
         through = share * np.exp(-absorption @ mine)
-        for number, band in enumerate(spectra.SUB_BANDS):
+        for number, band in enumerate(program.SUB_BANDS):
             exact = run.transmittance @ planck_weights(band, temperature)
             worst = max(worst, abs(through[2 * number : 2 * number + 2].sum() - exact))
     # The fit's mean over a sub-band and the one here differ by 1e-5, by where their 801 and 2001 points lie.
@@ -169,7 +170,7 @@ def test_a_table_made_anew_has_the_transmittances_it_was_fitted_to(tmp_path, mon
                 length = -radius * cosine - np.sqrt((EARTH_RADIUS_M + last) ** 2 - radius**2 * (1.0 - cosine**2))
                 run = lowtran(kind, first, last, None, 180.0 - third)
             through = air.weight * air.transmittance(first, last, length)
-            for band in spectra.SUB_BANDS:
+            for band in program.SUB_BANDS:
                 exact = run.transmittance @ planck_weights(band, 285.0)
                 found = through[np.isclose(air.lower_um, band[0])].sum()
                 # The model's own steps through the air make 5e-5 of a node.

@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from thermorender.campaign.dataset import Entry, ThermalScale, Writer, packed, read_dataset
+from thermorender.campaign.dataset import Entry, ThermalScale, read_dataset
+from thermorender.campaign.dataset_writer import Writer, packed
 from thermorender.campaign.map_training import train_map
 from thermorender.errors import ThermorenderError
 from thermorender.learned.temperature_map import MODELS, SHIPPED, Inputs, load_map, load_model
@@ -242,7 +243,7 @@ def test_the_verb_trains_and_writes_a_map(tmp_path, call):
         (("corelation+", "{d}"), "method 'corelation+' is unknown"),
         (("trees",), "train trees was given 0 data sets; give one"),
         (("trees", "{d}", "{d}"), "train trees was given 2 data sets; give one"),
-        (("trees", "{d}x"), "dx is no data set: card.json is missing"),
+        (("trees", "{d}x"), "dx is not a data set: card.json is missing"),
         (("correlation-1to1", "{d}", "--set", "penalty"), "--set='penalty' is not allowed; give OPTION=VALUE"),
         (("correlation-1to1", "{d}", "--set", "=3"), "--set='=3' is not allowed; give OPTION=VALUE"),
         (("correlation-1to1", "{d}", "--set", "penalty=a"), "option penalty='a' of 'correlation-1to1' is not allowed"),

@@ -10,8 +10,9 @@ from conftest import shared_data
 from thermorender.errors import ThermorenderError
 from thermorender.materials.check import check
 from thermorender.materials.compare import apparent_temperature
-from thermorender.materials.files import INDEX_COLUMNS
-from thermorender.materials.library import grey, load_library, read_library
+from thermorender.materials.csv_tables import INDEX_COLUMNS
+from thermorender.materials.library import load_library, read_library
+from thermorender.materials.material import grey
 from thermorender.paths import data_folder
 from thermorender.physics.planck import band_radiance, brightness_temperature
 
@@ -151,7 +152,7 @@ def test_check_goes_on_where_reading_stops(run, tmp_path):
     assert status == 2 and "5 faults, 2 notes" in out
     for words in ("licence of material 'tin'", "name='../x' is not", "directional='odd' is not known",
                   "zinc.csv: is not UTF-8 text", "emissivity_std='µ' is not a number", "emissivity_std is empty for 3",
-                  "stray.csv: no row of index.csv names it"):  # fmt: skip
+                  "stray.csv: has no row in index.csv"):  # fmt: skip
         assert words in out, words
     (folder / "spectra" / "tin.csv").unlink()
     assert any("tin.csv: does not exist" in finding for finding in found(folder))
@@ -201,14 +202,14 @@ def test_import_of_a_two_column_table_takes_effect_at_once(run, tmp_path):
     # As a process leaves it that is killed between its two files.
     (folder / "index.csv").unlink()
     status, _, complaint = run(*again)
-    assert status == 2 and "tile.csv is of no material in index.csv, as an import leaves it that was" in complaint
+    assert status == 2 and "tile.csv has no row in index.csv, as after an interrupted import" in complaint
     assert run(*again, "--replace")[0] == 0 and "tile" in read_library(folder)
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ((), "comes from no known library, so say where it is from: add --source TEXT --citation TEXT --licence TEXT"),
+        ((), "does not come from a known library; add its origin with --source TEXT --citation TEXT --licence TEXT"),
         (ABOUT, "so its solar_absorptance is unknown; give an assumed value"),
         ((*ABOUT, "--solar-absorptance", 0.5, "--temperature", 20), "temperature=20 is below 100 K"),
         ((*ABOUT, "--solar-absorptance", 5), "solar_absorptance=5 is not within 0…1"),

@@ -9,9 +9,10 @@ import pytest
 from conftest import shared_data
 
 from thermorender.errors import ThermorenderError
-from thermorender.materials.files import INDEX_COLUMNS
+from thermorender.materials.csv_tables import INDEX_COLUMNS
 from thermorender.materials.from_samples import from_samples, read_selection
-from thermorender.materials.library import find, grey, load_library, read_library
+from thermorender.materials.library import find, load_library, read_library
+from thermorender.materials.material import grey
 from thermorender.materials.samples import read_ecostress, read_sample
 from thermorender.materials.store import store, write_material, write_materials
 from thermorender.paths import data_folder
@@ -521,7 +522,7 @@ def test_samples_that_cannot_give_emissivity_are_refused(tmp_path):
     refused(r"y units 'Transmittance'; only wavelength in micrometres", y_units="Transmittance")
     with pytest.raises(ThermorenderError, match=r"b.txt does not exist; order the spectrum"):
         read_ecostress(tmp_path / "b.txt")
-    with pytest.raises(ThermorenderError, match=r"'rock' was given no sample"):
+    with pytest.raises(ThermorenderError, match=r"'rock' has no sample"):
         from_samples([], "rock")
 
 

@@ -43,6 +43,19 @@ def written(folder, extra=TABLES, **options):
     return write_terrain(folder, extra=extra, classes=stripes(), **options)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _short_marches():
+    """The march begins as late as it may: here nobody asks how true it is, only what is made of it."""
+    from thermorender.render.heat import march as heat
+    from thermorender.scene import columns
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(heat, "_BEFORE_S", 6 * 3600.0)
+        patch.setattr(columns, "_LOOK_BACK", np.timedelta64(86400, "s"))
+        patch.setattr(columns, "_MOST_DAYS", 2)
+        yield
+
+
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
     """A raster of the trained instant with a hole in it, asked for at that instant."""
@@ -158,7 +171,6 @@ def test_at_the_trained_instant_the_map_is_itself(scene, tools):
     assert report["share_unmoved"] == round(16 / 1024, 5) and found.scene.warmed
 
 
-@pytest.mark.slow
 def test_where_the_map_failed_the_balance_stands(scene, tools):
     heat, moved = tools
     at = TRAINED + 3 * HOUR
@@ -231,6 +243,7 @@ def test_snow_or_rain_at_one_instant_only_cannot_be_moved(scene, tools):
         np.testing.assert_allclose(found.surfaces[0].temperature, expected, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_frames_flags_and_records_tell(scene, tmp_path, call):
     from thermorender.output.record import weather_of
 

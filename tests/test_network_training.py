@@ -130,6 +130,28 @@ def test_every_network_trains(name, tmp_path):
     assert found.method == name and not found.above_air
 
 
+@pytest.mark.parametrize(("architecture", "side"), [("autoencoder", 96), ("dense", 64)])
+def test_other_architectures_of_a_recipe_are_trained_and_kept(architecture, side, tmp_path):
+    options = {"batch": 2, "crops": 4, "every": 4, "width": 4, "architecture": architecture, "side": side}
+    found = train_network(task_of("unet", examples(11), **options), "unet")
+    again = Network.of(found.header(), found.arrays())
+    assert again.recipe.net == architecture and set(again.state) == set(found.state)
+    assert np.isfinite(again.predict(Inputs(picture(2, 70, 90), 0.2), 0.2)).all()
+
+
+@pytest.mark.parametrize(
+    ("method", "options", "words"),
+    [
+        ("unet", {"architecture": "dense"}, "side=96 is not allowed for 'dense'; give side=64"),
+        ("unet", {"architecture": "vit"}, "architecture='vit' does not belong to 'unet'; give keras_unet, autoencoder"),
+        ("pix2pix", {"architecture": "dense"}, "architecture='dense' does not belong to 'pix2pix'; give unet256"),
+    ],
+)
+def test_architectures_that_a_recipe_does_not_have_are_refused(method, options, words, tmp_path):
+    with pytest.raises(ThermorenderError, match=words):
+        train_network(task_of(method, examples(), tmp_path / "r", **options), method)
+
+
 def test_hour_and_weather_are_learned(tmp_path):
     """compact+ gives kelvin above the air, and begins with the linear map."""
     task = task_of("compact+", examples(told=True), tmp_path / "r", **SMALL)
@@ -423,4 +445,4 @@ def test_a_network_is_trained_without_a_folder(tmp_path):
 def test_options_are_those_of_the_recipes():
     for name, recipe in RECIPES.items():
         assert method(name).options == recipe.all_options and method(name).plus == recipe.plus
-    assert method("pix2pix").options["crops"] == 3511 * 200 and method("pix2pix-b25").options["crops"] == 3511 * 300
+    assert method("pix2pix").options["crops"] == 3511 * 200

@@ -21,7 +21,7 @@ from thermorender.learned.networks.building import kind_of, learner_of, net_of
 from thermorender.learned.networks.crops import Crops
 from thermorender.learned.networks.encoding import Encoding
 from thermorender.learned.networks.predictor import Network, state_of
-from thermorender.learned.networks.recipes import RECIPES
+from thermorender.learned.networks.recipes import RECIPES, recipe_of
 from thermorender.learned.temperature_map import Inputs, TemperatureMap, load_map, save_map
 from thermorender.learned.training import Example, Task
 
@@ -29,6 +29,8 @@ from thermorender.learned.training import Example, Task
 TEMPERATURE = np.arange(40000) / 100.0
 INTENSITY = (TEMPERATURE - 280.0) / 20.0
 WIDTH = 4
+# Every recipe, and the architectures that a recipe may have instead of its own.
+NAMES = (*RECIPES, "unet:autoencoder", "unet:dense")
 
 
 def size(net):
@@ -57,7 +59,7 @@ def example(seed, valid=None, told=False, **sides):
 
 
 def task_of(method, examples, run=None, seed=3, progress=lambda what, share: None, resume=False, **options):
-    recipe = RECIPES[method]
+    recipe = recipe_of(*method.split(":"))
     small = {"side": 96} if recipe.whole else {}
     return Task(examples, INTENSITY, TEMPERATURE, seed, progress, recipe.all_options | small | options, 0.2, (0.2, 0.2),
                 run=run, resume=resume)  # fmt: skip
@@ -84,9 +86,9 @@ def test_sizes_are_those_of_the_published_architectures():
         assert sum(each.numel() for name, each in keras.named_buffers() if "running" in name) == 3_776
 
 
-@pytest.mark.parametrize("name", RECIPES)
+@pytest.mark.parametrize("name", NAMES)
 def test_every_network_gives_a_picture_of_its_size(name):
-    recipe = RECIPES[name]
+    recipe = recipe_of(*name.split(":"))
     net = net_of(recipe, Encoding(), WIDTH).eval()
     side = max(recipe.side, recipe.multiple)
     # Convolutional ones take other sides, too.
@@ -133,7 +135,7 @@ class Descent(torch.optim.SGD):
 def learner_and_twin(name, discriminators=None):
     """A Learner of plain descent, a copy of its networks, and a batch."""
     torch.manual_seed(1)
-    recipe = RECIPES[name]
+    recipe = recipe_of(*name.split(":"))
     learner = learner_of(recipe, Encoding(), WIDTH, 1e-3)
     learner.optimisers = {
         key: Descent([each for part in parts for each in learner.parts[part].parameters()])
@@ -165,7 +167,7 @@ def masked(values, valid):
     return values[valid.bool()].mean()
 
 
-@pytest.mark.parametrize("name", ["unet", "dense", "autoencoder"])
+@pytest.mark.parametrize("name", ["unet", "unet:dense", "unet:autoencoder"])
 def test_a_step_of_regression(name):
     learner, twin, batch = learner_and_twin(name)
     net = twin["net"]
@@ -459,8 +461,9 @@ def test_typical_materials_are_what_the_linear_map_says():
 def network(name, width=WIDTH, published=False, encoding=None, seed=0):
     torch.manual_seed(seed)
     encoding = encoding or Encoding(offset=0.5, scale=0.5)
-    net = net_of(RECIPES[name], encoding, width)
-    return Network(name, width, encoding, (0.1, 0.4), state_of(net), False, published)
+    method, *architecture = name.split(":")
+    net = net_of(recipe_of(method, *architecture), encoding, width)
+    return Network(method, width, encoding, (0.1, 0.4), state_of(net), False, published, {}, *architecture)
 
 
 def map_of(predictor):
@@ -483,7 +486,7 @@ def test_neighbouring_tiles_fade_into_each_other():
     assert np.abs(np.diff(found[0], axis=1)).max() < 1.6 * np.pi / 2.0 / 16.0
 
 
-@pytest.mark.parametrize("name", RECIPES)
+@pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("shape", [(1, 1), (37, 300), (256, 256)])
 def test_pictures_of_any_size_and_colour(name, shape):
     predictor = network(name)
@@ -544,7 +547,7 @@ def test_a_picture_outside_the_range_trained_at_is_brought_to_its_end():
 
 
 def test_a_file_keeps_the_network_to_half_precision(tmp_path):
-    for name in RECIPES:
+    for name in NAMES:
         model = map_of(network(name))
         save_map(model, tmp_path / "n.npz")
         again = load_map(tmp_path / "n.npz")

@@ -68,10 +68,3 @@ def test_names_stand_in_the_code_of_their_room(room):
     assert [name for _, _, _, meaning in table for name in unknown(meaning)] == []
     listed = [name for _, cell, _, _ in table for name in re.findall(r"`([^`]+)`", cell)]
     assert len(listed) == len(set(listed)), "a name is listed twice"
-
-
-def test_a_name_that_is_gone_is_seen():
-    assert list(unknown("`Frame.radiance`, `Frame.brightness`, `band_radiances`, `_mk`, `_furlongs`")) == [
-        "Frame.brightness", "band_radiances", "_furlongs"
-    ]  # fmt: skip
-    assert list(unknown("`otf`", "sensor")) == [] and list(unknown("`otf`", "learned")) == ["otf"]

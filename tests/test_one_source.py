@@ -11,7 +11,7 @@ from thermorender import defaults
 from thermorender.learned.temperature_map import MODELS, SHIPPED
 from thermorender.paths import data_folder
 from thermorender.sensor.camera import load_camera
-from thermorender.synthetic.worlds import KINDS
+from thermorender.synthetic.procedural_scene import KINDS
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -54,7 +54,7 @@ def writers(value):
         (defaults.BAND_UM, {"defaults.py"}),
         (defaults.CAMERA, {"defaults.py"}),
         # Where they are made, and where they are named.
-        *((name, {"defaults.py", "synthetic/worlds.py"}) for name in defaults.SCENES),
+        *((name, {"defaults.py", "synthetic/procedural_scene.py"}) for name in defaults.SCENES),
         *((name, {"defaults.py", "learned/temperature_map.py"}) for name in defaults.TEMPERATURE_MAPS),
         *((name, {"defaults.py"}) for name in defaults.TRAINED_MAPS),
         (0.04045, {"physics/srgb.py"}),

@@ -273,16 +273,16 @@ def spoil(path, kind):
         return "seq1_003: has no partner"
     if kind == "corrupt":
         thermal.write_bytes(thermal.read_bytes()[:60])
-        return "seq1_003.png is no picture that can be read"
+        return "seq1_003.png is not a readable picture"
     if kind == "empty":
         visible.write_bytes(b"")
-        return "seq1_003.png is no picture that can be read"
+        return "seq1_003.png is not a readable picture"
     if kind == "depth":
         cv2.imwrite(str(visible), np.zeros((40, 48, 3), np.uint16))
-        return "has values of uint16; give visible pictures of 8 bits"
+        return "has uint16 values; give 8-bit visible pictures"
     if kind == "equal":
         cv2.imwrite(str(thermal), np.full((40, 48), 77, np.uint16))
-        return "is 77 in all its pixels"
+        return "is 77 in all pixels"
     if kind == "one pixel":
         cv2.imwrite(str(thermal), np.full((1, 1), 77, np.uint16))
         return "is 1×1 pixels; give pictures of at least 16"
@@ -295,7 +295,7 @@ def spoil(path, kind):
     if kind == "nan":
         thermal.unlink()
         write_floats(thermal.with_suffix(".tif"), np.full((40, 48), np.nan))
-        return "holds no temperature between 0 and 655.35 K"
+        return "has no temperature between 0 and 655.35 K"
     raise AssertionError(kind)
 
 
@@ -340,7 +340,7 @@ def test_grey_visible_pictures_are_warned_of(tmp_path, call):
         (("--seed", "-2"), "--seed=-2"),
         (("--texel-m", "0"), "--texel-m=0"),
         (("--range-c", "24,14"), "--range-c=24,14"),
-        (("--visible", "*.bmp"), "holds no picture"),
+        (("--visible", "*.bmp"), "has no picture"),
         (("--visible", "?eq*.png"), "there are"),
         (("--visible", "*_00?.png"), "there are"),
         (("--rig", "none.json"), "none.json cannot be read"),
@@ -385,7 +385,7 @@ def test_quantiles_are_those_of_all_values(size):
 
 
 def test_bounds_without_contrast_or_pixels_are_refused():
-    with pytest.raises(ThermorenderError, match="holds no valid thermal pixel"):
+    with pytest.raises(ThermorenderError, match="has no valid thermal pixel"):
         bounds.bounds_of(bounds.Histogram())
     histogram = bounds.Histogram()
     histogram.add(np.full(100, 7, np.uint8))
@@ -398,7 +398,7 @@ def test_a_jpeg_cut_short_is_refused(tmp_path):
     cv2.imwrite(str(tmp_path / "a.jpg"), image)
     assert pictures.read_visible(tmp_path / "a.jpg")[0].shape == (60, 60, 3)
     (tmp_path / "a.jpg").write_bytes((tmp_path / "a.jpg").read_bytes()[:-400])
-    with pytest.raises(ThermorenderError, match="a.jpg is a JPEG cut short"):
+    with pytest.raises(ThermorenderError, match="a.jpg is a truncated JPEG"):
         pictures.read_visible(tmp_path / "a.jpg")
 
 
@@ -417,7 +417,7 @@ def test_floats_that_are_kelvin_without_saying_so_are_refused(tmp_path):
     import rasterio
 
     write_floats(tmp_path / "a.tif", np.linspace(280, 300, 400).reshape(20, 20))
-    with pytest.raises(ThermorenderError, match="holds floats around 290 and names no unit"):
+    with pytest.raises(ThermorenderError, match="has floats around 290 without a unit"):
         pictures.read_thermal(tmp_path / "a.tif")
     with rasterio.open(tmp_path / "a.tif", "r+") as file:
         file.units = ("K",)

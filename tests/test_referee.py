@@ -68,10 +68,10 @@ def black(folder):
     return folder
 
 
-def frames_of(folder, poses, out, change=lambda kelvin, index: kelvin):
+def frames_of(folder, poses, out, change=lambda kelvin, index: kelvin, factor=4):
     """Foreign frames of a scene: its own render, changed."""
     out.mkdir()
-    one = flight(folder, poses=poses)
+    one = flight(folder, poses=poses, factor=factor)
     renderer = tr.Renderer(one.scene, rays=8)
     for index, (time_s, pose) in enumerate(zip(one.times, one.poses, strict=True)):
         kelvin = renderer.frame(pose, time_s, index).apparent_temperature
@@ -165,12 +165,12 @@ def planted(ground, tmp_path_factory):
     # Sand taken for a bright metal.
     (other / "scene.toml").write_text(text.replace('2 = "sand_quartz"', '2 = "paint_metallic"'))
     folders = {
-        "true": frames_of(ground, 5, place / "true"),
-        "warm": frames_of(ground, 5, place / "warm", lambda kelvin, k: kelvin + 1.0),
-        "shifted": frames_of(ground, 5, place / "shifted", lambda kelvin, k: np.roll(kelvin, 2, axis=1)),
-        "metal": frames_of(other, 5, place / "metal"),
+        "true": frames_of(ground, 5, place / "true", factor=2),
+        "warm": frames_of(ground, 5, place / "warm", lambda kelvin, k: kelvin + 1.0, factor=2),
+        "shifted": frames_of(ground, 5, place / "shifted", lambda kelvin, k: np.roll(kelvin, 2, axis=1), factor=2),
+        "metal": frames_of(other, 5, place / "metal", factor=2),
     }
-    flown = flight(ground, poses=5)
+    flown = flight(ground, poses=5, factor=2)
     return compare([flown], place / "c", [], foreign=folders, arrays=True, rays=8)
 
 

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from conftest import shared_data
 
+from thermorender.campaign.registration import alignment, levels
 from thermorender.campaign.registration import fit as registration
 from thermorender.campaign.registration.gradient_directions import directions
-from thermorender.campaign.registration.rig import Rig, load_rig, save_rig, warped, write_overlay
+from thermorender.campaign.registration.rig import Rig, load_rig, parameters_of, save_rig, warped, write_overlay
 from thermorender.errors import ThermorenderError
 
 TRUE = Rig((300, 400), (96, 128), scale=2.2, rotation_deg=1.7, shift_px=(9.0, -6.0), k1=-0.06)
@@ -92,7 +93,7 @@ def test_a_known_rig_is_found(found):
 
 
 def test_frames_that_lie_elsewhere_are_left_out(found):
-    assert set(found.rejected) == {"f3", "f7"} and "off the others" in found.rejected["f3"]
+    assert set(found.rejected) == {"f3", "f7"} and "px from the others" in found.rejected["f3"]
     good = [score for name, score in found.frames.items() if name not in found.rejected]
     assert max(found.frames["f3"], found.frames["f7"]) < 0.5 * min(good)
     assert found.score == pytest.approx(np.mean(good)) and abs(found.score_unrelated) < 0.1 * found.score
@@ -116,7 +117,7 @@ def test_a_rig_is_found_without_fields_of_view_and_with_unequal_sides():
 
 def test_unrelated_pictures_are_refused():
     pictures = [(f"f{k}", lambda k=k: (pair(k)[0], pair(90 + k)[1])) for k in range(4)]
-    with pytest.raises(ThermorenderError, match="agree on how the cameras lie|have a score of 0.0"):
+    with pytest.raises(ThermorenderError, match="agree on one rig|have a score of 0.0"):
         registration.calibrate(pictures, FIELDS)
 
 
@@ -137,7 +138,7 @@ def test_pictures_without_detail_are_refused():
 
 
 def test_scale_of_published_fields_of_view():
-    found = registration.scale_of_fields(((57.12, 42.44), (45.0, 37.0)), (3000, 4000), (512, 640))
+    found = levels.scale_of_fields(((57.12, 42.44), (45.0, 37.0)), (3000, 4000), (512, 640))
     lengths = [2000 / np.tan(np.radians(28.56)), 1500 / np.tan(np.radians(21.22)),
                320 / np.tan(np.radians(22.5)), 256 / np.tan(np.radians(18.5))]  # fmt: skip
     assert found == pytest.approx(np.sqrt(lengths[0] * lengths[1] / lengths[2] / lengths[3]))
@@ -156,14 +157,14 @@ def test_directions_turn_with_the_picture():
     rig = Rig((200, 200), (100, 100), scale=1.0, rotation_deg=12.0, shift_px=(4.0, 2.0), k1=0.0)
     visible = np.repeat(np.uint8(255 * land(np.random.default_rng(2), (200, 200)))[..., None], 3, axis=-1)
     seen = warped(visible, rig)[0][..., 0].astype(np.float32)
-    parameters = registration.parameters_of(rig)
-    pictures = [registration._Frame("f", visible[..., 0].astype(np.float32), seen)]
-    level = registration._level(pictures, (rig.visible_shape, rig.thermal_shape), 1.0, 1.0, 1.0)
-    (turned,), inside = registration._sampled(level, parameters, level.x, level.y)
-    inside &= registration._within(inside.shape)
+    parameters = parameters_of(rig)
+    pictures = [levels.Frame("f", visible[..., 0].astype(np.float32), seen)]
+    level = levels.level_of(pictures, (rig.visible_shape, rig.thermal_shape), 1.0, 1.0, 1.0)
+    (turned,), inside = alignment.sample(level, parameters, level.x, level.y)
+    inside &= alignment.within_borders(inside.shape)
     agreement = np.vdot(level.thermal[0][inside], turned[inside])
     assert abs(np.degrees(np.angle(agreement))) < 1.0
-    assert registration._scores(level, parameters)[0] > 0.95
+    assert alignment.scores_of(level, parameters)[0] > 0.95
 
 
 def test_warped_is_what_the_thermal_camera_sees():
@@ -205,7 +206,7 @@ def test_what_is_no_rig_is_refused(change, tmp_path):
     save_rig(TRUE, tmp_path / "rig.json")
     values = json.loads((tmp_path / "rig.json").read_text("utf-8")) | change
     (tmp_path / "rig.json").write_text(json.dumps(values), "utf-8")
-    with pytest.raises(ThermorenderError, match="is no rig of format 1"):
+    with pytest.raises(ThermorenderError, match="is not a rig of format 1"):
         load_rig(tmp_path / "rig.json")
 
 

@@ -14,7 +14,7 @@ from thermorender.render.heat import relief as relief_module
 from thermorender.render.heat.conditions import TYPICAL, conditions
 from thermorender.render.heat.relief import MEMORY_H, NAMES, relief, reliefs
 from thermorender.render.variant import activate
-from thermorender.scene import columns as open_ground
+from thermorender.scene import open_ground
 from thermorender.scene.load import load_scene
 from thermorender.weather.series import Weather
 

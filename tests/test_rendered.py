@@ -9,19 +9,19 @@ import pytest
 
 from thermorender.campaign import rendered
 from thermorender.campaign.dataset import read_dataset
-from thermorender.campaign.worlds import drawn
+from thermorender.campaign.procedural_truth import drawn
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
 from thermorender.physics import srgb
 from thermorender.render.heat import conditions as conditions_module
 from thermorender.render.heat import march as heat
 from thermorender.render.renderer import Renderer
-from thermorender.scene import columns as open_ground
+from thermorender.scene import open_ground
 from thermorender.sensor.camera import model_path
-from thermorender.synthetic import hidden as hidden_module
+from thermorender.synthetic import deviations as deviations_module
 from thermorender.synthetic.canvas import Canvas
 from thermorender.synthetic.light import sky_colour
-from thermorender.synthetic.worlds import KINDS, make
+from thermorender.synthetic.procedural_scene import KINDS, make
 
 # A clear morning in August, with land in each view and sky in the last.
 WORLD = rendered.worlds(0, 0, 1, 6, ("heath",))[0]
@@ -51,7 +51,7 @@ def campaign(tmp_path_factory):
         patch.setattr(open_ground, "_LOOK_BACK", np.timedelta64(86400, "s"))
         patch.setattr(open_ground, "_MOST_DAYS", 2)
         patch.setattr(rendered, "_pair", pair)
-        for module in (rendered, conditions_module, hidden_module):
+        for module in (rendered, conditions_module, deviations_module):
             patch.setattr(module, "load_library", cache(load_library))
         yield rendered.render_campaign(folder / "set", [WORLD], 1, 3, str(folder / "small.toml")), seen
 
@@ -85,6 +85,19 @@ def test_numbers_out_of_range_leave_nothing(tmp_path):
         with pytest.raises(ThermorenderError, match=f"hours={hours}, views={views} are not allowed; give 1…24 and 1…"):
             rendered.render_campaign(tmp_path / "set", [WORLD], hours, views)
     assert not (tmp_path / "set").exists()
+
+
+def test_the_verb_asks_for_the_worlds_it_was_told(tmp_path, monkeypatch, call, campaign):
+    asked = []
+    monkeypatch.setattr(rendered, "render_campaign", lambda *given, **more: asked.append((given, more)) or campaign[0])
+    words = ("--train", 2, "--validation", 0, "--test", 1, "--kinds", "heath", "--hours", 1, "--views", 3)
+    status, output, errors = call("dataset", "-o", tmp_path / "d", *words, "--turn", "1,2", "--resume")
+    assert status == 0 and output.startswith("3 pairs (0 train, 0 validation, 3 test) in"), errors
+    ((given, more),) = asked
+    assert given == (tmp_path / "d", rendered.worlds(2, 0, 1, 0, ["heath"]), 1, 3)
+    assert more["resume"] is True and more["turn"] == (1, 2)
+    status, _, errors = call("dataset", "-o", tmp_path / "e", "--turn", "2,2")
+    assert status == 2 and "--turn='2,2' is not allowed; give K,N with K from 0 to N − 1" in errors
 
 
 def test_noise_free_radiance_is_that_of_a_fresh_renderer(campaign):
@@ -226,7 +239,7 @@ def test_a_second_draw_keeps_the_photograph(monkeypatch):
     for name in ("orthophoto", "classes", "elevation"):
         assert np.array_equal(getattr(first, name), getattr(second, name)), name
     for name in ("reflectance", "wetness", "exchange", "inertia"):
-        draws = [np.log(getattr(each.hidden, name)) for each in (first, second, third)]
+        draws = [np.log(getattr(each.deviations, name)) for each in (first, second, third)]
         for one, other in ((0, 1), (0, 2), (1, 2)):
             assert np.abs(draws[one] - draws[other]).mean() > 0.05, name
 
@@ -238,13 +251,13 @@ def test_what_is_seen_of_moisture_stays_and_the_rest_is_drawn_anew(monkeypatch):
     (720 / 48)² patches leave a standard deviation of 0.024 to a correlation.
     """
 
-    monkeypatch.setattr(hidden_module, "load_library", cache(load_library))
+    monkeypatch.setattr(deviations_module, "load_library", cache(load_library))
 
     def of(seed, again, name):
         canvas = Canvas(seed, 720.0, 4.0)
         canvas.material[:] = canvas.value(name)
         canvas.albedo[:] = 0.5
-        found = hidden_module.hidden_fields(canvas, again)
+        found = deviations_module.deviations_of(canvas, again)
         seen = np.log(canvas.albedo[..., 0] / 0.5) / (-0.15 if name == "soil_loam" else -0.10)
         soil = -0.44 / 3.0 if name == "soil_loam" else 0.0
         mixed = np.array([[0.0, 0.20, 0.09], [soil, -0.14, 0.07], [0.18, -0.13, 0.0]])

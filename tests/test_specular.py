@@ -10,7 +10,7 @@ import thermorender as tr
 from scenes import write_mesh, write_terrain
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.atmosphere.rays import MEAN_RADIUS_M
-from thermorender.materials.files import INDEX_COLUMNS
+from thermorender.materials.csv_tables import INDEX_COLUMNS
 from thermorender.physics.band import quadrature
 from thermorender.physics.planck import band_radiance_derivative, brightness_temperature, spectral_radiance
 from thermorender.render import mirrors

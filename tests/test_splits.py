@@ -90,7 +90,7 @@ def test_refusals():
         assign(sized(3, 3, 3), "random")
     with pytest.raises(ThermorenderError, match="'sequence' finds 2 groups for 3 parts"):
         assign(sized(3, 3))
-    with pytest.raises(ThermorenderError, match="which 1 of 4 lack, s0_0 the first"):
+    with pytest.raises(ThermorenderError, match="1 of 4 lack one, the first is s0_0"):
         assign([*sized(1), *(entry(f"k{k}", place=(k, k)) for k in range(3))], "place")
     with pytest.raises(ThermorenderError, match="smaller cell_m and apart_m"):
         assign([entry(f"k{k}", place=(50.0, 8.0)) for k in range(5)], "place")
@@ -113,17 +113,17 @@ def test_a_split_comes_back_from_its_file(name, tmp_path):
     [
         ("a.json", '{"train": ["x"], "tset": ["y"]}', "puts 'y' into 'tset'; give one of train, validation, test"),
         ("a.json", '{"train": ["x"], "test": ["x"]}', "puts 'x' into 'train' and 'test'"),
-        ("a.json", '{"train": [1]}', "is no split; give JSON"),
-        ("a.json", '["x"]', "is no split; give JSON"),
-        ("a.json", '{"train": "x"}', "is no split; give JSON"),
-        ("a.json", "{", "is no split; give JSON"),
-        ("a.csv", "name,part\nx,train\n", "is no split; give JSON"),
+        ("a.json", '{"train": [1]}', "is not a split; give JSON"),
+        ("a.json", '["x"]', "is not a split; give JSON"),
+        ("a.json", '{"train": "x"}', "is not a split; give JSON"),
+        ("a.json", "{", "is not a split; give JSON"),
+        ("a.csv", "name,part\nx,train\n", "is not a split; give JSON"),
         ("a.csv", "key,part\nx,learn\n", "puts 'x' into 'learn'"),
-        ("a.csv", "", "is no split; give JSON"),
-        ("a.txt", "", "is no split; give JSON"),
+        ("a.csv", "", "is not a split; give JSON"),
+        ("a.txt", "", "is not a split; give JSON"),
     ],
 )
-def test_files_that_are_no_split_are_refused(name, text, words, tmp_path):
+def test_files_that_are_not_a_split_are_refused(name, text, words, tmp_path):
     (tmp_path / name).write_text(text, encoding="utf-8")
     with pytest.raises(ThermorenderError, match=words):
         read_split(tmp_path / name)

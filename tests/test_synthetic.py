@@ -10,20 +10,20 @@ import pytest
 import rasterio
 from typer.testing import CliRunner
 
-from thermorender.campaign import worlds
+from thermorender.campaign import procedural_truth
 from thermorender.cli import app as cli
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
-from thermorender.scene.hidden import Hidden
+from thermorender.scene.deviations import Deviations
 from thermorender.scene.load import load_scene
 from thermorender.scene.spec import TemperatureSpec, WeatherSpec
 from thermorender.synthetic.canvas import Canvas
-from thermorender.synthetic.files import scene_toml, write_declared
-from thermorender.synthetic.hidden import hidden_fields
+from thermorender.synthetic.deviations import deviations_of
 from thermorender.synthetic.light import incidence, normals, sky_view, sun_visibility
 from thermorender.synthetic.noise import fractal_noise, stream
+from thermorender.synthetic.procedural_scene import KINDS, make, weather_of
+from thermorender.synthetic.scene_files import scene_toml, write_declared
 from thermorender.synthetic.weather import conditions, drawn_weather, follows, sky_temperature, sun_of_photograph
-from thermorender.synthetic.worlds import KINDS, make, weather_of
 
 try:
     import tomllib
@@ -54,7 +54,8 @@ def truth(tmp_path_factory):
     @cache
     def made(kind, seed=0, time=None, weather=None):
         folder = tmp_path_factory.mktemp("truth") / kind
-        return worlds.write(make(kind, seed, *SMALL[kind], time=time, weather=weather), folder, temperature_every=1)
+        scene = make(kind, seed, *SMALL[kind], time=time, weather=weather)
+        return procedural_truth.write(scene, folder, temperature_every=1)
 
     return made
 
@@ -78,7 +79,7 @@ def by_class(folder):
 def unsolved(monkeypatch):
     """No heat balance: a known field in place of the true temperature."""
     field = lambda loaded, scene, progress=None: np.float32(280.0) + np.float32(0.05) * scene.classes  # noqa: E731
-    monkeypatch.setattr(worlds, "true_temperature", field)
+    monkeypatch.setattr(procedural_truth, "true_temperature", field)
     return field
 
 
@@ -106,7 +107,7 @@ def test_a_small_scene_is_whole_and_plausible(kind):
     assert scene.orthophoto.shape == (n, n, 3) and scene.orthophoto.dtype == np.uint8
     assert scene.classes.shape == (n, n)
     assert set(np.unique(scene.classes)) <= set(scene.class_names)
-    assert scene.hidden.columns(n * n).shape == (4, n * n)
+    assert scene.deviations.columns(n * n).shape == (4, n * n)
     # What the balance needs is known of every class.
     library = load_library()
     assert all(library[name].thermal for name in scene.class_names.values())
@@ -142,7 +143,7 @@ def test_the_heath_has_a_warm_marker_near_its_middle():
 
 def test_same_seed_same_bytes_other_seed_other_place(truth, tmp_path):
     one, other = truth("heath"), truth("heath", 1)
-    two = worlds.write(make("heath", 0, *SMALL["heath"]), tmp_path / "two", temperature_every=1)
+    two = procedural_truth.write(make("heath", 0, *SMALL["heath"]), tmp_path / "two", temperature_every=1)
     names = sorted(p.name for p in one.iterdir())
     assert names == [
         "classes.tif", "elevation.tif", "flight.csv", "orthophoto.tif", "scene.toml", "temperature.tif"
@@ -165,7 +166,7 @@ def test_texts_with_quotes_and_backslashes_are_written_as_they_are():
 
 def test_what_is_written_is_what_was_made(tmp_path, unsolved):
     scene = small("village")
-    folder = worlds.write(scene, tmp_path / "village")
+    folder = procedural_truth.write(scene, tmp_path / "village")
     with rasterio.open(folder / "temperature.tif") as file:
         assert file.res == (2 * scene.texel_m,) * 2 and file.crs.to_epsg() == 32634
         extent = file.bounds
@@ -260,9 +261,9 @@ def test_a_folder_in_use_is_not_overwritten_unasked(tmp_path, unsolved):
     folder.mkdir()
     (folder / "notes.txt").write_text("keep me")
     with pytest.raises(ThermorenderError, match="exists and is not empty; give a new folder"):
-        worlds.write(small("heath"), folder)
+        procedural_truth.write(small("heath"), folder)
     assert (folder / "notes.txt").read_text() == "keep me"
-    worlds.write(small("heath"), folder, overwrite=True)
+    procedural_truth.write(small("heath"), folder, overwrite=True)
     assert (folder / "scene.toml").exists() and not (folder / "notes.txt").exists()
     assert [p.name for p in tmp_path.iterdir()] == ["mine"]
 
@@ -271,15 +272,15 @@ def test_nothing_is_left_behind_when_writing_fails(tmp_path, monkeypatch):
     def fail(flight):
         raise OSError("disk full")
 
-    monkeypatch.setattr("thermorender.synthetic.files.flight_csv", fail)
+    monkeypatch.setattr("thermorender.synthetic.scene_files.flight_csv", fail)
     with pytest.raises(ThermorenderError, match="scene cannot be written: disk full"):
-        worlds.write(small("heath"), tmp_path / "scene")
+        procedural_truth.write(small("heath"), tmp_path / "scene")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_temperature_grid_must_divide(tmp_path):
     with pytest.raises(ThermorenderError, match="temperature_every=7 does not divide the 220 texels"):
-        worlds.write(small("heath"), tmp_path / "scene", temperature_every=7)
+        procedural_truth.write(small("heath"), tmp_path / "scene", temperature_every=7)
 
 
 # --- truth and prediction -----------------------------------------------------------------------------------------
@@ -298,12 +299,12 @@ def test_the_balance_predicts_the_truth_but_for_what_it_cannot_know(truth, monke
     assert 0.5 < np.abs(error).mean() < 4.0 and error.std() > 0.7
 
     scene = small("heath")
-    one = np.ones_like(scene.hidden.wetness)
-    monkeypatch.setattr(worlds, "drawn", lambda loaded, kind, seed: (loaded, 1.0))
-    plain = worlds.true_temperature(asked, replace(scene, hidden=Hidden(one, one, one, one)))
+    one = np.ones_like(scene.deviations.wetness)
+    monkeypatch.setattr(procedural_truth, "drawn", lambda loaded, kind, seed: (loaded, 1.0))
+    plain = procedural_truth.true_temperature(asked, replace(scene, deviations=Deviations(one, one, one, one)))
     # Texels of a face may share a column where nothing tells them apart: 0.1 K.
     assert np.sqrt(((plain - predicted) ** 2).mean()) < 0.1
-    hidden = worlds.true_temperature(asked, scene) - predicted
+    hidden = procedural_truth.true_temperature(asked, scene) - predicted
     assert 0.4 < np.abs(hidden - hidden.mean()).mean() < 1.6
 
 
@@ -311,7 +312,7 @@ def test_drawn_properties_are_those_of_the_tables_with_their_spread(tmp_path):
     write_declared(small("village"), tmp_path)
     loaded = load_scene(tmp_path)
     count = 400
-    made = [worlds.drawn(loaded, "village", seed) for seed in range(count)]
+    made = [procedural_truth.drawn(loaded, "village", seed) for seed in range(count)]
     for number, material in enumerate(loaded.materials):
         table = material.thermal
         for key in ("conductivity_w_m_k", "density_kg_m3", "specific_heat_j_kg_k"):
@@ -328,11 +329,11 @@ def test_drawn_properties_are_those_of_the_tables_with_their_spread(tmp_path):
     inside = np.array([scene.spec.weather.inside_c for scene, _ in made])
     assert inside.mean() == pytest.approx(20.0, abs=0.4) and inside.std() == pytest.approx(2.0, rel=0.15)
     # The tables themselves are untouched; a soil beneath grass is the soil beside it.
-    (one, _), (again, _) = made[0], worlds.drawn(loaded, "village", 0)
+    (one, _), (again, _) = made[0], procedural_truth.drawn(loaded, "village", 0)
     named = {material.name: material.thermal for material in one.materials}
     assert named == {material.name: material.thermal for material in again.materials}
     assert named["grass_green"].below == named["soil_loam"]
-    assert worlds.drawn(loaded, "heath", 0)[1] != made[0][1]
+    assert procedural_truth.drawn(loaded, "heath", 0)[1] != made[0][1]
 
 
 def test_wet_is_darker_and_dry_grass_yellower_with_scatter():
@@ -340,11 +341,11 @@ def test_wet_is_darker_and_dry_grass_yellower_with_scatter():
         canvas = Canvas(5, 400.0, 1.0)
         canvas.paint(np.ones(canvas.shape, np.float32), np.float32([0.3, 0.25, 0.2]), name)
         before = canvas.albedo.copy()
-        hidden = hidden_fields(canvas)
+        found = deviations_of(canvas)
         tint = np.log(canvas.albedo / before)
         seen = tint[..., channel] if channel == 0 else tint.mean(axis=-1)
         # 0.6 of moisture is seen, whose share of wetness is 0.55 / √(0.55² + 0.30²): 0.53, and few patches to tell it.
-        assert sign * np.corrcoef(seen.ravel(), np.log(hidden.wetness).ravel())[0, 1] == pytest.approx(0.53, abs=0.17)
+        assert sign * np.corrcoef(seen.ravel(), np.log(found.wetness).ravel())[0, 1] == pytest.approx(0.53, abs=0.17)
         # Wettest against driest soil: a factor of two at most, as from dry to saturated.
         assert 0.05 < seen.std() < 0.3
         if name == "grass_dry":
@@ -353,9 +354,9 @@ def test_wet_is_darker_and_dry_grass_yellower_with_scatter():
             assert np.exp(np.ptp(np.quantile(seen, [0.02, 0.98]))) < 2.2
 
 
-def test_hidden_fields_belong_to_the_seed_alone():
-    first, second = small("heath").hidden, small("heath", 1).hidden
-    later = make("heath", 0, *SMALL["heath"], time="2018-09-12T22:00Z").hidden
+def test_deviations_belong_to_the_seed_alone():
+    first, second = small("heath").deviations, small("heath", 1).deviations
+    later = make("heath", 0, *SMALL["heath"], time="2018-09-12T22:00Z").deviations
     for name, values in vars(first).items():
         assert np.exp(np.log(values).std()) > 1.05
         assert abs(np.corrcoef(values.ravel(), getattr(second, name).ravel())[0, 1]) < 0.5, name

@@ -7,11 +7,12 @@ import pytest
 
 from scenes import write_terrain
 from thermorender.errors import ThermorenderError
-from thermorender.files import write_text
+from thermorender.formats import write_text
 from thermorender.materials import store as store_module
 from thermorender.materials.check import check
-from thermorender.materials.files import INDEX_COLUMNS
-from thermorender.materials.library import ASSUMED_SOLAR_STD, grey, load_library, read_library
+from thermorender.materials.csv_tables import INDEX_COLUMNS
+from thermorender.materials.library import load_library, read_library
+from thermorender.materials.material import ASSUMED_SOLAR_STD, grey
 from thermorender.materials.mixture import mix
 from thermorender.materials.store import write_material
 from thermorender.materials.thermal import COVERS, ENDS, NUMBERS, PROPERTIES, read_thermal, read_thermals, table_text
@@ -189,10 +190,10 @@ FAULTS = [
     (edited(roughness_m="0"), r"roughness_m=0 is not within 1e-07…10"),
     (edited(thickness_m="0"), r"thickness_m=0 is not within 1e-05…200"),
     (edited(cover=["lawn", "", "handbook"]), r"cover='lawn' is not known; write bare, leaves, water or snow"),
-    (edited(cover=["snow", "", "handbook"]), r"melting_k is missing of a snow cover; write 273.15"),
+    (edited(cover=["snow", "", "handbook"]), r"melting_k of a snow cover is missing; write 273.15"),
     (edited(conductivity=["1", "1", "x"]), r"property='conductivity' is not known; did you mean conductivity_w_m_k"),
     (edited(zzz=["1", "1", "x"]), r"property='zzz' is not known; write one of cover, conductivity_w_m_k, density"),
-    (TABLE + "wetness,0.5,0.1,x\n", r", row 12: property wetness stands in a row above already"),
+    (TABLE + "wetness,0.5,0.1,x\n", r", row 12: property wetness is already in a row above"),
     (edited(wetness=None, density_kg_m3=None), r"a.csv: lacks density_kg_m3, wetness; add a row"),
     (edited(wetness=["", "", ""]), r"lacks wetness"),
     (edited(wetness=["0.5", "-0.1", "x"]), r"uncertainty of wetness=-0.1 is not within 0….*one standard deviation"),
@@ -200,7 +201,7 @@ FAULTS = [
     (edited(wetness=["0.5", "0.1", ""]), r"source of wetness is empty; .*chosen:"),
     (edited(wetness=["0.5", "0.1", "chosen:"]), r"source of wetness is empty"),
     (edited(beneath=None), r"thickness_m has nothing beneath; name the material there, or inside or outside"),
-    (edited(thickness_m=None), r"beneath='soil_loam' stands without thickness_m"),
+    (edited(thickness_m=None), r"beneath='soil_loam' is given without thickness_m"),
     (TABLE.replace("uncertainty", "std"), r"row 1 lacks column uncertainty"),
     (TABLE.replace(",", ";"), r"row 1 is separated by semicolons"),
 ]
@@ -229,8 +230,8 @@ def test_check_finds_all_faults_at_once(tmp_path, run):
         "thermal/granite.csv, row 9: conductivity_w_m_k=750 is not within", "row 10: source of wetness is empty",
         "row 10: uncertainty of wetness=-1 is not within", "row 11: property='zzz'", "granite.csv: lacks density_kg_m3",
         "thermal/concret.csv: belongs to no material; did you mean concrete?",
-        "thermal/sand_quartz.csv: beneath='asphlt' is no material with thermal properties; did you mean asphalt?",
-        "thermal/soil_dark.csv: beneath leads in a circle, soil_dark → water → soil_dark; let one of them go on down",
+        "thermal/sand_quartz.csv: beneath='asphlt' is not a material with thermal properties; did you mean asphalt?",
+        "thermal/soil_dark.csv: beneath leads in a circle, soil_dark → water → soil_dark; leave the",
     ]  # fmt: skip
     for words in expected:
         assert sum(words in line for line in told) == 1, (words, told)
@@ -278,11 +279,11 @@ def test_a_material_of_ones_own_has_what_its_folder_says(tmp_path):
     ("thermals", "words"),
     [
         ({"asphlt": TABLE}, r"thermal.asphlt.csv belongs to no material; did you mean asphalt\? name it after one"),
-        ({"sand_quartz": edited(beneath=["mud", "", "x"])}, r"sand_quartz.csv: beneath='mud' is no material"),
+        ({"sand_quartz": edited(beneath=["mud", "", "x"])}, r"sand_quartz.csv: beneath='mud' is not a material"),
         ({"soil_loam": edited(beneath=["asphalt", "", "x"])},
          r"soil_loam.csv: beneath leads in a circle, soil_loam → asphalt → soil_loam"),
         ({"asphalt": edited(beneath=["asphalt", "", "x"])}, r"beneath leads in a circle, asphalt → asphalt"),
-        ({"asphalt": edited(beneath=["tin", "", "x"])}, r"beneath='tin' is no material with thermal properties"),
+        ({"asphalt": edited(beneath=["tin", "", "x"])}, r"beneath='tin' is not a material with thermal properties"),
     ],
 )  # fmt: skip
 def test_faults_of_an_overlay_are_told(tmp_path, thermals, words):

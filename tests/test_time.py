@@ -151,15 +151,15 @@ def test_an_instant_is_utc(value):
 @pytest.mark.parametrize(
     ("value", "told"),
     [
-        ("2018-07-28T14:30", "time=2018-07-28T14:30 has no zone; add Z where it is UTC"),
+        ("2018-07-28T14:30", "time=2018-07-28T14:30 has no zone; add Z for UTC"),
         (datetime(2018, 7, 28), "has no zone"),
-        ("2018-07-28", "is no instant; give date, T, hour and minute with their zone"),
-        ("2018-02-30T12:00Z", "is no instant"),
-        ("2018-07-28T14:30:00.5Z", "is no instant"),
-        ("2018-07-28T14:30+15:00", "has an offset that no clock has"),
-        ("noon", "time=noon is no instant"),
-        (np.datetime64("NaT"), "is no instant"),
-        (5, "time=5 is no instant"),
+        ("2018-07-28", "is not an instant; give date, T, hour, minute and zone"),
+        ("2018-02-30T12:00Z", "is not an instant"),
+        ("2018-07-28T14:30:00.5Z", "is not an instant"),
+        ("2018-07-28T14:30+15:00", "has an impossible offset from UTC"),
+        ("noon", "time=noon is not an instant"),
+        (np.datetime64("NaT"), "is not an instant"),
+        (5, "time=5 is not an instant"),
     ],
 )
 def test_what_is_no_instant_is_refused(value, told):
@@ -177,7 +177,7 @@ def test_what_is_no_instant_is_refused(value, told):
         (("time = 2018-07-28T14:30:00Z\n", ""), "key 'time' is missing in weather"),
         (("T14:30:00Z", "T14:30:00"), "weather.time=2018-07-28T14:30:00 has no zone; add Z"),
         (("2018-07-28T14:30:00Z", '"2018-07-28T14:30"'), "weather.time=2018-07-28T14:30 has no zone"),
-        (("2018-07-28T14:30:00Z", "2018-07-28"), "weather.time=2018-07-28 is no instant"),
+        (("2018-07-28T14:30:00Z", "2018-07-28"), "weather.time=2018-07-28 is not an instant"),
         (("air_high_c = 22\n", ""), "weather needs exactly one of file, epw, air_high_c"),
         (("air_high_c = 22", 'air_high_c = 22\nfile = "scene.toml"'), "file and air_high_c are given"),
         (

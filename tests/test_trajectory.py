@@ -438,7 +438,7 @@ LOCAL = "time_s,east_m,north_m,up_m"
             "column 'qy' is missing; a quaternion needs qw, qx, qy, qz",
         ),
         (f"{LOCAL},qw,qx,qy,qz,yaw_deg\n0,0,0,0,1,0,0,0,0\n", {}, "the attitude is given twice"),
-        (f"{LOCAL},yaw_rad\n0,0,0,0,1\n", {}, "column 'yaw_rad' is not known; write it as 'yaw_deg'"),
+        (f"{LOCAL},yaw_rad\n0,0,0,0,1\n", {}, "column 'yaw_rad' is not known; rename it to 'yaw_deg'"),
         (
             f"{LOCAL},gimbal_pich_deg\n0,0,0,0,1\n",
             {},

@@ -7,7 +7,8 @@ import pytest
 from test_evaluation import linear_map
 from test_networks import map_of, network, picture
 
-from thermorender.campaign.dataset import Entry, ThermalScale, Writer, packed
+from thermorender.campaign.dataset import Entry, ThermalScale
+from thermorender.campaign.dataset_writer import Writer, packed
 from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature

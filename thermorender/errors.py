@@ -1,18 +1,18 @@
-"""The one exception a user's mistake raises: a single sentence that says what to mend."""
+"""The exception for a mistake in the user's input."""
 
 
 class ThermorenderError(ValueError):
-    """A mistake in what the user gave: a file, a key, a column, an argument or the machine's set-up.
+    """A mistake in the user's input: a file, a key, a column, an argument or the machine's set-up.
 
-    The message is one sentence: which argument or key, what arrived, what is allowed, how to mend it.
-    The command line prints it without a traceback and exits with status 2. What a file's names hold of line ends and
-    other signs that do not print is shown by their codes: a message stays one line, and steers no terminal.
+    The message is one sentence: which argument or key, what arrived, what is allowed, how to fix it.
+    The command line prints it without a traceback and exits with status 2. Characters that do not print, such as line
+    ends in a file's name, are replaced by their codes, so a message is one line and cannot control the terminal.
     """
 
-    def __init__(self, message: object = ""):
+    def __init__(self, message: object = "") -> None:
         super().__init__("".join(sign if sign.isprintable() else ascii(sign)[1:-1] for sign in str(message)))
 
 
 def shortened(text: str, length: int = 160) -> str:
-    """Return a text of the user's for a message, cut where a sentence would drown in it."""
+    """Return a user's text for a message, cut after `length` characters."""
     return text if len(text) <= length else f"{text[:length]}…"

@@ -1,4 +1,4 @@
-"""Where the data that ship with the package lie, in the wheel or beside it in a checkout; what lies in a folder."""
+"""Paths: the folders of the shipped data, and a check that a path is inside a folder."""
 
 import os
 from pathlib import Path
@@ -6,11 +6,10 @@ from pathlib import Path
 from thermorender.errors import ThermorenderError
 
 
-def data_folder(kind):
+def data_folder(kind: str) -> Path:
     """Return the folder of the shipped data of one kind, "materials" or "scenes".
 
-    A wheel carries them inside the package as `_data/<kind>`; in a source checkout they lie in the
-    repository's top level, where people edit them.
+    It is `_data/<kind>` inside an installed package, and `<kind>` at the top level of a source checkout.
 
     Raises
     ------
@@ -23,11 +22,11 @@ def data_folder(kind):
         if folder.is_dir():
             return folder
     raise ThermorenderError(
-        f"the shipped {kind!r} were looked for in {candidates[0]} and {candidates[1]} and are in neither; "
+        f"the shipped {kind!r} are neither in {candidates[0]} nor in {candidates[1]}; "
         "reinstall thermorender, or work in a complete checkout"
     )
 
 
-def inside(path, folder):
-    """Return whether a path, all its symbolic links followed, lies in a folder."""
+def inside(path: str | os.PathLike[str], folder: str | os.PathLike[str]) -> bool:
+    """Return whether a path is inside a folder, after all symbolic links are resolved."""
     return Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder))

@@ -1,10 +1,10 @@
-"""Settings as tables: each key a row with its kind, unit, range and default, read from TOML into frozen dataclasses.
+"""Schemas of settings files: TOML tables read into frozen dataclasses, every key checked.
 
-A dataclass is a table of a file. Its keys are the fields declared with `key`; a *reader* of each turns the TOML value
-into ours or refuses it in one sentence that names file, key, value and what is allowed. A key that is not declared is
-an error too. What several keys must fulfil together stands in a method `check(where, given)` of the dataclass.
+A dataclass describes one table. Its keys are the fields declared with `key`. The *reader* of a key converts the TOML
+value, or refuses it in one sentence that names file, key, value and what is allowed. An undeclared key is an error.
+Rules about several keys belong in a method `check(where, given)` of the dataclass.
 
-Units are the ends of keys' names (`row_time_us`), and messages take them from there.
+A key's name ends in its unit (`row_time_us`); messages take the unit from there.
 """
 
 import difflib
@@ -12,10 +12,12 @@ import json
 import os
 import re
 import sys
+from collections.abc import Callable, Iterable, Mapping
 from copy import copy
 from dataclasses import MISSING, dataclass, field, fields, make_dataclass, replace
 from numbers import Integral, Real
 from pathlib import Path
+from typing import Any, NoReturn, TypeVar
 
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.paths import inside
@@ -32,18 +34,18 @@ _UNITS = {"um": "µm", "mm": "mm", "m": "m", "km": "km", "k": "K", "mk": "mK", "
 
 @dataclass(frozen=True)
 class Where:
-    """A spot in a file of settings, for messages.
+    """A position in a settings file, for messages.
 
     Attributes
     ----------
     file : str or path
-        What messages begin with.
+        Start of the messages.
     folder : Path, optional
-        Files must lie in it.
+        Folder that files named in the settings must be in.
     key : str
         Dotted; empty for the outermost table.
     top : str
-        What the outermost table is called in a sentence; may be empty.
+        Name of the outermost table in a sentence; may be empty.
     """
 
     file: object
@@ -51,65 +53,76 @@ class Where:
     key: str = ""
     top: str = ""
 
-    def __str__(self):
+    def __str__(self) -> str:
         return f"{self.file}: {self.key or self.top}"
 
-    def of(self, key):
-        """Return the spot of a key of this table."""
+    def of(self, key: object) -> "Where":
+        """Return the position of a key of this table."""
         return replace(self, key=f"{self.key}.{key}" if self.key else str(key))
 
-    def error(self, sentence):
-        """Return the error of this file."""
+    def error(self, sentence: str) -> ThermorenderError:
+        """Return an error that begins with the file."""
         return ThermorenderError(f"{self.file}: {sentence}")
 
-    def refuse(self, value, allowed):
-        """Raise that this key's value is not allowed."""
+    def refuse(self, value: object, allowed: str) -> NoReturn:
+        """Raise the error that this key's value is not allowed."""
         try:
             shown = repr(value)
         except ValueError:  # a whole number too long for Python to write
             shown = "a number of thousands of digits"
         raise self.error(f"{self.key or self.top}={shortened(shown)} is not allowed; give {allowed}")
 
-    def exactly_one(self, given, keys, why=""):
-        """Return which of some keys is given after refusing none and several; `why` is added in brackets."""
+    def exactly_one(self, given: Iterable[str], keys: Iterable[str], why: str = "") -> str:
+        """Return the one of `keys` that is given; raise if none or several are, with the reason `why` in brackets."""
         found = [key for key in keys if key in given]
         if len(found) != 1:
-            told = f"{' and '.join(found) or 'none'} {'are' if len(found) > 1 else 'is'} given"
+            count = f"{' and '.join(found) or 'none'} {'are' if len(found) > 1 else 'is'} given"
             table = self.key or self.top
-            raise self.error(f"{table} needs exactly one of {', '.join(keys)}{why and f' ({why})'}, but {told}")
+            raise self.error(f"{table} needs exactly one of {', '.join(keys)}{why and f' ({why})'}, but {count}")
         return found[0]
 
 
-def unit_of(key, before=" "):
-    """Return the unit at the end of a key's name with a word before it; "" where there is none."""
+Reader = Callable[[Any, Where], Any]
+_Table = TypeVar("_Table")
+
+
+def unit_of(key: str, before: str = " ") -> str:
+    """Return the unit at the end of a key's name, after the text `before`; "" for a name without unit."""
     name = key.rpartition(".")[2]
     ends = [end for end in _UNITS if name.endswith(f"_{end}")]
     return before + _UNITS[max(ends, key=len)] if ends else ""
 
 
-def closest(name, known, count=1, cutoff=0.6):
-    """Return up to `count` known names that may have been meant, nearest first; `cutoff` 0 takes any, 1 equal ones."""
+def closest(name: object, known: Iterable[object], count: int = 1, cutoff: float = 0.6) -> list[str]:
+    """Return up to `count` known names like `name`, nearest first; `cutoff` is the least similarity, 0…1."""
     return difflib.get_close_matches(str(name), list(map(str, known)), n=count, cutoff=cutoff)
 
 
-def did_you_mean(name, known):
-    """Return "did you mean 'x' in µm? " or "", to stand before the list of what is allowed."""
+def did_you_mean(name: object, known: Iterable[object]) -> str:
+    """Return "did you mean 'x' in µm? " or "", for a message that then lists what is allowed."""
     return "".join(f"did you mean {near!r}{unit_of(near, ' in ')}? " for near in closest(name, known))
 
 
 # Tables
 
 
-def key(read, default=MISSING, name=None):
-    """Return the dataclass field of a key: its reader, its default (none: required), its name in the file if another.
+def key(read: Reader, default: Any = MISSING, name: str | None = None) -> Any:
+    """Return the dataclass field of a key.
 
-    A reader takes (value, Where) and returns what the dataclass keeps.
+    Parameters
+    ----------
+    read : callable
+        Reader: takes (value, Where) and returns the field's value.
+    default : optional
+        A key without default is required.
+    name : str, optional
+        Name of the key in the file, if it differs from the field's.
     """
     kept = {"default": default} if default.__hash__ else {"default_factory": lambda: copy(default)}
     return field(**kept, metadata={"read": read, "name": name})
 
 
-def read(cls, raw, where, **more):
+def read(cls: type[_Table], raw: object, where: Where, **more: Any) -> _Table:
     """Return a dataclass of a table's values, every key checked.
 
     Parameters
@@ -117,10 +130,10 @@ def read(cls, raw, where, **more):
     cls : type
         Dataclass whose keys are declared with `key`.
     raw : dict
-        The table as TOML gives it.
+        The table as parsed from TOML.
     where : Where
     more
-        Values of fields that are no keys.
+        Values of fields that are not keys.
 
     Raises
     ------
@@ -148,8 +161,8 @@ def read(cls, raw, where, **more):
     return found
 
 
-def checked(settings, name):
-    """Return the values of a dataclass made in code, {field: value}, read by its own rows; `name` begins messages."""
+def checked(settings: Any, name: str) -> dict[str, Any]:
+    """Return {field: value} of a dataclass made in code, checked by its readers; messages begin with `name`."""
     where = Where(name)
     rows = (item for item in fields(settings) if "read" in item.metadata)
     return {item.name: item.metadata["read"](getattr(settings, item.name), where.of(item.name)) for item in rows}
@@ -158,8 +171,11 @@ def checked(settings, name):
 # Readers
 
 
-def number(low=-float("inf"), high=float("inf"), above=False, whole=False, count=1, ordered=False, unit=""):
-    """Return the reader of a finite number, low … high, or of a list of `count`.
+def number(
+    low: float = -float("inf"), high: float = float("inf"), above: bool = False, whole: bool = False, count: int = 1,
+    ordered: bool = False, unit: str = "",
+) -> Reader:  # fmt: skip
+    """Return the reader of a finite number, low … high, or of a list of `count` numbers.
 
     Parameters
     ----------
@@ -167,13 +183,13 @@ def number(low=-float("inf"), high=float("inf"), above=False, whole=False, count
     above : bool
         `low` itself is not allowed.
     whole : bool
-        Whole numbers only, which become int; others become float.
+        Only whole numbers are allowed; the value becomes an int instead of a float.
     count : int
-        Above 1: a list of so many, which becomes a tuple.
+        Above 1: a list of `count` numbers, which becomes a tuple.
     ordered : bool
-        Each number of the list is above the one before.
+        Each number of the list must be above the one before.
     unit : str
-        Where the key's name does not end in it.
+        Unit for the message, if the key's name does not end in it.
     """
     ends = f"{low:g}…{high:g}" if high < float("inf") else f"of at least {low:g}" if low > -float("inf") else ""
     if above:
@@ -182,7 +198,7 @@ def number(low=-float("inf"), high=float("inf"), above=False, whole=False, count
     words += f"number{'s' if count > 1 else ''}{ends and ' ' + ends}{unit and ' ' + unit}"
 
     def fits(value):
-        # The bound also refuses NaN, infinity and whole numbers that fit no float.
+        # The bound also refuses NaN, infinity and whole numbers beyond float64.
         return (
             isinstance(value, Real) and not isinstance(value, bool) and abs(value) < 1e300
             and (value > low if above else value >= low) and value <= high
@@ -200,8 +216,8 @@ def number(low=-float("inf"), high=float("inf"), above=False, whole=False, count
     return read_number
 
 
-def choice(*allowed):
-    """Return the reader of a value out of a few."""
+def choice(*allowed: Any) -> Reader:
+    """Return the reader of a value that must be one of `allowed`."""
     names = ", ".join(str(one).lower() if isinstance(one, bool) else str(one) for one in allowed)
 
     def read_choice(value, where):
@@ -216,22 +232,22 @@ def choice(*allowed):
 flag = choice(False, True)
 
 
-def text(value, where):
+def text(value: Any, where: Where) -> str:
     """Read a text that is not blank."""
     if not isinstance(value, str) or not value.strip():
         where.refuse(value, "a text")
     return value
 
 
-def texts(value, where):
+def texts(value: Any, where: Where) -> tuple[str, ...]:
     """Read a list of texts."""
     if not isinstance(value, list):
         where.refuse(value, "a list of texts")
     return tuple(text(item, where) for item in value)
 
 
-def file_inside(value, where):
-    """Read the name of a file that lies in the settings' folder; return its Path."""
+def file_inside(value: Any, where: Where) -> Path:
+    """Read the name of a file inside the settings' folder; return its Path."""
     try:
         path = Path(os.path.realpath(where.folder / text(value, where)))
         there = path.is_file()
@@ -246,8 +262,8 @@ def file_inside(value, where):
     return path
 
 
-def mapping(read_value, read_key=lambda key, where: key):
-    """Return the reader of a table whose keys are free, at least one; `read_key` takes (key, Where of the table)."""
+def mapping(read_value: Reader, read_key: Reader = lambda key, where: key) -> Reader:
+    """Return the reader of a table with any keys, at least one; `read_key` takes (key, Where of the table)."""
 
     def read_mapping(value, where):
         if not isinstance(value, dict) or not value:
@@ -257,13 +273,13 @@ def mapping(read_value, read_key=lambda key, where: key):
     return read_mapping
 
 
-def table(cls):
+def table(cls: type) -> Reader:
     """Return the reader of a table into a dataclass."""
     return lambda value, where: read(cls, value, where)
 
 
-def tables(cls):
-    """Return the reader of tables headed [[key]] into a tuple of dataclasses; messages call each by its name."""
+def tables(cls: type) -> Reader:
+    """Return the reader of tables headed [[key]] into a tuple of dataclasses; messages use each table's `name`."""
 
     def read_tables(value, where):
         if not isinstance(value, list):
@@ -277,8 +293,8 @@ def tables(cls):
     return read_tables
 
 
-def entry(name, read_value, default=MISSING):
-    """Return the reader of a table that has a single key, whose value stands for the table."""
+def entry(name: str, read_value: Reader, default: Any = MISSING) -> Reader:
+    """Return the reader of a table with a single key; the result is that key's value."""
     cls = make_dataclass("Entry", [(name, object, key(read_value, default))])
     return lambda value, where: getattr(read(cls, value, where), name)
 
@@ -286,13 +302,13 @@ def entry(name, read_value, default=MISSING):
 # TOML
 
 
-def read_toml(path, name=None):
-    """Return the dict of a TOML file, with or without a byte order mark; messages call it `name`, or by its path.
+def read_toml(path: Any, name: str | None = None) -> dict[str, Any]:
+    """Return the dict of a TOML file, with or without a byte order mark; messages begin with `name` or the path.
 
     Raises
     ------
     ThermorenderError
-        A file that cannot be read or is not TOML, with the line.
+        The file cannot be read or is not TOML; the message has the line.
     """
     name = path if name is None else name
     try:
@@ -309,28 +325,28 @@ def read_toml(path, name=None):
         raise ThermorenderError(f"{name} is not valid TOML: {error}") from None
 
 
-def toml_text(values, comment=""):
+def toml_text(values: Mapping[str, Any], comment: str = "") -> str:
     """Return the text of a TOML file.
 
     Parameters
     ----------
     values : dict
-        Text, numbers, flags, paths, lists and dicts of them; a dict becomes a table, a list of dicts tables headed
-        [[key]], None is left out.
+        Text, numbers, flags, paths, and lists and dicts of them. A dict becomes a table, a list of dicts becomes
+        tables headed [[key]], and None is left out.
     comment : str
-        Put at the top, a line each.
+        Written at the top, one comment per line.
     """
     lines = [f"# {_harmless(line)}".rstrip() for line in comment.split("\n")] if comment else []
     return "\n".join([*lines, *_table_lines(values, ())]).strip("\n") + "\n"
 
 
-def toml_line(name, value, comment=""):
-    """Return the line of a key, with a comment behind it."""
+def toml_line(name: str, value: Any, comment: str = "") -> str:
+    """Return the line of a key, with a comment at its end."""
     return f"{_toml_key(name)} = {toml_value(value)}" + (f"  # {_harmless(comment)}" if comment else "")
 
 
-def toml_value(value):
-    """Return a value as TOML writes it."""
+def toml_value(value: Any) -> str:
+    """Return a value in TOML's notation."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, (str, Path)):
@@ -363,7 +379,7 @@ def _toml_key(name):
 
 
 def _quoted(value):
-    """A basic string: JSON's escapes are TOML's too, but JSON lets the delete character stand."""
+    """A TOML basic string: JSON's escapes are valid in TOML, but JSON does not escape the delete character."""
     try:
         value.encode("utf-8")
     except UnicodeEncodeError:
@@ -372,5 +388,5 @@ def _quoted(value):
 
 
 def _harmless(comment):
-    """A comment in one line, without what TOML keeps out of comments."""
+    """A one-line comment without the characters that TOML forbids in comments."""
     return re.sub("[\x00-\x1f\x7f\ud800-\udfff]", "\N{REPLACEMENT CHARACTER}", comment)

@@ -1,29 +1,33 @@
-"""Units at the border: temperatures are kelvin and instants UTC inside; °C and clocks without a zone are refused."""
+"""Checks of the user's temperatures (kelvin) and instants (UTC); °C and times without a zone are refused."""
 
 import datetime
 import re
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from thermorender.errors import ThermorenderError, shortened
 
 ZERO_CELSIUS_K = 273.15
 
-# No surface, sky or air of a scene is colder than this in the thermal band, and nearly every °C value
-# is below it, so the check catches the commonest mistake: °C given as kelvin.
+# Every surface, sky and air of a scene is warmer than this in the thermal band, and nearly every °C value is below it.
+# The check therefore catches the commonest mistake: °C given as kelvin.
 LOWEST_KELVIN = 100.0
 _FARTHEST_ZONE_S = 14 * 3600
 
+_Temperature = TypeVar("_Temperature", bound=ArrayLike)
 
-def kelvin(name, temperature, allow_zero=False):
-    """Return `temperature` unchanged [K] after refusing values that cannot be a scene's kelvin.
+
+def kelvin(name: str, temperature: _Temperature, allow_zero: bool = False) -> _Temperature:
+    """Return `temperature` unchanged [K] after refusing values that are not plausible in kelvin.
 
     Parameters
     ----------
     name : str
-        What the value is called where the user wrote it, for the message.
+        The user's name of the value, for the message.
     temperature : float or array
-        Kelvin; NaN marks "no value" in arrays and passes there, not in a single value.
+        Kelvin; NaN means "no value" and is allowed in arrays, not in a single value.
     allow_zero : bool
         Accept exactly 0 K, which radiates nothing (a cold space outside a cavity).
 
@@ -45,46 +49,45 @@ def kelvin(name, temperature, allow_zero=False):
     return temperature
 
 
-def instant(name, value):
+def instant(name: str, value: str | datetime.datetime | np.datetime64) -> np.datetime64:
     """Return an instant as datetime64[s], UTC.
 
     Parameters
     ----------
     name : str
-        What the value is called where the user wrote it, for the message.
+        The user's name of the value, for the message.
     value : str, datetime or datetime64
-        ISO 8601 with its zone, such as 2018-07-28T14:30Z or 2018-07-28T16:30:00+02:00, to whole seconds; a datetime
-        with its zone; a datetime64, which is UTC.
+        ISO 8601 with a zone, such as 2018-07-28T14:30Z or 2018-07-28T16:30:00+02:00, to whole seconds; a datetime
+        with a zone; a datetime64, which is UTC.
 
     Raises
     ------
     ThermorenderError
-        No such instant, or one without a zone.
+        The value is not an instant or has no zone.
     """
     if isinstance(value, np.datetime64) and not np.isnat(value):
         return value.astype("datetime64[s]")
     text = value.isoformat() if isinstance(value, datetime.datetime) else str(value).strip()
     found = re.fullmatch(r"(\d{4}-\d\d-\d\d)[Tt ](\d\d:\d\d(?::\d\d)?)(?:[Zz]|([+-])(\d\d):?(\d\d))?", text)
     try:
-        clock = np.datetime64(f"{found[1]}T{found[2]}", "s")
-        east = datetime.timedelta(hours=int(found[4] or 0), minutes=int(found[5] or 0)) if found[3] else None
-    except (TypeError, ValueError):
+        day, hour, sign, hours, minutes = found.groups() if found else []
+        clock = np.datetime64(f"{day}T{hour}", "s")
+        east = datetime.timedelta(hours=int(hours), minutes=int(minutes)) if sign else None
+    except ValueError:
         raise ThermorenderError(
-            f"{name}={shortened(text)} is no instant; give date, T, hour and minute with their zone, such as "
+            f"{name}={shortened(text)} is not an instant; give date, T, hour, minute and zone, such as "
             "2018-07-28T14:30Z or 2018-07-28T16:30+02:00"
         ) from None
     if east is None:
         if text[-1] in "Zz":
             return clock
-        raise ThermorenderError(
-            f"{name}={text} has no zone; add Z where it is UTC, or the offset from UTC of its clock, such as +02:00"
-        )
+        raise ThermorenderError(f"{name}={text} has no zone; add Z for UTC, or the offset from UTC, such as +02:00")
     seconds = int(east.total_seconds())
     if seconds > _FARTHEST_ZONE_S:
-        raise ThermorenderError(f"{name}={text} has an offset that no clock has; give one from -14:00 to +14:00")
-    return clock - np.timedelta64(seconds if found[3] == "+" else -seconds, "s")
+        raise ThermorenderError(f"{name}={text} has an impossible offset from UTC; give one from -14:00 to +14:00")
+    return clock - np.timedelta64(seconds if sign == "+" else -seconds, "s")
 
 
-def utc_text(time):
-    """Return an instant (datetime64, UTC) as ISO 8601 text that ends in Z."""
+def utc_text(time: np.datetime64) -> str:
+    """Return an instant (datetime64, UTC) as ISO 8601 text with a trailing Z."""
     return f"{np.datetime_as_string(time)}Z"

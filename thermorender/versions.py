@@ -1,4 +1,4 @@
-"""Versions of this package and of those its results depend on."""
+"""Versions of this package and of the packages its results depend on."""
 
 import platform
 from functools import cache
@@ -10,15 +10,15 @@ _LIBRARIES = (
 )  # fmt: skip
 
 
-def versions():
-    """Return {name: version} of Python, thermorender and the libraries that decide the bytes of a frame's files."""
+def versions() -> dict[str, str]:
+    """Return {name: version} of Python, thermorender and the libraries that determine the bytes of a frame's files."""
     return {"python": platform.python_version(), **{name: version_of(name) for name in _LIBRARIES}}
 
 
 @cache
-def version_of(name):
+def version_of(name: str) -> str:
     """Return the version of an installed package, or "not installed"."""
-    # Looked up once: it reads the folders of all packages, and every frame's EXR tells it.
+    # Cached: the look-up reads the folders of all packages, and every frame's EXR header has the versions.
     try:
         return version(name)
     except PackageNotFoundError:

@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from thermorender.materials.library import grey
+from thermorender.materials.material import grey
 from thermorender.physics.planck import band_radiance, band_radiance_derivative
 from thermorender.render.renderer import Renderer
 from thermorender.scene.surface import SURFACE, Surface

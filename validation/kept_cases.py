@@ -2,7 +2,7 @@
 
 import json
 
-from thermorender import files
+from thermorender import formats
 from thermorender.errors import ThermorenderError
 
 
@@ -15,6 +15,6 @@ def kept_cases(path):
         The file is damaged.
     """
     try:
-        return dict(json.loads(files.read_text(path))["cases"]) if path.is_file() else {}
+        return dict(json.loads(formats.read_text(path))["cases"]) if path.is_file() else {}
     except (ValueError, KeyError, TypeError):
         raise ThermorenderError(f"{path} is damaged; remove it, or give another folder") from None

@@ -3,7 +3,7 @@
 import math
 from pathlib import Path
 
-from thermorender import files
+from thermorender import formats
 from thermorender.compare.html import document, figure, table, text
 from validation.verdicts import gathered
 
@@ -32,7 +32,7 @@ def write_page(folder):
     for study, verdicts, machine in told:
         if verdicts is not None:
             parts += _section(folder, study, verdicts, machine)
-    files.write_text(Path(folder) / PAGE, document("Validation of thermorender", parts))
+    formats.write_text(Path(folder) / PAGE, document("Validation of thermorender", parts))
     return told
 
 

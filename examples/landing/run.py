@@ -17,7 +17,7 @@ import numpy as np
 from examples.landing import sites
 from examples.landing.guidance import BLIND_M, Steering, Tracker
 from examples.landing.vehicle import flown, winds
-from thermorender import files
+from thermorender import formats
 from thermorender.compare.referee import methods
 from thermorender.errors import ThermorenderError
 from thermorender.learned.temperature_map import load_model
@@ -98,7 +98,7 @@ def fly(folder, models, runs, progress=None, sizes=None, **settings):
                 if (run, kind) not in have:
                     tell(f"world {number}, run {run}: {kind}", (number + count / len(own)) / sites.WORLDS)
                     done.append(_landing(run, kind, made[kind], scene))
-                    files.append_json(log, done[-1])
+                    formats.append_json(log, done[-1])
     wanted = set(kinds)
     return [each for each in done if each["frames"] in wanted and each["run"] < runs]
 
@@ -145,16 +145,16 @@ def _flown(folder, asked):
     try:
         if log.is_file() and not path.is_file():
             raise ValueError("no settings")
-        before = json.loads(files.read_text(path)) if path.is_file() else {**asked, "models": {}}
+        before = json.loads(formats.read_text(path)) if path.is_file() else {**asked, "models": {}}
         models = before["models"]
         same = all(before[name] == asked[name] for name in asked if name != "models")
         same &= all(models.get(name, digest) == digest for name, digest in asked["models"].items())
-        done = files.read_json_lines(log)
+        done = formats.read_json_lines(log)
     except (ValueError, KeyError, TypeError):
         raise ThermorenderError(f"{folder} holds something else than landings; give another folder") from None
     if not same:
         raise ThermorenderError(f"{folder} holds landings of other settings or maps; give another folder")
-    files.write_json(path, {**asked, "models": models | asked["models"], "versions": versions()})
+    formats.write_json(path, {**asked, "models": models | asked["models"], "versions": versions()})
     return done
 
 
@@ -228,5 +228,5 @@ def _landing(run, kind, made, scene):
 def write(found, folder):
     """Write the summary of runs beside their log: `landing.json`; return it."""
     told = summary(found)
-    files.write_json(folder / "landing.json", {"frames": told})
+    formats.write_json(folder / "landing.json", {"frames": told})
     return told

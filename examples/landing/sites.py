@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from thermorender import defaults
-from thermorender.campaign.worlds import write
+from thermorender.campaign.procedural_truth import write
 from thermorender.scene.load import load_scene
-from thermorender.synthetic import worlds
+from thermorender.synthetic.procedural_scene import make, weather_of
 
 # The marker: a black disc, its width [m], and what the kinds call one of their own.
 MARKER, MARKER_M, _OTHER = "landing_marker", 0.5, "marker"
@@ -75,7 +75,7 @@ def world(number, folder, sizes=None):
     if not folder.is_dir():
         kind = KINDS[number % len(KINDS)]
         size, texel, post = (sizes or SIZES)[kind]
-        made = worlds.make(kind, _FIRST_SEED + number, size, texel, post, weather=worlds.weather_of(kind, number))
+        made = make(kind, _FIRST_SEED + number, size, texel, post, weather=weather_of(kind, number))
         # Cars and houses may mislead the vehicle; a second marker would leave nothing to tell.
         write(replace(made, objects=tuple(item for item in made.objects if item["name"] != _OTHER)), folder)
     scene = load_scene(folder)

@@ -7,7 +7,7 @@ import typer
 
 from tests.robustness import run as study
 from tests.robustness.fuzz import run as fuzz_run
-from thermorender import files
+from thermorender import files, formats
 from thermorender.cli.terminal import progress, table
 from validation.command import Out, run_command
 
@@ -27,7 +27,7 @@ def main(
         return
     with progress() as tell, files.output_folder(output) as folder:
         result = study.run(groups or (), progress=tell)
-        files.write_json(folder / "stability.json", result)
+        formats.write_json(folder / "stability.json", result)
         study.table(folder / "stability.md", result)
     table(study.HEADER, study.rows(result))
     typer.echo(f"{result['failed']} of {len(result['cases'])} cases fail; numbers and table in {output}")
@@ -40,7 +40,7 @@ def _fuzzed(readers, output, count, seed):
     with progress() as tell, files.output_folder(output) as folder:
         counts, faults = fuzz_run.run(count, readers, seed, progress=tell)
         told = {"seed": seed, "counts": {name: dict(of) for name, of in counts.items()}}
-        files.write_json(folder / "fuzz.json", told | {"faults": [vars(fault) for fault in faults]})
+        formats.write_json(folder / "fuzz.json", told | {"faults": [vars(fault) for fault in faults]})
     table(fuzz_run.HEADER, fuzz_run.rows(counts))
     typer.echo(f"{len(faults)} faults; counts and each fault in {output / 'fuzz.json'}")
     if faults:

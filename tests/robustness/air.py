@@ -137,7 +137,7 @@ def in_cloud(which):
     """Neither clear air nor a guess."""
     air = isothermal().clouded(0.5, 1000.0)
     ends = (1000.1, 0.0) if which == "camera within" else (0.0, 1500.0)
-    return refused(lambda: air.path(*ends, 2000.0), "above the base of the clouds")
+    return refused(lambda: air.path(*ends, 2000.0), "above the cloud base")
 
 
 @case("air", "mirror facing a mirror 10 m away, all of 290 K, in air of depth {:g} per metre", (1e-3, 0.1, 10.0))

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.robustness.fuzz.corpus.images import write_colour, write_elevation
-from thermorender import files
+from thermorender import files, formats
 from thermorender.errors import ThermorenderError
 
 FRAMES = 12
@@ -164,7 +164,7 @@ def training(folder):
     with files.atomic(folder / "weights.npz") as part:
         np.savez(part, **found.state)
     told = [(line["crops"], line["losses"], line["validation_mae_k"]) for line in read_log(folder / "run")]
-    files.write_json(folder / "epochs.json", told)
+    formats.write_json(folder / "epochs.json", told)
 
 
 # --- jobs in a hostile place ------------------------------------------------------------------------------------
@@ -201,7 +201,7 @@ def writers(folder):
 
 def write_picture(path):
     """Write a PNG so small that all of it is in a buffer when it is closed."""
-    files.write_image(path, np.full((32, 40), 7, np.uint16))
+    formats.write_image(path, np.full((32, 40), 7, np.uint16))
 
 
 def images(folder):
@@ -210,7 +210,7 @@ def images(folder):
     for number in range(4):
         paths.append(folder / f"{number}.png")
         if not paths[-1].exists():
-            files.write_image(paths[-1], generator.integers(0, 255, (32, 40)).astype(np.uint8))
+            formats.write_image(paths[-1], generator.integers(0, 255, (32, 40)).astype(np.uint8))
     return paths
 
 
@@ -247,7 +247,7 @@ def _write_video(path):
 def _write_radiometric(path):
     from thermorender.footage.radiometric_files import write_tlinear
 
-    with files.atomic_raster(path) as part:
+    with formats.atomic_raster(path) as part:
         write_tlinear(part, np.full((32, 40), 300.0))
 
 
@@ -268,7 +268,7 @@ def _write_exr(path):
 WRITERS = {
     "a.png": write_picture, "a.tif": write_picture, "radiometric.tif": _write_radiometric, "a.exr": _write_exr,
     "a.mp4": _write_video, "a.safetensors": write_checkpoint, "map.npz": _write_map,
-    "a.json": lambda path: files.write_json(path, list(range(999))),
+    "a.json": lambda path: formats.write_json(path, list(range(999))),
 }  # fmt: skip
 
 

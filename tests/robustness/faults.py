@@ -338,7 +338,7 @@ def kernels():
 
 @case("faults", "LOWTRAN's results on disk, damaged: not made anew")
 def lowtran():
-    from thermorender.atmosphere.lowtran import program
+    from thermorender.atmosphere import lowtran as program
 
     before, true, wrong = os.environ.get("THERMORENDER_CACHE"), np.arange(500.0).reshape(20, 25), 0
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:

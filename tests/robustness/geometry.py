@@ -13,8 +13,8 @@ from scipy.ndimage import maximum_filter, minimum_filter
 from tests.robustness.air import refused
 from tests.robustness.cases import Found, case
 from thermorender.defaults import BAND_UM
-from thermorender.files import write_text
-from thermorender.materials.library import grey
+from thermorender.formats import write_text
+from thermorender.materials.material import grey
 from thermorender.physics.geodesy import FLATTENING, SEMI_MAJOR_AXIS_M
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.scene.mesh import load, primitive

@@ -8,7 +8,7 @@ import numpy as np
 from tests.robustness.air import refused
 from tests.robustness.cases import Found, case
 from thermorender.defaults import BAND_UM
-from thermorender.materials.library import grey
+from thermorender.materials.material import grey
 from thermorender.materials.mixture import mix
 from thermorender.physics.balance import STEFAN_BOLTZMANN
 from thermorender.physics.band import emitted_radiance

@@ -23,7 +23,7 @@ COLOURS = {"black": (0, 0, 0), "white": (255, 255, 255), "grey": (128, 128, 128)
 # Thermal values are hundredths of a kelvin; of intensity 0…1, 280 K to 300 K.
 _KELVIN = np.arange(40000) / 100.0
 _COLD, _WARM = 280.0, 300.0
-_NETWORKS = ("autoencoder", "dense", "unet-classes", "unet", "unet-gan", "pix2pix", "pix2pixhd", "cyclegan", "compact")
+_NETWORKS = ("unet-classes", "unet", "unet-gan", "pix2pix", "pix2pixhd", "cyclegan", "compact")
 _SETTINGS = {"width": 4, "batch": 2, "crops": 8, "every": 4}
 
 

@@ -9,8 +9,9 @@ import numpy as np
 from tests.robustness.air import refused
 from tests.robustness.cases import Found, case
 from thermorender.defaults import BAND_UM
-from thermorender.files import write_text
-from thermorender.materials.library import grey, load_library
+from thermorender.formats import write_text
+from thermorender.materials.library import load_library
+from thermorender.materials.material import grey
 from thermorender.physics.band import emitted_radiance
 from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.scene.load import load_scene

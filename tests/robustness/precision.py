@@ -11,7 +11,7 @@ import numpy as np
 
 from tests.robustness.cases import Found, case
 from thermorender.defaults import BAND_UM
-from thermorender.materials.library import grey
+from thermorender.materials.material import grey
 from thermorender.physics.planck import band_radiance, band_radiance_derivative, brightness_temperature
 
 _SIDE_TEXELS = 400

@@ -21,7 +21,7 @@ from tests.robustness import (
     solver,
 )
 from tests.robustness.cases import CASES
-from thermorender import files
+from thermorender import formats
 from thermorender.compare.machine import machine
 from thermorender.errors import ThermorenderError
 from thermorender.versions import versions
@@ -53,7 +53,7 @@ def run(groups=(), progress=None):
     ThermorenderError
         An unknown group.
     """
-    known = list(dict.fromkeys(group for group, _, _ in CASES))
+    known = sorted({group for group, _, _ in CASES})
     for group in groups:
         if group not in known:
             raise ThermorenderError(f"group {group!r} is unknown; give some of {', '.join(known)}")
@@ -112,4 +112,4 @@ def table(path, result):
         lines += ["", f"## {group}", "", f"| {' | '.join(HEADER)} |", "|---" + "|--:" * 4 + "|---|--:|"]
         own = {**result, "cases": [case for case in result["cases"] if case["group"] == group]}
         lines += [f"| {' | '.join((row[0].partition(': ')[2], *row[1:]))} |" for row in rows(own)]
-    files.write_text(path, "\n".join(lines) + "\n")
+    formats.write_text(path, "\n".join(lines) + "\n")

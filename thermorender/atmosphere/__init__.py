@@ -1,1 +1,1 @@
-"""Air between camera and ground: standard atmospheres, own soundings, MODTRAN files; rays, absorbers and emission."""
+"""Air between camera and ground: standard atmospheres, soundings, MODTRAN files; rays, absorbers and emission."""

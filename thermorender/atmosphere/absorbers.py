@@ -1,29 +1,33 @@
-"""Absorbers of the air: what LOWTRAN7's band models make of pressure, temperature and amounts of gas.
+"""Absorbers of the air: scaled densities of LOWTRAN7's band models from pressure, temperature and gas amounts.
 
-Along a path each absorber counts through one number, the integral of its scaled density. Water counts several times:
-its lines below and above 1000 cm⁻¹, and its continuum between its own molecules (with the square of its density, more
-when cold) and with those of dry air.
+The amount of an absorber on a path is the integral of its scaled density. Water is several absorbers: its lines below
+and above 1000 cm⁻¹, its self continuum (square of the density, stronger in cold air) and its foreign continuum.
 """
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.units import ZERO_CELSIUS_K
 
+Floats = NDArray[np.float64]
 
-def saturation_g_m3(temperature):
+
+def saturation_g_m3(temperature: ArrayLike) -> Floats:
     """Return the density of saturated water vapour over liquid water [g m⁻³] at temperatures [K].
 
-    Kneizys et al. (1988), Users Guide to LOWTRAN 7, AFGL-TR-88-0177: its fit, so that relative humidities agree.
+    LOWTRAN's fit, so that relative humidities agree: Kneizys et al. (1988), Users Guide to LOWTRAN 7, AFGL-TR-88-0177.
     """
     ratio = ZERO_CELSIUS_K / np.asarray(temperature, dtype=np.float64)
     return ratio * np.exp(18.9766 - 14.9595 * ratio - 2.43882 * np.square(ratio))
 
 
-def offset_water(temperature, water, temperature_offset_k, humidity_factor):
-    """Return (temperature [K], water vapour [g m⁻³]) of a profile that is made warmer and moister.
+def offset_water(
+    temperature: Floats, water: Floats, temperature_offset_k: float, humidity_factor: float
+) -> tuple[Floats, Floats]:
+    """Return (temperature [K], water vapour [g m⁻³]) of a profile made warmer and moister.
 
-    The mixing ratio stays under a change of temperature. Vapour past saturation over liquid is left out, unless the
-    profile has it from the start.
+    A change of temperature keeps the mixing ratio. Vapour is limited to saturation over liquid water, or to the
+    original profile where that has more.
     """
     warmer = temperature + temperature_offset_k
     moister = water * humidity_factor * temperature / warmer
@@ -50,7 +54,7 @@ ABSORBERS = (
 )  # fmt: skip
 
 
-def scaled_densities(pressure_hpa, temperature, gas):
+def scaled_densities(pressure_hpa: ArrayLike, temperature: ArrayLike, gas: Floats) -> Floats:
     """Return the scaled density of each gaseous absorber, (11, L), in the order of ABSORBERS.
 
     Parameters
@@ -61,22 +65,22 @@ def scaled_densities(pressure_hpa, temperature, gas):
 
     Notes
     -----
-    Line absorption: amount × (p/p₀)ⁿ (T₀/T)ᵐ. Continuum: water times water, the same times the fall of the
-    temperature from 296 to 260 K, and water times dry air, in units of the density of air at p₀, T₀.
+    Line absorption: amount × (p/p₀)ⁿ (T₀/T)ᵐ. Continuum: water times water, the same times (296 K − T)/36 K limited to
+    0…1, and water times dry air, in units of the density of air at p₀, T₀.
     """
     pressure = np.asarray(pressure_hpa, dtype=np.float64) / 1013.25
     cold = ZERO_CELSIUS_K / np.asarray(temperature, dtype=np.float64)
     lines = [gas[row] * pressure**n * cold**m for row, n, m in BAND_MODELS]
-    # 1 g/m³ of water vapour is 1/803.8 of the molecules in a cubic metre of air at p₀, T₀.
+    # 1 g/m³ of water vapour has 1/803.8 of the molecules in a cubic metre of air at p₀, T₀.
     water = gas[0] / 803.8
     fall = np.clip((296.0 - np.asarray(temperature)) / 36.0, 0.0, 1.0)
     return np.stack([*lines, water**2, water**2 * fall, water * (pressure * cold - water)])
 
 
-def exponential(altitude, levels, values):
-    """Return `values` (J, L) at levels, interpolated exponentially, or linearly where an end is 0.
+def exponential(altitude: ArrayLike, levels: Floats, values: Floats) -> Floats:
+    """Return `values` (J, L) at levels interpolated to altitudes, exponentially, or linearly where an end is 0.
 
-    Below the levels it is as on the lowest of them, above them 0.
+    Below the lowest level the values are constant, above the highest 0.
     """
     upper = np.clip(np.searchsorted(levels, altitude), 1, len(levels) - 1)
     part = np.clip((altitude - levels[upper - 1]) / (levels[upper] - levels[upper - 1]), 0.0, 1.0)
@@ -84,8 +88,8 @@ def exponential(altitude, levels, values):
     return np.where(altitude > levels[-1], 0.0, between(first, last, part))
 
 
-def between(first, last, part):
-    """Return what lies a part of the way from first to last, exponentially, or linearly where one of them is 0."""
-    # Powers of each: a ratio of the two may leave float64.
+def between(first: Floats, last: Floats, part: Floats) -> Floats:
+    """Return the interpolation from first (part 0) to last (part 1), exponential, or linear where one of them is 0."""
+    # Powers of each, because their ratio may leave float64.
     powers = first ** (1.0 - part) * last**part
     return np.where((first > 0.0) & (last > 0.0), powers, first + (last - first) * part)

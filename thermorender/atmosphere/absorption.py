@@ -1,12 +1,16 @@
-"""Absorption data of one's own: k-distributions by pressure, temperature and gas, and the air of a profile they make.
+"""The user's absorption data: k-distributions by pressure, temperature and gas, applied to a profile.
 
-A k-distribution orders the wavelengths of a sub-band by how strongly they absorb (correlated k: Lacis and Oinas 1991,
-doi:10.1029/90JD01945). Each of its g points stands for the same wavelengths at every pressure and temperature and for
-every gas, and so is a node of an `Atmosphere`: at each level its absorption coefficient is the sum over gases of cross
-section times number density, and everything else follows as from the shipped table.
+A k-distribution sorts the wavelengths of a sub-band by absorption (correlated k: Lacis and Oinas 1991,
+doi:10.1029/90JD01945). A g point represents the same wavelengths at every pressure and temperature and for every gas,
+so it is a node of an `Atmosphere`. Its absorption coefficient at a level is the sum over gases of cross section times
+number density.
 """
 
+from os import PathLike
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.atmosphere.absorbers import between, exponential
 from thermorender.atmosphere.emission import ALTITUDE_M
@@ -21,32 +25,35 @@ _AXES = {
     "gas": "M", "lower_um": "S", "upper_um": "S", "weight": "SG", "pressure_hpa": "P", "temperature": "T",
     "cross_section_cm2": "MSGPT",
 }  # fmt: skip
-# With as many the air of a camera's place takes 1.7 s to compute.
+# With this number the air of a camera position takes 1.7 s to compute.
 _MOST_NODES = 512
-# No molecule absorbs thermal light with more [cm²]: strong lines reach 1e-17 at their centres.
+# Above the cross section of any molecule in the thermal infrared [cm²]: strong lines reach 1e-17 at their centres.
 _LARGEST_CM2 = 1e-10
-# Levels between those of a profile, of the grid that air is summed on: 80 m apart at the ground.
+# Every 16th point of the integration grid, 80 m apart at the ground, becomes a level between those of a profile.
 _EVERY = 16
 
 
-def from_absorption(absorption, profile, cloud_fraction=0.0, cloud_base_m=2000.0):
-    """Return the Atmosphere of a profile with absorption data of one's own.
+def from_absorption(
+    absorption: str | PathLike[str], profile: str | PathLike[str], cloud_fraction: float = 0.0,
+    cloud_base_m: float = 2000.0,
+) -> Atmosphere:  # fmt: skip
+    """Return the Atmosphere of a profile with the user's absorption data.
 
     Parameters
     ----------
     absorption : str or Path
-        File as of `read_absorption`.
+        File as in `read_absorption`.
     profile : str or Path
         CSV file with the columns altitude_m (above sea level), pressure_hpa, temperature_k and, for each gas of the
-        data, its name with _ppm: parts per million of all molecules. Lowest level first; above the highest there is no
-        air.
+        data, its name with _ppm: parts per million of all molecules. Lowest level first; there is no air above the
+        highest level.
     cloud_fraction, cloud_base_m : float
-        As `Atmosphere.standard`.
+        As in `Atmosphere.standard`.
 
     Raises
     ------
     ThermorenderError
-        A file that is missing or out of order, or levels whose pressure or temperature the data do not cover.
+        A file is missing or invalid, or the data do not cover the pressure or temperature of a level.
 
     Notes
     -----
@@ -66,7 +73,7 @@ def from_absorption(absorption, profile, cloud_fraction=0.0, cloud_base_m=2000.0
                 f"profile {profile}: at {fine[outside[0]]:.0f} m {name} is {values[outside[0]]:.4g}, which absorption "
                 f"data {absorption} do not cover ({least:.4g} … {most:.4g}); extend the data or end the profile there"
             )
-    # Molecules per cubic centimetre, p/kT.
+    # Molecules per cubic centimetre: p/kT.
     number = 1e-4 * pressure / (BOLTZMANN * temperature)
     section = _at(data, pressure, temperature)
     amount = exponential(fine, altitude, ppm) * 1e-6 * number
@@ -80,55 +87,56 @@ def from_absorption(absorption, profile, cloud_fraction=0.0, cloud_base_m=2000.0
         tilt=np.zeros(data["weight"].size),
         altitude_m=fine,
         temperature=temperature,
-        # Every node has an absorber of its own.
+        # Each node has its own absorber.
         density=coefficient,
         absorption=np.eye(len(coefficient)),
     )
     return air.clouded(cloud_fraction, cloud_base_m)
 
 
-def read_absorption(path):
+def read_absorption(path: str | PathLike[str]) -> dict[str, NDArray[Any]]:
     """Return the arrays of a file of absorption data by name; numbers are float64.
 
     Parameters
     ----------
     path : str or Path
-        .npz file of plain arrays (no pickle): `gas` (M,) names; `lower_um`, `upper_um` (S,) limits of sub-bands that
-        adjoin [µm]; `weight` (S, G) share of each g point in its sub-band's light, 1 in all; `pressure_hpa` (P,) and
-        `temperature` (T,) [K], rising; `cross_section_cm2` (M, S, G, P, T) absorption cross section per molecule [cm²].
+        .npz file of plain arrays (no pickle): `gas` (M,) names; `lower_um`, `upper_um` (S,) limits of contiguous
+        sub-bands [µm]; `weight` (S, G) share of each g point in its sub-band's light, with sum 1; `pressure_hpa` (P,)
+        and `temperature` (T,) [K], rising; `cross_section_cm2` (M, S, G, P, T) absorption cross section per molecule
+        [cm²].
 
     Raises
     ------
     ThermorenderError
-        The file is missing or no .npz file, or an array is missing, of another type or shape, or impossible.
+        The file is missing or not an .npz file, or an array is missing, of another type or shape, or impossible.
     """
     give = "an .npz file as docs/architecture.md describes it"
     return read_arrays(path, "absorption data", _AXES, _first_wrong, give)
 
 
-def _first_wrong(data):
-    """What is wrong with the first array that is out of order, as a clause, or None."""
+def _first_wrong(data: dict[str, NDArray[Any]]) -> str | None:
+    """The fault of the first invalid array, as a clause, or None."""
     gas, weight, section = data["gas"].tolist(), data["weight"], data["cross_section_cm2"]
     for name in gas:
         if not name.isidentifier() or gas.count(name) > 1:
-            return f"gas holds {name[:40]!r}, where each needs a name of its own of letters, digits and _"
+            return f"gas holds {name[:40]!r}; names must be unique, of letters, digits and _"
     for name in ("weight", "cross_section_cm2"):
         if (data[name] < 0.0).any():
             return f"{name} holds {data[name].min():g}; it must not be negative"
     if section.max() > _LARGEST_CM2:
-        return f"cross_section_cm2 holds {section.max():g}, where no molecule has more than {_LARGEST_CM2:g} cm²"
+        return f"cross_section_cm2 holds {section.max():g}, but no molecule has more than {_LARGEST_CM2:g} cm²"
     if weight.size > _MOST_NODES:
-        return f"weight holds {weight.size} nodes (sub-bands times g points), where up to {_MOST_NODES} are read"
+        return f"weight holds {weight.size} nodes (sub-bands times g points), but up to {_MOST_NODES} are allowed"
     total = weight.sum(axis=1)
     worst = np.argmax(np.abs(total - 1.0))
     if not abs(total[worst] - 1.0) < 1e-5:
         low, high = data["lower_um"][worst], data["upper_um"][worst]
-        return f"weight sums to {total[worst]:g} over {low:g}–{high:g} µm, where it must be 1"
+        return f"weight sums to {total[worst]:g} over {low:g}–{high:g} µm; the sum must be 1"
     for name, least, most in (("pressure_hpa", 1e-9, 1e5), ("temperature", 50.0, 5000.0)):
         values = data[name]
         odd = (values < least) | (values > most)
         if odd.any():
-            return f"{name} holds {values[odd][0]:g}, where {least:g} … {most:g} can be"
+            return f"{name} holds {values[odd][0]:g}; allowed are {least:g} … {most:g}"
     rising = ("lower_um", "pressure_hpa", "temperature")
     wrong = [not_rising(name, data[name]) for name in rising]
     return next(filter(None, [*wrong, wrong_sub_bands(data["lower_um"], data["upper_um"])]), None)
@@ -150,6 +158,6 @@ def _at(data, pressure, temperature):
 
 
 def _interval(grid, values):
-    """(number of the grid point below, share of the interval up to the next) of values within a rising grid."""
+    """(index of the grid point below, fraction of the interval to the next) of values within a rising grid."""
     lower = np.clip(np.searchsorted(grid, values) - 1, 0, len(grid) - 2)
     return lower, np.clip((values - grid[lower]) / (grid[lower + 1] - grid[lower]), 0.0, 1.0)

@@ -1,4 +1,6 @@
-"""The air a scene file declares: a standard atmosphere, a table or a profile, limited to the camera's band."""
+"""The air declared in a scene file: a standard atmosphere, a table or a profile, limited to the camera's band."""
+
+from typing import Any
 
 from thermorender.atmosphere.absorption import from_absorption
 from thermorender.atmosphere.model import Atmosphere
@@ -6,7 +8,7 @@ from thermorender.atmosphere.profile import from_profile
 from thermorender.errors import ThermorenderError
 
 
-def declared_air(spec, band_um, where):
+def declared_air(spec: Any, band_um: tuple[float, float], where: object) -> Atmosphere | None:
     """Return the Atmosphere of an AtmosphereSpec over a band, or None for None.
 
     Parameters
@@ -20,7 +22,7 @@ def declared_air(spec, band_um, where):
     Raises
     ------
     ThermorenderError
-        An unknown name, a value out of range, a file that cannot be used, or a table that does not cover the band.
+        A name is unknown, a value is out of range, a file is invalid, or a table does not cover the band.
     """
     if spec is None:
         return None

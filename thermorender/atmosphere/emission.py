@@ -1,12 +1,15 @@
-"""Absorbers and emission summed along rays: the inner loops of the air, on a fixed grid of altitudes."""
+"""Integration of absorber amounts and emission along rays, on a fixed grid of altitudes."""
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.atmosphere.rays import EARTH_RADIUS_M, TOP_M
 
-# Uniform in ln(1 + z / 2 km): 5 m at the ground and 60 m at 50 km.
+Floats = NDArray[np.float64]
+
+# Uniform in ln(1 + z / 2 km), with a spacing of 5 m at the ground and 60 m at 50 km.
 _SCALE_M = 2.0e3
 _POINTS = 1600
 ALTITUDE_M = _SCALE_M * np.expm1(np.linspace(0.0, np.log1p(TOP_M / _SCALE_M), _POINTS))
@@ -22,33 +25,33 @@ class Profile:
     density, rise, column : (1600, J), (1599, J), (1600, J) float64
         Density of each absorber, its change to the next point, and its integral from the ground.
     planck : (1600, N) float64
-        Of the air's temperature, per node.
+        At the air's temperature, per node.
     """
 
-    density: np.ndarray
-    rise: np.ndarray
-    column: np.ndarray
-    planck: np.ndarray
+    density: Floats
+    rise: Floats
+    column: Floats
+    planck: Floats
 
     @classmethod
-    def of(cls, density, planck):
+    def of(cls, density: Floats, planck: Floats) -> "Profile":
         """Return the Profile of densities (1600, J) and Planck radiances (1600, N) at ALTITUDE_M."""
         layers = 0.5 * (density[1:] + density[:-1]) * _SPACING[:, None]
         column = np.concatenate([np.zeros((1, density.shape[1])), layers.cumsum(axis=0)])
         return cls(density, np.diff(density, axis=0), column, planck)
 
 
-def amounts(profile, altitude, length):
-    """Return absorbers' amounts (M, 2, P, J) in the halves of steps of altitudes (P, 2 M + 1), lengths (P, 2 M).
+def amounts(profile: Profile, altitude: Floats, length: Floats) -> Floats:
+    """Return absorber amounts (M, 2, P, J) of half steps with altitudes (P, 2 M + 1) and lengths (P, 2 M).
 
-    The mean density over a half is that over its altitudes, exact on the grid, but for the bend of altitude along
-    a straight ray, z″ = 1 / R, which counts with the density's slope.
+    The mean density of a half step is the exact mean over its altitudes on the grid, corrected to first order for the
+    curvature of altitude along a straight ray, z″ = 1 / R.
     """
     altitude, length = altitude.T, length.T[..., None]
     index, part = _interval(altitude)
     over, part = (altitude - ALTITUDE_M[index])[..., None], part[..., None]
     density, rise = profile.density.take(index, axis=0), profile.rise.take(index, axis=0)
-    # Integral from the ground, and the density itself.
+    # Integral of the density from the ground, and the density.
     column = profile.column.take(index, axis=0)
     column += over * (density + 0.5 * part * rise)
     density += part * rise
@@ -62,12 +65,14 @@ def amounts(profile, altitude, length):
     return mean.reshape(-1, 2, *mean.shape[1:])
 
 
-def emission(profile, absorption, altitude, length, amounts):
-    """Return (transmittance, emission), each (P, N), of steps as in `amounts`, whose result is the last argument."""
+def emission(
+    profile: Profile, absorption: Floats, altitude: Floats, length: Floats, amounts: Floats
+) -> tuple[Floats, Floats]:
+    """Return (transmittance, emission), each (P, N), of steps as in `amounts`; the last argument is its result."""
     source = np.ascontiguousarray(np.moveaxis(_lookup(profile.planck, altitude.T), -1, 0))
     source, halfway = source[:, ::2], source[:, 1::2]
     change = np.diff(source, axis=1)
-    # Where a step's middle lies, as a share of its length.
+    # Position of a step's middle point, as a share of its length.
     near, far = length.T[::2], length.T[1::2]
     even = (near > 0.1 * far) & (far > 0.1 * near)
     share = np.where(even, near, 0.5) / np.where(even, near + far, 1.0)
@@ -77,9 +82,9 @@ def emission(profile, absorption, altitude, length, amounts):
     passed = np.ones_like(light)
     for step, halves in enumerate((amounts @ absorption.T).transpose(0, 1, 3, 2)):
         depth = halves[0] + halves[1]
-        # ∫ τ dB over a step, the source B being a parabola in distance: its linear part times the mean of τ,
-        # (1 − e⁻ᵈ) / d where density is even, and with a denominator that meets the thin and the thick limit
-        # where it is not; its bulge times ∫ τ (1 − 2x) dx, within 4 % of d / (6 + 2.3 d + d²).
+        # ∫ τ dB over a step, with the source B a parabola in distance. The linear part is multiplied by the mean of τ:
+        # (1 − e⁻ᵈ) / d for uniform density, otherwise with a denominator that meets the thin and the thick limit.
+        # The curved part is multiplied by ∫ τ (1 − 2x) dx, which is d / (6 + 2.3 d + d²) within 4 %.
         skew = np.clip((share[step] - halves[0] / np.maximum(depth, 1e-30)) * lever[step], -0.8, 0.8)
         after = np.exp(-depth)
         even = np.maximum(depth, 1e-8)
@@ -94,7 +99,7 @@ def emission(profile, absorption, altitude, length, amounts):
 
 
 def _interval(altitude):
-    """(number of the grid point below (...), share of the interval up to the next (...)) of altitudes."""
+    """(index of the grid point below (...), fraction of the interval to the next (...)) of altitudes."""
     position = np.log1p(np.maximum(altitude, 0.0) / _SCALE_M)
     position *= (_POINTS - 1) / np.log1p(TOP_M / _SCALE_M)
     index = np.minimum(position.astype(np.intp), _POINTS - 2)

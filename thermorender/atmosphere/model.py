@@ -1,34 +1,40 @@
-"""Air between camera and ground: transmittance, its own emission and the sky, per spectral node.
+"""Air between camera and ground: transmittance, emission and sky radiance per spectral node.
 
-A node is one absorption term of one sub-band: of the sub-band's Planck radiance it holds the share `weight`, and
-its absorption coefficient at every altitude is a sum over absorbers (water lines, water continuum, carbon dioxide,
-ozone, nitrous oxide, methane, nitric acid, aerosol), each a scaled density times a constant of the node. Within a
-node Beer's law holds exactly, so transmittances of adjoining paths multiply, and air as warm as what stands behind
-it is invisible. Products are taken per node and summed over nodes last; a band average of transmittance is wrong
-to multiply with.
+A node is one absorption term of one sub-band. It has the share `weight` of the sub-band's Planck radiance. Its
+absorption coefficient is a sum over absorbers (water lines, water continuum, carbon dioxide, ozone, nitrous oxide,
+methane, nitric acid, aerosol), each a scaled density by altitude times a constant of the node. Beer's law is exact
+within a node, so transmittances of consecutive paths multiply, and air as warm as its background is invisible.
+Multiply per node, then sum over nodes: products of band-averaged transmittances are wrong.
 
-The constants are fitted to LOWTRAN7 (`atmosphere.lowtran.fit`). Fitted are paths of 100 m and more; shorter ones follow
-from the same terms, where LOWTRAN's own band model absorbs too much.
+The constants are fitted to LOWTRAN7 (`tools/lowtran`). The fit covers paths of 100 m and more.
+Shorter paths use the same terms; LOWTRAN's band model absorbs too much there.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from os import PathLike
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.atmosphere import rays
 from thermorender.atmosphere.absorbers import exponential, offset_water, scaled_densities
+from thermorender.atmosphere.checks import check_altitudes, check_within, name_index
 from thermorender.atmosphere.emission import ALTITUDE_M, Profile, amounts, emission
 from thermorender.atmosphere.tables import NAMES, read_saved, read_table
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic
 from thermorender.physics.planck import C2, spectral_radiance
 
-# Temperature at which nodes' weights are shares of their sub-band.
+Floats = NDArray[np.float64]
+
+# Temperature of the nodes' weights.
 REFERENCE_K = 285.0
 LOWEST_M, HIGHEST_CAMERA_M = -500.0, 3.0e4
-# Steps of a path in ln(3 km + altitude); finer ones change no result by more than 6 mK, and near the ground by 1 mK.
+# Steps of a path in ln(3 km + altitude). Finer steps change results by at most 6 mK, near the ground by 1 mK.
 _STEP = 0.08
-# Paths handled at a time, so that intermediate values stay in the processor's cache.
+# Paths per batch, so that intermediate values stay in the processor's cache.
 _CHUNK = 128
 _PLANCK_NODE, _PLANCK_WEIGHT = np.polynomial.legendre.leggauss(6)
 
@@ -42,9 +48,9 @@ class Atmosphere:
     lower_um, upper_um : (N,) float64
         Sub-band of each node [µm].
     weight : (N,) float64
-        Share of its sub-band's Planck radiance at 285 K that a node stands for; sums to 1 over each sub-band.
+        Share of the sub-band's Planck radiance at 285 K; sums to 1 over each sub-band.
     tilt : (N,) float64
-        How the share changes with temperature [µm⁻¹]: the wavenumber of the node's light, from mid-sub-band.
+        Wavenumber of the node's light minus that of mid-sub-band [µm⁻¹]; it changes the share with temperature.
     altitude_m : (L,) float64
         Levels above sea level, rising from 0.
     temperature : (L,) float64
@@ -54,37 +60,37 @@ class Atmosphere:
     absorption : (N, J) float64
         Absorption coefficient of each node [m⁻¹] per density of each absorber.
     cloud_fraction, cloud_base_m : float
-        Share of the sky that black clouds cover, and the altitude of their base above sea level.
+        Share of the sky covered by black clouds, and the altitude of their base above sea level.
 
     Notes
     -----
-    Paths are valid from sea level (the air below is that at sea level) to 100 km, for chords of a sphere. Clouds are
-    known from below only: a share of the sky says neither where they are nor how thick, which is what decides what is
-    seen from above or from within. So under clouds nothing may lie above their base, neither camera nor ground.
+    Paths are chords of a sphere, valid from sea level (the air below is that at sea level) to 100 km. Clouds are
+    modelled from below only, because a cloud cover has neither positions nor thickness. With clouds, camera, ground
+    and objects must therefore be below their base.
     """
 
-    lower_um: np.ndarray
-    upper_um: np.ndarray
-    weight: np.ndarray
-    tilt: np.ndarray
-    altitude_m: np.ndarray
-    temperature: np.ndarray
-    density: np.ndarray
-    absorption: np.ndarray
+    lower_um: Floats
+    upper_um: Floats
+    weight: Floats
+    tilt: Floats
+    altitude_m: Floats
+    temperature: Floats
+    density: Floats
+    absorption: Floats
     cloud_fraction: float = 0.0
     cloud_base_m: float = 2000.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         limits = np.stack([self.lower_um, self.upper_um], axis=1)
         bands, which = np.unique(limits, axis=0, return_inverse=True)
-        # A frozen dataclass keeps what is derived under names of its own.
+        # The dataclass is frozen, so derived values are set this way.
         object.__setattr__(self, "_bands", bands)
         object.__setattr__(self, "_band_of", which.reshape(-1))
         density = exponential(ALTITUDE_M, self.altitude_m, self.density).T.copy()
         planck = self.planck(np.interp(ALTITUDE_M, self.altitude_m, self.temperature))
         object.__setattr__(self, "_profile", Profile.of(density, planck))
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         clouds = f", {self.cloud_fraction:.0%} clouds at {self.cloud_base_m:.0f} m" if self.cloud_fraction else ""
         passed = self.transmittance(0.0, 0.0, 1000.0) @ self.planck(REFERENCE_K) / self.planck(REFERENCE_K).sum()
         return (
@@ -94,15 +100,10 @@ class Atmosphere:
 
     @classmethod
     def standard(
-        cls,
-        name="us-1976",
-        aerosol="none",
-        temperature_offset_k=0.0,
-        humidity_factor=1.0,
-        cloud_fraction=0.0,
-        cloud_base_m=2000.0,
-        table=None,
-    ):
+        cls, name: str = "us-1976", aerosol: str = "none", temperature_offset_k: float = 0.0,
+        humidity_factor: float = 1.0, cloud_fraction: float = 0.0, cloud_base_m: float = 2000.0,
+        table: dict[str, NDArray[Any]] | None = None,
+    ) -> "Atmosphere":  # fmt: skip
         """Return one of the six standard atmospheres of LOWTRAN7.
 
         Parameters
@@ -112,27 +113,27 @@ class Atmosphere:
         aerosol : str
             none, rural-23km, rural-5km, maritime-23km or urban-5km: type and visibility at the ground.
         temperature_offset_k : float
-            Added to the air's temperature at every altitude, −40 … 40 K; pressure and mixing ratios stay.
+            Added to the air's temperature at every altitude, −40 … 40 K; pressure and mixing ratios do not change.
         humidity_factor : float
-            Multiplies the water vapour at every altitude, 0 … 5; what exceeds saturation is left out.
+            Multiplies the water vapour at every altitude, 0 … 5, up to saturation.
         cloud_fraction : float
             Share of the sky covered by black clouds, 0 … 1.
         cloud_base_m : float
-            Altitude of their base above sea level, 0 … 15 km; they are as warm as the air there. Under clouds whose
-            share is not 0 cameras, ground and objects stay below it.
+            Altitude of their base above sea level, 0 … 15 km; clouds have the air temperature there. With clouds,
+            cameras, ground and objects must be below it.
         table : dict, optional
-            As from `read_table`, in place of the shipped one.
+            As from `read_table`, instead of the shipped table.
 
         Raises
         ------
         ThermorenderError
-            An unknown name or a value out of range.
+            A name is unknown or a value is out of range.
 
         Notes
         -----
         Anderson et al. (1986), AFGL Atmospheric Constituent Profiles, AFGL-TR-86-0110; Kneizys et al. (1988),
-        Users Guide to LOWTRAN 7, AFGL-TR-88-0177. The aerosol's growth with humidity is that of the standard
-        atmosphere, whatever `humidity_factor` is.
+        Users Guide to LOWTRAN 7, AFGL-TR-88-0177. The aerosol grows with the humidity of the standard atmosphere,
+        without `humidity_factor`.
         """
         table = table or read_table()
         model = name_index("standard", name, table["model"])
@@ -151,8 +152,11 @@ class Atmosphere:
         return result.clouded(cloud_fraction, cloud_base_m)
 
     @classmethod
-    def of_table(cls, table, altitude_m, temperature, gases, extinction, factor):
-        """Return the atmosphere of the shipped nodes and of own air.
+    def of_table(
+        cls, table: dict[str, NDArray[Any]], altitude_m: Floats, temperature: Floats, gases: Floats, extinction: Floats,
+        factor: NDArray[Any],
+    ) -> "Atmosphere":  # fmt: skip
+        """Return the atmosphere with a table's nodes and a given profile.
 
         Parameters
         ----------
@@ -162,9 +166,9 @@ class Atmosphere:
         gases : (11, L) array
             From `scaled_densities`.
         extinction : (sub-bands, L) array
-            Of the aerosol [m⁻¹], mean over each sub-band.
+            Mean of the aerosol over each sub-band [m⁻¹].
         factor : (N,) array
-            Of each node on the aerosol's extinction.
+            Each node's factor of the aerosol's extinction.
         """
         _, band_of = np.unique(table["lower_um"], return_inverse=True)
         own = (band_of.reshape(-1)[:, None] == np.arange(len(extinction))) * np.float64(factor)[:, None]
@@ -177,13 +181,13 @@ class Atmosphere:
         )
 
     @classmethod
-    def load(cls, path):
-        """Return the atmosphere that `save` wrote: own weather or an imported table.
+    def load(cls, path: str | PathLike[str]) -> "Atmosphere":
+        """Return the atmosphere of a file written by `save`.
 
         Raises
         ------
         ThermorenderError
-            The file is missing or is no such table, or one of its arrays is out of order.
+            The file is missing or not such a table, or one of its arrays is invalid.
         """
         values, cloud = read_saved(path)
         try:
@@ -191,21 +195,21 @@ class Atmosphere:
         except ThermorenderError as error:
             raise ThermorenderError(f"atmosphere {path}: {error}") from None
 
-    def save(self, path):
+    def save(self, path: str | PathLike[str]) -> None:
         """Write the atmosphere to an .npz file of plain arrays."""
         with atomic(path) as part, open(part, "wb") as file:
             np.savez_compressed(
                 file, **{name: getattr(self, name) for name in NAMES}, cloud=[self.cloud_fraction, self.cloud_base_m]
             )
 
-    def clouded(self, cloud_fraction, cloud_base_m=2000.0):
-        """Return this air under clouds that cover a share 0 … 1 of the sky, base 0 … 15 km above sea level."""
+    def clouded(self, cloud_fraction: float, cloud_base_m: float = 2000.0) -> "Atmosphere":
+        """Return this air with a cloud cover of 0 … 1 and a cloud base 0 … 15 km above sea level."""
         check_within("cloud_fraction", cloud_fraction, 0.0, 1.0, "share of the sky")
         check_within("cloud_base_m", cloud_base_m, 0.0, 1.5e4, "metres above sea level")
         return replace(self, cloud_fraction=float(cloud_fraction), cloud_base_m=float(cloud_base_m))
 
-    def in_band(self, lower_um, upper_um):
-        """Return this atmosphere limited to a camera's band, sub-bands cut at its limits.
+    def in_band(self, lower_um: float, upper_um: float) -> "Atmosphere":
+        """Return this atmosphere limited to a camera's band [µm], sub-bands cut at its limits.
 
         Raises
         ------
@@ -215,7 +219,7 @@ class Atmosphere:
         first, last = self.lower_um.min(), self.upper_um.max()
         if not first - 1e-9 <= lower_um < upper_um <= last + 1e-9:
             raise ThermorenderError(
-                f"the atmosphere covers {first:g}–{last:g} µm, which does not hold the camera's band "
+                f"the atmosphere covers {first:g}–{last:g} µm, which does not include the camera's band "
                 f"{lower_um:g}–{upper_um:g} µm; give another atmosphere or a narrower band"
             )
         kept = (self.upper_um > lower_um + 1e-9) & (self.lower_um < upper_um - 1e-9)
@@ -232,32 +236,32 @@ class Atmosphere:
         )
 
     @property
-    def ceiling_m(self):
-        """Highest altitude of a camera above sea level [m]: 30 km, or the base of the clouds where there are any."""
+    def ceiling_m(self) -> float:
+        """Highest altitude of a camera above sea level [m]: 30 km, or the cloud base if there are clouds."""
         return min(HIGHEST_CAMERA_M, self.cloud_base_m) if self.cloud_fraction else HIGHEST_CAMERA_M
 
-    def refuse_above_clouds(self, what, altitude_m):
-        """Refuse altitudes above sea level [m] that lie above the base of the clouds; `what` begins the sentence."""
+    def refuse_above_clouds(self, what: str, altitude_m: ArrayLike) -> None:
+        """Refuse altitudes [m] above the cloud base; the message begins with `what`."""
         highest = np.max(altitude_m, initial=-np.inf)
         if self.cloud_fraction and highest > self.cloud_base_m:
             raise ThermorenderError(
-                f"{what} is {highest:.7g} m above sea level, above the base of the clouds at {self.cloud_base_m:g} m, "
-                "which are known from below only; stay below it, raise cloud_base_m or set cloud_fraction to 0"
+                f"{what} is {highest:.7g} m above sea level, above the cloud base at {self.cloud_base_m:g} m; clouds "
+                "are modelled from below only: stay below them, raise cloud_base_m or set cloud_fraction to 0"
             )
 
     @property
-    def nodes(self):
+    def nodes(self) -> int:
         """Number of spectral nodes N."""
         return len(self.weight)
 
-    def planck(self, temperature):
+    def planck(self, temperature: ArrayLike) -> Floats:
         """Return a blackbody's radiance in each node, (..., N) [W m⁻² sr⁻¹]: share × sub-band integral.
 
         Notes
         -----
-        The integral is taken with six Gauss–Legendre points per sub-band, exact to 1e-9 from 150 K. The share is
-        weight · exp(c₂ tilt (1/285 K − 1/T)), normalised over the sub-band: Wien's law for a node whose light lies
-        off the middle of its sub-band.
+        The integral has six Gauss–Legendre points per sub-band, exact to 1e-9 from 150 K. The share is
+        weight · exp(c₂ tilt (1/285 K − 1/T)), normalised over the sub-band: Wien's law for a node whose light is not
+        at the middle of its sub-band.
         """
         half = 0.5 * (self._bands[:, 1] - self._bands[:, 0])
         wavelength = self._bands.mean(axis=1)[:, None] + half[:, None] * _PLANCK_NODE
@@ -265,30 +269,30 @@ class Atmosphere:
         band = spectral_radiance(wavelength, temperature[..., None, None]) @ _PLANCK_WEIGHT * half
         return self.shares(temperature) * band[..., self._band_of]
 
-    def shares(self, temperature):
-        """Return the share of each node in a blackbody's radiance over its sub-band, (..., N)."""
+    def shares(self, temperature: ArrayLike) -> Floats:
+        """Return each node's share of a blackbody's radiance in its sub-band, (..., N)."""
         temperature = np.asarray(temperature, dtype=np.float64)[..., None]
         # Tilts are at most half a sub-band, so the exponent stays below 30 from 20 K up.
         share = self.weight * np.exp(C2 * self.tilt * (1.0 / REFERENCE_K - 1.0 / np.maximum(temperature, 20.0)))
         return share / (share @ np.equal.outer(self._band_of, np.arange(len(self._bands))))[..., self._band_of]
 
-    def air_temperature(self, at_m):
+    def air_temperature(self, at_m: ArrayLike) -> Floats:
         """Return the air's temperature at altitudes above sea level [K], in their shape."""
         return np.interp(at_m, self.altitude_m, self.temperature)
 
-    def amounts(self, from_m, to_m, range_m):
+    def amounts(self, from_m: ArrayLike, to_m: ArrayLike, range_m: ArrayLike) -> Floats:
         """Return the absorbers' amounts along straight paths, (..., J): integral of density over metres.
 
         Parameters as in `transmittance`.
         """
 
-        def total(*path):
+        def total(*path: Floats) -> Floats:
             return amounts(self._profile, *path).sum(axis=(0, 1))
 
-        # Amounts are exact in a step of any height, and need steps only against the ray's bend.
+        # Amounts are exact in a step of any height; steps are needed only for the Earth's curvature.
         return self._along(from_m, to_m, range_m, total, 4.0 * _STEP)
 
-    def transmittance(self, from_m, to_m, range_m):
+    def transmittance(self, from_m: ArrayLike, to_m: ArrayLike, range_m: ArrayLike) -> Floats:
         """Return the transmittance of straight paths, (..., N).
 
         Parameters
@@ -301,17 +305,18 @@ class Atmosphere:
         Raises
         ------
         ThermorenderError
-            A path shorter than its altitudes are apart, or altitudes out of range or above the base of clouds.
+            A path is shorter than the difference of its altitudes, or an altitude is out of range or above the cloud
+            base.
 
         Notes
         -----
-        The path is a chord of a sphere at any length, so a horizontal one needs no formula of its own. Altitudes
-        along it are exact (Stewart's theorem), and so are amounts but for the bend within a step.
+        The path is a chord of a sphere. Altitudes along it are exact (Stewart's theorem); amounts neglect part of the
+        curvature within a step.
         """
         return np.exp(-(self.amounts(from_m, to_m, range_m) @ self.absorption.T))
 
-    def path_radiance(self, from_m, to_m, range_m):
-        """Return what the air along straight paths emits towards the camera, (..., N) [W m⁻² sr⁻¹].
+    def path_radiance(self, from_m: ArrayLike, to_m: ArrayLike, range_m: ArrayLike) -> Floats:
+        """Return the radiance emitted towards the camera by the air on straight paths, (..., N) [W m⁻² sr⁻¹].
 
         Parameters and errors as in `transmittance`.
 
@@ -322,13 +327,13 @@ class Atmosphere:
         """
         return self.path(from_m, to_m, range_m)[1]
 
-    def path(self, from_m, to_m, range_m):
+    def path(self, from_m: ArrayLike, to_m: ArrayLike, range_m: ArrayLike) -> tuple[Floats, Floats]:
         """Return (`transmittance`, `path_radiance`) of straight paths, in the time of the second alone."""
         both = self._along(from_m, to_m, range_m, lambda *path: np.hstack(self._sum(*path)))
         return both[..., : self.nodes], both[..., self.nodes :]
 
-    def sky_temperature(self, at_m):
-        """Return the temperature [K] of the blackbody that sends as much onto level ground as the sky, from 100 K on.
+    def sky_temperature(self, at_m: float) -> float:
+        """Return the temperature [K] of the blackbody sky with the same irradiance on level ground, at least 100 K.
 
         Parameters
         ----------
@@ -341,25 +346,25 @@ class Atmosphere:
         kelvin = np.linspace(100.0, 330.0, 4601)
         return float(np.interp(radiance, self.planck(kelvin).sum(axis=-1), kelvin))
 
-    def sky_radiance(self, at_m, cos_zenith):
+    def sky_radiance(self, at_m: ArrayLike, cos_zenith: ArrayLike) -> Floats:
         """Return the sky's radiance at a point, (..., N) [W m⁻² sr⁻¹], clouds included.
 
         Parameters
         ----------
         at_m : array
-            Altitude of the observer above sea level [m], up to 30 km, and to the base of clouds.
+            Altitude of the observer above sea level [m], up to 30 km or the cloud base.
         cos_zenith : array
-            Cosine of the zenith angle of the direction looked in: 1 straight up, slightly negative for a raised
-            observer looking between the level and his horizon (`rays.horizon_cos_zenith`).
+            Cosine of the zenith angle of the viewing direction: 1 straight up, slightly negative between the level
+            and the horizon of a raised observer (`rays.horizon_cos_zenith`).
 
         Raises
         ------
         ThermorenderError
-            A direction below the horizon, or an altitude out of range.
+            A direction is below the horizon, or an altitude is out of range.
 
         Notes
         -----
-        Clouds are black at their base, behind the air below it.
+        Clouds are black at their base, seen through the air below.
         """
         self.refuse_above_clouds("at_m", at_m)
         _, sky = self._column(at_m, cos_zenith, rays.TOP_M)
@@ -369,21 +374,24 @@ class Atmosphere:
             sky = (1.0 - self.cloud_fraction) * sky + self.cloud_fraction * cloudy
         return sky
 
-    def sun_transmittance(self, at_m, cos_zenith):
-        """Return the transmittance from a point to space between clouds, (..., N); parameters as `sky_radiance`."""
+    def sun_transmittance(self, at_m: ArrayLike, cos_zenith: ArrayLike) -> Floats:
+        """Return the transmittance from a point to space without clouds, (..., N); parameters as in `sky_radiance`."""
         return self._column(at_m, cos_zenith, rays.TOP_M)[0]
 
-    def _along(self, from_m, to_m, range_m, function, step=_STEP):
-        """Values (..., n) of a function of (altitude, length) from `rays.chord`, a few hundred paths at a time."""
+    def _along(
+        self, from_m: ArrayLike, to_m: ArrayLike, range_m: ArrayLike, function: Callable[[Floats, Floats], Floats],
+        step: float = _STEP,
+    ) -> Floats:  # fmt: skip
+        """Values (..., n) of a function of (altitude, length) from `rays.chord`, in batches of paths."""
         first, last, distance = np.broadcast_arrays(*(np.float64(value) for value in (from_m, to_m, range_m)))
         for name, values in (("from_m", first), ("to_m", last)):
-            _altitudes(name, values, rays.TOP_M)
+            check_altitudes(name, values, LOWEST_M, rays.TOP_M)
             self.refuse_above_clouds(name, values)
         short = ~(np.abs(last - first) <= distance * (1.0 + 1e-6) + 1e-6)
         if short.any():
             raise ThermorenderError(
-                f"range_m={distance[short].flat[0]:g} is shorter than the altitudes from_m={first[short].flat[0]:g} "
-                f"and to_m={last[short].flat[0]:g} are apart; give the length of the path in metres"
+                f"range_m={distance[short].flat[0]:g} is shorter than the difference of from_m="
+                f"{first[short].flat[0]:g} and to_m={last[short].flat[0]:g}; give the length of the path in metres"
             )
         if (distance > rays.LONGEST_M).any():
             raise ThermorenderError(
@@ -395,45 +403,22 @@ class Atmosphere:
         result = np.concatenate([function(*rays.chord(*(values[part] for values in flat), step)) for part in parts])
         return result.reshape(*distance.shape, -1)
 
-    def _column(self, at_m, cos_zenith, top_m):
+    def _column(self, at_m: ArrayLike, cos_zenith: ArrayLike, top_m: float) -> tuple[Floats, Floats]:
         """(transmittance, emission) from a point along a direction up to an altitude, each (..., N)."""
         at, cosine = np.broadcast_arrays(np.float64(at_m), np.float64(cos_zenith))
-        _altitudes("at_m", at, HIGHEST_CAMERA_M)
+        check_altitudes("at_m", at, LOWEST_M, HIGHEST_CAMERA_M)
         lowest = rays.horizon_cos_zenith(at)
         if np.any((cosine < lowest - 1e-9) | (cosine > 1.0 + 1e-9)) or np.isnan(cosine).any():
             worst = np.argmax(np.nan_to_num(np.maximum(lowest - cosine, cosine - 1.0), nan=np.inf))
             raise ThermorenderError(
-                f"cos_zenith={cosine.flat[worst]:g} is no direction of the sky; at {at.flat[worst]:g} m give "
+                f"cos_zenith={cosine.flat[worst]:g} is not a direction of the sky; at {at.flat[worst]:g} m give "
                 f"{lowest.flat[worst]:.6g} (the horizon) to 1 (straight up)"
             )
         shape, at, cosine = at.shape, np.maximum(at, 0.0).reshape(-1), cosine.reshape(-1)
         altitude, length = rays.outward(at, cosine, top_m)
-        values = self._sum(altitude, length)
-        return tuple(value.reshape(*shape, -1) for value in values)
+        through, light = self._sum(altitude, length)
+        return through.reshape(*shape, -1), light.reshape(*shape, -1)
 
-    def _sum(self, altitude, length):
+    def _sum(self, altitude: Floats, length: Floats) -> tuple[Floats, Floats]:
         """(transmittance, emission), each (P, N), along rays."""
         return emission(self._profile, self.absorption, altitude, length, amounts(self._profile, altitude, length))
-
-
-def name_index(what, name, names):
-    """Return the index of a name in a list, or refuse it in a sentence that lists the names."""
-    names = [str(value) for value in names]
-    if name not in names:
-        raise ThermorenderError(f"{what}={name!r} is unknown; give one of {', '.join(names)}")
-    return names.index(name)
-
-
-def check_within(name, value, lowest, highest, unit):
-    """Refuse a value outside its limits."""
-    if not lowest <= value <= highest:
-        raise ThermorenderError(f"{name}={value:g} is out of range; give {lowest:g} … {highest:g} ({unit})")
-
-
-def _altitudes(name, values, highest):
-    """Refuse altitudes that are not finite, deep below sea level or above the table."""
-    bad = ~((values >= LOWEST_M) & (values <= highest))
-    if bad.any():
-        raise ThermorenderError(
-            f"{name}={values[bad].flat[0]:g} is out of range; give metres above sea level, −{-LOWEST_M:g} … {highest:g}"
-        )

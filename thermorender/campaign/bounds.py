@@ -1,15 +1,18 @@
-"""Bounds of a data set's thermal values: quartiles and 1.5 interquartile ranges of their aggregated histogram.
+"""Bounds of a data set's thermal values: quartiles ± 1.5 interquartile ranges of their histogram.
 
-They are those of eq. 2 of Generation of artificial infrared camera images for visual navigation simulation, which make
-intensity of values of unknown scale: 0 at Q1 − 1.5 (Q3 − Q1) and 1 at Q3 + 1.5 (Q3 − Q1). Counts of 16 bits have few
-enough values to count each, so the quartiles are exact.
+They are the bounds of eq. 2 of Generation of artificial infrared camera images for visual navigation simulation, which
+maps values of unknown scale to intensity: 0 at Q1 − 1.5 (Q3 − Q1) and 1 at Q3 + 1.5 (Q3 − Q1). The histogram counts
+every 16-bit value, so the quartiles are exact.
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender import files
+from thermorender.campaign.dataset import Dataset, ThermalScale
 from thermorender.errors import ThermorenderError
 from thermorender.units import ZERO_CELSIUS_K
 
@@ -17,26 +20,26 @@ _VALUES = 65536
 
 
 class Histogram:
-    """How often each 16-bit value occurs.
+    """Counts of each 16-bit value.
 
     Attributes
     ----------
     counts : (65536,) int64
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.counts = np.zeros(_VALUES, np.int64)
 
-    def add(self, values):
+    def add(self, values: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
         """Count values, uint8 or uint16 of any shape."""
         self.counts += np.bincount(np.ravel(values), minlength=_VALUES)
 
-    def quantile(self, share):
-        """Return the quantile of a share, linear between neighbouring values, as `numpy.quantile` of all of them."""
+    def quantile(self, share: float) -> float:
+        """Return the quantile, linear between neighbouring values like `numpy.quantile`."""
         total = np.cumsum(self.counts)
-        place = share * (total[-1] - 1)
-        below, above = (int(np.searchsorted(total, rank, side="right")) for rank in (int(place), int(np.ceil(place))))
-        return below + (place - int(place)) * (above - below)
+        at = share * (total[-1] - 1)
+        below, above = (int(np.searchsorted(total, k, side="right")) for k in (int(at), int(np.ceil(at))))
+        return below + (at - int(at)) * (above - below)
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,7 @@ class Bounds:
         Q1 − 1.5 IQR and Q3 + 1.5 IQR.
     first_quartile, third_quartile : float
     share_below, share_above : float
-        Of the values, outside the bounds.
+        Shares of the values outside the bounds.
     """
 
     low: float
@@ -60,21 +63,21 @@ class Bounds:
     share_above: float
 
 
-def bounds_of(histogram):
+def bounds_of(histogram: Histogram) -> Bounds:
     """Return the Bounds of a Histogram.
 
     Raises
     ------
     ThermorenderError
-        It holds nothing, or its quartiles are the same.
+        The histogram is empty, or its quartiles are equal.
     """
     total = int(histogram.counts.sum())
     if total == 0:
-        raise ThermorenderError("the training part holds no valid thermal pixel; give other shares or pictures")
+        raise ThermorenderError("the training part has no valid thermal pixel; give other shares or pictures")
     first, third = histogram.quantile(0.25), histogram.quantile(0.75)
     if first == third:
         raise ThermorenderError(
-            f"half of the thermal pixels of the training part are {first:g}, so no bounds can be told; give pictures "
+            f"half of the thermal pixels of the training part are {first:g}, so there are no bounds; give pictures "
             "with contrast"
         )
     low, high = first - 1.5 * (third - first), third + 1.5 * (third - first)
@@ -83,11 +86,8 @@ def bounds_of(histogram):
     return Bounds(float(low), float(high), float(first), float(third), below, above)
 
 
-def bounds_of_dataset(dataset, usable):
-    """Return the Bounds of a Dataset's valid thermal values, of those that are `usable`, (65536,) bool.
-
-    Errors as of `bounds_of`.
-    """
+def bounds_of_dataset(dataset: Dataset, usable: NDArray[np.bool_]) -> Bounds:
+    """Return the Bounds of a Dataset's valid thermal values where `usable`, (65536,) bool; errors as `bounds_of`."""
     histogram = Histogram()
     for entry in dataset.entries:
         pair = dataset.pair(entry, truth=False)
@@ -96,7 +96,7 @@ def bounds_of_dataset(dataset, usable):
     return bounds_of(histogram)
 
 
-def figure(path, histogram, bounds, scale):
+def figure(path: str | Path, histogram: Histogram, bounds: Bounds, scale: ThermalScale) -> None:
     """Write a PNG of a histogram with its bounds and outliers, over its entire range and around the bounds.
 
     Parameters
@@ -105,14 +105,14 @@ def figure(path, histogram, bounds, scale):
     histogram : Histogram
     bounds : Bounds
     scale : ThermalScale
-        With unit "kelvin" the axis has °C.
+        The axis is in °C for unit "kelvin".
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     kelvin = scale.unit == "kelvin"
 
-    def shown(value):
+    def on_axis(value):
         return np.asarray(value, np.float64) * scale.step + scale.zero - ZERO_CELSIUS_K if kelvin else value
 
     seen = np.flatnonzero(histogram.counts)
@@ -131,12 +131,12 @@ def figure(path, histogram, bounds, scale):
         outside = (starts + wide - 1 < bounds.low) | (starts > bounds.high)
         for which, colour, label in ((~outside, "#0072B2", "within the bounds"), (outside, "#D55E00", "outliers")):
             axis.bar(
-                shown(starts[which]), heights[which], width=wide * (scale.step if kelvin else 1.0), align="edge",
+                on_axis(starts[which]), heights[which], width=wide * (scale.step if kelvin else 1.0), align="edge",
                 color=colour, label=label,
             )  # fmt: skip
         for value, name in ((bounds.low, "lower bound"), (bounds.high, "upper bound")):
-            axis.axvline(shown(value), color="black", linestyle="--" if value == bounds.low else ":", linewidth=1.2,
-                         label=f"{name}, {shown(value):.4g}")  # fmt: skip
+            axis.axvline(on_axis(value), color="black", linestyle="--" if value == bounds.low else ":", linewidth=1.2,
+                         label=f"{name}, {on_axis(value):.4g}")  # fmt: skip
         axis.set(title=title, yscale="log", ylabel="pixels",
                  xlabel="apparent temperature [°C]" if kelvin else "thermal value [count]")  # fmt: skip
     drawing.axes[0].legend(fontsize=8, frameon=False)

@@ -1,27 +1,28 @@
-"""What is drawn at random of a pair of pictures: crops, and how far they are moved against each other.
+"""Random crops of a pair of pictures, and random shifts of the thermal picture against the visible one.
 
-It depends on the seed and the pair's name alone, so a data set can be continued, and what is drawn of a pair does not
-change where others are added.
+They depend on the seed and the pair's name only, so a data set can be resumed, and adding pairs does not change the
+others' crops.
 """
 
 import zlib
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
 class Cut:
-    """What is made of a pair of pictures.
+    """How pairs of pictures are cropped and shifted.
 
     Attributes
     ----------
     crops : int
-        Squares at uniformly distributed places of each pair; 0 keeps the whole picture.
+        Square crops per pair, at uniformly distributed positions; 0 keeps the whole picture.
     size : int
-        Their side [px].
+        Side of a crop [px].
     shift_px : float
-        Length of a random vector by which each thermal picture is moved, in whole pixels, so that nothing is blurred.
+        Length of the random vector by which each thermal picture is shifted, rounded to whole pixels to avoid blur.
     seed : int
     """
 
@@ -31,21 +32,23 @@ class Cut:
     seed: int = 0
 
 
-def moved(values, valid, name, cut):
-    """Return a thermal picture and its mask moved by the pair's random vector.
+def moved(
+    values: NDArray[np.uint8] | NDArray[np.uint16], valid: NDArray[np.bool_], name: str, cut: Cut
+) -> tuple[NDArray, NDArray[np.bool_]]:
+    """Return a thermal picture and its mask shifted by the pair's random vector.
 
     Parameters
     ----------
     values : (H, W) uint8 or uint16
     valid : (H, W) bool
     name : str
-        Of the pair.
+        Name of the pair.
     cut : Cut
 
     Returns
     -------
     ((H, W), (H, W) bool)
-        Nothing is known where no picture came to lie.
+        Pixels that the shift left without a value are not valid.
     """
     angle = _stream(cut.seed, name, "shift").uniform(0.0, 2.0 * np.pi)
     right, down = (int(round(cut.shift_px * each)) for each in (np.cos(angle), np.sin(angle)))
@@ -56,8 +59,8 @@ def moved(values, valid, name, cut):
     return np.roll(values, (down, right), axis=(0, 1)), known & inside
 
 
-def piece(image, name, cut, number):
-    """Return crop `number` of a picture of (H, W, …), or the whole one where none are asked for."""
+def piece(image: NDArray, name: str, cut: Cut, number: int) -> NDArray:
+    """Return crop `number` of a picture of (H, W, …), or the whole picture if there are no crops."""
     if not cut.crops:
         return image
     top, left = _corner(image.shape, name, cut, number)
@@ -65,11 +68,11 @@ def piece(image, name, cut, number):
 
 
 def _corner(shape, name, cut, number):
-    """Row and column of a crop's corner, uniform over all places that fit."""
+    """Row and column of a crop's corner, uniform over all positions that fit."""
     stream = _stream(cut.seed, name, f"crop {number}")
     return tuple(int(stream.integers(0, side - cut.size + 1)) for side in shape[:2])
 
 
 def _stream(seed, name, what):
-    """Random numbers of a seed, a pair and a purpose."""
+    """Random generator for a seed, a pair and a purpose."""
     return np.random.default_rng([seed, zlib.crc32(name.encode()), zlib.crc32(what.encode())])

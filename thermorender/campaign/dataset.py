@@ -1,76 +1,69 @@
-"""A data set: pairs of a visible and a thermal picture of the same view, in shards, with an index and a card.
+"""A data set on disk: pairs of a visible and a thermal picture of the same view, in shards, with an index and a card.
 
 A folder holds
 
-- `card.json`: what all pairs share: where they come from, band and camera, what a thermal value stands for, settings;
-- `index.jsonl`: a line per pair, appended once its shard is whole; lines whose shard is not are taken away when a data
-  set is continued;
-- `shards/*.tar`: uncompressed tar files in the form that WebDataset reads, up to four files a pair:
-  `KEY.visible.png` (sRGB, 8 bit), `KEY.thermal.png` (8 or 16 bit), where some pixels hold nothing `KEY.valid.png`
-  (0 or 255), and where the truth is known `KEY.truth.npz`; and `KEY.json`, the pair's line of the index.
+- `card.json`: what all pairs share: origin, band and camera, the meaning of thermal values, settings;
+- `index.jsonl`: a line per pair, appended once its shard is complete; resuming a data set removes the lines of
+  incomplete shards;
+- `shards/*.tar`: uncompressed tar files in WebDataset's form, up to five files per pair: `KEY.visible.png` (sRGB,
+  8 bit), `KEY.thermal.png` (8 or 16 bit), `KEY.valid.png` (0 or 255) if some pixels are invalid, `KEY.truth.npz` if
+  ground truth is known, and `KEY.json`, the pair's line of the index.
 
-The index knows where in its shard each file lies, so any pair is read without the others. A `Dataset` has a length and
-gives each pair as a dict of arrays, which is all that a PyTorch DataLoader asks for.
+The index holds the byte offset of every file in its shard, so a pair is read without the others. A `Dataset` has a
+length and returns each pair as a dict of arrays, as a PyTorch DataLoader expects.
 """
 
 import io
-import json
-import os
 import re
-import tarfile
-import zipfile
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from thermorender import files
+from thermorender import formats
 from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import band_radiance
 from thermorender.units import ZERO_CELSIUS_K
-from thermorender.versions import versions
 
 FORMAT = 1
 PARTS = ("train", "validation", "test")
 UNITS = ("radiance", "kelvin", "intensity")
-# A temporary shard that nobody wrote to for so long is left of a killed process [s].
-_ABANDONED_S = 3600.0
-_KEY = re.compile(r"[A-Za-z0-9_-]{1,120}")
-# Least and largest value of a thermal picture.
+KEY = re.compile(r"[A-Za-z0-9_-]{1,120}")
+# Smallest and largest value of a thermal picture.
 _ENDS = np.array([0, 65535])
-# How names of a pair's files end.
-_END = re.compile(r"[a-z]+\.[a-z]+")
-# Of a tar file: what a header takes, and what the data behind it are padded to [bytes].
-_BLOCK = 512
+# Size of a tar header, and of the blocks that file data are padded to [bytes].
+BLOCK = 512
 
 
 @dataclass(frozen=True)
 class ThermalScale:
-    """What the values of thermal pictures stand for.
+    """The meaning of thermal pictures' values.
 
     Attributes
     ----------
     unit : {"radiance", "kelvin", "intensity"}
-        Band radiance [W m⁻² sr⁻¹] or apparent temperature [K], of step and zero; or counts of unknown scale, linear in
-        band radiance.
+        Band radiance [W m⁻² sr⁻¹] or apparent temperature [K], as step × value + zero; or counts of unknown scale,
+        linear in band radiance.
     step, zero : float
-        Of a value, and of value 0. For intensity: a value is step × value + zero between 0 and 1, the bounds of the
-        published normalisation (1.5 interquartile ranges).
+        Size of one count, and the quantity at count 0. For intensity, step × value + zero is 0…1 between the bounds of
+        the published normalisation (1.5 interquartile ranges).
     range_c : (2,) tuple of float, or None
-        Temperatures that intensity 0 and 1 are taken for [°C]; for intensity only.
+        Temperatures assumed for intensity 0 and 1 [°C]; for intensity only.
     band_um : (2,) tuple of float
     """
 
     unit: str
     step: float
     zero: float
-    range_c: tuple | None = None
-    band_um: tuple = BAND_UM
+    range_c: tuple[float, float] | None = None
+    band_um: tuple[float, float] = BAND_UM
 
-    def radiance(self, values):
+    def radiance(self, values: ArrayLike) -> NDArray[np.float64]:
         """Return apparent band radiance [W m⁻² sr⁻¹], float64, of values of thermal pictures."""
         found = np.asarray(values, np.float64) * self.step + self.zero
         if self.unit == "kelvin":
@@ -83,38 +76,38 @@ class ThermalScale:
 
 @dataclass(frozen=True)
 class Entry:
-    """What the index knows of a pair.
+    """A pair's line of the index.
 
     Attributes
     ----------
     key : str
-        Its name, unique in the data set.
+        Unique name in the data set.
     part : str
         "train", "validation" or "test".
     parent : str
-        The picture it was cut from; its own key where it is whole.
+        The picture it was cropped from; its own key if it is the whole picture.
     sequence : str
         The flight, video or scene it belongs to.
     order : int
-        Its place in the sequence.
+        Position in the sequence.
     shape : (2,) tuple of int
         Rows and columns.
     texel_m : float or None
-        Ground sampling distance, typical of the picture [m].
+        Typical ground sampling distance of the picture [m].
     place : (2,) tuple of float, or None
         Latitude and longitude [deg].
     time : str or None
         UTC.
     sky_temperature : float or None
-        Of the blackbody that shines as the sky did in the camera's band [K].
+        Temperature of a blackbody with the sky's radiance in the camera's band [K].
     conditions : dict of str to float
-        Hour and weather in numbers, as by `thermorender.render.heat.conditions`; empty where unknown.
+        Hour and weather as numbers, from `thermorender.render.heat.conditions`; empty if unknown.
     labels : dict of str to str
-        Whatever else tells pairs apart: kind of land, view, weather.
+        Other properties that distinguish pairs: kind of land, view, weather.
     shard : str
-        File below the data set's folder.
+        Path below the data set's folder.
     members : dict of str to (offset, size)
-        Where in the shard its files lie, by the end of their names.
+        Byte range of each of its files in the shard, by the suffix of the file's name.
     """
 
     key: str
@@ -122,15 +115,15 @@ class Entry:
     parent: str
     sequence: str
     order: int
-    shape: tuple
+    shape: tuple[int, int]
     texel_m: float | None = None
-    place: tuple | None = None
+    place: tuple[float, float] | None = None
     time: str | None = None
     sky_temperature: float | None = None
-    conditions: dict = field(default_factory=dict)
-    labels: dict = field(default_factory=dict)
+    conditions: dict[str, float] = field(default_factory=dict)
+    labels: dict[str, str] = field(default_factory=dict)
     shard: str = ""
-    members: dict = field(default_factory=dict)
+    members: dict[str, tuple[int, int]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,35 +136,35 @@ class Pair:
     visible : (H, W, 3) uint8
         sRGB.
     thermal : (H, W) uint8 or uint16
-        As the camera gave it.
+        The camera's values.
     valid : (H, W) bool
         Where both pictures show the same ground.
     truth : dict of str to (H, W) arrays
-        Noise-free "radiance" and whatever else is known per pixel; empty for pictures of real cameras.
+        Noise-free "radiance" and other planes of ground truth; empty for pictures of real cameras.
     scale : ThermalScale
     """
 
     entry: Entry
-    visible: np.ndarray
-    thermal: np.ndarray
-    valid: np.ndarray
-    truth: dict
+    visible: NDArray[np.uint8]
+    thermal: NDArray[np.uint8] | NDArray[np.uint16]
+    valid: NDArray[np.bool_]
+    truth: dict[str, NDArray[Any]]
     scale: ThermalScale
 
     @cached_property
-    def radiance(self):
+    def radiance(self) -> NDArray[np.float64]:
         """Apparent band radiance of the thermal picture, (H, W) float64 [W m⁻² sr⁻¹]."""
         return self.scale.radiance(self.thermal)
 
     @cached_property
-    def reference(self):
-        """What translations are scored against, (H, W) float64: noise-free radiance where known, else the picture's."""
+    def reference(self) -> NDArray[np.float64]:
+        """Reference for scores, (H, W) float64 [W m⁻² sr⁻¹]: the noise-free radiance if known, else the picture's."""
         known = self.truth.get("radiance")
         return self.radiance if known is None else known.astype(np.float64)
 
 
 class Dataset:
-    """A data set on disk; a part of it is one too.
+    """A data set on disk, or a subset of one.
 
     Attributes
     ----------
@@ -181,13 +174,13 @@ class Dataset:
     scale : ThermalScale
     """
 
-    def __init__(self, folder, card, entries, scale):
+    def __init__(self, folder: Path, card: dict[str, Any], entries: Iterable[Entry], scale: ThermalScale) -> None:
         self.folder, self.card, self.entries, self.scale = folder, card, tuple(entries), scale
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.entries)
 
-    def __getitem__(self, index):
+    def __getitem__(self, index: int) -> dict[str, Any]:
         """Return pair number `index` as {"key", "visible", "thermal", "radiance", "valid"} for a training loop."""
         found = self.pair(self.entries[index])
         return {
@@ -195,21 +188,21 @@ class Dataset:
             "radiance": found.radiance.astype(np.float32), "valid": found.valid,
         }  # fmt: skip
 
-    def of(self, *parts):
-        """Return the Dataset of some parts."""
+    def of(self, *parts: str) -> "Dataset":
+        """Return the subset in the given parts."""
         return self.having([entry for entry in self.entries if entry.part in parts])
 
-    def having(self, entries):
-        """Return this data set with other Entries of it."""
+    def having(self, entries: Iterable[Entry]) -> "Dataset":
+        """Return the subset with the given entries."""
         return Dataset(self.folder, self.card, entries, self.scale)
 
-    def split(self, parts):
-        """Return this data set with each key's part as {key: part} says; keys that it lacks are left out.
+    def split(self, parts: Mapping[str, str]) -> "Dataset":
+        """Return the data set with parts assigned by {key: part}; pairs without an assignment are left out.
 
         Raises
         ------
         ThermorenderError
-            A key that is not of this data set, or a part of another name.
+            A key is not in this data set, or a part is unknown.
         """
         known = {entry.key for entry in self.entries}
         for key, part in parts.items():
@@ -220,18 +213,18 @@ class Dataset:
         return self.having([replace(each, part=parts[each.key]) for each in self.entries if each.key in parts])
 
     def pairs(self) -> Iterator[Pair]:
-        """Give every Pair, in the index's order."""
+        """Yield every Pair in the order of the index."""
         for entry in self.entries:
             yield self.pair(entry)
 
-    def pair(self, entry, truth=True):
+    def pair(self, entry: Entry, truth: bool | Sequence[str] = True) -> Pair:
         """Return the Pair of an Entry.
 
         Parameters
         ----------
         entry : Entry
         truth : bool or sequence of str
-            What only simulations know: all, nothing, or these planes of it, as far as they are there.
+            Planes of ground truth to read: all, none, or those of the given names that exist.
 
         Raises
         ------
@@ -243,7 +236,7 @@ class Dataset:
         path = self.folder / entry.shard
 
         def damaged(name, what):
-            return ThermorenderError(f"{path} is damaged: {entry.key}.{name} is no {what}; make the shard anew")
+            return ThermorenderError(f"{path} is damaged: {entry.key}.{name} is not {what}; write the shard again")
 
         size = f"of {entry.shape[1]}×{entry.shape[0]} pixels"
         found = {}
@@ -251,24 +244,24 @@ class Dataset:
             with open(path, "rb") as file:
                 for name, (offset, length) in entry.members.items():
                     if truth or not name.startswith("truth"):
-                        file.seek(max(offset - _BLOCK, 0))
-                        data = file.read(_BLOCK + length)
-                        # Its header tells whether this is the shard that the index was written for.
-                        told = data[:100].rstrip(b"\0") == f"{entry.key}.{name}".encode()[:100]
-                        if not told or len(data) != _BLOCK + length:
-                            raise damaged(name, "whole file where the index has it")
-                        found[name] = data[_BLOCK:]
+                        file.seek(max(offset - BLOCK, 0))
+                        data = file.read(BLOCK + length)
+                        # The tar header names the file that the index expects here.
+                        named = data[:100].rstrip(b"\0") == f"{entry.key}.{name}".encode()[:100]
+                        if not named or len(data) != BLOCK + length:
+                            raise damaged(name, "complete at the offset in the index")
+                        found[name] = data[BLOCK:]
         except (OSError, OverflowError) as error:
             raise ThermorenderError(
-                f"{path} cannot be read ({getattr(error, 'strerror', error)}); copy the data set anew, or leave the "
-                "shard's lines out of index.jsonl"
+                f"{path} cannot be read ({getattr(error, 'strerror', error)}); copy the data set again, or remove "
+                "the shard's lines from index.jsonl"
             ) from None
 
         def picture(name, flag, kinds=(np.uint8,)):
-            image = files.decoded(found.get(name, b""), flag)
+            image = formats.decoded(found.get(name, b""), flag)
             sides = (*entry.shape, 3) if flag == cv2.IMREAD_COLOR else tuple(entry.shape)
             if image is None or image.shape != sides or image.dtype not in kinds:
-                raise damaged(name, f"{'thermal ' if len(kinds) > 1 else ''}picture {size}")
+                raise damaged(name, f"a {'thermal ' if len(kinds) > 1 else ''}picture {size}")
             return image
 
         visible = picture("visible.png", cv2.IMREAD_COLOR)[..., ::-1]
@@ -283,325 +276,88 @@ class Dataset:
                     images = {name: kept[name] for name in kept if truth is True or name in truth}
                 whole = all(values.shape == tuple(entry.shape) for values in images.values())
             except Exception:
-                # What is damaged shows as nearly any exception of zipfile's and NumPy's parsers.
+                # On damaged data zipfile's and NumPy's parsers raise nearly any exception.
                 whole = False
             if not whole:
-                raise damaged("truth.npz", f"archive of planes {size}")
+                raise damaged("truth.npz", f"an archive of planes {size}")
         return Pair(entry, np.ascontiguousarray(visible), thermal, valid, images, self.scale)
 
 
-def read_dataset(folder):
+def read_dataset(folder: str | Path) -> Dataset:
     """Return the Dataset of a folder.
 
     Raises
     ------
     ThermorenderError
-        No data set, one of another format, or an index that cannot be used; a last line cut short is passed over.
+        The folder is not a data set, has another format, or has an invalid index. A truncated last line is ignored.
     """
     folder = Path(folder)
     path = folder / "card.json"
     if not path.is_file():
-        raise ThermorenderError(f"{folder} is no data set: card.json is missing; make one with `thermorender prepare`")
+        raise ThermorenderError(
+            f"{folder} is not a data set: card.json is missing; make one with `thermorender prepare`"
+        )
     try:
-        card = files.finite_json(files.read_text(path))
+        card = formats.finite_json(formats.read_text(path))
         scale = ThermalScale(**{k: tuple(v) if isinstance(v, list) else v for k, v in card["thermal"].items()})
         if card["format"] != FORMAT or scale.unit not in UNITS:
             raise ValueError(f"format {card['format']}, unit {scale.unit!r}")
-        if not _tells(scale):
+        if not _is_usable_scale(scale):
             raise ValueError(f"thermal {card['thermal']}")
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ThermorenderError(
-            f"{path} is no card of a data set of format {FORMAT} ({error}); make the data set anew"
+            f"{path} is not the card of a data set of format {FORMAT} ({error}); make the data set again"
         ) from None
     entries, seen = [], set()
     index = folder / "index.jsonl"
-    text = files.read_text(index) if index.exists() else ""
+    text = formats.read_text(index) if index.exists() else ""
     for number, line in enumerate(text.splitlines(), 1):
         try:
-            values = files.finite_json(line)
+            values = formats.finite_json(line)
             values["members"] = {name: tuple(at) for name, at in values["members"].items()}
             entry = Entry(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
-            usable = _usable(entry)
+            usable = _is_usable_entry(entry)
         except (ValueError, KeyError, TypeError, AttributeError):
             usable = False
         if not usable and number == text.count("\n") + 1:
             break
         if not usable or entry.key in seen:
-            raise ThermorenderError(f"{index}, line {number} is no pair of its own; remove the line")
+            raise ThermorenderError(f"{index}, line {number} is not a pair or repeats a key; remove the line")
         seen.add(entry.key)
         entries.append(entry)
     return Dataset(folder, card, entries, scale)
 
 
-def _number(value):
+def _is_number(value):
     return isinstance(value, (int, float)) and bool(np.isfinite(value))
 
 
-def _tells(scale):
-    """Whether a ThermalScale that was read tells what values stand for, of 16 bits at most."""
+def _is_usable_scale(scale):
+    """Whether a ThermalScale from a file gives finite radiances for all values up to 16 bits."""
     ranges = [scale.band_um, *([scale.range_c] if scale.range_c is not None or scale.unit == "intensity" else [])]
     return (
-        _number(scale.step) and _number(scale.zero) and scale.step != 0
-        and all(isinstance(each, tuple) and len(each) == 2 and all(map(_number, each)) for each in ranges)
+        _is_number(scale.step) and _is_number(scale.zero) and scale.step != 0
+        and all(isinstance(each, tuple) and len(each) == 2 and all(map(_is_number, each)) for each in ranges)
         and all(low < high for low, high in ranges) and np.isfinite(scale.radiance(_ENDS)).all()
     )  # fmt: skip
 
 
-def _usable(entry):
-    """Whether an Entry that was read is of the kinds it should be, and leads nowhere outside its data set."""
+def _is_usable_entry(entry):
+    """Whether an Entry from a file has the right types and a shard inside its data set."""
     texts = entry.key, entry.part, entry.parent, entry.sequence, entry.shard
     pairs = (entry.shape, *entry.members.values())
     return (
         all(isinstance(text, str) for text in texts)
-        and bool(_KEY.fullmatch(entry.key)) and entry.part in PARTS and _inside(entry.shard)
+        and bool(KEY.fullmatch(entry.key)) and entry.part in PARTS and is_shard(entry.shard)
         and all(len(pair) == 2 and all(type(value) is int and value >= 0 for value in pair) for pair in pairs)
         and min(entry.shape) > 0 and type(entry.order) is int
-        and all(value is None or _number(value) for value in (entry.texel_m, entry.sky_temperature))
-        and (entry.place is None or (len(entry.place) == 2 and all(map(_number, entry.place))))
-        and all(map(_number, entry.conditions.values()))
+        and all(value is None or _is_number(value) for value in (entry.texel_m, entry.sky_temperature))
+        and (entry.place is None or (len(entry.place) == 2 and all(map(_is_number, entry.place))))
+        and all(map(_is_number, entry.conditions.values()))
         and isinstance(entry.labels, dict)
     )  # fmt: skip
 
 
-def _inside(shard):
+def is_shard(shard: str) -> bool:
+    """Return whether a path below the data set's folder may be a shard."""
     return re.fullmatch(r"shards/[A-Za-z0-9_-]+\.tar", shard) is not None
-
-
-def _names(folder):
-    """Names of what lies in a folder, but for what others try or write there at this moment."""
-    return {each.name for each in folder.iterdir() if not each.name.startswith(".")}
-
-
-def refuse_strange(folder):
-    """Refuse a folder that holds something else than a data set, or than what was left when one was begun."""
-    folder = Path(folder)
-    names = _names(folder) if folder.is_dir() else set()
-    strange = names - {"shards"} or (names and _names(folder / "shards"))
-    if strange and not (folder / "card.json").exists():
-        raise ThermorenderError(f"{folder} is not empty and holds no data set; give a new folder")
-
-
-class Writer:
-    """Writes a data set, shard by shard; what is whole stays, so that it can be continued.
-
-    Parameters
-    ----------
-    folder : path
-    card : dict
-        What all pairs share; `format`, `thermal` and `versions` are added.
-    scale : ThermalScale
-    resume : bool
-        Continue a data set of the same card.
-
-    Raises
-    ------
-    ThermorenderError
-        A folder that holds something else, or a card that differs.
-    """
-
-    def __init__(self, folder, card, scale, resume=False):
-        self.folder = files.make_folder(folder)
-        self.card = {"format": FORMAT, **card, "thermal": asdict(scale)}
-        # As it is read back.
-        self.card = json.loads(json.dumps(self.card))
-        # {key: shard} of the index as far as it was read: the file's number and how many bytes of it.
-        self._known, self._read = {}, (0, 0)
-        path, shards = self.folder / "card.json", self.folder / "shards"
-        refuse_strange(self.folder)
-        files.make_folder(shards)
-        # Others may be beginning or continuing the same data set.
-        with self._alone():
-            self._begin(path, resume)
-            self._look()
-
-    def _alone(self):
-        """Wait for other Writers of this folder; whoever uses it as a whole may keep the folder itself."""
-        return files.in_use(self.folder / "shards", wait=True)
-
-    def _begin(self, path, resume):
-        if path.exists():
-            before = read_dataset(self.folder)
-            if not resume:
-                raise ThermorenderError(
-                    f"{self.folder} holds a data set; give a new folder, or --resume to continue it"
-                )
-            for key in self.card | before.card:
-                if key != "versions" and before.card.get(key) != self.card.get(key):
-                    raise ThermorenderError(
-                        f"{path} has {key}={before.card.get(key)!r}, now {self.card.get(key)!r}; continue with the "
-                        "same settings, or give another folder"
-                    )
-            self._cut_short()
-            self._leave_out_what_is_not_whole()
-        else:
-            files.write_json(path, self.card | {"versions": versions()})
-        # Card and index are written by whoever is alone, shards by several at a time.
-        files.remove_parts(self.folder, "card|index|trial")
-        files.remove_parts(self.folder / "shards", older_s=_ABANDONED_S)
-
-    def _cut_short(self):
-        """Take away the last line of the index if a killed process left it without its end."""
-        path = self.folder / "index.jsonl"
-        if path.exists():
-            data = path.read_bytes()
-            if data and not data.endswith(b"\n"):
-                os.truncate(path, data.rfind(b"\n") + 1)
-
-    def _leave_out_what_is_not_whole(self):
-        """Take the lines out of the index whose shard is missing or cut, or holds pairs that the index does not know.
-
-        A process that is killed while it appends a shard's lines may leave the first of them.
-        """
-        last = {}
-        for entry in read_dataset(self.folder).entries:
-            end = max((offset + length for offset, length in entry.members.values()), default=0)
-            if end >= last.get(entry.shard, (0, ""))[0]:
-                last[entry.shard] = end, entry.key
-        broken = {shard for shard, (end, key) in last.items() if not self._ends(shard, end, key)}
-        if broken:
-            self._without(broken)
-
-    def _ends(self, shard, end, key):
-        """Whether behind some bytes of a shard there is one file more, a pair's line, and no other."""
-        try:
-            with open(self.folder / shard, "rb") as file:
-                file.seek(-(-end // _BLOCK) * _BLOCK)
-                with tarfile.open(fileobj=file, mode="r:") as rest:
-                    return rest.getnames() == [f"{key}.json"]
-        except (OSError, tarfile.TarError):
-            return False
-
-    def _without(self, shards):
-        """Take the lines of some shards out of the index."""
-        path = self.folder / "index.jsonl"
-        kept = [line for line in files.read_text(path).splitlines(keepends=True)
-                if json.loads(line)["shard"] not in shards]  # fmt: skip
-        files.write_text(path, "".join(kept))
-
-    def _look(self):
-        """Learn what the index holds, which others may have changed since the last look."""
-        self._cut_short()
-        path = self.folder / "index.jsonl"
-        if not path.exists():
-            return
-        with open(path, "rb") as file:
-            number, size = os.fstat(file.fileno()).st_ino, os.fstat(file.fileno()).st_size
-            if number != self._read[0] or size < self._read[1]:
-                self._known, self._read = {}, (number, 0)
-            file.seek(self._read[1])
-            for line in file.read().splitlines():
-                told = json.loads(line)
-                self._known[told["key"]] = told["shard"]
-        self._read = number, size
-
-    def has(self, name):
-        """Return whether the shard of this name is whole."""
-        return f"shards/{name}.tar" in self._known.values()
-
-    def shard(self, name: str, pairs: Iterable[tuple[Entry, Mapping[str, bytes]]]):
-        """Write a shard of pairs and then their lines of the index.
-
-        Parameters
-        ----------
-        name : str
-            Of the shard, without its ending.
-        pairs : iterable of (Entry, {end of a file's name: bytes})
-            As `packed` makes them.
-
-        Returns
-        -------
-        tuple of Entry
-
-        Raises
-        ------
-        ThermorenderError
-            A name or key that is not allowed, a key that another pair has, an unknown part, or a file that cannot be
-            written; the data set stays as it was.
-        """
-        entries, shard = [], f"shards/{name}.tar"
-        if not _inside(shard):
-            raise ThermorenderError(f"{name!r} is no name for a shard; give letters, digits, _ and -")
-        taken = {key for key, of in self._known.items() if of != shard}
-        with files.atomic(self.folder / shard) as part, tarfile.open(part, "w") as tar:
-            for entry, contents in pairs:
-                _refuse(entry, contents, taken)
-                taken.add(entry.key)
-                members = {}
-                for end, data in contents.items():
-                    info = tarfile.TarInfo(f"{entry.key}.{end}")
-                    info.size = len(data)
-                    tar.addfile(info, io.BytesIO(data))
-                    members[end] = (tar.offset - -(-len(data) // _BLOCK) * _BLOCK, len(data))
-                entry = replace(entry, shard=shard, members=members)
-                told = json.dumps(asdict(entry)).encode()
-                info = tarfile.TarInfo(f"{entry.key}.json")
-                info.size = len(told)
-                tar.addfile(info, io.BytesIO(told))
-                entries.append(entry)
-        files.on_disk(self.folder / shard)
-        self._append(shard, entries)
-        return tuple(entries)
-
-    def _append(self, shard, entries):
-        """Give the index the lines of a shard."""
-        path = self.folder / "index.jsonl"
-        with self._alone():
-            self._look()
-            if shard in self._known.values():
-                # Another process has written it too, and the last one's is there.
-                self._without({shard})
-            files.append_json(path, *map(asdict, entries))
-            self._look()
-
-
-def _refuse(entry, contents, taken):
-    """Refuse a pair that could not be read again."""
-    if not _KEY.fullmatch(entry.key):
-        raise ThermorenderError(f"{entry.key!r} is no key of a pair; give letters, digits, _ and -")
-    if entry.key in taken:
-        raise ThermorenderError(f"{entry.key!r} is the key of two pairs; give each its own")
-    if entry.part not in PARTS:
-        raise ThermorenderError(f"part={entry.part!r} of {entry.key!r} is unknown; give one of {', '.join(PARTS)}")
-    for end in contents:
-        if not _END.fullmatch(end):
-            raise ThermorenderError(f"{end!r} of {entry.key!r} is no end of a name; give one such as visible.png")
-
-
-def packed(visible, thermal, valid=None, truth=None):
-    """Return {end of a file's name: bytes} of a pair's pictures.
-
-    Parameters
-    ----------
-    visible : (H, W, 3) uint8
-    thermal : (H, W) uint8 or uint16
-    valid : (H, W) bool, optional
-        Left out where all are.
-    truth : dict of str to (H, W) arrays, optional
-        Floats keep 16 bits of their mantissa: 8e-6 of the value, 0.4 mK of a radiance.
-    """
-    import cv2
-
-    def png(image):
-        return cv2.imencode(".png", image)[1].tobytes()
-
-    found = {"visible.png": png(np.ascontiguousarray(visible[..., ::-1])), "thermal.png": png(thermal)}
-    if valid is not None and not valid.all():
-        found["valid.png"] = png(np.where(valid, 255, 0).astype(np.uint8))
-    if truth:
-        kept = io.BytesIO()
-        # NumPy's own .npz at a third of its writer's time, for some per cent more bytes.
-        with zipfile.ZipFile(kept, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-            for name, values in truth.items():
-                with archive.open(f"{name}.npy", "w") as member:
-                    np.lib.format.write_array(member, _rounded(np.asarray(values)), allow_pickle=False)
-        found["truth.npz"] = kept.getvalue()
-    return found
-
-
-def _rounded(values):
-    """Floats in single precision with the last 7 bits of their mantissa 0, to compress better; others as they are."""
-    if values.dtype.kind != "f" or values.itemsize < 4:
-        return values
-    bits = np.ascontiguousarray(values, np.float32).view(np.uint32)
-    finite = np.isfinite(values)
-    return np.where(finite, (bits + np.uint32(64)) & ~np.uint32(127), bits).view(np.float32)

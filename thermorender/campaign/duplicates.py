@@ -1,66 +1,68 @@
-"""Pictures that show the same by content: found through hash tables of local features, confirmed by registration.
+"""Pictures of the same content, found through hash tables of local features and confirmed by registration.
 
-Every picture is brought to a small grey one and described by ORB features (Rublee et al., ICCV 2011,
-doi:10.1109/ICCV.2011.6126544), each 256 comparisons of brightness. Features that agree in 16 comparisons in a row vote
-for each other's pictures, so nothing is compared with everything. The pictures with most votes are laid over each other
-by the similarity that most of their features agree on, and are duplicates where their fine structure correlates there.
-Brightness, compression, shifts, crops, scale and rotation change little of that; a mirrored copy is not found.
+Every picture is reduced to a small grey one and described by ORB features (Rublee et al., ICCV 2011,
+doi:10.1109/ICCV.2011.6126544), each 256 comparisons of brightness. Features that agree in 16 consecutive comparisons
+vote for each other's pictures, which avoids comparing all pairs. The pictures with most votes are aligned by the
+similarity transform that most features agree on. They are duplicates if their fine structure then correlates. Matches
+survive changes of brightness, compression, shifts, crops, scale and rotation; mirrored copies are not found.
 
-Measured on 42 photographs of roads and 30 procedural orthophotos: of copies compressed, made darker, blurred, shrunk to
-a third, or shifted and cropped by 15 %, all are found; of crops that share 40 % or more of their area, 96 %; of those
-that share a quarter, half. Unrelated pictures correlate with at most 0.28.
+Measured on 42 photographs of roads and 30 procedural orthophotos: all copies that were compressed, darkened, blurred,
+reduced to a third, or shifted and cropped by 15 % are found; 96 % of crops that share at least 40 % of their area;
+half of those that share a quarter. Unrelated pictures correlate with at most 0.28.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-# Longest side of the small pictures, and their mean and standard deviation [px, levels].
+# Longest side of the small pictures [px], their mean and standard deviation [levels].
 SIDE, _MEAN, _SPREAD = 256, 128.0, 48.0
 FEATURES = 200
-# So many pictures with most votes are laid over each other.
+# Number of pictures with most votes that are aligned.
 CANDIDATES = 6
-# A duplicate: matched features that agree on the similarity, share of the picture covered, correlation there.
+# Thresholds of a duplicate: matched features that agree on the similarity, share covered, correlation there.
 LEAST_MATCHES, LEAST_OVERLAP, LEAST_CORRELATION = 8, 0.1, 0.4
-# Features further apart than a quarter of their 256 comparisons do not match; those that do agree within this [px].
+# Matched features differ in at most a quarter of their 256 comparisons, and in position by this after alignment [px].
 _MOST_BITS, _RESIDUAL_PX = 64, 2.5
 _SCALES = (0.3, 3.0)
 # Fine structure: between these standard deviations of a Gaussian [px]; below this its contrast is noise [levels].
 _FINE_PX, _COARSE_PX, _NOISE = 0.8, 6.0, 2.0
-# A bucket fuller than this tells nothing: at least, and as a multiple of the mean.
+# Fuller buckets are ignored: least limit, and limit as a multiple of the mean.
 _FULL, _FULL_TIMES = 40, 8
 _TESTS_AT_ONCE = 256
 
 
 @dataclass(frozen=True, eq=False)
 class Sketch:
-    """What is kept of a picture.
+    """Description of a picture.
 
     Attributes
     ----------
     grey : (h, w) uint8
-        Small, of given mean and contrast.
+        Small picture of given mean and contrast.
     place : (n, 2) float32
-        Of its features, column and row [px].
+        Column and row of its features [px].
     bits : (n, 32) uint8
-        Their comparisons.
+        Comparisons of each feature.
     """
 
-    grey: np.ndarray
-    place: np.ndarray
-    bits: np.ndarray
+    grey: NDArray[np.uint8]
+    place: NDArray[np.float32]
+    bits: NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
 class Match:
-    """A picture that shows the same as another: its number, the share of that other it covers, their correlation."""
+    """A picture with the same content as another: its index, the share of the other it covers, their correlation."""
 
     index: int
     overlap: float
     correlation: float
 
 
-def sketch(rgb):
+def sketch(rgb: NDArray[np.uint8]) -> Sketch:
     """Return the Sketch of a picture, (h, w, 3) uint8."""
     import cv2
 
@@ -76,14 +78,16 @@ def sketch(rgb):
     return Sketch(grey, place, np.zeros((0, 32), np.uint8) if bits is None else bits)
 
 
-def find(wanted, known, progress=None):
+def find(
+    wanted: Sequence[Sketch], known: Sequence[Sketch], progress: Callable[[float], None] | None = None
+) -> list[Match | None]:
     """Return, for each of the Sketches `wanted`, the best Match among the Sketches `known`, or None.
 
     Parameters
     ----------
     wanted, known : sequence of Sketch
     progress : callable, optional
-        Called with the share done.
+        Called with the fraction done.
     """
     found, tables = [], _Tables(known)
     for start in range(0, len(wanted), _TESTS_AT_ONCE):
@@ -97,8 +101,8 @@ def find(wanted, known, progress=None):
     return found
 
 
-def compared(one, other, index=0):
-    """Return the Match of a Sketch with another, whose number is `index`, or None where they do not show the same."""
+def compared(one: Sketch, other: Sketch, index: int = 0) -> Match | None:
+    """Return the Match of a Sketch with another, whose index is `index`, or None if the content differs."""
     import cv2
 
     if not len(one.bits) or not len(other.bits):
@@ -115,19 +119,19 @@ def compared(one, other, index=0):
     if not _SCALES[0] < np.hypot(*similarity[:, 0]) < _SCALES[1]:
         return None
     size = one.grey.shape[::-1]
-    laid = cv2.warpAffine(other.grey, similarity, size)
+    aligned = cv2.warpAffine(other.grey, similarity, size)
     covered = cv2.warpAffine(np.ones(other.grey.shape, np.uint8), similarity, size, flags=cv2.INTER_NEAREST)
     overlap = float(covered.mean())
-    # Away from the border, where the fine structure would be that of the border.
+    # Without the border, whose edge would count as fine structure.
     covered = cv2.erode(covered, np.ones((9, 9), np.uint8), borderValue=0) > 0
     if overlap < LEAST_OVERLAP or not covered.any():
         return None
-    correlation = float(np.corrcoef(_fine(one.grey)[covered], _fine(laid)[covered])[0, 1])
+    correlation = float(np.corrcoef(_fine(one.grey)[covered], _fine(aligned)[covered])[0, 1])
     return Match(index, overlap, correlation) if correlation >= LEAST_CORRELATION else None
 
 
 def _fine(grey):
-    """The fine structure of a picture, of equal contrast everywhere."""
+    """A picture's fine structure, normalised to equal local contrast."""
     import cv2
 
     grey = grey.astype(np.float32)
@@ -136,7 +140,7 @@ def _fine(grey):
 
 
 class _Tables:
-    """Hash tables of the features of Sketches: 16 of them, by 16 comparisons each."""
+    """16 hash tables of the features of Sketches, each keyed by 16 comparisons."""
 
     def __init__(self, known):
         self.known = len(known)
@@ -147,7 +151,7 @@ class _Tables:
         self.full = max(_FULL, _FULL_TIMES * len(words) / 65536)
 
     def votes(self, wanted):
-        """Return how often features of Sketches share a bucket with those of the known, (wanted, known) int."""
+        """Return how many features share a bucket with features of each known Sketch, (wanted, known) int."""
         owner, words = _words(wanted)
         votes = np.zeros(len(wanted) * self.known, np.int64)
         for table in range(words.shape[1]):
@@ -156,13 +160,11 @@ class _Tables:
             count[count > self.full] = 0
             # first, first + 1, … of each bucket, one after another.
             inside = np.arange(count.sum()) + np.repeat(first - np.cumsum(count) + count, count)
-            votes += np.bincount(
-                np.repeat(owner, count) * self.known + self.owner[inside, table], minlength=len(votes)
-            )
+            votes += np.bincount(np.repeat(owner, count) * self.known + self.owner[inside, table], minlength=len(votes))
         return votes.reshape(len(wanted), self.known)
 
 
 def _words(sketches):
-    """(number of the Sketch (n,), its comparisons in 16 words (n, 16) uint16) of all features."""
+    """(index of the Sketch (n,), comparisons as 16 words (n, 16) uint16) of all features."""
     bits = np.concatenate([np.zeros((0, 32), np.uint8), *(each.bits for each in sketches)])
     return np.repeat(np.arange(len(sketches)), [len(each.bits) for each in sketches]), bits.view(np.uint16)

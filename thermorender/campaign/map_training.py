@@ -1,13 +1,16 @@
-"""A learned temperature map trained on a data set: what the method is given, and what the map says of itself."""
+"""Training of a learned temperature map on a data set: the method's inputs, and the map's metadata."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from thermorender.campaign.bounds import bounds_of_dataset
 from thermorender.campaign.cut import Cut, moved
+from thermorender.campaign.dataset import Dataset
 from thermorender.campaign.map_inputs import depth_of, ground_of, inputs_of
 from thermorender.errors import ThermorenderError
 from thermorender.learned.temperature_map import ASSUMED_SKY_K, Inputs, TemperatureMap
@@ -17,165 +20,188 @@ from thermorender.physics.planck import band_radiance, brightness_temperature
 from thermorender.units import ZERO_CELSIUS_K
 from thermorender.versions import versions
 
-# Lowest temperature that intensity 0 may stand for [K]: below that of any sky in the band. Chosen.
+# Lowest temperature of intensity 0 [K], below any sky's in the band. Chosen.
 _COLDEST_K = 150.0
-# Pairs of the validation part that tell a map's own error, evenly spaced.
-_TOLD_BY = 60
-# And every so many of their rows and columns.
+# A map's stated error is measured on this many evenly spaced validation pairs, at every n-th row and column.
+_ERROR_PAIRS = 60
 _EVERY = 4
-# Kept of the conditions trained under: least and most of each.
+# Conditions whose range over the training pairs is recorded.
 _RANGES = ("air_k", "wind_m_s", "snow_m", "sun_elevation_deg", "solar_hour", "day")
 
 
 def train_map(
-    name, method_name, dataset, options=None, seed=0, progress=None, parts=("train", "validation"), material=False,
-    shift_px=0.0, share=1.0, run=None, resume=False,
-):  # fmt: skip
+    name: str, method_name: str, dataset: Dataset, options: Mapping[str, Any] | None = None, seed: int = 0,
+    progress: Callable[[str, float], None] | None = None, parts: Sequence[str] = ("train", "validation"),
+    material: bool = False, shift_px: float = 0.0, share: float = 1.0, run: str | Path | None = None,
+    resume: bool = False,
+) -> TemperatureMap:  # fmt: skip
     """Return the TemperatureMap of a method, trained on some parts of a Dataset.
 
     Parameters
     ----------
     name : str
     method_name : str
-        As by `learned.methods.method`.
+        Name as `learned.training_methods.method` takes it.
     dataset : Dataset
     options : dict, optional
-        Of the method, in place of its defaults.
+        Options that replace the method's defaults.
     seed : int
     progress : callable, optional
-        Called with (what, share done).
+        Called with (task, fraction done).
     parts : sequence of str
         The published correlations were fitted on training and validation.
     material : bool
-        Shows the method the true material of each pixel: an oracle, which is no map.
+        Give the method the true material of each pixel: an oracle, not a map.
     shift_px : float
-        Trains on pairs that are not aligned: each thermal picture is moved by a random vector of this length [px].
+        Shift each thermal picture by a random vector of this length, to train on misaligned pairs [px].
     share : float
-        Trains on so many of the sequences, evenly spaced over the data set's order, one at least.
+        Share of the sequences to train on, evenly spaced over the data set's order, at least one.
     run : path, optional
         Folder for checkpoints, log and sample pictures of a network's training.
     resume : bool
-        Continue the training of that folder.
+        Resume the training of that folder.
 
     Raises
     ------
     ThermorenderError
-        An unknown method or option, a data set without pairs to train on, or what the method needs is missing.
+        The method or an option is unknown, or the data set lacks pairs or inputs of the method.
 
     Notes
     -----
-    Intensity is that of equation 2 of the published method: 0 and 1 are 1.5 interquartile ranges below and above the
-    quartiles of the training pictures' values, 0 no colder than 150 K. Saturated pixels are left out.
+    Intensity follows equation 2 of the published method: 0 and 1 are 1.5 interquartile ranges below and above the
+    quartiles of the training values, with 0 at 150 K or above. Saturated pixels are left out.
     """
-    how, tell = method(method_name), progress or (lambda what, share: None)
+    how, report_progress = method(method_name), progress or (lambda task, fraction: None)
     options = checked_options(method_name, how.options, options or {})
-    if material and not how.classes:
-        known = ", ".join(name for name, each in METHODS.items() if each.classes)
-        raise ThermorenderError(
-            f"method {method_name!r} learns nothing from materials, so it is no oracle; take {known}, or leave out "
-            "--oracle"
-        )
+    if material:
+        _refuse_oracle(method_name)
     pairs, cut = _some(dataset.of(*parts), share), Cut(shift_px=shift_px, seed=seed)
     if not len(pairs):
         raise ThermorenderError(f"{dataset.folder} has no pairs in {' or '.join(parts)}; give a split that has some")
-    refuse_untold(method_name, pairs)
-    tell("looking at the values", 0.0)
-    usable = ~_saturated(dataset.card, np.arange(65536))
+    refuse_missing_conditions(method_name, pairs)
+    report_progress("counting values", 0.0)
+    scale, usable = dataset.scale, ~_saturated(dataset.card, np.arange(65536))
     bounds = bounds_of_dataset(dataset.of("train") if len(dataset.of("train")) else pairs, usable)
-    scale, low, high = dataset.scale, bounds.low, bounds.high
-    # Where much of the sky is in the pictures, the lower bound is a radiance that no temperature has.
-    ends = np.maximum(scale.radiance([low, high]), band_radiance(_COLDEST_K, *scale.band_um))
-    range_k = tuple(map(float, brightness_temperature(ends, *scale.band_um)))
-    if scale.unit == "intensity":
-        range_k = tuple(limit + ZERO_CELSIUS_K for limit in scale.range_c)
+    range_k = _range_k(scale, bounds)
     cold, warm = band_radiance(np.array(range_k), *scale.band_um)
-    first = pairs.pair(pairs.entries[0], truth=False).thermal
-    values = np.arange(np.iinfo(first.dtype).max + 1)
-    radiance = scale.radiance(values)
-
-    def example(entry):
-        planes = (*dataset.card.get("terrain", ()), *(["material"] if material else ())) if how.plus else ()
-        pair = pairs.pair(entry, truth=(*planes, *(["depth"] if options.get("depth") else ())))
-        if how.plus:
-            inputs = inputs_of(pair, dataset.card, material)
-        else:
-            # Colour only, but for the air or the depth where that is asked for.
-            told = entry.conditions if options.get("above_air") else {}
-            inputs = Inputs(pair.visible, entry.texel_m, {}, told, depth_of(pair))
-        values, valid = moved(pair.thermal, pair.valid, entry.key, cut) if shift_px else (pair.thermal, pair.valid)
-        return Example(inputs, values, valid & usable[values])
-
+    depth = pairs.pair(pairs.entries[0], truth=False).thermal.dtype
+    radiance = scale.radiance(np.arange(np.iinfo(depth).max + 1))
     with np.errstate(invalid="ignore"):
         kelvin = brightness_temperature(np.maximum(radiance, 1e-6), *scale.band_um)
     started = time.perf_counter()
-    sampling = np.array([entry.texel_m for entry in pairs.entries if entry.texel_m] or [1.0])
-    texel_m = float(np.exp(np.median(np.log(sampling))))
-    texel_range_m = (float(sampling.min()), float(sampling.max()))
+    texel_m, texel_range_m = _sampling(pairs.entries)
     held = np.array([entry.part == "validation" for entry in pairs.entries])
     task = Task(
-        _Read(pairs.entries, example), (radiance - cold) / (warm - cold), kelvin, seed, tell, options, texel_m,
-        texel_range_m, held if held.any() and not held.all() else None, run, resume,
+        _Examples(pairs, how.plus, options, material, cut, usable), (radiance - cold) / (warm - cold), kelvin, seed,
+        report_progress, options, texel_m, texel_range_m, held if held.any() and not held.all() else None, run, resume,
     )  # fmt: skip
     predictor = how.fit(task)
-    # A training that was resumed tells what all of it took.
+    # A resumed training records the time of all its runs.
     seconds = getattr(predictor, "trained", {}).get("seconds", time.perf_counter() - started)
     skies = [entry.sky_temperature for entry in pairs.entries if entry.sky_temperature]
     made = TemperatureMap(
         name=name, method=method_name, predictor=predictor, range_k=range_k, band_um=scale.band_um,
-        texel_m=texel_m,
-        texel_range_m=texel_range_m,
-        camera=dataset.card.get("camera", "unknown"),
+        texel_m=texel_m, texel_range_m=texel_range_m, camera=dataset.card.get("camera", "unknown"),
         sky_temperature=float(np.mean(skies)) if skies else ASSUMED_SKY_K,
-        source=f"{method_name} on {len(pairs)} pairs of {dataset.card.get('name', dataset.folder.name)}"
-        + (", rendered from procedural scenes" if dataset.card.get("origin") == "rendered" else ""),
+        source=f"{method_name} on {_name_of(dataset, len(pairs))}",
     )  # fmt: skip
-    about = {
-        "dataset": {key: dataset.card.get(key) for key in ("name", "origin", "licence", "camera")},
-        "sky_assumed": not skies, "pairs": {part: len(pairs.of(part)) for part in parts},
-        "shift_px": shift_px, "share": share,
-        "sequences": len({entry.sequence for entry in pairs.entries}),
-        "conditions": _ranges(pairs.entries), "bounds": [low, high], "unit": scale.unit,
+    about = _about(dataset, pairs, parts, bounds, {"shift_px": shift_px, "share": share}) | {
         "options": options, "seed": seed, "training_s": round(seconds, 2),
         "training": getattr(predictor, "trained", {}), "versions": versions(),
     }  # fmt: skip
     return _with_error(made, about, dataset, material)
 
 
-class _Read(Sequence):
-    """What is made of each entry, when it is asked for."""
+def _sampling(entries):
+    """(median, (least, most)) ground sampling distance of entries [m]."""
+    known = np.array([entry.texel_m for entry in entries if entry.texel_m] or [1.0])
+    return float(np.exp(np.median(np.log(known)))), (float(known.min()), float(known.max()))
 
-    def __init__(self, entries, example):
-        self._entries, self._example = entries, example
+
+def _name_of(dataset, count):
+    """Words for the training pairs of a map's source."""
+    rendered = ", rendered from procedural scenes" if dataset.card.get("origin") == "rendered" else ""
+    return f"{count} pairs of {dataset.card.get('name', dataset.folder.name)}{rendered}"
+
+
+def _about(dataset, pairs, parts, bounds, shares):
+    """What a map records of its training pairs."""
+    return {
+        "dataset": {key: dataset.card.get(key) for key in ("name", "origin", "licence", "camera")},
+        "sky_assumed": not any(entry.sky_temperature for entry in pairs.entries),
+        "pairs": {part: len(pairs.of(part)) for part in parts}, **shares,
+        "sequences": len({entry.sequence for entry in pairs.entries}),
+        "conditions": _ranges(pairs.entries), "bounds": [bounds.low, bounds.high], "unit": dataset.scale.unit,
+    }  # fmt: skip
+
+
+def _range_k(scale, bounds):
+    """Temperatures of intensity 0 and 1 [K]."""
+    if scale.unit == "intensity":
+        return tuple(limit + ZERO_CELSIUS_K for limit in scale.range_c)
+    # With much sky in the pictures, the lower bound may be a negative radiance.
+    ends = np.maximum(scale.radiance([bounds.low, bounds.high]), band_radiance(_COLDEST_K, *scale.band_um))
+    return tuple(map(float, brightness_temperature(ends, *scale.band_um)))
+
+
+class _Examples(Sequence):
+    """Examples of a Dataset's pairs, read on demand."""
+
+    def __init__(self, pairs, plus, options, material, cut, usable):
+        self._pairs, self._plus, self._options, self._material = pairs, plus, options, material
+        self._cut, self._usable = cut, usable
 
     def __len__(self):
-        return len(self._entries)
+        return len(self._pairs)
 
     def __getitem__(self, number):
-        return self._example(self._entries[number])
+        entry, card = self._pairs.entries[number], self._pairs.card
+        planes = (*card.get("terrain", ()), *(["material"] if self._material else ())) if self._plus else ()
+        pair = self._pairs.pair(entry, truth=(*planes, *(["depth"] if self._options.get("depth") else ())))
+        if self._plus:
+            inputs = inputs_of(pair, card, self._material)
+        else:
+            # Colour only, plus air or depth if an option asks for it.
+            known = entry.conditions if self._options.get("above_air") else {}
+            inputs = Inputs(pair.visible, entry.texel_m, {}, known, depth_of(pair))
+        values, valid = pair.thermal, pair.valid
+        if self._cut.shift_px:
+            values, valid = moved(values, valid, entry.key, self._cut)
+        return Example(inputs, values, valid & self._usable[values])
 
 
-def is_told(dataset):
-    """Return whether a Dataset holds the terrain's relief, and all its pairs hour and weather."""
+def has_conditions(dataset: Dataset) -> bool:
+    """Return whether a Dataset has the terrain's relief, and hour and weather of all its pairs."""
     return bool(dataset.card.get("terrain")) and all(entry.conditions for entry in dataset.entries)
 
 
-def refuse_untold(method_name, dataset):
-    """Raise where a method needs relief, hour and weather, and a Dataset lacks them.
+def refuse_missing_conditions(method_name: str, dataset: Dataset) -> None:
+    """Refuse a method that needs relief, hour and weather for a Dataset that lacks them.
 
     Raises
     ------
     ThermorenderError
-        Or an unknown method.
+        The Dataset lacks them, or the method is unknown.
     """
-    if method(method_name).plus and not is_told(dataset):
+    if method(method_name).plus and not has_conditions(dataset):
         raise ThermorenderError(
             f"method {method_name!r} needs the terrain's relief, hour and weather, which {dataset.folder} does not "
-            f"hold; take {method_name.rstrip('+') if method_name != 'correlation+' else 'correlation-9to1'}"
+            f"have; take {method_name.rstrip('+') if method_name != 'correlation+' else 'correlation-9to1'}"
+        )
+
+
+def _refuse_oracle(method_name):
+    """Refuse a method that does not use materials."""
+    if not method(method_name).classes:
+        known = ", ".join(name for name, each in METHODS.items() if each.classes)
+        raise ThermorenderError(
+            f"method {method_name!r} does not use materials, so it cannot be an oracle; take {known}, or leave out "
+            "--oracle"
         )
 
 
 def _some(dataset, share):
-    """A data set with a share of its sequences, one at least; those of validation all stay."""
+    """A data set with a share of its sequences, at least one; those of validation all stay."""
     if share >= 1.0:
         return dataset
     names = list(dict.fromkeys(entry.sequence for entry in dataset.entries if entry.part != "validation"))
@@ -185,28 +211,27 @@ def _some(dataset, share):
 
 
 def _with_error(model, about, dataset, material):
-    """The map with its own error, of some validation pairs, and what it tells about itself."""
+    """The map with its metadata and its error on some validation pairs."""
     model = replace(model, about=about)
     held = dataset.of("validation")
     if not len(held):
         return model
     squares, count = 0.0, 0
-    for index in np.unique(np.linspace(0, len(held) - 1, min(_TOLD_BY, len(held))).astype(int)):
+    for index in np.unique(np.linspace(0, len(held) - 1, min(_ERROR_PAIRS, len(held))).astype(int)):
         pair = held.pair(held.entries[index])
         inputs = inputs_of(pair, dataset.card, material)
         part = np.s_[::_EVERY, ::_EVERY]
         found, known = (brightness_temperature(each[part], *model.band_um) for each in
                         (model.radiance(inputs), pair.reference))  # fmt: skip
-        # Where a map gives no temperature it does not err by so many kelvin.
+        # Pixels without a predicted temperature have no error in kelvin.
         here = ground_of(pair)[part] & ~_saturated(dataset.card, pair.thermal[part]) & np.isfinite(found - known)
         squares += float(((found - known)[here] ** 2).sum())
         count += int(here.sum())
-    # Where nothing tells an error there is none to tell.
     return replace(model, error_k=float(np.sqrt(squares / count))) if count else model
 
 
 def _saturated(card, values):
-    """Where values of a known camera sit at either end of its range."""
+    """Where values of a known camera are at either end of its range."""
     from thermorender.sensor.camera import load_camera
     from thermorender.sensor.readout import saturated
 
@@ -216,19 +241,19 @@ def _saturated(card, values):
 
 
 def _ranges(entries):
-    """{condition: (least, most)} of what is kept."""
+    """{condition: [least, most]} of the recorded conditions."""
     known = [entry.conditions for entry in entries if entry.conditions]
     return {name: [min(each[name] for each in known), max(each[name] for each in known)] for name in _RANGES
             if known and all(name in each for each in known)}  # fmt: skip
 
 
-def checked_options(method_name, known, given):
-    """Return a method's options with what is given in their place, of their own kind.
+def checked_options(method_name: str, known: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a method's options with the given values, converted to the options' types.
 
     Raises
     ------
     ThermorenderError
-        The method has no such option, or the value is of another kind.
+        The method has no such option, or a value has another type.
     """
     found = dict(known)
     for key, value in given.items():

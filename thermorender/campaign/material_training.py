@@ -1,45 +1,51 @@
-"""Scenes to train an emissivity map on: those with a class raster or labelled polygons, or procedural ones."""
+"""Training of an emissivity map on scenes with a class raster or labelled polygons, or on procedural ones."""
 
 import json
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
-from thermorender.learned.emissivity import MOST_MATERIALS
+from thermorender.learned.emissivity import MOST_MATERIALS, EmissivityMap
 from thermorender.learned.emissivity_training import Labelled, train
 from thermorender.materials import library as material_tables
 from thermorender.scene.material_map import UNKNOWN_CLASS, orthophoto_of
-from thermorender.scene.raster import grid_of, onto, read_classes
+from thermorender.scene.raster import Grid, grid_of, onto, read_classes
 from thermorender.scene.spec import read_scene
 
-# What the shipped map is trained on.
+# Seeds of the shipped map's training scenes.
 PROCEDURAL_SEEDS = (101, 102, 103, 104, 105)
 DEFAULT_TEXEL_M = 0.5
 
 
-def train_on(folders=(), polygons=None, name="map", texel_m=None, augmentations=None, seed=0, progress=None):
-    """Return (EmissivityMap, confusion) trained on scenes, or on the procedural ones where none are given.
+def train_on(
+    folders: Sequence[str | Path] = (), polygons: str | Path | None = None, name: str = "map",
+    texel_m: float | None = None, augmentations: int | None = None, seed: int = 0,
+    progress: Callable[[str, float], None] | None = None,
+) -> tuple[EmissivityMap, NDArray]:  # fmt: skip
+    """Return (EmissivityMap, confusion) trained on the given scenes; on procedural ones if there are none.
 
     Parameters
     ----------
     folders : sequence of path
         Scene folders; see `labelled_scene`.
     polygons : path, optional
-        GeoJSON in place of the class raster of the one scene given.
+        GeoJSON that replaces the class raster of the single scene.
     name : str
-        Of the map.
+        Name of the map.
     texel_m : float, optional
-        Ground sampling distance to train at [m]; by default 0.5, or the coarsest orthophoto's own.
+        Ground sampling distance of the training [m]; default: 0.5, or the coarsest orthophoto's.
     augmentations : int, optional
-        See `emissivity_training.train`; by default 0 for scenes, 2 for procedural ones.
+        See `emissivity_training.train`; default: 0 for given scenes, 2 for procedural ones.
     seed, progress
-        As there.
+        See `emissivity_training.train`.
 
     Raises
     ------
     ThermorenderError
-        Polygons without exactly one scene, a number out of range, or what `labelled_scene` and `train` refuse.
+        Polygons are given without exactly one scene, a number is out of range, or as `labelled_scene` and `train`.
     """
     from thermorender.scene.load import scene_folder
 
@@ -61,16 +67,16 @@ def train_on(folders=(), polygons=None, name="map", texel_m=None, augmentations=
     return train(labelled, texel_m, name, augmentations, seed, progress)
 
 
-def labelled_scene(folder, polygons=None):
-    """Return the Labelled of a scene: its orthophoto and what its class raster, or a GeoJSON, says is there.
+def labelled_scene(folder: str | Path, polygons: str | Path | None = None) -> Labelled:
+    """Return the Labelled of a scene: its orthophoto, with labels from its class raster or a GeoJSON.
 
     Parameters
     ----------
     folder : path
-        Scene folder; its [emissivity] gives the class raster, where polygons do not.
+        Scene folder; its [emissivity] names the class raster, used if there are no polygons.
     polygons : path, optional
-        GeoJSON of polygons with a property "material", a name of the material library; longitude and latitude, or
-        the CRS its "crs" member names. A later polygon covers an earlier one.
+        GeoJSON of polygons with a property "material" from the material library, in longitude and latitude or in
+        the CRS of its "crs" member. Later polygons cover earlier ones.
 
     Raises
     ------
@@ -101,9 +107,9 @@ def labelled_scene(folder, polygons=None):
     return Labelled(rgb, np.where(valid, material, 0).astype(np.uint8), names, texel_m, source)
 
 
-def procedural(seeds):
+def procedural(seeds: Iterable[int]) -> Iterator[Labelled]:
     """Yield the Labelled of a procedural scene of every kind and seed."""
-    from thermorender.synthetic.worlds import KINDS, make
+    from thermorender.synthetic.procedural_scene import KINDS, make
 
     for seed in seeds:
         for kind in KINDS:
@@ -113,10 +119,10 @@ def procedural(seeds):
             )
 
 
-def read_polygons(path, grid):
+def read_polygons(path: Path, grid: Grid) -> tuple[NDArray[np.uint8], dict[int, str]]:
     """Return (material number (h, w) uint8, {number: name}) of the polygons of a GeoJSON file on a Grid.
 
-    0 is where no polygon is; errors as `labelled_scene`.
+    0 is outside all polygons; errors as `labelled_scene`.
     """
     from rasterio.crs import CRS
     from rasterio.errors import CRSError
@@ -131,7 +137,7 @@ def read_polygons(path, grid):
         raise ThermorenderError(f"{path} cannot be read: {error.strerror}; give a GeoJSON file") from None
     except (ValueError, KeyError, TypeError, CRSError) as error:
         raise ThermorenderError(
-            f"{path} is no GeoJSON FeatureCollection ({type(error).__name__}: {error}); export one from a map program"
+            f"{path} is not a GeoJSON FeatureCollection ({type(error).__name__}: {error}); export one from a GIS"
         ) from None
     names, shapes = [], []
     for number, feature in enumerate(features, 1):
@@ -142,18 +148,18 @@ def read_polygons(path, grid):
             if name not in names:
                 names.append(name)
             shapes.append((transform_geom(crs, grid.crs, geometry), names.index(name) + 1))
-        except Exception:  # whatever is malformed inside, GDAL has errors of its own for it
+        except Exception:  # GDAL has many exception types for malformed features
             raise ThermorenderError(
-                f"{path}, feature {number} is no polygon with a property 'material'; give each polygon the name of a "
-                "material"
+                f"{path}, feature {number} is not a polygon with a property 'material'; name the material of each "
+                "polygon"
             ) from None
     if not shapes or len(names) > MOST_MATERIALS:
         raise ThermorenderError(f"{path} names {len(names)} materials; label polygons of 2…{MOST_MATERIALS} materials")
-    # rasterize refuses shapes of which none touches the raster only by warning.
+    # rasterize only warns if no shape touches the raster.
     burnt = rasterize(shapes, out_shape=(grid.height, grid.width), transform=grid.transform, dtype="uint8")
     if not burnt.any():
         raise ThermorenderError(
-            f"{path} covers no texel of {grid.name}; its coordinates are longitude, latitude unless a 'crs' member "
-            "says otherwise: export it anew"
+            f"{path} covers no texel of {grid.name}; its coordinates must be longitude and latitude unless a 'crs' "
+            "member names another CRS; export it again"
         )
     return burnt, dict(enumerate(names, 1))

@@ -1,41 +1,43 @@
-"""Pictures of folders for a data set: which belong together, and what a camera's file holds.
+"""Picture files of a data set: which files belong together, and reading them.
 
-A thermal file is an 8-bit picture, a 16-bit one, a TIFF of temperatures or a radiometric JPEG of FLIR. Temperatures
-become 16-bit values of 0.01 K; values of unknown scale stay as they are.
+A thermal file is an 8-bit picture, a 16-bit one, a TIFF of temperatures or FLIR's radiometric JPEG. Temperatures become
+16-bit values of 0.01 K; values of unknown scale stay unchanged.
 """
 
 import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
-from thermorender.files import decoded
 from thermorender.footage.flir_jpeg import read_flir_jpeg
 from thermorender.footage.radiometric_files import read_tiff
+from thermorender.formats import decoded
 from thermorender.sensor.radiometry import ThermographySettings
 from thermorender.units import ZERO_CELSIUS_K, kelvin
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
-# Of the values that temperatures are kept as [K]; 16 bits of it end at 655.35 K.
+# Step of stored temperatures [K]; 16 bits reach 655.35 K.
 STEP_K = 0.01
-# Smallest side of a picture that is of use [px].
+# Smallest accepted side of a picture [px].
 LEAST_SIDE = 16
-# A message names so many files.
+# Number of files that a message names.
 _NAMED = 8
-# Medians above this are no °C of a landscape, but kelvin.
+# A landscape's median above this is in kelvin, not °C.
 _HOT_C = 150.0
 
 
 @dataclass(frozen=True)
 class Files:
-    """Two files that belong together, and the mask of where they do.
+    """A visible and a thermal file of the same view, and their mask.
 
     Attributes
     ----------
     name : str
-        What their names have in common.
+        Common part of their names.
     visible, thermal : Path
     valid : Path or None
     """
@@ -56,86 +58,85 @@ class Thermal:
     unit : {"kelvin", "intensity"}
         Hundredths of a kelvin, or counts of unknown scale.
     valid : (H, W) bool
-        False where the file holds nothing, or more than the values can tell.
+        False where the file has no value, or one out of range.
     """
 
-    values: np.ndarray
+    values: NDArray[np.uint8] | NDArray[np.uint16]
     unit: str
-    valid: np.ndarray
+    valid: NDArray[np.bool_]
 
 
-def matched(visible_folder, thermal_folder, visible="*", thermal="*", valid=None):
-    """Return the Files of two folders that have the same name, sorted by it, and names that stand alone.
+def matched(
+    visible_folder: str | Path, thermal_folder: str | Path, visible: str = "*", thermal: str = "*",
+    valid: str | None = None,
+) -> tuple[list[Files], list[str]]:  # fmt: skip
+    """Return the Files of two folders that share a name, sorted by name, and the names without a partner.
 
     Parameters
     ----------
     visible_folder, thermal_folder : path
     visible, thermal : str
-        Patterns of file names, such as *_rgb.png; what its wildcards stand for is the pair's name.
+        Patterns of file names, such as *_rgb.png; the text that the wildcards match is the pair's name.
     valid : str, optional
         Pattern of masks in the visible folder, non-zero where both pictures show the same.
-
-    Returns
-    -------
-    (list of Files, list of str)
 
     Raises
     ------
     ThermorenderError
-        A missing folder, a pattern that finds nothing or the same name twice, or no pair.
+        A folder is missing, a pattern matches nothing or one name twice, or there is no pair.
     """
     found = _named(visible_folder, visible, "visible"), _named(thermal_folder, thermal, "thermal")
     masks = _named(visible_folder, valid, "valid") if valid else {}
     names = sorted(found[0].keys() & found[1].keys(), key=_by_number)
     if not names:
         raise ThermorenderError(
-            f"no file of {visible_folder} ({visible}) has the name of one in {thermal_folder} ({thermal}): there are "
-            f"{listed(found[0])} and {listed(found[1])}; give --visible and --thermal with * for what is the same"
+            f"no file of {visible_folder} ({visible}) shares its name with one in {thermal_folder} ({thermal}): there "
+            f"are {listed(found[0])} and {listed(found[1])}; give --visible and --thermal with * for the common part"
         )
     if masks:
         lacking = [name for name in names if name not in masks]
         if lacking:
-            raise ThermorenderError(f"no mask ({valid}) is there for {listed(lacking)}; add it, or leave out --valid")
+            raise ThermorenderError(f"mask ({valid}) is missing for {listed(lacking)}; add it, or leave out --valid")
     pairs = [Files(name, found[0][name], found[1][name], masks.get(name)) for name in names]
     return pairs, sorted(found[0].keys() ^ found[1].keys(), key=_by_number)
 
 
-def read_visible(path):
+def read_visible(path: str | Path) -> tuple[NDArray[np.uint8], bool]:
     """Return ((H, W, 3) uint8 sRGB, whether it is grey) of a visible picture.
 
     Raises
     ------
     ThermorenderError
-        A file that cannot be read, is not 8-bit, too small, or the same everywhere.
+        The file cannot be read, is not 8-bit, is too small, or is constant.
     """
     image = _decoded(path)
     if image.dtype != np.uint8:
-        raise ThermorenderError(f"{path} has values of {image.dtype}; give visible pictures of 8 bits")
+        raise ThermorenderError(f"{path} has {image.dtype} values; give 8-bit visible pictures")
     if image.ndim == 2:
         image = np.repeat(image[..., None], 3, axis=-1)
-    # An alpha channel tells nothing here; OpenCV orders blue, green, red.
+    # Without alpha; OpenCV orders blue, green, red.
     image = np.ascontiguousarray(image[..., 2::-1])
     _check_content(path, image)
     return image, bool((image[..., 0] == image[..., 1]).all() and (image[..., 1] == image[..., 2]).all())
 
 
-def read_thermal(path, scale=None):
+def read_thermal(path: str | Path, scale: Sequence[float] | None = None) -> Thermal:
     """Return the Thermal picture of a file.
 
     Parameters
     ----------
     path : path
     scale : (2,) floats, optional
-        (kelvin per count, kelvin of count 0) of 16-bit files that declare none.
+        (kelvin per count, kelvin of count 0) of 16-bit files that declare no scale.
 
     Raises
     ------
     ThermorenderError
-        A file that cannot be read, has colours, is of a depth that no camera has, too small, or the same everywhere.
+        The file cannot be read, has colours or an unsupported depth, is too small, or is constant.
     """
     path = Path(path)
     if path.suffix.lower() in (".jpg", ".jpeg") and _radiometric(path):
-        # As the camera sees it, before any correction for surface and air.
+        # Apparent temperature, before any correction for surface and air.
         found = _of_kelvin(read_flir_jpeg(path).temperature(ThermographySettings()))
     elif path.suffix.lower() in (".tif", ".tiff"):
         found = _of_tiff(path, scale)
@@ -149,28 +150,26 @@ def read_thermal(path, scale=None):
                 )
             image = image[..., 0]
         if image.dtype not in (np.uint8, np.uint16):
-            raise ThermorenderError(f"{path} has values of {image.dtype}; give 8 or 16 bits")
+            raise ThermorenderError(f"{path} has {image.dtype} values; give 8 or 16 bits")
         if image.dtype == np.uint16 and scale is not None:
             found = _of_kelvin(image * float(scale[0]) + float(scale[1]))
         else:
             found = Thermal(image, "intensity", np.ones(image.shape, bool))
     if not found.valid.any():
-        raise ThermorenderError(
-            f"{path} holds no temperature between 0 and {65535 * STEP_K:.2f} K; leave it out"
-        )
+        raise ThermorenderError(f"{path} has no temperature between 0 and {65535 * STEP_K:.2f} K; leave it out")
     if found.unit == "kelvin":
         kelvin(f"the median temperature of {path}", STEP_K * float(np.median(found.values[found.valid])))
     _check_content(path, found.values, found.values[found.valid])
     return found
 
 
-def read_valid(path, shape):
+def read_valid(path: str | Path, shape: Sequence[int]) -> NDArray[np.bool_]:
     """Return (H, W) bool, where a mask is not zero.
 
     Raises
     ------
     ThermorenderError
-        A file that cannot be read, or of another size.
+        The file cannot be read or has another size.
     """
     image = _decoded(path)
     if image.shape[:2] != tuple(shape):
@@ -181,8 +180,8 @@ def read_valid(path, shape):
     return image > 0 if image.ndim == 2 else (image > 0).any(axis=-1)
 
 
-def place_of(path):
-    """Return (latitude, longitude) [deg] by the EXIF of a picture, None where it tells none."""
+def place_of(path: str | Path) -> tuple[float, float] | None:
+    """Return (latitude, longitude) [deg] from a picture's EXIF, None without valid coordinates."""
     from PIL import Image
 
     try:
@@ -196,15 +195,15 @@ def place_of(path):
     return place if abs(place[0]) <= 90.0 and abs(place[1]) <= 180.0 else None
 
 
-def listed(names):
-    """Return names in a sentence, the first few of many."""
+def listed(names: Iterable[str]) -> str:
+    """Return names joined for a sentence, shortened to the first few."""
     names = list(names)
     more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
     return ", ".join(names[:_NAMED]) + more
 
 
 def _named(folder, pattern, what):
-    """{name: path} of the pictures in a folder that a pattern finds."""
+    """{name: path} of the pictures in a folder that match a pattern."""
     folder = Path(folder)
     if not folder.is_dir():
         raise ThermorenderError(f"{what} folder {folder} does not exist; give a folder of pictures")
@@ -224,18 +223,18 @@ def _named(folder, pattern, what):
         found[name] = path
     if not found:
         raise ThermorenderError(
-            f"{folder} holds no picture ({', '.join(SUFFIXES)}) that {pattern!r} matches; give another --{what}"
+            f"{folder} has no picture ({', '.join(SUFFIXES)}) that matches {pattern!r}; give another --{what}"
         )
     return found
 
 
 def _by_number(name):
-    """Order in which 10 comes after 9."""
+    """Sort key in which 10 comes after 9."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)]
 
 
 def _decoded(path):
-    """The picture of a file as OpenCV has it, with one or more channels."""
+    """The picture of a file as OpenCV decodes it, with one or more channels."""
     import cv2
 
     try:
@@ -244,13 +243,13 @@ def _decoded(path):
         raise ThermorenderError(f"{path} cannot be read ({error.strerror}); give a picture") from None
     flags = cv2.IMREAD_UNCHANGED
     if Path(path).suffix.lower() in (".jpg", ".jpeg"):
-        # As it is stored, so that it lies on a thermal picture that knows of no turning.
+        # As stored, because the thermal picture has no EXIF orientation.
         flags = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
         if b"\xff\xd9" not in data[-65536:]:
-            raise ThermorenderError(f"{path} is a JPEG cut short; copy it anew, or leave it out")
+            raise ThermorenderError(f"{path} is a truncated JPEG; copy it again, or leave it out")
     image = decoded(data, flags)
     if image is None:
-        raise ThermorenderError(f"{path} is no picture that can be read; copy it anew, or leave it out")
+        raise ThermorenderError(f"{path} is not a readable picture; copy it again, or leave it out")
     return image
 
 
@@ -269,12 +268,12 @@ def _of_tiff(path, scale):
     if kind in ("float32", "float64"):
         if declared is None and np.isfinite(values).any() and np.nanmedian(values) > _HOT_C:
             raise ThermorenderError(
-                f"{path} holds floats around {np.nanmedian(values):.0f} and names no unit; floats without one are °C: "
-                "declare the unit K in the file, or store °C"
+                f"{path} has floats around {np.nanmedian(values):.0f} without a unit, which would be °C; declare the "
+                "unit K in the file, or store °C"
             )
         return _of_kelvin(values * declared[0] + declared[1] if declared else values + ZERO_CELSIUS_K)
     if kind not in ("uint8", "uint16"):
-        raise ThermorenderError(f"{path} has values of {kind}; give 8 or 16 bits, or °C in floats")
+        raise ThermorenderError(f"{path} has {kind} values; give 8 or 16 bits, or °C in floats")
     if kind == "uint16" and step_zero is not None:
         return _of_kelvin(values * step_zero[0] + step_zero[1])
     valid = np.isfinite(values)
@@ -295,4 +294,4 @@ def _check_content(path, image, known=None):
         )
     known = image if known is None else known
     if (known == known.flat[0]).all():
-        raise ThermorenderError(f"{path} is {known.flat[0]} in all its pixels; leave it out")
+        raise ThermorenderError(f"{path} is {known.flat[0]} in all pixels; leave it out")

@@ -1,49 +1,51 @@
-"""From folders of pictures of real cameras to a data set: checked, registered, cut, split, scaled and written.
+"""Data sets from folders of real pictures: checked, registered, cropped, split, scaled and written.
 
-All pictures are read and judged before anything is written; what cannot be used is refused by name, or left out and
-listed.
+All pictures are read and checked before anything is written. Unusable ones are refused by name, or left out and listed.
 """
 
 import hashlib
 import re
 from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from thermorender import files
+from thermorender import files, formats
 from thermorender.campaign import bounds as value_bounds
 from thermorender.campaign import pictures, splits
 from thermorender.campaign.audit import audit
 from thermorender.campaign.cut import Cut, moved, piece
-from thermorender.campaign.dataset import PARTS, Entry, ThermalScale, Writer, packed, read_dataset, refuse_strange
+from thermorender.campaign.dataset import PARTS, Entry, ThermalScale, read_dataset
+from thermorender.campaign.dataset_writer import Writer, packed, refuse_strange
 from thermorender.campaign.registration import rig
 from thermorender.errors import ThermorenderError
 
-# Temperatures of intensity 0 and 1 where nothing tells them [°C]: those published with eq. 2.
+# Default temperatures of intensity 0 and 1 [°C], published with eq. 2.
 RANGE_C = (14.0, 24.0)
-# Pictures to a shard, before they are cut.
+# Pictures per shard, before cropping.
 _PER_SHARD = 64
 
 
 @dataclass(frozen=True)
 class Source:
-    """Where the pictures are and how they are read.
+    """Folders of pictures and how to read them.
 
     Attributes
     ----------
     visible_folder, thermal_folder : path
     visible, thermal : str
-        Patterns of file names; what their wildcards stand for is the name of a pair.
+        Patterns of file names; the text that their wildcards match is a pair's name.
     valid : str or None
         Pattern of masks in the visible folder, non-zero where both pictures show the same.
     scale : (2,) tuple of float, or None
-        (kelvin per count, kelvin of count 0) of 16-bit files that declare none.
+        (kelvin per count, kelvin of count 0) of 16-bit files that declare no scale.
     sequence : str or None
-        Regular expression whose group is a name's sequence; None: the name without its last digits.
+        Regular expression whose group is the sequence in a name; None: the name without its last digits.
     gap : int or None
-        A greater step of the last number in the names begins a new sequence.
+        A larger step of the last number in the names starts a new sequence.
     """
 
     visible_folder: Path
@@ -51,166 +53,206 @@ class Source:
     visible: str = "*"
     thermal: str = "*"
     valid: str | None = None
-    scale: tuple | None = None
+    scale: tuple[float, float] | None = None
     sequence: str | None = None
     gap: int | None = None
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """How to calibrate the rig of the pictures: as `thermorender.campaign.registration.fit.calibrate` takes it."""
+    """Arguments of `thermorender.campaign.registration.fit.calibrate` for the rig of the pictures."""
 
-    fields_of_view: tuple | None = None
+    fields_of_view: tuple[Sequence[float], Sequence[float]] | None = None
     resized: bool = False
 
 
-def prepare(source, output, registered=None, cut=None, split="sequence", shares=(0.7, 0.2, 0.1), texel_m=None,
-            range_c=None, licence=None, skip_bad=False, resume=False, progress=None):  # fmt: skip
-    """Return what was made of folders of pictures, as a dict; the data set lies in `output`.
+def prepare(
+    source: Source, output: str | Path, registered: rig.Rig | Calibration | None = None, cut: Cut | None = None,
+    split: str = "sequence", shares: Sequence[float] = (0.7, 0.2, 0.1), texel_m: float | None = None,
+    range_c: Sequence[float] | None = None, licence: str | None = None, skip_bad: bool = False, resume: bool = False,
+    progress: Callable[[str, float], None] | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Write a data set from folders of pictures to `output`; return a report.
 
     Parameters
     ----------
     source : Source
     output : path
     registered : Rig or Calibration, optional
-        Lays visible pictures onto thermal ones; without it they must be aligned.
+        Registers visible pictures to thermal ones; without it they must be aligned.
     cut : Cut, optional
     split : str
-        Rule of `thermorender.campaign.splits.assign`, or a file as by `read_split`.
+        Rule of `thermorender.campaign.splits.assign`, or a file for `read_split`.
     shares : (3,) floats
-        Of training, validation and test.
+        Shares of training, validation and test.
     texel_m : float, optional
         Ground sampling distance of the thermal pictures [m].
     range_c : (2,) floats, optional
-        Temperatures that intensity 0 and 1 of values of unknown scale are taken for [°C].
+        Temperatures assumed for intensity 0 and 1 of values of unknown scale [°C].
     licence : str, optional
     skip_bad : bool
-        Leave out what cannot be used, instead of refusing all.
+        Leave out unusable pairs instead of refusing all.
     resume : bool
-        Continue a data set that was begun with the same settings.
+        Resume a data set with the same settings.
     progress : callable, optional
-        Called with (what, share done).
+        Called with (task, fraction done).
 
     Returns
     -------
     dict
-        pairs, entries, parts {name: count}, sequences, left_out {name: why}, grey (pairs whose visible picture has no
-        colour), bounds (of the training part, or of all where there is none), rig, scale, audit (an Audit, or None
-        without training or test part).
+        pairs, entries, parts {name: count}, sequences, left_out {name: reason}, grey (pairs whose visible picture has
+        no colour), bounds (of the training part, or of all parts if it is empty), rig, scale, audit (an Audit, or
+        None without training or test part).
 
     Raises
     ------
     ThermorenderError
-        Pictures that cannot be used, named one by one, or settings that contradict them; nothing is written then.
+        Pictures cannot be used, with their names, or settings contradict them. Nothing is written then.
     """
-    tell, cut, output = progress or (lambda what, share: None), cut or Cut(), Path(output)
+    report_progress, cut, output = progress or (lambda task, fraction: None), cut or Cut(), Path(output)
     _check_settings(cut, texel_m, range_c)
-    if resume:
-        refuse_strange(output)
-    else:
-        files.check_new_folder(output)
-    pairs, alone = pictures.matched(
-        source.visible_folder, source.thermal_folder, source.visible, source.thermal, source.valid
-    )
-    sequence_of = _sequences(pairs, source)
-    keys = _keys(pairs)
-    found, left_out = _judged(pairs, source, registered, cut, tell)
-    left_out = {name: "has no partner" for name in alone} | left_out
-    if left_out and not skip_bad:
-        reasons = Counter(left_out.values())
-        told = [
-            f"{pictures.listed(name for name in left_out if left_out[name] == reason)}: {reason}"
-            for reason in list(reasons)[:4]
-        ]
-        raise ThermorenderError(
-            f"{len(left_out)} of {len(pairs) + len(alone)} names cannot be used ({'; '.join(told)}); mend or remove "
-            "them, or leave them out with --skip-bad"
-        )
-    kept = [pair for pair in pairs if pair.name in found]
-    if not kept:
-        raise ThermorenderError(f"of {len(pairs)} pairs none can be used, e.g. {next(iter(left_out.values()))}")
-    kind = _kind(found)
-    if range_c is not None and kind[0] != "intensity":
+    (refuse_strange if resume else files.check_new_folder)(output)
+    kept, found, left_out, keys, sequence_of = _usable(source, registered, cut, skip_bad, report_progress)
+    unit = _unit(found)
+    if range_c is not None and unit != "intensity":
         raise ThermorenderError("--range-c is for values of unknown scale, and these are temperatures; leave it out")
     entries = _entries(kept, found, keys, sequence_of, cut, texel_m)
     parts = _assigned([entry for of_pair in entries.values() for entry in of_pair], split, shares, cut.seed)
-    laid = _rig(registered, kept, source, output, resume, tell)
-
-    def pieces(pair):
-        images = _registered(pair, source, laid, cut)
-        for number, entry in enumerate(entries[pair.name]):
-            entry = replace(entry, part=parts[entry.key])
-            yield entry, *(piece(image, pair.name, cut, number) for image in images)
-
-    histogram = value_bounds.Histogram()
-    counted = PARTS[:1] if PARTS[0] in parts.values() else PARTS
-    training = [pair for pair in kept if any(parts[entry.key] in counted for entry in entries[pair.name])]
-    for number, pair in enumerate(training):
-        tell("counting thermal values", number / len(training))
-        for entry, _, thermal, valid in pieces(pair):
-            if entry.part in counted:
-                histogram.add(thermal[valid])
+    cameras = _rig(registered, kept, source, output, resume, report_progress)
+    plan = _Plan(source, cut, cameras, kept, entries, parts)
+    histogram = plan.histogram(report_progress)
     bounds = value_bounds.bounds_of(histogram)
-    scale = ThermalScale("kelvin", pictures.STEP_K, 0.0)
-    if kind[0] == "intensity":
-        span = bounds.high - bounds.low
-        scale = ThermalScale("intensity", 1.0 / span, -bounds.low / span, tuple(range_c or RANGE_C))
+    scale = _scale(unit, bounds, range_c)
     grey = sum(found[pair.name].grey for pair in kept)
     card = {
         "name": output.resolve().name, "licence": licence, "texel_m": texel_m, "pairs": len(kept), "grey": grey,
         "source": f"pictures of {Path(source.visible_folder).name} and {Path(source.thermal_folder).name}",
-        "left_out": left_out, "rig": None if laid is None else asdict(laid), "bounds": asdict(bounds),
+        "left_out": left_out, "rig": None if cameras is None else asdict(cameras), "bounds": asdict(bounds),
         "checksum": _checksum(kept),
-        "settings": {
-            "visible": source.visible, "thermal": source.thermal, "valid": source.valid, "scale": source.scale,
-            "sequence": source.sequence, "gap": source.gap, "split": split, "shares": list(shares), **asdict(cut),
-        },
+        "settings": _settings(source) | {"split": split, "shares": list(shares)} | asdict(cut),
     }  # fmt: skip
     with files.in_use(files.make_folder(output)):
         files.remove_parts(output)
-        writer = Writer(output, card, scale, resume)
-        # Nobody else is writing one.
-        files.remove_parts(output / "shards")
-        if laid is not None and not (output / "rig.json").exists():
-            rig.save_rig(laid, output / "rig.json")
-        if laid is not None and not (output / "overlay.png").exists():
-            shown = _shown(kept, laid)
-            rig.write_overlay(output / "overlay.png", pictures.read_visible(shown.visible)[0],
-                              _temperatures(shown, source), laid)  # fmt: skip
+        plan.write(output, Writer(output, card, scale, resume), report_progress)
         if not (output / "histogram.png").exists():
             value_bounds.figure(output / "histogram.png", histogram, bounds, scale)
-        for start in range(0, len(kept), _PER_SHARD):
-            tell("writing pairs", start / len(kept))
-            name = f"{start // _PER_SHARD:06d}"
-            if not writer.has(name):
-                group = kept[start : start + _PER_SHARD]
-                writer.shard(name, ((e, packed(v, t, m)) for pair in group for e, v, t, m in pieces(pair)))
         made = read_dataset(output)
-        found_leaks = None
-        if len(made.of("train")) and len(made.of("test")):
-            found_leaks = audit(made, progress=tell)
-            files.write_json(output / "audit.json", found_leaks.summary())
+        leaks = audit(made, progress=report_progress) if len(made.of("train")) and len(made.of("test")) else None
+        if leaks:
+            formats.write_json(output / "audit.json", leaks.summary())
     return {
-        "audit": found_leaks,
+        "audit": leaks,
         "pairs": len(kept), "entries": sum(map(len, entries.values())), "grey": grey, "left_out": left_out,
         "parts": {part: sum(each == part for each in parts.values()) for part in PARTS},
-        "sequences": len({sequence_of[pair.name] for pair in kept}), "bounds": bounds, "rig": laid, "scale": scale,
+        "sequences": len({sequence_of[pair.name] for pair in kept}), "bounds": bounds, "rig": cameras, "scale": scale,
     }  # fmt: skip
 
 
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """A data set before it is written: its pairs, their crops and parts, and the rig of their cameras."""
+
+    source: Source
+    cut: Cut
+    cameras: rig.Rig | None
+    pairs: list
+    entries: dict
+    parts: dict
+
+    def pieces(self, pair):
+        """Yield (Entry, visible, thermal, valid) of each crop of a pair."""
+        images = _registered(pair, self.source, self.cameras, self.cut)
+        for number, entry in enumerate(self.entries[pair.name]):
+            entry = replace(entry, part=self.parts[entry.key])
+            yield entry, *(piece(image, pair.name, self.cut, number) for image in images)
+
+    def histogram(self, report_progress):
+        """Return the Histogram of the training part's valid thermal values; of all parts if it is empty."""
+        histogram = value_bounds.Histogram()
+        counted = PARTS[:1] if PARTS[0] in self.parts.values() else PARTS
+        training = [
+            pair for pair in self.pairs if any(self.parts[each.key] in counted for each in self.entries[pair.name])
+        ]
+        for number, pair in enumerate(training):
+            report_progress("counting thermal values", number / len(training))
+            for entry, _, thermal, valid in self.pieces(pair):
+                if entry.part in counted:
+                    histogram.add(thermal[valid])
+        return histogram
+
+    def write(self, output, writer, report_progress):
+        """Write the rig, its inspection picture and all missing shards."""
+        # No other process writes shards now.
+        files.remove_parts(output / "shards")
+        if self.cameras is not None and not (output / "rig.json").exists():
+            rig.save_rig(self.cameras, output / "rig.json")
+        if self.cameras is not None and not (output / "overlay.png").exists():
+            shown = _shown(self.pairs, self.cameras)
+            rig.write_overlay(output / "overlay.png", pictures.read_visible(shown.visible)[0],
+                              _temperatures(shown, self.source), self.cameras)  # fmt: skip
+        for start in range(0, len(self.pairs), _PER_SHARD):
+            report_progress("writing pairs", start / len(self.pairs))
+            name = f"{start // _PER_SHARD:06d}"
+            if not writer.has(name):
+                group = self.pairs[start : start + _PER_SHARD]
+                writer.shard(name, ((e, packed(v, t, m)) for pair in group for e, v, t, m in self.pieces(pair)))
+
+
+def _usable(source, registered, cut, skip_bad, report_progress):
+    """(usable pairs, {name: _Found}, {name: reason} of the others, {name: key}, {name: sequence})."""
+    pairs, alone = pictures.matched(
+        source.visible_folder, source.thermal_folder, source.visible, source.thermal, source.valid
+    )
+    sequence_of, keys = _sequences(pairs, source), _keys(pairs)
+    found, left_out = _checked(pairs, source, registered, cut, report_progress)
+    left_out = {name: "has no partner" for name in alone} | left_out
+    if left_out and not skip_bad:
+        _refuse(left_out, len(pairs) + len(alone))
+    kept = [pair for pair in pairs if pair.name in found]
+    if not kept:
+        raise ThermorenderError(f"none of {len(pairs)} pairs can be used, e.g. {next(iter(left_out.values()))}")
+    return kept, found, left_out, keys, sequence_of
+
+
+def _scale(unit, bounds, range_c):
+    """The ThermalScale of temperatures, or of intensity within the bounds."""
+    if unit == "kelvin":
+        return ThermalScale("kelvin", pictures.STEP_K, 0.0)
+    span = bounds.high - bounds.low
+    return ThermalScale("intensity", 1.0 / span, -bounds.low / span, tuple(range_c or RANGE_C))
+
+
+def _settings(source):
+    """The settings of a Source that a data set's card records."""
+    return {name: getattr(source, name) for name in ("visible", "thermal", "valid", "scale", "sequence", "gap")}
+
+
+def _refuse(left_out, count):
+    """Refuse names that cannot be used, by reason."""
+    reasons = Counter(left_out.values())
+    listed = [
+        f"{pictures.listed(name for name in left_out if left_out[name] == reason)}: {reason}"
+        for reason in list(reasons)[:4]
+    ]
+    raise ThermorenderError(
+        f"{len(left_out)} of {count} names cannot be used ({'; '.join(listed)}); correct or remove them, or leave them "
+        "out with --skip-bad"
+    )
+
+
 def _checksum(pairs):
-    """That of all pictures, by which a data set that is continued tells whether they are the same."""
+    """Checksum of all pictures; resuming a data set requires the same one."""
     paths = [path for pair in pairs for path in (pair.visible, pair.thermal, pair.valid) if path is not None]
-    told = "".join(path.name + files.checksum(path) for path in paths)
-    return hashlib.blake2b(told.encode(errors="surrogateescape"), digest_size=16).hexdigest()
+    text = "".join(path.name + formats.checksum(path) for path in paths)
+    return hashlib.blake2b(text.encode(errors="surrogateescape"), digest_size=16).hexdigest()
 
 
-# --- judgement --------------------------------------------------------------------------------------------------
+# --- checks -----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class _Found:
-    """What was seen of a pair: size of its thermal picture, its unit and depth, whether the visible one is grey."""
+    """Properties of a pair: shape of its thermal picture, its unit and depth, whether the visible one is grey."""
 
     shape: tuple
     kind: tuple
@@ -226,18 +268,18 @@ def _check_settings(cut, texel_m, range_c):
     if cut.seed < 0:
         raise ThermorenderError(f"--seed={cut.seed} is not allowed; give 0 or more")
     if not (np.isfinite(cut.shift_px) and cut.shift_px >= 0.0):
-        raise ThermorenderError(f"--shift={cut.shift_px:g} is no length; give pixels, 0 or more")
+        raise ThermorenderError(f"--shift={cut.shift_px:g} is not a length; give pixels, 0 or more")
     if texel_m is not None and not (np.isfinite(texel_m) and texel_m > 0.0):
-        raise ThermorenderError(f"--texel-m={texel_m:g} is no ground sampling distance; give metres above 0")
+        raise ThermorenderError(f"--texel-m={texel_m:g} is not a ground sampling distance; give metres above 0")
     if range_c is not None and not -273.0 < range_c[0] < range_c[1]:
-        raise ThermorenderError(f"--range-c={range_c[0]:g},{range_c[1]:g} is no range; give °C, the colder first")
+        raise ThermorenderError(f"--range-c={range_c[0]:g},{range_c[1]:g} is not a range; give °C, the lower first")
 
 
-def _judged(pairs, source, registered, cut, tell):
-    """({name: _Found}, {name: why it cannot be used}) of pairs."""
+def _checked(pairs, source, registered, cut, report_progress):
+    """({name: _Found}, {name: reason why it cannot be used}) of pairs."""
     found, bad = {}, {}
     for number, pair in enumerate(pairs):
-        tell("reading pictures", number / len(pairs))
+        report_progress("reading pictures", number / len(pairs))
         try:
             visible, grey = pictures.read_visible(pair.visible)
             thermal = pictures.read_thermal(pair.thermal, source.scale)
@@ -256,21 +298,21 @@ def _check_sizes(visible, thermal, registered, cut):
     if registered is None and visible != thermal:
         raise ThermorenderError(f"visible and thermal picture have {sizes}; give aligned ones, --rig or --calibrate")
     if isinstance(registered, rig.Rig) and (visible, thermal) != (registered.visible_shape, registered.thermal_shape):
-        raise ThermorenderError(f"visible and thermal picture have {sizes}, the rig others; give another --rig")
+        raise ThermorenderError(f"visible and thermal picture have {sizes}, unlike the rig; give another --rig")
     if cut.crops and min(thermal) < cut.size:
         raise ThermorenderError(f"the thermal picture is smaller than --crop-size {cut.size}; give a smaller one")
     if cut.shift_px >= 0.5 * min(thermal):
         raise ThermorenderError(f"--shift={cut.shift_px:g} is half the thermal picture or more; give a smaller one")
 
 
-def _kind(found):
-    """(unit, depth) of all thermal pictures."""
+def _unit(found):
+    """The unit of all thermal pictures, which must also have the same depth."""
     kinds = Counter(each.kind for each in found.values())
     if len(kinds) > 1:
         names = {kind: next(name for name, each in found.items() if each.kind == kind) for kind in kinds}
-        told = ", ".join(f"{count} of {kind[0]} in {kind[1]} (e.g. {names[kind]})" for kind, count in kinds.items())
-        raise ThermorenderError(f"thermal pictures are of several kinds: {told}; prepare each kind by itself")
-    return next(iter(kinds))
+        listed = ", ".join(f"{count} of {kind[0]} in {kind[1]} (e.g. {names[kind]})" for kind, count in kinds.items())
+        raise ThermorenderError(f"thermal pictures are of several kinds: {listed}; prepare each kind separately")
+    return next(iter(kinds))[0]
 
 
 # --- names ------------------------------------------------------------------------------------------------------
@@ -283,18 +325,19 @@ def _keys(pairs):
     if twice:
         names = [name for name, key in keys.items() if key == twice[0]]
         raise ThermorenderError(
-            f"{pictures.listed(names)} differ in signs that no key has and are all {twice[0]!r}; rename the files"
+            f"{pictures.listed(names)} differ only in characters that keys cannot have, so all become {twice[0]!r}; "
+            "rename the files"
         )
     return keys
 
 
 def _sequences(pairs, source):
-    """{name: its sequence} of pairs in the order of their names."""
+    """{name: sequence} of pairs in the order of their names."""
     try:
         expression = re.compile(source.sequence) if source.sequence else None
     except re.error as error:
         raise ThermorenderError(
-            f"--sequence={source.sequence!r} is no regular expression: {error}; put the sequence in a group, as in "
+            f"--sequence={source.sequence!r} is not a regular expression: {error}; put the sequence in a group, as in "
             r"'(flight\d+)_'"
         ) from None
     found, before = {}, {}
@@ -319,7 +362,7 @@ def _sequences(pairs, source):
 
 
 def _entries(pairs, found, keys, sequence_of, cut, texel_m):
-    """{name: [Entry of what is cut from it]}, their part still open."""
+    """{name: [Entry of each of its crops]}, not yet assigned to parts."""
     entries, orders = {}, Counter()
     for pair in pairs:
         sequence, key = sequence_of[pair.name], keys[pair.name]
@@ -334,23 +377,21 @@ def _entries(pairs, found, keys, sequence_of, cut, texel_m):
 
 
 def _assigned(entries, rule, shares, seed):
-    """{key: part} of entries by a rule or a file; none is left over."""
+    """{key: part} of all entries, by a rule or a file."""
     if Path(rule).suffix not in splits.SUFFIXES:
         return splits.assign(entries, rule, shares=shares, seed=seed)
     parts = splits.read_split(rule)
     missing = [entry.key for entry in entries if entry.key not in parts]
     if missing:
-        raise ThermorenderError(
-            f"{rule} gives no part to {pictures.listed(missing)}; name every pair, or give a rule"
-        )
+        raise ThermorenderError(f"{rule} gives no part to {pictures.listed(missing)}; name every pair, or give a rule")
     return {entry.key: parts[entry.key] for entry in entries}
 
 
 # --- pictures ---------------------------------------------------------------------------------------------------
 
 
-def _rig(registered, pairs, source, output, resume, tell):
-    """The Rig to lay pictures by: given, of a data set that is continued, or calibrated; None without one."""
+def _rig(registered, pairs, source, output, resume, report_progress):
+    """The Rig of the pictures: given, of the resumed data set, or calibrated; None for aligned pictures."""
     if not isinstance(registered, Calibration):
         return registered
     if resume and (output / "rig.json").exists():
@@ -361,36 +402,36 @@ def _rig(registered, pairs, source, output, resume, tell):
         return lambda: (pictures.read_visible(pair.visible)[0], _temperatures(pair, source))
 
     frames = [(pair.name, reader(pair)) for pair in pairs]
-    return calibrate(frames, registered.fields_of_view, registered.resized, tell)
+    return calibrate(frames, registered.fields_of_view, registered.resized, report_progress)
 
 
 def _temperatures(pair, source):
-    """Values of a pair's thermal picture, (H, W) float32; NaN where it has none."""
+    """Values of a pair's thermal picture, (H, W) float32; NaN where not valid."""
     thermal = pictures.read_thermal(pair.thermal, source.scale)
     return np.where(thermal.valid, thermal.values, np.nan).astype(np.float32)
 
 
-def _shown(pairs, laid):
-    """The pair for the inspection picture: the best of those the rig was calibrated on, else the middle one."""
-    known = [pair for pair in pairs if pair.name in laid.frames and pair.name not in laid.rejected]
-    return max(known, key=lambda pair: laid.frames[pair.name]) if known else pairs[len(pairs) // 2]
+def _shown(pairs, cameras):
+    """The pair for the inspection picture: the best of the calibration, else the middle one."""
+    known = [pair for pair in pairs if pair.name in cameras.frames and pair.name not in cameras.rejected]
+    return max(known, key=lambda pair: cameras.frames[pair.name]) if known else pairs[len(pairs) // 2]
 
 
-def _registered(pair, source, laid, cut):
+def _registered(pair, source, cameras, cut):
     """(visible (H, W, 3) uint8, thermal (H, W), valid (H, W) bool) of a pair, on the thermal pixels."""
     visible, _ = pictures.read_visible(pair.visible)
     thermal = pictures.read_thermal(pair.thermal, source.scale)
     values, valid = thermal.values.copy(), thermal.valid
     seen = None if pair.valid is None else pictures.read_valid(pair.valid, visible.shape[:2])
-    if laid is not None:
-        visible, inside = rig.warped(visible, laid)
+    if cameras is not None:
+        visible, inside = rig.warped(visible, cameras)
         if seen is not None:
-            # A pixel made of any that is not valid is none either.
+            # A pixel resampled from any invalid pixel is invalid too.
             mask = np.repeat(np.where(seen, 255, 0).astype(np.uint8)[..., None], 3, axis=-1)
-            seen = rig.warped(mask, laid)[0][..., 0] > 250
+            seen = rig.warped(mask, cameras)[0][..., 0] > 250
         seen = inside if seen is None else seen & inside
     if cut.shift_px:
         values, valid = moved(values, valid, pair.name, cut)
-    # Something harmless where nothing is known.
+    # The median where no value is known.
     values[~valid] = int(np.median(values[valid])) if valid.any() else 0
     return visible, values, valid if seen is None else valid & seen

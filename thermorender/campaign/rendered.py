@@ -1,15 +1,16 @@
-"""A campaign rendered: pairs of visible and thermal pictures of procedural lands, with the truth behind them.
+"""A rendered campaign: pairs of visible and thermal pictures of procedural landscapes, with ground truth.
 
-A *world* is a land of a seed under a weather of another, at some hours of one day. Its true temperatures stray from
-what tables and station tell (`campaign.worlds`), so that whoever predicts knows as much as outdoors. Views look
-straight down, aslant, and ahead with sky in the picture. The thermal picture is what the camera reads; beside it lies,
-per pixel, what is really there, what a heat balance with table values predicts of the same view, and the relief.
+A *world* is a landscape of one seed under the weather of another, at several hours of one day. Its true temperatures
+deviate from tables and station data (`campaign.procedural_truth`), so a predictor knows as much as it would outdoors.
+Views are nadir, oblique, and forward with sky in the picture. The thermal picture is what the camera reads. Per pixel,
+a pair also holds the truth, the heat balance's prediction from table values, and the relief.
 
-Worlds of training, validation and test have different lands and different weathers. Each is one shard, so a campaign
-can be stopped anywhere and continued.
+Worlds of training, validation and test have different landscapes and different weathers. Each world is one shard, so
+a campaign can be interrupted anywhere and resumed.
 """
 
 import tempfile
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,8 +18,9 @@ import numpy as np
 
 from thermorender import defaults
 from thermorender.atmosphere.declared import declared_air
-from thermorender.campaign.dataset import Entry, ThermalScale, Writer, packed, read_dataset
-from thermorender.campaign.worlds import drawn
+from thermorender.campaign.dataset import Dataset, Entry, ThermalScale, read_dataset
+from thermorender.campaign.dataset_writer import Writer, packed
+from thermorender.campaign.procedural_truth import drawn
 from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
 from thermorender.output.photograph import sky_of, with_sky
@@ -26,34 +28,34 @@ from thermorender.render.heat.conditions import conditions
 from thermorender.scene.load import load_scene
 from thermorender.sensor.camera import load_camera
 from thermorender.sensor.readout import radiance_from_counts
-from thermorender.synthetic.files import write_declared
 from thermorender.synthetic.noise import stream
+from thermorender.synthetic.procedural_scene import KINDS, make, weather_of
+from thermorender.synthetic.scene_files import write_declared
 from thermorender.synthetic.weather import atmosphere
-from thermorender.synthetic.worlds import KINDS, make, weather_of
 from thermorender.trajectory.path import pose
 from thermorender.units import utc_text
 
-# Sides of a world's texels and posts in those of its kind, and how many texels a side has: a quarter of the kind's own
-# ground at 1.6 times its texel is a tenth of the work.
+# Factor on the kind's texel and post spacing, and texels per side: a quarter of the kind's area at 1.6 times its texel
+# is a tenth of the work.
 COARSER, SIDE_TEXELS = 1.6, 500
-# Views ahead are from so much lower, as the land ends at its edge.
+# Factor on the height of forward views, because the land ends at its edge.
 AHEAD = 0.4
 # Views of an hour, in turn: name, lowest and highest pitch [deg].
 VIEWS = (
     ("nadir", -90.0, -80.0), ("oblique", -60.0, -35.0), ("forward", -16.0, -4.0), ("nadir", -90.0, -80.0),
     ("oblique", -60.0, -35.0), ("forward", -16.0, -4.0), ("oblique", -75.0, -45.0),
 )  # fmt: skip
-# One test world out of so many is drawn once more, for the error that nobody can avoid.
+# One in this many test worlds is drawn a second time, to measure the irreducible error.
 _REDRAWN_ONE_IN = 2
 MOST_VIEWS = 10
-# What the truth may err by for the spectrum's nodes and channels [mK]: less than half of the camera's noise. Weathers
-# that are drawn are more than 64 nodes tell to 5 mK.
+# Tolerated spectral error of the truth [mK]: less than half of the camera's noise. For drawn weathers 64 nodes do not
+# reach 5 mK.
 _TOLERANCE_MK = 20.0
 
 
 @dataclass(frozen=True)
 class World:
-    """A land under a weather."""
+    """A landscape under a weather, at several hours of one day."""
 
     name: str
     kind: str
@@ -63,32 +65,35 @@ class World:
     redrawn: bool
 
 
-def worlds(train=60, validation=6, test=12, seed=0, kinds=tuple(KINDS)):
-    """Return the Worlds of a campaign: as many of each part, kinds in turn, every land and weather once.
+def worlds(
+    train: int = 60, validation: int = 6, test: int = 12, seed: int = 0, kinds: Sequence[str] = tuple(KINDS)
+) -> list[World]:
+    """Return the Worlds of a campaign: the given number per part, kinds in turn, every land and weather once.
 
     Raises
     ------
     ThermorenderError
-        Fewer than one world, or an unknown kind.
+        There is no world, or a kind is unknown.
     """
     for kind in kinds:
         if kind not in KINDS:
-            raise ThermorenderError(f"kind={kind!r} is not a synthetic scene; choose of {', '.join(KINDS)}")
+            raise ThermorenderError(f"kind={kind!r} is not a synthetic scene; choose one of {', '.join(KINDS)}")
     if min(train, validation, test) < 0 or train + validation + test < 1 or not kinds:
-        raise ThermorenderError(f"{train}, {validation}, {test} worlds make no campaign; give one world at least")
+        raise ThermorenderError(f"{train}, {validation}, {test} worlds are not a campaign; give at least one world")
     made = []
     for part, count in (("train", train), ("validation", validation), ("test", test)):
         for number in range(count):
             kind, own = kinds[number % len(kinds)], 1_000_000 * (seed + 1) + len(made)
             redrawn = part == "test" and number // len(kinds) % _REDRAWN_ONE_IN == 0
-            # Parts are mixed, so that a campaign that is not whole yet has something of each.
+            # Parts are interleaved, so that an incomplete campaign has some worlds of each.
             made.append(((number + 0.5) / count, World(f"{kind}-{own}", kind, own, own + 500_000, part, redrawn)))
     return [world for _, world in sorted(made, key=lambda each: each[0])]
 
 
 def render_campaign(
-    folder, of, hours=3, views=9, camera=defaults.CAMERA, resume=False, progress=None, turn=(0, 1)
-):  # fmt: skip
+    folder: str | Path, of: Sequence[World], hours: int = 3, views: int = 9, camera: str = defaults.CAMERA,
+    resume: bool = False, progress: Callable[[str, float], None] | None = None, turn: tuple[int, int] = (0, 1),
+) -> Dataset:  # fmt: skip
     """Render Worlds into a data set; return the Dataset.
 
     Parameters
@@ -96,21 +101,21 @@ def render_campaign(
     folder : path
     of : sequence of World
     hours : int
-        Instants of each world's day, evenly spread over 24 h from one that the weather's seed draws.
+        Instants of each world's day, evenly spaced over 24 h from an hour drawn from the weather's seed.
     views : int
-        Pairs of each instant, 1 … 10.
+        Pairs per instant, 1 … 10.
     camera : str
     resume : bool
-        Continue a campaign of the same settings.
+        Resume a campaign with the same settings.
     progress : callable, optional
-        Called with (what, share done).
+        Called with (task, fraction done).
     turn : (k, n)
-        Of several processes on one folder, that which takes every n-th world from number k on.
+        For several processes on one folder: render every n-th world from index k.
 
     Raises
     ------
     ThermorenderError
-        A number out of range, or a folder that cannot be used.
+        A number is out of range, or the folder cannot be used.
     """
     if not (1 <= hours <= 24 and 1 <= views <= MOST_VIEWS):
         raise ThermorenderError(f"hours={hours}, views={views} are not allowed; give 1…24 and 1…{MOST_VIEWS}")
@@ -125,24 +130,27 @@ def render_campaign(
         "hours": hours, "views": views, "coarser": COARSER, "side_texels": SIDE_TEXELS,
         "worlds": [vars(each) for each in of],
     }  # fmt: skip
-    writer, tell = Writer(folder, card, scale, resume), progress or (lambda what, share: None)
+    writer, report_progress = Writer(folder, card, scale, resume), progress or (lambda task, fraction: None)
     mine = list(of)[turn[0] :: turn[1]]
     for number, world in enumerate(mine):
         if not writer.has(world.name):
-            told = lambda what, share, n=number: tell(f"{mine[n].name}: {what}", (n + share) / len(mine))  # noqa: E731
-            writer.shard(world.name, _pairs(world, hours, views, camera, card["materials"], told))
+
+            def of_world(task, fraction, number=number, name=world.name):
+                report_progress(f"{name}: {task}", (number + fraction) / len(mine))
+
+            writer.shard(world.name, _pairs(world, hours, views, camera, card["materials"], of_world))
     return read_dataset(folder)
 
 
-def _pairs(world, hours, views, camera, materials, tell):
-    """Give (Entry, files) of all pairs of a World."""
+def _pairs(world, hours, views, camera, materials, report_progress):
+    """Yield (Entry, files) of all pairs of a World."""
     from thermorender.render.geometry import Geometry
     from thermorender.render.heat.march import solved
     from thermorender.render.heat.relief import reliefs
     from thermorender.render.renderer import Renderer
     from thermorender.render.variant import activate
 
-    tell("making the land", 0.0)
+    report_progress("making the land", 0.0)
     lands, times = _lands(world, hours)
     scene = _loaded(lands[0], camera)
     geometry = Geometry(activate(), scene.surfaces)
@@ -153,12 +161,12 @@ def _pairs(world, hours, views, camera, materials, tell):
     predicted, truths = solved(scene, times, geometry), []
     for land, again in draws:
         true, exchange = drawn(scene, world.kind, world.seed, again)
-        hidden = replace(land.hidden, exchange=np.float32(exchange) * land.hidden.exchange)
-        truths.append(solved(true, times, geometry, hidden=hidden))
+        deviations = replace(land.deviations, exchange=np.float32(exchange) * land.deviations.exchange)
+        truths.append(solved(true, times, geometry, deviations=deviations))
     number = np.array([materials.index(each.name) for each in scene.materials], dtype=np.uint8)
     known, order, fields = None, 0, reliefs(scene, times, geometry)
     for hour, (land, time) in enumerate(zip(lands, times, strict=True)):
-        tell("rendering", (hour + 0.5) / hours)
+        report_progress("rendering", (hour + 0.5) / hours)
         spec = atmosphere(land.weather, scene.weather.at(time), scene.altitude_m)
         air = declared_air(spec, scene.camera.band_um, scene.name)
         sky_k, renderers = round(air.sky_temperature(scene.altitude_m), 2), []
@@ -166,7 +174,7 @@ def _pairs(world, hours, views, camera, materials, tell):
             source = _under(source, spec, air, land.orthophoto)
             renderers.append(Renderer(source, seed=world.seed, tolerance_mk=_TOLERANCE_MK, like=known))
             known = known or renderers[0]
-        told = conditions(scene.weather, time)
+        numbers = conditions(scene.weather, time)
         labels = {"kind": world.kind, "season": _season(time), "weather": _sky(land.weather)}
         for view in range(views):
             name, at = _view(world, hour, view, scene)
@@ -175,7 +183,7 @@ def _pairs(world, hours, views, camera, materials, tell):
             key = f"{world.name}-{hour}-{view}"
             yield replace(
                 entry, key=key, part=world.part, parent=key, sequence=world.name, order=order, place=place,
-                time=utc_text(time), sky_temperature=sky_k, conditions=told, labels={**labels, "view": name},
+                time=utc_text(time), sky_temperature=sky_k, conditions=numbers, labels={**labels, "view": name},
             ), contents  # fmt: skip
             order += 1
 
@@ -187,7 +195,7 @@ def _sizes(kind):
 
 
 def _lands(world, hours):
-    """The land of a World, photographed at some hours of its day, and these instants."""
+    """The land of a World photographed at several hours of its day, and these instants."""
     weather = weather_of(world.kind, world.weather_seed)
     day = weather.time.astype("M8[D]").astype("M8[s]")
     minute = int((weather.time - day) / np.timedelta64(60, "s"))
@@ -196,7 +204,7 @@ def _lands(world, hours):
 
 
 def _loaded(land, camera):
-    """The Scene of a land with its temperatures to be balanced, without objects: theirs are of no balance."""
+    """The Scene of a land for the heat balance; without objects, whose temperatures are declared."""
     with tempfile.TemporaryDirectory() as folder:
         write_declared(replace(land, objects=()), Path(folder))
         scene = load_scene(folder)
@@ -204,16 +212,16 @@ def _loaded(land, camera):
 
 
 def _under(scene, spec, air, colour):
-    """A solved scene under the air of an AtmosphereSpec and in the colours of another photograph."""
+    """A solved scene under the air of an AtmosphereSpec, with the colours of another photograph."""
     own, (first, *rest) = replace(scene.spec, sky_temperature=None, atmosphere=spec), scene.surfaces
     made = replace(scene, spec=own, air=air, surfaces=(replace(first, colour=colour), *rest))
     made.__dict__["weather"] = scene.weather
-    # The sun stands in the air as it does at the instant.
+    # `heated` sets the sun of the scene's instant.
     return made.heated(scene.time, [surface.temperature for surface in made.surfaces[: made.terrain_count]])
 
 
 def _view(world, hour, view, scene):
-    """(name of the view, pose) of a pair."""
+    """(name of the view, camera pose) of a pair."""
     name, low, high = VIEWS[view % len(VIEWS)]
     g = stream(world.seed, f"view {hour} {view}")
     half = 0.5 * _sizes(world.kind)[0]
@@ -235,7 +243,7 @@ def _view(world, hour, view, scene):
 
 
 def _pair(renderers, at, order, fields, number, cloud):
-    """(Entry with what the picture tells, its files) of one view."""
+    """(Entry with the picture's properties, its files) of one view."""
     first = renderers[0]
     frame = first.frame(at, index=order)
     visible, covered = first.visible(at)
@@ -244,7 +252,7 @@ def _pair(renderers, at, order, fields, number, cloud):
     on_ground = texel >= 0
     sky = sky_of(mask)
     visible = with_sky(visible, sky, at, first.scene.camera, cloud)
-    # Half precision: what relief and sun tell is not known better.
+    # Half precision is enough for relief and sun.
     planes = {
         name: np.where(on_ground, values.ravel()[texel], np.nan).astype(np.float16) for name, values in fields.items()
     }
@@ -270,7 +278,7 @@ def _season(time):
 
 
 def _sky(weather):
-    """One word or two for a named day: snow, or clear, cloudy, overcast, and whether the wind is strong."""
+    """Label of a named day: snow if any, then clear, cloudy or overcast, and windy if the wind is strong."""
     ground = "snow " if weather.snow_depth_m > 0.0 else ""
     sky = "clear" if weather.cloud < 0.25 else "cloudy" if weather.cloud < 0.75 else "overcast"
     return f"{ground}{sky}{' windy' if weather.wind_m_s > 5.0 else ''}"

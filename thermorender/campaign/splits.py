@@ -1,44 +1,49 @@
-"""Which pairs are for training, validation and test: by whole sequences, by place, or each crop by itself.
+"""Splits into training, validation and test parts: by whole sequences, by place, or by single crops.
 
-What belongs together goes into one part: pairs are put into groups, and whole groups into parts. How many pairs a part
-then has is as near to its share as the groups allow.
+Pairs that belong together form a group, and whole groups go into parts. The number of pairs per part is as close to
+its share as the groups allow.
 """
 
 import csv
 import io
 import json
 import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from thermorender import files
-from thermorender.campaign.dataset import PARTS
+from thermorender import files, formats
+from thermorender.campaign.dataset import PARTS, Entry
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import ecef_from_geodetic
 
-# As published: 3511, 1003 and 502 of 5016 crops.
+# The published split: 3511, 1003 and 502 of 5016 crops.
 SHARES = (0.7, 0.2, 0.1)
-# Side of the cells of the rule "place", and the distance within which cells belong together [m]. Chosen: several views
-# of a camera at 120 m, and about one of them.
+# Rule "place": side of a cell, and the distance within which cells belong together [m]. Chosen: several views of a
+# camera at 120 m, and about one view.
 CELL_M, APART_M = 500.0, 100.0
 _METRES_PER_DEGREE = 111_320.0
 SUFFIXES = (".json", ".csv")
 
 
-def assign(entries, rule="sequence", shares=SHARES, seed=0, cell_m=CELL_M, apart_m=APART_M):
-    """Return {key: part} of Entries: whole groups, the largest first, each into the part that lacks most pairs.
+def assign(
+    entries: Sequence[Entry], rule: str = "sequence", shares: Sequence[float] = SHARES, seed: int = 0,
+    cell_m: float = CELL_M, apart_m: float = APART_M,
+) -> dict[str, str]:  # fmt: skip
+    """Return {key: part} of Entries: whole groups, largest first, each into the part that lacks most pairs.
 
     Parameters
     ----------
     entries : sequence of Entry
     rule : {"sequence", "place", "crop", "train", "validation", "test"}
-        What stays together: a sequence; what lies in a cell on the map, with what lies within `apart_m` of it; or
-        nothing, as published, so that crops of one picture come into several parts. Or the part that all are put into.
+        What stays together: a sequence; a cell on the map with everything within `apart_m` of it; or nothing, as
+        published, so that crops of one picture go into several parts. A part's name puts all pairs there.
     shares : (3,) floats
-        Of training, validation and test; a part of share 0 stays empty.
+        Shares of training, validation and test; a part with share 0 stays empty.
     seed : int
-        Order of groups of one size.
+        Random order of groups of equal size.
     cell_m : float
         Side of a cell of the rule "place" [m].
     apart_m : float
@@ -52,7 +57,7 @@ def assign(entries, rule="sequence", shares=SHARES, seed=0, cell_m=CELL_M, apart
     Raises
     ------
     ThermorenderError
-        An unknown rule, shares that are none, fewer groups than parts, or entries without a place.
+        The rule is unknown, shares are invalid, groups are fewer than parts, or entries lack a place.
     """
     if rule in PARTS:
         return {entry.key: rule for entry in entries}
@@ -75,13 +80,13 @@ def assign(entries, rule="sequence", shares=SHARES, seed=0, cell_m=CELL_M, apart
             f"split rule {rule!r} finds {len(groups)} groups for {len(wanted)} parts; take more pictures, another "
             f"rule, or put all into one part by {' or '.join(PARTS)}{_SMALLER.get(rule, '')}"
         )
-    # Sorted by key, so that the order of the entries does not count.
+    # Sorted by key, so that the order of the entries does not matter.
     members = sorted(map(sorted, groups.values()))
     members = [members[k] for k in np.random.default_rng(seed).permutation(len(members))]
     members.sort(key=len, reverse=True)
     found, empty = {}, set(wanted)
     for left, group in zip(range(len(members), 0, -1), members, strict=True):
-        # The last groups go to the parts that have none.
+        # The last groups go to the empty parts.
         part = max(empty if left == len(empty) else wanted, key=lambda name: (wanted[name], -PARTS.index(name)))
         wanted[part] -= len(group)
         empty.discard(part)
@@ -89,24 +94,24 @@ def assign(entries, rule="sequence", shares=SHARES, seed=0, cell_m=CELL_M, apart
     return {entry.key: found[entry.key] for entry in entries}
 
 
-def read_split(path):
-    """Return {key: part} of a file.
+def read_split(path: str | Path) -> dict[str, str]:
+    """Return {key: part} from a file.
 
     Parameters
     ----------
     path : path
-        JSON {"train": [keys], "validation": [keys], "test": [keys]}, or CSV with a row of the names key and part.
+        JSON {"train": [keys], "validation": [keys], "test": [keys]}, or CSV with the columns key and part.
 
     Raises
     ------
     ThermorenderError
-        The file is none of these, names another part, or a key twice.
+        The file has another form, or names an unknown part or a key twice.
     """
     path = Path(path)
     form = 'JSON {"train": [keys], …} or CSV with the columns key,part'
     if path.suffix.lower() not in SUFFIXES:
-        raise ThermorenderError(f"{path} is no split; give {form}")
-    text = files.read_text(path, "UTF-8")
+        raise ThermorenderError(f"{path} is not a split; give {form}")
+    text = formats.read_text(path, "UTF-8")
     try:
         if path.suffix.lower() == ".json":
             kept = json.loads(text)
@@ -119,7 +124,7 @@ def read_split(path):
     except (ValueError, KeyError, TypeError, AttributeError):
         usable = False
     if not usable:
-        raise ThermorenderError(f"{path} is no split; give {form}")
+        raise ThermorenderError(f"{path} is not a split; give {form}")
     found = {}
     for key, part in rows:
         if part not in PARTS:
@@ -129,14 +134,14 @@ def read_split(path):
     return found
 
 
-def write_split(path, parts):
-    """Write {key: part} as `read_split` reads it: JSON, or CSV by the path's suffix."""
+def write_split(path: str | Path, parts: Mapping[str, str]) -> None:
+    """Write {key: part} as JSON or CSV, by the path's suffix; `read_split` reads it."""
     path = Path(path)
     files.check_output_file(path, SUFFIXES)
     if path.suffix.lower() == ".json":
-        files.write_json(path, {part: [key for key, own in parts.items() if own == part] for part in PARTS})
+        formats.write_json(path, {part: [key for key, own in parts.items() if own == part] for part in PARTS})
     else:
-        files.write_text(path, "".join(f"{key},{part}\n" for key, part in [("key", "part"), *parts.items()]))
+        formats.write_text(path, "".join(f"{key},{part}\n" for key, part in [("key", "part"), *parts.items()]))
 
 
 # --- groups -----------------------------------------------------------------------------------------------------
@@ -151,7 +156,7 @@ def _crops(entries, cell_m, apart_m):
 
 
 def _places(entries, cell_m, apart_m):
-    """The group of each entry: its cell on the map, joined with cells that have an entry within `apart_m`."""
+    """The group of each entry: its map cell, joined with cells that have an entry within `apart_m`."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
@@ -163,12 +168,12 @@ def _places(entries, cell_m, apart_m):
     without = [entry.key for entry, where in zip(entries, position, strict=True) if not np.isfinite(where).all()]
     if without:
         raise ThermorenderError(
-            f"split rule 'place' needs a place of every pair, which {len(without)} of {len(entries)} lack, "
-            f"{without[0]} the first; give them, or take the rule 'sequence'"
+            f"split rule 'place' needs a place for every pair; {len(without)} of {len(entries)} lack one, the first "
+            f"is {without[0]}; add places, or take the rule 'sequence'"
         )
     latitude, longitude = np.array([entry.place for entry in entries], np.float64).reshape(-1, 2).T
     row = np.floor(latitude * _METRES_PER_DEGREE / cell_m)
-    # Degrees of longitude as long as in the middle of the row of cells.
+    # Length of a degree of longitude at the centre of the row of cells.
     middle = np.radians((row + 0.5) * cell_m / _METRES_PER_DEGREE)
     column = np.floor(longitude * _METRES_PER_DEGREE * np.cos(middle) / cell_m)
     _, cell = np.unique(np.stack([row, column], axis=-1), axis=0, return_inverse=True)
@@ -179,13 +184,13 @@ def _places(entries, cell_m, apart_m):
     return joined[cell].tolist()
 
 
-def positions(entries):
-    """Return where on Earth Entries lie, (n, 3) float64 [m] in Earth-centred coordinates; NaN without a place."""
+def positions(entries: Sequence[Entry]) -> NDArray[np.float64]:
+    """Return Earth-centred coordinates of Entries, (n, 3) float64 [m]; NaN without a place."""
     places = [(math.nan, math.nan) if entry.place is None else entry.place for entry in entries]
     latitude, longitude = np.array(places, np.float64).reshape(-1, 2).T
     return ecef_from_geodetic(latitude, longitude, 0.0)
 
 
-# {name: (entries, cell_m, apart_m) → the group of each}.
+# {name: function of (entries, cell_m, apart_m) that returns the group of each entry}.
 RULES = {"sequence": _sequences, "place": _places, "crop": _crops}
 _SMALLER = {"place": ", or smaller cell_m and apart_m"}

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from thermorender import defaults, files
+from thermorender import defaults, files, formats
 from thermorender.cli.options import (
     SCENE_NAMES,
     Air,
@@ -110,4 +110,4 @@ def bench(
     for line in run.costs(result):
         typer.echo(line)
     if output:
-        files.write_json(output, result)
+        formats.write_json(output, result)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from thermorender import files
+from thermorender import files, formats
 from thermorender.cli.options import (
     Air,
     Device,
@@ -80,7 +80,7 @@ def render(
                 folder, frame, wanted, display.image(frame.counts)[1], settings,
                 lambda camera: photograph(renderer, frame.pose, camera=camera)[0],
             )  # fmt: skip
-            files.write_json(folder / "frame_000000.json", record(frame) | weather_of(renderer.scene) | made_by())
+            formats.write_json(folder / "frame_000000.json", record(frame) | weather_of(renderer.scene) | made_by())
     print_cache_note(renderer)
     seen = frame.apparent_temperature
     typer.echo(f"apparent temperature {seen.min():.2f}–{seen.max():.2f} K, mean {seen.mean():.2f} K")

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from thermorender import files
+from thermorender import files, formats
 from thermorender.errors import ThermorenderError
 from thermorender.learned.emissivity_features import HALO_TEXELS, NAMES, NEAR, features
 
@@ -261,7 +261,7 @@ def load_map(name):
         )
     try:
         with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
-            head = files.finite_json(str(file["head"]))
+            head = formats.finite_json(str(file["head"]))
             if (head["format"], tuple(head["features"])) != (_FORMAT, NAMES):
                 raise ValueError("it was made by another version or for other features")
             layers = tuple((_floats(file[f"weight{n}"]), _floats(file[f"bias{n}"])) for n in range(head["layers"]))

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from thermorender import files
+from thermorender import files, formats
 from thermorender.defaults import BAND_UM, CAMERA, TRAINED_MAPS
 from thermorender.errors import ThermorenderError
 from thermorender.learned import correlation
@@ -268,7 +268,7 @@ def load_map(path):
     try:
         with open(path, "rb") as file:
             arrays = _arrays(file)
-        header = files.finite_json(str(arrays.pop("header")))
+        header = formats.finite_json(str(arrays.pop("header")))
         if header.pop("format") != FORMAT:
             raise ValueError("another format")
         module, name = PREDICTORS[header.pop("predictor")]

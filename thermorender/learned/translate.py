@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from thermorender import files
+from thermorender import files, formats
 from thermorender.errors import ThermorenderError
 from thermorender.footage.radiometric_files import TLINEAR_STEP_K, write_tlinear_counts
 from thermorender.learned.temperature_map import Inputs, TemperatureMap
@@ -208,7 +208,7 @@ def translate(model, paths, output, texel_m=None, palette="white-hot", inner=Fal
                 continue
             written = _sizes(outputs[source])
             files.on_disk(*outputs[source])
-            files.append_json(folder / DONE, {"source": name, "checksum": checksum, "files": written, **facts})
+            formats.append_json(folder / DONE, {"source": name, "checksum": checksum, "files": written, **facts})
             done += 1
     return {"done": done, "passed over": passed, "failed": failed, "warning": model.texel_warning(texel_m)}
 
@@ -329,9 +329,9 @@ def _refuse_empty(source, counts, shows):
 
 
 def _write_counts(how, counts, tiff, png):
-    with files.atomic_raster(tiff) as part:
+    with formats.atomic_raster(tiff) as part:
         write_tlinear_counts(part, counts)
-    files.write_image(png, how.picture(counts))
+    formats.write_image(png, how.picture(counts))
 
 
 # --- files and record -------------------------------------------------------------------------------------------
@@ -386,12 +386,12 @@ def _begin(folder, settings, resume):
     # As it is read back.
     settings = json.loads(json.dumps(settings))
     if not path.exists():
-        files.write_json(path, settings | {"versions": versions()})
+        formats.write_json(path, settings | {"versions": versions()})
         return {}
     if not resume:
         raise ThermorenderError(f"{folder} holds translations; give another folder, or --resume to continue")
     try:
-        before = json.loads(files.read_text(path))
+        before = json.loads(formats.read_text(path))
         other = next((key for key in settings if before.get(key) != settings[key]), None)
     except (ValueError, AttributeError):
         raise ThermorenderError(f"{path} is no record of translations; give another folder") from None
@@ -401,20 +401,20 @@ def _begin(folder, settings, resume):
         )
     path = folder / DONE
     try:
-        return {line["source"]: (line["checksum"], line["files"]) for line in files.read_json_lines(path)}
+        return {line["source"]: (line["checksum"], line["files"]) for line in formats.read_json_lines(path)}
     except (ValueError, KeyError, TypeError):
         raise ThermorenderError(f"{path} is no list of translations; give another folder") from None
 
 
 def _forget(path, source):
     """Take the line of a source that is done once more out of the list of what is done."""
-    kept = [line for line in files.read_json_lines(path) if line["source"] != source]
-    files.write_text(path, "".join(json.dumps(line) + "\n" for line in kept))
+    kept = [line for line in formats.read_json_lines(path) if line["source"] != source]
+    formats.write_text(path, "".join(json.dumps(line) + "\n" for line in kept))
 
 
 def _checksum(source):
     try:
-        return files.checksum(source)
+        return formats.checksum(source)
     except OSError:
         # Which is told when it is read.
         return None

@@ -4,9 +4,11 @@ Told the terrain's relief, hour and weather they give kelvin above the air, else
 all weathers that reach it; so there the trees learn what the mixture of typical materials (`linear`) leaves over, which
 spreads less and does not grow with the sun. Ke et al. 2017, "LightGBM: a highly efficient gradient boosting decision
 tree".
+
+A checksum in the file shows damage to the text. It does not show intent: LightGBM can crash on a text that somebody
+made to crash it, so load trees only from people you trust.
 """
 
-import re
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -14,6 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
+from thermorender import formats
 from thermorender.errors import ThermorenderError
 from thermorender.learned.features import NAMES
 from thermorender.learned.linear import Linear, Sums
@@ -48,9 +51,6 @@ _SETTINGS = {
 _PENALTY = 1e-2
 # Rows that its columns are laid out for at a time.
 _CHUNK = 1 << 14
-# Of what stands before the trees.
-_HEAD = ("num_class", "num_tree_per_iteration", "max_feature_idx")
-_BLOCK = re.compile(r"Tree=(\d+)\n")
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +121,10 @@ class Trees:
     def header(self):
         """Return what the file's text says of it."""
         begin = {} if self.begin is None else {"begin": self.begin.header()}
-        return {"terrain": self.told.terrain, "conditions": self.told.conditions, "features": NAMES, **begin}
+        return {
+            "terrain": self.told.terrain, "conditions": self.told.conditions, "features": NAMES,
+            "checksum": _checksum(self.arrays()["trees"]), **begin,
+        }  # fmt: skip
 
     def arrays(self):
         """Return what the file holds of it."""
@@ -130,13 +133,20 @@ class Trees:
 
     @classmethod
     def of(cls, header, arrays):
-        """Return the Trees of `header` and `arrays`."""
+        """Return the Trees of `header` and `arrays`.
+
+        Raises
+        ------
+        ValueError
+            The text is not the one that was saved, or its columns are others.
+        """
+        if header.get("checksum") != _checksum(arrays["trees"]):
+            raise ValueError("its trees are damaged: their checksum is another")
         told = Told(tuple(header["terrain"]), tuple(header["conditions"]))
         begin = Linear.of(header["begin"], arrays) if told.above_air else None
         if begin is not None and not set(begin.told.columns) <= set(told.columns):
             raise ValueError("what its trees begin with is told other things")
         found = cls(arrays["trees"].tobytes().decode(), told, begin)
-        refuse_broken(found.text, len(found.told.columns))
         if tuple(header["features"]) != NAMES or found._booster.num_feature() != len(found.told.columns):
             raise ValueError("other features")
         return found
@@ -224,6 +234,11 @@ def _by_column(told, table):
         yield here, dict(zip(told.columns, table[here].T, strict=True))
 
 
+def _checksum(text):
+    """The checksum of a model's text, (n,) uint8, as hexadecimal digits."""
+    return formats.digest("trees", {"text": text})
+
+
 def _lightgbm():
     try:
         import lightgbm
@@ -232,117 +247,3 @@ def _lightgbm():
             "temperature maps of boosted trees need LightGBM; install it with `pip install 'thermorender[maps]'`"
         ) from None
     return lightgbm
-
-
-# --- texts of others -------------------------------------------------------------------------------------------------
-
-
-_LEAVES_TOO = "leaf_weight", "leaf_count"
-_NODES_TOO = "split_gain", "internal_value", "internal_weight", "internal_count"
-
-
-def refuse_broken(text, features):
-    """Raise unless a text is a whole LightGBM model of one value over so many features.
-
-    LightGBM ends the process, or reads past its arrays, on some that are not.
-
-    Raises
-    ------
-    ValueError
-        The message says what is wrong.
-    """
-    head, found, _ = text.partition("\n\nTree=0\n")
-    values = _values(head)
-    sizes = [_whole(size) for size in values.get("tree_sizes", "").split()]
-    if not found or not sizes or min(sizes) <= 0:
-        raise ValueError("its trees are broken off")
-    if [_whole(values.get(name, "")) for name in _HEAD] != [1, 1, features - 1]:
-        raise ValueError(f"its trees are not of one value over {features} features")
-    if len(values.get("feature_names", "").split()) != features or len(values.get("feature_infos", "").split()) != (
-        features
-    ):
-        raise ValueError(f"its trees do not describe {features} features")
-    # LightGBM counts bytes; all that it writes is plain.
-    if not (text.isascii() and text.replace("\n", "").isprintable()):
-        raise ValueError("its trees hold letters that LightGBM does not write")
-    start = len(head) + 2
-    for number, size in enumerate(sizes):
-        block = text[start : start + size]
-        match = _BLOCK.match(block)
-        if len(block) != size or not match or _whole(match[1]) != number:
-            raise ValueError(f"its tree {number} is broken off")
-        _refuse_tree(_values(block), number, features)
-        start += size
-    if not text[start:].lstrip("\n").startswith("end of trees"):
-        raise ValueError("its trees have no end")
-
-
-def _refuse_tree(values, number, features):
-    """Raise unless a tree is one: every node and leaf hangs on one node, and what it asks for is there."""
-    leaves, sets = (_whole(values.get(name, "")) for name in ("num_leaves", "num_cat"))
-    if leaves < 1 or sets < 0 or values.get("is_linear", "0") != "0":
-        raise ValueError(f"its tree {number} is none of constant leaves")
-    _numbers(values, "leaf_value", leaves, number)
-    nodes = leaves - 1
-    # What the trees do not need and LightGBM reads all the same, where it is there.
-    for names, count in ((_LEAVES_TOO, leaves), (_NODES_TOO, nodes), (("shrinkage",), 1)):
-        for name in names:
-            if values.get(name, "").strip():
-                _numbers(values, name, count, number)
-    if not nodes:
-        return
-    feature, left, right, kind = (
-        np.array([_whole(each) for each in values.get(name, "").split()])
-        for name in ("split_feature", "left_child", "right_child", "decision_type")
-    )
-    if {len(feature), len(left), len(right), len(kind)} != {nodes} or not ((feature >= 0) & (feature < features)).all():
-        raise ValueError(f"its tree {number} asks for other features")
-    children = np.concatenate([left, right])
-    # Nodes but the first, and leaves as −1, −2, …; each node comes before those below it, so that none is its own.
-    if sorted(children.tolist()) != [*range(-leaves, 0), *range(1, nodes)]:
-        raise ValueError(f"its tree {number} has branches that lead nowhere")
-    for child in (left, right):
-        if ((child >= 0) & (child <= np.arange(nodes))).any():
-            raise ValueError(f"its tree {number} has branches that lead back")
-    threshold = _numbers(values, "threshold", nodes, number)
-    _refuse_sets(values, threshold[kind & 1 == 1], sets, number)
-
-
-def _refuse_sets(values, chosen, sets, number):
-    """Raise unless the sets of classes that a tree's splits choose are there."""
-    if not sets:
-        if len(chosen):
-            raise ValueError(f"its tree {number} chooses classes that it does not have")
-        return
-    bounds = np.array([_whole(each) for each in values.get("cat_boundaries", "").split()])
-    words = values.get("cat_threshold", "").split()
-    if len(bounds) != sets + 1 or bounds[0] != 0 or (np.diff(bounds) < 0).any() or bounds[-1] != len(words):
-        raise ValueError(f"its tree {number} has broken sets of classes")
-    if not all(0 <= _whole(word) < 2**32 for word in words):
-        raise ValueError(f"its tree {number} has broken sets of classes")
-    if not np.isin(chosen, np.arange(sets)).all():
-        raise ValueError(f"its tree {number} chooses classes that it does not have")
-
-
-def _values(block):
-    """{name: text} of lines name=text."""
-    return dict(line.split("=", 1) for line in block.splitlines() if "=" in line)
-
-
-def _whole(text):
-    """The whole number of a text; a ValueError where it is none."""
-    if not re.fullmatch(r"-?\d{1,18}", text):
-        raise ValueError(f"its trees hold {text[:20]!r} in place of a whole number")
-    return int(text)
-
-
-def _numbers(values, name, count, number):
-    """The `count` numbers of a line, (count,) float64: finite ones, but for thresholds.
-
-    LightGBM writes a threshold of infinity where a split parts what is unknown from all that is known.
-    """
-    found = np.array([float(each) for each in values.get(name, "").split()])
-    unusable = np.isnan(found) if name == "threshold" else ~np.isfinite(found)
-    if len(found) != count or unusable.any():
-        raise ValueError(f"its tree {number} has {len(found)} usable {name} for {count}")
-    return found

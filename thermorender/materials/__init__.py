@@ -1,1 +1,1 @@
-"""Materials: what a surface emits and reflects by wavelength and angle, from tables people edit."""
+"""Materials: emissivity by wavelength and angle and thermal properties, from editable tables."""

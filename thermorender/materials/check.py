@@ -1,7 +1,7 @@
-"""What is wrong with a material table, all of it at once, and how to mend each fault.
+"""Check of material tables: all faults at once, each with its correction.
 
-Reading a library stops at the first fault; this goes on, and looks also for what reads well but is likely wrong:
-units in nanometres, percent or wavenumbers, holes, missing spreads, tables no row of the index names.
+Reading a library stops at the first fault. The check continues, and also looks for likely mistakes in valid tables:
+units in nanometres, percent or wavenumbers, gaps, missing spreads, tables without a row in the index.
 """
 
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from thermorender.errors import ThermorenderError, shortened
-from thermorender.materials.files import (
+from thermorender.materials.csv_tables import (
     ANGLE_COLUMN,
     INDEX_COLUMNS,
     INDEX_OF_REFRACTION_COLUMNS,
@@ -34,7 +34,7 @@ from thermorender.units import LOWEST_KELVIN, ZERO_CELSIUS_K
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding: whether it keeps the table from being used (`fault`), where it is, and what it is and its cure."""
+    """A finding: whether it prevents use of the table (`fault`), its location, and a sentence with its correction."""
 
     fault: bool
     where: str
@@ -44,8 +44,8 @@ class Finding:
         return f"{'fault' if self.fault else 'note '}  {self.where}: {self.text}"
 
 
-def check(path):
-    """Return the findings on a materials folder, or on one spectrum file of any kind `import` reads.
+def check(path: str | Path) -> list[Finding]:
+    """Return the findings on a materials folder, or on a spectrum file of any kind that `import` reads.
 
     Parameters
     ----------
@@ -55,12 +55,12 @@ def check(path):
     Returns
     -------
     list of Finding
-        Faults keep the library from being read or used; notes are worth knowing. Empty: nothing found.
+        Faults prevent reading or using the library; notes do not.
 
     Raises
     ------
     ThermorenderError
-        There is no such folder or file.
+        The path does not exist.
     """
     path = Path(path)
     if path.is_dir():
@@ -74,16 +74,14 @@ def check(path):
 
 def _check_library(folder):
     rows, findings = [], []
-    # A folder that changes nothing but thermal properties needs no index.
+    # A folder with only thermal properties needs no index.
     if (folder / "index.csv").exists() or not any((folder / "thermal").glob("*.csv")):
         _, rows, findings = _table(folder, folder / "index.csv", INDEX_COLUMNS)
     seen = set()
     for row, cells in rows:
         where, name = f"index.csv, row {row}", cells["name"]
         if not NAME.fullmatch(name):
-            findings.append(
-                Finding(True, where, f"name={name!r} is not a material name; use letters, digits, _ and -")
-            )
+            findings.append(Finding(True, where, f"name={name!r} is not a material name; use letters, digits, _ and -"))
             continue
         if name in seen:
             findings.append(Finding(True, where, f"material {name!r} is listed twice; delete one row or rename it"))
@@ -95,13 +93,13 @@ def _check_library(folder):
     for table in sorted((folder / "spectra").glob("*.csv")) if rows else []:
         if table.stem not in seen:
             findings.append(
-                Finding(False, f"spectra/{table.name}", "no row of index.csv names it; add a row, or delete the file")
+                Finding(False, f"spectra/{table.name}", "has no row in index.csv; add a row, or delete the file")
             )
     return findings + _check_thermals(folder, seen)
 
 
 def _check_thermals(folder, names):
-    """Return the findings on the tables of thermal properties of a folder whose index holds `names`."""
+    """Return the findings on the thermal tables of a folder whose index has `names`."""
     shipped, own, unreadable, findings = read_thermals(data_folder("materials")), {}, set(), []
     for path in sorted((folder / "thermal").glob("*.csv")):
         where = f"thermal/{path.name}"
@@ -115,7 +113,7 @@ def _check_thermals(folder, names):
         if path.stem not in {*names, *shipped}:
             findings.append(Finding(True, where, stray(path.stem, {*names, *shipped})))
     for name, thermal in own.items():
-        # What cannot be read still is there for what lies above it.
+        # A table that cannot be read still exists for the layers above it.
         if thermal.beneath not in unreadable and (fault := beneath_fault(name, shipped | own)):
             findings.append(Finding(True, f"thermal/{name}.csv", fault))
     return findings
@@ -148,16 +146,16 @@ def _check_row(where, cells):
         limits.append((ROUGHNESS_COLUMN, 0.0, LARGEST_SLOPE, "give the root mean square slope, 0 for a mirror"))
     if cells.get(SOLAR_STD_COLUMN):
         limits.append((SOLAR_STD_COLUMN, 0.0, 1.0, "give one standard deviation, or leave the cell empty"))
-    for column, low, high, mend in limits:
+    for column, low, high, advice in limits:
         try:
-            number_in_cell("", 0, column, cells[column], low, high, mend)
+            number_in_cell("", 0, column, cells[column], low, high, advice)
         except ThermorenderError as error:
             findings.append(Finding(True, where, str(error).partition(": ")[2]))
     return findings
 
 
 def _check_spectrum(path, where, directional, folder=None, samples=""):
-    """Return the findings on one CSV table; `directional` None tells its kind by its headings."""
+    """Return the findings on a CSV table; with `directional` None its headings determine its kind."""
     header, rows, findings = _table(folder, path, (), where)
     if directional is None and "property" in header:
         missing = [column for column in THERMAL_COLUMNS if column not in header]
@@ -166,13 +164,13 @@ def _check_spectrum(path, where, directional, folder=None, samples=""):
         return findings + _thermal_findings(where, faults)
     if not rows:
         if header and not findings:
-            findings.append(Finding(True, where, "holds no row of data; a spectrum needs 2 at least"))
+            findings.append(Finding(True, where, "has no row of data; a spectrum needs at least 2"))
         return findings
     if directional is None and header[0].lower() == "wavelength":
         return findings + _check_slum(where, header, rows)
     quantities = _quantities(header, directional)
     first = next((key for key in WAVELENGTH_UNITS if key in header), None)
-    # A library's own tables are in µm only.
+    # Tables of a library are in µm only.
     if first is None or not quantities or (directional is not None and first != "wavelength_um"):
         wanted = {
             "fresnel": ", ".join(INDEX_OF_REFRACTION_COLUMNS),
@@ -180,7 +178,7 @@ def _check_spectrum(path, where, directional, folder=None, samples=""):
             None: f"one of {', '.join(WAVELENGTH_UNITS)} and one of {', '.join(QUANTITIES)}",
         }.get(directional, ", ".join(SPECTRUM_COLUMNS))
         return findings + [
-            Finding(True, where, f"row 1 holds {shortened(', '.join(header))}; it must hold {wanted}, which tells the "
+            Finding(True, where, f"row 1 holds {shortened(', '.join(header))}; it must hold {wanted}, which state the "
                     "units")
         ]  # fmt: skip
     numbers = [row for row, _ in rows]
@@ -188,11 +186,11 @@ def _check_spectrum(path, where, directional, folder=None, samples=""):
     findings += found
     if first == "wavelength_um":
         axis, found = _to_um(where, axis)
-        # In another unit all are outside, which is told once.
+        # In another unit all values are outside, which is reported once.
         findings += found or _outside(where, numbers, first, axis, 0.0, LONGEST_WAVELENGTH_UM, "the column is in µm")
     else:
         axis = WAVELENGTH_UNITS[first](axis)
-    # A table of wavenumbers, or one that `import` sorts by itself, may run either way.
+    # Wavenumbers, and tables that `import` sorts, may be in either order.
     order = _order(where, numbers, axis, first)
     if directional is not None or found or np.any(np.diff(axis) >= 0.0):
         findings += order if not (found and np.all(np.diff(axis) < 0.0)) else []
@@ -209,7 +207,7 @@ def _check_spectrum(path, where, directional, folder=None, samples=""):
 
 
 def _check_slum(where, header, rows):
-    """Return the findings on a SLUM table: emissivity by µm, or reflectance [%] by nm, one column a sample."""
+    """Return the findings on a SLUM table: emissivity against µm, or reflectance [%] against nm, one column each."""
     numbers = [row for row, _ in rows]
     axis, findings = _column(where, numbers, header[0], [cells[header[0]] for _, cells in rows])
     short_wave = bool(np.nanmax(axis) > LONGEST_WAVELENGTH_UM)
@@ -242,7 +240,7 @@ def _check_ecostress(path):
     if len(pairs) < 2:
         return findings + [Finding(True, where, f"holds {len(pairs)} pairs of numbers; order the whole file again")]
     if not header.get("origin") and not header.get("owner"):
-        findings.append(Finding(False, where, "names neither origin nor owner; note the source yourself"))
+        findings.append(Finding(False, where, "names neither origin nor owner; add the source yourself"))
     numbers = list(range(1, len(pairs) + 1))
     wavelength, percent = np.array(pairs).T
     if wavelength[0] > wavelength[-1]:
@@ -255,7 +253,7 @@ def _check_ecostress(path):
 
 
 def _table(folder, path, columns, where=None):
-    """Return header, rows and findings of a CSV file, reading on where a fault allows it."""
+    """Return header, rows and findings of a CSV file, continuing after faults if possible."""
     where, findings = where or path.name, []
     if folder is not None and not inside(path, folder):
         return [], [], [Finding(True, where, f"leads out of {folder}; put the file itself into the folder")]
@@ -285,8 +283,8 @@ def _table(folder, path, columns, where=None):
     if missing or not header or twice:
         fault = f"lacks column {', '.join(missing)}" if missing else "holds no headings"
         fault = f"holds column {', '.join(sorted(twice))} twice" if twice else fault
-        mend = f"; the first row must hold {', '.join(columns) or 'the names of the columns'}, each once"
-        return header, [], findings + [Finding(True, where, f"row 1 {fault}{mend}")]
+        advice = f"; the first row must hold {', '.join(columns) or 'the names of the columns'}, each once"
+        return header, [], findings + [Finding(True, where, f"row 1 {fault}{advice}")]
     rows = []
     for number, cells in enumerate(table[1:], start=2):
         if any(cell.strip() for cell in cells):
@@ -298,7 +296,7 @@ def _table(folder, path, columns, where=None):
 
 
 def _quantities(header, directional):
-    """Return the columns of values a table of this kind must hold; empty if it does not."""
+    """Return the value columns that a table of this kind must have; empty if they are missing."""
     angles = [column for column in header if ANGLE_COLUMN.fullmatch(column)]
     if directional == "fresnel" or (directional is None and {"n", "k"} <= set(header)):
         return ["n", "k"] if {"n", "k"} <= set(header) else []
@@ -310,7 +308,7 @@ def _quantities(header, directional):
 
 
 def _column(where, numbers, column, texts):
-    """Return the values of a column, NaN where there is no number, and one finding on these."""
+    """Return the values of a column, NaN where a cell is not a number, and one finding on these."""
     values = np.full(len(texts), np.nan)
     for index, text in enumerate(texts):
         try:
@@ -326,7 +324,7 @@ def _column(where, numbers, column, texts):
 
 
 def _to_um(where, wavelength):
-    """Return the wavelengths in µm, whatever they seem to be in, and a finding if they are not."""
+    """Return the wavelengths converted to µm from their apparent unit, and a finding if that is not µm."""
     known = wavelength[np.isfinite(wavelength)]
     if not known.size or known.max() <= LONGEST_WAVELENGTH_UM and not 300.0 <= known.min():
         return wavelength, []
@@ -349,14 +347,14 @@ def _order(where, numbers, wavelength, column, word="row"):
         at = falling[0] + 1
         text = (
             f"{column} is less than in the {word} above ({wavelength[at]:g} after {wavelength[at - 1]:g} µm)"
-            f"{_more(falling)}; sort the table by it, rising"
+            f"{_more(falling)}; sort the table by it, ascending"
         )
         findings.append(Finding(True, f"{where}, {word} {numbers[at]}", text))
     return findings
 
 
 def _share(where, numbers, column, values, percent, word="row"):
-    """Return the findings on values that are shares of one, or percent."""
+    """Return the findings on values within 0…1, or within 0…100 percent."""
     known = values[np.isfinite(values)]
     if not percent and known.size and np.median(known) > 1.5 and known.max() <= 100.0:
         text = f"{column} runs over {known.min():g}–{known.max():g}: percent? divide the column by 100"
@@ -365,11 +363,11 @@ def _share(where, numbers, column, values, percent, word="row"):
     return _outside(where, numbers, column, values, 0.0, top, "leave the sample out, or correct it", word)
 
 
-def _outside(where, numbers, column, values, low, high, mend, word="row"):
+def _outside(where, numbers, column, values, low, high, advice, word="row"):
     bad = np.flatnonzero((values < low) | (values > high))
     if not bad.size:
         return []
-    text = f"{column}={values[bad[0]]:g} is not within {low:g}…{high:g}{_more(bad)}; {mend}"
+    text = f"{column}={values[bad[0]]:g} is not within {low:g}…{high:g}{_more(bad)}; {advice}"
     return [Finding(True, f"{where}, {word} {numbers[bad[0]]}", text)]
 
 
@@ -380,19 +378,19 @@ def _spread(where, numbers, texts, samples):
         text = f"emissivity_std is empty for {samples} samples; give their standard deviation"
         findings.append(Finding(False, where, text))
     if samples == "1" and any(text and float(text) == 0.0 for text in texts if _is_number(text)):
-        text = "emissivity_std is 0 for one sample, which tells nothing about the spread; leave the column empty"
+        text = "emissivity_std is 0 for one sample, whose spread is unknown; leave the column empty"
         findings.append(Finding(False, where, text))
     return findings
 
 
 def _coverage(where, wavelength):
-    """Return the findings on holes and on the range of the wavelengths [µm]."""
+    """Return the findings on gaps and on the range of the wavelengths [µm]."""
     known = np.unique(wavelength[np.isfinite(wavelength)])
     if known.size < 2:
-        return [Finding(True, where, f"holds {known.size} wavelengths; a spectrum needs 2 at least")]
+        return [Finding(True, where, f"holds {known.size} wavelengths; a spectrum needs at least 2")]
     findings = [
         Finding(True, where, f"has a gap: no row between {start:g} and {end:g} µm, and wavelengths there are refused; "
-                "measure there, or add rows you answer for")
+                "measure there, or add rows of your own")
         for start, end in gaps(known)
         if end > WANTED_RANGE_UM[0] and start < WANTED_RANGE_UM[1]
     ]  # fmt: skip

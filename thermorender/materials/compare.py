@@ -1,22 +1,27 @@
-"""Two materials, or two libraries, compared in a camera's band; and two libraries made one."""
+"""Comparison of materials or libraries in a camera's band, and merging two libraries."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
-from thermorender.files import atomic_folder, check_new_folder, read_text, write_text
-from thermorender.materials.files import INDEX_COLUMNS, OPTIONAL_COLUMNS, read_table
+from thermorender.files import atomic_folder, check_new_folder
+from thermorender.formats import read_text, write_text
+from thermorender.materials.csv_tables import INDEX_COLUMNS, OPTIONAL_COLUMNS, read_table
 from thermorender.materials.library import read_library
+from thermorender.materials.material import Material
 from thermorender.materials.store import store
 from thermorender.materials.thermal import PROPERTIES, read_thermals
 from thermorender.physics.planck import band_radiance, brightness_temperature
 
-# What a change of emissivity is told in, over a camera's band: a surface, and the sky it reflects.
+# Temperatures of the surface and of the reflected sky for which a change of emissivity is stated.
 SURFACE_K = 300.0
 SKY_K = 250.0
 
-TOLD = (
+_COMPARED = (
     "title", "colour", "solar_absorptance", "solar_absorptance_std", "temperature", "directional", "rms_slope",
     "samples", "source", "citation", "licence", "note",
 )  # fmt: skip
@@ -24,36 +29,39 @@ TOLD = (
 
 @dataclass(frozen=True)
 class Difference:
-    """How one material of two libraries differs.
+    """Difference of one material between two libraries.
 
     Attributes
     ----------
     name : str
     emissivity : (float or None, float or None)
-        Hemispherical band emissivity in the first and the second; None where it is absent or not measured.
+        Hemispherical band emissivity in the first and the second; None if absent or not measured.
     millikelvin : float or None
-        By how much the second looks warmer [mK], at 300 K under a 250 K sky.
+        Apparent temperature of the second minus the first [mK], at 300 K under a 250 K sky.
     what : str
-        What differs in words.
+        What differs, in words.
     """
 
     name: str
-    emissivity: tuple
+    emissivity: tuple[float | None, float | None]
     millikelvin: float | None
     what: str
 
 
-def apparent_temperature(material, band_um=BAND_UM, temperature=SURFACE_K, sky_temperature=SKY_K):
-    """Return the temperature a camera reads off a surface under an even sky [K].
+def apparent_temperature(
+    material: Material, band_um: tuple[float, float] = BAND_UM, temperature: ArrayLike = SURFACE_K,
+    sky_temperature: ArrayLike = SKY_K,
+) -> NDArray[np.float64]:  # fmt: skip
+    """Return the apparent temperature of a surface under a uniform sky [K].
 
     Parameters
     ----------
     material : Material
-        Taken with its hemispherical emissivity.
+        Its hemispherical emissivity is used.
     band_um : (lower, upper)
         The camera's flat band [µm].
     temperature, sky_temperature : float
-        Of the surface and of the blackbody it reflects [K].
+        Temperatures of the surface and of the reflected blackbody sky [K].
 
     Notes
     -----
@@ -65,7 +73,7 @@ def apparent_temperature(material, band_um=BAND_UM, temperature=SURFACE_K, sky_t
     return brightness_temperature(emitted + reflected, *band_um)
 
 
-def covers(material, band_um):
+def covers(material: Material, band_um: tuple[float, float]) -> bool:
     """Return whether a material was measured over all of a band [µm]."""
     try:
         material.band_emissivity(*band_um, SURFACE_K)
@@ -74,7 +82,9 @@ def covers(material, band_um):
     return True
 
 
-def compare(first, second, name, band_um=BAND_UM):
+def compare(
+    first: Material | None, second: Material | None, name: str, band_um: tuple[float, float] = BAND_UM
+) -> Difference:
     """Return the Difference between two materials.
 
     Parameters
@@ -94,21 +104,23 @@ def compare(first, second, name, band_um=BAND_UM):
     shift = None
     if all(measured):
         shift = 1e3 * (apparent_temperature(second, band_um) - apparent_temperature(first, band_um))
-    what = [*_told(first, second), *_thermal_told(first.thermal, second.thermal)]
+    what = [*_changed(first, second), *_thermal_changed(first.thermal, second.thermal)]
     return Difference(name, emissivity, shift, ", ".join(what))
 
 
-def diff(first, second, band_um=BAND_UM):
-    """Return the Differences between two libraries (dicts of name to Material); equal materials are left out."""
+def diff(
+    first: dict[str, Material], second: dict[str, Material], band_um: tuple[float, float] = BAND_UM
+) -> list[Difference]:
+    """Return the Differences between two libraries; equal materials are left out."""
     found = [compare(first.get(name), second.get(name), name, band_um) for name in dict.fromkeys([*first, *second])]
     return [difference for difference in found if difference.what]
 
 
-def diff_folders(first, second, band_um=BAND_UM):
-    """Return the Differences between two materials folders, tables of thermal properties without a row included."""
+def diff_folders(first: Path, second: Path, band_um: tuple[float, float] = BAND_UM) -> list[Difference]:
+    """Return the Differences between two materials folders, including thermal tables without a row."""
     folders = (first, second)
     libraries, thermals = [read_library(folder) for folder in folders], [read_thermals(folder) for folder in folders]
-    alone = {name: _thermal_told(*(own.get(name) for own in thermals)) for name in thermals[0] | thermals[1]}
+    alone = {name: _thermal_changed(*(own.get(name) for own in thermals)) for name in thermals[0] | thermals[1]}
     return diff(*libraries, band_um) + [
         Difference(name, (None, None), None, ", ".join(what))
         for name, what in alone.items()
@@ -116,25 +128,27 @@ def diff_folders(first, second, band_um=BAND_UM):
     ]
 
 
-def merge(first, second, output, prefer=None):
-    """Make one library of two in a new folder; return (names from the first, names from the second, conflicts).
+def merge(
+    first: str | Path, second: str | Path, output: str | Path, prefer: str | None = None
+) -> tuple[list[str], list[str], list[str]]:
+    """Merge two libraries into a new folder; return (names from the first, names from the second, conflicts).
 
-    A material in only one of them is taken; one that is alike in both is taken once; one that differs between
-    them is a conflict, refused unless `prefer` says which folder wins. So are tables of thermal properties, each by
-    itself: those of one folder join the spectrum of the other.
+    A material that differs between them is a conflict, refused unless `prefer` names the winner. Thermal tables are
+    merged independently of spectra, by the same rule.
 
     Parameters
     ----------
     first, second : path
         Folders with `index.csv`, `spectra/` and `thermal/`.
     output : path
-        Folder to make; it must not exist, or be empty.
+        Folder to create; it must not exist, or be empty.
     prefer : {None, "first", "second"}
 
     Raises
     ------
     ThermorenderError
-        There are conflicts and no winner, the output is in use, or a library cannot be read. Nothing is written then.
+        There are conflicts and no winner, the output is not empty, or a library cannot be read. Nothing is written
+        then.
     """
     first, second, output = Path(first), Path(second), Path(output)
     check_new_folder(output)
@@ -142,15 +156,15 @@ def merge(first, second, output, prefer=None):
         raise ThermorenderError(f"--prefer={prefer!r} is not allowed; give first or second")
     folders = (first, second)
     libraries, thermals = [read_library(folder) for folder in folders], [read_thermals(folder) for folder in folders]
-    differing = list(dict.fromkeys(_unlike(libraries, _told) + _unlike(thermals, _thermal_told)))
+    differing = list(dict.fromkeys(_unlike(libraries, _changed) + _unlike(thermals, _thermal_changed)))
     if differing and prefer is None:
         raise ThermorenderError(
             f"{first} and {second} hold {', '.join(differing)} differently; look with `thermorender materials diff`, "
-            "then say which wins with --prefer first or --prefer second"
+            "then choose the winner with --prefer first or --prefer second"
         )
 
     def winners(one, other):
-        """Return {name: number of the folder it is taken from}; by number, as both may be the same folder."""
+        """Return {name: index of the folder it is taken from}; both may be the same folder."""
         won = {name: 1 for name in other if name not in one or (name in differing and prefer == "second")}
         return dict.fromkeys(one, 0) | won
 
@@ -168,19 +182,19 @@ def merge(first, second, output, prefer=None):
     return *([name for name in both if both[name] == number] for number in (0, 1)), differing
 
 
-def _unlike(pair, told):
-    """Return the names that both dicts hold and whose values `told` tells apart."""
-    return [name for name in pair[0] if name in pair[1] and told(pair[0][name], pair[1][name])]
+def _unlike(pair, changed):
+    """Return the names in both dicts whose values `changed` distinguishes."""
+    return [name for name in pair[0] if name in pair[1] and changed(pair[0][name], pair[1][name])]
 
 
-def _told(first, second):
-    """Return the words for what differs between two materials, thermal properties aside."""
-    changed = [key for key in TOLD if getattr(first, key) != getattr(second, key)]
+def _changed(first, second):
+    """Return the names of what differs between two materials, without thermal properties."""
+    changed = [key for key in _COMPARED if getattr(first, key) != getattr(second, key)]
     return changed if _same_spectrum(first, second) else ["spectrum", *changed]
 
 
-def _thermal_told(first, second):
-    """Return the words for what differs between the thermal properties of two materials, each Thermal or None."""
+def _thermal_changed(first, second):
+    """Return the names of what differs between two Thermals or None."""
     if first is None or second is None:
         only = "first" if second is None else "second"
         return [] if first is second else [f"thermal properties only in the {only}"]

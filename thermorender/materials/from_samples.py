@@ -1,18 +1,20 @@
-"""Measured samples → the mean emissivity of a material, as a table, with its spread.
+"""A material from measured samples: the mean emissivity with its spread, as a table.
 
-By Kirchhoff's law the emissivity of an opaque sample is one minus its hemispherical reflectance. A table is the mean
-over its samples on a grid of 0.05 µm, made so that its integrals are those of the measurement.
+By Kirchhoff's law the emissivity of an opaque sample is one minus its hemispherical reflectance. The table is the mean
+over the samples on a grid of 0.05 µm that preserves the integrals of the measurements.
 """
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.materials.files import SOLAR_STD_COLUMN, gaps, number_in_cell, read_table, read_text
-from thermorender.materials.library import Material, read_library
-from thermorender.materials.samples import LIBRARIES, is_ecostress, read_sample
+from thermorender.materials.csv_tables import SOLAR_STD_COLUMN, gaps, number_in_cell, read_table, read_text
+from thermorender.materials.library import read_library
+from thermorender.materials.material import Material
+from thermorender.materials.samples import LIBRARIES, Sample, is_ecostress, read_sample
 from thermorender.materials.store import write_material, write_refractive_index
 from thermorender.physics.planck import spectral_radiance
 from thermorender.units import kelvin
@@ -22,44 +24,36 @@ SELECTION_COLUMNS = (
     "note",
 )  # fmt: skip
 
-# What a table should cover: every LWIR camera's band with room on both sides.
+# Range that a table should cover: every LWIR camera's band with a margin.
 WANTED_RANGE_UM = (7.0, 14.0)
-# What a table holds if the samples reach so far. Near 3 µm several Nicolet spectra are noise around zero
-# and turn negative; above 15 µm there are too few.
+# Range of a table if the samples cover it. Near 3 µm several Nicolet spectra are noise around zero and become negative;
+# above 15 µm there are too few.
 KEPT_RANGE_UM = (3.2, 15.0)
 STEP_UM = 0.05
-# A spectrum may begin or end this far inside the table's end, a quarter of the finest instrument's resolution (4 cm⁻¹
-# at 8 µm): SLUM, stated as 8–14 µm, has its first and last points at 8.002 and 13.996 µm.
+# A spectrum may fall short of the table's ends by this much, a quarter of the finest instrument's resolution (4 cm⁻¹ at
+# 8 µm): SLUM, stated as 8–14 µm, has its first and last points at 8.002 and 13.996 µm.
 SLACK_UM = 0.005
-# The mean and slope of a spectrum over each stretch of this length survive the thinning exactly.
-STRETCH_UM = 0.5
+# Resampling preserves the mean and slope of a spectrum over each interval of this length exactly.
+INTERVAL_UM = 0.5
 
 SOLAR_RANGE_UM = (0.3, 2.5)
-# A spectrum that starts no later than this holds enough of the solar range to weigh it.
+# A spectrum must start at this wavelength or below for a solar absorptance.
 SOLAR_START_UM = 0.42
 SUN_TEMPERATURE_K = 5778.0
-# Fewer samples tell too little about how a kind of surface differs.
+# Least number of samples for a standard deviation of the solar absorptance.
 FEWEST_FOR_SPREAD = 3
 
 
 def from_samples(
-    samples,
-    name,
-    title="",
-    colour=(128, 128, 128),
-    solar_absorptance=None,
-    temperature=300.0,
-    note="",
-    source="",
-    citation="",
-    licence="",
-    solar_absorptance_std=None,
-):
-    """Return the Material that is the mean over measured samples.
+    samples: Sequence[Sample], name: str, title: str = "", colour: Sequence[int] = (128, 128, 128),
+    solar_absorptance: float | None = None, temperature: float = 300.0, note: str = "", source: str = "",
+    citation: str = "", licence: str = "", solar_absorptance_std: float | None = None,
+) -> Material:  # fmt: skip
+    """Return the Material with the mean emissivity of measured samples.
 
-    Each sample is thinned to steps of 0.05 µm, then mean and standard deviation are taken over the samples. The table
-    covers what all of them cover within 3.2–15 µm, widened towards 7–14 µm by those that reach so far: there the mean
-    is over fewer of them, and the note says so.
+    Samples are resampled to steps of 0.05 µm before the mean and standard deviation. The table covers the common range
+    of all samples within 3.2–15 µm, extended towards 7–14 µm by those that cover more; there the mean is over fewer
+    samples, as the note records.
 
     Parameters
     ----------
@@ -67,40 +61,25 @@ def from_samples(
     name, title, colour, temperature, note
         As in Material; the temperature in kelvin.
     solar_absorptance : float, optional
-        If not given, one minus the reflectance weighted with sunlight, from the samples that reach into it.
+        Default: one minus the sunlight-weighted reflectance of the samples that cover the solar range.
     solar_absorptance_std : float, optional
-        If not given, the standard deviation over the samples that reach into sunlight, where they are three or more.
+        Default: the standard deviation over the samples that cover the solar range, if they are three or more.
     source, citation, licence : str, optional
-        For samples of no known library; those of ECOSTRESS and SLUM know theirs.
-
-    Returns
-    -------
-    Material
+        For samples of an unknown library; known for ECOSTRESS and SLUM.
 
     Raises
     ------
     ThermorenderError
-        There is no sample, one leaves 0…1 in the table's range, a wavelength is measured by none, or no sample gives
-        the solar absorptance.
+        There is no sample, one is outside 0…1 in the table's range, no sample covers a wavelength, or none covers the
+        solar range.
     """
     if not samples:
-        raise ThermorenderError(f"material {name!r} was given no sample; list one spectrum file at least")
+        raise ThermorenderError(f"material {name!r} has no sample; give at least one spectrum file")
     samples = [_thermal_part(sample, name) for sample in samples]
-    grid = _common_grid(samples, name)
-    tables = np.full((len(samples), grid.size), np.nan)
-    for sample, table in zip(samples, tables, strict=True):
-        low, high = sample.wavelength_um[[0, -1]]
-        covered = (grid >= low - SLACK_UM) & (grid <= high + SLACK_UM)
-        _check_sample(sample, name, *grid[covered][[0, -1]])
-        table[covered] = _thinned(sample.wavelength_um, 1.0 - sample.reflectance, grid[covered])
+    grid, tables = _resampled(samples, name)
     count = np.isfinite(tables).sum(axis=0)
-    if count.min() == 0:
-        raise ThermorenderError(
-            f"no sample of material {name!r} covers {grid[count == 0][0]:g} µm, between those that do; leave samples "
-            "out until the rest meet, or make two materials"
-        )
-    std = np.full(grid.size, np.nan)
     several = count > 1
+    std = np.full(grid.size, np.nan)
     std[several] = np.nanstd(tables[:, several], axis=0, ddof=1)
     remarks = [note, _coverage(grid, count), "colour and temperature are typical values, assumed"]
     if solar_absorptance is None:
@@ -136,32 +115,21 @@ def from_samples(
 
 
 def import_files(
-    paths,
-    directory,
-    name,
-    *,
-    columns=None,
-    title="",
-    colour=(128, 128, 128),
-    solar_absorptance=None,
-    temperature=300.0,
-    rms_slope=0.0,
-    source="",
-    citation="",
-    licence="",
-    note="",
-    replace=False,
-):
-    """Make one material of spectrum files and write it into a folder; return it as the folder now holds it.
+    paths: Sequence[str | Path], directory: str | Path, name: str, *, columns: Sequence[str] | None = None,
+    title: str = "", colour: Sequence[float] = (128, 128, 128), solar_absorptance: float | None = None,
+    temperature: float = 300.0, rms_slope: float = 0.0, source: str = "", citation: str = "", licence: str = "",
+    note: str = "", replace: bool = False,
+) -> Material:  # fmt: skip
+    """Write a material from spectrum files into a folder; return it as read back.
 
     Parameters
     ----------
     paths : sequence of path
-        Spectra as `read_sample` takes them; or one table of n and k, which makes a Fresnel material.
+        Spectra for `read_sample`; or one table of n and k for a Fresnel material.
     directory : path
-        Materials folder; made if absent.
+        Materials folder; created if missing.
     columns : sequence of str, optional
-        Samples of a table with several: all of them are taken from each file.
+        Samples to take from each table with several.
     rms_slope : float
         Roughness, for n and k only.
     others
@@ -170,14 +138,15 @@ def import_files(
     Raises
     ------
     ThermorenderError
-        As `from_samples` and `store`; samples of no known library need source, citation and licence; n and k need
-        a solar absorptance.
+        As `from_samples` and `store`; also if source, citation or licence of an unknown library, or the solar
+        absorptance of n and k is missing.
     """
     kelvin("temperature", temperature)
     paths = [Path(path) for path in paths]
     is_index = [_is_refractive_index(path) for path in paths]
     if any(is_index) and (len(paths) > 1 or columns):
-        raise ThermorenderError(f"{paths[is_index.index(True)]} is a table of n and k, which alone makes a material")
+        table = paths[is_index.index(True)]
+        raise ThermorenderError(f"{table} is a table of n and k, which must be a material's only file")
     words = {"source": source, "citation": citation, "licence": licence}
     if not any(is_index):
         samples = [read_sample(path, column) for path in paths for column in (columns or [None])]
@@ -185,7 +154,7 @@ def import_files(
         missing = [key for key, value in words.items() if not value]
         if missing:
             raise ThermorenderError(
-                f"material {name!r} comes from no known library, so say where it is from: add "
+                f"material {name!r} does not come from a known library; add its origin with "
                 f"{' '.join(f'--{key} TEXT' for key in missing)}"
             )
     if any(is_index):
@@ -206,24 +175,24 @@ def import_files(
     return read_library(Path(directory))[name]
 
 
-def read_selection(path, folders):
+def read_selection(path: str | Path, folders: Sequence[str | Path]) -> list[Material]:
     """Return the materials of a selection file, each the mean over its samples, in the file's order.
 
-    The file has one row per sample; the first row of a material also holds its title, colour, temperature,
-    note and, where it cannot be measured, its solar absorptance; a column solar_absorptance_std may give the latter's
-    standard deviation where fewer than three samples do. A sample of a table with several is written
-    `LUMA_SLUM_IR.csv#A001`.
+    The file has one row per sample. The first row of a material also has its title, colour, temperature, note and, if
+    not measured, its solar absorptance; solar_absorptance_std may add the standard deviation if fewer than three
+    samples give one. A sample of a table with several is written `LUMA_SLUM_IR.csv#A001`.
 
     Parameters
     ----------
     path : path
     folders : sequence of path
-        Where the spectrum files lie; the first that holds a file gives it.
+        Folders searched for the spectrum files, in this order.
 
     Raises
     ------
     ThermorenderError
-        As `from_samples`, a cell that is no number, a file that is nowhere, or no row; the message names file and row.
+        As `from_samples`; also if a cell is not a number, a file is missing, or there is no row. The message names file
+        and row.
     """
     groups = {}
     for row, cells in read_table(path, SELECTION_COLUMNS):
@@ -239,13 +208,12 @@ def read_selection(path, folders):
             )
         groups.setdefault(cells["material"], (row, cells, []))[2].append((found[0], column or None))
     if not groups:
-        raise ThermorenderError(f"{path} selects no sample; give a row for each")
+        raise ThermorenderError(f"{path} selects no sample; add a row for each")
     materials = []
     for name, (row, cells, sources) in groups.items():
 
         def number(column, low, high, row=row, cells=cells):
-            mend = "correct the first row of the material"
-            return number_in_cell(path, row, column, cells[column], low, high, mend)
+            return number_in_cell(path, row, column, cells[column], low, high, "correct the first row of the material")
 
         solar, solar_std = (
             number(key, 0, 1) if cells.get(key) else None for key in ("solar_absorptance", SOLAR_STD_COLUMN)
@@ -265,6 +233,24 @@ def read_selection(path, folders):
     return materials
 
 
+def _resampled(samples, name):
+    """Return the wavelengths (N,) [µm] and the emissivity of each sample, (samples, N), NaN where not covered."""
+    grid = _common_grid(samples, name)
+    tables = np.full((len(samples), grid.size), np.nan)
+    for sample, table in zip(samples, tables, strict=True):
+        low, high = sample.wavelength_um[[0, -1]]
+        covered = (grid >= low - SLACK_UM) & (grid <= high + SLACK_UM)
+        _check_sample(sample, name, *grid[covered][[0, -1]])
+        table[covered] = _on_grid(sample.wavelength_um, 1.0 - sample.reflectance, grid[covered])
+    missing = ~np.isfinite(tables).any(axis=0)
+    if missing.any():
+        raise ThermorenderError(
+            f"no sample of material {name!r} covers {grid[missing][0]:g} µm, between those that do; leave samples out "
+            "until the rest overlap, or make two materials"
+        )
+    return grid, tables
+
+
 def _is_refractive_index(path):
     """Return whether a file is a CSV with columns n and k."""
     if not path.is_file() or is_ecostress(path):
@@ -274,7 +260,7 @@ def _is_refractive_index(path):
 
 
 def _common_grid(samples, name):
-    """Return the table's wavelengths [µm]: what all samples cover, widened towards 7–14 µm by some."""
+    """Return the table's wavelengths [µm]: the common range of all samples, extended towards 7–14 µm by some."""
     starts, ends = np.array([sample.wavelength_um[[0, -1]] for sample in samples]).T
     first = max(KEPT_RANGE_UM[0], min(starts.max(), max(WANTED_RANGE_UM[0], starts.min())))
     last = min(KEPT_RANGE_UM[1], max(ends.min(), min(WANTED_RANGE_UM[1], ends.max())))
@@ -288,7 +274,7 @@ def _common_grid(samples, name):
 
 
 def _thermal_part(sample, name):
-    """Return a sample without what lies below a hole of its measurement; refuse holes within 7–14 µm."""
+    """Return a sample without the part below a gap of its measurement; refuse gaps within 7–14 µm."""
     first = sample.wavelength_um[0]
     for start, end in gaps(sample.wavelength_um):
         if start < WANTED_RANGE_UM[0]:
@@ -296,14 +282,14 @@ def _thermal_part(sample, name):
         elif start < KEPT_RANGE_UM[1]:
             raise ThermorenderError(
                 f"sample {sample.source} of material {name!r} has no point between {start:g} and {end:g} µm; measure "
-                "there, add points you answer for, or cut it off before"
+                "there, add points of your own, or end the sample before"
             )
     kept = sample.wavelength_um >= first
     return dataclasses.replace(sample, wavelength_um=sample.wavelength_um[kept], reflectance=sample.reflectance[kept])
 
 
 def _check_sample(sample, name, first, last):
-    """Refuse a sample that leaves 0…1 within the table's range."""
+    """Refuse a sample outside 0…1 within the table's range."""
     kept = (sample.wavelength_um >= first - SLACK_UM) & (sample.wavelength_um <= last + SLACK_UM)
     bad = kept & ~((sample.reflectance >= 0.0) & (sample.reflectance <= 1.0))
     if bad.any():
@@ -315,39 +301,38 @@ def _check_sample(sample, name, first, last):
         )
 
 
-def _thinned(wavelength, value, grid):
-    """Return the table on an even grid that lies closest to a spectrum, both taken as linear between their points.
+def _on_grid(wavelength, value, grid):
+    """Return the least-squares table of a spectrum on an even grid, both linear between their points.
 
-    Closest in the mean square, with the mean and the slope over each half micrometre kept exactly: band emissivities
-    are integrals over a smooth weight, so they stay what the measurement says to 1e-6. Nothing leaves 0…1: values
-    that would are fixed at the limit and the rest is solved again. `scipy.optimize.lsq_linear` knows limits but no
-    equations to be kept.
+    The mean and slope over each half micrometre are kept exactly. Band emissivities are integrals with a smooth weight,
+    so they agree with the measurement to 1e-6. Values outside 0…1 are fixed at the limit and the rest is solved again;
+    `scipy.optimize.lsq_linear` has limits but no equality constraints.
     """
     step, size = grid[1] - grid[0], grid.size
     nodes = np.union1d(wavelength[(wavelength > grid[0]) & (wavelength < grid[-1])], grid)
     low, high = nodes[:-1], nodes[1:]
-    # Everything is linear between nodes, so Simpson's rule takes the products of three exactly.
+    # Everything is linear between nodes, so Simpson's rule integrates products of three exactly.
     points = np.concatenate([low, 0.5 * (low + high), high])
     weights = np.concatenate([high - low, 4.0 * (high - low), high - low]) / 6.0
-    # The midpoint tells the cell: a node itself falls to either side by rounding.
+    # The midpoint determines the cell; a node may be on either side by rounding.
     cell = np.tile(((0.5 * (low + high) - grid[0]) / step).astype(int), 3)
     share = (points - grid[cell]) / step
     spectrum = np.interp(points, wavelength, value)
 
     def onto_grid(values, row=0, rows=1):
-        """Integrals of values times each of the table's hat functions, summed into rows."""
+        """Integrals of values times each hat function of the table, summed into rows."""
         left = np.bincount(row * size + cell, values * weights * (1.0 - share), rows * size)
         return (left + np.bincount(row * size + cell + 1, values * weights * share, rows * size)).reshape(rows, size)
 
     between = np.diag(np.bincount(cell, weights * share * (1.0 - share), size)[:-1], 1)
     own = np.bincount(cell, weights * (1.0 - share) ** 2, size) + np.bincount(cell + 1, weights * share**2, size)
     gram, pull = np.diag(own) + between + between.T, onto_grid(spectrum)[0]
-    edges = np.flatnonzero(np.abs(grid / STRETCH_UM - np.round(grid / STRETCH_UM)) < 1e-6)
-    stretch = np.searchsorted(edges, cell, side="right")
+    edges = np.flatnonzero(np.abs(grid / INTERVAL_UM - np.round(grid / INTERVAL_UM)) < 1e-6)
+    interval = np.searchsorted(edges, cell, side="right")
     kept, aim = [], []
     for lever in (np.ones(points.size), points - grid[cell[0]]):
-        kept.append(onto_grid(lever, stretch, edges.size + 1)[1:-1])
-        aim.append(np.bincount(stretch, weights * lever * spectrum, edges.size + 1)[1:-1])
+        kept.append(onto_grid(lever, interval, edges.size + 1)[1:-1])
+        aim.append(np.bincount(interval, weights * lever * spectrum, edges.size + 1)[1:-1])
     kept, aim = np.concatenate(kept), np.concatenate(aim)
     table, fixed = np.zeros(size), np.zeros(size, dtype=bool)
     for _ in range(size):
@@ -355,7 +340,7 @@ def _thinned(wavelength, value, grid):
         system = np.block([[gram[np.ix_(free, free)], kept[:, free].T], [kept[:, free], np.zeros((aim.size,) * 2)]])
         known = table[fixed]
         right = np.concatenate([pull[free] - gram[np.ix_(free, fixed)] @ known, aim - kept[:, fixed] @ known])
-        # Where all of a stretch is fixed its two conditions say nothing, which only least squares takes.
+        # If a whole interval is fixed, its two conditions are void, which needs least squares.
         solve = np.linalg.solve if not fixed.any() else lambda a, b: np.linalg.lstsq(a, b, rcond=None)[0]
         table[free] = solve(system, right)[: free.sum()]
         outside = (table < 0.0) | (table > 1.0)
@@ -366,7 +351,7 @@ def _thinned(wavelength, value, grid):
 
 
 def _coverage(grid, count):
-    """Return a remark on where fewer samples than elsewhere stand behind the mean; "" if they all cover all."""
+    """Return a remark on the number of samples by wavelength; "" if it is constant."""
     if count.min() == count.max():
         return ""
     edges = np.flatnonzero(np.diff(count)) + 1
@@ -375,7 +360,7 @@ def _coverage(grid, count):
 
 
 def _solar_absorptance(samples, name):
-    """Return one minus the reflectance weighted with a 5778 K blackbody's light, its spread or None, a remark how."""
+    """Return one minus the reflectance weighted with a 5778 K blackbody, its spread or None, and a remark."""
     values, starts = [], []
     for sample in samples:
         if not sample.sunlight_um.size or sample.sunlight_um[-1] < SOLAR_RANGE_UM[1]:

@@ -1,16 +1,18 @@
-"""Mixed materials: texels that may be, or are, of several materials share a limited palette of mixes.
+"""Mixed materials: texels of several possible or actual materials share a limited palette of mixtures.
 
-The emissivity of a mix is the mean of its parts' by area: what a camera sees that cannot tell them apart, and what
-is to be expected where it is uncertain which of them is there.
+The emissivity of a mixture is the area-weighted mean of its parts. It describes a texel that the camera cannot resolve,
+and the expected value of a texel whose material is uncertain.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from thermorender.materials.library import Material
+from thermorender.materials.material import Material
 
-# Shares are kept in eighths.
+# Shares are rounded to eighths.
 _STEPS = 8
 _BAND_SAMPLES = 48
 
@@ -22,16 +24,16 @@ class Mixture(Material):
     Attributes
     ----------
     parts : tuple of (Material, share)
-        Shares add up to one.
+        The shares sum to one.
     """
 
-    parts: tuple = ()
+    parts: tuple[tuple[Material, float], ...] = ()
 
 
-def mix(parts):
-    """Return the Mixture of (Material, share) pairs whose shares add up to one; of a single part, that Material.
+def mix(parts: Sequence[tuple[Material, float]]) -> Material:
+    """Return the Mixture of (Material, share) pairs whose shares sum to one; for a single part, that Material.
 
-    It is known where all parts are: their common wavelengths, less every hole of theirs.
+    It is known at the wavelengths of all parts, without the gaps of any.
     """
     if len(parts) == 1:
         return parts[0][0]
@@ -41,7 +43,7 @@ def mix(parts):
     end = min(material.valid_range_um[1] for material in materials)
     wavelength = np.unique(np.concatenate([material.wavelength_um for material in materials] + [[start, end]]))
     wavelength = wavelength[(wavelength >= start) & (wavelength <= end)]
-    # Between the ends of a hole the value is never asked for.
+    # Values inside gaps are never used.
     emissivity = share @ [np.interp(wavelength, material.wavelength_um, material.emissivity) for material in materials]
     names = " + ".join(f"{part:.3g} {material.name}" for material, part in parts)
 
@@ -65,18 +67,20 @@ def mix(parts):
     )
 
 
-def palette(index, share, materials, band_um, most):
-    """Return (number (h, w) uint8, materials and mixes, error) for texels given as shares of several materials.
+def palette(
+    index: NDArray[np.uint8], share: NDArray, materials: Sequence[Material], band_um: tuple[float, float], most: int
+) -> tuple[NDArray[np.uint8], list[Material], dict[str, float]]:
+    """Return (number (h, w) uint8, materials and mixtures, error) for texels given as shares of several materials.
 
     Parameters
     ----------
     index : (h, w, 3) uint8
-        Numbers in `materials`.
+        Indices into `materials`.
     share : (h, w, 3) float
-        Of each, largest first; adding up to one.
+        Share of each, largest first; they sum to one.
     materials : sequence of Material
     band_um : (2,) floats
-        Band over which mixes are compared [µm].
+        Band in which mixtures are compared [µm].
     most : int
         Largest size of the palette, up to 256.
 
@@ -84,8 +88,7 @@ def palette(index, share, materials, band_um, most):
     -------
     number : index into the returned materials.
     error : dict
-        "mean" and "largest" change of a texel's emissivity, averaged over the band, that rounding its shares and the
-        limited palette bring.
+        "mean" and "largest" change of a texel's band-averaged emissivity by rounded shares and the limited palette.
     """
     # One number per texel: three materials in a byte each, and the second and third share.
     code = np.rint(share[..., 2] * _STEPS).astype(np.uint32) * (_STEPS + 1)
@@ -99,7 +102,7 @@ def palette(index, share, materials, band_um, most):
     two, three = steps % (_STEPS + 1), steps // (_STEPS + 1)
     for number, part in ((codes & 255, _STEPS - two - three), (codes >> 8 & 255, two), (codes >> 16 & 255, three)):
         np.add.at(shares, (row, number), part / _STEPS)
-    # The same mix may come in several orders.
+    # The same mixture may occur in several orders.
     shares, same = np.unique(shares, axis=0, return_inverse=True)
     same = same.ravel()
     count = np.bincount(same, count, len(shares))
@@ -107,7 +110,7 @@ def palette(index, share, materials, band_um, most):
     spectra = np.array([material.emissivity_at(wavelength) for material in materials])
     mixed = shares @ spectra
     chosen = _chosen(mixed, count, most)
-    # A rare mix becomes the one of the palette whose spectrum is nearest.
+    # A rare mixture becomes the palette entry with the nearest spectrum.
     nearest = np.empty(len(shares), dtype=np.uint8)
     for start in range(0, len(shares), 512):
         away = ((mixed[start : start + 512, None] - mixed[chosen]) ** 2).sum(axis=-1)
@@ -124,7 +127,7 @@ def palette(index, share, materials, band_um, most):
 
 
 def _chosen(spectra, count, most):
-    """Numbers of the spectra for a palette: half the most frequent, half those farthest from all chosen before."""
+    """Indices of the spectra for a palette: half the most frequent, half those farthest from all chosen before."""
     if len(spectra) <= most:
         return np.arange(len(spectra))
     chosen = list(np.argsort(-count, kind="stable")[: most - most // 2])

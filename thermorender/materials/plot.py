@@ -1,5 +1,6 @@
-"""A picture of materials' emissivity against wavelength, with its spread, and against angle where it depends on it."""
+"""Plot of materials' emissivity against wavelength with its spread, and against angle if it varies."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -7,40 +8,43 @@ import numpy as np
 from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic, check_output_file
+from thermorender.materials.material import Material
 
-# What cameras of the long-wave infrared see: drawn even where a table reaches further.
+# Plotted range, that of long-wave infrared cameras; tables may cover more.
 DRAWN_UM = (7.0, 14.0)
 MOST_MATERIALS = 8
 
 
-def plot(materials, path, band_um=BAND_UM, temperature=300.0):
+def plot(
+    materials: Sequence[Material], path: str | Path, band_um: tuple[float, float] = BAND_UM, temperature: float = 300.0
+) -> Path:
     """Write a PNG of the spectra of materials; return its path.
 
     Parameters
     ----------
     materials : sequence of Material
-        One to eight.
+        One to eight materials.
     path : path
-        Ends in .png.
+        PNG file.
     band_um : (lower, upper)
         Camera band, shaded [µm].
     temperature : float
-        Of the surface, for the band emissivity in the legend [K].
+        Surface temperature for the band emissivity in the legend [K].
 
     Notes
     -----
-    Lines are hemispherical emissivity; bands are ± one standard deviation over the samples. If a material depends on
-    angle, a second panel shows its band emissivity against the angle from the normal.
+    Lines are hemispherical emissivity, shaded bands ± one standard deviation over the samples. For materials with an
+    angular model, a second panel shows band emissivity against the angle from the normal.
 
     Raises
     ------
     ThermorenderError
-        There are none or too many materials, or the path is no PNG.
+        There are no or too many materials, or the path is not a PNG.
     """
     path = Path(path)
     if not 1 <= len(materials) <= MOST_MATERIALS:
         raise ThermorenderError(
-            f"{len(materials)} materials cannot be told apart in one plot; give 1 to {MOST_MATERIALS}"
+            f"{len(materials)} materials cannot be distinguished in one plot; give 1 to {MOST_MATERIALS}"
         )
     check_output_file(path, (".png",))
     from matplotlib.backends.backend_agg import FigureCanvasAgg

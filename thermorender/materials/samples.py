@@ -1,18 +1,19 @@
-"""One measured sample from a file: ECOSTRESS text, a column of a SLUM table, or a CSV of two columns.
+"""Measured samples from files: ECOSTRESS text, a column of a SLUM table, or a CSV of two columns.
 
-Whatever a file holds becomes hemispherical reflectance over rising wavelength in µm; the file's own words say which
-quantity and unit it is in, and nothing is guessed.
+Every file becomes hemispherical reflectance over ascending wavelength in µm. The file itself must state quantity and
+unit; nothing is guessed.
 """
 
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
-from thermorender.materials.files import csv_rows, number_in_cell, read_table, read_text
+from thermorender.materials.csv_tables import csv_rows, number_in_cell, read_table, read_text
 
-# Library → (words before the file names, citation, licence).
+# Library → (its title, citation, licence).
 LIBRARIES = {
     "ECOSTRESS": (
         "ECOSTRESS spectral library (JPL)",
@@ -47,40 +48,40 @@ class Sample:
     Attributes
     ----------
     name, source : str
-        What it is, and the file (and column) it comes from.
+        Its name, and the file (and column) it comes from.
     library : str
         Key of LIBRARIES, or "" for the user's own.
     wavelength_um, reflectance : (N,) float64 arrays
-        Rising wavelength [µm] and hemispherical reflectance [1] in the thermal range.
+        Ascending wavelength [µm] and hemispherical reflectance [1] in the thermal range.
     sunlight_um, sunlight_reflectance : (M,) float64 arrays
-        The same over what was measured of the solar range; may be empty.
+        The same in the measured part of the solar range; may be empty.
     """
 
     name: str
     source: str
     library: str
-    wavelength_um: np.ndarray
-    reflectance: np.ndarray
-    sunlight_um: np.ndarray
-    sunlight_reflectance: np.ndarray
+    wavelength_um: NDArray[np.float64]
+    reflectance: NDArray[np.float64]
+    sunlight_um: NDArray[np.float64]
+    sunlight_reflectance: NDArray[np.float64]
 
 
-def read_sample(path, column=None):
-    """Return the Sample of a file of any of the three kinds, told apart by the file's own words.
+def read_sample(path: str | Path, column: str | None = None) -> Sample:
+    """Return the Sample of a file of any of the three kinds, which its content distinguishes.
 
     Parameters
     ----------
     path : path
-        ECOSTRESS text; a SLUM table (`LUMA_SLUM_IR.csv`, whose short-wave table is looked for beside it); or a CSV
+        ECOSTRESS text; a SLUM table (`LUMA_SLUM_IR.csv`, with its short-wave table in the same folder); or a CSV
         of two columns with the headings wavelength_um, wavelength_nm or wavenumber_cm-1, and emissivity,
         emissivity_percent, reflectance or reflectance_percent.
     column : str, optional
-        Which sample of a table with several.
+        Sample of a table with several.
 
     Raises
     ------
     ThermorenderError
-        The file is absent, of no such kind, or holds something that cannot be a spectrum.
+        The file is missing, of another kind, or not a valid spectrum.
     """
     path = Path(path)
     if not path.is_file():
@@ -95,21 +96,21 @@ def read_sample(path, column=None):
     return read_columns(path)
 
 
-def is_ecostress(path):
-    """Return whether a file begins like an ECOSTRESS spectrum, with lines of `key: value`."""
+def is_ecostress(path: str | Path) -> bool:
+    """Return whether a file begins with the header of an ECOSTRESS spectrum."""
     with open(path, "rb") as file:
         return b"x units" in file.read(4000).lower()
 
 
-def read_ecostress(path):
-    """Return the Sample of one ECOSTRESS spectrum file.
+def read_ecostress(path: str | Path) -> Sample:
+    """Return the Sample of an ECOSTRESS spectrum file.
 
-    Wavelengths may fall or rise; repeated ones are averaged; percent becomes a share of one.
+    Wavelengths may be in either order; repeated ones are averaged.
 
     Raises
     ------
     ThermorenderError
-        The file is absent, is not in µm and percent, is not hemispherical reflectance, or holds no spectrum.
+        The file is missing, is not in µm and percent, is not hemispherical reflectance, or has no spectrum.
     """
     path = Path(path)
     if not path.is_file():
@@ -137,8 +138,8 @@ def read_ecostress(path):
     if broken.any():
         found = pairs[int(broken.argmax())]
         raise ThermorenderError(
-            f"{path} holds the pair {found[0]:g} µm, {found[1]:g} %, which no spectrum does; order it anew or delete "
-            "the line"
+            f"{path} holds the pair {found[0]:g} µm, {found[1]:g} %, which is not possible; order the file again, or "
+            "delete the line"
         )
     unique, where, count = np.unique(wavelength, return_inverse=True, return_counts=True)
     reflectance = np.bincount(where, weights=percent) / count / 100.0
@@ -153,10 +154,10 @@ def read_ecostress(path):
     )
 
 
-def ecostress_lines(path):
-    """Return the header of an ECOSTRESS file as a dict of lower-case keys, and its (µm, %) pairs as they stand."""
+def ecostress_lines(path: str | Path) -> tuple[dict[str, str], list[tuple[float, float]]]:
+    """Return the header of an ECOSTRESS file with lower-case keys, and its (µm, %) pairs in file order."""
     header, pairs = {}, []
-    # Some headers hold degree signs in latin-1, which decodes any byte.
+    # Some headers have degree signs in latin-1, which decodes any byte.
     for line in Path(path).read_text(encoding="latin-1").splitlines():
         key, colon, value = line.partition(":")
         if colon and not pairs:
@@ -170,16 +171,15 @@ def ecostress_lines(path):
     return header, pairs
 
 
-def read_slum(path, column):
+def read_slum(path: str | Path, column: str | None) -> Sample:
     """Return the Sample of one column of a SLUM table of emissivity against µm, with its short-wave reflectance.
 
-    The reflectance [%] against nm of the same sample is taken from the file named `_SW` for `_IR` beside it, if it
-    is there.
+    The short-wave reflectance [%] against nm comes from the file with `_SW` for `_IR` in the same folder, if any.
 
     Raises
     ------
     ThermorenderError
-        No column was named, or the table has no such column.
+        The column is missing or not given.
     """
     path = Path(path)
     wavelength, emissivity = _slum_column(path, column)
@@ -198,13 +198,13 @@ def read_slum(path, column):
     )
 
 
-def read_columns(path):
-    """Return the Sample of a CSV of two columns whose headings tell quantity and unit.
+def read_columns(path: str | Path) -> Sample:
+    """Return the Sample of a CSV of two columns whose headings state quantity and unit.
 
     Raises
     ------
     ThermorenderError
-        A heading is unknown, a cell is no number, or wavelengths repeat.
+        A heading is unknown, a cell is not a number, or wavelengths repeat.
     """
     path = Path(path)
     rows = read_table(path, ())
@@ -214,7 +214,7 @@ def read_columns(path):
     if first is None or second is None:
         raise ThermorenderError(
             f"{path}, row 1 holds {shortened(', '.join(header)) or 'nothing'}; the headings must be one of "
-            f"{', '.join(WAVELENGTH_UNITS)} and one of {', '.join(QUANTITIES)}, which tells the units"
+            f"{', '.join(WAVELENGTH_UNITS)} and one of {', '.join(QUANTITIES)}, which state the units"
         )
     values = np.array([[_number(path, row, key, cells[key]) for key in (first, second)] for row, cells in rows])
     wavelength = WAVELENGTH_UNITS[first](values[:, 0])
@@ -222,14 +222,14 @@ def read_columns(path):
     wavelength, reflectance = wavelength[order], QUANTITIES[second](values[order, 1])
     if len(wavelength) < 2 or np.any(np.diff(wavelength) <= 0.0) or wavelength[0] <= 0.0:
         raise ThermorenderError(
-            f"{path} needs two rows at least, each of its own positive {first}; `thermorender materials check` finds "
+            f"{path} needs at least two rows with different, positive {first}; `thermorender materials check` finds "
             "the fault"
         )
     return Sample(path.stem, path.name, "", wavelength, reflectance, wavelength, reflectance)
 
 
 def _number(path, row, column, text):
-    """Return a cell as a float; NaN and infinity are no numbers of a spectrum."""
+    """Return a cell as a finite float."""
     return number_in_cell(path, row, column, text, -1e9, 1e9, "correct the cell")
 
 

@@ -1,62 +1,63 @@
-"""Materials away from their tables by what these are uncertain: one property by one standard deviation, or all drawn.
+"""Materials that deviate from their tables: one property moved by one standard deviation, or all drawn at random.
 
-Each property takes together what a surface's temperature cannot tell apart. What is positive moves by a factor, the
-exponential of its logarithm's standard deviation.
+Quantities with indistinguishable effects on temperature move together. Positive numbers move by a factor, the
+exponential of the standard deviation of their logarithm.
 """
 
 from dataclasses import replace
 
 import numpy as np
 
+from thermorender.materials.material import Material
 from thermorender.materials.mixture import Mixture
-from thermorender.materials.thermal import NUMBERS
+from thermorender.materials.thermal import NUMBERS, Thermal
 
-# No surface of a scene absorbs all sunlight, or none: beyond it a step is taken the other way.
+# Largest absorptance of a real surface: a step beyond it is taken downwards.
 _MOST_ABSORPTANCE = 0.97
-# What keeps its value: constants of nature.
+# Constants of nature, which keep their value.
 _KNOWN = ("melting_k",)
 
 
-def shifted(material, name):
-    """Return a Material with one of `PROPERTIES` moved by one standard deviation of its table; a mixture's parts each.
+def shifted(material: Material, name: str) -> Material:
+    """Return a Material with one of `PROPERTIES` moved by one standard deviation; for a mixture, that of each part.
 
     Parameters
     ----------
     material : Material
         With thermal properties.
     name : str
-        "absorptance": of sunlight, upwards, or downwards where there is no room.
-        "inertia": conductivity and heat capacity of all layers up alike, and the skin's conductance.
-        "wetness": down, by what wetness and surface resistance are uncertain, of which only the ratio matters.
-        "exchange": momentum roughness length up and heat_roughness_ratio down, each by 1/√2 of its own, so that both
-        make what they would by chance.
+        "absorptance": of sunlight, upwards, or downwards close to one.
+        "inertia": conductivity and heat capacity of all layers up by the same factor, and the skin's conductance.
+        "wetness": down by the uncertainty of wetness over surface resistance, since only the ratio matters.
+        "exchange": momentum roughness length up and heat_roughness_ratio down, each by 1/√2 standard deviations, so
+        that their joint effect is one standard deviation.
 
     Raises
     ------
     ThermorenderError
-        A material without thermal properties.
+        The material has no thermal properties.
     """
     if isinstance(material, Mixture):
         return replace(material, parts=tuple((shifted(part, name), share) for part, share in material.parts))
     return PROPERTIES[name](material, material.known_thermal())
 
 
-def strayed(thermal, generator, scale=1.0):
-    """Return a Thermal whose numbers are drawn from their uncertainty, of what lies beneath its own.
+def strayed(thermal: Thermal, generator: np.random.Generator, scale: float = 1.0) -> Thermal:
+    """Return a Thermal whose numbers are drawn from their uncertainty; the layers beneath stay unchanged.
 
-    Positive numbers are log-normal with their standard deviation and the table's value for mean, all within the limits
-    of a table; zero stays zero.
+    Positive numbers are log-normal with the table's mean and standard deviation, within the limits of a table; zero
+    stays zero.
 
     Parameters
     ----------
     thermal : Thermal
     generator : numpy.random.Generator
     scale : float
-        On the standard deviations of the logarithms.
+        Factor on the standard deviations of the logarithms.
     """
     values = {}
     for key, (low, high, _) in NUMBERS.items():
-        # One number for each property, used or not: properties do not share their fate.
+        # One draw per property, used or not, so that properties are independent of each other.
         normal, width = generator.standard_normal(), scale * _of_logarithm(thermal, key)
         if width and key not in _KNOWN:
             value = getattr(thermal, key) * np.exp(width * normal - 0.5 * width**2)
@@ -76,7 +77,7 @@ def _inertia(material, thermal):
 
 def _slower(thermal):
     parts = ("conductivity_w_m_k", "density_kg_m3", "specific_heat_j_kg_k")
-    # Of the inertia, √(kρc), half the logarithms' sum.
+    # The logarithm of the inertia √(kρc) is half the sum of the logarithms.
     factor = np.exp(0.5 * np.sqrt(sum(_of_logarithm(thermal, part) ** 2 for part in parts)))
     skin = thermal.skin_conductance_w_m2_k
     return replace(
@@ -100,7 +101,7 @@ def _exchange(material, thermal):
 
 
 def _of_logarithm(thermal, key):
-    """Standard deviation of a property's logarithm where it is log-normal; 0 where there is no value."""
+    """Standard deviation of the logarithm of a log-normal property; 0 without a value."""
     value = getattr(thermal, key)
     return float(np.sqrt(np.log1p((thermal.uncertainty.get(key, 0.0) / value) ** 2))) if value else 0.0
 

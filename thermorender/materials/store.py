@@ -1,15 +1,18 @@
-"""Writing into a materials folder: index row and tables, all or none, and never over what is there unasked."""
+"""Writing into a materials folder: index row and tables, all or none; existing ones are replaced only on request."""
 
 import csv
 import io
 import tempfile
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.files import atomic, write_text
-from thermorender.materials.files import (
+from thermorender.files import atomic
+from thermorender.formats import write_text
+from thermorender.materials.csv_tables import (
     INDEX_COLUMNS,
     INDEX_OF_REFRACTION_COLUMNS,
     ROUGHNESS_COLUMN,
@@ -18,25 +21,26 @@ from thermorender.materials.files import (
     read_table,
 )
 from thermorender.materials.library import NAME, read_library
+from thermorender.materials.material import Material
 from thermorender.materials.thermal import table_text
 
 
-def write_material(material, directory, replace=False):
+def write_material(material: Material, directory: str | Path, replace: bool = False) -> None:
     """Write a Lambertian material's tables and its row of `index.csv` into a folder, all or none.
 
     Parameters
     ----------
     material : Material
-        One without thermal properties leaves a table of them that is there as it is.
+        Without thermal properties, an existing thermal table stays unchanged.
     directory : path
-        Made if absent; other rows of its index stay as they are.
+        Created if missing; other rows of its index stay unchanged.
     replace : bool
         Whether a material of the same name may be replaced.
 
     Raises
     ------
     ThermorenderError
-        The folder holds one of that name already, or what was to be written cannot be read back.
+        The folder already has a material of that name, or the new tables cannot be read back.
     """
     lines = [",".join(SPECTRUM_COLUMNS)]
     for row in zip(material.wavelength_um, material.emissivity, material.emissivity_std, strict=True):
@@ -46,15 +50,17 @@ def write_material(material, directory, replace=False):
     store(index_row(material), "\n".join(lines) + "\n", directory, replace, thermal)
 
 
-def write_materials(materials, directory, replace=False):
-    """Write several Lambertian materials; names the folder holds already are refused before the first is written."""
+def write_materials(materials: Sequence[Material], directory: str | Path, replace: bool = False) -> None:
+    """Write several Lambertian materials; existing names are refused before the first is written."""
     for material in materials:
         _refuse_existing(Path(directory), material.name, replace)
     for material in materials:
         write_material(material, directory, replace)
 
 
-def write_refractive_index(path, material, directory, replace=False):
+def write_refractive_index(
+    path: str | Path, material: Mapping[str, Any], directory: str | Path, replace: bool = False
+) -> None:
     """Write a table of n and k as a Fresnel material into a folder, both index row and table or neither.
 
     Parameters
@@ -73,7 +79,7 @@ def write_refractive_index(path, material, directory, replace=False):
     store(row, "\n".join(lines) + "\n", directory, replace)
 
 
-def index_row(material):
+def index_row(material: Material) -> dict[str, Any]:
     """Return the cells of a material's row of the index."""
     return {
         "name": material.name,
@@ -93,11 +99,13 @@ def index_row(material):
     } | ({ROUGHNESS_COLUMN: f"{material.rms_slope:g}"} if material.directional == "fresnel" else {})
 
 
-def store(row, spectrum, directory, replace=False, thermal=None):
-    """Write a material's index row (dict) and the texts of its tables into a folder, all or none.
+def store(
+    row: Mapping[str, Any], spectrum: str, directory: str | Path, replace: bool = False, thermal: str | None = None
+) -> None:
+    """Write a material's index row and the texts of its tables into a folder, all or none.
 
-    `thermal` None writes no table of thermal properties. It is read back from a scratch folder first, so nothing is
-    written that the library would refuse.
+    `thermal` None writes no thermal table. Everything is read back from a scratch folder first, so nothing is written
+    that the library would refuse.
     """
     directory, name = Path(directory), str(row["name"])
     if not NAME.fullmatch(name):
@@ -125,13 +133,12 @@ def _refuse_existing(directory, name, replace):
         raise ThermorenderError(f"{directory} already holds material {name!r}; choose another name, or add --replace")
     if table.exists():
         raise ThermorenderError(
-            f"{table} is of no material in index.csv, as an import leaves it that was killed; add --replace, or choose "
-            "another name"
+            f"{table} has no row in index.csv, as after an interrupted import; add --replace, or choose another name"
         )
 
 
 def _write_all(directory, texts):
-    """Replace files of a folder, {path in it: text}; a failure undoes those that were written."""
+    """Replace files of a folder, {path in it: text}; a failure restores those already written."""
     paths = [directory / name for name in texts]
     before = {path: path.read_bytes() if path.exists() else None for path in paths}
     written = []

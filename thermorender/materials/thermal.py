@@ -1,36 +1,38 @@
-"""What a material is for heat: its uppermost layer, what lies beneath, how it exchanges heat and water with the air.
+"""Thermal properties of a material: its top layer, the layer beneath, and its exchange of heat and water with the air.
 
-`thermal/<name>.csv` beside `spectra/<name>.csv`: a row for each property with its value, one standard deviation and
-the source. A source that begins with `chosen:` marks a value that no measurement gives, and says why it was taken.
+`thermal/<name>.csv` has a row for each property with its value, one standard deviation and the source. A source that
+begins with `chosen:` marks a value without a measurement and gives the reason for it.
 """
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from thermorender.errors import ThermorenderError
-from thermorender.materials.files import number_in_cell, read_table
+from thermorender.materials.csv_tables import number_in_cell, read_table
 from thermorender.schema import closest
 from thermorender.units import ZERO_CELSIUS_K
 
 THERMAL_COLUMNS = ("property", "value", "uncertainty", "source")
 CHOSEN = "chosen:"
 COVERS = ("bare", "leaves", "water", "snow")
-# What may lie beneath besides a material: indoor air through a film, outdoor air under a sheet.
+# What may be beneath besides a material: indoor air through a film, outdoor air under a sheet.
 ENDS = ("inside", "outside")
 
 _SHARE = "give a share, 0.3 for 30 %"
-# Limits of every number, and how to mend what lies outside: wide enough for aerogel, gold, a forest and a deep lake.
+# Limits of every number and advice for values outside; wide enough for aerogel, gold, a forest and a deep lake.
 NUMBERS = {
     "conductivity_w_m_k": (0.005, 450.0, "divide by 1000 if the value is in mW m⁻¹ K⁻¹"),
     "density_kg_m3": (20.0, 23000.0, "multiply by 1000 if the value is in g/cm³"),
     "specific_heat_j_kg_k": (100.0, 5000.0, "multiply by 1000 if the value is in kJ kg⁻¹ K⁻¹"),
-    "thickness_m": (1e-5, 200.0, "give metres, or leave it empty for a layer that goes on down"),
-    "skin_conductance_w_m2_k": (0.1, 1000.0, "give W m⁻² K⁻¹, or leave it empty for a surface that touches its layer"),
+    "thickness_m": (1e-5, 200.0, "give metres, or leave it empty for an unlimited layer"),
+    "skin_conductance_w_m2_k": (0.1, 1000.0, "give W m⁻² K⁻¹, or leave it empty for a surface on its layer"),
     "roughness_m": (1e-7, 10.0, "give the momentum roughness length in metres, about a tenth of the height"),
     "heat_roughness_ratio": (0.0, 30.0, "give ln(z0/z0h)"),
-    "surface_resistance_s_m": (0.0, 1e5, "give s/m, 0 for free water, or leave it empty for what is dry by itself"),
+    "surface_resistance_s_m": (0.0, 1e5, "give s/m, 0 for free water, or leave it empty for a dry material"),
     "wetness": (0.0, 1.0, _SHARE),
     "water_share": (0.0, 1.0, _SHARE),
     "attenuation_1_m": (0.01, 1e4, "give 1/m, or leave it empty for an opaque layer"),
@@ -38,36 +40,36 @@ NUMBERS = {
 }
 OPTIONAL = ("thickness_m", "beneath", "skin_conductance_w_m2_k", "surface_resistance_s_m", "attenuation_1_m",
             "melting_k")  # fmt: skip
-# In the order they are written.
+# In the order of a table.
 PROPERTIES = ("cover", *list(NUMBERS)[:4], "beneath", *list(NUMBERS)[4:])
 
-# Nothing but metal, and denser than this, conducts better than this (rock and ice: up to 8 W m⁻¹ K⁻¹).
+# Only metals, which are denser than this, conduct better than this (rock and ice: up to 8 W m⁻¹ K⁻¹).
 _METAL_W_M_K, _METAL_KG_M3 = 20.0, 1700.0
 
 
 @dataclass(frozen=True)
 class Thermal:
-    """Thermal properties of a material, as its table gives them.
+    """Thermal properties of a material, as in its table.
 
     Attributes
     ----------
     cover : str
         Which laws of exchange apply: "bare", "leaves", "water" or "snow".
     conductivity_w_m_k, density_kg_m3, specific_heat_j_kg_k : float
-        Of the layer, as moist as it usually is.
+        Of the layer at its usual moisture.
     thickness_m : float or None
-        Of the layer [m]; None: it goes on down.
+        Thickness of the layer [m]; None: unlimited.
     beneath : str
-        Material below the layer; "inside", indoor air through a film; "outside", outdoor air; "" if it goes on down.
+        Material below the layer; "inside": indoor air through a film; "outside": outdoor air; "": unlimited layer.
     skin_conductance_w_m2_k : float or None
-        Between the radiating surface and the top of the layer (leaves over ground); None: they touch.
+        Between the radiating surface and the top of the layer (leaves over ground); None: in contact.
     roughness_m : float
-        Momentum roughness length z0 of land covered by it [m].
+        Momentum roughness length z0 of land covered with it [m].
     heat_roughness_ratio : float
         ln(z0/z0h), often written kB⁻¹ [1].
     surface_resistance_s_m : float or None
-        To evaporation where moist [s/m]; of leaves the least of the whole canopy, in full sun and well watered; 0 of
-        free water; None: nothing of its own does, only rain and dew on it.
+        Resistance to evaporation [s/m]: for leaves the minimum of the canopy, in full sun and well watered; 0 for
+        free water; None: only rain and dew on it evaporate.
     wetness : float
         Usual moisture available to evaporation, 0…1.
     water_share : float
@@ -75,14 +77,14 @@ class Thermal:
     attenuation_1_m : float or None
         Of sunlight inside the layer [1/m]; None: opaque.
     melting_k : float or None
-        The surface cannot be warmer [K].
+        Upper limit of the surface temperature [K].
     uncertainty : dict of str to float
-        One standard deviation of each number, in its unit. What is positive is to be drawn as log-normal: roughness
-        lengths are known to a factor.
+        One standard deviation of each number, in its unit. Positive numbers are log-normal: roughness lengths are
+        known to a factor.
     source : dict of str to str
-        Where each value comes from; "chosen: …" where no measurement gives it.
+        Source of each value; "chosen: …" without a measurement.
     below : Thermal or None
-        That of the material `beneath`, found by the library; None if it is no material, or not looked up yet.
+        Properties of the material `beneath`, filled in by the library; None if there is none, or not yet looked up.
     """
 
     cover: str
@@ -99,40 +101,40 @@ class Thermal:
     surface_resistance_s_m: float | None = None
     attenuation_1_m: float | None = None
     melting_k: float | None = None
-    uncertainty: dict = field(default_factory=dict)
-    source: dict = field(default_factory=dict)
+    uncertainty: dict[str, float] = field(default_factory=dict)
+    source: dict[str, str] = field(default_factory=dict)
     below: "Thermal | None" = None
 
     @property
-    def heat_capacity_j_m3_k(self):
+    def heat_capacity_j_m3_k(self) -> float:
         """Heat capacity of the layer per volume, ρc [J m⁻³ K⁻¹]."""
         return self.density_kg_m3 * self.specific_heat_j_kg_k
 
     @property
-    def inertia(self):
+    def inertia(self) -> float:
         """Thermal inertia of the layer, √(kρc) [J m⁻² K⁻¹ s^-½]."""
         return float(np.sqrt(self.conductivity_w_m_k * self.heat_capacity_j_m3_k))
 
     @property
-    def chosen(self):
-        """The properties whose value no measurement gives, as a tuple of names."""
+    def chosen(self) -> tuple[str, ...]:
+        """Names of the properties without a measured value."""
         return tuple(key for key in PROPERTIES if self.source.get(key, "").startswith(CHOSEN))
 
     @property
-    def values(self):
-        """The properties by name, in the order of a table; None and "" where a table's cell is empty."""
+    def values(self) -> dict[str, Any]:
+        """The properties by name, in the order of a table; None or "" for empty cells."""
         return {key: getattr(self, key) for key in PROPERTIES}
 
     @property
-    def layers(self):
-        """This and all that lies below it, from the surface down, as a tuple of Thermal.
+    def layers(self) -> tuple["Thermal", ...]:
+        """All layers from the surface down.
 
-        The last one goes on down, or ends at "inside" or "outside" air.
+        The last one is unlimited, or ends at "inside" or "outside" air.
 
         Raises
         ------
         ThermorenderError
-            What lies beneath has not been looked up: the material comes from one folder, not from `load_library`.
+            `beneath` has not been looked up, because the material does not come from `load_library`.
         """
         if self.below is None and self.beneath not in ("", *ENDS):
             raise ThermorenderError(
@@ -152,20 +154,20 @@ class Thermal:
         return "\n".join(lines)
 
 
-def read_thermal(path, directory=None):
+def read_thermal(path: str | Path, directory: str | Path | None = None) -> Thermal:
     """Return the Thermal of a table with the columns property, value, uncertainty, source.
 
     Parameters
     ----------
     path : path
-        CSV; a row that is absent is one whose value is empty.
+        CSV; a missing row means an empty value.
     directory : path, optional
-        Folder the file must lie in.
+        Folder that must contain the file.
 
     Raises
     ------
     ThermorenderError
-        The first fault of the file, with file, row, what arrived, what is allowed and how to mend it.
+        The first fault of the file, with row, value, allowed values and advice.
     """
     thermal, faults = parsed(read_table(path, THERMAL_COLUMNS, directory))
     for row, sentence in faults:
@@ -173,8 +175,8 @@ def read_thermal(path, directory=None):
     return thermal
 
 
-def parsed(rows):
-    """Return (Thermal or None, faults) of a table's rows (number, cells); faults: (row or None, sentence) each."""
+def parsed(rows: Iterable[tuple[int, dict[str, str]]]) -> tuple[Thermal | None, list[tuple[int | None, str]]]:
+    """Return (Thermal or None, list of faults as (row or None, sentence)) of a table's rows (number, cells)."""
     values, uncertainty, source, faults = {}, {}, {}, []
     for row, cells in rows:
         key, text, spread = cells["property"], cells["value"], cells["uncertainty"]
@@ -184,7 +186,7 @@ def parsed(rows):
             faults.append((row, f"property={key!r} is not known; {hint}write one of {', '.join(PROPERTIES)}"))
             continue
         if key in values:
-            faults.append((row, f"property {key} stands in a row above already; keep one of them"))
+            faults.append((row, f"property {key} is already in a row above; keep one of them"))
             continue
         values[key], fault = _value(key, text)
         if fault:
@@ -194,12 +196,12 @@ def parsed(rows):
         source[key] = cells["source"]
         if not source[key].removeprefix(CHOSEN).strip():
             faults.append((row, f"source of {key} is empty; say where the value comes from, or begin with '{CHOSEN}' "
-                           "and say why it was taken"))  # fmt: skip
+                           "and give the reason"))  # fmt: skip
         if key in NUMBERS:
-            name, mend = f"uncertainty of {key}", "give one standard deviation in the value's unit"
-            uncertainty[key], fault = _number(name, spread, 0.0, 1e6, mend)
+            name, advice = f"uncertainty of {key}", "give one standard deviation in the value's unit"
+            uncertainty[key], fault = _number(name, spread, 0.0, 1e6, advice)
             faults += [(row, fault)] if fault else []
-    # A value that was refused is not missing: it has its source.
+    # A refused value is not missing, since its source is recorded.
     missing = [key for key in PROPERTIES if key not in OPTIONAL and key not in source]
     if missing:
         faults.append((None, f"lacks {', '.join(missing)}; add a row with value, uncertainty and source for each"))
@@ -210,7 +212,7 @@ def parsed(rows):
 
 
 def _value(key, text):
-    """Return a property's value, None where it cannot be told, and the sentence on its fault or None."""
+    """Return (a property's value or None, sentence on its fault or None)."""
     if key == "beneath":
         return text, None
     if not text:
@@ -221,30 +223,30 @@ def _value(key, text):
     return _number(key, text, *NUMBERS[key])
 
 
-def _number(name, text, low, high, mend):
+def _number(name, text, low, high, advice):
     try:
-        return number_in_cell("", 0, name, text, low, high, mend), None
+        return number_in_cell("", 0, name, text, low, high, advice), None
     except ThermorenderError as error:
         return None, str(error).partition(": ")[2]
 
 
 def _contradictions(values, given):
-    """Yield sentences on values that cannot all be right; `given` holds what has a value, be it a refused one."""
+    """Yield sentences on values that contradict each other; `given` holds the keys with a value, refused ones too."""
     beneath, conductivity, density = (values.get(key) for key in ("beneath", "conductivity_w_m_k", "density_kg_m3"))
     if "thickness_m" in given and not beneath:
         yield ("thickness_m has nothing beneath; name the material there, or inside or outside, or "
-               "leave the thickness empty for a layer that goes on down")  # fmt: skip
+               "leave the thickness empty for an unlimited layer")  # fmt: skip
     if beneath and "thickness_m" not in given:
-        yield f"beneath={beneath!r} stands without thickness_m; give the layer's thickness, or leave beneath empty"
+        yield f"beneath={beneath!r} is given without thickness_m; give the layer's thickness, or leave beneath empty"
     if conductivity and density and conductivity > _METAL_W_M_K and density < _METAL_KG_M3:
         yield (f"conductivity_w_m_k={conductivity:g} is that of a metal, at density_kg_m3={density:g}; divide it by "
                "1000 if it is in mW m⁻¹ K⁻¹, or correct the density")  # fmt: skip
     if values.get("cover") == "snow" and "melting_k" not in given:
-        yield f"melting_k is missing of a snow cover; write {ZERO_CELSIUS_K} for snow or ice"
+        yield f"melting_k of a snow cover is missing; write {ZERO_CELSIUS_K} for snow or ice"
 
 
-def table_text(thermal):
-    """Return the text of a Thermal's CSV table, one row for each property that has a value."""
+def table_text(thermal: Thermal) -> str:
+    """Return the CSV text of a Thermal, one row per property with a value."""
     lines = [",".join(THERMAL_COLUMNS)]
     for key, value in thermal.values.items():
         if value not in (None, ""):
@@ -255,30 +257,30 @@ def table_text(thermal):
     return "\n".join(lines) + "\n"
 
 
-def read_thermals(directory):
-    """Return {name: Thermal} of all tables in a materials folder's `thermal/`; empty where there is none."""
+def read_thermals(directory: str | Path) -> dict[str, Thermal]:
+    """Return {name: Thermal} of all tables in a materials folder's `thermal/`."""
     directory = Path(directory)
     return {path.stem: read_thermal(path, directory) for path in sorted((directory / "thermal").glob("*.csv"))}
 
 
-def beneath_fault(name, thermals):
-    """Return a sentence on what `thermals[name].beneath` names, or None: no material that has a table, or a circle."""
+def beneath_fault(name: str, thermals: Mapping[str, Thermal]) -> str | None:
+    """Return a sentence if `thermals[name].beneath` has no table or leads in a circle, else None."""
     under, passed = thermals[name].beneath, [name]
     if under not in ("", *ENDS, *thermals):
         near = closest(under, thermals)
         hint = f"did you mean {near[0]}? " if near else ""
-        return (f"beneath={under!r} is no material with thermal properties; {hint}name one that has a table, or write "
+        return (f"beneath={under!r} is not a material with thermal properties; {hint}name one with a table, or write "
                 f"{' or '.join(ENDS)}")  # fmt: skip
     while under in thermals and under not in passed:
         passed.append(under)
         under = thermals[under].beneath
     if under == name:
-        return f"beneath leads in a circle, {' → '.join([*passed, name])}; let one of them go on down"
+        return f"beneath leads in a circle, {' → '.join([*passed, name])}; leave the thickness of one of them empty"
     return None
 
 
-def stacked(thermals, where):
-    """Return {name: Thermal} whose `below` is that of the material beneath.
+def stacked(thermals: Mapping[str, Thermal], where: str | Path) -> dict[str, Thermal]:
+    """Return {name: Thermal} with `below` set to the Thermal of the material beneath.
 
     Parameters
     ----------
@@ -289,7 +291,7 @@ def stacked(thermals, where):
     Raises
     ------
     ThermorenderError
-        What lies beneath is no material with thermal properties, or leads in a circle.
+        `beneath` is not a material with thermal properties, or leads in a circle.
     """
     for name in thermals:
         if fault := beneath_fault(name, thermals):

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender import files
+from thermorender import files, formats
 from thermorender.errors import ThermorenderError
 from thermorender.output import products as product_files
 from thermorender.output.day_figure import figure
@@ -106,7 +106,7 @@ def day(
         rows, counts = [], []
         for index, frame, solved in _frames(scene, pose, times, report, device, settings):
             product_files.write(out, frame, single, None, thermography)
-            files.append_json(out / "frames.jsonl", record(frame))
+            formats.append_json(out / "frames.jsonl", record(frame))
             counts.append(frame.counts)
             rows.append({"solar_hour": index * step_min / 60.0, **_row(solved, frame)})
             report(f"frame {index + 1} of {len(times)}", (index + 1) / len(times))
@@ -122,7 +122,7 @@ def day(
             **weather_of(scene),
             **made_by(),
         }
-        files.write_json(out / "day.json", about)
+        formats.write_json(out / "day.json", about)
     return rows
 
 
@@ -199,7 +199,7 @@ def _show(folder: Path, display: DisplaySettings, counts: NDArray[np.uint16], vi
     measured = display.measure(counts)
     images = [product_files.paths(folder, index, ("display",))["display"] for index in range(len(counts))]
     for path, one in zip(images, counts, strict=True):
-        files.write_image(path, display.shown(one, measured))
+        formats.write_image(path, display.shown(one, measured))
     if video:
         write_video(folder / "day.mp4", images, RATE_HZ)
 

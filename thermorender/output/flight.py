@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from thermorender import files
+from thermorender import files, formats
 from thermorender.frame import Frame
 from thermorender.output import products as product_files
 from thermorender.output.photograph import photograph
@@ -121,7 +121,7 @@ def fly(
     with files.output_folder(folder) as out, files.in_use(out):
         done = flight.write(out, resume or verify, verify, progress)
         without = flight.terrain.count(False)
-        files.write_json(out / "flight.json", flight.settings | {"frames_without_terrain": without})
+        formats.write_json(out / "flight.json", flight.settings | {"frames_without_terrain": without})
     return {
         "frames": len(flight.times),
         "rendered": len(flight.times) - done,
@@ -197,7 +197,7 @@ class _Flight:
             refuse_moved(folder, place)
             # Not earlier, so that an error in the first frame leaves no files.
             if not (folder / "flight.json").exists():
-                files.write_json(folder / "flight.json", self.settings)
+                formats.write_json(folder / "flight.json", self.settings)
             self._write_frame(folder, frame, agc, image)
             if progress:
                 progress(index + 1, total)
@@ -218,8 +218,8 @@ class _Flight:
         files.on_disk(*written.values(), save_state(folder, frame.index, state))
         self.terrain.append(_shows_terrain(self.renderer.scene, frame))
         line = record(frame) | self.timed.temperature_record(frame.time_s) | {"shows_terrain": self.terrain[-1]}
-        line["files"] = {path.name: [path.stat().st_size, files.checksum(path)] for path in written.values()}
-        files.append_json(folder / "frames.jsonl", files.sealed(line))
+        line["files"] = {path.name: [path.stat().st_size, formats.checksum(path)] for path in written.values()}
+        formats.append_json(folder / "frames.jsonl", formats.sealed(line))
 
     def _take(self, index: int, agc: _Memory) -> tuple[Frame, _Memory, Any]:
         """One frame with its sensor's reading, the state of the display after it, and the display image."""

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
-from thermorender.files import atomic_raster, write_image
 from thermorender.footage.radiometric_files import write_tlinear
+from thermorender.formats import atomic_raster, write_image
 from thermorender.output.exr import write_exr
 from thermorender.sensor.camera import Camera
 from thermorender.sensor.radiometry import ThermographySettings, thermography_reading

@@ -8,7 +8,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from thermorender import files
+from thermorender import files, formats
 from thermorender.errors import ThermorenderError
 from thermorender.output import products as product_files
 
@@ -56,16 +56,16 @@ def finished(
     text = lines.read_text(encoding="utf-8", errors="replace") if lines.exists() else ""
     for number, line in enumerate(text.splitlines()):
         try:
-            stored = files.unsealed(json.loads(line))
+            stored = formats.unsealed(json.loads(line))
             index, shows, known = stored["index"], stored["shows_terrain"], stored["files"]
             images = product_files.paths(folder, number, products).values()
             if index != number or not all(_whole(path, known[path.name], verify) for path in images):
                 break
         except (ValueError, KeyError, TypeError):
             break
-        kept.append(json.dumps(files.sealed(stored)))
+        kept.append(json.dumps(formats.sealed(stored)))
         terrain.append(shows)
-    files.write_text(lines, "".join(line + "\n" for line in kept))
+    formats.write_text(lines, "".join(line + "\n" for line in kept))
     return terrain
 
 
@@ -103,7 +103,7 @@ def _refuse_other_settings(described: Path, settings: dict[str, Any]) -> None:
 def _whole(path: Path, known: tuple[int, str], verify: bool) -> bool:
     """Whether a file has the size, and if asked for the checksum, of its frame's record."""
     size, checksum = known
-    return path.exists() and path.stat().st_size == size and (not verify or files.checksum(path) == checksum)
+    return path.exists() and path.stat().st_size == size and (not verify or formats.checksum(path) == checksum)
 
 
 def refuse_moved(folder: Path, before: os.stat_result) -> None:
@@ -128,13 +128,13 @@ def refuse_moved(folder: Path, before: os.stat_result) -> None:
 def save_state(folder: Path, index: int, state: Mapping[str, NDArray[Any]]) -> Path:
     """Write the state after a frame and return its path: two files in turn, so that one is always whole."""
     path = _state_files(folder)[index % 2]
-    files.write_arrays(path, index, state)
+    formats.write_arrays(path, index, state)
     return path
 
 
 def load_state(folder: Path, index: int) -> dict[str, NDArray[Any]] | None:
     """Return the state after a frame, {name: array}; None if it is lost or damaged."""
-    return files.read_arrays(_state_files(folder)[index % 2], index)
+    return formats.read_arrays(_state_files(folder)[index % 2], index)
 
 
 def remove_state(folder: Path) -> None:

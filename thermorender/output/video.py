@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
-from thermorender.files import atomic, decoded
+from thermorender.files import atomic
+from thermorender.formats import decoded
 
 
 def write_video(path: str | PathLike[str], images: Sequence[Path], rate_hz: float) -> None:

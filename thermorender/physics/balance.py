@@ -1,8 +1,8 @@
-"""Heat balance of surfaces: sun, sky, air, vapour and what lies beneath, marched through time.
+"""Time-stepping of the surface heat balance: sun, sky, air, vapour and the layers beneath.
 
-A surface without thickness lies on a column of layers. In each stage of a step the column's answer to heat from above
-is linear, so that the surface's temperature alone has to be found, by Newton. NumPy and Dr.Jit arrays alike, through
-the library `xp`; all fields broadcast over the columns.
+A surface without heat capacity covers a column of layers. In each stage of a step the column responds linearly to heat
+from above, so Newton's method has to find the surface temperature only. Arrays are NumPy's or Dr.Jit's, and `xp` is
+the library; all fields broadcast over the columns.
 """
 
 from typing import Any, NamedTuple
@@ -19,41 +19,41 @@ WATER_HEAT = 4186.0  # J kg⁻¹ K⁻¹
 _GAMMA = 1.0 - 0.5**0.5
 _NEWTON = 6
 _LARGEST_STEP_K = 20.0
-# Of its own water, what snow holds against gravity: Anderson, NOAA Technical Report NWS 19 (1976).
+# Share of liquid water that snow retains against gravity: Anderson, NOAA Technical Report NWS 19 (1976).
 RETENTION = 0.05
 _ENDLESS = 1e9  # kg m⁻²
 
 
 class Ground(NamedTuple):
-    """What takes part in the balance of a column: arrays over the columns, or lists over its layers.
+    """Properties of the columns: arrays over the columns, or lists of them over the layers.
 
     Attributes
     ----------
     emissivity : array
         Broadband hemispherical [1].
     log_wind, log_heat, height_m : array
-        As by `exchange.convection`.
+        As in `exchange.convection`.
     resistance : array
-        To evaporation when moist [s/m]; leaves: of the stomata in full sun.
+        To evaporation when moist [s/m]; for leaves, of the stomata in full sun.
     wetness : array
         Moisture available to evaporation, 0…1; the resistance is divided by it.
     open_water : array
-        Share of the surface that always is free water, 0…1.
+        Share of the surface that is always free water, 0…1.
     leaves : array
         1 where stomata evaporate, 0 elsewhere.
     held : array
-        Free water that stays on it [kg m⁻²].
+        Free water that the surface can hold [kg m⁻²].
     melting : array
         1 where the surface is snow or ice, 0 elsewhere.
     capacity, conductance : list
-        As of conduction.Layers.
+        As in `conduction.Layers`.
     water : list or None
-        Freezable water of the layers [kg m⁻²]; None where nothing freezes or melts.
+        Freezable water of the layers [kg m⁻²]; None: nothing freezes or melts.
     room : list or None
-        How much of it a layer holds when it is liquid [kg m⁻²]: all of it in soil and water, little in snow, whose rest
-        runs off and whose ice is as good as endless.
+        Liquid water that a layer can hold [kg m⁻²]: all its water in soil and lakes, little in snow. The rest of the
+        snow's melt water runs off, and its ice is unlimited.
     sun_share : list or None
-        Share of the absorbed sunlight that each layer takes; None where all of it is the surface's.
+        Share of the absorbed sunlight per layer; None: the surface absorbs all of it.
     """
 
     emissivity: Any
@@ -66,29 +66,29 @@ class Ground(NamedTuple):
     leaves: Any
     held: Any
     melting: Any
-    capacity: list
-    conductance: list
-    water: list | None = None
-    room: list | None = None
-    sun_share: list | None = None
+    capacity: list[Any]
+    conductance: list[Any]
+    water: list[Any] | None = None
+    room: list[Any] | None = None
+    sun_share: list[Any] | None = None
 
 
 class Forcing(NamedTuple):
-    """What acts on the columns at one instant.
+    """Radiation and weather on the columns at one instant.
 
     Attributes
     ----------
     absorbed : array
-        Sunlight absorbed [W m⁻²].
+        Absorbed sunlight [W m⁻²].
     longwave : array
-        Long-wave that arrives [W m⁻²].
+        Incident long-wave [W m⁻²].
     sunlight : array
-        On the surface [W m⁻²], for the stomata; of a level one in the open that of the sky and the sun.
+        Incident sunlight from sun and sky, for the stomata [W m⁻²].
     air_k, vapour_pa, wind_m_s, pressure_pa : array
-        Of the air; the wind as it blows over this surface.
+        Of the air; the wind over this surface.
     rain_kg_m2_s : array
     below_k : array
-        Temperature of the air beneath the column where there is some [K].
+        Temperature of the air below the column, if any [K].
     """
 
     absorbed: Any
@@ -103,7 +103,7 @@ class Forcing(NamedTuple):
 
 
 class State(NamedTuple):
-    """Of the columns at one instant.
+    """State of the columns at one instant.
 
     Attributes
     ----------
@@ -114,32 +114,32 @@ class State(NamedTuple):
     film : array
         Free water on the surface [kg m⁻²].
     liquid : list of arrays or None
-        Of the layers' freezable water what is liquid [kg m⁻²].
+        Liquid part of the layers' freezable water [kg m⁻²].
     """
 
     surface_k: Any
-    layers_k: list
+    layers_k: list[Any]
     film: Any
-    liquid: list | None
+    liquid: list[Any] | None
 
 
 class Fluxes(NamedTuple):
-    """Means over a step: net_radiation = sensible + latent + into_ground, but for what Newton leaves.
+    """Means over a step; net_radiation = sensible + latent + into_ground, up to Newton's residual.
 
     Attributes
     ----------
     net_radiation : array
-        Absorbed sunlight and long-wave less what is emitted [W m⁻²].
+        Absorbed sunlight and long-wave minus emission [W m⁻²].
     sensible : array
         Heat given to the air and to rain [W m⁻²].
     latent : array
-        Heat given to vapour [W m⁻²]; below 0 dew or frost forms.
+        Heat of evaporation [W m⁻²]; negative for dew and frost.
     into_ground : array
-        Heat that the layers gain through the surface, and by sunlight that they absorb [W m⁻²].
+        Heat gained by the layers through the surface and by absorbed sunlight [W m⁻²].
     evaporated : array
         [kg m⁻² s⁻¹]
     molten : array
-        Ice of the layers that became water, less what froze [kg m⁻² s⁻¹].
+        Melted minus frozen water of the layers [kg m⁻² s⁻¹].
     """
 
     net_radiation: Any
@@ -150,13 +150,13 @@ class Fluxes(NamedTuple):
     molten: Any
 
 
-def at_rest(xp, temperatures_k, ground):
-    """Return the State of columns with given temperatures of their layers [K], dry, snow frozen and the rest molten.
+def at_rest(xp: Any, temperatures_k: list[Any], ground: Ground) -> State:
+    """Return the initial State of columns with given layer temperatures [K].
 
-    Soil below freezing is frozen.
+    The surface is dry, and snow and layers below 0 °C are frozen.
     """
     liquid = None
-    if ground.water is not None:
+    if ground.water is not None and ground.room is not None:
         liquid = [
             xp.where((t < ZERO_CELSIUS_K) | (room < 0.5 * water), 0.0 * water, water)
             for t, water, room in zip(temperatures_k, ground.water, ground.room, strict=True)
@@ -164,8 +164,8 @@ def at_rest(xp, temperatures_k, ground):
     return State(temperatures_k[0], list(temperatures_k), 0.0 * temperatures_k[0], liquid)
 
 
-def step(xp, state, ground, first, second, seconds):
-    """Return (State, Fluxes) one time step later.
+def step(xp: Any, state: State, ground: Ground, first: Forcing, second: Forcing, seconds: Any) -> tuple[State, Fluxes]:
+    """Return (State, Fluxes) after one time step.
 
     Parameters
     ----------
@@ -183,23 +183,25 @@ def step(xp, state, ground, first, second, seconds):
     ahead = (1.0 - _GAMMA) / _GAMMA
     known = [t + ahead * (y - t) for t, y in zip(state.layers_k, early[1], strict=True)]
     late, later = _stage(xp, state, known, early[0], ground, second, stage)
-    fluxes = [(1.0 - _GAMMA) * one + _GAMMA * other for one, other in zip(fluxes, later, strict=True)]
+    means = [(1.0 - _GAMMA) * one + _GAMMA * other for one, other in zip(fluxes, later, strict=True)]
     rain = (1.0 - _GAMMA) * first.rain_kg_m2_s + _GAMMA * second.rain_kg_m2_s
-    film = xp.minimum(xp.maximum(state.film + seconds * (rain - fluxes[-1]), 0.0), ground.held)
+    film = xp.minimum(xp.maximum(state.film + seconds * (rain - means[-1]), 0.0), ground.held)
     layers, liquid, surface = late[1], state.liquid, late[0]
     molten = 0.0 * film
     if ground.water is not None:
         layers, liquid, molten = _melted(xp, layers, liquid, ground)
-    return State(surface, layers, film, liquid), Fluxes(*fluxes, molten / seconds)
+    return State(surface, layers, film, liquid), Fluxes(*means, molten / seconds)
 
 
-def stage_times(seconds):
-    """Return when a step's two stages lie after its beginning [s]."""
+def stage_times(seconds: float) -> tuple[float, float]:
+    """Return the times of a step's two stages after its beginning [s]."""
     return _GAMMA * seconds, seconds
 
 
-def _stage(xp, state, known, guess, ground, forcing, seconds):
-    """((surface, layers), Fluxes but for the last) after one implicit stage."""
+def _stage(
+    xp: Any, state: State, known: list[Any], guess: Any, ground: Ground, forcing: Forcing, seconds: Any
+) -> tuple[tuple[Any, list[Any]], tuple[Any, ...]]:
+    """((surface, layers), Fluxes without `molten`) after one implicit stage."""
     heating = None
     surface_sun = forcing.absorbed
     if ground.sun_share is not None:
@@ -208,7 +210,7 @@ def _stage(xp, state, known, guess, ground, forcing, seconds):
     alpha, beta, pivots, sums = top_response(
         known, ground.capacity, ground.conductance, forcing.below_k, seconds, heating
     )
-    # From the surface to the column's heart: through the skin and the first half layer.
+    # Conductance from the surface into the column: through the skin and the first half layer.
     series = 1.0 / (beta + 1.0 / ground.conductance[0])
     density = exchange.air_density(forcing.pressure_pa, forcing.air_k)
     saturation, _ = exchange.saturation_vapour(xp, forcing.air_k)
@@ -219,33 +221,32 @@ def _stage(xp, state, known, guess, ground, forcing, seconds):
     gained = surface_sun + ground.emissivity * forcing.longwave
     t, frozen = guess, guess < ZERO_CELSIUS_K
     low, high = 0.0 * t, 0.0 * t + 1e4
-    for _ in range(_NEWTON):
+
+    def exchanged(t: Any) -> tuple[Any, ...]:
+        """(h, its derivative, latent heat, its derivative, heat per mass) at a surface temperature."""
         h, bend = exchange.convection(
             xp, t, forcing.air_k, forcing.wind_m_s, density, ground.log_wind, ground.log_heat, ground.height_m
         )
-        latent, slope, heat = exchange.evaporation(
+        return h, bend, *exchange.evaporation(
             xp, t, forcing.vapour_pa, forcing.pressure_pa, h, bend, density, resistance, wet, frozen
-        )
+        )  # fmt: skip
+
+    for _ in range(_NEWTON):
+        h, bend, latent, slope, heat = exchanged(t)
         cube = ground.emissivity * STEFAN_BOLTZMANN * t**3
         warmer = t - forcing.air_k
         flux = gained - cube * t - (h + rain) * warmer - latent
-        # The exchange weakens where a surface cools below the air: its share of the slope is bounded, so that the
-        # step keeps its direction.
+        # The exchange weakens as a surface cools below the air. A lower bound on its slope keeps the step's direction.
         rate = 4.0 * cube + xp.maximum(h + bend * warmer + slope, 0.25 * h) + rain + series
         excess = flux - series * (t - alpha)
-        # Steps end between what was found too cold and too warm: the slope jumps where stability, dew or ice begin.
+        # The slope jumps where stability, dew or ice begin, so steps stay between the known bounds.
         low, high = xp.where(excess > 0.0, t, low), xp.where(excess > 0.0, high, t)
         move = xp.minimum(xp.maximum(excess / rate, -_LARGEST_STEP_K), _LARGEST_STEP_K)
         t = xp.where((t + move >= low) & (t + move <= high), t + move, 0.5 * (low + high))
-    # Melting snow stays at the melting point: the rest of the heat goes into its first layer, where it melts.
+    # Melting snow stays at the melting point; the rest of the heat melts its first layer.
     cap = xp.where(ground.melting > 0.5, ZERO_CELSIUS_K, 1e4)
     t = xp.minimum(t, cap)
-    h, bend = exchange.convection(
-        xp, t, forcing.air_k, forcing.wind_m_s, density, ground.log_wind, ground.log_heat, ground.height_m
-    )
-    latent, _, heat = exchange.evaporation(
-        xp, t, forcing.vapour_pa, forcing.pressure_pa, h, bend, density, resistance, wet, frozen
-    )
+    h, _, latent, _, heat = exchanged(t)
     radiation = gained - ground.emissivity * STEFAN_BOLTZMANN * t**4
     sensible = (h + rain) * (t - forcing.air_k)
     into = xp.where(t < cap, series * (t - alpha), radiation - sensible - latent)
@@ -254,11 +255,11 @@ def _stage(xp, state, known, guess, ground, forcing, seconds):
     return (t, layers), (radiation + inside, sensible, latent, into + inside, latent / heat)
 
 
-def _melted(xp, layers, liquid, ground):
-    """(temperatures, liquid water, what melted of all [kg m⁻²]) after warm ice has molten and cold water frozen."""
+def _melted(xp: Any, layers: list[Any], liquid: Any, ground: Any) -> tuple[list[Any], list[Any], Any]:
+    """(temperatures, liquid water, melted water of all layers [kg m⁻²]) after warm ice melts and cold water freezes."""
     warm, wet, total = [], [], 0.0
     for t, now, water, room, capacity in zip(layers, liquid, ground.water, ground.room, ground.capacity, strict=True):
-        # Snow melts as long as it is there; what it cannot hold runs off.
+        # Snow's ice is unlimited, and excess melt water runs off.
         ice = xp.where(room < 0.5 * water, _ENDLESS, water - now)
         molten = capacity * (t - ZERO_CELSIUS_K) / FUSION
         molten = xp.minimum(xp.maximum(molten, -now), ice)

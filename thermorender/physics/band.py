@@ -1,21 +1,27 @@
-"""Radiance of a real material in a camera's band: fine spectral quadrature, and tables of it against temperature."""
+"""Radiance of a real material in a camera's band: spectral quadrature, and tables of radiance against temperature."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.physics.planck import band_radiance, spectral_radiance
 
-# Over 7.5–13.5 µm panels end where the tables of materials, every 0.05 µm, have their kinks.
+Floats = NDArray[np.float64]
+# Emissivity (n,) at wavelengths (n,) [µm].
+Emissivity = Callable[[Floats], Floats]
+
+# Over 7.5–13.5 µm, panels end at the points of the material tables, which are 0.05 µm apart.
 _PANELS = 240
 
 
-def quadrature(lower_um, upper_um, panels=_PANELS):
+def quadrature(lower_um: float, upper_um: float, panels: int = _PANELS) -> tuple[Floats, Floats]:
     """Return (wavelength, weight), each (4 × panels,) [µm]: composite 4-point Gauss–Legendre.
 
-    240 panels over 7.5–13.5 µm are fine enough that the integral of Planck's law times a measured emissivity
-    (points every 0.05 µm, linear between) is exact to 1e-6.
+    With 240 panels over 7.5–13.5 µm the integral of Planck's law times a measured emissivity (points every 0.05 µm,
+    linear between) is exact to 1e-6.
     """
     node, weight = np.polynomial.legendre.leggauss(4)
     edge = np.linspace(lower_um, upper_um, panels + 1)
@@ -24,8 +30,8 @@ def quadrature(lower_um, upper_um, panels=_PANELS):
     return (middle + half * node).ravel(), (half * weight).ravel()
 
 
-def emitted_radiance(emissivity, temperature, lower_um, upper_um):
-    """Return the band radiance a material emits [W m⁻² sr⁻¹], in the shape of `temperature`.
+def emitted_radiance(emissivity: Emissivity, temperature: ArrayLike, lower_um: float, upper_um: float) -> Floats:
+    """Return the band radiance emitted by a material [W m⁻² sr⁻¹], in the shape of `temperature`.
 
     Parameters
     ----------
@@ -38,7 +44,7 @@ def emitted_radiance(emissivity, temperature, lower_um, upper_um):
 
     Notes
     -----
-    ∫ ε(λ) B(λ, T) dλ, the product taken per wavelength.
+    ∫ ε(λ) B(λ, T) dλ.
     """
     wavelength, weight = quadrature(lower_um, upper_um)
     weight = weight * emissivity(wavelength)
@@ -55,47 +61,49 @@ class RadianceTable:
     temperature : (n,) float64
         Increasing, evenly spaced [K].
     radiance : (n,) float64
-        [W m⁻² sr⁻¹], increasing.
+        Increasing [W m⁻² sr⁻¹].
 
     Notes
     -----
-    Linear interpolation errs by at most h²/8 · L″/L′ kelvin, h being the spacing: 4 µK at 300 K and 45 µK at
+    The error of linear interpolation at a spacing h is at most h²/8 · L″/L′ kelvin: 4 µK at 300 K and 45 µK at
     100 K for the 0.05 K used here.
     """
 
-    temperature: np.ndarray
-    radiance: np.ndarray
+    temperature: Floats
+    radiance: Floats
 
     SPACING_K = 0.05
 
     @classmethod
-    def of(cls, emissivity, coldest, warmest, lower_um, upper_um):
+    def of(
+        cls, emissivity: Emissivity, coldest: float, warmest: float, lower_um: float, upper_um: float
+    ) -> "RadianceTable":
         """Return the table of a material between two temperatures [K].
 
-        The ratio to the blackbody varies slowly with temperature, so it is integrated at 257 temperatures and
-        interpolated linearly between them, while the blackbody itself is exact at every entry.
+        The blackbody's radiance is exact at every entry. The ratio to it varies slowly with temperature: it is
+        integrated at 257 temperatures and interpolated linearly between them.
         """
         temperature, black, coarse, wavelength, share = _blackbody(float(coldest), float(warmest), lower_um, upper_um)
         return cls(temperature, np.interp(temperature, coarse, share @ emissivity(wavelength)) * black)
 
     @classmethod
-    def grid(cls, coldest, warmest):
+    def grid(cls, coldest: float, warmest: float) -> Floats:
         """Return the evenly spaced temperatures from just below `coldest` to just above `warmest` [K]."""
         coldest, warmest = max(coldest - 0.5, 1.0), warmest + 0.5
         return np.linspace(coldest, warmest, int(np.ceil((warmest - coldest) / cls.SPACING_K)) + 1)
 
-    def __call__(self, temperature):
+    def __call__(self, temperature: NDArray[np.floating]) -> Floats:
         """Return radiance [W m⁻² sr⁻¹] at temperatures [K]; NaN outside the table."""
         return np.interp(temperature, self.temperature, self.radiance, left=np.nan, right=np.nan)
 
-    def inverse(self, radiance):
-        """Return the temperature [K] that emits `radiance` [W m⁻² sr⁻¹]; NaN outside the table."""
+    def inverse(self, radiance: NDArray[np.floating]) -> Floats:
+        """Return temperatures [K] at radiances [W m⁻² sr⁻¹]; NaN outside the table."""
         return np.interp(radiance, self.radiance, self.temperature, left=np.nan, right=np.nan)
 
 
 @lru_cache(maxsize=4)
-def _blackbody(coldest, warmest, lower_um, upper_um):
-    """What tables of all materials share: grid, its radiance, coarse temperatures, wavelengths, and their shares."""
+def _blackbody(coldest: float, warmest: float, lower_um: float, upper_um: float) -> tuple[Floats, ...]:
+    """The values common to all materials: grid, its radiance, coarse temperatures, wavelengths, spectral shares."""
     temperature = RadianceTable.grid(coldest, warmest)
     coarse = np.linspace(temperature[0], temperature[-1], 257)
     wavelength, weight = quadrature(lower_um, upper_um)

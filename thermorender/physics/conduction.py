@@ -1,23 +1,28 @@
 """Heat conduction in layers beneath a surface: one implicit stage in time, for any number of columns at once.
 
-A column is a list of layers from the top down, each one array over all columns. NumPy and Dr.Jit arrays alike.
+A column is a list of layers from the top down; each layer is one array over all columns, NumPy's or Dr.Jit's.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
 
 LAYERS = 12
-# Rates of the fastest and the slowest exchange that the layers tell apart [1/s]: 20 s, five weeks.
+# Fastest and slowest rates that the layers resolve [1/s]: 20 s, five weeks.
 _FASTEST, _SLOWEST = 1.0 / 20.0, 1.0 / 3e6
-# In a wall or a roof, which end somewhere, each layer is thicker than the one above by this factor.
+# In a wall or roof of finite thickness each layer is thicker than the one above by this factor.
 _GROWTH = 1.15
 
 
 @dataclass(frozen=True)
 class Slab:
-    """A homogeneous piece of what lies beneath a surface.
+    """A homogeneous slab of material beneath a surface.
 
     Attributes
     ----------
@@ -39,45 +44,45 @@ class Slab:
 
 @dataclass(frozen=True)
 class Layers:
-    """A column cut into layers, from the top down.
+    """A column divided into layers, from the top down.
 
     Attributes
     ----------
     edge_m : (L + 1,) float64
-        Depth of the layers' borders [m].
+        Depth of the layers' edges [m].
     node_m : (L,) float64
-        Depth at which each layer has its temperature [m].
+        Depth of the layers' temperature nodes [m].
     capacity : (L,) float64
         Heat capacity [J m⁻² K⁻¹].
     conductance : (L + 1,) float64
-        From the surface to the first node, between nodes, and from the last to what lies below, 0 where nothing does
+        From the surface to the first node, between nodes, and from the last node to the air below (0: insulated)
         [W m⁻² K⁻¹].
     water : (L,) float64
         Freezable water [kg m⁻²].
     """
 
-    edge_m: np.ndarray
-    node_m: np.ndarray
-    capacity: np.ndarray
-    conductance: np.ndarray
-    water: np.ndarray
+    edge_m: Floats
+    node_m: Floats
+    capacity: Floats
+    conductance: Floats
+    water: Floats
 
 
 @cache
-def ladder(count=LAYERS):
-    """Return (nodes (count,), borders (count + 1,)) of a half-space's layers [s^½]: depth × √(capacity/conductivity).
+def ladder(count: int = LAYERS) -> tuple[Floats, Floats]:
+    """Return (nodes (count,), edges (count + 1,)) of a half-space's layers [s^½]: depth × √(capacity/conductivity).
 
-    A homogeneous half-space cut so answers heat at its surface as the uncut one does: its impedance, temperature over
-    flux, 1/(I √(iω)), errs by 1e-3 for 12 layers and periods of 1 h to 10 d (5e-4 up to a day), by 3e-3 for 10 and
-    1.5e-2 for 8; 16 reach 1e-4 from 6 h to 2 d. At half an hour and at a month 12 layers err by 2e-3 and 4e-3. Further
-    down it is a coarse grid: temperatures are right to 2 % of the surface's wave, the front of frost to 4 %.
+    The layers approximate the surface impedance of a homogeneous half-space, temperature over flux, 1/(I √(iω)). For
+    periods of 1 h to 10 d the relative error is 1e-3 with 12 layers (5e-4 up to a day), 3e-3 with 10 and 1.5e-2 with 8;
+    16 layers reach 1e-4 from 6 h to 2 d. With 12 layers it is 2e-3 at half an hour and 4e-3 at a month. At depth the
+    grid is coarse: the error is 2 % of the surface's amplitude for temperatures, 4 % for the depth of frost.
 
     Notes
     -----
-    1/√s = (2/π) ∫ eˣ / (s + e²ˣ) dx, by the trapezoidal rule: poles and residues of a rational function, whose ladder
-    of resistances and capacities follows by Lanczos' process. The idea is that of Ingerman, Druskin & Knizhnerman,
+    1/√s = (2/π) ∫ eˣ / (s + e²ˣ) dx by the trapezoidal rule gives the poles and residues of a rational function. The
+    Lanczos process turns them into a ladder of resistances and capacities. Method: Ingerman, Druskin & Knizhnerman,
     "Optimal finite difference grids and rational approximations of the square root", Comm. Pure Appl. Math. 53 (2000)
-    1039. Faster poles than the first act as a resistance, slower ones than the last as a capacity.
+    1039. Poles faster than the first act as a resistance, poles slower than the last as a capacity.
     """
     x = 0.5 * np.linspace(np.log(_FASTEST), np.log(_SLOWEST), count - 1)
     step = x[0] - x[1]
@@ -85,14 +90,14 @@ def ladder(count=LAYERS):
     pole = np.append(np.exp(2.0 * x), 0.0)
     weight = 2.0 / np.pi * step * np.append(np.exp(x), np.exp(x[-1]) * beyond)
     first = 2.0 / np.pi * step * np.exp(-x[0]) * beyond
-    basis = [np.sqrt(weight / weight.sum())]
+    basis: list[Floats] = [np.sqrt(weight / weight.sum())]
     resistance, capacity, before = [first], [1.0 / weight.sum()], 0.0
     for _ in range(count - 1):
         new = pole * basis[-1]
         along = new @ basis[-1]
         resistance.append(1.0 / (along * capacity[-1] - before))
         before = 1.0 / resistance[-1]
-        for _ in range(2):  # twice is enough: poles differ by many decades
+        for _ in range(2):  # orthogonalised twice, as the poles span many decades
             new = new - sum((new @ b) * b for b in basis)
         off = np.linalg.norm(new)
         basis.append(new / off)
@@ -100,8 +105,8 @@ def ladder(count=LAYERS):
     return np.cumsum(resistance), np.concatenate([[0.0], np.cumsum(capacity)])
 
 
-def layered(slabs, skin=np.inf, film=None, count=LAYERS):
-    """Return the Layers of slabs that lie on each other.
+def layered(slabs: Sequence[Slab], skin: float = np.inf, film: float | None = None, count: int = LAYERS) -> Layers:
+    """Return the Layers of a stack of slabs.
 
     Parameters
     ----------
@@ -110,14 +115,14 @@ def layered(slabs, skin=np.inf, film=None, count=LAYERS):
     skin : float
         Conductance between the radiating surface and the first slab [W m⁻² K⁻¹].
     film : float, optional
-        Conductance from the last slab's lower face to air of a given temperature [W m⁻² K⁻¹]; None: no heat passes.
+        Conductance from the last slab's lower face to the air below [W m⁻² K⁻¹]; None: insulated.
     count : int
         Number of layers.
     """
     node, border = ladder(count)
     speed = np.array([np.sqrt(slab.conductivity / slab.capacity) for slab in slabs])
     thick = np.array([slab.thickness_m for slab in slabs])
-    # Depth as heat travels it [s^½], of the slabs' lower faces.
+    # Diffusion depth of the slabs' lower faces [s^½].
     reach = np.cumsum(thick / speed)
     if reach[-1] < border[-1]:
         sizes = _GROWTH ** np.arange(count)
@@ -127,7 +132,8 @@ def layered(slabs, skin=np.inf, film=None, count=LAYERS):
     slab_of = np.searchsorted(reach, 0.5 * (cut[1:] + cut[:-1]), side="right").clip(max=len(slabs) - 1)
     length = np.diff(cut) * speed[slab_of]
 
-    def until(values, places):
+    def until(values: ArrayLike, places: Floats) -> Floats:
+        """Integral over depth of a value per slab, from the surface to some places."""
         total = np.concatenate([[0.0], np.cumsum(length * np.asarray(values)[slab_of])])
         return np.interp(places, cut, total)
 
@@ -145,19 +151,22 @@ def layered(slabs, skin=np.inf, film=None, count=LAYERS):
     )
 
 
-def top_response(before, capacity, conductance, below_k, seconds, heating=None):
-    """Return (α, β, pivots, sums) of a column one implicit stage later: its first layer is at α + β Q.
+def top_response(
+    before: list[Any], capacity: list[Any], conductance: list[Any], below_k: Any, seconds: Any,
+    heating: list[Any] | None = None,
+) -> tuple[Any, Any, list[Any], list[Any]]:  # fmt: skip
+    """Return (α, β, pivots, sums) of a column after one implicit stage: its first layer is at α + β Q.
 
-    Q is the heat that flows into it from the surface [W m⁻²]; pivots and sums are for `filled`.
+    Q is the heat flux into it from the surface [W m⁻²]; `filled` needs the pivots and sums.
 
     Parameters
     ----------
     before : list of L arrays
         Right-hand side of the stage: temperatures [K].
     capacity, conductance : lists of L and L + 1 arrays
-        As of Layers.
+        As in `Layers`.
     below_k : array
-        Temperature of what lies below [K].
+        Temperature of the air below [K].
     seconds : float or array
         Length of the stage [s].
     heating : list of L arrays, optional
@@ -168,7 +177,8 @@ def top_response(before, capacity, conductance, below_k, seconds, heating=None):
     Backward Euler: C (T − T₀)/Δt = G (T₋ − T) − G₊ (T − T₊), eliminated from the bottom up.
     """
     count = len(before)
-    pivots, sums = [None] * count, [None] * count
+    pivots: list[Any] = [None] * count
+    sums: list[Any] = [None] * count
     for i in range(count - 1, -1, -1):
         inertia = capacity[i] / seconds
         under = conductance[i + 1]
@@ -180,14 +190,14 @@ def top_response(before, capacity, conductance, below_k, seconds, heating=None):
             known = inertia * before[i] + share * sums[i + 1]
         if heating is not None:
             known = known + heating[i]
-        # The first layer has no layer above: what flows in comes as Q.
+        # The first layer has no layer above; its inflow is Q.
         pivots[i] = diagonal + (conductance[i] if i else 0.0)
         sums[i] = known
     return sums[0] / pivots[0], 1.0 / pivots[0], pivots, sums
 
 
-def filled(top_k, conductance, pivots, sums):
-    """Return the temperatures of all layers [K], a list, once the first one's is known; see `top_response`."""
+def filled(top_k: Any, conductance: list[Any], pivots: list[Any], sums: list[Any]) -> list[Any]:
+    """Return the temperatures of all layers [K] from the first layer's; see `top_response`."""
     found = [top_k]
     for i in range(1, len(pivots)):
         found.append((sums[i] + conductance[i] * found[-1]) / pivots[i])

@@ -1,10 +1,13 @@
-"""Heat and vapour between a surface and the air above it: turbulence with its stability, evaporation and dew.
+"""Exchange of heat and vapour between a surface and the air: turbulence with stability, evaporation and dew.
 
-The functions take NumPy or Dr.Jit arrays, through the library `xp`, and have no branches: they run for every texel of a
+The functions take NumPy or Dr.Jit arrays; `xp` is the library. They have no branches and process all texels of a
 terrain at once.
 """
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from thermorender.physics.humidity import MAGNUS
 from thermorender.units import ZERO_CELSIUS_K
@@ -15,30 +18,34 @@ AIR_HEAT = 1005.0  # J kg⁻¹ K⁻¹
 AIR_GAS = 287.05  # J kg⁻¹ K⁻¹
 VAPORISATION, SUBLIMATION = 2.46e6, 2.83e6  # J kg⁻¹
 _VAPOUR_TO_AIR = 0.622
-# Calm air still exchanges so much: Jordan, CRREL Special Report 91-16 (1991), takes 2 W m⁻² K⁻¹ over snow.
+# Exchange in calm air: Jordan, CRREL Special Report 91-16 (1991), uses 2 W m⁻² K⁻¹ over snow.
 CALM_W_M2_K = 2.0
 _CALMEST_M_S = 0.1
-# Height at which the wind no longer knows what lies beneath it [m].
+# Blending height: above it the wind is independent of the surface below [m].
 BLENDING_M = 60.0
 
 
-def wind_factor(height_m, roughness_m, station_height_m, station_roughness_m):
-    """Return what a station's wind is multiplied with to have that over another land [1].
+def wind_factor(
+    height_m: ArrayLike, roughness_m: ArrayLike, station_height_m: float, station_roughness_m: float
+) -> Any:
+    """Return the ratio of the wind at a height over other land to a station's wind [1].
 
-    Both blow alike at 60 m in neutral air: Wieringa, Q. J. R. Meteorol. Soc. 112 (1986) 867, eq. 2.
+    Both winds are equal at 60 m in neutral air: Wieringa, Q. J. R. Meteorol. Soc. 112 (1986) 867, eq. 2.
     """
     roughness_m = np.asarray(roughness_m, dtype=np.float64)
     up = np.log(BLENDING_M / station_roughness_m) / np.log(station_height_m / station_roughness_m)
     return up * np.log(height_m / roughness_m) / np.log(BLENDING_M / roughness_m)
 
 
-def air_density(pressure_pa, air_k):
+def air_density(pressure_pa: Any, air_k: Any) -> Any:
     """Return the density of dry air [kg m⁻³]; moist air is up to 1 % lighter."""
     return pressure_pa / (AIR_GAS * air_k)
 
 
-def convection(xp, surface_k, air_k, wind_m_s, density, log_wind, log_heat, height_m):
-    """Return (exchange coefficient h [W m⁻² K⁻¹], its derivative to the surface's temperature).
+def convection(
+    xp: Any, surface_k: Any, air_k: Any, wind_m_s: Any, density: Any, log_wind: Any, log_heat: Any, height_m: Any,
+) -> tuple[Any, Any]:  # fmt: skip
+    """Return (exchange coefficient h [W m⁻² K⁻¹], its derivative with respect to surface temperature).
 
     Parameters
     ----------
@@ -51,20 +58,19 @@ def convection(xp, surface_k, air_k, wind_m_s, density, log_wind, log_heat, heig
     density : array
         Of the air [kg m⁻³].
     log_wind : array
-        ln(z/z₀), height of the wind over the roughness length.
+        ln(z/z₀) with the height of the wind and the roughness length for momentum.
     log_heat : array
-        ln(z/z₀ₕ), height of the air's temperature over the roughness length for heat.
+        ln(z/z₀ₕ) with the height of the air temperature and the roughness length for heat.
     height_m : array
-        Above the displacement plane, of the air's temperature, for the Richardson number: that of the wind where they
-        are measured at one height [m].
+        Height of the air temperature above the displacement plane, for the Richardson number [m].
 
     Notes
     -----
-    ρ c κ² U f / (ln(z/z₀) ln(z/z₀ₕ)), Garratt, The Atmospheric Boundary Layer (1992), eq. 3.52, and a part for calm
-    air. Unstable: f of the bulk Richardson number by Louis, Tiedtke & Geleyn, "A short history of the PBL
+    ρ c κ² U f / (ln(z/z₀) ln(z/z₀ₕ)), Garratt, The Atmospheric Boundary Layer (1992), eq. 3.52, plus a constant for
+    calm air. Unstable: f of the bulk Richardson number by Louis, Tiedtke & Geleyn, "A short history of the PBL
     parameterization at ECMWF" (1982), b = c = 5. Stable: f = 1 / (1 + 10 Ri), the long tail of Brown et al.,
-    Boundary-Layer Meteorol. 128 (2008) 117, with which the heat that a surface takes from the air never falls as it
-    cools, so that it stays coupled in a calm night and has one temperature only.
+    Boundary-Layer Meteorol. 128 (2008) 117. With it the heat flux from the air never falls as the surface cools, so
+    the surface stays coupled on a calm night and has a unique temperature.
     """
     wind = xp.maximum(wind_m_s, _CALMEST_M_S)
     slope = GRAVITY * height_m / (0.5 * (surface_k + air_k) * wind * wind)
@@ -81,11 +87,11 @@ def convection(xp, surface_k, air_k, wind_m_s, density, log_wind, log_heat, heig
     return neutral * factor + CALM_W_M2_K, neutral * bend * slope
 
 
-def saturation_vapour(xp, temperature_k):
+def saturation_vapour(xp: Any, temperature_k: Any) -> tuple[Any, Any]:
     """Return (saturation vapour pressure [Pa], its derivative [Pa/K]) over water, below 0 °C over ice.
 
     Magnus form with the coefficients of Alduchov & Eskridge, J. Appl. Meteorol. 35 (1996) 601, eqs 21 and 23;
-    0.4 % over −40…50 °C.
+    within 0.4 % over −40…50 °C.
     """
     celsius = temperature_k - ZERO_CELSIUS_K
     ice = celsius < 0.0
@@ -95,8 +101,11 @@ def saturation_vapour(xp, temperature_k):
     return pressure, pressure * a * b / (b + celsius) ** 2
 
 
-def evaporation(xp, surface_k, vapour_pa, pressure_pa, convective, bend, density, resistance, film, frozen):
-    """Return (latent heat that leaves [W m⁻²], its derivative to the surface's temperature, heat per mass [J kg⁻¹]).
+def evaporation(
+    xp: Any, surface_k: Any, vapour_pa: Any, pressure_pa: Any, convective: Any, bend: Any, density: Any,
+    resistance: Any, film: Any, frozen: Any,
+) -> tuple[Any, Any, Any]:  # fmt: skip
+    """Return (latent heat flux [W m⁻²], its derivative with respect to surface temperature, heat per mass [J kg⁻¹]).
 
     Parameters
     ----------
@@ -106,21 +115,21 @@ def evaporation(xp, surface_k, vapour_pa, pressure_pa, convective, bend, density
     vapour_pa, pressure_pa : array
         Of the air [Pa].
     convective, bend : array
-        Exchange coefficient of heat [W m⁻² K⁻¹], and its derivative to the surface's temperature.
+        Exchange coefficient of heat [W m⁻² K⁻¹] and its derivative, from `convection`.
     density : array
         Of the air [kg m⁻³].
     resistance : array
-        Of the surface to evaporation [s/m]; very large where it never evaporates.
+        Of the surface to evaporation [s/m]; very large for surfaces without evaporation.
     film : array
-        Share of the surface that is covered by free water, 0…1.
+        Share of the surface covered by free water, 0…1.
     frozen : array of bool
-        Whether vapour is made of ice. It is not asked of `surface_k`: the heat per mass would jump by a seventh at
-        0 °C, where two temperatures could then balance.
+        Whether ice sublimates. It does not follow `surface_k`: the heat per mass would jump by a seventh at 0 °C, and
+        two temperatures could balance.
 
     Notes
     -----
-    Bulk transfer with resistances in series, vapour carried as heat is: Monteith & Unsworth, Principles of
-    Environmental Physics (4th ed. 2013), ch. 13. Dew has no resistance but the air's.
+    Bulk transfer with resistances in series, the aerodynamic one as for heat: Monteith & Unsworth, Principles of
+    Environmental Physics (4th ed. 2013), ch. 13. Dew meets the aerodynamic resistance only.
     """
     saturation, slope = saturation_vapour(xp, surface_k)
     excess = saturation - vapour_pa
@@ -134,8 +143,8 @@ def evaporation(xp, surface_k, vapour_pa, pressure_pa, convective, bend, density
     return gain * conductance * excess, gain * (conductance * slope + steeper * excess), heat
 
 
-def stomata(xp, resistance, sunlight_w_m2, deficit_pa):
-    """Return the surface resistance of leaves [s/m] in given light and dryness of the air.
+def stomata(xp: Any, resistance: Any, sunlight_w_m2: Any, deficit_pa: Any) -> Any:
+    """Return the surface resistance of leaves [s/m] for given sunlight and saturation deficit.
 
     Parameters
     ----------
@@ -149,8 +158,8 @@ def stomata(xp, resistance, sunlight_w_m2, deficit_pa):
 
     Notes
     -----
-    Light: IFS documentation CY41R2, part IV, eq. 8.11. Dryness: Leuning, Plant Cell Environ. 18 (1995) 339, whose
-    conductance halves at 1500 Pa; counted from the 1000 Pa at which minimum resistances are stated.
+    Sunlight: IFS documentation CY41R2, part IV, eq. 8.11. Deficit: Leuning, Plant Cell Environ. 18 (1995) 339, with
+    half the conductance at 1500 Pa, relative to the 1000 Pa of published minimum resistances.
     """
     light = (0.004 * sunlight_w_m2 + 0.05) / (0.81 * (0.004 * sunlight_w_m2 + 1.0))
     dry = (1.0 + xp.maximum(deficit_pa, 0.0) / 1500.0) / (1.0 + 1000.0 / 1500.0)

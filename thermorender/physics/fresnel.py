@@ -1,28 +1,31 @@
-"""Emissivity by angle of opaque surfaces: Fresnel's equations, roughness by slopes, and the hemispherical mean.
+"""Directional emissivity of opaque surfaces: Fresnel equations, rough facets, and the hemispherical mean.
 
-A smooth opaque surface emits one minus what it reflects (Kirchhoff), and what it reflects follows from its complex
-refractive index n + ik. A rough one, whose slopes are large against the wavelength, is a crowd of small mirrors:
-from each direction one sees the facets that face it, in proportion to the area they show.
+The emissivity of a smooth opaque surface is one minus its reflectance (Kirchhoff), which follows from the complex
+refractive index n + ik. A rough surface, with facets much larger than the wavelength, is a set of small mirrors: each
+visible facet counts in proportion to its projected area.
 """
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError
 
-# Cosines of the angle from the normal at which directional emissivities are tabulated: squares of an even grid, dense
-# near grazing, where emissivity falls to 0 (for metals within the last degree). Linear interpolation between them
-# holds 2e-5 for water and 3e-4 for polished metals.
+Floats = NDArray[np.float64]
+
+# Cosines of the angle from the normal in tables of directional emissivity. They are dense near grazing angles, where
+# emissivity falls to 0 (for metals within the last degree). The error of linear interpolation between them is 2e-5 for
+# water and 3e-4 for polished metals.
 COSINES = np.linspace(0.0, 1.0, 257) ** 2
 COSINES.setflags(write=False)
 
-# Slopes are integrated out to this many standard deviations along each axis; the rest holds 2e-9 of them.
+# Slopes are integrated up to this many standard deviations along each axis; 2e-9 of them are steeper.
 _SLOPE_LIMIT = 6.0
 
-# The largest rms slope that single scattering describes.
+# Largest rms slope for which single scattering is adequate.
 LARGEST_SLOPE = 0.5
 
 
-def reflectances(cos_theta, n, k):
+def reflectances(cos_theta: ArrayLike, n: ArrayLike, k: ArrayLike) -> tuple[Floats, Floats]:
     """Return (perpendicular, parallel) reflectance of a smooth surface in air, broadcast over the arguments.
 
     Parameters
@@ -40,9 +43,9 @@ def reflectances(cos_theta, n, k):
     Notes
     -----
     Fresnel's equations with a complex index: Born & Wolf, Principles of Optics, 7th ed. (1999), eqs. 1.5.21 and
-    14.4.14. Written with m cos θ_t = √(m² − sin²θ), whose principal root is the wave that decays inwards.
+    14.4.14, with m cos θ_t = √(m² − sin²θ); the principal root is the wave that decays inwards.
     """
-    # At exactly grazing view an index of 1 would divide 0 by 0.
+    # At exactly grazing incidence an index of 1 would divide 0 by 0.
     cosine = np.maximum(np.asarray(cos_theta, dtype=np.float64), 1e-9)
     index = np.asarray(n, dtype=np.float64) + 1j * np.asarray(k, dtype=np.float64)
     inside = np.sqrt(index**2 - (1.0 - cosine**2))
@@ -51,7 +54,7 @@ def reflectances(cos_theta, n, k):
     return np.abs(perpendicular) ** 2, np.abs(parallel) ** 2
 
 
-def smooth_emissivity(cos_theta, n, k):
+def smooth_emissivity(cos_theta: ArrayLike, n: ArrayLike, k: ArrayLike) -> Floats:
     """Return the emissivity of a smooth opaque surface for unpolarised light, broadcast over the arguments [1].
 
     Parameters as in `reflectances`.
@@ -60,7 +63,7 @@ def smooth_emissivity(cos_theta, n, k):
     return 1.0 - 0.5 * (perpendicular + parallel)
 
 
-def directional_emissivity(n, k, rms_slope=0.0):
+def directional_emissivity(n: ArrayLike, k: ArrayLike, rms_slope: float = 0.0) -> Floats:
     """Return the (N, 257) emissivity of a surface at each of N refractive indices and at `COSINES` [1].
 
     Parameters
@@ -68,7 +71,7 @@ def directional_emissivity(n, k, rms_slope=0.0):
     n, k : (N,) array
         Refractive index, k ≥ 0.
     rms_slope : float
-        Root mean square slope of the surface, over both axes together; 0 is a mirror.
+        Root mean square slope of the surface, both axes combined; 0 is a mirror.
 
     Raises
     ------
@@ -78,29 +81,29 @@ def directional_emissivity(n, k, rms_slope=0.0):
     Notes
     -----
     Rough surfaces after Masuda, Takashima and Takayama (1988), doi:10.1016/0034-4257(88)90032-6: Fresnel emissivity
-    averaged over facets of Gaussian slopes, each weighted with the area it shows the viewer, and divided by the sum
-    of these weights. That quotient equals Smith's masking (1967, doi:10.1109/TAP.1967.1138991), so facets hidden at
-    grazing view are accounted for. Left out: light of one facet reflected by another (Wu and Smith 1997,
-    doi:10.1364/AO.36.002609), which raises the emissivity of wind-roughened water by up to 0.03 near 80°.
+    averaged over facets of Gaussian slopes, weighted with their projected areas. The normalised weights are equivalent
+    to Smith's masking (1967, doi:10.1109/TAP.1967.1138991), so facets hidden at grazing angles are accounted for.
+    Reflection between facets is neglected (Wu and Smith 1997, doi:10.1364/AO.36.002609); it raises the emissivity of
+    wind-roughened water by up to 0.03 near 80°.
     """
     smooth = smooth_emissivity(COSINES, np.asarray(n)[:, None], np.asarray(k)[:, None])
     if not 0.0 <= rms_slope <= LARGEST_SLOPE:
         raise ThermorenderError(
-            f"rms_slope={rms_slope:g} is not within 0…{LARGEST_SLOPE:g}; give the tangent of the facets' tilt, 0 for a "
-            "mirror and √(0.003 + 0.00512 U) for water under a wind of U m/s"
+            f"rms_slope={rms_slope:g} is not within 0…{LARGEST_SLOPE:g}; give the rms tangent of the facets' tilt: 0 "
+            "for a mirror, √(0.003 + 0.00512 U) for water under a wind of U m/s"
         )
     return smooth if rms_slope == 0.0 else smooth @ _facets(rms_slope).T
 
 
-def hemispherical(cosines, emissivity):
-    """Return the hemispherical emissivity 2 ∫ ε(µ) µ dµ of tables by angle [1].
+def hemispherical(cosines: Floats, emissivity: Floats) -> Floats:
+    """Return the hemispherical emissivity 2 ∫ ε(µ) µ dµ of tables of directional emissivity [1].
 
     Parameters
     ----------
     cosines : (M,) array
         Rising from 0 to 1.
     emissivity : (..., M) array
-        Emissivity at these cosines, linear between them: the integral is exact for that.
+        Emissivity at these cosines; the integral is exact for linear interpolation between them.
 
     Returns
     -------
@@ -112,8 +115,8 @@ def hemispherical(cosines, emissivity):
     return emissivity[..., :-1] @ below + emissivity[..., 1:] @ above
 
 
-def _facets(rms_slope):
-    """(257, 257): share of what a viewer at each of COSINES sees whose facets are tilted to each of COSINES."""
+def _facets(rms_slope: float) -> Floats:
+    """Share (257, 257) of the projected area, per viewing cosine (rows), of facets seen at each cosine (columns)."""
     node, weight = np.polynomial.legendre.leggauss(64)
     deviation = rms_slope / np.sqrt(2.0)
     limit = _SLOPE_LIMIT * deviation

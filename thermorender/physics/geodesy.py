@@ -1,26 +1,29 @@
-"""Where on Earth a scene lies: geodetic coordinates to and from its local East-North-Up frame.
+"""Conversion between geodetic coordinates and a scene's local East-North-Up frame.
 
-The local frame is Cartesian. Everything enters it through Earth-centred, Earth-fixed coordinates (ECEF),
-so the Earth's curvature (a drop of 785 m at 100 km) and the convergence of map grids are kept.
+The local frame is Cartesian. Conversion goes through Earth-centred, Earth-fixed coordinates (ECEF), so it includes
+the Earth's curvature (a drop of 785 m at 100 km) and the convergence of map grids.
 
-PROJ gives the same within 0.1 µm, as a test holds; through rasterio's lists of Python numbers it takes two to five
-times as long, which matters for the posts of a terrain. Maps' own projections are PROJ's throughout.
+PROJ agrees within 0.1 µm, as a test checks, but takes two to five times as long through rasterio's lists of Python
+numbers. Map projections always use PROJ.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
 
 # WGS 84 ellipsoid: NIMA TR8350.2 (2000), table 3.1.
 SEMI_MAJOR_AXIS_M = 6378137.0
 FLATTENING = 1.0 / 298.257223563
 _E2 = FLATTENING * (2.0 - FLATTENING)
 
-# What is further away than this from a scene's origin does not belong to it.
+# Largest distance from a scene's origin.
 FARTHEST_M = 100e3
 
 
-def ecef_from_geodetic(latitude_deg, longitude_deg, height_m):
+def ecef_from_geodetic(latitude_deg: ArrayLike, longitude_deg: ArrayLike, height_m: ArrayLike) -> Floats:
     """Return ECEF positions, (..., 3) [m].
 
     Parameters
@@ -46,11 +49,11 @@ def ecef_from_geodetic(latitude_deg, longitude_deg, height_m):
     )
 
 
-def geodetic_from_ecef(position):
+def geodetic_from_ecef(position: ArrayLike) -> tuple[Floats, Floats, Floats]:
     """Return (latitude [deg], longitude [deg], ellipsoid height [m]) of ECEF positions, (..., 3) [m].
 
-    Fixed-point iteration on the latitude to 1e-14 rad; valid outside the innermost 50 km of the Earth and
-    off the poles' axis to within numerical cancellation.
+    Fixed-point iteration on the latitude to 1e-14 rad; valid more than 50 km from the Earth's centre and, up to
+    numerical cancellation, off the polar axis.
     """
     p = np.asarray(position, np.float64)
     x, y, z = p[..., 0], p[..., 1], p[..., 2]
@@ -74,7 +77,7 @@ def geodetic_from_ecef(position):
 
 @dataclass(frozen=True)
 class LocalFrame:
-    """A scene's East-North-Up frame: its origin on the WGS 84 ellipsoid.
+    """A scene's East-North-Up frame, defined by its origin in WGS 84.
 
     Parameters
     ----------
@@ -89,22 +92,22 @@ class LocalFrame:
     height_m: float
 
     @property
-    def origin_ecef(self):
+    def origin_ecef(self) -> Floats:
         """ECEF position of the origin, (3,) [m]."""
         return ecef_from_geodetic(self.latitude_deg, self.longitude_deg, self.height_m)
 
     @property
-    def enu_from_ecef_rotation(self):
-        """Rotation whose rows are east, north and up in ECEF, (3, 3)."""
+    def enu_from_ecef_rotation(self) -> Floats:
+        """Rotation matrix with rows east, north and up in ECEF, (3, 3)."""
         lat, lon = np.radians(self.latitude_deg), np.radians(self.longitude_deg)
         sl, cl, so, co = np.sin(lat), np.cos(lat), np.sin(lon), np.cos(lon)
         return np.array([[-so, co, 0.0], [-sl * co, -sl * so, cl], [cl * co, cl * so, sl]])
 
-    def enu_from_geodetic(self, latitude_deg, longitude_deg, height_m):
+    def enu_from_geodetic(self, latitude_deg: ArrayLike, longitude_deg: ArrayLike, height_m: ArrayLike) -> Floats:
         """Return local positions, (..., 3) [m], of geodetic coordinates [deg, deg, m above the ellipsoid]."""
         offset = ecef_from_geodetic(latitude_deg, longitude_deg, height_m) - self.origin_ecef
         return offset @ self.enu_from_ecef_rotation.T
 
-    def geodetic_from_enu(self, position):
+    def geodetic_from_enu(self, position: ArrayLike) -> tuple[Floats, Floats, Floats]:
         """Return (latitude [deg], longitude [deg], ellipsoid height [m]) of local positions, (..., 3) [m]."""
         return geodetic_from_ecef(np.asarray(position, np.float64) @ self.enu_from_ecef_rotation + self.origin_ecef)

@@ -1,6 +1,9 @@
 """Force–restore: one implicit step of a surface over a single restoring layer; `balance` has columns of layers."""
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.physics.balance import STEFAN_BOLTZMANN
 from thermorender.units import ZERO_CELSIUS_K
@@ -9,8 +12,8 @@ _DAY_S = 86400.0
 _PSYCHROMETER_PA_K = 66.0  # near sea level: Allen et al., FAO paper 56 (1998), table 2.2
 
 
-def saturation_vapour(temperature):
-    """Return (saturation vapour pressure [Pa], its derivative [Pa/K]) over water at a temperature [K].
+def saturation_vapour(temperature: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return (saturation vapour pressure [Pa], its derivative [Pa/K]) over water at temperatures [K].
 
     Magnus form: Allen et al., FAO Irrigation and Drainage Paper 56 (1998), eqs 11 and 13.
     """
@@ -19,8 +22,12 @@ def saturation_vapour(temperature):
     return pressure, pressure * np.float32(4098.0) / (celsius + np.float32(237.3)) ** 2
 
 
-def step(temperature, seconds, absorbed, longwave, exchange, wet, air, vapour_pa, inertia, deep):
-    """Return surface temperatures one implicit time step later, (H, W) float32 [K].
+def step(
+    temperature: NDArray[np.float32], seconds: float, absorbed: NDArray[np.float32], longwave: NDArray[np.float32],
+    exchange: NDArray[np.float32], wet: NDArray[np.float32], air: NDArray[np.float32] | float, vapour_pa: float,
+    inertia: NDArray[np.float32], deep: NDArray[np.float32],
+) -> NDArray[np.float32]:  # fmt: skip
+    """Return surface temperatures after one implicit time step, (H, W) float32 [K].
 
     Parameters
     ----------
@@ -29,11 +36,11 @@ def step(temperature, seconds, absorbed, longwave, exchange, wet, air, vapour_pa
     seconds : float
         Length of the step [s].
     absorbed, longwave : (H, W) float32
-        Absorbed sunlight and down-welling long-wave [W m⁻²].
+        Absorbed sunlight and downward long-wave [W m⁻²].
     exchange : (H, W) float32
         Convective coefficient h [W m⁻² K⁻¹].
     wet : (H, W) float32
-        Share of the evaporation of free water, 0…1.
+        Evaporation relative to free water, 0…1.
     air : (H, W) float32 or float
         Air temperature [K].
     vapour_pa : float
@@ -44,9 +51,9 @@ def step(temperature, seconds, absorbed, longwave, exchange, wet, air, vapour_pa
     Notes
     -----
     Force–restore: dT/dt = 2√π F / (I √τ) − (2π/τ) (T − T_deep), Deardorff, J. Geophys. Res. 83 (1978)
-    1889, eq. 8 with ρ c d₁ = I √τ. The flux F = S + L − εσT⁴ − h (T − T_air) − w (h/γ)(e_s(T) − e) carries
-    evaporation in Penman's bulk form (Proc. R. Soc. A 193 (1948) 120). Backward Euler, solved by Newton;
-    emissivity 0.96.
+    1889, eq. 8 with ρ c d₁ = I √τ. The flux F = S + εL − εσT⁴ − h (T − T_air) − w (h/γ)(e_s(T) − e) has
+    evaporation in Penman's bulk form (Proc. R. Soc. A 193 (1948) 120). Backward Euler, solved by Newton's method;
+    emissivity ε = 0.96.
     """
     emissivity = np.float32(0.96)
     gain = np.float32(seconds * 2.0 * np.sqrt(np.pi) / np.sqrt(_DAY_S)) / inertia
@@ -58,7 +65,7 @@ def step(temperature, seconds, absorbed, longwave, exchange, wet, air, vapour_pa
         excess = saturation - np.float32(vapour_pa)
         cube = emissivity * np.float32(STEFAN_BOLTZMANN) * later**3
         flux = absorbed + emissivity * longwave - cube * later - exchange * (later - air)
-        # Dew returns little heat in daytime: only evaporation is kept.
+        # Dew returns little heat in daytime, so only evaporation counts.
         flux -= latent * np.maximum(excess, 0.0)
         rate = 4.0 * cube + exchange + latent * slope * (excess > 0.0)
         residual = later - temperature - gain * flux + restore * (later - deep)

@@ -1,6 +1,7 @@
-"""Moist air: saturation over water and ice, the forms in which humidity is given, and pressure by altitude."""
+"""Moist air: saturation over water and ice, precipitable water, and pressure by altitude."""
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.units import ZERO_CELSIUS_K
 
@@ -11,24 +12,24 @@ MAGNUS = {"water": (610.94, 17.625, 243.04), "ice": (611.21, 22.587, 273.86)}
 _SEA_PA, _SEA_K, LAPSE_K_M, PRESSURE_EXPONENT = 101325.0, 288.15, 0.0065, 5.255880
 
 
-def saturation_pressure(temperature, over="water"):
-    """Return the saturation vapour pressure [Pa] over liquid water or ice at a temperature [K].
+def saturation_pressure(temperature: NDArray[np.float64], over: str = "water") -> NDArray[np.float64]:
+    """Return the saturation vapour pressure [Pa] over liquid water or ice at temperatures [K].
 
-    Magnus' form, within 0.4 % over −40 … 50 °C (water) and −80 … 0 °C (ice): Alduchov and Eskridge (1996). Meteorology
-    states relative humidity and dew point over water below freezing too.
+    Magnus form of Alduchov and Eskridge (1996), within 0.4 % over −40 … 50 °C (water) and −80 … 0 °C (ice).
+    Meteorology defines relative humidity and dew point over water below freezing too.
     """
     pressure, factor, offset = MAGNUS[over]
     celsius = temperature - ZERO_CELSIUS_K
     return pressure * np.exp(factor * celsius / (celsius + offset))
 
 
-def standard_pressure(altitude_m):
-    """Return the pressure [Pa] at an altitude [m], −5 … 11 km, in the ICAO standard atmosphere (Doc 7488)."""
+def standard_pressure(altitude_m: ArrayLike) -> NDArray[np.float64]:
+    """Return the pressure [Pa] at altitudes [m], −5 … 11 km, in the ICAO standard atmosphere (Doc 7488)."""
     return _SEA_PA * (1.0 - LAPSE_K_M / _SEA_K * np.asarray(altitude_m, np.float64)) ** PRESSURE_EXPONENT
 
 
-def precipitable_water(vapour_pa, temperature):
-    """Return the water of the whole column of air [cm] from vapour pressure [Pa] and temperature [K] near the ground.
+def precipitable_water(vapour_pa: NDArray[np.float64], temperature: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the precipitable water [cm] from vapour pressure [Pa] and temperature [K] near the ground.
 
     Prata, Q. J. R. Meteorol. Soc. 122 (1996) 1127, doi:10.1002/qj.49712253306: 46.5 e/T with e in hPa.
     """

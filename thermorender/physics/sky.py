@@ -1,45 +1,51 @@
-"""Sun and sky on the ground: the light of clear skies, its division into direct and diffuse, clouds, long-wave.
+"""Solar and sky irradiance at the ground: clear skies, direct and diffuse light, clouds, long-wave.
 
-Irradiances are broadband [W m⁻²]: *direct* on a plane that faces the sun, *diffuse*, *global* and *long-wave* down on a
-level plane. Arguments broadcast.
+Irradiances are broadband [W m⁻²]: *direct* is normal to the sun's rays; *diffuse*, *global* and *long-wave* are
+downward on a level plane. Arguments broadcast.
 """
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.physics.balance import STEFAN_BOLTZMANN
 from thermorender.physics.humidity import precipitable_water
 
+Floats = NDArray[np.float64]
+
 SOLAR_CONSTANT_W_M2 = 1361.0  # IAU 2015 resolution B3
-# Aerosol taken where none is stated, optical depth at 0.5 µm at sea level, thinning with altitude by the scale height.
+# Default aerosol: optical depth at 0.5 µm at sea level, and the scale height by which it falls with altitude.
 AEROSOL_AT_SEA = 0.1
 _AEROSOL_SCALE_M = 2000.0
-# Ångström's exponent, which carries the depth at 0.5 µm to 0.38 µm.
+# Ångström exponent, to convert the depth at 0.5 µm to 0.38 µm.
 _ANGSTROM = 1.3
 _OZONE_CM = 0.3
-# Beyond this air mass (4° of elevation) Bird's Rayleigh extinction would fall; it grows instead by so much per air
-# mass, as Kasten's does there, Solar Energy 56 (1996) 239, doi:10.1016/0038-092X(95)00114-7.
+# Beyond this air mass (4° of elevation) Bird's Rayleigh extinction would fall. Instead it grows by the second number
+# per air mass, as Kasten's does there, Solar Energy 56 (1996) 239, doi:10.1016/0038-092X(95)00114-7.
 _RAYLEIGH_MASS, _RAYLEIGH_BEYOND = 14.0, 0.013
 
 
-def standard_aerosol(altitude_m):
-    """Return the aerosol optical depth at 0.5 µm [1] taken where none is measured: 0.1 at sea level, e-fold in 2 km.
+def standard_aerosol(altitude_m: ArrayLike) -> Floats:
+    """Return the default aerosol optical depth at 0.5 µm [1]: 0.1 at sea level, falling by e per 2 km of altitude.
 
-    A chosen, clean continental air; ± 0.05 is ± 6 % of the direct light at a high sun.
+    The value is an assumption, a clean continental air; ± 0.05 is ± 6 % of the direct light for a high sun.
     """
     return AEROSOL_AT_SEA * np.exp(-np.maximum(altitude_m, 0.0) / _AEROSOL_SCALE_M)
 
 
-def air_mass(elevation_deg):
-    """Return the relative optical air mass [1], 1 in the zenith, 38 at the horizon and below.
+def air_mass(elevation_deg: ArrayLike) -> Floats:
+    """Return the relative optical air mass [1]: 1 at the zenith, 38 at the horizon and below.
 
-    Kasten and Young, Appl. Opt. 28 (1989) 4735, doi:10.1364/AO.28.004735, eq. 3, of the refracted elevation; of the
-    true one it is 1 % less at 5°.
+    Kasten and Young, Appl. Opt. 28 (1989) 4735, doi:10.1364/AO.28.004735, eq. 3, for the refracted elevation. The true
+    elevation gives 1 % less at 5°.
     """
     elevation = np.maximum(elevation_deg, 0.0)
     return 1.0 / (np.sin(np.radians(elevation)) + 0.50572 * (elevation + 6.07995) ** -1.6364)
 
 
-def clear_sky(elevation_deg, pressure_pa, water_cm, aerosol, distance=1.0, albedo=0.2):
+def clear_sky(
+    elevation_deg: Floats, pressure_pa: Floats | float, water_cm: Floats | float, aerosol: Floats | float,
+    distance: Floats | float = 1.0, albedo: Floats | float = 0.2,
+) -> tuple[Floats, Floats]:  # fmt: skip
     """Return (direct, diffuse) irradiance under a cloudless sky [W m⁻²], 0 where the sun is down.
 
     Parameters
@@ -55,13 +61,13 @@ def clear_sky(elevation_deg, pressure_pa, water_cm, aerosol, distance=1.0, albed
     distance : array
         `sun.eccentricity`.
     albedo : array
-        Of the ground, whose light the sky throws back.
+        Of the ground; the sky reflects part of the ground's light.
 
     Notes
     -----
-    Bird and Hulstrom, A Simplified Clear Sky Model for Direct and Diffuse Insolation, SERI/TR-642-761 (1981); ozone
-    0.3 cm, aerosol's single-scattering albedo 0.9 and forward share 0.85. Against rigorous codes 3 % direct, 5 %
-    diffuse up to an air mass of 5.6 (10°).
+    Bird and Hulstrom, A Simplified Clear Sky Model for Direct and Diffuse Insolation, SERI/TR-642-761 (1981), with
+    0.3 cm of ozone, an aerosol single-scattering albedo of 0.9 and forward share of 0.85. Up to an air mass of 5.6
+    (10°) the error against rigorous codes is 3 % direct, 5 % diffuse.
     """
     up = elevation_deg > 0.0
     mass = air_mass(elevation_deg)
@@ -91,13 +97,17 @@ def clear_sky(elevation_deg, pressure_pa, water_cm, aerosol, distance=1.0, albed
     return np.where(up, direct, 0.0), np.where(up, diffuse, 0.0)
 
 
-def clearest_direct(elevation_deg, pressure_pa, water_cm, distance=1.0):
-    """Return the direct irradiance [W m⁻²] of an air without aerosol: none is stronger. As `clear_sky`."""
+def clearest_direct(
+    elevation_deg: Floats, pressure_pa: Floats | float, water_cm: Floats | float, distance: Floats | float = 1.0
+) -> Floats:
+    """Return the direct irradiance [W m⁻²] without aerosol, the upper limit of `clear_sky`."""
     return clear_sky(elevation_deg, pressure_pa, water_cm, 0.0, distance)[0]
 
 
-def split_global(total, elevation_deg, distance, limit):
-    """Return (direct, diffuse) of a measured global irradiance [W m⁻²]; direct · sin(elevation) + diffuse is it.
+def split_global(
+    total: Floats, elevation_deg: Floats, distance: Floats | float, limit: Floats | float
+) -> tuple[Floats, Floats]:
+    """Return (direct, diffuse) of a measured global irradiance [W m⁻²]: total = direct · sin(elevation) + diffuse.
 
     Parameters
     ----------
@@ -106,12 +116,12 @@ def split_global(total, elevation_deg, distance, limit):
     elevation_deg, distance : array
         Of the sun; `sun.eccentricity`.
     limit : array
-        Direct light that no air exceeds (`clearest_direct`); near the horizon the division by sin(elevation) would.
+        Upper limit of the direct irradiance (`clearest_direct`), for the division by sin(elevation) near the horizon.
 
     Notes
     -----
-    Erbs, Klein and Duffie, Solar Energy 28 (1982) 293, doi:10.1016/0038-092X(82)90302-4: diffuse share by clearness
-    index, of hourly values; ± 0.1 of the share for one hour.
+    Erbs, Klein and Duffie, Solar Energy 28 (1982) 293, doi:10.1016/0038-092X(82)90302-4: diffuse share from the
+    clearness index, for hourly values. The uncertainty of the share is ± 0.1 for one hour.
     """
     height = np.sin(np.radians(np.maximum(elevation_deg, 0.0)))
     clearness = total / np.maximum(SOLAR_CONSTANT_W_M2 * distance * height, 1e-9)
@@ -123,14 +133,14 @@ def split_global(total, elevation_deg, distance, limit):
     return direct, total - direct * height
 
 
-def clouded(direct, diffuse, elevation_deg, cloud):
-    """Return (direct, diffuse) irradiance [W m⁻²] under clouds on a share of the sky, 0 … 1, from those without.
+def clouded(direct: Floats, diffuse: Floats, elevation_deg: Floats, cloud: Floats | float) -> tuple[Floats, Floats]:
+    """Return (direct, diffuse) irradiance [W m⁻²] under a cloud cover of 0 … 1, from clear-sky values.
 
     Notes
     -----
     Global light falls to 1 − 0.75 c^3.4: Kasten and Czeplak, Solar Energy 24 (1980) 177,
-    doi:10.1016/0038-092X(80)90391-6, eq. 10, means over ten years of Hamburg. The sun's disc is free for the share
-    1 − c of the time; what is left of the global light is diffuse.
+    doi:10.1016/0038-092X(80)90391-6, eq. 10, means over ten years in Hamburg. The sun is unobscured for the share
+    1 − c of the time; the rest of the global light is diffuse.
     """
     height = np.sin(np.radians(np.maximum(elevation_deg, 0.0)))
     total = (direct * height + diffuse) * (1.0 - 0.75 * np.asarray(cloud, np.float64) ** 3.4)
@@ -138,21 +148,22 @@ def clouded(direct, diffuse, elevation_deg, cloud):
     return direct, total - direct * height
 
 
-def longwave(air_k, vapour_pa, cloud):
-    """Return the long-wave irradiance of the sky [W m⁻²] from what is measured near the ground.
+def longwave(air_k: Floats, vapour_pa: Floats, cloud: Floats | float) -> Floats:
+    """Return the downward long-wave irradiance of the sky [W m⁻²] from measurements near the ground.
 
     Parameters
     ----------
     air_k, vapour_pa : array
         Air temperature and vapour pressure at about 2 m.
     cloud : array
-        Share of the sky under clouds, 0 … 1; or what the sun lacks of clear-sky light.
+        Cloud cover, 0 … 1; or the relative deficit of sunlight against the clear sky.
 
     Notes
     -----
-    Emissivity of the clear sky: Prata, Q. J. R. Meteorol. Soc. 122 (1996) 1127, doi:10.1002/qj.49712253306. Clouds:
-    Unsworth and Monteith, Q. J. R. Meteorol. Soc. 101 (1975) 13, doi:10.1002/qj.49710142703, 1 − 0.84 c of it and
-    0.84 c. Hourly values of clear nights in valleys stray by 10 to 20 W m⁻², cloudy ones more.
+    Clear-sky emissivity ε: Prata, Q. J. R. Meteorol. Soc. 122 (1996) 1127, doi:10.1002/qj.49712253306. With clouds,
+    (1 − 0.84 c) ε + 0.84 c: Unsworth and Monteith, Q. J. R. Meteorol. Soc. 101 (1975) 13,
+    doi:10.1002/qj.49710142703. The error of hourly values on clear nights in valleys is 10 to 20 W m⁻², more under
+    clouds.
     """
     water = precipitable_water(vapour_pa, air_k)
     clear = 1.0 - (1.0 + water) * np.exp(-np.sqrt(1.2 + 3.0 * water))

@@ -1,38 +1,45 @@
-"""The sun: where it stands, when it rises, and its own long-wave infrared above the air."""
+"""The sun: position, time of sunrise, and long-wave infrared irradiance above the atmosphere."""
+
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.physics.planck import spectral_radiance
 
-# Of the middle of the disc at 11.10 µm, measured: Saiedy and Goody (1959), doi:10.1093/mnras/119.3.213: 5036 ± 30 K.
-# The disc is nearly even there, and the temperature changes by 2 % over the long-wave window.
+# Measured at the centre of the disc at 11.10 µm: Saiedy and Goody (1959), doi:10.1093/mnras/119.3.213: 5036 ± 30 K.
+# The disc is nearly uniform there, and the temperature changes by 2 % over the long-wave window.
 BRIGHTNESS_TEMPERATURE_K = 5036.0
 # Nominal solar radius (IAU 2015 resolution B3) at one astronomical unit.
 SOLID_ANGLE_SR = np.pi * (6.957e8 / 1.495978707e11) ** 2
-# Elevation up to which the sun is taken to be down [deg]: its light then lies along the ground.
+# Up to this elevation the sun counts as down [deg].
 LOWEST_DEG = 0.5
 # The Earth's radius as seen from the sun [deg] (IAU 1976: 8.794″).
 _PARALLAX_DEG = 8.794 / 3600.0
 
+Times = NDArray[np.datetime64] | np.datetime64
 
-def irradiance(wavelength_um):
-    """Return the sun's spectral irradiance above the air, square to its rays [W m⁻² µm⁻¹].
 
-    Valid over 7–14 µm to 3 %, and to 3.4 % over the year, as the mean distance is taken.
+def irradiance(wavelength_um: ArrayLike) -> NDArray[np.float64]:
+    """Return the sun's spectral irradiance above the atmosphere, normal to its rays [W m⁻² µm⁻¹].
+
+    At the mean distance, over 7–14 µm; uncertain by 3 %, and by another 3.4 % over the year.
     """
     return SOLID_ANGLE_SR * spectral_radiance(wavelength_um, BRIGHTNESS_TEMPERATURE_K)
 
 
-def direction(elevation_deg, azimuth_deg):
-    """Return the unit vector (3,) towards the sun in East-North-Up axes; azimuth from north, eastward positive."""
+def direction(elevation_deg: float, azimuth_deg: float) -> NDArray[np.float64]:
+    """Return the unit vector (3,) towards the sun in East-North-Up axes; azimuth clockwise from north."""
     elevation, azimuth = np.radians([elevation_deg, azimuth_deg])
     return np.array([np.cos(elevation) * np.sin(azimuth), np.cos(elevation) * np.cos(azimuth), np.sin(elevation)])
 
 
-def position_at(time, latitude_deg, longitude_deg):
+def position_at(
+    time: Times, latitude_deg: float, longitude_deg: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the sun's (azimuth clockwise from north, elevation) [deg] at instants, in the shape of `time`.
 
-    The elevation is that of the disc's middle, parallax included, without refraction (0.5° at the horizon, 0.1° at
+    The elevation is that of the disc's centre. It includes parallax, but not refraction (0.5° at the horizon, 0.1° at
     10°).
 
     Parameters
@@ -40,13 +47,13 @@ def position_at(time, latitude_deg, longitude_deg):
     time : datetime64 or array of them
         UTC, 1950 to 2050.
     latitude_deg, longitude_deg : float
-        Of the site, north and east positive; any longitude. At a pole north is where the meridian of the longitude
-        leads, so the azimuth is defined there too.
+        Of the site, north and east positive; any longitude. At a pole the meridian of the longitude defines the
+        azimuth.
 
     Notes
     -----
     The Astronomical Almanac's low-precision formulae, as collected by Michalsky, Solar Energy 40 (1988) 227,
-    doi:10.1016/0038-092X(88)90045-X. Over the years named 0.003° from the full theory on average, at worst 0.011°.
+    doi:10.1016/0038-092X(88)90045-X. The error against the full theory is 0.003° on average, 0.011° at most.
     """
     declination, _ = _ecliptic(time)
     lat, dec = np.radians(latitude_deg), np.radians(declination)
@@ -58,7 +65,7 @@ def position_at(time, latitude_deg, longitude_deg):
     return np.degrees(np.arctan2(east, north)) % 360.0, np.degrees(np.arctan2(up, level)) - _PARALLAX_DEG * level
 
 
-def solar_hour(time, longitude_deg):
+def solar_hour(time: Times, longitude_deg: float) -> NDArray[np.float64]:
     """Return the apparent solar time [h], 0 … 24, at UTC instants and a longitude [deg]; 12 is the culmination.
 
     Validity and source as `position_at`.
@@ -69,26 +76,26 @@ def solar_hour(time, longitude_deg):
     return (sidereal + (longitude_deg - ascension) / 15.0 + 12.0) % 24.0
 
 
-def declination(time):
+def declination(time: Times) -> NDArray[np.float64]:
     """Return the sun's declination [deg] at UTC instants; validity and source as `position_at`."""
     return _ecliptic(time)[0]
 
 
-def eccentricity(time):
-    """Return the sun's irradiance over that at the mean distance, 0.966 … 1.035, at UTC instants.
+def eccentricity(time: Times) -> NDArray[np.float64]:
+    """Return the ratio of the sun's irradiance to that at the mean distance, 0.966 … 1.035, at UTC instants.
 
-    The square of the inverse distance in astronomical units; source as `position_at`.
+    It is the inverse square of the distance in astronomical units; source as `position_at`.
     """
     anomaly = np.radians(357.528 + 0.9856003 * _days(time))
     return (1.00014 - 0.01671 * np.cos(anomaly) - 0.00014 * np.cos(2.0 * anomaly)) ** -2
 
 
-def _days(time):
+def _days(time: Times) -> Any:
     """Days since 2000-01-01 12:00 UTC."""
     return (np.asarray(time, "datetime64[ms]") - np.datetime64("2000-01-01T12:00")) / np.timedelta64(86_400_000, "ms")
 
 
-def _ecliptic(time):
+def _ecliptic(time: Times) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(Declination, right ascension) [deg] of the sun."""
     days = _days(time)
     anomaly = np.radians(357.528 + 0.9856003 * days)
@@ -98,10 +105,10 @@ def _ecliptic(time):
     return np.degrees(np.arcsin(np.sin(obliquity) * np.sin(longitude))), np.degrees(ascension)
 
 
-def sunrise(latitude_deg, declination_deg):
-    """Return the apparent solar time at which the sun's centre rises over level ground [h], 0 … 12, or None.
+def sunrise(latitude_deg: float, declination_deg: float) -> float | None:
+    """Return the apparent solar time of sunrise over level ground [h], 0 … 12.
 
-    None is for a sun that stays up or down all day. Iqbal, An Introduction to Solar Radiation (1983), eq. 1.5.4.
+    None if the sun stays up or down all day. Iqbal, An Introduction to Solar Radiation (1983), eq. 1.5.4.
     """
     cosine = -np.tan(np.radians(latitude_deg)) * np.tan(np.radians(declination_deg))
     if abs(cosine) > 1.0:

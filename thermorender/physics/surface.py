@@ -1,12 +1,13 @@
-"""Radiance leaving a surface, and the kinetic temperature behind an apparent one."""
+"""Radiance reflected by a surface, and kinetic temperature from apparent radiance."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from thermorender.physics.band import RadianceTable, emitted_radiance
+from thermorender.physics.band import Emissivity, Floats, RadianceTable, emitted_radiance
 
 
-def reflected_radiance(emissivity, temperature, lower_um, upper_um):
-    """Return the band radiance a diffuse opaque surface reflects from an isotropic blackbody [W m⁻² sr⁻¹].
+def reflected_radiance(emissivity: Emissivity, temperature: ArrayLike, lower_um: float, upper_um: float) -> Floats:
+    """Return the band radiance of an isotropic blackbody reflected by a diffuse opaque surface [W m⁻² sr⁻¹].
 
     Parameters
     ----------
@@ -18,8 +19,11 @@ def reflected_radiance(emissivity, temperature, lower_um, upper_um):
     return emitted_radiance(lambda wavelength: 1.0 - emissivity(wavelength), temperature, lower_um, upper_um)
 
 
-def kinetic_temperature(apparent_radiance, emissivity, sky_temperature, band_um, range_k):
-    """Return the kinetic temperature [K] of a surface seen at an apparent radiance, NaN where there is none.
+def kinetic_temperature(
+    apparent_radiance: ArrayLike, emissivity: Emissivity, sky_temperature: float, band_um: tuple[float, float],
+    range_k: tuple[float, float],
+) -> Floats:  # fmt: skip
+    """Return the kinetic temperature [K] of a surface from its apparent radiance; NaN for no solution in `range_k`.
 
     Parameters
     ----------
@@ -28,16 +32,16 @@ def kinetic_temperature(apparent_radiance, emissivity, sky_temperature, band_um,
     emissivity : callable
         Wavelengths [µm] → emissivity.
     sky_temperature : float
-        Temperature of the isotropic blackbody sky the radiance was measured under [K].
+        Temperature of the isotropic blackbody sky during the measurement [K].
     band_um : (lower, upper)
         Band [µm].
     range_k : (coldest, warmest)
-        Kinetic temperatures that are believed [K]; NaN outside.
+        Plausible kinetic temperatures [K]; NaN outside.
 
     Notes
     -----
-    Solves ∫[ε B(T) + (1−ε) B(T_sky)] dλ = L for T. The smaller ε, the larger an error of L becomes in T
-    (by 1/ε and more), which is why the believed range is an argument.
+    Solves ∫[ε B(T) + (1−ε) B(T_sky)] dλ = L for T. An error of L grows by 1/ε or more in T, so low ε needs the
+    plausible range.
     """
     table = RadianceTable.of(emissivity, *range_k, *band_um)
     emitted = np.asarray(apparent_radiance) - reflected_radiance(emissivity, sky_temperature, *band_um)

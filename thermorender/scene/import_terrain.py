@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from thermorender import defaults, files
+from thermorender import defaults, formats
 from thermorender.errors import ThermorenderError
-from thermorender.files import atomic_folder, check_new_folder, write_text
+from thermorender.files import atomic_folder, check_new_folder
+from thermorender.formats import write_text
 from thermorender.scene.raster import Grid, bounds_in, grid_of, lon_lat, onto, read_colour
 from thermorender.scene.surface import scene_kelvin
 from thermorender.scene.terrain import filled, read_elevation
@@ -217,7 +218,7 @@ def _cut(values, grid, bounds):
 def _write(path, bands, grid, mask=None, **options):
     import rasterio
 
-    with files.atomic_raster(path) as part, rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), rasterio.open(
+    with formats.atomic_raster(path) as part, rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), rasterio.open(
         part, "w", driver="GTiff", count=len(bands), dtype=bands.dtype, height=grid.height, width=grid.width,
         crs=grid.crs, transform=grid.transform, compress="deflate", tiled=True, **options,
     ) as dataset:  # fmt: skip

@@ -15,7 +15,7 @@ from thermorender.atmosphere.declared import declared_air
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.errors import ThermorenderError
 from thermorender.materials import library as material_tables
-from thermorender.materials.library import Material
+from thermorender.materials.material import Material, grey
 from thermorender.materials.mixture import Mixture
 from thermorender.paths import data_folder
 from thermorender.physics.geodesy import FARTHEST_M, LocalFrame
@@ -762,7 +762,7 @@ def _learned_map(
 def _single_material(source: EmissivitySpec, materials: _Materials) -> int:
     if source.source == "material" and source.material:
         return materials.index(source.material, "emissivity.material")
-    return materials.add(material_tables.grey("constant", source.value))
+    return materials.add(grey("constant", source.value))
 
 
 def _mesh_terrain(spec: SceneSpec, materials: _Materials) -> tuple[LocalFrame | None, None, list[Surface]]:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from thermorender import files
+from thermorender import files, formats
 from thermorender.defaults import EMISSIVITY_MAP, FALLBACK_MATERIAL
 from thermorender.errors import ThermorenderError
 from thermorender.learned.emissivity import load_map, map_materials
@@ -143,7 +143,7 @@ def write_map(folder, output, model=EMISSIVITY_MAP, fallback=FALLBACK_MATERIAL, 
                           ("materials", ".png"), ("emissivity", ".toml"))
     }  # fmt: skip
     with (
-        files.atomic_raster(paths["probabilities"]) as part,
+        formats.atomic_raster(paths["probabilities"]) as part,
         rasterio.open(part, "w", count=len(model.materials), **profile) as file,
     ):
         file.descriptions = model.materials
@@ -158,10 +158,10 @@ def write_map(folder, output, model=EMISSIVITY_MAP, fallback=FALLBACK_MATERIAL, 
     classes = np.where(unknown, UNKNOWN_CLASS, mapped.index[..., 0] + 1)
     classes = np.where(valid, classes, 0).astype(np.uint8)
     colours = _legend_colours({n: library[name] for n, name in enumerate(model.materials, 1) if name in library})
-    with files.atomic_raster(paths["classes"]) as part, rasterio.open(part, "w", count=1, **profile) as file:
+    with formats.atomic_raster(paths["classes"]) as part, rasterio.open(part, "w", count=1, **profile) as file:
         file.write(classes, 1)
         file.write_colormap(1, {0: (0, 0, 0, 0), UNKNOWN_CLASS: _UNKNOWN_COLOUR, **colours})
-    with files.atomic_raster(paths["confidence"]) as part, rasterio.open(part, "w", count=1, **profile) as file:
+    with formats.atomic_raster(paths["confidence"]) as part, rasterio.open(part, "w", count=1, **profile) as file:
         file.write(np.where(valid, np.rint(255.0 * mapped.confidence), 0).astype(np.uint8), 1)
         file.scales = (1.0 / 255.0,)
     present = [int(value) for value in np.unique(classes[classes > 0])]
@@ -169,7 +169,7 @@ def write_map(folder, output, model=EMISSIVITY_MAP, fallback=FALLBACK_MATERIAL, 
     lines = ["[emissivity]", 'source = "classes"', 'raster = "classes.tif"', "", "[emissivity.classes]"]
     for value in sorted({*present, *range(1, len(model.materials) + 1), UNKNOWN_CLASS}):
         lines.append(f'{value} = "{names[value]}"' + ("  # unknown" if value == UNKNOWN_CLASS else ""))
-    files.write_text(paths["emissivity"], "\n".join(lines) + "\n")
+    formats.write_text(paths["emissivity"], "\n".join(lines) + "\n")
     share = np.bincount(classes.ravel(), minlength=256) / max(valid.sum(), 1)
     shown = {value: ("unknown" if value == UNKNOWN_CLASS else names[value], share[value]) for value in present}
     _picture(paths["materials"], np.where(valid[..., None], rgb, 255), classes, shown, colours)

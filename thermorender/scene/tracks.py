@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from thermorender.errors import ThermorenderError, shortened
-from thermorender.files import read_text
+from thermorender.formats import read_text
 from thermorender.physics.geodesy import FARTHEST_M
 from thermorender.scene.spec import ObjectSpec
 from thermorender.scene.surface import Surface, scene_kelvin

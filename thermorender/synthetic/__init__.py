@@ -1,1 +1,1 @@
-"""How the procedural scenes are made: noise, painting, light, heat, and one layout per kind of landscape."""
+"""Procedural scenes: noise, painting, light, weather, and one layout per kind of landscape."""

@@ -1,7 +1,11 @@
-"""What people build in synthetic scenes: streets, houses, solar panels, greenhouses, objects in gardens."""
+"""Buildings of synthetic scenes: streets, houses, solar panels, greenhouses, garden objects, cars."""
+
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from thermorender.synthetic.canvas import Canvas
 from thermorender.synthetic.light import linear
 from thermorender.synthetic.noise import smoothstep
 
@@ -19,7 +23,7 @@ ROOFS = (
 
 
 class Window:
-    """A window of the canvas in a frame of its own: u to the right of a heading, v along it.
+    """A window of the canvas in a local frame: u to the right of a heading, v along it.
 
     Parameters
     ----------
@@ -32,40 +36,38 @@ class Window:
         Half side of the window [m].
     """
 
-    def __init__(self, canvas, east, north, heading_deg, half_m):
+    def __init__(self, canvas: Canvas, east: float, north: float, heading_deg: float, half_m: float) -> None:
         self.canvas = canvas
-        self.rows, self.columns = canvas.window(
-            east - half_m, east + half_m, north - half_m, north + half_m
-        )
+        self.rows, self.columns = canvas.window(east - half_m, east + half_m, north - half_m, north + half_m)
         self.origin, self.heading = (east, north), heading_deg
         x, y = canvas.east[:, self.columns] - np.float32(east), canvas.north[self.rows] - np.float32(north)
         s, c = np.float32(np.sin(np.radians(heading_deg))), np.float32(np.cos(np.radians(heading_deg)))
         self.u, self.v = x * c - y * s, x * s + y * c
 
-    def view(self, field):
-        """Return the window of a canvas field (a view, to be written to)."""
+    def view(self, field: NDArray) -> NDArray:
+        """Return the window of a canvas field, as a writable view."""
         return field[self.rows, self.columns]
 
-    def position(self, u, v):
-        """Return the map position (east, north) [m] of a local one."""
+    def position(self, u: float, v: float) -> tuple[float, float]:
+        """Return the map position (east, north) [m] of a local position."""
         s, c = np.sin(np.radians(self.heading)), np.cos(np.radians(self.heading))
         return self.origin[0] + u * c + v * s, self.origin[1] - u * s + v * c
 
-    def box(self, u, v, half_u, half_v, soft=0.12):
-        """Return the cover of a rectangle, 0…1, with edges softened over `soft` [m]."""
+    def box(self, u: float, v: float, half_u: float, half_v: float, soft: float = 0.12) -> NDArray:
+        """Return the coverage of a rectangle, 0…1, with edges softened over `soft` [m]."""
         d = np.minimum(half_u - np.abs(self.u - u), half_v - np.abs(self.v - v))
         return smoothstep(-soft, soft, d)
 
-    def paint(self, cover, colour, material=None):
-        """Blend a colour into the window; over one half it takes the class."""
+    def paint(self, cover: NDArray, colour: NDArray, material: str | None = None) -> None:
+        """Blend a colour into the window; coverage above one half also sets the material."""
         colour = np.asarray(colour, np.float32)
         albedo = self.view(self.canvas.albedo)
         albedo += cover[..., None] * (colour - albedo)
         if material is not None:
             self.view(self.canvas.material)[cover > 0.5] = self.canvas.value(material)
 
-    def level(self, cover):
-        """Make the window's ground flat and bare under a cover."""
+    def level(self, cover: NDArray) -> None:
+        """Make the window's ground flat and bare where covered."""
         ground = self.view(self.canvas.ground)
         if (cover > 0.5).any():
             ground += cover * (np.median(ground[cover > 0.5]) - ground)
@@ -74,21 +76,24 @@ class Window:
             part *= 1.0 - cover
 
 
-def house(window, fine, generator, u, v, half_u, half_v, wall_m, roof, pitch_deg=40.0, hip=False):
-    """Build a house with its ridge along u; returns its cover in the window.
+def house(
+    window: Window, fine: NDArray, generator: np.random.Generator, u: float, v: float, half_u: float, half_v: float,
+    wall_m: float, roof: tuple[str, tuple[int, int, int], bool], pitch_deg: float = 40.0, hip: bool = False,
+) -> NDArray[np.bool_]:  # fmt: skip
+    """Build a house with its ridge along u; return its footprint in the window.
 
     Parameters
     ----------
     window : Window
     fine : (N, N) float32
-        Canvas-wide fine noise for the roofing.
+        Fine noise of the whole canvas, for the roofing.
     generator : numpy.random.Generator
     u, v, half_u, half_v, wall_m : float
         Centre, half lengths and height of the walls [m].
     roof : tuple
         One of `ROOFS`.
     pitch_deg : float
-        Of a pitched roof [deg].
+        Slope of a pitched roof [deg].
     hip : bool
         Slope the gable ends too.
     """
@@ -130,7 +135,7 @@ def house(window, fine, generator, u, v, half_u, half_v, wall_m, roof, pitch_deg
         stack = (np.abs(x - at) < 0.42) & (np.abs(y - 0.4) < 0.42)
         height[stack] = wall_m + slope * half_v + 0.9
         tone = np.where(stack[..., None], linear(150, 108, 92), tone)
-    # Where two wings meet, the higher roof is seen.
+    # Where two wings meet, the higher roof is visible.
     top = window.view(c.top)
     shown = body & (height > top)
     top[shown] = height[shown]
@@ -141,10 +146,12 @@ def house(window, fine, generator, u, v, half_u, half_v, wall_m, roof, pitch_deg
     return body
 
 
-def panels(window, u, v, columns, rows, lean_v, size=(1.04, 1.72)):
-    """Lay a field of solar panels, its centre at (u, v), lying on what is there.
+def panels(
+    window: Window, u: float, v: float, columns: int, rows: int, lean_v: float, size: tuple[float, float] = (1.04, 1.72)
+) -> None:
+    """Add an array of solar panels centred at (u, v), on top of the existing surface.
 
-    `lean_v` is the factor by which a row shortens seen from above (cosine of the roof's pitch).
+    `lean_v` is the foreshortening of a row seen from above (cosine of the roof's pitch).
     """
     c = window.canvas
     pitch_u, pitch_v = size[0] + 0.02, (size[1] + 0.02) * lean_v
@@ -158,7 +165,7 @@ def panels(window, u, v, columns, rows, lean_v, size=(1.04, 1.72)):
     window.view(c.top)[field] += np.float32(0.12)
 
 
-def greenhouse(window, fine, u, v, half_u, half_v, spans):
+def greenhouse(window: Window, fine: NDArray, u: float, v: float, half_u: float, half_v: float, spans: int) -> None:
     """Build a greenhouse of several glazed spans along v."""
     c = window.canvas
     inside = np.minimum(half_u - np.abs(window.u - u), half_v - np.abs(window.v - v))
@@ -182,8 +189,10 @@ def greenhouse(window, fine, u, v, half_u, half_v, spans):
     window.view(c.material)[body] = c.value("glass")
 
 
-def clutter(window, generator, width, low, high, free):
-    """Strew a garden with what stands about: tables, woodpiles, trampolines, sandpits, covers."""
+def clutter(
+    window: Window, generator: np.random.Generator, width: float, low: float, high: float, free: NDArray[np.bool_]
+) -> None:
+    """Scatter garden objects: tables, woodpiles, trampolines, sandpits, covers."""
     c = window.canvas
     colours = [
         (224, 222, 214),
@@ -210,8 +219,8 @@ def clutter(window, generator, width, low, high, free):
         np.maximum(top, (mark > 0.5) * np.float32(generator.uniform(0.3, 0.9)), out=top)
 
 
-def street(c, points, half, fine, soft, taken):
-    """An asphalt street with kerbs, pavements and repairs."""
+def street(c: Canvas, points: NDArray, half: float, fine: NDArray, soft: NDArray, taken: NDArray[np.bool_]) -> None:
+    """Add an asphalt street with kerbs, pavements and repairs, and mark it as taken."""
     offset, along = c.ribbon(points, half + 5.0)
     near = np.isfinite(offset)
     d = np.where(near, np.abs(offset), 99.0) + 0.06 * soft
@@ -224,9 +233,7 @@ def street(c, points, half, fine, soft, taken):
     kerb = smoothstep(half + 0.28, half + 0.2, d)
     c.paint(kerb, linear(196, 192, 184) * np.exp(0.06 * fine)[..., None], "concrete")
     c.ground += 0.12 * walk * (1.0 - kerb)
-    wheel = np.where(
-        near, sum(np.exp(-(((offset - w * half) / 0.5) ** 2)) for w in (-0.72, -0.28, 0.28, 0.72)), 0.0
-    )
+    wheel = np.where(near, sum(np.exp(-(((offset - w * half) / 0.5) ** 2)) for w in (-0.72, -0.28, 0.28, 0.72)), 0.0)
     tone = linear(118, 116, 113) * np.exp(0.06 * fine + 0.08 * soft - 0.07 * wheel)[..., None]
     asphalt = smoothstep(half + 0.05, half - 0.08, d)
     c.paint(asphalt, tone, "asphalt")
@@ -241,7 +248,10 @@ def street(c, points, half, fine, soft, taken):
     taken |= d < half + 2.2
 
 
-def car(name, east, north, heading_deg, colour, material, temperature, bonnet):
+def car(
+    name: str, east: float, north: float, heading_deg: float, colour: tuple[int, int, int], material: str,
+    temperature: float, bonnet: float,
+) -> list[dict[str, Any]]:  # fmt: skip
     """Return the [[object]] tables of a car: body, cabin, bonnet.
 
     Parameters
@@ -255,7 +265,7 @@ def car(name, east, north, heading_deg, colour, material, temperature, bonnet):
         sRGB.
     material : str
     temperature, bonnet : float
-        Of the body and of the bonnet's sheet [K].
+        Temperatures of the body and of the bonnet [K].
     """
     s, c = np.sin(np.radians(heading_deg)), np.cos(np.radians(heading_deg))
 

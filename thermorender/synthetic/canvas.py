@@ -1,6 +1,9 @@
-"""The canvas of a synthetic scene: height, class, colour and moisture per texel, and its brushes."""
+"""The canvas of a synthetic scene: height, material, colour and moisture per texel, and functions that paint them."""
+
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.synthetic.light import linear
 from thermorender.synthetic.noise import fractal_noise, smooth_noise, smoothstep, stream
@@ -14,16 +17,16 @@ class Canvas:
     east, north : (1, N) and (N, 1) float32
         Texel centres relative to the scene's centre [m]; row 0 in the north.
     ground, top, relief : (N, N) float32
-        Bare ground, what stands on it, and small relief that is lit but not part of the model [m].
+        Bare ground, height of objects on it, and small relief that is lit but not in the surface model [m].
     albedo : (N, N, 3) float32
-        Linear colour as it looks lying level in full sun.
+        Linear colour of a level surface in full sun.
     material : (N, N) uint8
-        Class value; `names` tells the material.
+        Class value; `names` maps it to a material.
     wetness : (N, N) float32
         Added moisture, 0…1.
     """
 
-    def __init__(self, seed, size_m, texel_m):
+    def __init__(self, seed: int, size_m: float, texel_m: float) -> None:
         self.seed, self.size, self.texel = seed, size_m, texel_m
         self.n = round(size_m / texel_m)
         self.shape = (self.n, self.n)
@@ -35,53 +38,53 @@ class Canvas:
         self.albedo = np.zeros((*self.shape, 3), np.float32)
         self.material = np.zeros(self.shape, np.uint8)
         self.wetness = np.zeros(self.shape, np.float32)
-        self.names = {}
+        self.names: dict[int, str] = {}
 
     @property
-    def surface(self):
+    def surface(self) -> NDArray[np.float32]:
         """Heights of the surface model, (N, N) float32 [m]."""
         return self.ground + self.top
 
-    def value(self, name):
-        """Return the class value of a material, a new one for a new name."""
+    def value(self, name: str) -> int:
+        """Return the class value of a material; a new name gets a new value."""
         for value, known in self.names.items():
             if known == name:
                 return value
         self.names[len(self.names) + 1] = name
         return len(self.names)
 
-    def among(self, names):
-        """Return whether each texel is of one of some materials, (N, N) bool."""
+    def among(self, names: Sequence[str]) -> NDArray[np.bool_]:
+        """Return whether each texel has one of the materials, (N, N) bool."""
         return np.isin(self.material, [value for value, known in self.names.items() if known in names])
 
-    def stream(self, name):
+    def stream(self, name: str) -> np.random.Generator:
         """Return the scene's generator of that name."""
         return stream(self.seed, name)
 
-    def fractal(self, name, wavelength_m, octaves=5, gain=0.5):
+    def fractal(self, name: str, wavelength_m: float, octaves: int = 5, gain: float = 0.5) -> NDArray[np.float32]:
         """Return the scene's fractal noise of that name, (N, N) float32."""
         return fractal_noise(self.stream(name), self.shape, self.texel, wavelength_m, octaves, gain)
 
-    def grain(self, name, wavelength_m):
+    def grain(self, name: str, wavelength_m: float) -> NDArray[np.float32]:
         """Return the scene's single-octave noise of that name, (N, N) float32."""
         return smooth_noise(self.stream(name), self.shape, self.texel, wavelength_m)
 
-    def texels(self, east, north):
+    def texels(self, east: ArrayLike, north: ArrayLike) -> tuple[NDArray, NDArray]:
         """Return (row, column) of a position [m] as floats, texel centres at integers."""
         return (0.5 * self.size - north) / self.texel - 0.5, (east + 0.5 * self.size) / self.texel - 0.5
 
-    def inside(self, east, north, margin_m=0.0):
-        """Return whether a position lies within the scene by a margin [m]."""
+    def inside(self, east: float, north: float, margin_m: float = 0.0) -> bool:
+        """Return whether a position is within the scene by a margin [m]."""
         half = 0.5 * self.size - margin_m
         return abs(east) <= half and abs(north) <= half
 
-    def height_at(self, east, north):
+    def height_at(self, east: float, north: float) -> float:
         """Return the bare ground's height at a position [m]."""
         row, column = self.texels(east, north)
         return float(self.ground[int(np.clip(row, 0, self.n - 1)), int(np.clip(column, 0, self.n - 1))])
 
-    def paint(self, cover, colour, material=None):
-        """Blend a colour over the canvas by `cover`, (N, N) in 0…1; over one half it takes the class.
+    def paint(self, cover: NDArray, colour: NDArray, material: str | None = None) -> None:
+        """Blend a colour over the canvas by `cover`, (N, N) in 0…1; above one half it also sets the material.
 
         Parameters
         ----------
@@ -89,7 +92,7 @@ class Canvas:
         colour : (3,) or (N, N, 3) float32
             Linear.
         material : str, optional
-            Class of the covered texels; None leaves it.
+            Material of the covered texels; None keeps it.
         """
         for channel in range(3):
             target = self.albedo[..., channel]
@@ -97,11 +100,11 @@ class Canvas:
         if material is not None:
             self.material[cover > 0.5] = self.value(material)
 
-    def tint(self, factor):
+    def tint(self, factor: NDArray) -> None:
         """Multiply the colour by an (N, N) or (N, N, 3) factor."""
         self.albedo *= factor[..., None] if factor.ndim == 2 else factor
 
-    def window(self, low_east, high_east, low_north, high_north):
+    def window(self, low_east: float, high_east: float, low_north: float, high_north: float) -> tuple[slice, slice]:
         """Return the (row slice, column slice) of a box [m], empty outside the scene."""
         top, left = self.texels(low_east, high_north)
         bottom, right = self.texels(high_east, low_north)
@@ -110,7 +113,7 @@ class Canvas:
             clip(np.floor(left)), clip(np.ceil(right) + 1)
         )
 
-    def ribbon(self, points, reach_m):
+    def ribbon(self, points: NDArray, reach_m: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return (offset, along) of a polyline, two (N, N) float32 [m].
 
         Parameters
@@ -118,7 +121,7 @@ class Canvas:
         points : (K, 2) array
             East, north [m].
         reach_m : float
-            How far from the line is looked at.
+            Largest distance from the line.
 
         Returns
         -------
@@ -147,13 +150,16 @@ class Canvas:
         offset[np.abs(offset) > reach_m] = np.inf
         return offset, along
 
-    def stamp(self, crown, tone, east, north, height_m, colour, material, beneath=0.35):
-        """Stand one tree or shrub on the canvas: it shows where it is higher than what stands there.
+    def stamp(
+        self, crown: NDArray, tone: NDArray, east: float, north: float, height_m: float, colour: NDArray, material: int,
+        beneath: float = 0.35,
+    ) -> None:  # fmt: skip
+        """Place a tree or shrub on the canvas; it is visible where it is higher than the existing surface.
 
         Parameters
         ----------
         crown, tone : (h, w) float32
-            Height in parts of `height_m`, 0 outside the crown, and factor on the colour.
+            Height as a fraction of `height_m`, 0 outside the crown, and factor on the colour.
         east, north, height_m : float
             Centre and height [m].
         colour : (3,)
@@ -161,7 +167,7 @@ class Canvas:
         material : int
             Class value.
         beneath : float
-            Crown parts lower than this share of the height are not drawn.
+            Crown parts below this fraction of the height are not drawn.
         """
         row, column = self.texels(east, north)
         r0, c0 = round(row) - crown.shape[0] // 2, round(column) - crown.shape[1] // 2
@@ -177,7 +183,7 @@ class Canvas:
         self.material[a:r1, b:c1][higher] = material
 
 
-def spline(points, spacing_m=2.0):
+def spline(points: ArrayLike, spacing_m: float = 2.0) -> NDArray[np.float64]:
     """Return a Catmull–Rom curve through the points, (K, 2) [m], sampled about every `spacing_m`."""
     p = np.asarray(points, np.float64)
     p = np.vstack([2 * p[0] - p[1], p, 2 * p[-1] - p[-2]])
@@ -185,13 +191,11 @@ def spline(points, spacing_m=2.0):
     for a, b, c, d in zip(p[:-3], p[1:-2], p[2:-1], p[3:], strict=True):
         count = max(2, int(np.hypot(*(c - b)) / spacing_m))
         t = np.linspace(0.0, 1.0, count, endpoint=False)[:, None]
-        pieces.append(
-            0.5 * (2 * b + (c - a) * t + (2 * a - 5 * b + 4 * c - d) * t**2 + (3 * b - a - 3 * c + d) * t**3)
-        )
+        pieces.append(0.5 * (2 * b + (c - a) * t + (2 * a - 5 * b + 4 * c - d) * t**2 + (3 * b - a - 3 * c + d) * t**3))
     return np.vstack([*pieces, p[-2:-1]])
 
 
-def ruts(c, points, gauge, width, strength, name):
+def ruts(c: Canvas, points: NDArray, gauge: float, width: float, strength: float, name: str) -> NDArray[np.float32]:
     """Return the marks of a pair of wheels along a line, (N, N) float32 in 0…1.
 
     Parameters
@@ -202,21 +206,21 @@ def ruts(c, points, gauge, width, strength, name):
     gauge, width : float
         Distance of the wheels and half width of a mark [m].
     strength : float
-        Of the marks where they are plain, 0…1.
+        Full strength of the marks, 0…1.
     name : str
-        Of the noise that interrupts them.
+        Name of the noise that interrupts them.
     """
     offset, along = c.ribbon(points, 3.0)
     near = np.isfinite(offset)
     d = np.where(near, np.abs(np.abs(offset) - 0.5 * gauge), 9.0)
     length = np.hypot(*np.diff(points, axis=0).T).sum()
     fade = smoothstep(0.0, 6.0, along) * smoothstep(length, length - 6.0, along)
-    return (
-        strength * fade * smoothstep(width, 0.3 * width, d) * np.clip(0.8 + 0.35 * c.grain(name, 3.0), 0, 1)
-    )
+    return strength * fade * smoothstep(width, 0.3 * width, d) * np.clip(0.8 + 0.35 * c.grain(name, 3.0), 0, 1)
 
 
-def crowns(generator, texel_m, radius_m, form, count=24):
+def crowns(
+    generator: np.random.Generator, texel_m: float, radius_m: float, form: str, count: int = 24
+) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
     """Return a list of (crown, tone) pairs for `Canvas.stamp`, each (h, w) float32.
 
     Parameters
@@ -228,7 +232,7 @@ def crowns(generator, texel_m, radius_m, form, count=24):
         "pine" (clumps of needles on a flat dome), "spruce" (a cone with whorled branches) or "broad" (many
         leafy lobes).
     count : int
-        How many different crowns.
+        Number of different crowns.
     """
     made = []
     for _ in range(count):
@@ -273,19 +277,21 @@ def crowns(generator, texel_m, radius_m, form, count=24):
     return made
 
 
-def scatter(generator, canvas, spacing_m, density, jitter=0.42):
-    """Return jittered grid positions kept with the local density, (K, 2) [m] east, north.
+def scatter(
+    generator: np.random.Generator, canvas: Canvas, spacing_m: float, density: NDArray, jitter: float = 0.42
+) -> NDArray[np.float64]:
+    """Return jittered grid positions, kept with the local density, (K, 2) [m] east, north.
 
     Parameters
     ----------
     generator : numpy.random.Generator
     canvas : Canvas
     spacing_m : float
-        Mean distance of neighbours [m].
+        Mean spacing of neighbours [m].
     density : (N, N) float32
         Probability that a position is kept, 0…1.
     jitter : float
-        Largest move in parts of the spacing.
+        Largest shift as a fraction of the spacing.
     """
     count = int(np.ceil(canvas.size * 1.05 / spacing_m)) + 2
     j, i = np.mgrid[:count, :count].astype(np.float64)
@@ -301,7 +307,9 @@ def scatter(generator, canvas, spacing_m, density, jitter=0.42):
     return position[keep < density[row, column]]
 
 
-def planted_rows(g, c, between, along, bearing, density):
+def planted_rows(
+    g: np.random.Generator, c: Canvas, between: float, along: float, bearing: float, density: NDArray
+) -> NDArray[np.float64]:
     """Return positions in planted rows, (K, 2) [m] east, north.
 
     Parameters
@@ -309,11 +317,11 @@ def planted_rows(g, c, between, along, bearing, density):
     g : numpy.random.Generator
     c : Canvas
     between, along : float
-        Distance of rows and of trees in a row [m].
+        Spacing of rows and of trees in a row [m].
     bearing : float
-        Turn of the rows [rad].
+        Rotation of the rows [rad].
     density : (N, N) float32
-        Probability that a tree stands, 0…1.
+        Probability of a tree, 0…1.
     """
     count_a, count_b = int(1.5 * c.size / between), int(1.5 * c.size / along)
     a, b = np.meshgrid(np.arange(count_a) - count_a / 2, np.arange(count_b) - count_b / 2)
@@ -327,15 +335,19 @@ def planted_rows(g, c, between, along, bearing, density):
     return p[draw < density[row, column]]
 
 
-def plant(generator, canvas, positions, library, height_m, colours, material, spread=0.14, beneath=0.35):
-    """Stand a tree or shrub at each of the (K, 2) positions, crowns drawn from the library.
+def plant(
+    generator: np.random.Generator, canvas: Canvas, positions: NDArray,
+    library: Sequence[tuple[NDArray, NDArray]], height_m: float, colours: Sequence[tuple[int, int, int]], material: str,
+    spread: float = 0.14, beneath: float = 0.35,
+) -> None:  # fmt: skip
+    """Place a tree or shrub at each of the (K, 2) positions, with crowns drawn from the library.
 
     Parameters
     ----------
     height_m : float
         Median height [m]; individuals vary by `spread` (log-normal).
     colours : sequence of (3,)
-        sRGB 0…255 tints to mix.
+        sRGB 0…255 colours to mix.
     material : str
     """
     value = canvas.value(material)
@@ -348,6 +360,4 @@ def plant(generator, canvas, positions, library, height_m, colours, material, sp
             crown, tone = crown.T, tone.T
         mix = generator.dirichlet(np.full(len(palette), 0.9))
         colour = mix @ palette * np.exp(generator.normal(0.0, 0.10))
-        canvas.stamp(
-            crown, tone, east, north, height_m * np.exp(generator.normal(0.0, spread)), colour, value, beneath
-        )
+        canvas.stamp(crown, tone, east, north, height_m * np.exp(generator.normal(0.0, spread)), colour, value, beneath)

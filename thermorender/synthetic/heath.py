@@ -1,9 +1,12 @@
-"""Heath: the land of the FOK rocket flights. Heather and sand with tracks, pine forest, fields, a road."""
+"""Heath: the landscape of the FOK rocket flights, with heather, sand, tracks, pine forest, fields and a road."""
+
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.scene.spec import WeatherSpec
-from thermorender.synthetic.canvas import crowns, plant, planted_rows, ruts, scatter, spline
+from thermorender.synthetic.canvas import Canvas, crowns, plant, planted_rows, ruts, scatter, spline
 from thermorender.synthetic.light import linear
 from thermorender.synthetic.noise import smoothstep
 
@@ -14,7 +17,7 @@ WEATHER = WeatherSpec(
 MARKER = (4.0, 6.0)  # east, north [m]
 
 
-def heath(canvas):
+def heath(canvas: Canvas) -> tuple[list[dict[str, Any]], dict[str, NDArray[np.float64]]]:
     """Paint a heath on the canvas and return (objects, flight)."""
     c, s = canvas, canvas.size
     c.ground += 112.0 + 1.9 * c.fractal("hills", 190.0, 3) + 0.45 * c.fractal("humps", 45.0, 4)
@@ -48,8 +51,7 @@ def heath(canvas):
     west, east = np.radians(135.0 + g.uniform(-14.0, 14.0)), np.radians(42.0 + g.uniform(-14.0, 14.0))
     far = s * (0.275 + g.uniform(-0.02, 0.05)), s * (0.315 + g.uniform(-0.02, 0.05))
     pines = 1.6 * edge + np.maximum(
-        np.cos(west) * c.east + np.sin(west) * c.north - far[0],
-        np.cos(east) * c.east + np.sin(east) * c.north - far[1],
+        np.cos(west) * c.east + np.sin(west) * c.north - far[0], np.cos(east) * c.east + np.sin(east) * c.north - far[1]
     )
     sand = _sand(c, track, pines, south)
     _pool(c)
@@ -62,7 +64,7 @@ def heath(canvas):
 
 
 def _moor(c):
-    """Heather, grass and moss in patches, with cushions that stand up from the ground."""
+    """Paint heather, grass and moss in patches, with raised cushions."""
     patch = c.fractal("patch", 34.0, 7, 0.62)
     clump = c.grain("clump", 2.4) + 0.7 * c.grain("clump small", 1.1)
     fine = c.grain("fine", 0.5)
@@ -81,7 +83,7 @@ def _moor(c):
 
 
 def _sand(c, track, pines, south):
-    """Open sand in blow-outs and along the track; returns its cover."""
+    """Paint open sand in blow-outs and along the track; return its coverage."""
     offset, _ = c.ribbon(track, 30.0)
     near = np.where(np.isfinite(offset), 1.5 * np.exp(-((offset / 9.0) ** 2)), 0.0)
     at_marker = 1.9 * np.exp(-((c.east - MARKER[0]) ** 2 + (c.north - MARKER[1]) ** 2) / 13.0**2)
@@ -89,9 +91,7 @@ def _sand(c, track, pines, south):
     field = dug + 0.35 * c.fractal("tufts", 2.2, 3, 0.7)
     field = np.where(pines > -4.0, field - 1.5, field)
     cover = smoothstep(-0.12, 0.22, field)
-    ripple = (
-        c.grain("ripple", 1.0) * 0.35 + c.grain("sand fine", 0.5) * 0.4 + c.fractal("sand hue", 14.0, 5, 0.6)
-    )
+    ripple = c.grain("ripple", 1.0) * 0.35 + c.grain("sand fine", 0.5) * 0.4 + c.fractal("sand hue", 14.0, 5, 0.6)
     colour = linear(208, 188, 150) * np.exp(0.085 * ripple)[..., None]
     c.relief *= 1.0 - 0.85 * cover
     c.top *= 1.0 - cover
@@ -104,7 +104,7 @@ def _sand(c, track, pines, south):
 
 
 def _pool(c):
-    """A small boggy pool with a green fringe."""
+    """Paint a small boggy pool with a green fringe."""
     g = c.stream("pool")
     east, north = g.uniform(-0.25, -0.15) * c.size, g.uniform(-0.10, -0.02) * c.size
     wobble = 2.6 * c.fractal("pool", 16.0, 5, 0.55)
@@ -124,7 +124,7 @@ def _pool(c):
 
 
 def _fields(c, south, edge):
-    """Stubble, ploughed soil and young winter cereal south of the road, parted by grass balks."""
+    """Paint stubble, ploughed soil and young winter cereal south of the road, separated by grass strips."""
     half = 0.5 * c.size
     within = smoothstep(11.0, 12.5, south + 0.12 * edge)
     g = c.stream("fields")
@@ -137,7 +137,7 @@ def _fields(c, south, edge):
     growth = c.fractal("growth", 48.0, 7, 0.6)
     fine = c.grain("field fine", 0.5)
     soft = c.grain("field soft", 1.6)
-    # Rows follow the border; on headlands by the road they turn.
+    # Rows follow the border; on headlands along the road they turn.
     headland = south < 25.0
     drift = 0.35 * c.fractal("row drift", 60.0, 3)
     line = np.where(headland, south + drift, across + drift)
@@ -147,16 +147,12 @@ def _fields(c, south, edge):
 
     stubble = (
         linear(190, 171, 128)
-        * np.exp(0.09 * growth + 0.07 * rows(1.0) + 0.05 * rows(6.3, 0.2) + 0.08 * fine + 0.03 * soft)[
-            ..., None
-        ]
+        * np.exp(0.09 * growth + 0.07 * rows(1.0) + 0.05 * rows(6.3, 0.2) + 0.08 * fine + 0.03 * soft)[..., None]
     )
     stubble *= (1.0 - 0.34 * tram)[..., None]
     soil = (
         linear(124, 98, 74)
-        * np.exp(0.13 * growth + 0.10 * rows(1.25) + 0.05 * rows(3.9, 0.4) + 0.13 * fine + 0.10 * soft)[
-            ..., None
-        ]
+        * np.exp(0.13 * growth + 0.10 * rows(1.25) + 0.05 * rows(3.9, 0.4) + 0.13 * fine + 0.10 * soft)[..., None]
     )
     bare = np.clip(0.28 + 0.18 * growth + 0.1 * soft, 0.03, 0.9)
     bare = np.clip(bare + 0.28 * rows(0.75) * 0.6 + 0.7 * tram, 0.0, 1.0)[..., None]
@@ -183,7 +179,7 @@ def _fields(c, south, edge):
 
 
 def _road(c, offset, along):
-    """An asphalt road with worn lanes, patches, broken lines and gravelly edges."""
+    """Paint an asphalt road with worn lanes, patches, broken lines and gravel edges."""
     near = np.isfinite(offset)
     d = np.where(near, np.abs(offset), 99.0) + 0.10 * c.fractal("road edge", 3.0, 4)
     rough = c.fractal("asphalt", 9.0, 5, 0.6)
@@ -195,11 +191,7 @@ def _road(c, offset, along):
     c.top *= 1.0 - smoothstep(5.5, 4.5, d)
     verge = linear(134, 130, 88) * np.exp(0.16 * rough + 0.2 * fine)[..., None]
     c.paint(smoothstep(7.5, 5.5, d + 0.8 * rough), verge, "grass_dry")
-    c.paint(
-        smoothstep(3.9, 3.5, d + 0.25 * rough),
-        linear(168, 156, 134) * np.exp(0.12 * fine)[..., None],
-        "soil_loam",
-    )
+    c.paint(smoothstep(3.9, 3.5, d + 0.25 * rough), linear(168, 156, 134) * np.exp(0.12 * fine)[..., None], "soil_loam")
     wheel = sum(np.exp(-(((offset - w) / 0.45) ** 2)) for w in (-2.35, -0.85, 0.85, 2.35))
     wheel = np.where(near, wheel, 0.0)
     colour = linear(124, 121, 117) * np.exp(0.07 * rough + 0.06 * fine - 0.10 * wheel)[..., None]
@@ -213,7 +205,7 @@ def _road(c, offset, along):
 
 
 def _tracks(c, track, sand):
-    """The sandy track, its fork, wheel marks on the open sand and trodden paths."""
+    """Paint the sandy track, its fork, wheel marks on the open sand, and footpaths."""
     g, s = c.stream("tracks"), c.size
     fine = c.grain("track fine", 0.6)
     rough = c.fractal("track rough", 7.0, 5, 0.6)
@@ -221,13 +213,7 @@ def _tracks(c, track, sand):
     order = np.argsort(track[:, 1])
     at = lambda y: (float(np.interp(y, track[order, 1], track[order, 0])), y)  # noqa: E731
     fork = spline(
-        [
-            at(-0.09 * s),
-            (0.06 * s, -0.05 * s),
-            (0.17 * s, -0.03 * s),
-            (0.3 * s, -0.09 * s),
-            (0.6 * s, -0.06 * s),
-        ]
+        [at(-0.09 * s), (0.06 * s, -0.05 * s), (0.17 * s, -0.03 * s), (0.3 * s, -0.09 * s), (0.6 * s, -0.06 * s)]
     )
     west = spline([at(0.03 * s), (-0.1 * s, 0.075 * s), (-0.25 * s, 0.05 * s), (-0.6 * s, 0.09 * s)])
     for points, width in ((track, 1.9), (fork, 1.5), (west, 1.3)):
@@ -271,7 +257,7 @@ def _tracks(c, track, sand):
 
 
 def _trees(c, pines, south, track, sand):
-    """Pine forest with a planted stand, birches on its edge, lone shrubs on the heath, trees by the road."""
+    """Plant pine forest with a plantation, birches on its edge, single shrubs on the heath, and trees by the road."""
     g = c.stream("trees")
     offset, _ = c.ribbon(track, 8.0)
     clear = np.where(np.isfinite(offset), np.abs(offset), 99.0) > 4.2
@@ -324,7 +310,7 @@ def _trees(c, pines, south, track, sand):
 
 
 def _clearing(c):
-    """Level, bare sand round the marker: nothing hides it."""
+    """Paint level, bare sand around the marker, so that nothing hides it."""
     r = np.hypot(c.east - MARKER[0], c.north - MARKER[1]) + 0.5 * c.fractal("clearing", 5.0, 4)
     bare = smoothstep(4.6, 3.0, r)
     c.ground += bare * (c.height_at(*MARKER) - c.ground)
@@ -335,7 +321,7 @@ def _clearing(c):
 
 
 def _objects(c, track):
-    """The heated marker, and a recovery car parked on the track where the scene is large enough."""
+    """Return the heated marker, and a recovery car parked on the track."""
     marker = {
         "name": "marker",
         "shape": "disc",
@@ -358,13 +344,7 @@ def _objects(c, track):
         "material": "paint_metallic",
         "colour": [176, 178, 182],
     }
-    cabin = {
-        **car,
-        "name": "car_cabin",
-        "size": [1.6, 2.3, 0.6],
-        "position": [*position, 1.05],
-        "temperature": 304.5,
-    }
+    cabin = {**car, "name": "car_cabin", "size": [1.6, 2.3, 0.6], "position": [*position, 1.05], "temperature": 304.5}
     return [marker, car, cabin]
 
 
@@ -373,12 +353,8 @@ def _flight(c):
     height = 120.0
     time = np.arange(0.0, 11.01, 0.5)
     start = min(height, 0.5 * c.size - 5.0)
-    # Constant speed that eases out over the marker.
-    distance = (
-        start
-        * (1.0 - smoothstep(0.0, 1.0, 0.15 + 0.85 * time / time[-1]))
-        / (1.0 - smoothstep(0.0, 1.0, 0.15))
-    )
+    # Constant speed, slowing down over the marker.
+    distance = start * (1.0 - smoothstep(0.0, 1.0, 0.15 + 0.85 * time / time[-1])) / (1.0 - smoothstep(0.0, 1.0, 0.15))
     pitch = -np.degrees(np.arctan2(height, distance))
     sway = 1.2 * np.sin(2 * np.pi * time / 7.0)
     east = MARKER[0] + sway * distance / start

@@ -1,19 +1,20 @@
-"""The sun of a synthetic scene: what it lights on a surface model, how that photographs."""
+"""Sunlight on a surface model, and the orthophoto of the lit surface."""
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.physics import srgb
 from thermorender.physics.sun import LOWEST_DEG
 from thermorender.synthetic.noise import smooth_noise, stream
 
-# Colour of light on a horizontal, unshaded surface: sun and sky shares per linear sRGB channel. Skylight is
-# blue, sunlight warm; they add up to one, so a colour is given as it looks in full sun.
+# Light on a horizontal, unshaded surface: sun and sky shares per linear sRGB channel. Skylight is blue, sunlight warm;
+# they sum to one, so colours are those in full sun.
 _SUN_SHARE = np.array([0.82, 0.795, 0.755], np.float32)
 _SKY_SHARE = 1.0 - _SUN_SHARE
 
 
 def _shifted(field, east_texels, north_texels):
-    """Return the field read at a constant offset; edge values are repeated."""
+    """Return the field sampled at a constant offset; edges are repeated."""
     import cv2
 
     affine = np.array([[1.0, 0.0, east_texels], [0.0, 1.0, -north_texels]])
@@ -21,8 +22,10 @@ def _shifted(field, east_texels, north_texels):
     return cv2.warpAffine(field, affine, field.shape[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE)
 
 
-def sun_visibility(surface, texel_m, azimuth_deg, elevation_deg, penumbra_m=0.12):
-    """Return the share of the sun's disc seen from each texel, (H, W) float32, 0 in cast shadow.
+def sun_visibility(
+    surface: NDArray[np.float32], texel_m: float, azimuth_deg: float, elevation_deg: float, penumbra_m: float = 0.12
+) -> NDArray[np.float32]:
+    """Return the visible fraction of the sun's disc from each texel, (H, W) float32, 0 in cast shadow.
 
     Parameters
     ----------
@@ -31,14 +34,14 @@ def sun_visibility(surface, texel_m, azimuth_deg, elevation_deg, penumbra_m=0.12
     texel_m : float
         Side of a texel [m].
     azimuth_deg, elevation_deg : float
-        Of the sun [deg].
+        Sun position [deg].
     penumbra_m : float
         Height range over which light passes into shadow [m].
 
     Notes
     -----
     A texel is in shadow where the surface towards the sun rises above the ray. The highest such ray,
-    M(x) = max_s h(x + s d) − s tan(elevation), is built by doubling the range marched at each step.
+    M(x) = max_s h(x + s d) − s tan(elevation), is computed by doubling the searched range at each step.
     """
     if elevation_deg <= LOWEST_DEG:
         return np.zeros_like(surface)
@@ -48,22 +51,20 @@ def sun_visibility(surface, texel_m, azimuth_deg, elevation_deg, penumbra_m=0.12
     height = _shifted(surface, east, north) - np.float32(slope * texel_m)
     step = 1.0
     while step * texel_m < length and step < max(surface.shape):
-        np.maximum(
-            height,
-            _shifted(height, step * east, step * north) - np.float32(step * slope * texel_m),
-            out=height,
-        )
+        np.maximum(height, _shifted(height, step * east, step * north) - np.float32(step * slope * texel_m), out=height)
         step *= 2.0
     return np.clip(1.0 - (height - surface) / np.float32(penumbra_m), 0.0, 1.0)
 
 
-def sky_view(surface, texel_m, azimuths=8, reach_m=40.0):
-    """Return the sky view factor of each texel, (H, W) float32 in 0…1, as seen by a level element.
+def sky_view(
+    surface: NDArray[np.float32], texel_m: float, azimuths: int = 8, reach_m: float = 40.0
+) -> NDArray[np.float32]:
+    """Return the sky view factor of a level element at each texel, (H, W) float32 in 0…1.
 
     Notes
     -----
     Mean over azimuths of cos²(horizon elevation): Dozier & Frew, IEEE TGRS 28 (1990) 963, eq. 7b for a
-    level surface; horizons are marched at distances that grow by a factor of two.
+    level surface; horizons are searched at distances that double.
     """
     total = np.zeros_like(surface)
     for index in range(azimuths):
@@ -79,7 +80,9 @@ def sky_view(surface, texel_m, azimuths=8, reach_m=40.0):
     return total / np.float32(azimuths)
 
 
-def normals(surface, texel_m, steepest=2.0):
+def normals(
+    surface: NDArray[np.float32], texel_m: float, steepest: float = 2.0
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """Return unit normals as (east, north, up), three (H, W) float32.
 
     Slopes are limited to `steepest` [m/m]: a step between two texels is an edge, not a facet.
@@ -91,47 +94,45 @@ def normals(surface, texel_m, steepest=2.0):
     return -rise_column * limit * up, rise_row * limit * up, up
 
 
-def incidence(normal, azimuth_deg, elevation_deg):
-    """Return the cosine between surface normals and the sun, (H, W) float32, 0 where it is behind."""
+def incidence(normal: tuple[NDArray[np.float32], ...], azimuth_deg: float, elevation_deg: float) -> NDArray[np.float32]:
+    """Return the cosine between surface normals and the sun, (H, W) float32, 0 if the sun is behind the surface."""
     azimuth, elevation = np.radians(azimuth_deg), np.radians(elevation_deg)
-    toward = (
-        np.cos(elevation) * np.sin(azimuth),
-        np.cos(elevation) * np.cos(azimuth),
-        np.sin(elevation),
-    )
+    toward = (np.cos(elevation) * np.sin(azimuth), np.cos(elevation) * np.cos(azimuth), np.sin(elevation))
     cosine = sum(np.float32(t) * n for t, n in zip(toward, normal, strict=True))
     return np.maximum(cosine, 0.0)
 
 
-def linear(red, green, blue):
+def linear(red: int, green: int, blue: int) -> NDArray[np.float32]:
     """Return linear sRGB, (3,) float32 in 0…1, of an 8-bit sRGB colour."""
-    # In single precision throughout, as all of the painting.
+    # Single precision, as in all painting.
     return srgb.decoded(np.array([red, green, blue], np.float32) / 255.0)
 
 
-def photograph(albedo, visible, cosine, view, elevation_deg, seed, blur_texels=0.55, noise=1.1, cloud=0.0):
+def photograph(
+    albedo: NDArray[np.float32], visible: NDArray[np.float32], cosine: NDArray[np.float32], view: NDArray[np.float32],
+    elevation_deg: float, seed: int, blur_texels: float = 0.55, noise: float = 1.1, cloud: float = 0.0,
+) -> NDArray[np.uint8]:  # fmt: skip
     """Return the orthophoto of a lit surface, (H, W, 3) uint8 sRGB.
 
     Parameters
     ----------
     albedo : (H, W, 3) float32
-        Linear colour as it looks lying level in full sun.
+        Linear colour of a level surface in full sun.
     visible, cosine, view : (H, W) float32
         Sun visibility, cosine of incidence, sky view factor.
     elevation_deg : float
         Sun elevation [deg].
     seed : int
-        Of the sensor noise.
+        Seed of the sensor noise.
     blur_texels, noise : float
         Lens blur (Gaussian σ) [texels] and sensor noise [8-bit steps].
     cloud : float
-        Share of the sky whose clouds scatter the sun's light, 0…1; the exposure makes up for what they keep.
+        Cloud fraction, 0…1: clouds scatter the sunlight, and the exposure compensates for their absorption.
     """
     import cv2
 
-    # Rough surfaces do not go fully dark at grazing sun: half the contrast of a Lambertian facet is kept
-    # out of the direct share (Minnaert-like flattening, exponent 0.75).
-    # Below the lowest sun nothing is visible: skylight alone.
+    # At grazing sun, rough surfaces are brighter than Lambertian ones (Minnaert-like, exponent 0.75). Below the lowest
+    # sun there is skylight only.
     level = np.float32(np.sin(np.radians(max(elevation_deg, LOWEST_DEG))))
     direct = visible * (cosine / level) ** np.float32(0.75)
     ambient = view * np.float32(0.92) + np.float32(0.08)
@@ -139,13 +140,13 @@ def photograph(albedo, visible, cosine, view, elevation_deg, seed, blur_texels=0
     shape = albedo.shape[:2]
     generator = stream(seed, "photograph")
     grain = generator.standard_normal(shape, dtype=np.float32)
-    # Exposure drifts by a few per cent between the photographs an orthophoto is stitched from.
+    # Exposure differs by a few per cent between the photographs of an orthophoto mosaic.
     drift = 1.0 + np.float32(0.018) * smooth_noise(generator, shape, 1.0, max(shape) * 0.7)
     picture = np.empty((*shape, 3), np.uint8)
     for channel in range(3):
         light = _SUN_SHARE[channel] * direct + _SKY_SHARE[channel] * ambient
         value = albedo[..., channel] * light * drift
-        # A shoulder instead of clipping, then a trace of haze.
+        # A soft shoulder instead of clipping, then a little haze.
         value = np.where(value > 0.7, 0.7 + 0.3 * np.tanh((value - 0.7) / 0.3), value)
         value = np.float32(0.008 * (1.0, 1.1, 1.35)[channel]) + np.float32(0.985) * np.maximum(value, 0.0)
         value = cv2.GaussianBlur(value, (0, 0), blur_texels)
@@ -154,20 +155,20 @@ def photograph(albedo, visible, cosine, view, elevation_deg, seed, blur_texels=0
     return picture
 
 
-def sky_colour(sine, cloud=0.0):
-    """Return the linear sRGB colour of the day's sky, (..., 3) float32.
+def sky_colour(sine: ArrayLike, cloud: float = 0.0) -> NDArray[np.float32]:
+    """Return the linear sRGB colour of the daytime sky, (..., 3) float32.
 
     Parameters
     ----------
     sine : (...) array
-        Of the elevation above the horizon, 0…1.
+        Sine of the elevation above the horizon, 0…1.
     cloud : float
-        Share of the sky under clouds, 0…1, spread evenly: no single clouds are drawn.
+        Cloud fraction, 0…1, spread evenly without single clouds.
 
     Notes
     -----
-    Blue overhead and white towards the horizon, where the path through the air is long; grey under clouds, whose
-    zenith is three times as bright as their horizon (Moon & Spencer, 1942, the CIE's overcast sky). Colours chosen.
+    Blue overhead and white towards the horizon, where the air path is long; grey under clouds, three times as bright at
+    the zenith as at the horizon (Moon & Spencer, 1942, the CIE overcast sky). Colours are chosen.
     """
     high = np.clip(np.asarray(sine, np.float32), 0.0, 1.0)[..., None]
     zenith, horizon = linear(92, 138, 200), linear(206, 219, 232)

@@ -1,30 +1,33 @@
-"""Seeded randomness in the plane: independent named streams and fractal fields without a visible lattice."""
+"""Seeded random streams, and fractal noise in the plane without a visible lattice."""
 
 import zlib
 
 import numpy as np
+from numpy.typing import NDArray
 
 
-def stream(seed, name):
-    """Return a generator that belongs to (seed, name) alone.
+def stream(seed: int, name: str) -> np.random.Generator:
+    """Return a generator that depends on (seed, name) only.
 
-    One stream per feature keeps a change of one feature from moving all the others.
+    With one stream per feature, changing a feature does not affect the others.
 
     Parameters
     ----------
     seed : int
         0 … 2⁶⁴−1.
     name : str
-        What the numbers are for.
+        Purpose of the numbers.
     """
     return np.random.Generator(np.random.Philox(key=np.array([int(seed), zlib.crc32(name.encode())], np.uint64)))
 
 
-def smooth_noise(generator, shape, texel_m, wavelength_m):
+def smooth_noise(
+    generator: np.random.Generator, shape: tuple[int, int], texel_m: float, wavelength_m: float
+) -> NDArray[np.float32]:
     """Return one octave of band-limited noise, (H, W) float32, mean about 0, standard deviation about 1.
 
-    Normal deviates on a lattice of `wavelength_m` / 2, turned by a random angle so that its axes are not
-    seen, and read with cubic interpolation. Below two texels it is white.
+    Normal deviates on a lattice of `wavelength_m` / 2, rotated by a random angle to hide its axes, and interpolated
+    cubically. Below two texels the noise is white.
 
     Parameters
     ----------
@@ -47,18 +50,18 @@ def smooth_noise(generator, shape, texel_m, wavelength_m):
     c, s = np.cos(angle) / step, np.sin(angle) / step
     middle = 0.5 * side + shift
     affine = np.array(
-        [
-            [c, -s, middle[0] - 0.5 * (c * width - s * height)],
-            [s, c, middle[1] - 0.5 * (s * width + c * height)],
-        ]
+        [[c, -s, middle[0] - 0.5 * (c * width - s * height)], [s, c, middle[1] - 0.5 * (s * width + c * height)]]
     )
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
     field = cv2.warpAffine(lattice, affine, (width, height), flags=flags, borderMode=cv2.BORDER_REFLECT)
-    # Cubic reading of unit white noise keeps 0.80 of its standard deviation on average.
+    # Cubic interpolation of unit white noise keeps 0.80 of its standard deviation on average.
     return field / np.float32(0.80)
 
 
-def fractal_noise(generator, shape, texel_m, wavelength_m, octaves=5, gain=0.5):
+def fractal_noise(
+    generator: np.random.Generator, shape: tuple[int, int], texel_m: float, wavelength_m: float, octaves: int = 5,
+    gain: float = 0.5,
+) -> NDArray[np.float32]:  # fmt: skip
     """Return a sum of octaves, (H, W) float32, mean about 0, standard deviation about 1.
 
     Parameters
@@ -71,7 +74,7 @@ def fractal_noise(generator, shape, texel_m, wavelength_m, octaves=5, gain=0.5):
     wavelength_m : float
         Scale of the longest octave [m]; each further one halves it, down to the texel.
     octaves : int
-        At most this many.
+        Largest number of octaves.
     gain : float
         Amplitude of an octave relative to the one before.
     """
@@ -88,7 +91,10 @@ def fractal_noise(generator, shape, texel_m, wavelength_m, octaves=5, gain=0.5):
     return total / np.float32(np.sqrt(power))
 
 
-def ridged_noise(generator, shape, texel_m, wavelength_m, octaves=5, gain=0.5):
+def ridged_noise(
+    generator: np.random.Generator, shape: tuple[int, int], texel_m: float, wavelength_m: float, octaves: int = 5,
+    gain: float = 0.5,
+) -> NDArray[np.float32]:  # fmt: skip
     """Return noise whose crests are sharp lines, (H, W) float32 between about 0 and 1.
 
     Parameters are those of `fractal_noise`; each octave is 1 − |noise| (Musgrave's ridged multifractal
@@ -108,8 +114,8 @@ def ridged_noise(generator, shape, texel_m, wavelength_m, octaves=5, gain=0.5):
     return total / np.float32(weight)
 
 
-def warp(field, offset_x, offset_y):
-    """Return the (H, W) field read at positions moved by the (H, W) offsets [texels]; edge values are repeated."""
+def warp(field: NDArray, offset_x: NDArray, offset_y: NDArray) -> NDArray:
+    """Return the (H, W) field sampled at positions shifted by the (H, W) offsets [texels]; edges are repeated."""
     import cv2
 
     height, width = field.shape[:2]
@@ -118,7 +124,7 @@ def warp(field, offset_x, offset_y):
     return cv2.remap(field, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
-def smoothstep(low, high, value):
+def smoothstep(low: float, high: float, value: NDArray | float) -> NDArray:
     """Return the cubic step that is 0 below `low` and 1 above `high`, in the value's shape."""
     t = np.clip((value - low) / (high - low), 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)

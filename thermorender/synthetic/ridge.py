@@ -1,11 +1,13 @@
 """Ridge: an eroded mountain crest with rock, scree, snow gullies, alpine grass, spruces and a lake."""
 
 import heapq
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.scene.spec import WeatherSpec
-from thermorender.synthetic.canvas import crowns, plant, scatter, spline
+from thermorender.synthetic.canvas import Canvas, crowns, plant, scatter, spline
 from thermorender.synthetic.light import linear
 from thermorender.synthetic.noise import fractal_noise, ridged_noise, smoothstep, warp
 
@@ -13,10 +15,11 @@ LATITUDE_DEG = 49.2
 WEATHER = WeatherSpec(
     time=np.datetime64("2018-09-17T12:06:00"), air_low_c=-3.2, air_high_c=6.3, humidity=0.89, wind_m_s=3.6, cloud=0.0
 )
-_FOOT_M = 1380.0  # of the valley [m]
+# Altitude of the valley [m].
+_FOOT_M = 1380.0
 
 
-def ridge(canvas):
+def ridge(canvas: Canvas) -> tuple[list[dict[str, Any]], dict[str, NDArray[np.float64]]]:
     """Paint a mountain ridge on the canvas and return (objects, flight)."""
     c = canvas
     ground, drainage = _mountain(c)
@@ -35,19 +38,19 @@ def ridge(canvas):
 
 
 def _smooth(field, sigma):
-    """Return the field under a Gaussian of that many texels."""
+    """Return the field smoothed by a Gaussian of `sigma` texels."""
     import cv2
 
     return cv2.GaussianBlur(field, (0, 0), max(sigma, 0.5))
 
 
 def _mountain(c):
-    """Return (heights, logarithm of drainage area), (N, N) float32: noise carved by running water."""
+    """Return (heights, logarithm of drainage area), (N, N) float32: noise eroded by running water."""
     import cv2
 
     g = c.stream("mountain")
     relief = 0.30 * c.size
-    wide = 1.4  # the range is carved beyond the picture, so that its base level is not in sight
+    wide = 1.4  # The eroded area is larger than the picture, so that its base level is not visible.
     finest = int(np.clip(wide * c.size / 7.0, 128, 320))
     tilt, phase = g.uniform(0.10, 0.30), g.uniform(0.0, 6.3)
     field = None
@@ -58,9 +61,7 @@ def _mountain(c):
         if field is None:
             bend = 0.05 * fractal_noise(g, (cells, cells), 1.0, 26.0, 4)
             away = y - (0.06 + tilt * x + 0.06 * np.sin(5.0 * x + phase)) + bend
-            field = (
-                relief * np.exp(-(np.abs(away / 0.30) ** 1.4)) * (1.0 + 0.16 * np.sin(7.0 * x + 2.0 * phase))
-            )
+            field = relief * np.exp(-(np.abs(away / 0.30) ** 1.4)) * (1.0 + 0.16 * np.sin(7.0 * x + 2.0 * phase))
             field += 0.07 * relief * fractal_noise(g, (cells, cells), 1.0, 16.0, 5)
         else:
             field = cv2.resize(field.astype(np.float32), (cells, cells), interpolation=cv2.INTER_CUBIC)
@@ -72,8 +73,8 @@ def _mountain(c):
     ground = cv2.resize(field.astype(np.float32), (side, side), interpolation=cv2.INTER_CUBIC)[crop]
     drainage = cv2.resize(np.log(area).astype(np.float32), (side, side), interpolation=cv2.INTER_CUBIC)[crop]
     ground = _smooth(ground - ground.min(), 4.0 / c.texel)
-    # The carving's grid is coarser than the picture: crags and runnels of the finer scales are added, and the
-    # whole is bent a little so that its grid directions vanish.
+    # The erosion grid is coarser than the picture: add crags and runnels of finer scales, and warp the terrain a little
+    # to hide the grid directions.
     bend_x, bend_y = (7.0 / c.texel * c.fractal(f"bend {k}", 90.0, 4) for k in "xy")
     ground, drainage = warp(ground, bend_x, bend_y), warp(drainage, bend_x, bend_y)
     rise, run = np.gradient(_smooth(ground, 8.0 / c.texel), c.texel)
@@ -85,7 +86,7 @@ def _mountain(c):
 
 
 def _basin(c):
-    """Scoop a basin into the southern flank; return the lake's mask."""
+    """Excavate a basin in the southern flank; return the lake's mask."""
     g, s = c.stream("basin"), c.size
     flat = _smooth(c.ground, 0.05 * s / c.texel)
     rise, run = np.gradient(flat, c.texel)
@@ -178,7 +179,7 @@ def _flood(height):
 
 
 def _alp(c, height, slope):
-    """Alpine grass: green in the hollows, tawny on the slopes, with stones and trodden terraces."""
+    """Paint alpine grass: green in hollows, tawny on slopes, with stones and terraces."""
     fine, tuft = c.grain("fine", 2.0), c.grain("tuft", 5.0)
     hue = c.fractal("hue", 90.0, 7, 0.62)
     tawny = linear(138, 130, 94) * np.exp(0.16 * hue + 0.13 * fine + 0.10 * tuft)[..., None]
@@ -193,7 +194,7 @@ def _alp(c, height, slope):
 
 
 def _rock(c, height, slope, drainage):
-    """Granite walls with joints and lichen, limestone bands, and fans of scree beneath them."""
+    """Paint granite walls with joints and lichen, limestone bands, and scree below them."""
     rough = c.fractal("rock", 60.0, 7, 0.65)
     fine, block = c.grain("rock fine", 2.0), c.grain("block", 6.0)
     crest = smoothstep(0.55, 0.95, height / max(float(height.max()), 1.0))
@@ -207,19 +208,12 @@ def _rock(c, height, slope, drainage):
     cover = smoothstep(-0.06, 0.10, face + 0.05 * fine)
     joint = ridged_noise(c.stream("joint"), c.shape, c.texel, 34.0, 5, 0.6)
     strata = np.cos(2 * np.pi * (c.ground + 0.22 * c.east + 9.0 * rough) / 17.0)
-    grey = (
-        linear(132, 128, 122)
-        * np.exp(0.16 * rough + 0.16 * fine + 0.06 * strata + 0.5 * (joint - 0.6))[..., None]
-    )
+    grey = linear(132, 128, 122) * np.exp(0.16 * rough + 0.16 * fine + 0.06 * strata + 0.5 * (joint - 0.6))[..., None]
     lichen = smoothstep(0.2, 1.2, c.fractal("lichen", 30.0, 6, 0.65))[..., None]
     grey = grey + 0.5 * lichen * (linear(120, 118, 86) - grey)
     c.paint(cover, grey, "granite")
     band = cover * smoothstep(0.75, 1.0, c.fractal("band", 240.0, 3) + 0.25 * strata)
-    c.paint(
-        band,
-        linear(178, 172, 158) * np.exp(0.10 * rough + 0.14 * fine + 0.08 * strata)[..., None],
-        "limestone",
-    )
+    c.paint(band, linear(178, 172, 158) * np.exp(0.10 * rough + 0.14 * fine + 0.08 * strata)[..., None], "limestone")
     c.relief += cover * (2.2 * joint + 0.4 * block + 0.35 * fine)
     runnel = smoothstep(7.6, 9.0, drainage + 0.3 * rough) * smoothstep(60.0, 130.0, height)
     gravel = linear(166, 160, 150) * np.exp(0.14 * fine + 0.1 * block)[..., None]
@@ -227,16 +221,14 @@ def _rock(c, height, slope, drainage):
 
 
 def _snow(c, height, slope, drainage, rise):
-    """Old snow in shaded gullies and hollows, and what lies along the crest."""
+    """Paint old snow in shaded gullies and hollows, and along the crest."""
     top = max(float(height.max()), 1.0)
     patch = c.fractal("snow", 70.0, 6, 0.55)
     hollow = _smooth(c.ground, 22.0 / c.texel) - _smooth(c.ground, 5.0 / c.texel)
     # `rise` grows to the south where the ground falls to the north.
     shaded = np.tanh(1.6 * rise)
     high = height / top
-    depth = (
-        0.16 * hollow + 0.7 * shaded + 6.0 * (high - 0.70) + 0.6 * patch - 1.2 * np.maximum(slope - 0.9, 0.0)
-    )
+    depth = 0.16 * hollow + 0.7 * shaded + 6.0 * (high - 0.70) + 0.6 * patch - 1.2 * np.maximum(slope - 0.9, 0.0)
     depth += 0.35 * np.clip(drainage - 7.0, -2.0, 2.5) * smoothstep(0.45, 0.65, high)
     depth = np.where(high < 0.42, depth - 3.0, depth)
     limit = max(1.1, float(np.quantile(depth, 0.93)))
@@ -251,7 +243,7 @@ def _snow(c, height, slope, drainage, rise):
 
 
 def _water(c, lake, drainage):
-    """The lake with its shallows, and the brook that feeds it."""
+    """Paint the lake with its shallows, and the brook that feeds it."""
     import cv2
 
     fine = c.grain("brook", 2.0)
@@ -274,7 +266,7 @@ def _water(c, lake, drainage):
 
 
 def _trail(c):
-    """A footpath that climbs from the lake towards the crest in bends."""
+    """Paint a footpath that winds from the lake to the crest."""
     s = c.size
     offset, _ = c.ribbon(
         spline(
@@ -299,7 +291,7 @@ def _trail(c):
 
 
 def _wood(c, height, slope, lake):
-    """Spruces at the foot, thinning upwards into dwarf pine and lone trees."""
+    """Plant spruces at the foot, thinning upwards into dwarf pine and single trees."""
     g = c.stream("wood")
     top = max(float(height.max()), 1.0)
     line = 0.34 + 0.07 * c.fractal("tree line", 130.0, 5)
@@ -325,7 +317,7 @@ def _wood(c, height, slope, lake):
 
 
 def _objects(c, slope, lake):
-    """A hut and a signal fire on the gentlest dry ground near the lake."""
+    """Return a hut and a signal fire on the flattest dry ground near the lake."""
     fit = _smooth(slope + 9.0 * lake + 3.0 * (c.top > 0.5), 10.0 / c.texel)
     fit = fit + 0.7 * np.hypot(c.east + 0.10 * c.size, c.north + 0.2 * c.size) / c.size
     fit = fit + 9.0 * (np.maximum(np.abs(c.east), np.abs(c.north)) > 0.35 * c.size)
@@ -355,7 +347,7 @@ def _objects(c, slope, lake):
 
 
 def _flight(c):
-    """Return the glide: along the sunny flank, sinking, never nearer than 100 m to the ground."""
+    """Return the glide: descending along the sunny flank, always at least 100 m above the ground."""
     time = np.arange(0.0, 11.01, 0.5)
     speed = min(28.0, 0.5 * c.size / 11.0)
     heading = np.radians(74.0)

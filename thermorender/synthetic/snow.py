@@ -1,23 +1,24 @@
-"""Snow on a synthetic scene: it covers ground and roofs, lies on part of the trees, and slides off what is steep."""
+"""Snow on a synthetic scene: it covers ground and roofs and part of the trees, but not steep slopes."""
 
 import numpy as np
 
+from thermorender.synthetic.canvas import Canvas
 from thermorender.synthetic.light import linear
 from thermorender.synthetic.noise import smoothstep
 
-# Still water bears ice after days below this lowest air [°C].
+# Still water is frozen if the lowest air temperature is below this [°C].
 _FREEZES_C = -5.0
-# Depth at which half of open, even ground is covered [m], and of trees and shrubs, off whose branches it slides.
+# Depth at which half of the open ground is covered [m], and of trees and shrubs, whose branches shed snow.
 _GROUND_M, _TREES_M = 0.02, 0.25
 _TREES = ("conifer", "broadleaf", "heath_shrub")
-# Glass over warm air sheds it.
+# Warm glass sheds snow.
 _BARE = ("glass", "water")
-# Slopes on which half of it holds, and their spread [m/m]: avalanches run from 30° to 50°.
+# Slope at which half of the snow holds, and its spread [m/m]: avalanches start at 30° to 50°.
 _STEEP, _SPREAD = 1.1, 0.25
 
 
-def lay_snow(canvas, depth_m, air_low_c):
-    """Cover the canvas with new snow of a depth [m]; on water only where it has frozen."""
+def lay_snow(canvas: Canvas, depth_m: float, air_low_c: float) -> None:
+    """Cover the canvas with new snow of a depth [m]; water only if it is frozen."""
     import cv2
 
     c = canvas
@@ -28,11 +29,11 @@ def lay_snow(canvas, depth_m, air_low_c):
     if depth_m <= 0.0:
         return
     trees, bare = c.among(_TREES), c.among(_BARE)
-    # Wind and tufts make a thin cover patchy; a thick one hides them.
+    # Wind and tufts make thin snow patchy; deep snow covers them.
     patchy = 0.6 * c.fractal("snow patches", 14.0, 6, 0.6)
     need = np.where(trees, np.float32(_TREES_M), np.float32(_GROUND_M))
     cover = smoothstep(-0.5, 0.5, np.log(np.float32(depth_m) / need) + patchy)
-    # The slope of land and roofs, not that of their edges or of single tufts.
+    # The slope of land and roofs, without edges and single tufts.
     rise, run = np.gradient(cv2.GaussianBlur(c.surface, (0, 0), max(0.5, 1.0 / c.texel)), c.texel)
     steep = np.where(trees, 0.0, np.hypot(rise, run))
     cover *= 1.0 - smoothstep(_STEEP - _SPREAD, _STEEP + _SPREAD, steep)

@@ -1,10 +1,13 @@
 """Village: houses and gardens along a street, with sheds, a greenhouse, a pond, trees and parked cars."""
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.scene.spec import WeatherSpec
 from thermorender.synthetic.buildings import ROOFS, Window, car, clutter, greenhouse, house, panels, street
-from thermorender.synthetic.canvas import crowns, plant, scatter, spline
+from thermorender.synthetic.canvas import Canvas, crowns, plant, scatter, spline
 from thermorender.synthetic.light import linear
 from thermorender.synthetic.noise import smoothstep
 
@@ -22,7 +25,7 @@ _CARS = [
 ]
 
 
-def village(canvas):
+def village(canvas: Canvas) -> tuple[list[dict[str, Any]], dict[str, NDArray[np.float64]]]:
     """Paint a village on the canvas and return (objects, flight)."""
     c, s = canvas, canvas.size
     c.ground += 134.0 + 1.5 * c.fractal("hills", 210.0, 2) + 0.12 * c.fractal("humps", 25.0, 4)
@@ -39,12 +42,8 @@ def village(canvas):
         ]
     )
     at = lambda x: (x, float(np.interp(x, main[:, 0], main[:, 1])))  # noqa: E731
-    north = spline(
-        [at(right), (right, 0.2 * s), (right + 0.04 * s + bend[2], 0.38 * s), (right + 0.03 * s, 0.62 * s)]
-    )
-    south = spline(
-        [at(left), (left - 0.02 * s, -0.2 * s), (left + bend[3], -0.38 * s), (left - 0.03 * s, -0.62 * s)]
-    )
+    north = spline([at(right), (right, 0.2 * s), (right + 0.04 * s + bend[2], 0.38 * s), (right + 0.03 * s, 0.62 * s)])
+    south = spline([at(left), (left - 0.02 * s, -0.2 * s), (left + bend[3], -0.38 * s), (left - 0.03 * s, -0.62 * s)])
     fine = c.grain("fine", 0.5)
     soft = c.fractal("soft", 7.0, 5, 0.6)
     _land(c, fine, soft)
@@ -66,7 +65,7 @@ def village(canvas):
 
 
 def _land(c, fine, soft):
-    """Meadow everywhere, a stubble field and a ploughed one beyond the gardens."""
+    """Paint meadow everywhere, a stubble field and a ploughed field beyond the gardens."""
     s = c.size
     growth = c.fractal("growth", 45.0, 7, 0.6)
     tuft = c.grain("tuft", 1.3)
@@ -101,10 +100,7 @@ def _land(c, fine, soft):
         cover = smoothstep(0.0, 0.8, distance + 0.3 * soft)
         row = np.cos(2 * np.pi * (line + drift) / pitch)
         tram = np.exp(-(((np.abs(np.mod(line + drift, 18.0) - 9.0) - 0.9) / 0.25) ** 2))
-        tone = (
-            linear(*colour)
-            * np.exp(0.10 * growth + 0.08 * row + 0.10 * fine + 0.04 * tuft - 0.2 * tram)[..., None]
-        )
+        tone = linear(*colour) * np.exp(0.10 * growth + 0.08 * row + 0.10 * fine + 0.04 * tuft - 0.2 * tram)[..., None]
         c.paint(cover, tone, material)
         c.relief += cover * ridge * row
         if index:
@@ -112,7 +108,7 @@ def _land(c, fine, soft):
 
 
 def _plots(c, g, points, set_back, side, fine, soft, taken, plants, objects):
-    """Walk along one side of a street and lay out house and garden wherever there is room."""
+    """Lay out houses and gardens along one side of a street wherever there is room."""
     leg = np.hypot(*np.diff(points, axis=0).T)
     length = np.concatenate([[0.0], np.cumsum(leg)])
     where = g.uniform(4.0, 12.0)
@@ -140,7 +136,7 @@ def _plots(c, g, points, set_back, side, fine, soft, taken, plants, objects):
 
 
 def _garden(window, g, width, depth, set_back, fine, soft, free):
-    """Lawn, drive, terrace, beds and hedges of one plot."""
+    """Paint lawn, drive, terrace, beds and hedges of a plot."""
     c = window.canvas
     near = 5.0
     grain, blotch = window.view(fine), window.view(soft)
@@ -192,20 +188,18 @@ def _garden(window, g, width, depth, set_back, fine, soft, free):
             continue
         d = np.minimum(half_u - np.abs(window.u - u), half_v - np.abs(window.v - v)) + 0.16 * bump
         hedge = (d > 0.0) & free
-        window.view(c.top)[hedge] = (g.uniform(1.3, 2.2) * (0.8 + 0.4 * np.minimum(d, 0.5) + 0.09 * bump))[
-            hedge
-        ]
+        window.view(c.top)[hedge] = (g.uniform(1.3, 2.2) * (0.8 + 0.4 * np.minimum(d, 0.5) + 0.09 * bump))[hedge]
         window.view(c.albedo)[hedge] = (linear(98, 116, 66) * np.exp(0.22 * bump)[..., None])[hedge]
         window.view(c.material)[hedge] = c.value("broadleaf")
 
 
 def _house(window, g, width, set_back, fine, objects):
-    """One house with its wing or garage, chimney, panels, shed, and a car on the drive."""
+    """Build a house with its wing or garage, chimney, panels, shed, and a car on the drive."""
     c = window.canvas
     half_u, half_v = min(0.5 * width - 5.2, g.uniform(5.0, 6.6)), g.uniform(4.0, 4.9)
     roof = ROOFS[g.integers(len(ROOFS) - 1)] if g.uniform() < 0.9 else ROOFS[-1]
     wall, pitch = g.uniform(3.0, 5.6), g.uniform(32.0, 44.0)
-    g.uniform()  # No longer used; without it all houses that follow would be others.
+    g.uniform()  # Unused draw that keeps the following houses unchanged.
     hip = g.uniform() < 0.3
     turned = g.uniform() < 0.4
     frame = window
@@ -220,7 +214,7 @@ def _house(window, g, width, set_back, fine, objects):
         east, north = frame.position(u0 + g.choice([-0.4, 0.4]) * half_u, v0 + 0.75 * half_v)
         wing = Window(c, east, north, frame.heading + 90.0, 14.0)
         house(wing, fine, g, 0.0, 0.0, 0.6 * half_v + 1.0, 0.40 * half_u, wall - 0.3, roof, pitch)
-    # Panels go on the slope that looks most to the south.
+    # Panels are on the slope that faces south most.
     facing = np.cos(np.radians(frame.heading - 180.0))
     if roof[2] and not hip and abs(facing) > 0.45 and g.uniform() < 0.5:
         columns = int(g.integers(4, 1 + int(1.6 * half_u)))
@@ -228,17 +222,7 @@ def _house(window, g, width, set_back, fine, objects):
         panels(frame, u0 + g.uniform(-0.6, 0.6), v0 + np.sign(facing) * 0.52 * half_v, columns, 2, lean)
     side = 1 if g.uniform() < 0.5 else -1
     if g.uniform() < 0.5:
-        house(
-            window,
-            fine,
-            g,
-            side * (0.5 * width - 2.6),
-            set_back + g.uniform(-1, 5),
-            2.0,
-            3.2,
-            2.6,
-            ROOFS[-1],
-        )
+        house(window, fine, g, side * (0.5 * width - 2.6), set_back + g.uniform(-1, 5), 2.0, 3.2, 2.6, ROOFS[-1])
     if g.uniform() < 0.55:
         u, v = g.uniform(-0.3, 0.3) * width, set_back + g.uniform(14.0, 19.0)
         if not (window.view(c.top)[(np.abs(window.u - u) < 2.5) & (np.abs(window.v - v) < 2.5)] > 1.2).any():
@@ -252,20 +236,13 @@ def _house(window, g, width, set_back, fine, objects):
             if c.inside(east, north, 4.0) and c.material[row, column] == c.value("concrete"):
                 bonnet = temperature + (g.uniform(8.0, 20.0) if g.uniform() < 0.4 else 1.5)
                 objects += car(
-                    f"car_{len(objects) // 4}",
-                    east,
-                    north,
-                    window.heading,
-                    colour,
-                    material,
-                    temperature,
-                    bonnet,
+                    f"car_{len(objects) // 4}", east, north, window.heading, colour, material, temperature, bonnet
                 )
                 break
 
 
 def _planting(window, g, width, depth, set_back, plants, free):
-    """Choose where the garden's trees and shrubs stand."""
+    """Choose positions of the garden's trees and shrubs."""
     trees, conifers, shrubs = plants
     c = window.canvas
     for _ in range(int(g.integers(9, 20))):
@@ -276,13 +253,11 @@ def _planting(window, g, width, depth, set_back, plants, free):
         if not hit.any() or (window.view(c.top)[hit] > 2.3).any() or not free[hit].all():
             continue
         kind = g.uniform()
-        (shrubs if kind < 0.45 or v < set_back else trees if kind < 0.85 else conifers).append(
-            window.position(u, v)
-        )
+        (shrubs if kind < 0.45 or v < set_back else trees if kind < 0.85 else conifers).append(window.position(u, v))
 
 
 def _greenhouse(c, g, fine, taken, at):
-    """A nursery with greenhouses and a flat-roofed hall south-east of the crossing."""
+    """Build a nursery with greenhouses and a flat-roofed hall south-east of the crossing."""
     s = c.size
     x, y = at(0.23 * s)
     window = Window(c, x, y - 0.155 * s, 8.0, 40.0)
@@ -302,7 +277,7 @@ def _greenhouse(c, g, fine, taken, at):
 
 
 def _pond(c, centre):
-    """The village pond: reeds, muddy rim, dark water."""
+    """Paint the village pond: reeds, muddy rim, dark water."""
     wobble = 1.5 * c.fractal("pond", 18.0, 5, 0.5)
     r = np.hypot((c.east - centre[0]) / 1.35, c.north - centre[1]) + wobble
     grain = c.grain("reed", 1.1)
@@ -317,13 +292,11 @@ def _pond(c, centre):
         field *= 1.0 - water
     tone = linear(58, 66, 50) + smoothstep(9.0, 4.0, r)[..., None] * (linear(40, 48, 44) - linear(58, 66, 50))
     weed = smoothstep(0.9, 1.4, c.fractal("weed", 7.0, 5, 0.6))[..., None]
-    c.paint(
-        water, (tone + 0.5 * weed * (linear(92, 110, 56) - tone)) * np.exp(0.05 * grain)[..., None], "water"
-    )
+    c.paint(water, (tone + 0.5 * weed * (linear(92, 110, 56) - tone)) * np.exp(0.05 * grain)[..., None], "water")
 
 
 def _parked(c, g, main, objects):
-    """Cars at the kerb of the main street, one of them just arrived."""
+    """Park cars at the kerb of the main street, one of them with a warm bonnet."""
     course = np.degrees(np.arctan2(np.gradient(main[:, 0]), np.gradient(main[:, 1])))
     for index, east in enumerate(np.array([-0.24, -0.09, 0.02, 0.19]) * c.size + g.normal(0, 3.0, 4)):
         k = int(np.argmin(np.abs(main[:, 0] - east)))
@@ -338,7 +311,7 @@ def _parked(c, g, main, objects):
 
 
 def _green(c, taken, plants):
-    """Plant the gardens' trees, a copse and orchard on free land, and shrubs by the pond."""
+    """Plant the gardens' trees, a copse and an orchard on free land, and shrubs by the pond."""
     g = c.stream("green")
     trees, conifers, shrubs = (np.array(p).reshape(-1, 2) for p in plants)
     leaf = [(114, 130, 72), (126, 138, 78), (104, 120, 66), (134, 134, 76)]

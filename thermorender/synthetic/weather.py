@@ -1,4 +1,7 @@
-"""The weather of a synthetic scene: named days, one drawn from a seed, and what they make of sky and objects."""
+"""Weather of a synthetic scene: drawn from a seed, and its effect on sky, photograph and objects."""
+
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -9,42 +12,43 @@ from thermorender.physics.humidity import LAPSE_K_M
 from thermorender.scene.spec import AtmosphereSpec, WeatherSpec
 from thermorender.synthetic.noise import stream
 from thermorender.weather.declared import declared_weather
+from thermorender.weather.series import Conditions
 
-# All kinds lie on the central meridian of UTM zone 34, where grid north is true north [deg].
+# All kinds are on the central meridian of UTM zone 34, where grid north is true north [deg].
 LONGITUDE_DEG = 21.0
-# Air of the US Standard Atmosphere 1976 at sea level [K], and its water vapour [Pa] with its scale height
-# [m]: Anderson et al., AFGL-TR-86-0110 (1986), table 1f.
+# US Standard Atmosphere 1976 at sea level: air temperature [K], water vapour [Pa] and its scale height [m]. Anderson et
+# al., AFGL-TR-86-0110 (1986), table 1f.
 _STANDARD_K, _STANDARD_VAPOUR_PA, _VAPOUR_SCALE_M = 288.2, 785.0, 2200.0
-# Base of clouds above the ground [m].
+# Cloud base above the ground [m].
 _CLOUD_BASE_M = 1500.0
-# An orthophoto is taken by day, with the sun at least so high [deg].
+# Lowest sun elevation of an orthophoto [deg].
 PHOTOGRAPH_DEG = 10.0
 
-# Daily mean air in the lowlands of central Europe, 48–54° N near 21° E: middle of the year's course [°C], half its
-# range [K], the coldest day of the year, and the altitude [m]: about those of Warsaw's months, 1991–2020.
+# Daily mean air temperature in the lowlands of central Europe, 48–54° N near 21° E: annual mean [°C], half the annual
+# range [K], coldest day of the year, and altitude [m]; about Warsaw's monthly means, 1991–2020.
 _MEAN_C, _SEASON_K, _COLDEST_DAY, _LOWLAND_M = 8.7, 10.7, 15, 100.0
-# Between days of a month: standard deviation in winter and in summer [K].
+# Standard deviation between the days of a month, in winter and in summer [K].
 _STRAYS_K = 4.5, 3.0
 
 
-def drawn_weather(seed, altitude_m=_LOWLAND_M):
+def drawn_weather(seed: int, altitude_m: float = _LOWLAND_M) -> WeatherSpec:
     """Return a WeatherSpec drawn from a seed: date, hour, season with snow, cloud, wind and air.
 
     Parameters
     ----------
     seed : int
-        0 … 2⁶⁴−1. The weather belongs to it alone, not to the landscape.
+        0 … 2⁶⁴−1, independent of the landscape's seed.
     altitude_m : float
-        Of the land [m]; air is colder by 6.5 K per km.
+        Altitude of the land [m]; air is colder by 6.5 K per km.
 
     Notes
     -----
-    A climate of central Europe, 48–54° N, not a forecast: any minute of 2001–2020, so that half of the instants are
-    night. Daily mean of the season ± 3 K in summer and ± 4.5 K in winter. Cloud from Beta(0.6, 0.5), as skies are
-    rather clear or overcast. The day's range is 6 K in January and 13 K in July under a clear sky, a third of it under
-    clouds. Relative humidity at its lowest air 0.75…0.98. Wind at 10 m from Weibull's distribution, shape 2, scale
-    4 m/s, 0.5…12. Snow lies where the mean is below 0 °C, seven times out of ten, and up to 3 °C one time out of four:
-    5 mm to 0.5 m, log-uniform. Inside air 20 °C.
+    A climate of central Europe, 48–54° N: any minute of 2001–2020, so half of the instants are at night. Daily means
+    deviate from the season by ± 3 K in summer and ± 4.5 K in winter. Cloud follows Beta(0.6, 0.5): mostly clear or
+    overcast. The daily range is 6 K in January and 13 K in July under a clear sky, a third of that under clouds.
+    Relative humidity at the lowest air temperature is 0.75…0.98. Wind at 10 m follows Weibull's distribution, shape 2,
+    scale 4 m/s, clipped to 0.5…12 m/s. Snow of 5 mm to 0.5 m, log-uniform, has probability 0.7 below a mean of 0 °C
+    and 0.25 up to 3 °C. Indoor air is 20 °C.
     """
     g = stream(seed, "weather")
     day = int(g.integers(0, 7305))
@@ -70,15 +74,15 @@ def drawn_weather(seed, altitude_m=_LOWLAND_M):
     )
 
 
-def conditions(weather, latitude_deg, altitude_m):
-    """Return the Conditions of a WeatherSpec at its instant and place, refused where it is no weather."""
+def conditions(weather: WeatherSpec, latitude_deg: float, altitude_m: float) -> Conditions:
+    """Return the Conditions of a WeatherSpec at its instant and place; refuse an invalid one."""
     return declared_weather(weather, latitude_deg, LONGITUDE_DEG, altitude_m).at(weather.time)
 
 
-def atmosphere(weather, found, altitude_m):
-    """Return the AtmosphereSpec of a synthetic scene's air: arguments as of `sky_temperature`.
+def atmosphere(weather: WeatherSpec, found: Conditions, altitude_m: float) -> AtmosphereSpec:
+    """Return the AtmosphereSpec of a synthetic scene; arguments as `sky_temperature`.
 
-    The US Standard Atmosphere, moved to the air's temperature and vapour at the ground, with clouds whose base lies
+    It is the US Standard Atmosphere, shifted to the air temperature and vapour at the ground, with the cloud base at
     1500 m above it.
     """
     usual = _STANDARD_K - LAPSE_K_M * altitude_m
@@ -92,27 +96,27 @@ def atmosphere(weather, found, altitude_m):
     )
 
 
-def sky_temperature(weather, found, altitude_m):
-    """Return the temperature [K] of the blackbody that shines as the sky does in the shipped camera's band.
+def sky_temperature(weather: WeatherSpec, found: Conditions, altitude_m: float) -> float:
+    """Return the temperature [K] of a blackbody with the sky's radiance in the shipped camera's band.
 
     Parameters
     ----------
     weather : WeatherSpec
     found : Conditions
-        At its instant.
+        Conditions at its instant.
     altitude_m : float
 
     Notes
     -----
-    Flux-weighted mean over the hemisphere under the air of `atmosphere`. The heat balance knows the sky by its
-    broadband long-wave, 20 K warmer under a clear sky than that of the band, which lies in the air's window.
+    Flux-weighted mean over the hemisphere under the air of `atmosphere`. The heat balance uses the broadband long-wave
+    sky, which is 20 K warmer under a clear sky, because the band is in the atmospheric window.
     """
     air = declared_air(atmosphere(weather, found, altitude_m), defaults.BAND_UM, "synthetic scene")
     return air.sky_temperature(altitude_m)
 
 
-def sun_of_photograph(time, latitude_deg):
-    """Return (azimuth, elevation) [deg] of the sun in the orthophoto: that of the instant, or by night of that noon."""
+def sun_of_photograph(time: np.datetime64, latitude_deg: float) -> tuple[float, float]:
+    """Return (azimuth, elevation) [deg] of the sun in the orthophoto: at the instant, or at noon if it is too low."""
     azimuth, elevation = map(float, sun.position_at(time, latitude_deg, LONGITUDE_DEG))
     if elevation < PHOTOGRAPH_DEG:
         minutes = time.astype("M8[m]") + np.arange(-720, 720)
@@ -121,16 +125,18 @@ def sun_of_photograph(time, latitude_deg):
     return azimuth, elevation
 
 
-def follows(items, found, usual):
-    """Return [[object]] tables whose temperatures follow the weather from what they are under the usual one.
+def follows(
+    items: Sequence[dict[str, Any]], found: tuple[float, float], usual: tuple[float, float]
+) -> list[dict[str, Any]]:
+    """Return [[object]] tables with temperatures adapted to the weather.
 
-    Above air by a part of the sunlight on level ground; what stands as heated keeps its temperature.
+    The excess over air temperature scales with sunlight on level ground; heated objects keep their temperature.
 
     Parameters
     ----------
     items : list of dict
-        Tables, with `heated` beside a scene file's keys where something else heats the object.
-    found, usual : (kelvin of the air, sunlight on level ground [W m⁻²])
+        Tables for the usual weather; the additional key `heated` marks objects with another heat source.
+    found, usual : (air temperature [K], sunlight on level ground [W m⁻²])
     """
     made = []
     for item in items:

@@ -1,4 +1,4 @@
-"""Trajectories: a log becomes timed camera poses in a scene's local frame."""
+"""Trajectories: timed camera poses in a scene's local frame, read from flight logs."""
 
 from thermorender.trajectory.path import (
     Anchor,

@@ -1,44 +1,52 @@
-"""From a log's coordinates and its one height column to positions in the scene's frame.
+"""Positions in the scene's frame from a log's coordinates and its height column.
 
 Heights declare their reference: local up, the ellipsoid, the geoid, the ground below each sample or the
-ground below the first one. Geodetic coordinates pass through ECEF, so curvature and the tilt of the vertical
-are kept.
+ground below the first one. Geodetic coordinates are converted through ECEF, which includes the Earth's curvature and
+the tilt of the vertical.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics.geodesy import FARTHEST_M, LocalFrame, ecef_from_geodetic
 from thermorender.trajectory.mapping import POSITION_GEODETIC
+from thermorender.trajectory.path import GroundHeight, Trajectory
+from thermorender.trajectory.tables import Log
+
+Floats = NDArray[np.float64]
 
 _MOVE = "move the flight into the scene with --anchor E,N,U,heading"
 
 
-def frame_of_first_sample(log):
+def frame_of_first_sample(log: Log) -> LocalFrame:
     """Return a `LocalFrame` on the ellipsoid at the first row's latitude and longitude."""
     _refuse_impossible_coordinates(log)
     return LocalFrame(float(log.values["lat_deg"][0]), float(log.values["lon_deg"][0]), 0.0)
 
 
-def _refuse_impossible_coordinates(log):
+def _refuse_impossible_coordinates(log: Log) -> None:
     latitude, longitude = log.values["lat_deg"], log.values["lon_deg"]
     log.refuse("lat_deg", np.abs(latitude) > 90.0, "latitudes are −90…90 deg")
     log.refuse("lon_deg", (longitude < -180.0) | (longitude > 360.0), "longitudes are −180…180 or 0…360 deg")
 
 
-def local_positions(log, horizontal, height, frame, ground, undulation, relative):
-    """Return the vehicle's positions at the log's own rows, (N, 3) local east, north, up [m].
+def local_positions(
+    log: Log, horizontal: tuple[str, ...], height: str, frame: LocalFrame | None, ground: GroundHeight | None,
+    undulation: float | None, relative: bool,
+) -> Floats:  # fmt: skip
+    """Return the vehicle's positions at the log's rows, (N, 3) local east, north, up [m].
 
     Parameters
     ----------
     log : Log
-        The file that holds the columns.
+        The file with the columns.
     horizontal, height : (2,) names, name
         The pair of horizontal columns and the height column.
     frame, ground, undulation
-        As `read_trajectory` takes them; None where not given.
+        As in `read_trajectory`.
     relative : bool
-        The flight will be anchored: only changes of height matter, a missing level is taken as 0.
+        The flight will be anchored: only changes of height matter.
     """
     value = log.values[height]
     where = log.where(height, 0)
@@ -49,7 +57,7 @@ def local_positions(log, horizontal, height, frame, ground, undulation, relative
         if undulation is None:
             raise ThermorenderError(
                 f"{where}: heights above the geoid need the scene's geoid_undulation_m, which is not given; "
-                "add it to the scene or write alt_ellipsoid_m"
+                "add it to the scene or give alt_ellipsoid_m"
             )
         height, value = "alt_ellipsoid_m", value + undulation
     if height in ("above_ground_m", "above_takeoff_m") and ground is None:
@@ -57,17 +65,17 @@ def local_positions(log, horizontal, height, frame, ground, undulation, relative
             f"{where}: heights of this reference need the ground, and none is given; render a scene with "
             "terrain, or give an anchor or a height of another reference (up_m, alt_ellipsoid_m, alt_geoid_m)"
         )
+    # With above_ground_m and above_takeoff_m the ground is known from here on.
     if horizontal == POSITION_GEODETIC:
         return _geodetic_positions(log, frame, ground, height, value, relative)
     east, north = log.values["east_m"], log.values["north_m"]
     if height == "alt_ellipsoid_m":
         if frame is None:
             raise ThermorenderError(
-                f"{where}: heights above the ellipsoid need the scene's georeference, which is not given; "
-                "write up_m"
+                f"{where}: heights above the ellipsoid need the scene's georeference, which is not given; write up_m"
             )
         up = value - frame.height_m
-        # The vertical tilts by less than 0.9° within 100 km, so each step leaves 1e-4 of the error.
+        # The vertical tilts by less than 0.9° within 100 km, so each step reduces the error to 1e-4 of it.
         for _ in range(3):
             up = up + value - frame.geodetic_from_enu(np.stack([east, north, up], axis=-1))[2]
     elif height == "above_ground_m":
@@ -79,7 +87,9 @@ def local_positions(log, horizontal, height, frame, ground, undulation, relative
     return np.stack([east, north, up], axis=-1)
 
 
-def _geodetic_positions(log, frame, ground, height, value, relative):
+def _geodetic_positions(
+    log: Log, frame: LocalFrame | None, ground: GroundHeight | None, height: str, value: Floats, relative: bool
+) -> Floats:
     _refuse_impossible_coordinates(log)
     latitude, longitude = log.values["lat_deg"], log.values["lon_deg"]
     if frame is None:
@@ -87,9 +97,7 @@ def _geodetic_positions(log, frame, ground, height, value, relative):
             f"{log.where('lat_deg', 0)}: latitude and longitude need the scene's georeference, which is not "
             "given; move the flight into the scene with an anchor"
         )
-    distance = np.linalg.norm(
-        ecef_from_geodetic(latitude, longitude, frame.height_m) - frame.origin_ecef, axis=-1
-    )
+    distance = np.linalg.norm(ecef_from_geodetic(latitude, longitude, frame.height_m) - frame.origin_ecef, axis=-1)
     if (distance > FARTHEST_M).any():
         k = int(np.argmax(distance > FARTHEST_M))
         raise ThermorenderError(
@@ -101,18 +109,18 @@ def _geodetic_positions(log, frame, ground, height, value, relative):
             )
         )
 
-    # A point at latitude and longitude moves along a straight line with its ellipsoid height.
+    # At fixed latitude and longitude a point moves along a straight line with its ellipsoid height.
     foot = frame.enu_from_geodetic(latitude, longitude, 0.0)
     normal = frame.enu_from_geodetic(latitude, longitude, 1.0) - foot
 
-    def at_up(up):
+    def at_up(up: Floats) -> Floats:
         return foot + ((up - foot[:, 2]) / normal[:, 2])[:, None] * normal
 
     if height == "alt_ellipsoid_m":
         return foot + value[:, None] * normal
     if height == "up_m":
         return at_up(value)
-    # Where the ground is met depends, by the tilt of the vertical, on its height.
+    # Because the vertical is tilted, the point on the ground depends on the ground's height: iterate.
     up = np.zeros(value.size)
     samples = slice(None) if height == "above_ground_m" else slice(0, 1)
     for _ in range(5):
@@ -125,7 +133,8 @@ def _geodetic_positions(log, frame, ground, height, value, relative):
     return foot + (takeoff_ellipsoid + value)[:, None] * normal
 
 
-def _ground_below(log, height, ground, east, north):
+def _ground_below(log: Log, height: str, ground: GroundHeight | None, east: Floats, north: Floats) -> Floats:
+    assert ground is not None, "local_positions refuses heights above an unknown ground"
     up = np.asarray(ground(east, north), np.float64)
     if not np.isfinite(up).all():
         k = int(np.argmax(~np.isfinite(up)))
@@ -137,13 +146,13 @@ def _ground_below(log, height, ground, east, north):
     return up
 
 
-def _km(distance):
+def _km(distance: float) -> str:
     kilometres = distance / 1e3
     return f"{kilometres:.0f}" if kilometres < 1e9 else f"{kilometres:.3g}"
 
 
-def refuse_far(log, trajectory):
-    """Raise where a camera position lies farther than 100 km from the scene's origin."""
+def refuse_far(log: Log, trajectory: Trajectory) -> None:
+    """Raise if a camera position is more than 100 km from the scene's origin."""
     east, north, up = trajectory.position.T
     distance = np.hypot(np.hypot(east, north), up)
     if (distance > FARTHEST_M).any():

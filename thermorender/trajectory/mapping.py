@@ -1,14 +1,18 @@
-"""Whose column is which: the names of our columns and the mappings of foreign flight logs onto them.
+"""Column names of thermorender's flight logs, and mappings of other programs' columns to them.
 
-A mapping is a TOML file (`formats/`): which of a log's columns is which of ours, how its time is
-written, and between which axes its quaternion turns.
+A mapping is a TOML file (`formats/`) that names the log's column for each of ours, the notation of time, and the
+axes of the quaternion.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, make_dataclass
 from importlib.resources import files
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.schema import Where, choice, flag, key, number, read, read_toml, table, tables, text
@@ -30,7 +34,7 @@ _NAMED_AXES = {
 
 @dataclass(frozen=True)
 class Quantity:
-    """Where one of our quantities comes from: a column times `scale` plus `offset`, or a constant."""
+    """The source of one of our quantities: a column times `scale` plus `offset`, or a constant."""
 
     column: str | None = key(text, None)
     scale: float = key(number(), 1.0)
@@ -40,18 +44,18 @@ class Quantity:
 
 @dataclass(frozen=True, eq=False)
 class Mapping:
-    """How a log's columns become ours.
+    """The mapping of a log's columns to ours.
 
     Parameters
     ----------
     name : str
         Name of the bundled format or path of the file.
     title : str
-        One line for people.
+        Description in one line.
     quantities : dict
-        Our column name to `Quantity`; empty for our own format, where each name stands for itself.
+        Our column name to `Quantity`; empty for our own format.
     time : Quantity
-        Numeric time [s after scaling]; its column is None where `stamps` are used.
+        Numeric time [s after scaling]; its column is None if `stamps` are used.
     stamps : tuple of dict
         Date-time columns to try in turn: column, pattern ("iso" or strptime's), optional fraction column.
     sort_by_time : bool
@@ -59,35 +63,35 @@ class Mapping:
     quaternion_world : str
         Axes the quaternion rotates into, "NED" or "ENU".
     log_body_from_frd : (3, 3) array
-        Columns: forward, right and down in the log's own body axes.
+        Columns: forward, right and down in the log's body axes.
     quaternion_inverse : bool
         The log's quaternion rotates world to body.
     """
 
     name: str = "canonical"
     title: str = "thermorender's own columns"
-    quantities: dict = field(default_factory=dict)
+    quantities: dict[str, Quantity] = field(default_factory=dict)
     time: Quantity = field(default_factory=lambda: Quantity("time_s"))
-    stamps: tuple = ()
+    stamps: tuple[dict[str, str], ...] = ()
     sort_by_time: bool = False
     quaternion_world: str = "NED"
-    log_body_from_frd: np.ndarray = field(default_factory=lambda: np.eye(3))
+    log_body_from_frd: NDArray[np.float64] = field(default_factory=lambda: np.eye(3))
     quaternion_inverse: bool = False
 
 
-def bundled_formats():
-    """Return the names of the column mappings that come with the package, sorted."""
+def bundled_formats() -> list[str]:
+    """Return the names of the bundled column mappings, sorted."""
     folder = files("thermorender.trajectory") / "formats"
     return sorted(entry.name[: -len(".toml")] for entry in folder.iterdir() if entry.name.endswith(".toml"))
 
 
-def load_mapping(name):
-    """Return the `Mapping` of a bundled format's name or of a TOML file's path; None gives our own columns.
+def load_mapping(name: str | PathLike[str] | None) -> Mapping:
+    """Return the `Mapping` of a bundled format or of a TOML file; None gives our own columns.
 
     Raises
     ------
     ThermorenderError
-        No such format, or the file has an unknown key or a wrong value.
+        The format does not exist, or the file has an unknown key or an invalid value.
     """
     if name is None:
         return Mapping()
@@ -114,19 +118,17 @@ def load_mapping(name):
     )
 
 
-def _quantity(value, where):
+def _quantity(value: Any, where: Where) -> Quantity:
     if isinstance(value, str):
         return Quantity(text(value, where))
     if isinstance(value, dict) and "column" in value:
         return read(Quantity, value, where)
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         return Quantity(constant=number()(value, where))
-    where.refuse(
-        value, "a column's name, a number for all rows, or { column = '…', scale = 1.0, offset = 0.0 }"
-    )
+    where.refuse(value, "a column's name, a number for all rows, or { column = '…', scale = 1.0, offset = 0.0 }")
 
 
-def _body_axes(axes, where):
+def _body_axes(axes: Any, where: Where) -> NDArray[np.float64]:
     """Columns: forward, right, down in the log's body axes, from "FRD", "FLU" or signed axis letters."""
     if isinstance(axes, str) and axes in _NAMED_AXES:
         return _NAMED_AXES[axes]
@@ -140,8 +142,8 @@ def _body_axes(axes, where):
         if np.isclose(np.linalg.det(matrix), 1.0):
             return matrix
     where.refuse(
-        axes, "'FRD', 'FLU' or three of x, y, z with signs that say where forward, right and down lie, as a "
-        "right-handed set"
+        axes,
+        "'FRD', 'FLU' or three of x, y, z with signs that say where forward, right and down lie, as a right-handed set",
     )
 
 
@@ -160,16 +162,16 @@ class _Time:
     column: str | None = key(text, None)
     scale: float = key(number(), 1.0)
     offset: float = key(number(), 0.0)
-    stamps: tuple = key(tables(_Stamp), ())
+    stamps: tuple[_Stamp, ...] = key(tables(_Stamp), ())
 
-    def check(self, where, given):
+    def check(self, where: Where, given: dict[str, Any]) -> None:
         where.exactly_one([name for name in given if getattr(self, name)], ("column", "stamps"))
 
 
 @dataclass(frozen=True)
 class _Quaternion:
     world: str = key(choice("NED", "ENU"), "NED")
-    body: np.ndarray = key(_body_axes, _NAMED_AXES["FRD"])
+    body: NDArray[np.float64] = key(_body_axes, _NAMED_AXES["FRD"])
     inverse: bool = key(flag, False)
 
 
@@ -185,8 +187,8 @@ class _File:
     quaternion: _Quaternion = key(table(_Quaternion), _Quaternion())
 
 
-def fitting_formats(header):
-    """A hint that names the bundled formats which know some of these columns, or nothing."""
+def fitting_formats(header: Iterable[str]) -> str:
+    """Return a hint that names the bundled formats with some of these columns, or ""."""
     fitting = []
     for name in bundled_formats():
         mapping = load_mapping(name)

@@ -1,6 +1,6 @@
-"""A camera's flight: timed positions and attitudes in the scene's frame, read off at any time of the flight.
+"""A camera's flight: timed positions and attitudes in the scene's frame.
 
-Positions between samples lie on the straight line, attitudes turn evenly (slerp). Nothing is extrapolated.
+Positions are interpolated linearly, attitudes by slerp. Nothing is extrapolated.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,27 +25,26 @@ from thermorender.trajectory.rotations import (
 # (east, north), each (N,) [m], to the ground's local up (N,) [m]; NaN off the terrain.
 GroundHeight = Callable[[NDArray[np.float64], NDArray[np.float64]], ArrayLike]
 
-# A quaternion further from length 1 than this is not one that lost digits in a log.
+# Largest deviation of a quaternion's length from 1, by digits lost in a log.
 QUATERNION_TOLERANCE = 1e-3
 
-# Frames are numbered with six digits.
+# Frame numbers have six digits.
 MOST_FRAMES = 1_000_000
 
-# The first heading points to the first sample this far away: less is the jitter of a receiver at rest.
+# The first heading points to the first sample at least this far away; less can be the jitter of a receiver at rest.
 MOVED_M = 1.0
 
 
 @dataclass(frozen=True)
 class Anchor:
-    """Where a flight is moved to: its first camera position and its first heading.
+    """The target of a moved flight: its first camera position and first heading.
 
     Parameters
     ----------
     east, north : float
         Scene coordinates of the first camera position [m].
     up : float
-        Height of the first camera position [m]: above the ground below it where a ground is known, otherwise
-        in local up.
+        Height of the first camera position [m]: above the ground below it if the ground is known, otherwise local up.
     heading_deg : float
         First heading, clockwise from north [deg].
     """
@@ -72,8 +71,8 @@ class Trajectory:
     Raises
     ------
     ThermorenderError
-        Shapes disagree, a value is not finite, time does not increase, or a quaternion's length is not 1
-        within 1e-3 (smaller errors are normalised away).
+        Shapes disagree, a value is not finite, time does not increase, or a quaternion's length is not 1 within 1e-3
+        (smaller errors are normalised).
     """
 
     time_s: NDArray[np.float64]
@@ -81,17 +80,13 @@ class Trajectory:
     quaternion: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        time_s, position, quaternion = (
-            np.array(a, np.float64) for a in (self.time_s, self.position, self.quaternion)
-        )
+        time_s, position, quaternion = (np.array(a, np.float64) for a in (self.time_s, self.position, self.quaternion))
         count = time_s.size
         if time_s.shape != (count,) or count < 1:
             raise ThermorenderError(f"time_s has shape {time_s.shape}; a trajectory needs (N,) with N ≥ 1")
         for name, array, width in (("position", position, 3), ("quaternion", quaternion, 4)):
             if array.shape != (count, width):
-                raise ThermorenderError(
-                    f"{name} has shape {array.shape}; {count} times need ({count}, {width})"
-                )
+                raise ThermorenderError(f"{name} has shape {array.shape}; {count} times need ({count}, {width})")
         for name, array in (("time_s", time_s), ("position", position), ("quaternion", quaternion)):
             if not np.isfinite(array).all():
                 bad = np.argwhere(~np.isfinite(array))[0][0]
@@ -106,9 +101,7 @@ class Trajectory:
         length = np.linalg.norm(quaternion, axis=1)
         if (np.abs(length - 1.0) > QUATERNION_TOLERANCE).any():
             k = int(np.argmax(np.abs(length - 1.0) > QUATERNION_TOLERANCE))
-            raise ThermorenderError(
-                f"quaternion: sample {k} has length {length[k]:.6g}; unit quaternions are needed"
-            )
+            raise ThermorenderError(f"quaternion: sample {k} has length {length[k]:.6g}; unit quaternions are needed")
         quaternion /= length[:, None]
         for name, array in (("time_s", time_s), ("position", position), ("quaternion", quaternion)):
             array.flags.writeable = False
@@ -132,7 +125,7 @@ class Trajectory:
 
     @cached_property
     def rotation(self) -> Rotation:
-        """The N attitudes as a SciPy `Rotation` from camera axes to east, north, up."""
+        """Attitudes as N SciPy `Rotation`s from camera axes to east, north, up."""
         return rotation_from_wxyz(self.quaternion)
 
     @cached_property
@@ -140,7 +133,7 @@ class Trajectory:
         return slerp(self.time_s, self.rotation)
 
     def sampled(self, times_s: ArrayLike) -> "Trajectory":
-        """Return the trajectory at other times, strictly increasing, (M,) [s], within the span."""
+        """Return the trajectory at other times (M,) [s], strictly increasing and within the span."""
         times = np.atleast_1d(np.asarray(times_s, np.float64))
         start, stop = self.span_s
         outside = ~((times >= start) & (times <= stop))
@@ -153,8 +146,7 @@ class Trajectory:
         return Trajectory(times, position, wxyz(self._rotation_at(times)))
 
     def pose(self, time_s: float) -> NDArray[np.float64]:
-        """Return `world_from_camera`, (4, 4), at one time [s]: position on the straight line, attitude by
-        slerp.
+        """Return the interpolated `world_from_camera`, (4, 4), at one time [s].
 
         Raises
         ------
@@ -173,15 +165,14 @@ class Trajectory:
     def frame_times(
         self, rate_hz: float, start_s: float | None = None, stop_s: float | None = None
     ) -> NDArray[np.float64]:
-        """Return frame times, (M,) [s], from the start at a fixed rate [Hz], the end included if it falls on
-        one.
+        """Return frame times, (M,) [s], at a fixed rate from start to stop.
 
         Parameters
         ----------
         rate_hz : float
             Frames per second.
         start_s, stop_s : float, optional
-            Part of the span [s]; the whole of it where left out.
+            Part of the span [s]; the whole span by default.
         """
         if not (np.isfinite(rate_hz) and rate_hz > 0.0):
             raise ThermorenderError(f"rate_hz={rate_hz} must be a positive number of frames per second")
@@ -190,10 +181,10 @@ class Trajectory:
         stop = last if stop_s is None else float(stop_s)
         if not (first <= start <= stop <= last):
             raise ThermorenderError(
-                f"start_s={start:.9g}, stop_s={stop:.9g}: the part must lie in order within the trajectory's "
-                f"span, {first:.9g} to {last:.9g} s"
+                f"start_s={start:.9g}, stop_s={stop:.9g}: start_s must not exceed stop_s, and both must be within the "
+                f"trajectory's span, {first:.9g} to {last:.9g} s"
             )
-        # The small share of a frame keeps a last frame that rounding would push past the end.
+        # 1e-6 of a frame keeps a last frame that rounding would push past the end.
         frames = np.floor((stop - start) * rate_hz + 1e-6) + 1
         if not frames <= MOST_FRAMES:
             raise ThermorenderError(
@@ -207,9 +198,9 @@ class Trajectory:
     def first_heading_deg(self) -> float:
         """Heading at the start, clockwise from north, in [0, 360) [deg].
 
-        The direction from the first sample to the first one at least 1 m away horizontally. If there is none,
-        the horizontal direction of the view, and of a camera that looks straight up or down that of the
-        image's upper edge.
+        This is the direction from the first sample to the first one at least 1 m away horizontally. For a camera that
+        never moves so far it is the horizontal direction of view or, looking straight up or down, of the image's upper
+        edge.
         """
         away = self.position[:, :2] - self.position[0, :2]
         moved = np.hypot(*away.T) >= MOVED_M
@@ -220,10 +211,8 @@ class Trajectory:
             direction = axes[:2, 2] if np.hypot(*axes[:2, 2]) > 1e-6 else -axes[:2, 1]
         return float(np.degrees(np.arctan2(direction[0], direction[1])) % 360.0)
 
-    def anchored(
-        self, east: float, north: float, heading_deg: float, up: float | None = None
-    ) -> "Trajectory":
-        """Return the trajectory moved to another position and turned about up, its shape unchanged.
+    def anchored(self, east: float, north: float, heading_deg: float, up: float | None = None) -> "Trajectory":
+        """Return the trajectory moved to another position and rotated about up, its shape unchanged.
 
         Parameters
         ----------
@@ -232,18 +221,16 @@ class Trajectory:
         heading_deg : float
             New first heading (see `first_heading_deg`), clockwise from north [deg].
         up : float, optional
-            New local up of the first camera position [m]; heights stay as they are where it is left out.
+            New local up of the first camera position [m]; by default heights do not change.
         """
-        # Headings grow clockwise, rotations about up anticlockwise.
+        # Headings increase clockwise, rotations about up anticlockwise.
         turn = Rotation.from_euler("z", self.first_heading_deg - heading_deg, degrees=True)
         origin = self.position[0]
         target = np.array([east, north, origin[2] if up is None else up], np.float64)
-        return Trajectory(
-            self.time_s, turn.apply(self.position - origin) + target, wxyz(turn * self.rotation)
-        )
+        return Trajectory(self.time_s, turn.apply(self.position - origin) + target, wxyz(turn * self.rotation))
 
     def above_ground(self, ground: GroundHeight) -> NDArray[np.float64]:
-        """Return the camera's height above the ground, (N,) [m]; NaN where there is none below it.
+        """Return the camera's height above the ground, (N,) [m]; NaN off the terrain.
 
         Parameters
         ----------
@@ -254,29 +241,27 @@ class Trajectory:
 
 
 def check_above_ground(trajectory: Trajectory, ground: GroundHeight, minimum_m: float = 0.0) -> float:
-    """Return the lowest height above ground at the samples [m] after refusing a flight that dips below.
+    """Return the lowest height above ground at the samples [m] after refusing a flight below the limit.
 
     Parameters
     ----------
     trajectory : Trajectory
-        The flight; use `trajectory.sampled(frame_times)` to check what will be rendered.
+        The flight; use `trajectory.sampled(frame_times)` to check the rendered frames.
     ground : callable
-        As in `Trajectory.above_ground`; samples with NaN (off the terrain) pass.
+        As in `Trajectory.above_ground`; samples off the terrain are not checked.
     minimum_m : float
         Lowest height allowed [m].
 
     Raises
     ------
     ThermorenderError
-        A sample is lower; the message names the first such time and how far below it is.
+        A sample is lower; the message names the first such time and the distance.
     """
     height = trajectory.above_ground(ground)
     low = height < minimum_m
     if low.any():
         k = int(np.argmax(low))
-        limit = (
-            "the ground" if minimum_m == 0.0 else f"the lowest height allowed, {minimum_m:g} m above ground"
-        )
+        limit = "the ground" if minimum_m == 0.0 else f"the lowest height allowed, {minimum_m:g} m above ground"
         raise ThermorenderError(
             f"trajectory: at {trajectory.time_s[k]:.3f} s the camera is {minimum_m - height[k]:.2f} m below "
             f"{limit} ({int(low.sum())} of {len(trajectory)} samples are); check the height column's "
@@ -296,9 +281,7 @@ def parse_numbers(name: str, text: str, labels: Sequence[str]) -> tuple[float, .
     cells = [cell.strip() for cell in str(text).split(",")]
     wanted = ",".join(labels)
     if len(cells) != len(labels):
-        raise ThermorenderError(
-            f"{name}={text!r} has {len(cells)} values; {len(labels)} are needed: {wanted}"
-        )
+        raise ThermorenderError(f"{name}={text!r} has {len(cells)} values; {len(labels)} are needed: {wanted}")
     values = []
     for label, cell in zip(labels, cells, strict=True):
         try:
@@ -306,9 +289,7 @@ def parse_numbers(name: str, text: str, labels: Sequence[str]) -> tuple[float, .
         except ValueError:
             value = float("nan")
         if not np.isfinite(value):
-            raise ThermorenderError(
-                f"{name}={text!r}: {label} is {cell!r}, not a finite number; give {wanted}"
-            )
+            raise ThermorenderError(f"{name}={text!r}: {label} is {cell!r}, not a finite number; give {wanted}")
         values.append(value)
     return tuple(values)
 
@@ -319,7 +300,7 @@ def parse_anchor(text: str) -> Anchor:
 
 
 def parse_mount(text: str) -> tuple[float, ...]:
-    """Return (yaw, pitch, roll) [deg] of "yaw,pitch,roll": the optical axis against the vehicle's body."""
+    """Return (yaw, pitch, roll) [deg] of "yaw,pitch,roll": the optical axis relative to the vehicle's body."""
     return parse_numbers("mount", text, ("yaw", "pitch", "roll"))
 
 
@@ -338,17 +319,17 @@ def pose(
     east, north, up : float
         Position in the scene's local frame [m].
     yaw_deg, pitch_deg, roll_deg : float
-        Of the optical axis: heading clockwise from north, above the horizon (−90 looks straight down, the upper
-        edge of the image towards the heading), right side of the image down [deg].
+        Of the optical axis [deg]: heading clockwise from north, elevation above the horizon (at −90 the image's upper
+        edge points to the heading), right side of the image down.
 
     Raises
     ------
     ThermorenderError
-        The position lies farther than 100 km from the scene's origin.
+        The position is more than 100 km from the scene's origin.
     """
     if not max(abs(east), abs(north), abs(up)) <= FARTHEST_M:
         raise ThermorenderError(
-            f"pose: east {east:g} m, north {north:g} m, up {up:g} m lies beyond {FARTHEST_M / 1e3:.0f} km from the "
+            f"pose: east {east:g} m, north {north:g} m, up {up:g} m is more than {FARTHEST_M / 1e3:.0f} km from the "
             "scene's origin; give a position in the scene"
         )
     matrix = np.eye(4)

@@ -1,16 +1,16 @@
-"""From a flight log's columns to the camera's trajectory: heights, attitudes, mounting and anchoring.
+"""Read the camera's trajectory from flight logs: heights, attitudes, mounting and anchoring.
 
-Conventions of our own CSV columns (row 1 names them; units are in the names):
+Conventions of thermorender's CSV columns (row 1 has the names, which end in units):
 
 - `time_s`; position `east_m, north_m` in the scene's frame or `lat_deg, lon_deg` (WGS 84).
 - Exactly one height: `up_m` (local up), `alt_ellipsoid_m`, `alt_geoid_m`, `above_ground_m` (above the ground
   below each sample) or `above_takeoff_m` (above the ground below the first sample).
 - The vehicle's attitude: `qw, qx, qy, qz` from body axes (x forward, y right, z down) to local north, east,
   down, or `yaw_deg` (clockwise from north), `pitch_deg` (nose up), `roll_deg` (right side down). A missing
-  angle is 0; without any, the vehicle flies level with its nose to the north.
-- `gimbal_yaw_deg, gimbal_pitch_deg, gimbal_roll_deg`: the optical axis against the Earth (pitch −90 looks
+  angle is 0; without any, the vehicle flies level and heads north.
+- `gimbal_yaw_deg, gimbal_pitch_deg, gimbal_roll_deg`: the optical axis relative to the Earth (pitch −90 looks
   straight down, 0 at the horizon; yaw clockwise from north). A missing yaw is the vehicle's, a missing pitch
-  or roll is 0. With any of them the vehicle's attitude only turns the lever arm.
+  or roll is 0. With any of these columns the vehicle's attitude only rotates the lever arm.
 """
 
 from collections.abc import Iterable, Sequence
@@ -50,25 +50,19 @@ from thermorender.trajectory.tables import Log, read_log
 
 
 def read_trajectory(
-    paths: str | PathLike[str] | Iterable[str | PathLike[str]],
-    *,
-    frame: LocalFrame | None = None,
-    ground: GroundHeight | None = None,
-    geoid_undulation_m: float | None = None,
-    format: str | PathLike[str] | None = None,
-    anchor: Anchor | None = None,
-    clock_offset_s: float = 0.0,
-    mount: Sequence[float] | None = None,
-    lever_arm_m: Sequence[float] = (0.0, 0.0, 0.0),
+    paths: str | PathLike[str] | Iterable[str | PathLike[str]], *, frame: LocalFrame | None = None,
+    ground: GroundHeight | None = None, geoid_undulation_m: float | None = None,
+    format: str | PathLike[str] | None = None, anchor: Anchor | None = None, clock_offset_s: float = 0.0,
+    mount: Sequence[float] | None = None, lever_arm_m: Sequence[float] = (0.0, 0.0, 0.0),
     duplicates: Literal["refuse", "spread", "first"] = "refuse",
-) -> Trajectory:
+) -> Trajectory:  # fmt: skip
     """Return the camera's `Trajectory` in the scene's frame from one or several CSV files of a flight.
 
     Parameters
     ----------
     paths : path or list of paths
-        One file, or several that each contribute columns on their own time (position, attitude, gimbal).
-        Files are joined on the times of all of them within the span they share.
+        One file, or several with different columns (position, attitude, gimbal) and their own times.
+        Files are joined at the times of all of them within their common span.
     frame : LocalFrame, optional
         The scene's georeference; needed for latitude and longitude unless anchored.
     ground : callable, optional
@@ -79,35 +73,28 @@ def read_trajectory(
         A bundled column mapping (`trajectory.mapping.bundled_formats()`) or a TOML file in the same form.
     anchor : Anchor, optional
         Moves the flight so that its first camera position is at (east, north), `up` metres above the ground
-        there (local up where `ground` is not given), and turns it about up to the heading. The flight keeps
-        its shape; a log of `above_ground_m` instead keeps each sample's height above the ground it now flies
-        over, all shifted alike so that the first is `up`. No georeference is needed.
+        there (local up without `ground`), and rotates it about up to the heading. The flight keeps its shape. A log of
+        `above_ground_m` instead follows the new ground, with all its heights shifted so that the first is `up`.
+        No georeference is needed.
     clock_offset_s : float
         Added to the log's time [s]. Date-time stamps count from the earliest sample.
     mount : (3,), optional
-        Yaw, pitch, roll of the optical axis against the vehicle's body [deg]; (0, 0, 0), the default, looks
-        forward with the image's right edge to the vehicle's right, (0, −90, 0) looks down with the nose at
+        Yaw, pitch, roll of the optical axis relative to the vehicle's body [deg]. The default (0, 0, 0) looks
+        forward with the image's right edge to the vehicle's right; (0, −90, 0) looks down with the nose at
         the upper edge.
     lever_arm_m : (3,)
         The camera's position in the vehicle's body: forward, right, down [m].
     duplicates : {"refuse", "spread", "first"}
-        What becomes of different rows of one time, such as two images within a second of a clock that shows seconds:
-        see `tables.read_log`.
+        Treatment of different rows with equal times, such as two images within one second of a clock without
+        decimals; see `tables.read_log`.
 
     Raises
     ------
     ThermorenderError
-        Anything a log can get wrong, naming file, row and column.
+        A file or an argument is invalid; for a log the message names file, row and column.
     """
     mapping = load_mapping(format)
-    paths = [paths] if isinstance(paths, (str, PathLike)) else list(paths)
-    if not paths:
-        raise ThermorenderError("paths is empty; give at least one CSV file")
-    logs = _with_constants([read_log(path, mapping, duplicates) for path in paths], mapping)
-    if mapping.stamps:
-        # Simulations count from the start of the flight, not from 1970; all files share that zero.
-        zero = min(log.time_s[0] for log in logs)
-        logs = [replace(log, time_s=log.time_s - zero) for log in logs]
+    logs = _read_logs(paths, mapping, duplicates)
     mount_deg = _triple("mount", (0.0, 0.0, 0.0) if mount is None else mount, "yaw, pitch, roll [deg]")
     if not np.isfinite(clock_offset_s):
         raise ThermorenderError(f"clock_offset_s={clock_offset_s} is not a finite number; give seconds")
@@ -120,13 +107,7 @@ def read_trajectory(
         position_log, horizontal, height, frame, ground, geoid_undulation_m, relative=anchor is not None
     )
 
-    body_log, gimbal_log = _attitude_logs(logs)
-    if gimbal_log is not None and mount is not None:
-        raise ThermorenderError(
-            f"mount={tuple(mount)} contradicts {gimbal_log.path}, whose gimbal columns say where the camera "
-            "looks; leave mount out or delete the columns "
-            f"{', '.join(n for n in GIMBAL if n in gimbal_log.values)}"
-        )
+    body_log, gimbal_log = _attitude_logs(logs, mount)
     time_s = _common_times([log for log in (position_log, body_log, gimbal_log) if log is not None])
     position = np.stack([np.interp(time_s, position_log.time_s, position[:, k]) for k in range(3)], axis=-1)
     ned_from_body = _body(body_log, mapping, time_s)
@@ -137,7 +118,7 @@ def read_trajectory(
     )
     enu_from_ned = Rotation.from_matrix(ENU_FROM_NED)
     if frame and horizontal == POSITION_GEODETIC:
-        # North and down turn along the path; the scene's axes are those of its origin, without which none comes here.
+        # North and down change along the path; the scene's axes are those of its origin.
         latitude, longitude, _ = frame.geodetic_from_enu(position)
         enu_from_ned = Rotation.from_matrix(frame.enu_from_ecef_rotation) * ecef_from_ned(latitude, longitude)
     trajectory = Trajectory(
@@ -151,14 +132,24 @@ def read_trajectory(
     return trajectory
 
 
-def _with_constants(logs: list[Log], mapping: Mapping) -> list[Log]:
-    """The logs with the mapping's constants added, each where its kind of column is logged."""
+def _read_logs(
+    paths: str | PathLike[str] | Iterable[str | PathLike[str]], mapping: Mapping, duplicates: str
+) -> list[Log]:
+    """The logs of the files, with the mapping's constants added, each to the log with columns of its kind."""
+    paths = [paths] if isinstance(paths, (str, PathLike)) else list(paths)
+    if not paths:
+        raise ThermorenderError("paths is empty; give at least one CSV file")
+    logs = [read_log(path, mapping, duplicates) for path in paths]
     kinds = (POSITION, QUATERNION + ANGLES, GIMBAL)
     for name, quantity in mapping.quantities.items():
         if quantity.constant is not None:
             kind = next(kind for kind in kinds if name in kind)
             owner = next((log for log in logs if any(n in log.values for n in kind)), logs[0])
             owner.values[name] = np.full(owner.time_s.size, quantity.constant)
+    if mapping.stamps:
+        # Simulations count from the start of the flight, not from 1970; all files have the same zero.
+        zero = min(log.time_s[0] for log in logs)
+        logs = [replace(log, time_s=log.time_s - zero) for log in logs]
     return logs
 
 
@@ -170,7 +161,7 @@ def _triple(name: str, value: Sequence[float], meaning: str) -> NDArray[np.float
 
 
 def _position_columns(logs: list[Log], mapping: Mapping) -> tuple[Log, tuple[str, ...], str]:
-    """The log that holds the position, its pair of horizontal columns and its height column."""
+    """The log with the position, its pair of horizontal columns and its height column."""
     log_of: dict[str, Log] = {}
     for log in logs:
         for name in log.values:
@@ -198,31 +189,24 @@ def _position_columns(logs: list[Log], mapping: Mapping) -> tuple[Log, tuple[str
     if len(heights) != 1:
         arrived = "the height columns " + ", ".join(heights) if heights else "no height column"
         raise ThermorenderError(
-            f"{names}: has {arrived}; exactly one of {', '.join(HEIGHTS)} is allowed, so that its reference "
-            "is plain"
+            f"{names}: has {arrived}; exactly one of {', '.join(HEIGHTS)} is allowed, so that its reference is clear"
         )
     for name in pairs[0]:
         if name not in log_of:
-            raise ThermorenderError(
-                f"{names}: column {name!r} is missing; {' and '.join(pairs[0])} go together"
-            )
+            raise ThermorenderError(f"{names}: column {name!r} is missing; {' and '.join(pairs[0])} go together")
     used = {id(log_of[name]) for name in (*pairs[0], heights[0])}
     if len(used) != 1:
-        raise ThermorenderError(
-            f"{names}: {', '.join(pairs[0])} and {heights[0]} must be columns of one file"
-        )
+        raise ThermorenderError(f"{names}: {', '.join(pairs[0])} and {heights[0]} must be columns of one file")
     return log_of[heights[0]], pairs[0], heights[0]
 
 
-def _attitude_logs(logs: list[Log]) -> list[Log | None]:
-    """The log with the vehicle's attitude and the one with the gimbal's; None where there is none."""
+def _attitude_logs(logs: list[Log], mount: Sequence[float] | None) -> list[Log | None]:
+    """The log with the vehicle's attitude and the log with the gimbal's angles, or None."""
     chosen = []
     for group, what in ((QUATERNION + ANGLES, "vehicle's attitude"), (GIMBAL, "gimbal's angles")):
         holders = [log for log in logs if any(name in log.values for name in group)]
         if len(holders) > 1:
-            raise ThermorenderError(
-                f"{', '.join(log.path for log in holders)}: the {what} must be columns of one file"
-            )
+            raise ThermorenderError(f"{', '.join(log.path for log in holders)}: the {what} must be columns of one file")
         chosen.append(holders[0] if holders else None)
     body = chosen[0]
     if body is not None:
@@ -233,29 +217,31 @@ def _attitude_logs(logs: list[Log]) -> list[Log | None]:
             )
         if quaternion and len(quaternion) < 4:
             missing = ", ".join(repr(name) for name in QUATERNION if name not in quaternion)
-            raise ThermorenderError(
-                f"{body.path}: column {missing} is missing; a quaternion needs qw, qx, qy, qz"
-            )
+            raise ThermorenderError(f"{body.path}: column {missing} is missing; a quaternion needs qw, qx, qy, qz")
+    gimbal = chosen[1]
+    if gimbal is not None and mount is not None:
+        raise ThermorenderError(
+            f"mount={tuple(mount)} contradicts {gimbal.path}, whose gimbal columns say where the camera looks; leave "
+            f"mount out or delete the columns {', '.join(n for n in GIMBAL if n in gimbal.values)}"
+        )
     return chosen
 
 
 def _common_times(logs: list[Log]) -> NDArray[np.float64]:
-    """All times of all logs within the span they share: nothing either of them says is lost."""
+    """All times of all logs within their common span, so that no sample is lost."""
     if all(log is logs[0] for log in logs):
         return logs[0].time_s
     start, stop = max(log.time_s[0] for log in logs), min(log.time_s[-1] for log in logs)
     times = np.unique(np.concatenate([log.time_s for log in logs]))
     times = times[(times >= start) & (times <= stop)]
     if not times.size:
-        spans = ", ".join(
-            f"{log.path} {log.time_s[0]:.9g}…{log.time_s[-1]:.9g} s" for log in dict.fromkeys(logs)
-        )
+        spans = ", ".join(f"{log.path} {log.time_s[0]:.9g}…{log.time_s[-1]:.9g} s" for log in dict.fromkeys(logs))
         raise ThermorenderError(f"the files share no time: {spans}; give files of one flight and one clock")
     return times
 
 
 def _body(log: Log | None, mapping: Mapping, time_s: NDArray[np.float64]) -> Rotation:
-    """Rotations from body FRD to NED at `time_s`; level, nose to the north, where nothing is logged."""
+    """Rotations from body FRD to NED at `time_s`; level and heading north without a log."""
     if log is None:
         return rotation_from_angles(np.zeros(time_s.size), 0.0, 0.0)
     if "qw" not in log.values:
@@ -292,9 +278,7 @@ def _gimbal(log: Log, time_s: NDArray[np.float64], ned_from_body: Rotation) -> R
     return rotation_from_angles(np.degrees(np.arctan2(nose[:, 1], nose[:, 0])), 0.0, 0.0) * gimbal
 
 
-def _anchored(
-    trajectory: Trajectory, anchor: Anchor, ground: GroundHeight | None, height: str
-) -> Trajectory:
+def _anchored(trajectory: Trajectory, anchor: Anchor, ground: GroundHeight | None, height: str) -> Trajectory:
     up = anchor.up
     if ground is not None:
         spot = np.array([anchor.east]), np.array([anchor.north])

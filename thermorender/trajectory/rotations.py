@@ -1,49 +1,49 @@
-"""Attitudes of vehicles and cameras: aviation angles, axis conventions and interpolation, on SciPy's
-`Rotation`.
+"""Attitudes of vehicles and cameras as SciPy `Rotation`s: aviation angles, axis conventions and interpolation.
 
-Three sets of axes meet here. *Body* is FRD: x forward, y right, z down. *NED* is the local north, east, down
+There are three sets of axes. *Body* is FRD: x forward, y right, z down. *NED* is the local north, east, down
 at the vehicle's position. *Camera* is x right, y down, z forward (along the optical axis).
 """
 
+from collections.abc import Callable
+
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-# Columns: where the source's x, y and z axes lie in the target's.
+# Columns: the source's x, y and z axes in the target's.
 ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 BODY_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
-def rotation_from_angles(yaw_deg, pitch_deg, roll_deg):
-    """Return the rotation from body FRD axes to NED axes of aviation's angles.
+def rotation_from_angles(yaw_deg: ArrayLike, pitch_deg: ArrayLike, roll_deg: ArrayLike) -> Rotation:
+    """Return the rotation from body FRD axes to NED axes for aviation angles.
 
     Parameters
     ----------
     yaw_deg, pitch_deg, roll_deg : float or (N,) arrays
-        Heading clockwise from north, nose above the horizon, right side down [deg]: roll is applied first,
-        then pitch, then yaw, each about the vehicle's own axis.
+        Heading clockwise from north, nose above the horizon, right side down [deg]: intrinsic rotations in the order
+        yaw, pitch, roll.
 
     Notes
     -----
-    At pitch ±90° only the sum or difference of yaw and roll counts, so a gimbal that reports roll 180°,
-    pitch −90°, yaw −91° has the same attitude as one at roll 0°, pitch −90°, yaw 89°.
+    At pitch ±90° only the sum or difference of yaw and roll counts: roll 180°, pitch −90°, yaw −91° is the same
+    attitude as roll 0°, pitch −90°, yaw 89°.
     """
-    angles = np.stack(
-        np.broadcast_arrays(*(np.asarray(a, np.float64) for a in (yaw_deg, pitch_deg, roll_deg))), -1
-    )
+    angles = np.stack(np.broadcast_arrays(*(np.asarray(a, np.float64) for a in (yaw_deg, pitch_deg, roll_deg))), -1)
     return Rotation.from_euler("ZYX", angles, degrees=True)
 
 
-def rotation_from_wxyz(quaternion):
+def rotation_from_wxyz(quaternion: ArrayLike) -> Rotation:
     """Return the rotation of quaternions, (..., 4) in the order (w, x, y, z); they are normalised."""
     return Rotation.from_quat(np.roll(np.asarray(quaternion, np.float64), -1, axis=-1))
 
 
-def wxyz(rotation):
+def wxyz(rotation: Rotation) -> NDArray[np.float64]:
     """Return unit quaternions, (..., 4) in the order (w, x, y, z), with w ≥ 0."""
     return np.roll(rotation.as_quat(canonical=True), 1, axis=-1)
 
 
-def ecef_from_ned(latitude_deg, longitude_deg):
+def ecef_from_ned(latitude_deg: ArrayLike, longitude_deg: ArrayLike) -> Rotation:
     """Return the rotations from local NED axes to ECEF at geodetic coordinates, (N,) [deg]."""
     lat, lon = (
         np.radians(np.asarray(latitude_deg, np.float64)),
@@ -56,11 +56,10 @@ def ecef_from_ned(latitude_deg, longitude_deg):
     return Rotation.from_matrix(np.stack([north, east, down], axis=-1))
 
 
-def slerp(time_s, rotation):
-    """Return the function that gives `rotation` (N attitudes at increasing `time_s`) at other times, turning
-    evenly.
+def slerp(time_s: NDArray[np.float64], rotation: Rotation) -> Callable[[ArrayLike], Rotation]:
+    """Return the spherical linear interpolation of N attitudes at increasing `time_s`, a function of time [s].
 
-    A single attitude is constant. Neighbouring attitudes are joined by the smaller of the two turns.
+    A single attitude is constant. Interpolation follows the shorter of the two rotations.
 
     Notes
     -----

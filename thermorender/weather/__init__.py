@@ -1,1 +1,1 @@
-"""Weather as a series in time: measured, of a typical year, or of a named day."""
+"""Weather as a time series: measured, of a typical year, or of a named day."""

@@ -1,8 +1,10 @@
-"""Columns of weather: which names there are, in which units, and which values can be right."""
+"""Columns of weather files: names, units and plausible values."""
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics import humidity
@@ -10,7 +12,7 @@ from thermorender.units import ZERO_CELSIUS_K
 
 
 class Column(NamedTuple):
-    """A column's quantity, and how its numbers become the quantity's unit: (number + before) · scale + after."""
+    """A column's quantity and the conversion to its unit: (number + before) · scale + after."""
 
     quantity: str
     scale: float = 1.0
@@ -18,7 +20,7 @@ class Column(NamedTuple):
     before: float = 0.0
 
 
-# A share, cloud cover and rain per interval have units of their own; ppfd is light for photosynthesis.
+# ppfd is photosynthetic photon flux density.
 COLUMNS = {
     "air_k": Column("air_k"),
     "air_c": Column("air_k", after=ZERO_CELSIUS_K),
@@ -41,7 +43,7 @@ COLUMNS = {
     "sw_down_w_m2": Column("global_w_m2"),
     "sw_direct_normal_w_m2": Column("direct_w_m2"),
     "sw_diffuse_w_m2": Column("diffuse_w_m2"),
-    # 2.05 µmol of photosynthetic photons to a joule of sunlight, ± 5 %: Meek and others, Agron. J. 76 (1984) 939.
+    # 2.05 µmol of photosynthetic photons per joule of sunlight, ± 5 %: Meek and others, Agron. J. 76 (1984) 939.
     "ppfd_umol_m2_s": Column("ppfd_w_m2", 1.0 / 2.05),
     "lw_down_w_m2": Column("longwave_w_m2"),
     "cloud": Column("cloud"),
@@ -56,52 +58,49 @@ COLUMNS = {
     "snow_depth_m": Column("snow_m"),
     "snow_depth_cm": Column("snow_m", 0.01),
 }
-# What loggers write where nothing was measured.
+# Marks of missing values in loggers' files.
 MISSING_TEXTS = {"", "na", "n/a", "nan", "null", "none", "-", "m", "--"}
 MISSING_NUMBERS = (-999.0, -999.9, -6999.0, -9999.0, -9999.9, -99999.0, -999999.0, 9999.0, 9999.9, 99999.0, 999999.0)
 
-# Lowest and highest value of a quantity, and what a value beyond them may be.
+# Lowest and highest value of a quantity, and the advice for values outside.
 _RANGES = {
-    "air_k": (180.0, 333.0, "air of 180…333 K (−93…60 °C); a column's name tells its unit: air_c, air_k or air_f"),
-    "dew_point_k": (150.0, 313.0, "a dew point of 150…313 K; the name tells the unit: dew_point_c, _k or _f"),
+    "air_k": (180.0, 333.0, "air of 180…333 K (−93…60 °C); a column's name ends in its unit: air_c, air_k or air_f"),
+    "dew_point_k": (150.0, 313.0, "a dew point of 150…313 K; the name ends in the unit: dew_point_c, _k or _f"),
     "rh": (0.0, 1.15, "a relative humidity of 0…115 % in rh_percent, or of 0…1.15 in rh"),
-    "vapour_pa": (0.0, 7000.0, "a vapour pressure of 0…7000 Pa; the name tells the unit: _pa, _hpa or _kpa"),
-    "deficit_pa": (-100.0, 15000.0, "a deficit of 0…15000 Pa; the name tells the unit: _pa, _hpa or _kpa"),
-    "wind_m_s": (0.0, 80.0, "a wind of 0…80 m/s; write nothing where it was not measured"),
+    "vapour_pa": (0.0, 7000.0, "a vapour pressure of 0…7000 Pa; the name ends in the unit: _pa, _hpa or _kpa"),
+    "deficit_pa": (-100.0, 15000.0, "a deficit of 0…15000 Pa; the name ends in the unit: _pa, _hpa or _kpa"),
+    "wind_m_s": (0.0, 80.0, "a wind of 0…80 m/s; leave the cell empty if it was not measured"),
     "global_w_m2": (-30.0, 1800.0, "a short-wave irradiance of 0…1800 W/m² (−30 at night is a sensor's offset)"),
-    "direct_w_m2": (-30.0, 1420.0, "direct sun of 0…1420 W/m², that above the air"),
+    "direct_w_m2": (-30.0, 1420.0, "direct sun of 0…1420 W/m²; it has 1420 above the atmosphere"),
     "diffuse_w_m2": (-30.0, 1200.0, "diffuse short-wave of 0…1200 W/m²"),
     "ppfd_w_m2": (-30.0, 1800.0, "photons of 0…3700 µmol m⁻² s⁻¹"),
-    "longwave_w_m2": (
-        60.0,
-        600.0,
-        "long-wave down of 60…600 W/m², the sky's own and not the balance with the ground's",
-    ),
+    "longwave_w_m2": (60.0, 600.0, "long-wave down of 60…600 W/m², the sky's and not the balance with the ground's"),
     "cloud": (0.0, 1.0, "a share of the sky: cloud 0…1, cloud_percent 0…100, cloud_oktas 0…8 or cloud_tenths 0…10"),
     "rain_mm": (0.0, 400.0, "rain of 0…400 mm in an interval"),
     "rain_mm_h": (0.0, 2500.0, "rain of 0…2500 mm/h"),
-    "pressure_pa": (30e3, 110e3, "a pressure of 30000…110000 Pa; the name tells the unit: _pa, _hpa or _kpa"),
+    "pressure_pa": (30e3, 110e3, "a pressure of 30000…110000 Pa; the name ends in the unit: _pa, _hpa or _kpa"),
     "snow_m": (-0.1, 20.0, "snow of 0…20 m; write snow_depth_cm if the numbers are centimetres"),
 }
-# Median pressure over the standard atmosphere's: a season's weather and cold air below, warm air above.
+# Range of the median pressure relative to the standard atmosphere's, by weather and air temperature.
 _PRESSURE_SHARES = (0.86, 1.06)
 
 
-def check_values(where, column, values, rows):
-    """Refuse numbers of a column that its quantity cannot have; NaN passes.
+def check_values(where: object, column: str, values: NDArray[np.float64], rows: NDArray[np.int64]) -> None:
+    """Refuse numbers of a column outside the range of its quantity; NaN is allowed.
 
     Parameters
     ----------
     where : str
         File, for messages.
     column : str
-        Of `COLUMNS`.
+        Key of `COLUMNS`.
     values, rows : (N,)
-        In the quantity's unit; rows of the file.
+        Values in the quantity's unit, and their rows in the file.
 
     Raises
     ------
     ThermorenderError
+        A value is out of range.
     """
     quantity, scale, after, before = COLUMNS[column]
     low, high, allowed = _RANGES[quantity]
@@ -116,13 +115,13 @@ def check_values(where, column, values, rows):
     most = np.nanmax(values, initial=-np.inf)
     if quantity == "rh" and scale == 0.01 and 0.0 < most <= 0.0101:
         raise ThermorenderError(
-            f"{where}: {column} is {100.0 * most:g} at most, drier than any air; it looks like a share of one, so "
+            f"{where}: {column} is {100.0 * most:g} at most, drier than any air; it looks like a fraction of 1, so "
             "rename the column to rh"
         )
 
 
-def check_range(where, quantity, values):
-    """Refuse numbers (N,) that a quantity of ours cannot have, in its unit."""
+def check_range(where: object, quantity: str, values: NDArray[np.float64]) -> None:
+    """Refuse hourly values (N,) outside the range of a quantity, in its unit."""
     low, high, allowed = _RANGES[quantity]
     bad = (values < low) | (values > high)
     if bad.any():
@@ -130,38 +129,46 @@ def check_range(where, quantity, values):
         raise ThermorenderError(f"{where}: {quantity}={values[k]:.6g} in hour {k + 1} is not allowed; give {allowed}")
 
 
-def check_light(where, column, values, elevation_deg):
-    """Refuse a day's sunlight that is never above 5 W m⁻² though the sun comes to 20° and more. NaN passes.
+def check_light(where: object, column: str, values: NDArray[np.float64], elevation_deg: NDArray[np.float64]) -> None:
+    """Refuse sunlight that never exceeds 5 W m⁻² although the sun rises above 20°. NaN is allowed.
 
-    Direct light may be nothing all day.
+    Direct light may be 0 all day.
     """
     most = np.nanmax(values)
     if elevation_deg.max() > 20.0 and most < 5.0 and not ("direct" in column and most <= 0.0):
         raise ThermorenderError(
-            f"{where}: {column} is {most:g} W/m² at most where the sun comes to {elevation_deg.max():.0f}°; it looks "
+            f"{where}: {column} is {most:g} W/m² at most, but the sun rises to {elevation_deg.max():.0f}°; it looks "
             "like MJ or kW, or was not measured, so give W/m² or leave it out"
         )
 
 
-def check_pressure(where, column, values, altitude_m):
-    """Refuse a pressure that air at this altitude does not have. NaN passes."""
+def check_pressure(where: object, column: str, values: NDArray[np.float64], altitude_m: float) -> None:
+    """Refuse a pressure that is implausible at this altitude. NaN is allowed."""
     shares = np.nanmedian(values) / humidity.standard_pressure(altitude_m)
     low, high = _PRESSURE_SHARES
     if not low <= shares <= high:
         raise ThermorenderError(
             f"{where}: {column} has the median {np.nanmedian(values):.0f} Pa, but air at {altitude_m:g} m has about "
-            f"{humidity.standard_pressure(altitude_m):.0f} Pa; give the pressure of the station, not of sea level, its "
-            "unit as the name says, and the station's altitude"
+            f"{humidity.standard_pressure(altitude_m):.0f} Pa; give the pressure of the station, not of sea level, in "
+            "the unit of the column's name, and the station's altitude"
         )
 
 
-def vapour_of(where, values, air_k, notes):
-    """Return the vapour pressure (N,) [Pa], at most saturated, of the first form of humidity there is; None without.
+def vapour_of(
+    where: object, values: Mapping[str, NDArray[np.float64]], air_k: NDArray[np.float64], notes: list[str]
+) -> NDArray[np.float64] | None:
+    """Return the vapour pressure (N,) [Pa], at most saturated, or None without a humidity.
 
     Parameters
     ----------
+    where : str
+        File, for messages.
     values : dict
-        Quantities by name; a form of humidity is vapour_pa, dew_point_k, rh or deficit_pa, in this order.
+        Quantities by name. The first of vapour_pa, dew_point_k, rh and deficit_pa is used.
+    air_k : (N,)
+        Air temperature.
+    notes : list
+        Gets a note on values above saturation.
     """
     saturated = humidity.saturation_pressure(air_k)
     forms = {
@@ -177,8 +184,8 @@ def vapour_of(where, values, air_k, notes):
     share = vapour / saturated
     if np.nanmedian(share) < 0.02 or np.nanmedian(share) > 1.3:
         raise ThermorenderError(
-            f"{where}: humidity ({form}) makes a median of {100.0 * np.nanmedian(share):.2g} % of saturation at the "
-            "air's temperature, which no station has; check the units that the columns' names tell"
+            f"{where}: humidity ({form}) has a median of {100.0 * np.nanmedian(share):.2g} % of saturation at the "
+            "air temperature, which is impossible; check the units in the columns' names"
         )
     above = int(np.sum(share > 1.0))
     if above:

@@ -1,22 +1,28 @@
-"""From what was measured to a whole Weather: sun, sky, vapour and pressure that are missing are modelled, and said."""
+"""Complete a measured series to a Weather: missing sun, sky, vapour and pressure are modelled and noted."""
+
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.physics import humidity, sky, sun
 from thermorender.weather.series import Weather
 
-# Altitudes that land, and so weather, has [m].
+# Range of altitudes on land [m].
 LOWEST_M, HIGHEST_M = -500.0, 9000.0
-# Below this the sun tells nothing of clouds: hills, haze and the clear sky's model weigh too much [deg].
+# Below this elevation hills, haze and errors of the clear-sky model hide the effect of clouds on sunlight [deg].
 _LOWEST_FOR_CLOUD_DEG = 10.0
-# Over so long the light is averaged before it is compared with a clear sky's [h].
+# Light is averaged over this window before the comparison with a clear sky [h].
 _CLOUD_WINDOW_H = 3.0
-# Below this the sky is dark [deg]: what a sensor reads is its offset.
+# Below this elevation of the sun the sky is dark, and a sensor reads its offset [deg].
 _DARK_DEG = -6.0
 _WIND_M_S = 2.5
 
 
-def complete(time, place, given, notes=(), wind_m_s=None, snow_depth_m=0.0, **heights):
+def complete(
+    time: NDArray[np.datetime64], place: tuple[float, float, float], given: Mapping[str, NDArray[np.float64]],
+    notes: Sequence[str] = (), wind_m_s: float | None = None, snow_depth_m: float = 0.0, **heights: float,
+) -> Weather:  # fmt: skip
     """Return the Weather of a series in which quantities may be missing.
 
     Parameters
@@ -24,24 +30,24 @@ def complete(time, place, given, notes=(), wind_m_s=None, snow_depth_m=0.0, **he
     time : (N,) datetime64[s]
     place : (latitude_deg, longitude_deg, altitude_m)
     given : dict of (N,) arrays without NaN
-        air_k, and any of vapour_pa, wind_m_s, global_w_m2, direct_w_m2, diffuse_w_m2, longwave_w_m2, cloud (share of
-        the sky, 0 … 1), rain_mm_h, pressure_pa, snow_m.
+        air_k, and any of vapour_pa, wind_m_s, global_w_m2, direct_w_m2, diffuse_w_m2, longwave_w_m2, cloud (0 … 1),
+        rain_mm_h, pressure_pa, snow_m.
     notes : sequence of str
-        What is said already.
+        Earlier notes.
     wind_m_s : float, optional
-        Wind where none is given; 2.5 m/s if left out.
+        Wind if none is given; 2.5 m/s by default.
     snow_depth_m : float
-        Snow where none is given.
+        Snow if none is given.
     heights
         air_height_m, wind_height_m.
 
     Notes
     -----
-    Short-wave: split by Erbs where only the global is known; `sky.clear_sky` with `sky.clouded` where nothing is. Cloud
-    for the long-wave: given, else 1 − global over clear-sky global, by day, and linear over the night. At four
-    sites with a pyrgeometer (desert, winter valley, grassland, forest) it errs by 11 to 14 W m⁻² (mean absolute; bias
-    −8 … 0), at three where sun or sky is not the station's own by 26 to 30. Over the seven, 19 with Prata's clear sky,
-    22 with Brutsaert's (1975), 20 with Dilley and O'Brien's (1998).
+    Short-wave: a global irradiance alone is split by Erbs' correlation; without any, `sky.clear_sky` and `sky.clouded`.
+    Cloud cover for the long-wave: as given, else 1 − global over clear-sky global by day, and linear over the night.
+    The mean absolute error of the long-wave is 11 to 14 W m⁻² at four sites with a pyrgeometer (desert, winter valley,
+    grassland, forest; bias −8 … 0), and 26 to 30 at three sites with sun or sky from elsewhere. Over the seven it is 19
+    with Prata's clear sky, 22 with Brutsaert's (1975), 20 with Dilley and O'Brien's (1998).
     Vapour: saturated at the day's lowest air temperature, FAO Irrigation and Drainage Paper 56 (1998), eq. 48.
     """
     latitude_deg, longitude_deg, altitude_m = place
@@ -82,7 +88,7 @@ def complete(time, place, given, notes=(), wind_m_s=None, snow_depth_m=0.0, **he
 
 
 def _daily_lowest(time, air, longitude_deg):
-    """The lowest air temperature of each instant's day by mean solar time."""
+    """The lowest air temperature of each instant's day in mean solar time."""
     local = time + np.timedelta64(int(240.0 * ((longitude_deg + 180.0) % 360.0 - 180.0)), "s")
     _, day = np.unique(local.astype("datetime64[D]"), return_inverse=True)
     lowest = np.full(day.max() + 1, np.inf)
@@ -91,7 +97,7 @@ def _daily_lowest(time, air, longitude_deg):
 
 
 def _sunlight(given, elevation, distance, clear, limit, notes):
-    """(Direct, diffuse) from what is given of global, direct and diffuse, or from a model where nothing is."""
+    """(Direct, diffuse) from the given ones of global, direct and diffuse, or else from a model."""
     height = np.sin(np.radians(np.maximum(elevation, 0.0)))
     if "direct_w_m2" in given and "diffuse_w_m2" in given:
         direct, diffuse = given["direct_w_m2"], given["diffuse_w_m2"]
@@ -119,7 +125,7 @@ def _sunlight(given, elevation, distance, clear, limit, notes):
 
 
 def _cloud(time, given, direct, diffuse, elevation, clear, notes):
-    """Share of the sky under clouds (N,) for the long-wave."""
+    """Cloud cover (N,) for the long-wave."""
     if "cloud" in given:
         notes.append("Long-wave is missing: modelled from air, vapour and clouds.")
         return given["cloud"]
@@ -128,9 +134,9 @@ def _cloud(time, given, direct, diffuse, elevation, clear, notes):
         return np.zeros(len(time))
     day = elevation > _LOWEST_FOR_CLOUD_DEG
     if not day.any():
-        notes.append("Long-wave is missing, and no sun to tell the clouds: modelled for a sky half under clouds.")
+        notes.append("Long-wave is missing, and there is no sun to infer clouds from: modelled for half cloud cover.")
         return np.full(len(time), 0.5)
-    notes.append("Long-wave is missing: modelled from air, vapour and what the sun lacks of a clear sky's light.")
+    notes.append("Long-wave is missing: modelled from air, vapour and the sunlight's deficit against a clear sky.")
     height = np.sin(np.radians(elevation))
     hour = (time - time[0]).astype(np.float64) / 3600.0
     first = np.searchsorted(hour, hour - 0.5 * _CLOUD_WINDOW_H)

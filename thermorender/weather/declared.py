@@ -1,6 +1,8 @@
-"""The Weather a scene file declares: a station's file, a typical year's, or a named day."""
+"""The Weather declared in a scene file: a station's file, a typical year or a named day."""
 
+import datetime
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -9,33 +11,37 @@ from thermorender.units import instant
 from thermorender.weather.complete import HIGHEST_M, LOWEST_M
 from thermorender.weather.epw import read_epw
 from thermorender.weather.named_day import named_day
+from thermorender.weather.series import Weather
 from thermorender.weather.station import read_station
 
-# Of a named day, where the file does not say.
+# Defaults of a named day.
 _HUMIDITY, _WIND_M_S, _CLOUD = 0.6, 3.0, 0.0
 
-# Within it the sun is the same to a degree, and so, mostly, is the weather.
+# Within this distance the sun is the same to a degree, and usually the weather is similar.
 _FAR_KM, _RADIUS_KM = 100.0, 6371.0
 
 
-def declared_weather(spec, latitude_deg, longitude_deg, altitude_m, time=None):
+def declared_weather(
+    spec: Any, latitude_deg: float, longitude_deg: float, altitude_m: float,
+    time: str | datetime.datetime | np.datetime64 | None = None,
+) -> Weather:  # fmt: skip
     """Return the Weather of the table [weather].
 
     Parameters
     ----------
     spec : object
         With the keys of the table as attributes: time, file, epw, air_low_c, air_high_c, humidity, wind_m_s, cloud,
-        snow_depth_m; None where a key is not given. One of file, epw and air_high_c is.
+        snow_depth_m; None for a key that is not given. One of file, epw and air_high_c is given.
     latitude_deg, longitude_deg, altitude_m : float
-        Of the scene: a station's file does not hold its place. A typical year keeps that of its header.
+        Of the scene, also used for a station's file. A typical year keeps the place in its header.
     time : datetime64, datetime or str, optional
-        Instant to use instead of the table's. It chooses the date of a named day and the year of a typical one; a
-        station's file must hold it.
+        Instant to use instead of the table's. It chooses the date of a named day and the year of a typical year; a
+        station's file must cover it.
 
     Raises
     ------
     ThermorenderError
-        A file or value that cannot be used, an altitude that no land has, or a time outside the file; the sentence
+        A file or value is invalid, the altitude is impossible on land, or the time is outside the file. The message
         begins with [weather].
     """
     place = latitude_deg, longitude_deg, altitude_m
@@ -43,7 +49,7 @@ def declared_weather(spec, latitude_deg, longitude_deg, altitude_m, time=None):
     try:
         if not LOWEST_M <= altitude_m <= HIGHEST_M:
             raise ThermorenderError(
-                f"the scene lies {altitude_m:g} m above sea level, where no weather is known; give {LOWEST_M:g} … "
+                f"the scene is {altitude_m:g} m above sea level, out of range for weather; give {LOWEST_M:g} … "
                 f"{HIGHEST_M:g} m, by the terrain's heights or height_m of [frame]"
             )
         when = instant("time", spec.time if time is None else time)
@@ -53,8 +59,8 @@ def declared_weather(spec, latitude_deg, longitude_deg, altitude_m, time=None):
             found = read_epw(spec.epw, when, snow_depth_m=snow)
             away_km = _away_km(found.latitude_deg, found.longitude_deg, latitude_deg, longitude_deg)
             if away_km > _FAR_KM:
-                told = f"Its place is {away_km:.0f} km away from the scene: sun and weather are those of there."
-                found = replace(found, notes=(*found.notes, told))
+                note = f"Its place is {away_km:.0f} km away from the scene; sun and weather are those of that place."
+                found = replace(found, notes=(*found.notes, note))
         else:
             given = {"air_low_c": spec.air_low_c, "air_high_c": spec.air_high_c}
             missing = [name for name, value in given.items() if value is None]
@@ -73,7 +79,7 @@ def declared_weather(spec, latitude_deg, longitude_deg, altitude_m, time=None):
 
 
 def _away_km(latitude_deg, longitude_deg, other_latitude_deg, other_longitude_deg):
-    """Distance of two places on a sphere [km], by the haversine."""
+    """Distance of two places on a sphere [km], by the haversine formula."""
     one, other = np.radians(latitude_deg), np.radians(other_latitude_deg)
     turn = np.radians(longitude_deg - other_longitude_deg)
     square = np.sin(0.5 * (one - other)) ** 2 + np.cos(one) * np.cos(other) * np.sin(0.5 * turn) ** 2

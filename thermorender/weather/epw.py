@@ -1,28 +1,31 @@
-"""A typical year as Weather: EPW files of EnergyPlus, and TMY3 tables of the NSRDB.
+"""The Weather of a typical year: EPW files of EnergyPlus, and TMY3 tables of the NSRDB.
 
-Both hold hours by their end, in the zone's standard time. Radiation, rain and clouds are of the hour and stand at its
-middle; temperature, humidity, pressure, wind and snow are of its end and are brought to the middle.
+Both label hours by their end, in the zone's standard time. Radiation and rain are means over the hour and belong to
+its middle. Temperature, humidity, pressure, wind, clouds and snow are values at its end and are interpolated to the
+middle.
 
-A typical year joins months of different years. They are taken as one year and laid onto the one asked for, day by day
-of the calendar; 29 February repeats the 28th where the file has none, and is left out where the year has none.
+A typical year joins months of different years. They are mapped to one calendar year, day by day. 29 February repeats
+the 28th if the file has none, and is left out if the year has none.
 """
 
 import csv
 import datetime
 import io
+from os import PathLike
 
 import numpy as np
 
 from thermorender.errors import ThermorenderError, shortened
-from thermorender.files import read_text
+from thermorender.formats import read_text
 from thermorender.physics import sun
 from thermorender.units import ZERO_CELSIUS_K
 from thermorender.weather.clock import check_clock
 from thermorender.weather.columns import check_light, check_pressure, check_range, vapour_of
 from thermorender.weather.complete import HIGHEST_M, LOWEST_M, complete
 from thermorender.weather.gaps import filled, without_offset
+from thermorender.weather.series import Weather
 
-# Our quantity: (column, scale, added after, values from which it is missing, whether it is of the hour's end).
+# Our quantity: (column, scale, offset added after, lowest mark of a missing value, whether it is at the hour's end).
 # EnergyPlus documentation, Auxiliary Programs, "EnergyPlus Weather File (EPW) Data Dictionary"; columns have no names.
 _EPW = {
     "air_k": (6, 1.0, ZERO_CELSIUS_K, 99.9, True),
@@ -53,41 +56,41 @@ _TMY3 = {
 }
 _BELOW = -9000.0
 _LONGEST_GAP_H = 3
-# Days of the year before and after that are laid at its ends, for a march that begins earlier.
+# Days added before and after the year, for simulations that begin earlier.
 _BEFORE_D, _AFTER_D = 31, 2
 
 
-def read_epw(path, year, snow_depth_m=0.0):
-    """Return the Weather of an EPW file or a TMY3 table in a year, hourly.
+def read_epw(path: str | PathLike[str], year: int | np.datetime64, snow_depth_m: float = 0.0) -> Weather:
+    """Return the hourly Weather of an EPW file or a TMY3 table in a calendar year.
 
-    A file of a whole year is continued by its own December before it and by its January after it.
+    A file of a whole year is extended by its December before the year and its January after it.
 
     Parameters
     ----------
     path : path
-        Told apart by their first lines.
+        The first lines tell the format.
     year : int or datetime64
-        Year to lay it on; of an instant, its year in the file's zone.
+        Calendar year; for an instant, its year in the file's zone.
     snow_depth_m : float
-        Where the file has none.
+        Used if the file has none.
 
     Raises
     ------
     ThermorenderError
-        No such file, a value that is no number, hours that do not follow, a gap of more than 3 h in what is there.
+        The file is missing, a value is not a number, hours do not follow each other, or a gap exceeds 3 h.
     """
     lines = [line for line in csv.reader(io.StringIO(read_text(path, "the text it was"))) if line]
     epw = bool(lines) and lines[0][0].strip().upper() == "LOCATION"
     place, zone_h, table, stamps, rows = _epw(path, lines) if epw else _tmy3(path, lines)
     if not abs(zone_h) <= 14.0:
-        raise ThermorenderError(f"{path}: zone {zone_h:g} h of the header is none; give −12…14 h from UTC")
+        raise ThermorenderError(f"{path}: zone {zone_h:g} h in the header is not valid; give −12…14 h from UTC")
     if isinstance(year, np.datetime64):
         year = int(str((year + np.timedelta64(round(zone_h * 60), "m")).astype("datetime64[Y]")))
     local, source = _calendar(path, stamps, year)
     time = (local - np.timedelta64(round(zone_h * 3600), "s")).astype("datetime64[s]")
-    notes = [f"A typical year: its months, of different years, are taken as one and laid on {year}."]
+    notes = [f"A typical year: its months, of different years, are mapped to {year}."]
     given = {}
-    # For messages: dates of the file, as far as its days follow each other.
+    # For messages: the file's dates, if its days follow each other.
     begin = np.datetime64(f"{year:04d}-{stamps[0][0]:02d}-01", "s") + np.timedelta64(stamps[0][1] - 1, "D")
     hours = begin + np.timedelta64(3600, "s") * np.arange(len(stamps))
     for name, (column, scale, after, missing, at_end) in table.items():
@@ -103,11 +106,11 @@ def read_epw(path, year, snow_depth_m=0.0):
         check_range(path, name, numbers)
         if name == "global_w_m2":
             check_light(path, name, numbers[source], sun.position_at(time, *place[:2])[1])
-        # From the ends of hours to their middles; a whole year goes on with itself.
+        # From the ends of hours to their middles; a whole year is periodic.
         before = np.concatenate([numbers[-1:] if len(numbers) >= 8760 else numbers[:1], numbers[:-1]])
         given[name] = (0.5 * (numbers + before) if at_end else numbers)[source]
     if "air_k" not in given:
-        raise ThermorenderError(f"{path} has no air temperature; give a file whose dry-bulb column is filled")
+        raise ThermorenderError(f"{path} has no air temperature; give a file with a filled dry-bulb column")
     if "pressure_pa" in given:
         check_pressure(path, "pressure", given["pressure_pa"], place[2])
     vapour = vapour_of(path, given, given["air_k"], notes)
@@ -130,14 +133,14 @@ def _epw(path, lines):
     short = [k for k, row in enumerate(rows) if len(row) < 34]
     if short:
         raise ThermorenderError(
-            f"{path}, row {start + 2 + short[0]}: {len(rows[short[0]])} cells; an EPW row has 35, so give all of it"
+            f"{path}, row {start + 2 + short[0]}: {len(rows[short[0]])} cells; an EPW row has 35, so give the whole row"
         )
     stamps = [_stamp(path, number, row[1:4]) for number, row in enumerate(rows, start=start + 2)]
     return _place(path, latitude, longitude, altitude), zone_h, _EPW, stamps, rows
 
 
 def _tmy3(path, lines):
-    """As `_epw`, of a TMY3 table."""
+    """As `_epw`, for a TMY3 table."""
     header = [cell.strip() for cell in lines[1]] if len(lines) > 1 else []
     if len(lines) < 3 or header[:2] != ["Date (MM/DD/YYYY)", "Time (HH:MM)"] or len(lines[0]) < 7:
         raise ThermorenderError(
@@ -153,7 +156,7 @@ def _tmy3(path, lines):
             stamps.append(_stamp(path, number, (month, day, row[1].split(":")[0])))
         except (ValueError, IndexError):
             raise ThermorenderError(
-                f"{path}, row {number}: {row[:2]} are no date and hour of TMY3; mend the row"
+                f"{path}, row {number}: {row[:2]} are not a date and hour of TMY3; correct the row"
             ) from None
         if len(row) < len(header):
             raise ThermorenderError(f"{path}, row {number}: {len(row)} cells where row 2 names {len(header)} columns")
@@ -167,11 +170,11 @@ def _stamp(path, number, texts):
     """(Month, day, hour 1…24) of a row."""
     try:
         month, day, hour = (int(text) for text in texts)
-        # A leap year has all days there are.
+        # A leap year has all possible days.
         datetime.date(2000, month, day)
     except (ValueError, OverflowError):
         raise ThermorenderError(
-            f"{path}, row {number}: {'/'.join(map(str, texts[:2]))} is no date, or {texts[2]} no hour; mend the row"
+            f"{path}, row {number}: {'/'.join(map(str, texts[:2]))} is not a date or {texts[2]} not an hour; correct it"
         ) from None
     return month, day, hour
 
@@ -179,8 +182,8 @@ def _stamp(path, number, texts):
 def _place(path, latitude, longitude, altitude):
     if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0 and LOWEST_M <= altitude <= HIGHEST_M):
         raise ThermorenderError(
-            f"{path}: latitude {latitude:g}, longitude {longitude:g}, elevation {altitude:g} m of the header are no "
-            "place; mend its first line"
+            f"{path}: latitude {latitude:g}, longitude {longitude:g}, elevation {altitude:g} m in the header are not "
+            "a place on land; correct the first line"
         )
     return latitude, longitude, altitude
 
@@ -189,7 +192,7 @@ def _number(path, where, text):
     try:
         return float(text)
     except ValueError:
-        raise ThermorenderError(f"{path}: {shortened(repr(text))} in {where} is not a number; mend the file") from None
+        raise ThermorenderError(f"{path}: {shortened(repr(text))} in {where} is not a number; correct it") from None
 
 
 def _numbers(path, rows, column):
@@ -202,11 +205,11 @@ def _numbers(path, rows, column):
 def _calendar(path, stamps, year):
     """(Middles of the hours in the zone's time (M,) datetime64[s], rows of the file (M,)) for a year."""
     if not stamps or len(stamps) % 24 or any(hour != k % 24 + 1 for k, (_, _, hour) in enumerate(stamps)):
-        raise ThermorenderError(f"{path} has {len(stamps)} rows; give whole days of hours 1 to 24, each in turn")
+        raise ThermorenderError(f"{path} has {len(stamps)} rows; give whole days of hours 1 to 24, in order")
     first_row = {}
     for k in range(0, len(stamps), 24):
         if len(set(stamp[:2] for stamp in stamps[k : k + 24])) > 1 or stamps[k][:2] in first_row:
-            raise ThermorenderError(f"{path}: {stamps[k][0]}/{stamps[k][1]} comes twice or changes within the day")
+            raise ThermorenderError(f"{path}: {stamps[k][0]}/{stamps[k][1]} occurs twice or changes within the day")
         first_row[stamps[k][:2]] = k
     whole = len(stamps) >= 8760
     if whole:
@@ -220,7 +223,7 @@ def _calendar(path, stamps, year):
     if (np.diff(dates) > day).any():
         k = int(np.argmax(np.diff(dates) > day))
         raise ThermorenderError(
-            f"{path}: the days between {dates[k]} and {dates[k + 1]} are missing; give days in turn"
+            f"{path}: the days between {dates[k]} and {dates[k + 1]} are missing; give consecutive days"
         )
     local = dates.astype("datetime64[s]")[:, None] + np.timedelta64(1800, "s") * (2 * np.arange(24) + 1)
     return local.ravel(), (np.array([row for _, row in found])[:, None] + np.arange(24)).ravel()

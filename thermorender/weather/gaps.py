@@ -1,15 +1,16 @@
-"""Holes and offsets of measured series: mended where they are small, and told; refused where they are not."""
+"""Gaps and offsets of measured series: small ones are repaired and noted, large ones refused."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 
-# Where nothing was written of them, nothing is known to have fallen or lain.
+# Missing values of rain and snow count as 0.
 ZERO_IN_GAPS = ("rain_mm", "rain_mm_h", "snow_m")
 
 
-def without_offset(column, values, notes):
-    """Return short-wave (N,) with the negative offset of a sensor at night taken as 0, and told."""
+def without_offset(column: str, values: NDArray[np.float64], notes: list[str]) -> NDArray[np.float64]:
+    """Return short-wave (N,) with a sensor's negative offsets at night set to 0, and add a note."""
     below = values < 0.0
     if below.any():
         notes.append(
@@ -18,27 +19,30 @@ def without_offset(column, values, notes):
     return np.where(below, 0.0, values)
 
 
-def filled(path, column, quantity, values, time, step_s, longest_gap_h, notes):
-    """Return values (N,) with short gaps interpolated and told; rain and snow are 0 in gaps of any length.
+def filled(
+    path: object, column: str, quantity: str, values: NDArray[np.float64], time: NDArray[np.datetime64], step_s: float,
+    longest_gap_h: float, notes: list[str],
+) -> NDArray[np.float64]:  # fmt: skip
+    """Return values (N,) with short gaps interpolated; rain and snow are 0 in gaps of any length.
 
     Parameters
     ----------
     path, column : str
         For messages.
     quantity : str
-        Name of ours.
+        Our name of the quantity.
     values : (N,)
-        NaN where missing, not everywhere.
+        NaN marks missing values; at least one is a number.
     time : (N,) datetime64[s]
     step_s, longest_gap_h : float
         Step of the series; longest gap to interpolate.
     notes : list
-        Is added to.
+        Gets a note on the gaps.
 
     Raises
     ------
     ThermorenderError
-        A longer gap; the sentence says from when to when.
+        A gap is longer; the message has its start and end.
     """
     hole = np.isnan(values)
     if not hole.any():
@@ -48,7 +52,7 @@ def filled(path, column, quantity, values, time, step_s, longest_gap_h, notes):
         return np.where(hole, 0.0, values)
     good = np.flatnonzero(~hole)
     second = (time - time[0]).astype(np.float64)
-    # From the series' ends to the first and last value counts as well.
+    # The series' ends without values count as gaps.
     edges = np.concatenate([[second[0] - step_s], second[good], [second[-1] + step_s]])
     gap = np.diff(edges) - step_s
     k = int(np.argmax(gap))

@@ -1,48 +1,52 @@
-"""The Weather of a named day: its lowest and highest air temperature, humidity, wind and clouds, repeated for days."""
+"""The Weather of a named day, repeated: lowest and highest air temperature, humidity, wind and clouds."""
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics import humidity, sun
 from thermorender.units import ZERO_CELSIUS_K
 from thermorender.weather.complete import complete
+from thermorender.weather.series import Weather
 
-# The air is warmest at this apparent solar time [h]: 14 h in the method named below.
+# Apparent solar time of the highest air temperature [h].
 _WARMEST_H = 14.0
 _STEP_MIN = 30
 
 
 def named_day(
-    time, place, air_low_c, air_high_c, humidity_low=0.6, wind_m_s=3.0, cloud=0.0, snow_depth_m=0.0, before=5, after=1
-):  # fmt: skip
-    """Return the Weather of the day of an instant, each half hour, from `before` days before it to `after` after it.
+    time: np.datetime64, place: tuple[float, float, float], air_low_c: float, air_high_c: float,
+    humidity_low: float = 0.6, wind_m_s: ArrayLike = 3.0, cloud: float = 0.0, snow_depth_m: float = 0.0,
+    before: int = 5, after: int = 1,
+) -> Weather:  # fmt: skip
+    """Return the half-hourly Weather of an instant's day, repeated from `before` days before to `after` days after.
 
     Parameters
     ----------
     time : datetime64
-        UTC; the day about it is the one meant.
+        Instant within the day, UTC.
     place : (latitude_deg, longitude_deg, altitude_m)
     air_low_c, air_high_c : float
         The day's lowest and highest air temperature at 2 m [°C], at sunrise and at 14 h apparent solar time.
     humidity_low : float
-        Relative humidity at the lowest temperature, above 0 to 1; the vapour pressure is that all day.
+        Relative humidity at the lowest temperature, 0.01 … 1; the vapour pressure is constant all day.
     wind_m_s : float or (24,) floats
         Wind at 10 m, all day or at the hours 0 … 23 of apparent solar time.
     cloud : float
-        Share of the sky, 0 … 1.
+        Cloud cover, 0 … 1.
     snow_depth_m : float
         On the ground.
 
     Notes
     -----
-    Half cosines between sunrise and 14 h and from there to the next sunrise: de Wit, Goudriaan and van Laar (1978) as
-    in Reicosky and others, Agric. For. Meteorol. 46 (1989) 193, doi:10.1016/0168-1923(89)90064-6. Where the sun does
-    not rise or not set the lowest is at 2 h. Sun, sky and long-wave as in `complete`.
+    Half cosines from sunrise to 14 h and from there to the next sunrise: de Wit, Goudriaan and van Laar (1978) as
+    in Reicosky and others, Agric. For. Meteorol. 46 (1989) 193, doi:10.1016/0168-1923(89)90064-6. On days without
+    sunrise the lowest temperature is at 2 h. Sun, sky and long-wave as in `complete`.
 
     Raises
     ------
     ThermorenderError
-        A value out of range.
+        A value is out of range.
     """
     latitude_deg, longitude_deg, _ = place
     wind = np.broadcast_to(np.asarray(wind_m_s, np.float64), (24,)) if np.ndim(wind_m_s) == 0 else np.asarray(wind_m_s)
@@ -80,8 +84,8 @@ def named_day(
     return complete(series, place, given, [f"A named day: the air and the clouds of {centre.astype('M8[D]')} repeat."])
 
 
-def daily_course(hour, low, high, rise):
-    """Return the air temperature at apparent solar hours, between `low` at hour `rise` and `high` at 14 h."""
+def daily_course(hour: NDArray[np.float64], low: float, high: float, rise: float) -> NDArray[np.float64]:
+    """Return the air temperature at apparent solar hours, `low` at hour `rise` and `high` at 14 h."""
     since = (hour - rise) % 24.0
     warming = _WARMEST_H - rise
     phase = np.where(since <= warming, since / warming - 1.0, (since - warming) / (24.0 - warming))

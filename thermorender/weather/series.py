@@ -1,31 +1,34 @@
-"""The Weather of a place: what the air and the sky did, as a series of instants."""
+"""The Weather of a place, a time series."""
 
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.physics import sun
+
+Floats = NDArray[np.float64]
 
 
 class Conditions(NamedTuple):
     """The weather at some instants: arrays of their shape, units as in `Weather`."""
 
-    air_k: np.ndarray
-    vapour_pa: np.ndarray
-    wind_m_s: np.ndarray
-    direct_w_m2: np.ndarray
-    diffuse_w_m2: np.ndarray
-    longwave_w_m2: np.ndarray
-    rain_mm_h: np.ndarray
-    pressure_pa: np.ndarray
-    snow_m: np.ndarray
+    air_k: Floats
+    vapour_pa: Floats
+    wind_m_s: Floats
+    direct_w_m2: Floats
+    diffuse_w_m2: Floats
+    longwave_w_m2: Floats
+    rain_mm_h: Floats
+    pressure_pa: Floats
+    snow_m: Floats
 
 
 @dataclass(frozen=True, eq=False)
 class Weather:
-    """What drives a surface's temperature, (N,) float64 each at N ≥ 2 instants.
+    """Weather at N ≥ 2 instants, (N,) float64 each.
 
     Attributes
     ----------
@@ -34,39 +37,39 @@ class Weather:
     air_k, vapour_pa, wind_m_s : (N,)
         Air temperature, vapour pressure, wind speed.
     direct_w_m2, diffuse_w_m2, longwave_w_m2 : (N,)
-        Sun on a plane that faces it; the sky's short-wave and broadband long-wave on a level plane.
+        Direct sunlight normal to its rays; the sky's short-wave and broadband long-wave on a level plane.
     rain_mm_h, pressure_pa, snow_m : (N,)
         Rate of precipitation as water, air pressure, depth of snow on the ground.
     latitude_deg, longitude_deg, altitude_m : float
-        North and east positive; above sea level.
+        Of the place; north and east positive, altitude above sea level.
     air_height_m, wind_height_m : float
         Of the sensors above the ground (above a canopy's displacement height).
     notes : tuple of str
-        What was missing or mended, and how: one sentence each.
+        How missing or invalid values were replaced, one sentence each.
     """
 
-    time: np.ndarray
-    air_k: np.ndarray
-    vapour_pa: np.ndarray
-    wind_m_s: np.ndarray
-    direct_w_m2: np.ndarray
-    diffuse_w_m2: np.ndarray
-    longwave_w_m2: np.ndarray
-    rain_mm_h: np.ndarray
-    pressure_pa: np.ndarray
-    snow_m: np.ndarray
+    time: NDArray[np.datetime64]
+    air_k: Floats
+    vapour_pa: Floats
+    wind_m_s: Floats
+    direct_w_m2: Floats
+    diffuse_w_m2: Floats
+    longwave_w_m2: Floats
+    rain_mm_h: Floats
+    pressure_pa: Floats
+    snow_m: Floats
     latitude_deg: float
     longitude_deg: float
     altitude_m: float
     air_height_m: float = 2.0
     wind_height_m: float = 10.0
-    notes: tuple = ()
+    notes: tuple[str, ...] = ()
 
-    def __post_init__(self):
-        """Refuse series that do not rise, differ in length or have holes."""
+    def __post_init__(self) -> None:
+        """Refuse times that do not rise, and series of other lengths or with values that are not finite."""
         object.__setattr__(self, "time", np.asarray(self.time, "datetime64[s]"))
         if self.time.ndim != 1 or self.time.size < 2 or not (np.diff(self.time) > np.timedelta64(0, "s")).all():
-            raise ThermorenderError("time of a Weather does not rise; give two instants at least, each after the last")
+            raise ThermorenderError("time of a Weather does not rise; give at least two instants in rising order")
         for name in Conditions._fields:
             values = np.asarray(getattr(self, name), np.float64)
             if values.shape != self.time.shape or not np.isfinite(values).all():
@@ -76,13 +79,13 @@ class Weather:
                 )
             object.__setattr__(self, name, values)
 
-    def at(self, time):
-        """Return the Conditions at instants (datetime64, UTC) of any shape, linear between those of the series.
+    def at(self, time: sun.Times) -> Conditions:
+        """Return the Conditions, linearly interpolated, at instants (datetime64, UTC) of any shape.
 
         Raises
         ------
         ThermorenderError
-            An instant before the series' first or after its last.
+            An instant is outside the series.
         """
         time = np.asarray(time, "datetime64[s]")
         outside = (time < self.time[0]) | (time > self.time[-1]) | np.isnat(time)
@@ -95,12 +98,12 @@ class Weather:
         asked = (time - self.time[0]).astype(np.float64)
         return Conditions(*(np.interp(asked, second, getattr(self, name)) for name in Conditions._fields))
 
-    def sun(self, time):
+    def sun(self, time: sun.Times) -> tuple[Floats, Floats]:
         """Return the sun's (azimuth clockwise from north, elevation) [deg] at instants; see `sun.position_at`."""
         return sun.position_at(time, self.latitude_deg, self.longitude_deg)
 
-    def __repr__(self):
-        """Tell period, place, ranges and notes, a line each."""
+    def __repr__(self) -> str:
+        """Return period, place, ranges and notes, one per line."""
         lines = [
             f"Weather of {self.latitude_deg:.3f}°, {self.longitude_deg:.3f}°, {self.altitude_m:.0f} m, "
             f"{self.time[0]}Z to {self.time[-1]}Z, {self.time.size} instants"
@@ -110,4 +113,3 @@ class Weather:
                 values = getattr(self, item.name)
                 lines.append(f"  {item.name}: {values.min():.5g} … {values.max():.5g}")
         return "\n".join([*lines, *(f"  {note}" for note in self.notes)])
-

@@ -1,17 +1,20 @@
-"""A station's CSV as Weather: columns named with their units, times with their zone, gaps and faults mended or refused.
+"""The Weather of a station's CSV file, with units in column names, zones in times, and gaps repaired or refused.
 
-Rows are counted as a spreadsheet shows them: the header is row 1.
+Row numbers in messages are a spreadsheet's: the header is row 1.
 """
 
 import csv
 import io
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, timezone
+from os import PathLike
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError, shortened
-from thermorender.files import read_text
+from thermorender.formats import read_text
 from thermorender.physics import sun
 from thermorender.schema import closest
 from thermorender.units import instant
@@ -27,6 +30,7 @@ from thermorender.weather.columns import (
 )
 from thermorender.weather.complete import complete
 from thermorender.weather.gaps import filled, without_offset
+from thermorender.weather.series import Weather
 
 _TIMES = ("time_utc", "time", "time_local")
 _LONGEST_STEP_S = 3 * 3600.0
@@ -34,40 +38,42 @@ _LIGHT = ("global_w_m2", "direct_w_m2", "diffuse_w_m2")
 
 
 def read_station(
-    path, latitude_deg, longitude_deg, altitude_m, *, utc_offset_h=None, names=None, during=None, longest_gap_h=3.0,
-    wind_m_s=None, snow_depth_m=0.0, air_height_m=2.0, wind_height_m=10.0,
-):  # fmt: skip
+    path: str | PathLike[str], latitude_deg: float, longitude_deg: float, altitude_m: float, *,
+    utc_offset_h: float | None = None, names: Mapping[str, str] | None = None,
+    during: Sequence[str | datetime | np.datetime64] | None = None, longest_gap_h: float = 3.0,
+    wind_m_s: float | None = None, snow_depth_m: float = 0.0, air_height_m: float = 2.0, wind_height_m: float = 10.0,
+) -> Weather:  # fmt: skip
     """Return the Weather of a station's table.
 
     Parameters
     ----------
     path : path
-        CSV in UTF-8 with a row of names: a time, the air temperature, and what else of `columns.COLUMNS` there is.
+        CSV in UTF-8 with a row of names: a time, the air temperature, and any others of `columns.COLUMNS`.
         Times are the middles of averaging intervals: `time_utc`, `time` with a zone in each cell, or `time_local`.
     latitude_deg, longitude_deg, altitude_m : float
         Of the station.
     utc_offset_h : float, optional
         Of `time_local`, eastward positive, without summer time.
     names : dict, optional
-        {column of the file: name of ours} for columns called otherwise.
+        {column of the file: our name} for columns with other names.
     during : (start, end), optional
-        Instants that the rows to read lie between, as `units.instant` takes them.
+        First and last instant to read, as in `units.instant`.
     longest_gap_h : float
-        Gaps up to so long are interpolated.
+        Gaps up to this length are interpolated.
     wind_m_s, snow_depth_m : float
-        Where the file has none.
+        Used if the file has none.
     air_height_m, wind_height_m : float
         Of the sensors.
 
     Notes
     -----
-    What is missing is modelled by `complete`; the Weather's notes tell all that was.
+    `complete` models missing quantities; the Weather's notes list them.
 
     Raises
     ------
     ThermorenderError
-        A file that is no such table; times that do not rise; a value that cannot be, a gap too long, a clock that is
-        off; the sentence names file, row and column.
+        The file is not such a table, times do not rise, a value is impossible, a gap is too long, or the clock is
+        wrong; the message names file, row and column.
     """
     place = latitude_deg, longitude_deg, altitude_m
     header, cells, rows = _read(path, names or {})
@@ -78,32 +84,10 @@ def read_station(
     step_s = _check_rising(path, time, rows)
     if step_s > _LONGEST_STEP_S:
         raise ThermorenderError(
-            f"{path}: rows are {step_s / 3600.0:g} h apart; give steps of 3 h at most, as the sun moves on between them"
+            f"{path}: rows are {step_s / 3600.0:g} h apart; give steps of 3 h at most, because the sun moves"
         )
-    notes = []
-    values, column_of = {}, {}
-    for name, column in COLUMNS.items():
-        if name in header:
-            numbers = _numbers(path, name, [row[header.index(name)] for row in cells], rows, notes)
-            if np.isnan(numbers).all():
-                notes.append(f"Column {name} is empty.")
-                continue
-            if column.quantity in values:
-                raise ThermorenderError(
-                    f"{path}: columns {column_of[column.quantity]} and {name} tell the same; leave one of them out"
-                )
-            numbers = (numbers + column.before) * column.scale + column.after
-            check_values(path, name, numbers, rows)
-            values[column.quantity], column_of[column.quantity] = numbers, name
-    if "air_k" not in values:
-        raise ThermorenderError(f"{path} has no air temperature; add a column air_c, air_k or air_f")
-    if "ppfd_w_m2" in values:
-        photons = values.pop("ppfd_w_m2")
-        if not set(_LIGHT) & set(values):
-            values["global_w_m2"], column_of["global_w_m2"] = photons, "ppfd_umol_m2_s"
-            notes.append("Short-wave is missing: photosynthetic light over 2.05 µmol/J, ± 5 %.")
-    if set(_LIGHT) & set(values) in ({"direct_w_m2"}, {"diffuse_w_m2"}):
-        raise ThermorenderError(f"{path} has direct or diffuse light only; add sw_down_w_m2, or leave the column out")
+    notes: list[str] = []
+    values, column_of = _quantities(path, header, cells, rows, notes)
     if "pressure_pa" in values:
         check_pressure(path, column_of["pressure_pa"], values["pressure_pa"], altitude_m)
     _note_missing_rows(path, time, rows, step_s, longest_gap_h, notes)
@@ -135,23 +119,54 @@ def read_station(
     return found
 
 
-def read_columns(path, columns, *, during=None, utc_offset_h=None):
-    """Return (instants (N,) datetime64[s] UTC, {column: numbers (N,)}) of a station's table, NaN where there is none.
+def _quantities(path, header, cells, rows, notes):
+    """({quantity: values (N,) in its unit, NaN where missing}, {quantity: column}), checked."""
+    values, column_of = {}, {}
+    for name, column in COLUMNS.items():
+        if name in header:
+            numbers = _numbers(path, name, [row[header.index(name)] for row in cells], rows, notes)
+            if np.isnan(numbers).all():
+                notes.append(f"Column {name} is empty.")
+                continue
+            if column.quantity in values:
+                raise ThermorenderError(
+                    f"{path}: columns {column_of[column.quantity]} and {name} are the same quantity; leave one out"
+                )
+            numbers = (numbers + column.before) * column.scale + column.after
+            check_values(path, name, numbers, rows)
+            values[column.quantity], column_of[column.quantity] = numbers, name
+    if "air_k" not in values:
+        raise ThermorenderError(f"{path} has no air temperature; add a column air_c, air_k or air_f")
+    if "ppfd_w_m2" in values:
+        photons = values.pop("ppfd_w_m2")
+        if not set(_LIGHT) & set(values):
+            values["global_w_m2"], column_of["global_w_m2"] = photons, "ppfd_umol_m2_s"
+            notes.append("Short-wave is missing: photosynthetic light over 2.05 µmol/J, ± 5 %.")
+    if set(_LIGHT) & set(values) in ({"direct_w_m2"}, {"diffuse_w_m2"}):
+        raise ThermorenderError(f"{path} has direct or diffuse light only; add sw_down_w_m2, or leave the column out")
+    return values, column_of
 
-    What `read_station` does not take into its Weather, such as what was measured beside it; the rows are the same.
+
+def read_columns(
+    path: str | PathLike[str], columns: Sequence[str], *,
+    during: Sequence[str | datetime | np.datetime64] | None = None, utc_offset_h: float | None = None,
+) -> tuple[NDArray[np.datetime64], dict[str, NDArray[np.float64]]]:  # fmt: skip
+    """Return (instants (N,) datetime64[s] UTC, {column: numbers (N,), NaN where missing}) of a station's table.
+
+    It reads columns that `read_station` does not use, such as other measurements; the rows are the same.
 
     Parameters
     ----------
     path : path
     columns : sequence of str
-        Names as the file has them.
+        Names in the file.
     during, utc_offset_h
-        As of `read_station`.
+        As in `read_station`.
 
     Raises
     ------
     ThermorenderError
-        A file that is no such table, no such column, or a cell that is no number.
+        The file is not such a table, a column is missing, or a cell is not a number.
     """
     header, cells, rows = _read(path, {})
     time = _times(path, header, cells, rows, utc_offset_h)
@@ -169,7 +184,7 @@ def read_columns(path, columns, *, during=None, utc_offset_h=None):
 
 
 def _read(path, names):
-    """(Header in our names, rows of cells, their numbers)."""
+    """(Header in our names, rows of cells, row numbers)."""
     lines, numbers = [], []
     try:
         for number, line in enumerate(csv.reader(io.StringIO(read_text(path, "CSV UTF-8")), strict=True), start=1):
@@ -178,10 +193,10 @@ def _read(path, names):
                 numbers.append(number)
     except csv.Error as error:
         raise ThermorenderError(
-            f"{path}, row {len(lines) + 1}: is not CSV ({error}); mend the quotation marks"
+            f"{path}, row {len(lines) + 1} is not CSV ({error}); correct the quotation marks"
         ) from None
     if len(lines) < 3:
-        raise ThermorenderError(f"{path} holds {max(len(lines) - 1, 0)} rows below a row of names; give two at least")
+        raise ThermorenderError(f"{path} has {max(len(lines) - 1, 0)} rows below a row of names; give at least two")
     if ";" in lines[0][0] and len(lines[0]) == 1:
         raise ThermorenderError(
             f"{path} is separated by semicolons; save it comma-separated with a point as decimal mark"
@@ -192,7 +207,7 @@ def _read(path, names):
     header = [names.get(name, "" if name in names.values() else name) for name in lines[0]]
     twice = [name for name in header if name and header.count(name) > 1]
     if twice:
-        raise ThermorenderError(f"{path}, row 1 names column {twice[0]!r} twice; leave one of them out")
+        raise ThermorenderError(f"{path}: row 1 names column {twice[0]!r} twice; leave one of them out")
     for number, line in zip(numbers, lines, strict=True):
         if len(line) != len(header):
             raise ThermorenderError(f"{path}, row {number}: {len(line)} cells where row 1 names {len(header)} columns")
@@ -200,21 +215,21 @@ def _read(path, names):
 
 
 def _refuse_near_misses(path, header):
-    """Refuse a misspelt name of ours, or one in another unit, where nothing else tells its quantity."""
+    """Refuse a misspelt name of ours, or one in another unit, if no other column has its quantity."""
     given = {COLUMNS[name].quantity for name in header if name in COLUMNS}
     ours = [name for name, column in COLUMNS.items() if column.quantity not in given and len(name) > 4]
     for name in header:
         if name and name not in COLUMNS and name not in _TIMES:
             near = closest(name, ours, cutoff=0.84)
-            # What ends as one of ours, such as roof_air_c, is of another place; sw_up is not sw_down.
+            # A longer name, such as roof_air_c, is another place's; sw_up is not sw_down.
             if near and not name.endswith(f"_{near[0]}") and "_up_" not in name:
                 raise ThermorenderError(
-                    f"{path}: column {name!r} is not known; did you mean {near[0]!r}? rename it, or take it out"
+                    f"{path}: column {name!r} is not known; did you mean {near[0]!r}? rename it, or delete it"
                 )
 
 
 def _numbers(path, name, texts, rows, notes):
-    """Numbers of a column (N,), NaN where the cell says that there is none."""
+    """Numbers of a column (N,), NaN where missing."""
     found = np.full(len(texts), np.nan)
     marked = 0
     for k, text in enumerate(texts):
@@ -232,7 +247,7 @@ def _numbers(path, name, texts, rows, notes):
         elif np.isfinite(value):
             found[k] = value
     if marked:
-        notes.append(f"{marked} values of {name} such as -9999 stand for missing ones.")
+        notes.append(f"{marked} values of {name} such as -9999 mark missing ones.")
     return found
 
 
@@ -248,7 +263,7 @@ def _times(path, header, cells, rows, utc_offset_h):
         )
     if column == "time_local" and utc_offset_h is None:
         raise ThermorenderError(
-            f"{path}: time_local does not tell its zone; write times in UTC as time_utc, or with an offset as time"
+            f"{path}: time_local has no zone; write times in UTC as time_utc, or with an offset as time"
         )
     k = header.index(column)
     found = []
@@ -258,14 +273,14 @@ def _times(path, header, cells, rows, utc_offset_h):
             moment = datetime.fromisoformat(text)
         except ValueError:
             raise ThermorenderError(
-                f"{path}, row {number}: {column}={line[k]!r} is no time; write it as 2018-07-28T14:30Z"
+                f"{path}, row {number}: {column}={line[k]!r} is not a time; write it as 2018-07-28T14:30Z"
             ) from None
         if column == "time_utc" and moment.tzinfo is None:
             moment = moment.replace(tzinfo=timezone.utc)
         if (moment.tzinfo is None) != (column == "time_local"):
-            told = "tells a zone in time_local; name the column time" if moment.tzinfo else "does not tell its zone"
+            fault = "has a zone in time_local; name the column time" if moment.tzinfo else "has no zone"
             raise ThermorenderError(
-                f"{path}, row {number}: {column}={line[k]!r} {told}; write 2018-07-28T14:30Z or 2018-07-28T16:30+02:00"
+                f"{path}, row {number}: {column}={line[k]!r} {fault}; write 2018-07-28T14:30Z or 2018-07-28T16:30+02:00"
             )
         if column == "time_utc" and moment.utcoffset():
             raise ThermorenderError(f"{path}, row {number}: time_utc={line[k]!r} is not UTC; name the column time")
@@ -275,14 +290,14 @@ def _times(path, header, cells, rows, utc_offset_h):
 
 
 def _within(path, time, during):
-    """Which rows (N,) lie in the period asked for."""
+    """Whether each row (N,) is within the period."""
     if during is None:
         return np.ones(len(time), bool)
     start, end = (instant("during", value) for value in during)
     keep = (time >= start) & (time <= end)
     if keep.sum() < 2:
         raise ThermorenderError(
-            f"{path} has {keep.sum()} rows from {start}Z to {end}Z; ask for a period of two at least"
+            f"{path} has {keep.sum()} rows from {start}Z to {end}Z; give a period with at least two"
         )
     return keep
 
@@ -294,7 +309,7 @@ def _check_rising(path, time, rows):
     if wrong.any():
         k = int(np.argmax(wrong))
         what = "the same time as" if step[k] == 0 else f"a time {-step[k] / 3600.0:g} h before"
-        hint = "; an hour that comes twice is the end of summer time, so write UTC" if -step[k] <= 3600 else ""
+        hint = "; an hour that repeats is the end of summer time, so write UTC" if -step[k] <= 3600 else ""
         raise ThermorenderError(
             f"{path}, row {rows[k + 1]}: {time[k + 1]}Z has {what} row {rows[k]}; times must rise{hint}"
         )
@@ -302,13 +317,13 @@ def _check_rising(path, time, rows):
 
 
 def _note_missing_rows(path, time, rows, step_s, longest_gap_h, notes):
-    """Refuse rows that are missing for long, and tell of the others."""
+    """Refuse long gaps of missing rows, and note short ones."""
     step = np.diff(time).astype(np.float64)
     long = step - step_s > 3600.0 * longest_gap_h
     if long.any():
         k = int(np.argmax(long))
         raise ThermorenderError(
-            f"{path}: nothing from {time[k]}Z (row {rows[k]}) to {time[k + 1]}Z, longer than the {longest_gap_h:g} h "
+            f"{path}: no rows from {time[k]}Z (row {rows[k]}) to {time[k + 1]}Z, longer than the {longest_gap_h:g} h "
             "that are interpolated; fill the gap, or keep the rows before or after it"
         )
     short = step > 1.5 * step_s

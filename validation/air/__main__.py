@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from thermorender import defaults, files
+from thermorender import defaults, files, formats
 from thermorender.cli.terminal import Time, at_time, progress, table
 from thermorender.cli.terminal import air as parse_air
 from validation.air import study
@@ -23,7 +23,7 @@ def main(
     """What air costs a frame, and what its spectral channels leave wrong."""
     with progress() as tell, files.output_folder(output) as folder:
         result = study.run(at_time(scene, time), parse_air(air), device=device, progress=tell)
-        files.write_json(folder / "air.json", result)
+        formats.write_json(folder / "air.json", result)
         figure(folder / "air.png", result)
     table(study.HEADER, study.rows(result))
     typer.echo(f"numbers and figure in {output}")

@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 
-from thermorender import defaults, files
+from thermorender import defaults, files, formats
 from thermorender.compare import machine
 from thermorender.compare.sampling_error import converged
 from thermorender.render.renderer import Renderer
@@ -79,7 +79,7 @@ def run(folder, scenes=defaults.SCENES, drawn=105, seed=0, qualities=QUALITIES, 
                     "quality": quality, "drawn": random, **found,
                 }  # fmt: skip
             record = {"machine": machine.machine(), "versions": versions(), "seed": seed, "cases": kept}
-            files.write_json(path, record)
+            formats.write_json(path, record)
     figure(folder / "budget.png", kept)
     if progress:
         progress("measured", 1.0)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from thermorender import files
+from thermorender import files, formats
 
 _COLUMNS = ("engine", "setting", "frame [s]", "error [mK]", "range [mK]", "after lens [mK]", "sampling [mK]",
             "budget [mK]", "bake [s]")  # fmt: skip
@@ -58,7 +58,7 @@ def table(path, cases, settings):
         for record in cases.values()
         if record["scene"] == "cavity"
     ]
-    files.write_text(path, "\n".join(lines) + "\n")
+    formats.write_text(path, "\n".join(lines) + "\n")
 
 
 def _text(value):

@@ -15,7 +15,7 @@ from math import inf
 
 import numpy as np
 
-from thermorender import defaults, files
+from thermorender import defaults, files, formats
 from thermorender.compare import bench, machine
 from thermorender.compare.sampling_error import (
     after_optics,
@@ -160,7 +160,7 @@ def convergence(scenes=defaults.SCENES, folder="validation", progress=None, mode
         if name not in kept:
             kept[name] = measure()
             record = {"settings": settings, "machine": machine.machine(), "versions": versions(), "cases": kept}
-            files.write_json(path, record)
+            formats.write_json(path, record)
         if site and (number + 1 == len(jobs) or jobs[number + 1][0] is not site):
             convergence_report.figure(folder / f"convergence_{site.scene.name}.png", kept, site.scene)
             site.forget()

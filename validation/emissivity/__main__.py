@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from thermorender import files
+from thermorender import files, formats
 from thermorender.cli.terminal import progress, table
 from validation.command import Out, run_command, seeds_of
 from validation.emissivity import study
@@ -23,7 +23,7 @@ def main(
     numbers = seeds_of(seeds)
     with progress() as tell, files.output_folder(output) as folder:
         result = study.evaluate(model, numbers, progress=tell)
-        files.write_json(folder / "emissivity.json", result)
+        formats.write_json(folder / "emissivity.json", result)
         study.write_confusion(result, folder / "emissivity_confusion.csv")
     table(study.HEADER, study.rows(result))
     typer.echo(f"numbers and confusion table in {output}")

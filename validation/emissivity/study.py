@@ -19,7 +19,7 @@ from thermorender.materials.library import find, load_library
 from thermorender.physics.band import RadianceTable, quadrature
 from thermorender.physics.planck import spectral_radiance
 from thermorender.scene.spec import DEFAULT_CONFIDENCE
-from thermorender.synthetic.worlds import KINDS, make
+from thermorender.synthetic.procedural_scene import KINDS, make
 
 METHODS = ("learned, mix of three", "learned, most probable", "nearest colour", "commonest material", "fallback")
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from thermorender import defaults, files
+from thermorender import defaults, formats
 from thermorender.footage.calibration import fit_camera, frame_files, noise_scale, read_frame, write_camera
 from thermorender.footage.noise_statistics import Spectra, block_means, block_powers, noise_of
 from thermorender.physics.band import RadianceTable
@@ -67,7 +67,7 @@ def compare(paths, output, base=defaults.CAMERA, scale=None, scene=defaults.SCEN
     told = {side: _statistics(images, camera) for side, images in sides.items()}
     estimates = {key: asdict(estimate) for key, estimate in found.items()}
     result = {"camera": camera.name, "scene": scene, "estimates": estimates, "sides": told}
-    files.write_json(Path(output) / f"{name}.json", result)
+    formats.write_json(Path(output) / f"{name}.json", result)
     figure(Path(output) / f"{name}.png", told, name)
     return result
 

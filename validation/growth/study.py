@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from thermorender import files
+from thermorender import files, formats
 from thermorender.compare import bench, machine
 from thermorender.compare.sampling_error import cache_off
 from thermorender.versions import versions
@@ -56,7 +56,7 @@ def run(folder, axes=AXES, base=BASE, progress=None, device="auto"):
             continue
         kept[name] = {"varied": axis, **case, **machine.apart(_measure, *case.values(), device)}
         record = {"machine": machine.machine(), "versions": versions(), "rays": RAYS, "cases": kept}
-        files.write_json(path, record)
+        formats.write_json(path, record)
         figure(folder / "growth.png", kept)
     if progress:
         progress("measured", 1.0)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from thermorender import files
+from thermorender import files, formats
 from thermorender.cli.terminal import progress, table
 from thermorender.errors import ThermorenderError
 from validation.command import Out, run_command
@@ -23,12 +23,12 @@ def main(
 ):
     """The heat balance against measured surface temperatures, beside simpler methods, and error against run time."""
     with progress() as tell, files.output_folder(output) as folder:
-        result = study.run(sites or Path(__file__).with_name("sites.toml"), data, progress=tell)
+        result = study.run(sites or study.SITES, data, progress=tell)
         if not result["sites"]:
             raise ThermorenderError(f"--data={data} holds no table of the sites; give the folder that does")
         figure(folder / "heat.png", result)
         study.page(folder / "heat.md", result)
-        files.write_json(
+        formats.write_json(
             folder / "heat.json",
             result | {"sites": {n: {k: v for k, v in s.items() if k != "series"} for n, s in result["sites"].items()}},
         )

@@ -9,7 +9,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.materials.library import load_library
 from thermorender.physics import balance
 from thermorender.physics.balance import STEFAN_BOLTZMANN
-from thermorender.scene import columns as open_ground
+from thermorender.scene import open_ground
 from thermorender.schema import Where, choice, flag, key, mapping, number, read, read_toml, tables, text
 from thermorender.units import ZERO_CELSIUS_K, instant
 from thermorender.weather.series import Conditions, Weather

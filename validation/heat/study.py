@@ -17,7 +17,7 @@ from validation.heat.sites import measured, modelled, read_sites
 
 METHODS = ("balance", "one fitted", "force–restore", "sinusoid", "air")
 HEADER = ("site", "method", "day bias", "MAE", "RMS [K]", "night bias", "MAE", "RMS [K]", "aim, MAE")
-SITES = Path("heat") / "sites.toml"
+SITES = Path(__file__).with_name("sites.toml")
 # Sun that counts as day, and as night when it stands as far below [deg].
 _EDGE_DEG = 3.0
 _FACTORS = (0.25, 0.5, 2.0, 4.0)
@@ -218,7 +218,7 @@ def _cost(sites, tell):
 
 def page(path, result):
     """Write the study as a page of Markdown."""
-    from thermorender.files import write_text
+    from thermorender.formats import write_text
 
     lines = ["# The heat balance against measured surface temperatures", ""]
     lines += ["Errors [K] of the model minus the measurement, by day (sun above 3°) and by night (below −3°).", ""]

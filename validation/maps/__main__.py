@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from thermorender import files
+from thermorender import files, formats
 from thermorender.campaign.dataset import read_dataset
 from thermorender.cli.terminal import progress, split, table
 from thermorender.compare.evaluation.figures import against_share, against_shift
@@ -34,7 +34,7 @@ def main(
     with progress() as tell, files.output_folder(output) as folder:
         names = split(methods) if methods else None
         result = study.run(read_dataset(dataset), names, split(vary) if vary else None, limit, seed, tell)
-        files.write_json(folder / "maps.json", result)
+        formats.write_json(folder / "maps.json", result)
         for varied, draw in (("share", against_share), ("shift_px", against_shift)):
             curves = {}
             for case in result["cases"]:

@@ -8,7 +8,7 @@ part, which is never moved, or on its pairs of the kind that was left out. Besid
 import numpy as np
 
 from thermorender.campaign.map_inputs import ground_of, inputs_of
-from thermorender.campaign.map_training import is_told, refuse_untold, train_map
+from thermorender.campaign.map_training import has_conditions, refuse_missing_conditions, train_map
 from thermorender.compare.machine import machine
 from thermorender.errors import ThermorenderError
 from thermorender.frame import apparent_temperature
@@ -55,9 +55,9 @@ def run(dataset, methods=None, vary=None, limit=60, seed=0, progress=None):
         there is one only, or no test part.
     """
     if methods is None:
-        methods = [name for name in METHODS if is_told(dataset) or not method(name).plus]
+        methods = [name for name in METHODS if has_conditions(dataset) or not method(name).plus]
     for name in methods:
-        refuse_untold(name, dataset)
+        refuse_missing_conditions(name, dataset)
     test = dataset.of("test")
     if not len(test):
         raise ThermorenderError(f"{dataset.folder} has no pairs of part 'test'; give a data set or a split with some")

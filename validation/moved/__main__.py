@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from thermorender import files
+from thermorender import files, formats
 from thermorender.cli.terminal import progress, table
 from validation.command import Device, Out, run_command, seeds_of
 from validation.moved import study
@@ -20,7 +20,7 @@ def main(
     """Errors of maps moved to another hour and weather, beside the map unmoved, offset, and the heat balance alone."""
     with progress() as tell, files.output_folder(output) as folder:
         result = study.run(seeds=seeds_of(seeds), progress=tell, device=device)
-        files.write_json(folder / "moved.json", result)
+        formats.write_json(folder / "moved.json", result)
         figure(folder / "moved.png", result)
     table(study.HEADER, study.rows(result))
     typer.echo(f"numbers and figure in {output}")

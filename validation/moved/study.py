@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from thermorender import defaults
-from thermorender.campaign.worlds import write
+from thermorender.campaign.procedural_truth import write
 from thermorender.errors import ThermorenderError
-from thermorender.materials.library import Material
+from thermorender.materials.material import Material
 from thermorender.materials.shifted import strayed
 from thermorender.render.geometry import Geometry
 from thermorender.render.heat.march import solved
@@ -27,7 +27,7 @@ from thermorender.render.variant import activate
 from thermorender.scene.load import load_scene
 from thermorender.scene.spec import TemperatureSpec, WeatherSpec
 from thermorender.scene.surface import FILLED, UNMOVED
-from thermorender.synthetic import worlds
+from thermorender.synthetic.procedural_scene import make
 
 # Kinds with sides of the square, of a texel and of a post [m].
 SIZES = dict(zip(defaults.SCENES, ((64.0, 0.5, 2.0), (64.0, 0.5, 1.0), (256.0, 2.0, 8.0)), strict=True))
@@ -164,7 +164,7 @@ def _summary(values):
 
 def _loaded(kind, seed, size):
     with tempfile.TemporaryDirectory() as folder:
-        return load_scene(write(worlds.make(kind, seed, *size), Path(folder) / f"{kind}_{seed}"))
+        return load_scene(write(make(kind, seed, *size), Path(folder) / f"{kind}_{seed}"))
 
 
 def _instant(scene, case):

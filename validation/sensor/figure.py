@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from thermorender import files
+from thermorender import files, formats
 
 _LAG = ("allowed to instants [mK]", "motion between renders [px]", "instants", "renders", "time [ms]",
         "smooth pixels [mK]", "all pixels [mK]", "estimate [mK]")  # fmt: skip
@@ -68,7 +68,7 @@ def table(path, result):
     for record in aliasing["targets"]:
         values = (record[key] for key in ("contrast_mk", "peak_mk", "error_mk", "worst_mk"))
         lines.append(f"| {record['side_px']:g} | {' | '.join(f'{value:.0f}' for value in values)} |")
-    files.write_text(path, "\n".join(lines) + "\n")
+    formats.write_text(path, "\n".join(lines) + "\n")
 
 
 def figure(path, result):

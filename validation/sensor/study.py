@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from thermorender import defaults, files
+from thermorender import defaults, files, formats
 from thermorender.compare.bench import views
 from thermorender.compare.machine import machine
 from thermorender.errors import ThermorenderError
@@ -100,7 +100,7 @@ def sensor(folder, scene=defaults.SCENE, flights=tuple(FLIGHTS), device="auto", 
         "chain": _chain(renderer, of),
     }
     with files.output_folder(folder) as folder:
-        files.write_json(folder / "sensor.json", result)
+        formats.write_json(folder / "sensor.json", result)
         table(folder / "sensor.md", result)
         figure(folder / "sensor.png", result)
         pictures(folder / "effects.png", _effects(renderer, of, seen))

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from thermorender import files
+from thermorender import files, formats
 from thermorender.cli.terminal import table
 from validation.command import Out, run_command
 from validation.trainings import study
@@ -22,7 +22,7 @@ def main(
     """Trainings of networks beside each other: validation error against what each has cost, and strips of epochs."""
     result = study.run(runs)
     with files.output_folder(output) as folder:
-        files.write_json(folder / "trainings.json", result)
+        formats.write_json(folder / "trainings.json", result)
         write(folder, result, runs)
     table(study.HEADER, study.rows(result))
     for line in study.sentences(result):

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from thermorender import defaults, files
+from thermorender import defaults, files, formats
 from thermorender.cli.terminal import progress, table
 from validation.command import Out, run_command
 from validation.translation import study
@@ -24,7 +24,7 @@ def main(
     """What translating a picture costs with each learned map, and how far its tiles disagree where they meet."""
     with progress() as tell, files.output_folder(output) as folder:
         result = study.run(models, dataset, scene, pictures, tell)
-        files.write_json(folder / "translation.json", result)
+        formats.write_json(folder / "translation.json", result)
     table(study.HEADER, study.rows(result))
     typer.echo(f"numbers in {output}")
 

@@ -52,7 +52,7 @@ def run(models, dataset, scene=defaults.SCENE, pictures=6, progress=None):
     dict
         Its "maps" have load_s, translate_s, peak_mib (None where the system does not tell), and seams: {"pictures" or
         the scene's name: {way: (mean step where squares meet, mean step elsewhere) [K]}}, the ways being "squares",
-        "published" (pix2pix and pix2pix-b25) and "applied", which is missing where a picture needs one tile only.
+        "published" (pix2pix) and "applied", which is missing where a picture needs one tile only.
 
     Raises
     ------

@@ -1,1 +1,1 @@
-"""How a visible and a thermal camera that are fixed to each other see the same ground: found from their pictures."""
+"""Registration of a visible and a thermal camera that are fixed to each other, from their pictures."""

@@ -1,17 +1,20 @@
-"""Directions of gradients, by which pictures of different kinds are compared, and their correlation over all shifts.
+"""Directions of gradients, by which visible and thermal pictures are compared, and their correlation over all shifts.
 
-What is warm may be bright or dark, so a gradient counts without its sign: of the gradient g as a complex number,
-z = g² / (|g|² + η²), with η² the median of |g|². The square turns opposite directions into the same number; the
-denominator lets strong edges count alike. That is the normalised gradient field of Haber and Modersitzki, Intensity
-gradient based registration and fusion of multi-modal images, MICCAI 2006, written so that its agreement over all
-shifts is one Fourier transform.
+Warm surfaces may be bright or dark, so a gradient counts without its sign: a gradient g as a complex number becomes
+z = g² / (|g|² + η²), with η² the median of |g|². The square maps opposite directions to the same number; the
+denominator gives strong edges equal weight. This is the normalised gradient field of Haber and Modersitzki, Intensity
+gradient based registration and fusion of multi-modal images, MICCAI 2006, in a form whose correlation over all shifts
+is one Fourier transform.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 
-def directions(grey):
-    """Return the directions of a picture's gradients without their sign, (h, w) complex64 of magnitude below 1."""
+def directions(grey: ArrayLike) -> NDArray[np.complex64]:
+    """Return the unsigned directions of a picture's gradients, (h, w) complex64 of magnitude below 1."""
     import cv2
 
     smooth = cv2.GaussianBlur(np.asarray(grey, np.float32), (0, 0), 1.0)
@@ -20,22 +23,24 @@ def directions(grey):
     return (gradient**2 / (power + np.median(power) + 1e-6 * power.mean() + 1e-30)).astype(np.complex64)
 
 
-def best_shift(visible, thermal, inside):
-    """Return (pooled correlation, shift [px]) of pictures in canvases over smaller ones, at its maximum.
+def best_shift(
+    visible: Sequence[NDArray[np.complex64]], thermal: Sequence[NDArray[np.complex64]], inside: NDArray[np.bool_]
+) -> tuple[float, NDArray[np.float64]]:
+    """Return (pooled correlation, shift [px]) at the best shift of thermal pictures within visible canvases.
 
     Parameters
     ----------
     visible : list of (h, w) complex64
-        Directions, in canvases with room for shifts.
+        Directions on canvases with room for shifts.
     thermal : list of (H, W) complex64
-        Directions of smaller pictures, each over the one of the same place in the list.
+        Directions of smaller pictures, in the order of `visible`.
     inside : (h, w) bool
         Where the canvases hold a picture.
 
     Returns
     -------
     (float, (2,) float64)
-        The shift is right and down, from the canvases' middle.
+        Shift to the right and down from the canvas centre.
     """
     score = _correlations(visible, thermal, inside)
     row, column = np.unravel_index(score.argmax(), score.shape)
@@ -44,31 +49,31 @@ def best_shift(visible, thermal, inside):
 
 
 def _correlations(visible, thermal, inside):
-    """Pooled correlation for every place of the thermal pictures' corner in the canvas, (rows, columns); −1 outside.
+    """Pooled correlation for every position of the thermal corner in the canvas, (rows, columns); −1 outside.
 
-    Where pictures overlap in part, the root of that share is a factor, so that small overlaps do not win.
+    Partial overlaps are weighted by the square root of the overlap, so that small ones do not win.
     """
     from scipy import fft
 
     canvas, (height, width) = inside.shape, thermal[0].shape
 
-    def there(image):
+    def transform(image):
         return fft.fft2(image, canvas)
 
     product, power, own = 0.0, np.zeros(canvas, np.float32), np.zeros((height, width), np.float32)
     for seen, known in zip(visible, thermal, strict=True):
         seen, known = np.where(inside, seen, 0), known - known.mean()
-        product = product + there(seen) * np.conj(there(known))
+        product = product + transform(seen) * np.conj(transform(known))
         power += np.abs(seen) ** 2
         own += np.abs(known) ** 2
-    window = np.conj(there(np.ones((height, width), np.float32)))
-    known_inside = there(inside.astype(np.float32))
-    seen_power = fft.ifft2(there(power) * window).real
-    known_power = fft.ifft2(known_inside * np.conj(there(own))).real
+    window = np.conj(transform(np.ones((height, width), np.float32)))
+    known_inside = transform(inside.astype(np.float32))
+    seen_power = fft.ifft2(transform(power) * window).real
+    known_power = fft.ifft2(known_inside * np.conj(transform(own))).real
     overlap = np.clip(fft.ifft2(known_inside * window).real / (height * width), 0.0, 1.0)
     score = fft.ifft2(product).real / np.sqrt(np.maximum(seen_power * known_power, 1e-12)) * np.sqrt(overlap)
     score[overlap < 0.6] = -1.0
-    # Places that would wrap around.
+    # Positions that would wrap around.
     score[canvas[0] - height + 1 :] = -1.0
     score[:, canvas[1] - width + 1 :] = -1.0
     return score

@@ -1,21 +1,22 @@
-"""A rig: a visible and a thermal camera fixed to each other, and the visible picture laid onto the thermal one.
+"""A rig: a visible and a thermal camera fixed to each other, and the visible picture resampled onto the thermal one.
 
-From the thermal picture to the visible one leads, for points far away compared with the distance of the cameras,
+For points far away compared with the distance of the cameras, a thermal position x maps to a visible position v by
 
     q = scale · R(rotation) · x + shift,    v = q · (1 + k1 · |q|² / d²),
 
-with x and v in pixels from the pictures' middles and d half the diagonal of the visible picture: scale, rotation,
-translation and the radial distortion of the visible lens. Where visible pictures were resized unequally along their
-sides, the row of v is multiplied by the aspect. A rig is calibrated once (`thermorender.campaign.registration.fit`) and
-kept as JSON.
+with x and v in pixels from the pictures' centres and d half the diagonal of the visible picture. If visible pictures
+were resized unequally along their sides, the row of v is multiplied by the aspect. A rig is calibrated once
+(`thermorender.campaign.registration.fit`) and stored as JSON.
 """
 
 import json
 from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from thermorender import files
+from thermorender import formats
 from thermorender.errors import ThermorenderError
 
 FORMAT = 1
@@ -25,67 +26,66 @@ _SQUARE = 40
 
 @dataclass(frozen=True)
 class Rig:
-    """How a visible picture lies on the thermal one.
+    """Mapping between the pictures of two cameras fixed to each other.
 
     Attributes
     ----------
     visible_shape, thermal_shape : (2,) tuple of int
         Rows and columns.
     scale : float
-        Visible pixels to a thermal one, in the middle.
+        Visible pixels per thermal pixel at the centre.
     rotation_deg : float
-        Of the visible axes seen from the thermal ones; right axis towards down.
+        Rotation of the visible axes relative to the thermal ones, from right towards down.
     shift_px : (2,) tuple of float
-        Of the thermal picture's middle in the visible picture, from its middle, right and down [visible px].
+        Thermal centre in the visible picture, from its centre, right and down [visible px].
     k1 : float
         Radial distortion of the visible lens, at half the diagonal.
     aspect : float
-        Rows over columns of the visible picture for a square; 1 where it was not resized unequally.
+        Rows over columns of a square's image in the visible picture; 1 unless resized unequally.
     errors : dict of str to float
-        Standard errors of scale, rotation_deg, column_px, row_px, k1, aspect by the jackknife over frames, and of the
-        position in the thermal picture, `position_px` (root mean square over it); empty for a single frame.
+        Standard errors of scale, rotation_deg, column_px, row_px, k1, aspect by the jackknife over frames, and
+        `position_px`, the RMS error of positions in the thermal picture; empty for a single frame.
     score : float or None
-        Mean correlation of the directions of gradients of the frames used, whatever the sign of contrast: 1 where all
-        are the same, 0 for unrelated pictures.
+        Mean correlation of unsigned gradient directions over the frames used: 1 for identical directions, 0 for
+        unrelated pictures.
     score_unrelated : float or None
-        The same with every thermal picture laid on another frame's visible one.
+        The same with each thermal picture paired with another frame's visible picture.
     frames : dict of str to float
-        Score of each frame looked at.
+        Score of each frame.
     rejected : dict of str to str
-        Why frames were left out.
+        Reason for each frame that was left out.
     """
 
-    visible_shape: tuple
-    thermal_shape: tuple
+    visible_shape: tuple[int, int]
+    thermal_shape: tuple[int, int]
     scale: float
     rotation_deg: float
-    shift_px: tuple
+    shift_px: tuple[float, float]
     k1: float
     aspect: float = 1.0
-    errors: dict = field(default_factory=dict)
+    errors: dict[str, float] = field(default_factory=dict)
     score: float | None = None
     score_unrelated: float | None = None
-    frames: dict = field(default_factory=dict)
-    rejected: dict = field(default_factory=dict)
+    frames: dict[str, float] = field(default_factory=dict)
+    rejected: dict[str, str] = field(default_factory=dict)
 
-    def visible_from_thermal(self, column, row):
-        """Return positions (column, row) in the visible picture of positions in the thermal one [px].
+    def visible_from_thermal(self, column: ArrayLike, row: ArrayLike) -> tuple[NDArray, NDArray]:
+        """Return the visible positions (column, row) of thermal positions [px].
 
         Parameters
         ----------
         column, row : arrays
-            From the upper left corner; the middle of the first pixel lies at ½.
+            From the upper left corner; the centre of the first pixel is at ½.
         """
         height, width = self.thermal_shape
-        angle = np.radians(self.rotation_deg)
-        shift = np.array(self.shift_px) / self.scale
-        parameters = (np.log(self.scale), angle, *shift, self.k1, np.log(self.aspect))
-        x, y = positions(parameters, column - width / 2.0, row - height / 2.0, half_diagonal(self.visible_shape))
+        x, y = positions(
+            parameters_of(self), column - width / 2.0, row - height / 2.0, half_diagonal(self.visible_shape)
+        )
         return x + self.visible_shape[1] / 2.0, y + self.visible_shape[0] / 2.0
 
     @property
-    def crop(self):
-        """What the thermal picture sees of the visible one: (first column, first row, columns, rows)."""
+    def crop(self) -> tuple[int, int, int, int]:
+        """Part of the visible picture that the thermal one covers: (first column, first row, columns, rows)."""
         column, row = self.visible_from_thermal(*_corners_and_sides(self.thermal_shape))
         height, width = self.visible_shape
         left, right = np.clip((np.floor(column.min()), np.ceil(column.max())), 0, width)
@@ -93,16 +93,16 @@ class Rig:
         return int(left), int(top), int(right - left), int(bottom - top)
 
     def __str__(self):
-        told = {key: f" ± {value:.2g}" for key, value in self.errors.items()}
+        plus_minus = {key: f" ± {value:.2g}" for key, value in self.errors.items()}
         lines = [
-            f"scale {self.scale:.5g}{told.get('scale', '')} visible px per thermal px",
-            f"rotation {self.rotation_deg:.4g}{told.get('rotation_deg', '')}°",
-            f"shift {self.shift_px[0]:.4g}{told.get('column_px', '')}, "
-            f"{self.shift_px[1]:.4g}{told.get('row_px', '')} visible px",
-            f"k1 {self.k1:.4g}{told.get('k1', '')}",
+            f"scale {self.scale:.5g}{plus_minus.get('scale', '')} visible px per thermal px",
+            f"rotation {self.rotation_deg:.4g}{plus_minus.get('rotation_deg', '')}°",
+            f"shift {self.shift_px[0]:.4g}{plus_minus.get('column_px', '')}, "
+            f"{self.shift_px[1]:.4g}{plus_minus.get('row_px', '')} visible px",
+            f"k1 {self.k1:.4g}{plus_minus.get('k1', '')}",
         ]
         if self.aspect != 1.0:
-            lines.append(f"aspect {self.aspect:.5g}{told.get('aspect', '')}")
+            lines.append(f"aspect {self.aspect:.5g}{plus_minus.get('aspect', '')}")
         if self.score is not None:
             used = len(self.frames) - len(self.rejected)
             lines.append(f"score {self.score:.3f} over {used} of {len(self.frames)} frames")
@@ -111,13 +111,21 @@ class Rig:
         return "\n".join(lines)
 
 
-def half_diagonal(shape):
+def parameters_of(rig: Rig) -> NDArray[np.float64]:
+    """Return the (6,) parameters of a Rig, as `positions` takes them."""
+    shift = np.array(rig.shift_px) / rig.scale
+    return np.array([np.log(rig.scale), np.radians(rig.rotation_deg), *shift, rig.k1, np.log(rig.aspect)])
+
+
+def half_diagonal(shape: tuple[int, ...]) -> float:
     """Return half the diagonal of a picture of (rows, columns) [px]."""
     return 0.5 * float(np.hypot(*shape))
 
 
-def positions(parameters, x, y, diagonal):
-    """Return (x, y) in the visible picture of points of the thermal one, both from the pictures' middles [px].
+def positions(
+    parameters: ArrayLike, x: ArrayLike, y: ArrayLike, diagonal: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return (x, y) in the visible picture of points of the thermal one, both from the pictures' centres [px].
 
     Parameters
     ----------
@@ -133,32 +141,34 @@ def positions(parameters, x, y, diagonal):
     return u * stretched, v * stretched * np.exp(parameters[5])
 
 
-def warped(visible, rig, shape=None):
-    """Return the visible picture as the thermal camera would see it: ((H, W, 3) uint8 sRGB, (H, W) bool where known).
+def warped(
+    visible: NDArray[np.uint8], rig: Rig, shape: tuple[int, int] | None = None
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    """Return the visible picture on the thermal pixels: ((H, W, 3) uint8 sRGB, (H, W) bool where known).
 
     Parameters
     ----------
     visible : (h, w, 3) uint8
     rig : Rig
     shape : (2,) ints, optional
-        Rows and columns to make, over the thermal camera's field of view; its own where not given.
+        Rows and columns of the result over the thermal field of view; default: the thermal picture's.
 
     Raises
     ------
     ThermorenderError
-        A picture of another size than the rig's.
+        The picture's size is not the rig's.
     """
     import cv2
 
     if tuple(visible.shape[:2]) != tuple(rig.visible_shape):
         raise ThermorenderError(
             f"the visible picture is {_size(visible.shape)} pixels and the rig's {_size(rig.visible_shape)}; give the "
-            "camera's original pictures, or calibrate anew"
+            "camera's original pictures, or calibrate again"
         )
     height, width = shape or rig.thermal_shape
     column, row = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
     x, y = rig.visible_from_thermal(column * rig.thermal_shape[1], row * rig.thermal_shape[0])
-    # Brought to the density of the result first, so that fine detail is averaged and not sampled.
+    # Reduced to the result's resolution first, so that fine detail is averaged, not subsampled.
     coarser = max(rig.scale * rig.thermal_shape[1] / width, 1.0)
     small = tuple(max(round(side / coarser), 1) for side in visible.shape[1::-1])
     if coarser > 1.0:
@@ -171,7 +181,7 @@ def warped(visible, rig, shape=None):
     return found, valid
 
 
-def write_overlay(path, visible, thermal, rig):
+def write_overlay(path: str | Path, visible: NDArray[np.uint8], thermal: NDArray, rig: Rig) -> None:
     """Write a PNG to inspect a rig: thermal edges over the warped visible picture, and a checkerboard of both.
 
     Parameters
@@ -183,14 +193,14 @@ def write_overlay(path, visible, thermal, rig):
     """
     import cv2
 
-    from thermorender.files import write_image
+    from thermorender.formats import write_image
 
     colours, _ = warped(visible, rig, thermal.shape)
     low, high = np.nanpercentile(thermal, (1.0, 99.0))
     grey = np.nan_to_num(255.0 * np.clip((thermal - low) / max(high - low, 1e-9), 0.0, 1.0)).astype(np.uint8)
     smooth = cv2.GaussianBlur(grey, (0, 0), 1.0)
     slope = np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1))
-    # The steepest tenth, and only its crests.
+    # Crests of the steepest tenth.
     edges = cv2.Canny(smooth, 0.5 * float(np.quantile(slope, 0.9)), float(np.quantile(slope, 0.9)), L2gradient=True)
     drawn = colours.copy()
     drawn[edges > 0] = (255, 40, 40)
@@ -199,20 +209,20 @@ def write_overlay(path, visible, thermal, rig):
     write_image(path, np.hstack([drawn, board]))
 
 
-def save_rig(rig, path):
+def save_rig(rig: Rig, path: str | Path) -> None:
     """Write a rig as JSON."""
-    files.write_json(path, {"format": FORMAT, **asdict(rig)})
+    formats.write_json(path, {"format": FORMAT, **asdict(rig)})
 
 
-def load_rig(path):
+def load_rig(path: str | Path) -> Rig:
     """Return the Rig of a file.
 
     Raises
     ------
     ThermorenderError
-        A file that cannot be read, or is no rig.
+        The file cannot be read or is not a rig.
     """
-    text = files.read_text(path, "JSON")
+    text = formats.read_text(path, "JSON")
     try:
         values = json.loads(text)
         if values.pop("format") != FORMAT:
@@ -221,18 +231,18 @@ def load_rig(path):
         positive = [*rig.visible_shape, *rig.thermal_shape, rig.scale, rig.aspect]
         others = [*rig.shift_px, rig.rotation_deg, rig.k1]
         if (len(positive), len(others)) != (6, 4) or min(positive) <= 0.0 or not np.isfinite(positive + others).all():
-            raise ValueError("numbers that no rig has")
+            raise ValueError("a number out of range")
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         known = ", ".join(each.name for each in fields(Rig))
         raise ThermorenderError(
-            f"{path} is no rig of format {FORMAT} ({error}); it has {known}; make one with `thermorender prepare "
-            "--calibrate`"
+            f"{path} is not a rig of format {FORMAT} ({error}), which has {known}; make one with `thermorender "
+            "prepare --calibrate`"
         ) from None
     return rig
 
 
 def _corners_and_sides(shape):
-    """Columns and rows of points along the border of a picture."""
+    """Columns and rows of points along a picture's border."""
     height, width = shape
     along, down = np.linspace(0.0, width, 33), np.linspace(0.0, height, 33)
     column = np.concatenate([along, along, np.zeros(33), np.full(33, float(width))])

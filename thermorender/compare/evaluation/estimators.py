@@ -16,8 +16,8 @@ from thermorender.campaign.map_inputs import NO_MATERIAL, inputs_of
 from thermorender.compare.evaluation.sums import WIDTH, rows_by, summary
 from thermorender.compare.machine import forget_peak_memory, peak_memory_mib
 from thermorender.errors import ThermorenderError
-from thermorender.files import decoded
 from thermorender.footage.radiometric_files import read_temperature
+from thermorender.formats import decoded
 from thermorender.frame import apparent_temperature
 
 PICTURES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from thermorender import files
+from thermorender import files, formats
 from thermorender.campaign.audit import audit
 from thermorender.campaign.map_inputs import NO_MATERIAL, ground_of
 from thermorender.compare.evaluation import figures, paired, report, similarity, sums
@@ -118,7 +118,7 @@ def evaluate(dataset, models, folder, oracle=None, foreign=None, split=None, par
         figures.against_time(draft / "error_against_time.png", result)
         result["seconds"] = time.perf_counter() - began
         report.write(draft / "evaluation.md", result)
-        files.write_json(draft / "evaluation.json", result)
+        formats.write_json(draft / "evaluation.json", result)
     return result
 
 

@@ -1,6 +1,6 @@
 """Tables of an evaluation: a page of Markdown, and rows for the terminal."""
 
-from thermorender import files
+from thermorender import formats
 
 # Mean error, mean absolute error and standard deviation [K], and training, of the published methods: "Generation of
 # artificial infrared camera images for visual navigation simulation", tables 7 and 2.
@@ -8,7 +8,7 @@ PUBLISHED = {
     "correlation 1-to-1": {"me_k": -0.46, "mae_k": 1.84, "sd_k": 2.23, "training": "less than a minute on a PC"},
     "correlation 9-to-1": {"me_k": -0.4, "mae_k": 1.78, "sd_k": 2.16, "training": "less than a minute on a PC"},
     "pix2pix": {"me_k": -0.086, "mae_k": 0.73, "sd_k": 0.99, "training": "200 epochs of 175 s"},
-    "pix2pix-b25": {"me_k": 0.20, "mae_k": 1.6, "sd_k": 2.1, "training": "300 epochs of 115 s"},
+    "pix2pix, batch 25": {"me_k": 0.20, "mae_k": 1.6, "sd_k": 2.1, "training": "300 epochs of 115 s"},
     "pix2pixHD": {"me_k": 0.11, "mae_k": 0.69, "sd_k": 0.96, "training": "200 epochs of 790 s"},
 }
 CAVEAT = (
@@ -99,7 +99,7 @@ def write(path, result):
             body.append((name, f"{most / 1e6:.3g}", *map(_both, own)))
         lines += ["", f"## {title}", "", *_table((title.lower(), "megapixels", *methods), body)]
     lines += ["", "Cells of the groups: MAE (ME) [K]."]
-    files.write_text(path, "\n".join(lines) + "\n")
+    formats.write_text(path, "\n".join(lines) + "\n")
 
 
 def _differences(result):

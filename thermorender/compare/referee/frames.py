@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from thermorender import files
+from thermorender import formats
 from thermorender.compare.referee.terms import Terms
 from thermorender.errors import ThermorenderError
 from thermorender.versions import versions
@@ -105,8 +105,8 @@ class Frames:
                 np.save(place / f"{index:04d}_terms.npy", terms.pictures(pose, time_s))
         told |= describe(method)
         method.close()
-        told["checksums"] = {path.name: files.checksum(path) for path in sorted(place.glob("*.npy"))}
-        files.write_json(facts, files.sealed(told))
+        told["checksums"] = {path.name: formats.checksum(path) for path in sorted(place.glob("*.npy"))}
+        formats.write_json(facts, formats.sealed(told))
         return told
 
     def radiance(self, method, index):
@@ -127,7 +127,7 @@ class Frames:
 def _kept(facts):
     """What is told of frames that wait, or None where it or one of them is damaged or missing."""
     with suppress(OSError, ValueError):
-        told = files.unsealed(json.loads(facts.read_text(encoding="utf-8")))
-        if all(files.checksum(facts.with_name(name)) == known for name, known in told["checksums"].items()):
+        told = formats.unsealed(json.loads(facts.read_text(encoding="utf-8")))
+        if all(formats.checksum(facts.with_name(name)) == known for name, known in told["checksums"].items()):
             return told
     return None

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from thermorender import files
+from thermorender import files, formats
 from thermorender.compare.machine import machine
 from thermorender.compare.referee import findings, methods, provenance, scores, training, views
 from thermorender.compare.referee.frames import Frames, waiting
@@ -182,7 +182,7 @@ def compare(flights, folder, models, letters=methods.LETTERS, oracle=None, forei
             writer = csv.writer(file)
             writer.writerow(COLUMNS)
             writer.writerows(table)
-        files.write_json(draft / "comparison.json", summary)
+        formats.write_json(draft / "comparison.json", summary)
         write_page(draft / "report.html", summary, pictures.views)
     shutil.rmtree(work, ignore_errors=True)
     return summary

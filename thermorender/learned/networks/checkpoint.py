@@ -6,7 +6,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
-from thermorender import files
+from thermorender import files, formats
 from thermorender.errors import ThermorenderError
 
 
@@ -70,4 +70,4 @@ def load(path, learner):
 
 
 def _checksum(told, tensors):
-    return files.digest(sorted(told.items()), {name: tensors[name].numpy() for name in sorted(tensors)})
+    return formats.digest(sorted(told.items()), {name: tensors[name].numpy() for name in sorted(tensors)})

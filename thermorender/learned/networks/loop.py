@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from thermorender import files
+from thermorender import files, formats
 from thermorender.errors import ThermorenderError
 from thermorender.learned.linear import fit_linear
 from thermorender.learned.networks import checkpoint, runs, samples
@@ -36,7 +36,7 @@ from thermorender.learned.networks.crops import Crops
 from thermorender.learned.networks.encoding import Encoding
 from thermorender.learned.networks.learners import Batch
 from thermorender.learned.networks.predictor import MOST_WIDTH, Network, device, state_of
-from thermorender.learned.networks.recipes import RECIPES
+from thermorender.learned.networks.recipes import recipe_of
 from thermorender.versions import versions
 
 LAST, BEST = "last.safetensors", "best.safetensors"
@@ -62,14 +62,15 @@ def train_network(task, method):
     crops between validations (0: as many as there are training pictures); `bf16`, whether convolutions are computed
     with 8 bits of mantissa where the machine can; `tensorboard`, whether losses are written for it too; `depth`,
     whether the network is shown the depth; `published`, see `Network`; `vgg`, file of the weights of the perceptual
-    loss.
+    loss; `architecture`, of `unet`: see `recipes`.
 
     Raises
     ------
     ThermorenderError
         A run's folder that is in use or of other settings, too few pairs, or a training that explodes at once.
     """
-    recipe, options = RECIPES[method], task.options
+    options = task.options
+    recipe = recipe_of(method, options.get("architecture"))
     _refuse(method, recipe, options)
     first, world = _process()
     with ExitStack() as stack:
@@ -105,7 +106,9 @@ def _refuse(method, recipe, options):
         )
     if not 1 <= width <= MOST_WIDTH:
         raise ThermorenderError(f"width={width} is not allowed for {method!r}; give 1…{MOST_WIDTH} channels")
-    side = options.get("side", recipe.multiple)
+    side = options.get("side", recipe.side)
+    if not recipe.whole and side != recipe.side:
+        raise ThermorenderError(f"side={side} is not allowed for {recipe.net!r}; give side={recipe.side}")
     if not 0 < side <= _MOST_SIDE or side % recipe.multiple:
         raise ThermorenderError(
             f"side={side} is not allowed for {method!r}; give a multiple of {recipe.multiple} up to {_MOST_SIDE} pixels"
@@ -195,6 +198,7 @@ class _Run:
         found = Network(
             self.method, int(self.task.options["width"]), self.encoding, self.task.texel_range_m,
             state_of(net), self.crops.above_air, bool(self.task.options.get("published")), trained,
+            self.recipe.net,
         )  # fmt: skip
         trained["half_precision_mk"] = self._cost_of_halving(net.to(device()), found)
         return found
@@ -244,7 +248,7 @@ class _Run:
                     f"{self.folder} holds a training; continue it with --resume, or give another --run"
                 )
         else:
-            files.write_json(path, settings | {"versions": versions()})
+            formats.write_json(path, settings | {"versions": versions()})
         if self.first and not last.exists():
             # It was stopped before the first whole epoch.
             runs.cut_log(self.folder, 0)
@@ -317,7 +321,7 @@ class _Run:
             self.best = error
             checkpoint.save(self.folder / BEST, _Applied(self.learner.applied), facts | {"error_k": error})
         line = {**facts, "losses": losses, "validation_mae_k": error}
-        files.append_json(self.folder / runs.LOG, line)
+        formats.append_json(self.folder / runs.LOG, line)
         checkpoint.save(self.folder / LAST, self.learner, facts | {"best": self.best})
         if self.board:
             for name, value in (*losses.items(), ("validation_mae_k", error)):

@@ -9,7 +9,7 @@ import torch
 from thermorender.learned.networks import tiles
 from thermorender.learned.networks.building import kind_of, net_of
 from thermorender.learned.networks.encoding import Encoding
-from thermorender.learned.networks.recipes import RECIPES
+from thermorender.learned.networks.recipes import RECIPES, recipe_of
 from thermorender.learned.rows import at_shape
 
 # Pictures are given whole up to this side, else in tiles of it, of whose overlap no more than the middle is taken: what
@@ -44,6 +44,8 @@ class Network:
         statistics of the training and no dropout, so that neighbouring squares agree.
     trained : dict
         What its training was: crops, seconds, curve; empty for one of a file.
+    architecture : str or None
+        That of the recipe, or another; None is the recipe's.
     """
 
     method: str
@@ -54,6 +56,12 @@ class Network:
     above_air: bool
     published: bool = False
     trained: dict = field(default_factory=dict)
+    architecture: str | None = None
+
+    @cached_property
+    def recipe(self):
+        """The Recipe that it was built by."""
+        return recipe_of(self.method, self.architecture)
 
     @property
     def needs(self):
@@ -65,7 +73,7 @@ class Network:
         """The network itself, on the device that it runs on, its weights as they are kept."""
         # Without memory, until the weights are known to be those of its layers.
         with torch.device("meta"):
-            net = net_of(RECIPES[self.method], self.encoding, self.width)
+            net = net_of(self.recipe, self.encoding, self.width)
         weights = {name: torch.from_numpy(np.asarray(values, np.float32)) for name, values in self.state.items()}
         counted = [name for name in net.state_dict() if name.endswith(_COUNTED)]
         net.load_state_dict(weights | {name: torch.zeros((), dtype=torch.int64) for name in counted}, assign=True)
@@ -91,7 +99,7 @@ class Network:
 
     def _applied(self, planes):
         """What the network makes of a picture: (1 or 2, h, w), encoded."""
-        recipe, kind, net = RECIPES[self.method], kind_of(RECIPES[self.method]), self.net
+        recipe, kind, net = self.recipe, kind_of(self.recipe), self.net
 
         def apply(part):
             given = torch.from_numpy(np.ascontiguousarray(part))[None].to(device(), memory_format=torch.channels_last)
@@ -108,15 +116,16 @@ class Network:
         """Return (rows, columns), where tiles of a picture meet, arrays of float: rows and columns begin at 0."""
         image = self.encoding.at_range(inputs, self.texel_range_m)
         shape, own = image.rgb.shape[:2], inputs.rgb.shape[:2]
-        sides, overlap, _ = _tiling(RECIPES[self.method], shape)
+        sides, overlap, _ = _tiling(self.recipe, shape)
         return tuple(tiles.joints(n, side, overlap) * length / n
                      for n, side, length in zip(shape, sides, own, strict=True))  # fmt: skip
 
     def header(self):
         """Return what the file's text says of it."""
         return {
-            "method": self.method, "width": self.width, "encoding": self.encoding.header(),
-            "texel_range_m": self.texel_range_m, "above_air": self.above_air, "published": self.published,
+            "method": self.method, "architecture": self.recipe.net, "width": self.width,
+            "encoding": self.encoding.header(), "texel_range_m": self.texel_range_m, "above_air": self.above_air,
+            "published": self.published,
         }  # fmt: skip
 
     def arrays(self):
@@ -146,7 +155,7 @@ class Network:
         if any(values.min(initial=0.0) < 0.0 for name, values in state.items() if name.endswith("running_var")):
             raise ValueError("it has a variance below 0")
         found = cls(header["method"], header["width"], encoding, limits, state, header["above_air"],
-                    header["published"])  # fmt: skip
+                    header["published"], architecture=header.get("architecture"))  # fmt: skip
         _ = found.net
         return found
 

@@ -11,7 +11,9 @@ leaves open (batch, rate, width) is Keras' default or is marked as chosen. Cycle
 No network is imported here.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+
+from thermorender.errors import ThermorenderError
 
 # Crops of FOK's Table 2: 3511 pictures times epochs. DLR tells "over 4000" pairs.
 _FOK, _DLR = 3511, 4000
@@ -27,7 +29,7 @@ class Recipe:
     net : str
         Its architecture, of `building`.
     width : int
-        Channels of its outermost level; for `dense` the size of the hidden layer.
+        Channels of its outermost level; of the architecture `dense`, the size of the hidden layer.
     learner : str
         How it takes a step, of `building`.
     optimiser : {"adam", "nadam", "adamw"}
@@ -93,33 +95,23 @@ class Recipe:
         return common | side | ({} if self.plus else {"depth": False}) | self.options
 
 
-def _pix2pix(batch, epochs, crops):
-    return Recipe(
-        "unet256", 64, "adversarial", "adam", _PIX2PIX_RATE, "halfway", batch, crops, _FOK * epochs, _PIX2PIX_BETAS,
-        (0.5, 0.5), weight=100.0, options={"published": False},
-    )  # fmt: skip
-
-
 def _compact(plus):
     return Recipe("compact", 72, "robust", "adamw", 2e-4 if plus else 5e-4, "cosine", 4, 100_000, None, target=None,
                   whole=True, multiple=16, plus=plus)  # fmt: skip
 
 
 RECIPES = {
-    # Batch and rate chosen; DLR found that both do not converge.
-    "autoencoder": Recipe("autoencoder", 64, "regression", "nadam", 1e-3, "constant", 8, 100_000, whole=True,
-                          multiple=16),
-    "dense": Recipe("dense", 1024, "regression", "nadam", 1e-4, "constant", 32, 100_000, side=64, multiple=64),
     # Over 150 and over 400 epochs; Keras' rates of Adam and NAdam.
     "unet-classes": Recipe("keras_unet_classes", 32, "classes", "adam", 1e-3, "constant", 8, 100_000, _DLR * 150,
                            whole=True, multiple=16),
     "unet": Recipe("keras_unet", 32, "regression", "nadam", 1e-3, "constant", 8, 100_000, _DLR * 400, whole=True,
-                   multiple=16),
+                   multiple=16, options={"architecture": "keras_unet"}),
     # 98 000 epochs of 4000 pairs; discriminator and losses are those of pix2pix, as DLR says, the batch is chosen.
     "unet-gan": Recipe("keras_unet", 32, "adversarial", "adam", _PIX2PIX_RATE, "halfway", 4, 100_000, _DLR * 98_000,
                        _PIX2PIX_BETAS, (0.5, 0.5), whole=True, multiple=16, weight=100.0),
-    "pix2pix": _pix2pix(1, 200, _FOK * 200),
-    "pix2pix-b25": _pix2pix(25, 300, _FOK * 300),
+    # FOK's other training, over 300 epochs: --set batch=25 --set crops=1053300.
+    "pix2pix": Recipe("unet256", 64, "adversarial", "adam", _PIX2PIX_RATE, "halfway", 1, _FOK * 200, _FOK * 200,
+                      _PIX2PIX_BETAS, (0.5, 0.5), weight=100.0, options={"published": False}),
     # λ 10 of feature matching, and of VGG's where its weights are given.
     "pix2pixhd": Recipe("pix2pixhd", 64, "scales", "adam", _PIX2PIX_RATE, "halfway", 1, _FOK * 200, _FOK * 200,
                         _PIX2PIX_BETAS, (0.5, 0.5), weight=10.0, options={"vgg": ""}),
@@ -129,3 +121,29 @@ RECIPES = {
     "compact": _compact(False),
     "compact+": _compact(True),
 }  # fmt: skip
+
+# What `unet` trains with --set architecture=. The others are two networks that DLR found not to converge; their numbers
+# are chosen: --set architecture=autoencoder --set width=64, and
+# --set architecture=dense --set width=1024 --set side=64 --set batch=32 --set rate=1e-4.
+_ARCHITECTURES = {
+    "keras_unet": {},
+    "autoencoder": {"net": "autoencoder"},
+    "dense": {"net": "dense", "side": 64, "multiple": 64, "whole": False},
+}
+
+
+def recipe_of(method, architecture=None):
+    """Return the Recipe of a method, with another architecture where one is given.
+
+    Raises
+    ------
+    ThermorenderError
+        The method does not have this architecture.
+    """
+    recipe = RECIPES[method]
+    if architecture in (None, recipe.net):
+        return recipe
+    if "architecture" not in recipe.options or architecture not in _ARCHITECTURES:
+        known = ", ".join(_ARCHITECTURES) if "architecture" in recipe.options else recipe.net
+        raise ThermorenderError(f"architecture={architecture!r} does not belong to {method!r}; give {known}")
+    return replace(recipe, published_crops=None, **_ARCHITECTURES[architecture])

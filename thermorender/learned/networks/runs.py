@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from thermorender import files
+from thermorender import formats
 from thermorender.errors import ThermorenderError
 
 _EPOCH = ("crops", "seconds", "core_seconds", "validation_mae_k")
@@ -21,7 +21,7 @@ def read_settings(folder):
     """
     path = Path(folder) / SETTINGS
     try:
-        found = files.finite_json(files.read_text(path)) if path.is_file() else None
+        found = formats.finite_json(formats.read_text(path)) if path.is_file() else None
         if not isinstance(found, dict) or not all(isinstance(found.get(key), kind) for key, kind in _KINDS.items()):
             raise ValueError
         numbers = [found["options"].get("width"), found["options"].get("batch"), *found["examples"][:1]]
@@ -41,9 +41,9 @@ def read_log(folder):
     """
     path = Path(folder) / LOG
     found = []
-    for line in files.read_text(path).splitlines() if path.is_file() else ():
+    for line in formats.read_text(path).splitlines() if path.is_file() else ():
         try:
-            epoch = files.finite_json(line)
+            epoch = formats.finite_json(line)
             told = isinstance(epoch, dict) and all(
                 isinstance(epoch.get(name), int | float) and epoch[name] >= 0 for name in _EPOCH
             )
@@ -57,4 +57,4 @@ def read_log(folder):
 def cut_log(folder, crops):
     """Take away the epochs that ended after so many crops."""
     kept = [line for line in read_log(folder) if line["crops"] <= crops]
-    files.write_text(Path(folder) / LOG, "".join(json.dumps(line) + "\n" for line in kept))
+    formats.write_text(Path(folder) / LOG, "".join(json.dumps(line) + "\n" for line in kept))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from thermorender import files
+from thermorender import formats
 
 # Errors are shown from blue to red up to so much [K]; truth and translation on one grey scale a row.
 ERROR_K = 10.0
@@ -20,4 +20,4 @@ def write(path, crops, true_k, found_k):
         error = np.stack([1.0 + np.minimum(off, 0.0), 1.0 - np.abs(off), 1.0 - np.maximum(off, 0.0)], axis=-1)
         tiles = [crop.inputs.rgb, *(np.repeat(255.0 * each[..., None], 3, axis=-1) for each in grey), 255.0 * error]
         rows.append(np.concatenate([np.pad(np.uint8(tile), ((_GAP, 0), (_GAP, 0), (0, 0))) for tile in tiles], axis=1))
-    files.write_image(path, np.concatenate(rows))
+    formats.write_image(path, np.concatenate(rows))

@@ -11,7 +11,7 @@ import numpy as np
 
 from thermorender.materials.library import find, load_library
 from thermorender.physics.sun import solar_hour
-from thermorender.scene import columns as open_ground
+from thermorender.scene import open_ground
 from thermorender.units import ZERO_CELSIUS_K
 
 TYPICAL = (

@@ -26,8 +26,8 @@ from thermorender.render.geometry import Geometry, aligned
 from thermorender.render.heat.places import sun_cosine, texel_points
 from thermorender.render.light import cache
 from thermorender.render.variant import activate
-from thermorender.scene import columns as open_ground
-from thermorender.scene.hidden import Hidden
+from thermorender.scene import open_ground
+from thermorender.scene.deviations import Deviations
 from thermorender.scene.load import Scene
 from thermorender.scene.surface import fill, nearest_valid
 from thermorender.units import ZERO_CELSIUS_K, utc_text
@@ -58,7 +58,7 @@ class _Library:
 
 def solved(
     scene: Scene, times: "Sequence[np.datetime64]", geometry: Geometry | None = None, progress: Progress | None = None,
-    hidden: Hidden | None = None,
+    deviations: Deviations | None = None,
 ) -> list[Scene]:  # fmt: skip
     """Return the scene with its terrain's temperatures at each of some instants, from its heat balance.
 
@@ -72,7 +72,7 @@ def solved(
         Of the scene's surfaces, where it is there already.
     progress : callable, optional
         Called with (what, share done).
-    hidden : Hidden, optional
+    deviations : Deviations, optional
         How the texels stray from their materials, for a truth that is to differ from what its tables tell.
 
     Raises
@@ -94,7 +94,7 @@ def solved(
     kinds = np.unique(np.concatenate([np.unique(surface.material) for surface in terrain]))
     most = max(len(parts[kind]) for kind in kinds)
     found, share_done = 0.0, 1.0 / most
-    march = _March(scene, geometry, asked, hidden)
+    march = _March(scene, geometry, asked, deviations)
     for number in range(most):
         of = {kind: parts[kind][min(number, len(parts[kind]) - 1)][0] for kind in kinds}
         weight = np.array([_emits(part, number) for part in parts])
@@ -141,14 +141,14 @@ class _Columns:
 class _March:
     """Marches of a terrain's texels: its faces and the light between them, which all share."""
 
-    def __init__(self, scene, geometry, asked, hidden):
+    def __init__(self, scene, geometry, asked, deviations):
         self.scene, self.geometry, self.mi, self.asked = scene, geometry, geometry.mi, asked
         self.weather, self.inside_k = scene.weather, scene.spec.weather.inside_c + ZERO_CELSIUS_K
         terrain = scene.surfaces[: scene.terrain_count]
         self.faces = int(geometry.face_start[scene.terrain_count])
         self.texels = int(geometry.texel_start[scene.terrain_count])
         self.material = np.concatenate([surface.material.ravel() for surface in terrain])
-        self.hidden = hidden and hidden.columns(self.texels)
+        self.deviations = deviations and deviations.columns(self.texels)
         corner = np.concatenate([surface.vertices[surface.faces] for surface in terrain])
         across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
         if across[:, 2].sum() < 0.0:
@@ -159,7 +159,7 @@ class _March:
         self.middle = corner.mean(axis=1).astype(np.float32)
         self.normal = (across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)).astype(np.float32)
         self.covers = np.array(geometry.face_of_texel())[: self.texels]
-        self.reflects = self._brightness() * (1.0 if self.hidden is None else self.hidden[0])
+        self.reflects = self._brightness() * (1.0 if self.deviations is None else self.deviations[0])
         self.start = max(asked[0] - np.timedelta64(int(_BEFORE_S), "s"), self.weather.time[0])
         # Change of the ground over the last of the days that it settles in [K], the most of all runs.
         self.settled_k = 0.0
@@ -246,8 +246,8 @@ class _March:
         })  # fmt: skip
         # A face strays as the texel at its middle.
         column = np.concatenate([self.face_texel[: self.faces], texels])
-        if self.hidden is not None:
-            ground = _varied(ground, *(mi.Float(aligned(each[column])) for each in self.hidden[1:]))
+        if self.deviations is not None:
+            ground = _varied(ground, *(mi.Float(aligned(each[column])) for each in self.deviations[1:]))
         reflected = row(1.0 - self.columns.absorptance) * mi.Float(aligned(self.reflects[column]))
         begin = self.state
         state = State(row(begin.surface_k), rows(begin.layers_k), row(begin.film), rows(begin.liquid))
@@ -273,7 +273,7 @@ class _March:
         mi, own = self.mi, None
         steps = _steps(self.start, self.asked)
         first_s = float((self.asked[0] - self.start) / np.timedelta64(1, "s"))
-        if first_s and self.hidden is None and not self.scene.spec.temperature.brightness:
+        if first_s and self.deviations is None and not self.scene.spec.temperature.brightness:
             key = self.covers[texels].astype(np.int64) * 256 + self.material[texels]
             _, some, own = np.unique(key, return_index=True, return_inverse=True)
             order = np.argsort(some)

@@ -14,7 +14,8 @@ from dataclasses import fields
 
 import numpy as np
 
-from thermorender import files
+from thermorender import files, formats
+from thermorender.cache import cache_folder
 from thermorender.errors import ThermorenderError
 from thermorender.render.light import radiosity
 
@@ -59,11 +60,11 @@ def key(geometry, rays, seed=0):
 def load(name):
     """Return the Transport stored under `name`, or None where there is none that is whole."""
     try:
-        path = files.cache_folder("light") / f"{name}.npz"
+        path = cache_folder("light") / f"{name}.npz"
     except RuntimeError:
         # There is no home folder.
         return None
-    found = files.read_arrays(path, name)
+    found = formats.read_arrays(path, name)
     if found is None:
         return None
     transport = radiosity.Transport(**found | {"rays": int(found["rays"])})
@@ -92,8 +93,8 @@ def store(name, transport, limit=None):
         return f"traced light is not kept: its {size / 1e9:.2g} GB are more than the {limit / 1e9:.2g} GB of the cache"
     folder = "the cache folder"
     try:
-        folder = files.cache_folder("light")
-        files.write_arrays(folder / f"{name}.npz", name, arrays)
+        folder = cache_folder("light")
+        formats.write_arrays(folder / f"{name}.npz", name, arrays)
         _trim(folder, limit, keep=f"{name}.npz")
     except (OSError, RuntimeError, ThermorenderError) as error:
         # RuntimeError: there is no home folder.

@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from tests.robustness.fuzz.corpus.registry import reader
-from thermorender import files
+from thermorender import formats
 from thermorender.defaults import TEMPERATURE_MAPS
 from thermorender.errors import ThermorenderError
 
@@ -28,7 +28,8 @@ def _copied(folder):
 
 
 def _write_dataset(folder):
-    from thermorender.campaign.dataset import Entry, ThermalScale, Writer, packed
+    from thermorender.campaign.dataset import Entry, ThermalScale
+    from thermorender.campaign.dataset_writer import Writer, packed
 
     generator, shape = np.random.default_rng(0), (24, 32)
     writer = Writer(folder, _CARD, ThermalScale("kelvin", 0.01, 0.0))
@@ -45,7 +46,8 @@ def _write_dataset(folder):
 
 def _of_dataset(path):
     """Read a data set, and continue a copy of it."""
-    from thermorender.campaign.dataset import Writer, read_dataset
+    from thermorender.campaign.dataset import read_dataset
+    from thermorender.campaign.dataset_writer import Writer
 
     folder = path.parents[path.parent.name == "shards"]
     found = read_dataset(folder)
@@ -66,7 +68,7 @@ reader("data set's shard", "shards/a.tar", lambda path: _write_dataset(path.pare
 
 def _write_training(folder):
     settings = {"method": "compact", "seed": 0, "options": {"width": 8, "batch": 2}, "examples": [12, "x"]}
-    files.write_json(folder / "settings.json", settings)
+    formats.write_json(folder / "settings.json", settings)
     (folder / "log.jsonl").write_text("".join(
         json.dumps({"crops": 100 * k, "seconds": 2.5 * k, "core_seconds": 5.0 * k, "losses": {"l1": 1.0 / k},
                     "validation_mae_k": 3.0 / k}) + "\n"
@@ -161,7 +163,7 @@ def _write_translation(path):
     generator, place = np.random.default_rng(0), path.parent / "photographs"
     place.mkdir()
     for number in range(2):
-        files.write_image(place / f"{number}.png", generator.integers(0, 255, (12, 16, 3)).astype(np.uint8))
+        formats.write_image(place / f"{number}.png", generator.integers(0, 255, (12, 16, 3)).astype(np.uint8))
     _translate(place, path.parent, 1)
 
 
@@ -181,9 +183,9 @@ for _name in ("translate.json", "translated.jsonl"):
     reader(f"translation's {_name}", _name, _write_translation)(_of_translation)
 
 
-@reader("kept arrays", "kept.npz", lambda path: files.write_arrays(path, 7, _ARRAYS))
+@reader("kept arrays", "kept.npz", lambda path: formats.write_arrays(path, 7, _ARRAYS))
 def _arrays(path):
-    found = files.read_arrays(path, 7)
+    found = formats.read_arrays(path, 7)
     if found is None:
         raise ThermorenderError("they are made anew")
     if any(not np.array_equal(found[name], values) for name, values in _ARRAYS.items()):
@@ -201,7 +203,7 @@ def _write_result(path):
     case = {"group": "air", "name": "made", "expected_k": 290.0, "found_k": 290.0, "error_k": 1e-6,
             "tolerance_k": 1e-5, "passed": True, "seconds": 0.1, "raised": None}  # fmt: skip
     machine = {"processor": "made", "cores": 2, "memory_gib": 24.0, "system": "Linux"}
-    files.write_json(path, {"machine": machine, "versions": {}, "seconds": 1.0, "failed": 0, "cases": [case] * 3})
+    formats.write_json(path, {"machine": machine, "versions": {}, "seconds": 1.0, "failed": 0, "cases": [case] * 3})
 
 
 @reader("study's result", "stability/stability.json", _write_result)

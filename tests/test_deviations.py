@@ -5,8 +5,8 @@ import pytest
 
 from scenes import WEATHER, write_balance
 from thermorender.errors import ThermorenderError
-from thermorender.scene import columns as open_ground
-from thermorender.scene.hidden import Hidden
+from thermorender.scene import open_ground
+from thermorender.scene.deviations import Deviations
 from thermorender.scene.load import load_scene
 
 AT = np.datetime64("2018-07-28T12:00:00")
@@ -24,7 +24,7 @@ def level(tmp_path_factory):
 
 def fields(shape, **factors):
     one = np.ones(shape, np.float32)
-    return Hidden(**{name: one * np.float32(factors.get(name, 1.0)) for name in NAMES})
+    return Deviations(**{name: one * np.float32(factors.get(name, 1.0)) for name in NAMES})
 
 
 def test_texels_stray_as_columns_in_the_open_do(level):
@@ -42,8 +42,8 @@ def test_texels_stray_as_columns_in_the_open_do(level):
     def in_the_open(own):
         return open_ground.march(own, level.weather, begin, start, AT)[0].surface_k
 
-    def on_the_device(hidden):
-        (terrain,) = solved(level, [AT], hidden=hidden)[0].surfaces
+    def on_the_device(deviations):
+        (terrain,) = solved(level, [AT], deviations=deviations)[0].surfaces
         return np.array([np.median(terrain.temperature[terrain.material == k]) for k in range(len(names))])
 
     shape = level.surfaces[0].material.shape
@@ -76,8 +76,8 @@ def test_only_the_texels_that_stray_move(level):
     wet[:8, :8] = 3.0
     one = np.ones_like(wet)
     plain, moved = (
-        solved(level, [AT], hidden=hidden)[0].surfaces[0].temperature
-        for hidden in (None, Hidden(one, wet, one, one))
+        solved(level, [AT], deviations=deviations)[0].surfaces[0].temperature
+        for deviations in (None, Deviations(one, wet, one, one))
     )
     assert (plain - moved)[:8, :8].min() > 0.5
     # Their colder long-wave reaches nobody: level ground does not see itself.
@@ -87,12 +87,12 @@ def test_only_the_texels_that_stray_move(level):
 @pytest.mark.parametrize(
     ("field", "words"),
     [
-        (np.ones((3, 3)), "hidden.inertia has 9 texels and the terrain 1024; give one factor for each"),
-        (np.zeros((32, 32)), "hidden.inertia holds a factor that is not above 0; 1 leaves a texel as it is"),
-        (np.full((32, 32), np.nan), "hidden.inertia holds a factor that is not above 0"),
+        (np.ones((3, 3)), "deviations.inertia has 9 texels and the terrain 1024; give one factor for each"),
+        (np.zeros((32, 32)), "deviations.inertia holds a factor not above 0; 1 leaves a texel as it is"),
+        (np.full((32, 32), np.nan), "deviations.inertia holds a factor not above 0"),
     ],
 )
 def test_what_is_no_field_is_refused(field, words):
     one = np.ones((32, 32))
     with pytest.raises(ThermorenderError, match=words):
-        Hidden(one, one, one, field).columns(1024)
+        Deviations(one, one, one, field).columns(1024)

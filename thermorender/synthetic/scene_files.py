@@ -1,22 +1,26 @@
-"""A synthetic scene as files: GeoTIFFs, scene.toml and flight.csv; declared first, then with its temperatures."""
+"""Files of a synthetic scene: GeoTIFFs, scene.toml and flight.csv, first without and then with its temperatures."""
+
+from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender import defaults
 from thermorender.errors import ThermorenderError
-from thermorender.files import atomic_raster, write_text
+from thermorender.formats import atomic_raster, write_text
 from thermorender.schema import toml_text
+from thermorender.synthetic.procedural_scene import SyntheticScene
 from thermorender.units import utc_text
 
-TEMPERATURE_STEP_K = 0.02  # of the stored raster: 6 mK root mean square, below any microbolometer's noise
+# Step of the stored raster [K]: rounding is 6 mK RMS, below any microbolometer's noise.
+TEMPERATURE_STEP_K = 0.02
 _TEMPERATURE_BASE_K = 200.0
-
-
 _PACKED = {"compress": "deflate", "zlevel": 9}
 
 
-def write_declared(scene, folder):
-    """Write a SyntheticScene into a folder, its temperature that of a heat balance under its weather."""
+def write_declared(scene: SyntheticScene, folder: Path) -> None:
+    """Write a SyntheticScene into a folder, with its temperature to be solved by the heat balance."""
     texel = scene.texel_m
     picture = np.ascontiguousarray(scene.orthophoto.transpose(2, 0, 1))
     jpeg = {"compress": "jpeg", "photometric": "ycbcr", "jpeg_quality": 86}
@@ -27,13 +31,13 @@ def write_declared(scene, folder):
     write_text(folder / "flight.csv", flight_csv(scene.flight))
 
 
-def write_temperature(scene, folder, temperature, every):
-    """Add the true temperature (N, N) [K] to a scene's folder, and make it what the scene shows.
+def write_temperature(scene: SyntheticScene, folder: Path, temperature: NDArray, every: int) -> None:
+    """Add the true temperature (N, N) [K] to a scene's folder as its temperature source.
 
     Parameters
     ----------
     every : int
-        Texels to a side of one texel of the stored raster, which is their mean.
+        Texels per side of a stored texel, which is their mean.
     """
     side = len(temperature) // every
     mean = temperature.astype(np.float64).reshape(side, every, side, every).mean(axis=(1, 3))
@@ -43,8 +47,8 @@ def write_temperature(scene, folder, temperature, every):
     write_text(folder / "scene.toml", scene_toml(scene))
 
 
-def refuse_every(scene, every):
-    """Raise unless the stored temperature's texels divide the scene's."""
+def refuse_every(scene: SyntheticScene, every: int) -> None:
+    """Raise unless `every` divides the scene's texels per side."""
     if every < 1 or len(scene.classes) % every:
         raise ThermorenderError(
             f"temperature_every={every} does not divide the {len(scene.classes)} texels of the scene's side; choose a "
@@ -68,8 +72,8 @@ def _raster(scene, path, bands, texel_m, scale=None, **options):
             file.units = ("K",)
 
 
-def scene_toml(scene, known=True):
-    """Return the text of a scene's scene.toml, whose temperature is known, or to be solved by a heat balance."""
+def scene_toml(scene: SyntheticScene, known: bool = True) -> str:
+    """Return the text of scene.toml, with a known temperature or one to be solved by the heat balance."""
     raster = {"source": "raster", "raster": "temperature.tif"}
     weather = {key: value for key, value in vars(scene.weather).items() if value is not None}
     values = {
@@ -85,20 +89,20 @@ def scene_toml(scene, known=True):
     }
     return toml_text(
         values,
-        f"Made by thermorender.synthetic.worlds: kind {scene.kind}, seed {scene.seed}, {scene.size_m:g} m.\n"
+        f"Made by thermorender: kind {scene.kind}, seed {scene.seed}, {scene.size_m:g} m.\n"
         f"Photographed with the sun at azimuth {scene.sun[0]:.1f}°, elevation {scene.sun[1]:.1f}°.",
     )
 
 
 def _rounded(value):
-    """Return a number, or numbers in lists, to three digits behind the point; anything else as it is."""
+    """Return a float, or floats in lists, rounded to three decimals; other values unchanged."""
     if isinstance(value, (list, tuple)):
         return [_rounded(item) for item in value]
     return round(value, 3) if isinstance(value, float) else value
 
 
-def flight_csv(flight):
-    """Return the text of a flight's table."""
+def flight_csv(flight: Mapping[str, NDArray]) -> str:
+    """Return the CSV text of a flight."""
     rows = zip(*flight.values(), strict=True)
     body = "".join(",".join(f"{value:.3f}" for value in row) + "\n" for row in rows)
     return ",".join(flight) + "\n" + body

@@ -1,16 +1,19 @@
-"""Tables of materials as files: rows of CSV with their faults told, and the three forms of a spectrum table.
+"""CSV tables of materials: reading rows and numbers with precise errors, and the three forms of a spectrum table.
 
-Every fault names file, row and column, and says how to mend it. Nothing outside the library's folder is read.
+Every error names file, row and column, and how to correct the fault. Files outside the library's folder are refused.
 """
 
 import csv
 import io
 import re
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from thermorender import files
+from thermorender import formats
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.paths import inside
 from thermorender.physics import fresnel
@@ -19,65 +22,64 @@ INDEX_COLUMNS = (
     "name", "title", "colour_r", "colour_g", "colour_b", "solar_absorptance", "directional",
     "temperature_k", "samples", "source", "citation", "licence", "note",
 )  # fmt: skip
-# Only Fresnel materials need it, so a table without it is whole.
+# Optional: only Fresnel materials need it.
 ROUGHNESS_COLUMN = "rms_slope"
-# Only the heat balance asks for it.
+# Optional: only the heat balance uses it.
 SOLAR_STD_COLUMN = "solar_absorptance_std"
 OPTIONAL_COLUMNS = (ROUGHNESS_COLUMN, SOLAR_STD_COLUMN)
 SPECTRUM_COLUMNS = ("wavelength_um", "emissivity", "emissivity_std")
 INDEX_OF_REFRACTION_COLUMNS = ("wavelength_um", "n", "k")
 ANGLE_COLUMN = re.compile(r"at_(\d+(?:\.\d+)?)")
 
-# Longer than any table in µm, shorter than any thermal table in nm.
+# Above any wavelength in µm, below any thermal wavelength in nm.
 LONGEST_WAVELENGTH_UM = 1000.0
 LARGEST_INDEX = 1000.0
 
-# Between rows so far apart a Fresnel material's emissivity is computed, not interpolated.
+# Largest wavelength step at which a Fresnel material's emissivity is computed.
 FINEST_UM = 0.05
 
-# Rows further apart than both are a hole in the measurement, not its sampling.
+# A step larger than both limits is a gap in the measurement, not its sampling.
 GAP_UM = 0.5
 GAP_STEPS = 5.0
 
 
-def read_text(path, directory=None):
-    """Return the text of a UTF-8 file, after checking that it lies within `directory`.
+def read_text(path: str | Path, directory: str | Path | None = None) -> str:
+    """Return the text of a UTF-8 file inside `directory`.
 
     Raises
     ------
     ThermorenderError
-        The file is absent, leads out of the folder, or is not UTF-8.
+        The file is missing, is outside the folder, or is not UTF-8.
     """
     path = Path(path)
     if directory is not None and not inside(path, directory):
         raise ThermorenderError(f"{path} leads out of {directory}; put the file itself into the folder")
     if not path.is_file():
-        raise ThermorenderError(
-            f"{path} does not exist; a materials folder holds index.csv and spectra/<name>.csv"
-        )
-    return files.read_text(path, "'CSV UTF-8' in the spreadsheet")
+        raise ThermorenderError(f"{path} does not exist; a materials folder holds index.csv and spectra/<name>.csv")
+    return formats.read_text(path, "'CSV UTF-8' in the spreadsheet")
 
 
-def read_table(path, columns, directory=None):
+def read_table(
+    path: str | Path, columns: Sequence[str], directory: str | Path | None = None
+) -> list[tuple[int, dict[str, str]]]:
     """Return the rows of a CSV file as (row number in the spreadsheet, dict of column to stripped text).
 
-    Rows with nothing in them are left out; columns beyond those asked for are the user's own and pass, cells beyond the
-    last heading do not.
+    Empty rows are skipped. Additional columns are allowed; cells beyond the last heading are not.
 
     Parameters
     ----------
     path : path
-        Comma-separated text, UTF-8, first row the column names.
+        Comma-separated UTF-8 text with the column names in the first row.
     columns : sequence of str
-        Columns that must be there.
+        Required columns.
     directory : path, optional
-        Folder the file must lie in.
+        Folder that must contain the file.
 
     Raises
     ------
     ThermorenderError
-        The file is absent, elsewhere, not UTF-8, separated by semicolons, a column is missing or twice there, or a row
-        is longer than the first.
+        The file is missing, outside the folder, not UTF-8 or separated by semicolons; a column is missing or repeated;
+        or a row is longer than the first.
     """
     text = read_text(path, directory)
     first_line = text.partition("\n")[0]
@@ -107,8 +109,8 @@ def read_table(path, columns, directory=None):
     return rows
 
 
-def beyond(header, cells):
-    """Return a clause on what a row holds beyond the last heading, as a decimal comma makes it; None where nothing."""
+def beyond(header: Sequence[str], cells: Sequence[str]) -> str | None:
+    """Return the fault of a row with cells beyond the last heading (a decimal comma, for example), else None."""
     if not any(cell.strip() for cell in cells[len(header) :]):
         return None
     return (
@@ -117,13 +119,13 @@ def beyond(header, cells):
     )
 
 
-def csv_rows(text, path, delimiter=","):
-    """Return the rows of a CSV text, lists of cells.
+def csv_rows(text: str, path: str | Path, delimiter: str = ",") -> list[list[str]]:
+    """Return the rows of a CSV text as lists of cells.
 
     Raises
     ------
     ThermorenderError
-        A quotation mark is left open, or stands within a cell: what follows would be swallowed in silence.
+        A quotation mark is unbalanced or inside a cell, which would merge cells silently.
     """
     rows = []
     try:
@@ -137,14 +139,13 @@ def csv_rows(text, path, delimiter=","):
     return rows
 
 
-def number_in_cell(path, row, column, text, low, high, mend):
-    """Return the number written in a table's cell after checking that it lies within low…high.
+def number_in_cell(path: str | Path, row: int, column: str, text: str, low: float, high: float, advice: str) -> float:
+    """Return the number in a table's cell, checked to be within low…high.
 
     Raises
     ------
     ThermorenderError
-        The text is no number or lies outside; the message names file, row, column, what arrived, what is
-        allowed, and `mend`, what to do.
+        The text is not a number or out of range; the message names file, row, column, value, range and `advice`.
     """
     try:
         value = float(text)
@@ -154,17 +155,15 @@ def number_in_cell(path, row, column, text, low, high, mend):
             "point as decimal mark and no unit"
         ) from None
     if not low <= value <= high:
-        raise ThermorenderError(
-            f"{path}, row {row}: {column}={value:g} is not within {low:g}…{high:g}; {mend}"
-        )
+        raise ThermorenderError(f"{path}, row {row}: {column}={value:g} is not within {low:g}…{high:g}; {advice}")
     return value
 
 
-def gaps(wavelength_um):
-    """Return the holes of a table as a list of (start, end) [µm].
+def gaps(wavelength_um: ArrayLike) -> list[tuple[float, float]]:
+    """Return the gaps of a table as a list of (start, end) [µm].
 
-    A hole is a step longer than 0.5 µm and than five times the table's middle step: nothing was measured there,
-    and a straight line across it would be invented.
+    A gap is a step longer than 0.5 µm and than five times the median step. Nothing was measured there, so
+    interpolation across it is not justified.
     """
     wavelength = np.asarray(wavelength_um, dtype=np.float64)
     steps = np.diff(wavelength)
@@ -174,22 +173,22 @@ def gaps(wavelength_um):
     return [(float(wavelength[i]), float(wavelength[i + 1])) for i in np.flatnonzero(wide)]
 
 
-def read_emissivity(path, directory=None):
-    """Return what a Lambertian table holds, as arguments of a Material: wavelength_um, emissivity, emissivity_std.
+def read_emissivity(path: str | Path, directory: str | Path | None = None) -> dict[str, Any]:
+    """Return a Lambertian table as arguments of a Material: wavelength_um, emissivity, emissivity_std, gaps_um.
 
     Raises
     ------
     ThermorenderError
-        A cell cannot be right; the message names file, row and column.
+        A cell is invalid; the message names file, row and column.
     """
-    mend = "give the standard deviation over the samples, or leave the cell empty"
+    advice = "give the standard deviation over the samples, or leave the cell empty"
     rows, wavelength = _rows(path, SPECTRUM_COLUMNS, directory)
     return {
         "wavelength_um": wavelength,
         "emissivity": np.array([_share(path, row, "emissivity", cells["emissivity"]) for row, cells in rows]),
         "emissivity_std": np.array(
             [
-                number_in_cell(path, row, "emissivity_std", text, 0.0, 1.0, mend) if text else np.nan
+                number_in_cell(path, row, "emissivity_std", text, 0.0, 1.0, advice) if text else np.nan
                 for row, text in ((row, cells["emissivity_std"]) for row, cells in rows)
             ]
         ),
@@ -197,15 +196,15 @@ def read_emissivity(path, directory=None):
     }
 
 
-def read_refractive_index(path, rms_slope, directory=None):
-    """Return what a table of n and k gives, as arguments of a Material: emissivity by wavelength and angle.
+def read_refractive_index(path: str | Path, rms_slope: float, directory: str | Path | None = None) -> dict[str, Any]:
+    """Return the emissivity by wavelength and angle of a table of n and k, as arguments of a Material.
 
-    Between rows n and k are taken as linear, and the emissivity is computed at every row and at most 0.05 µm apart.
+    n and k are linear between rows; the emissivity is computed at every row and at steps of at most 0.05 µm.
     """
-    mend = "give the refractive index n + ik, k not negative"
+    advice = "give the refractive index n + ik, k not negative"
     rows, wavelength = _rows(path, INDEX_OF_REFRACTION_COLUMNS, directory)
     n, k = (
-        np.array([number_in_cell(path, row, key, cells[key], low, LARGEST_INDEX, mend) for row, cells in rows])
+        np.array([number_in_cell(path, row, key, cells[key], low, LARGEST_INDEX, advice) for row, cells in rows])
         for key, low in (("n", 1e-3), ("k", 0.0))
     )
     fine = np.concatenate(
@@ -219,11 +218,11 @@ def read_refractive_index(path, rms_slope, directory=None):
     return _directional(fine, fresnel.COSINES, by_angle, gaps(wavelength))
 
 
-def read_angles(path, directory=None):
-    """Return what a table by angle gives, as arguments of a Material: columns at_0, at_10 … at_90 [degrees].
+def read_angles(path: str | Path, directory: str | Path | None = None) -> dict[str, Any]:
+    """Return a table with columns at_0, at_10 … at_90 [degrees] as arguments of a Material.
 
-    The table must run from 0 to 90 degrees, because nothing is extrapolated; between its angles emissivity is linear
-    in the cosine.
+    The angles must cover 0 to 90 degrees, because nothing is extrapolated. Emissivity is linear in the cosine between
+    them.
     """
     rows, wavelength = _rows(path, ("wavelength_um", "at_0", "at_90"), directory)
     columns = [column for column in rows[0][1] if ANGLE_COLUMN.fullmatch(column)]
@@ -235,7 +234,7 @@ def read_angles(path, directory=None):
     order = np.argsort(-angle)
     by_angle = np.array([[_share(path, row, column, cells[column]) for column in columns] for row, cells in rows])
     cosines = np.cos(np.radians(angle[order]))
-    # 90° comes out as 6e-17.
+    # cos 90° is 6e-17 by rounding.
     cosines[0] = 0.0
     return _directional(wavelength, cosines, by_angle[:, order], gaps(wavelength))
 
@@ -252,7 +251,7 @@ def _directional(wavelength, cosines, by_angle, holes):
 
 
 def _rows(path, columns, directory):
-    """Return the rows of a spectrum table and their wavelengths (N,) [µm], checked to rise."""
+    """Return the rows of a spectrum table and their wavelengths (N,) [µm], checked to be ascending."""
     rows = read_table(path, columns, directory)
     wavelength = []
     for row, cells in rows:
@@ -264,18 +263,18 @@ def _rows(path, columns, directory):
             fault = "repeats" if value == wavelength[-1] else "is less than"
             raise ThermorenderError(
                 f"{path}, row {row}: wavelength_um={value:g} {fault} the row above "
-                f"({wavelength[-1]:g}); sort the table by its first column, rising, "
+                f"({wavelength[-1]:g}); sort the table by its first column, ascending, "
                 "and keep one row for each wavelength"
             )
         wavelength.append(value)
     if len(wavelength) < 2:
         raise ThermorenderError(
-            f"{path} holds {len(wavelength)} rows of data; a spectrum needs 2 at least (two rows of the same "
+            f"{path} holds {len(wavelength)} rows of data; a spectrum needs at least 2 (two rows of the same "
             "emissivity make a grey material)"
         )
     return rows, np.array(wavelength)
 
 
 def _share(path, row, column, text):
-    mend = "divide by 100 if the values are percent, take 1 minus them if they are reflectances"
-    return number_in_cell(path, row, column, text, 0.0, 1.0, mend)
+    advice = "divide by 100 if the values are percent, take 1 minus them if they are reflectances"
+    return number_in_cell(path, row, column, text, 0.0, 1.0, advice)

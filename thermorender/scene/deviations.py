@@ -1,4 +1,4 @@
-"""What no table and no station tells of a terrain's texels: how each strays from its material."""
+"""Per-texel deviations of a terrain from the tabulated properties of its materials."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from thermorender.errors import ThermorenderError
 
 
 @dataclass(frozen=True, eq=False)
-class Hidden:
+class Deviations:
     """Factors on what the tables give, per texel of the terrain: 1 is the table itself.
 
     Attributes
@@ -40,8 +40,8 @@ class Hidden:
         for name, values in vars(self).items():
             if np.size(values) != texels:
                 raise ThermorenderError(
-                    f"hidden.{name} has {np.size(values)} texels and the terrain {texels}; give one factor for each"
+                    f"deviations.{name} has {np.size(values)} texels and the terrain {texels}; give one factor for each"
                 )
             if not (np.isfinite(values).all() and np.min(values) > 0.0):
-                raise ThermorenderError(f"hidden.{name} holds a factor that is not above 0; 1 leaves a texel as it is")
+                raise ThermorenderError(f"deviations.{name} holds a factor not above 0; 1 leaves a texel as it is")
         return np.array([np.ravel(values) for values in vars(self).values()], dtype=np.float32)
