@@ -228,6 +228,14 @@ def train(
         raise ThermorenderError(
             f"--labels, --texel-m and --augmentations belong to `train emissivity`, not to {method!r}; leave them out"
         )
+    _train_temperature(method, sources or [], output, of, setting or [], oracle, seed, run, resume)
+
+
+def _train_temperature(
+    method: str, sources: list[str], output: Path, of: Path | None, setting: list[str], oracle: bool, seed: int,
+    run: Path | None, resume: bool,
+) -> None:  # fmt: skip
+    """Train a map from colour to temperature, and print its error."""
     from thermorender.campaign.dataset import read_dataset
     from thermorender.campaign.map_training import train_map
     from thermorender.campaign.splits import read_split
@@ -236,12 +244,12 @@ def train(
 
     if not known(method).long and (run or resume):
         raise ThermorenderError(f"--run and --resume belong to networks, and {method!r} is not one; leave them out")
-    if len(sources or ()) != 1:
-        raise ThermorenderError(f"train {method} was given {len(sources or ())} data sets; give one")
+    if len(sources) != 1:
+        raise ThermorenderError(f"train {method} was given {len(sources)} data sets; give one")
     pairs = read_dataset(sources[0])
     if of is not None:
         pairs = pairs.split(read_split(of))
-    options = dict(named(text, "--set", "OPTION=VALUE") for text in setting or ())
+    options = dict(named(text, "--set", "OPTION=VALUE") for text in setting)
     with progress() as report:
         folder = (run or output.with_suffix(".run")) if known(method).long else None
         model = train_map(output.stem, method, pairs, options, seed, report, material=oracle, run=folder, resume=resume)
