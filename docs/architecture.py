@@ -26,7 +26,7 @@ ROOMS = {
     "render": "the only importer of Mitsuba and Dr.Jit: bake, trace, budget, truth, reference",
     "output": "EXR, images, video, records, flights",
     "campaign": "data sets for learned maps",
-    "compare": "learned translation beside the render, maps on a data set, the cost of a frame",
+    "compare": "learned translation beside the render, maps on a data set, the cost of a frame, the self-test",
     "cli": "every command, and what commands share",
 }
 GROUND = {name.strip() for name in ROOMS["ground"].split(",")}

@@ -255,7 +255,7 @@ def test_a_correction_between_frames_is_no_noise(base, tmp_path):
 
 def test_a_scene_without_anything_even_is_refused(base, tmp_path):
     folder = write_frames(tmp_path / "storm", footage(CAMERA, 3, static=True, change=flames(1.0, 12.0, 4)))
-    with pytest.raises(ThermorenderError, match="nothing in the frames is flat or stays as it is"):
+    with pytest.raises(ThermorenderError, match="no part of the frames is flat or constant"):
         calibration.fit_camera([folder], base)
 
 

@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
-from thermorender.campaign.dataset import Entry, ThermalScale, Writer, packed, read_dataset
+from thermorender.campaign.dataset import Entry, ThermalScale, read_dataset
+from thermorender.campaign.dataset_writer import Writer, packed
 from thermorender.campaign.map_inputs import inputs_of
 from thermorender.compare.evaluation import classes, figures, paired, report, similarity, sums
 from thermorender.compare.evaluation.estimators import LearnedMap

@@ -433,7 +433,7 @@ def test_the_verb_trains_and_resumes(tmp_path, call):
     kept = json.loads((tmp_path / "e" / "evaluation.json").read_text("utf-8"))
     assert kept["models"]["m"]["about"]["training"]["crops"] == 48
     status, _, err = call("train", "trees", tmp_path / "d", "--resume", "-o", tmp_path / "n.npz")
-    assert status == 2 and "--run and --resume belong to networks, and 'trees' is none; leave them out" in err
+    assert status == 2 and "--run and --resume belong to networks, and 'trees' is not one; leave them out" in err
 
 
 def test_a_network_is_trained_without_a_folder(tmp_path):

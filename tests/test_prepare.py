@@ -346,7 +346,7 @@ def test_grey_visible_pictures_are_warned_of(tmp_path, call):
         (("--rig", "none.json"), "none.json cannot be read"),
         (("--resized",), "add --calibrate"),
         (("--calibrate", "--fields-of-view", "57,42,45"), "has 3 values"),
-        (("--calibrate", "--fields-of-view", "57,42,45,400"), "holds no angles"),
+        (("--calibrate", "--fields-of-view", "57,42,45,400"), "give degrees in 0…180"),
     ],
 )
 def test_settings_that_cannot_be_are_refused_in_one_sentence(options, words, tmp_path, call):

@@ -150,7 +150,7 @@ def test_a_scale_is_never_guessed(tmp_path):
     from PIL import Image
 
     Image.fromarray(np.full((4, 4), 7500, np.uint16)).save(tmp_path / "a.tif")
-    with pytest.raises(ThermorenderError, match="does not tell what a count is; give kelvin per count"):
+    with pytest.raises(ThermorenderError, match="does not declare the unit of its counts; give kelvin per count"):
         read_temperature(tmp_path / "a.tif")
     assert read_temperature(tmp_path / "a.tif", (0.04, 0.0))[0, 0] == pytest.approx(300.0)
     assert read_temperature(tmp_path / "a.tif", (0.001, 273.15))[0, 0] == pytest.approx(280.65)
@@ -310,18 +310,18 @@ def test_damaged_files_give_one_sentence(tmp_path):
             read_flir_jpeg(path)
         except ThermorenderError as error:
             told += 1
-            assert str(error).startswith(f"{path} is no whole FLIR radiometric JPEG: ")
+            assert str(error).startswith(f"{path} is not a whole FLIR radiometric JPEG: ")
             assert "\n" not in str(error)
     assert told > 200
     raw = rng.integers(0, 1 << 16, (12, 16), dtype=np.uint16)
     for data, words in (
-        (b"GIF89a", "it is no JPEG"),
+        (b"GIF89a", "it is not a JPEG"),
         (b"\xff\xd8\xff\xd9", "carries no FLIR data"),
         (fff(np.full((12, 16), 1, np.uint16), size=(4000, 4000)), "raw image has"),
         (fff(np.full((12, 16), 1, np.uint16), records=1), "holds no camera block"),
         (fff(raw, pixels=png(raw[:3, :4], ">")), "the PNG inside is 4×3"),
         (fff(raw, pixels=png(raw, ">")[:-60]), "the PNG inside cannot be read"),
-        (fff(raw, pieces=3).replace(b"FLIR\0\x01\x01", b"XXXX\0\x01\x01"), "3 pieces of FLIR data .* 2 are there"),
+        (fff(raw, pieces=3).replace(b"FLIR\0\x01\x01", b"XXXX\0\x01\x01"), "3 pieces of FLIR data and holds 2"),
     ):
         path.write_bytes(data)
         with pytest.raises(ThermorenderError, match=words):
@@ -336,7 +336,7 @@ def test_real_files_cut_short(tmp_path):
         for offset in rng.integers(0, 400_000, 40):
             data[offset] ^= int(rng.integers(1, 256))
         (tmp_path / "a.jpg").write_bytes(data[: int(rng.integers(1000, len(data)))])
-        with pytest.raises(ThermorenderError, match="no whole FLIR radiometric JPEG"):
+        with pytest.raises(ThermorenderError, match="not a whole FLIR radiometric JPEG"):
             read_flir_jpeg(tmp_path / "a.jpg")
 
 

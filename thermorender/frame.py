@@ -1,7 +1,7 @@
-"""A frame: what the camera sees from one pose, with the truth behind it, each part computed when asked for.
+"""A frame: the image of the camera from one pose, with its truth; each part is computed on first access.
 
-A frame is a value: it can be pickled, and then brings its truth with it. Until then it refers to the baked scene that
-it shows, for what has not been asked for yet.
+A frame is a value: a pickled frame contains its truth. Before pickling it refers to its baked scene for the parts that
+are not computed yet.
 """
 
 from collections.abc import Sequence
@@ -20,24 +20,24 @@ from thermorender.sensor.camera import Camera
 from thermorender.sensor.chain import sensor_of
 from thermorender.sensor.display import DisplaySettings
 
-# Temperatures that are looked up in a table [K]; others are computed one by one.
+# Range of temperatures that are looked up in a table [K]; others are computed one by one.
 _TABLE_K = (10.0, 10000.0)
 
 
 @dataclass(frozen=True)
 class Found:
-    """What a pickled frame's scene told of it: its view without the scene.
+    """The view of a pickled frame, without its scene.
 
     Attributes
     ----------
     images : dict
-        As by `View.truth`.
+        From `View.truth`.
     objects : dict
-        As by `View.targets`.
+        From `View.targets`.
     budget : dict or None
-        As by `View.budget_mk`.
+        From `View.budget_mk`.
     error : (H, W) float32 or None
-        As by `View.error_mk`.
+        From `View.error_mk`.
     """
 
     images: dict[str, NDArray[Any]]
@@ -46,11 +46,11 @@ class Found:
     error: NDArray[np.float32] | None
 
     def truth(self) -> dict[str, NDArray[Any]]:
-        """Return what is really there, without the sensor's flags."""
+        """Return the truth without the sensor's flags."""
         return dict(self.images)
 
     def targets(self) -> dict[str, dict[str, Any]]:
-        """Return where objects are."""
+        """Return the positions of objects."""
         return self.objects
 
     def budget_mk(self, radiance: NDArray[np.float32], sampling: Any) -> dict[str, float] | None:
@@ -62,7 +62,7 @@ class Found:
         return self.error
 
 
-# Frames are compared by identity: arrays have no truth value to compare them by.
+# Frames are compared by identity, since arrays cannot be compared to one truth value.
 @dataclass(frozen=True, eq=False)
 class Frame:
     """One LWIR frame.
@@ -75,13 +75,13 @@ class Frame:
         world_from_camera.
     time_s : float
     index : int
-        Number of the frame in its flight; with the seed it decides the noise.
+        Number of the frame in its flight; with the seed it determines the noise.
     seed : int
     camera : Camera
     plan : dict
-        What was rendered how.
+        Settings of the rendering steps.
     time : datetime64 or None
-        The instant that it shows, UTC; None where the scene has no weather.
+        The instant of the frame, UTC; None if the scene has no weather.
     """
 
     radiance: NDArray[np.float32] = field(repr=False)
@@ -106,7 +106,7 @@ class Frame:
         )
 
     def __getstate__(self) -> dict[str, Any]:
-        # What is found when asked for needs the scene, which does not go along: it is found now.
+        # All parts are computed now, since the scene is not pickled.
         state = dict(vars(self))
         images = state.pop("truth", None) or self._view.truth()
         images = {**images, "mask": images["mask"] & ~np.uint8(SATURATED)}
@@ -114,21 +114,20 @@ class Frame:
         return {**state, "_view": found, "_sampling": None}
 
     def with_reading(self, counts: NDArray[np.uint16], how: dict[str, Any]) -> "Frame":
-        """Return the same frame as a flight's sensor read it: counts (H, W) uint16, and `how` for the plan."""
+        """Return the frame with the reading of a flight's sensor: counts (H, W) uint16, and `how` for the plan."""
         return replace(self, _reading=counts, plan={**self.plan, "sensor": how})
 
     @cached_property
     def budget_mk(self) -> dict[str, float] | None:
-        """Error of the radiance, without the sensor's noise, by its causes: {cause: root mean square [mK at 300 K]}.
+        """Error of the radiance, without the sensor's noise, by cause: {cause: root mean square [mK at 300 K]}.
 
-        Over the pixels that show a surface. "nodes": worst error of the spectral nodes over the spectra that the scene
-        may show, and the bound of the solution by its residual; "bake": light between the surfaces that are seen, by
-        two independent halves of its rays, and that of moving objects, by how many of theirs it is made of; "sampling":
-        rays and texture reads of this frame, by some of its pixels rendered anew; "air": worst error of the spectral
-        channels over the same spectra; "mirrors": worst error of what they reflect, up to 80°, and what is left out of
-        mirrors in mirrors in mirrors; "total". Estimates from above, and but for the solution no bounds: what no ray
-        met and no neighbour of a pixel tells of is not in them. None for a frame of the reference engine, whose error
-        is its noise.
+        Over the pixels that show a surface. "nodes": largest error of the spectral nodes over the spectra of the scene,
+        and the residual bound of the solution. "bake": light between the visible surfaces, from two independent halves
+        of its rays, and light of moving objects, from the number of their rays. "sampling": rays and texture reads of
+        this frame, from a part of its pixels rendered again. "air": largest error of the spectral channels over the
+        same spectra. "mirrors": largest error of reflections up to 80°, and of the third mirror in a chain, which is
+        left out. "total". These are upper estimates; only that of the solution is a bound. An object that no ray hits
+        is not in them. None for a frame of the reference engine, whose error is its noise.
         """
         return self._view.budget_mk(self.radiance, self._sampling)
 
@@ -136,14 +135,14 @@ class Frame:
     def error_mk(self) -> NDArray[np.float32] | None:
         """Estimated error of each pixel by all causes of `budget_mk`, (H, W) float32 [mK at 300 K].
 
-        Its root mean square is that budget's total, but for what differs between all pixels and the sixteenth of them
-        in which the light is looked up there. NaN where no surface is shown; None for a frame of the reference engine.
+        Its root mean square is the total of that budget, except that the budget evaluates the light in one sixteenth
+        of the pixels. NaN where no surface is visible; None for a frame of the reference engine.
         """
         return self._view.error_mk(self.radiance, self._sampling)
 
     @cached_property
     def targets(self) -> dict[str, dict[str, Any]]:
-        """Where the scene's objects are: {name: {"pixel": (column, row) or None, "in_view", "visible", "range_m"}}."""
+        """The scene's objects: {name: {"pixel": (column, row) or None, "in_view", "visible", "range_m"}}."""
         return self._view.targets()
 
     @cached_property
@@ -153,19 +152,19 @@ class Frame:
 
     @cached_property
     def counts(self) -> NDArray[np.uint16]:
-        """What the detector reads, with noise, (H, W) uint16; a camera at rest where the frame is not of a flight."""
+        """Counts of the detector, with noise, (H, W) uint16; of a camera at rest, unless the frame is of a flight."""
         if self._reading is not None:
             return self._reading
         return sensor_of(self.camera, self.seed).counts_at_rest(self.radiance, self.index)
 
     @cached_property
     def display(self) -> NDArray[np.uint8]:
-        """The counts spread over 8 bits for a screen, white hot, (H, W) uint8."""
+        """The counts in 8 bits for a screen, white hot, (H, W) uint8."""
         return DisplaySettings(tails_percent=self.camera.agc_tails_percent).image(self.counts)[1]
 
     @cached_property
     def truth(self) -> dict[str, NDArray[Any]]:
-        """What is really there, at pixel centres.
+        """The truth at pixel centres.
 
         Returns
         -------
@@ -190,7 +189,7 @@ def apparent_temperature(radiance: ArrayLike, band_um: Sequence[float]) -> NDArr
     least, most = band_radiance(np.array(_TABLE_K), *band_um)
     usual = (radiance >= least) & (radiance <= most)
     result = np.empty(radiance.shape)
-    # Outside, a table would take no end of entries.
+    # Outside the range a table would be too long.
     result[~usual] = brightness_temperature(radiance[~usual], *band_um)
     if usual.any():
         known = radiance[usual]

@@ -1,4 +1,4 @@
-"""The command line of camera files: `thermorender fit-camera`; it parses, calls and prints."""
+"""The verb `fit-camera`: a camera file from real frames."""
 
 from pathlib import Path
 from typing import Annotated
@@ -9,7 +9,7 @@ from thermorender import defaults, files
 from thermorender.cli.terminal import output_option
 
 Frames = Annotated[list[Path], typer.Argument(help="Frames, or folders of them: 16-bit TIFF or radiometric JPEG.")]
-Base = Annotated[str, typer.Option(help="Camera model whose optics stand for the real one's, or its .toml file.")]
+Base = Annotated[str, typer.Option(help="Camera model with the optics of the real one, or its .toml file.")]
 Output = Annotated[
     Path,
     output_option(
@@ -18,11 +18,11 @@ Output = Annotated[
     ),
 ]  # fmt: skip
 Scale = Annotated[
-    str | None, typer.Option(help="STEP,ZERO of TIFFs that tell none: kelvin per count, kelvin of count 0.")
+    str | None, typer.Option(help="STEP,ZERO of TIFFs without a scale: kelvin per count, kelvin of count 0.")
 ]
 
 
-def fit_camera(frames: Frames, output: Output, base: Base = defaults.CAMERA, scale: Scale = None):
+def fit_camera(frames: Frames, output: Output, base: Base = defaults.CAMERA, scale: Scale = None) -> None:
     """Estimate noise, fixed pattern, blur and gain control from real frames, and write a camera file."""
     from thermorender.footage import calibration
 
@@ -35,8 +35,11 @@ def fit_camera(frames: Frames, output: Output, base: Base = defaults.CAMERA, sca
     typer.echo(str(output))
 
 
-def parse_scale(text):
-    """Return (kelvin per count, kelvin of count 0) of an option, None where it is not given."""
+def parse_scale(text: str | None) -> tuple[float, float] | None:
+    """Return (kelvin per count, kelvin of count 0) of an option; None if it is not given."""
     from thermorender.trajectory import parse_numbers
 
-    return tuple(parse_numbers("--scale", text, ("STEP", "ZERO"))) if text else None
+    if not text:
+        return None
+    step, zero = parse_numbers("--scale", text, ("STEP", "ZERO"))
+    return step, zero

@@ -1,8 +1,8 @@
-"""The command line of learned maps: data sets, training, translation and evaluation."""
+"""Verbs of learned maps: data sets, training, translation and evaluation."""
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -17,49 +17,49 @@ VisibleFolder = Annotated[Path, typer.Argument(help="Folder of visible pictures.
 ThermalFolder = Annotated[Path, typer.Argument(help="Folder of thermal pictures; may be the same.")]
 DatasetFolder = Annotated[Path, output_option("-o", "--output", help="Folder for the data set.")]
 VisiblePattern = Annotated[
-    str, typer.Option(help="Names of visible pictures, e.g. '*_rgb.jpg'; what * stands for is the pair's name.")
+    str, typer.Option(help="Names of visible pictures, e.g. '*_rgb.jpg'; the part matched by * names the pair.")
 ]
 ThermalPattern = Annotated[str, typer.Option(help="Names of thermal pictures, e.g. '*_thermal.tif'.")]
 ValidPattern = Annotated[
-    str | None, typer.Option(help="Names of masks in the visible folder, not 0 where both show the same.")
+    str | None, typer.Option(help="Names of masks in the visible folder, not 0 where both show the same scene.")
 ]
 ThermalScaleText = Annotated[
-    str | None, typer.Option("--scale", help="STEP,ZERO of 16-bit files that tell none: kelvin per count, of count 0.")
+    str | None, typer.Option("--scale", help="STEP,ZERO of 16-bit files without a scale: kelvin per count, of count 0.")
 ]
-RigFile = Annotated[Path | None, typer.Option("--rig", help="Lay visible pictures onto thermal ones by this rig.json.")]
-Calibrate = Annotated[bool, typer.Option("--calibrate", help="Find the rig from the pictures, and keep it.")]
+RigFile = Annotated[Path | None, typer.Option("--rig", help="Register visible pictures by this rig.json.")]
+Calibrate = Annotated[bool, typer.Option("--calibrate", help="Estimate the rig from the pictures, and save it.")]
 Fields = Annotated[
     str | None,
-    typer.Option("--fields-of-view", help="VISIBLE_H,VISIBLE_V,THERMAL_H,THERMAL_V [deg]: where --calibrate begins, "
+    typer.Option("--fields-of-view", help="VISIBLE_H,VISIBLE_V,THERMAL_H,THERMAL_V [deg]: start of --calibrate, "
                  "e.g. 57.12,42.44,45,37."),
 ]  # fmt: skip
 Resized = Annotated[
-    bool, typer.Option("--resized", help="Visible pictures were resized unequally along their sides: --calibrate finds "
-                       "that ratio too."),
+    bool, typer.Option("--resized", help="Visible pictures were resized with different factors along their sides: "
+                       "--calibrate estimates the ratio too."),
 ]  # fmt: skip
 Crops = Annotated[int, typer.Option(help="Squares cut at random from each pair; 0: whole pictures.")]
 CropSize = Annotated[int, typer.Option(help="Their side [px].")]
 Shift = Annotated[
-    float, typer.Option(help="Move each thermal picture by a random vector of this length [px]: pairs that are not "
-                        "aligned."),
+    float, typer.Option(help="Move each thermal picture by a random vector of this length [px], to simulate misaligned "
+                        "pairs."),
 ]  # fmt: skip
-DrawSeed = Annotated[int, typer.Option(help="Of crops, shifts and split.")]
+DrawSeed = Annotated[int, typer.Option(help="Seed of crops, shifts and split.")]
 Split = Annotated[
-    str, typer.Option(help="sequence, place or crop: what is kept together; train, validation or test: all are put "
-                      "there; or a file of a split, .json or .csv.")
+    str, typer.Option(help="sequence, place or crop: unit that is kept together; train, validation or test: the part "
+                      "of all pairs; or a file of a split, .json or .csv.")
 ]  # fmt: skip
 Sequence = Annotated[
     str | None, typer.Option(help="Regular expression whose group is a name's sequence; default: the name without its "
                              "last digits."),
 ]  # fmt: skip
-Gap = Annotated[int | None, typer.Option(help="A greater step of the numbers in names begins a new sequence.")]
+Gap = Annotated[int | None, typer.Option(help="A larger step of the numbers in names starts a new sequence.")]
 TexelM = Annotated[float | None, typer.Option(help="Ground sampling distance of the thermal pictures [m].")]
 IntensityRange = Annotated[
-    str | None, typer.Option("--range-c", help="COLD,WARM: °C of the bounds of values of unknown scale; default 14,24.")
+    str | None, typer.Option("--range-c", help="COLD,WARM: °C of the bounds of values without a scale; default 14,24.")
 ]
-Licence = Annotated[str | None, typer.Option(help="Of the pictures, for the card.")]
-SkipBad = Annotated[bool, typer.Option("--skip-bad", help="Leave out what cannot be used, and list it.")]
-Resume = Annotated[bool, typer.Option("--resume", help="Continue a data set that was stopped.")]
+Licence = Annotated[str | None, typer.Option(help="Licence of the pictures, for the card.")]
+SkipBad = Annotated[bool, typer.Option("--skip-bad", help="Leave out unusable pictures, and list them.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Continue a stopped data set.")]
 
 
 def prepare(
@@ -86,18 +86,18 @@ def prepare(
     licence: Licence = None,
     skip_bad: SkipBad = False,
     resume: Resume = False,
-):
-    """Make a data set of folders of visible and thermal pictures, registered, cut, split and scaled."""
+) -> None:
+    """Make a data set from folders of visible and thermal pictures: registered, cut, split and scaled."""
     from thermorender.campaign.prepare import Cut, Source
     from thermorender.campaign.prepare import prepare as run
     from thermorender.trajectory import parse_numbers
 
     warm = parse_numbers("--range-c", range_c, ("COLD", "WARM")) if range_c else None
     source = Source(visible_folder, thermal_folder, visible, thermal, valid, parse_scale(scale), sequence, gap)
-    with progress() as tell:
+    with progress() as report:
         made = run(
             source, output, _registered(rig, calibrate, fields_of_view, resized), Cut(crops, crop_size, shift, seed),
-            split, texel_m=texel_m, range_c=warm, licence=licence, skip_bad=skip_bad, resume=resume, progress=tell,
+            split, texel_m=texel_m, range_c=warm, licence=licence, skip_bad=skip_bad, resume=resume, progress=report,
         )  # fmt: skip
     for name, reason in made["left_out"].items():
         typer.echo(f"left out: {name}: {reason}", err=True)
@@ -117,14 +117,14 @@ def prepare(
     )
 
 
-def _registered(file, calibrate, fields_of_view, resized):
+def _registered(file: Path | None, calibrate: bool, fields_of_view: str | None, resized: bool) -> Any:
     """The Rig of a file, a Calibration, or None."""
     from thermorender.campaign.prepare import Calibration
     from thermorender.campaign.registration.rig import load_rig
     from thermorender.trajectory import parse_numbers
 
     if not calibrate and (fields_of_view or resized):
-        raise ThermorenderError("--fields-of-view and --resized tell --calibrate how to begin; add --calibrate")
+        raise ThermorenderError("--fields-of-view and --resized are settings of --calibrate; add --calibrate")
     if file is not None and calibrate:
         raise ThermorenderError(f"--rig {file} and --calibrate exclude each other; give one of them")
     if not calibrate:
@@ -135,36 +135,36 @@ def _registered(file, calibrate, fields_of_view, resized):
             "--fields-of-view", fields_of_view, ("VISIBLE_H", "VISIBLE_V", "THERMAL_H", "THERMAL_V")
         )
         if not all(0.0 < angle < 180.0 for angle in angles):
-            raise ThermorenderError(f"--fields-of-view={fields_of_view!r} holds no angles; give degrees in 0…180")
+            raise ThermorenderError(f"--fields-of-view={fields_of_view!r} is not allowed; give degrees in 0…180")
         fields = (tuple(angles[:2]), tuple(angles[2:]))
     return Calibration(fields, resized)
 
 
 def dataset(
     output: Annotated[Path, output_option("-o", "--output", help="Folder of the data set.")],
-    train: Annotated[int, typer.Option(help="Worlds to train on: a land under a weather each.", min=0)] = 60,
+    train: Annotated[int, typer.Option(help="Worlds to train on, each a land with a weather.", min=0)] = 60,
     validation: Annotated[int, typer.Option(help="Worlds for validation.", min=0)] = 6,
-    test: Annotated[int, typer.Option(help="Worlds to test on, of other lands and weathers.", min=0)] = 12,
+    test: Annotated[int, typer.Option(help="Worlds to test on, with other lands and weathers.", min=0)] = 12,
     kinds: Annotated[str, typer.Option(help="Comma-separated kinds of land.")] = ",".join(defaults.SCENES),
     hours: Annotated[int, typer.Option(help="Instants of each world's day.")] = 3,
     views: Annotated[int, typer.Option(help="Pairs of each instant, up to 10.")] = 9,
-    seed: Annotated[int, typer.Option(help="Of lands, weathers and views.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of lands, weathers and views.", min=0)] = 0,
     turn: Annotated[
         str, typer.Option(help="K,N: of N processes on one folder, this one takes every N-th world from number K on.")
     ] = "0,1",
-    resume: Annotated[bool, typer.Option("--resume", help="Continue a data set.")] = False,
-):
-    """Render pairs of visible and thermal pictures of procedural lands, with the truth behind them."""
+    resume: Annotated[bool, typer.Option("--resume", help="Continue a stopped data set.")] = False,
+) -> None:
+    """Render pairs of visible and thermal pictures of procedural lands, with their truth."""
     from thermorender.campaign.rendered import render_campaign, worlds
 
     of = worlds(train, validation, test, seed, split(kinds))
-    with progress() as tell:
-        made = render_campaign(output, of, hours, views, resume=resume, progress=tell, turn=_turn(turn))
+    with progress() as report:
+        made = render_campaign(output, of, hours, views, resume=resume, progress=report, turn=_turn(turn))
     counted = ", ".join(f"{len(made.of(part))} {part}" for part in ("train", "validation", "test"))
     typer.echo(f"{len(made)} pairs ({counted}) in {output}")
 
 
-def _turn(text):
+def _turn(text: str) -> tuple[int, int]:
     """(k, n) of an option --turn."""
     parts = split(text)
     if len(parts) != 2 or not all(part.isdecimal() for part in parts) or not int(parts[0]) < int(parts[1]):
@@ -194,28 +194,28 @@ def train(
         typer.Option("--set", help="OPTION=VALUE of the method, such as intercept=true or penalty=1e-6; repeat."),
     ] = None,
     oracle: Annotated[
-        bool, typer.Option("--oracle", help="Show it the true material of each pixel: for evaluate --oracle only.")
+        bool, typer.Option("--oracle", help="Add the true material of each pixel as input: for evaluate --oracle only.")
     ] = False,
     labels: Annotated[
-        Path | None, typer.Option(help="Emissivity: GeoJSON polygons with a property 'material', in place of one "
-                                  "scene's classes."),
+        Path | None, typer.Option(help="Emissivity: GeoJSON polygons with a property 'material', in place of the "
+                                  "classes of a scene."),
     ] = None,
     texel_m: Annotated[
         float | None, typer.Option(help="Emissivity: ground sampling distance to train at [m].")
     ] = None,
     augmentations: Annotated[
         int | None,
-        typer.Option(help="Emissivity: times each orthophoto is also taken with random exposure, balance, contrast and "
-                     "saturation; default 0, procedural 2."),
+        typer.Option(help="Emissivity: additional copies of each orthophoto with random exposure, balance, contrast "
+                     "and saturation; default 0, procedural 2."),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Of the training.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the training.", min=0)] = 0,
     run: Annotated[
         Path | None,
         typer.Option("--run", help="Networks: folder for checkpoints, log and sample pictures; default: the map's "
                      "file with .run for .npz."),
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Networks: continue the training of that folder.")] = False,
-):  # fmt: skip
+) -> None:  # fmt: skip
     """Train a learned map: from colour to temperature on a data set, or to materials on scenes."""
     if method == "emissivity":
         if of or setting or oracle or run or resume:
@@ -228,6 +228,14 @@ def train(
         raise ThermorenderError(
             f"--labels, --texel-m and --augmentations belong to `train emissivity`, not to {method!r}; leave them out"
         )
+    _train_temperature(method, sources or [], output, of, setting or [], oracle, seed, run, resume)
+
+
+def _train_temperature(
+    method: str, sources: list[str], output: Path, of: Path | None, setting: list[str], oracle: bool, seed: int,
+    run: Path | None, resume: bool,
+) -> None:  # fmt: skip
+    """Train a map from colour to temperature, and print its error."""
     from thermorender.campaign.dataset import read_dataset
     from thermorender.campaign.map_training import train_map
     from thermorender.campaign.splits import read_split
@@ -235,17 +243,17 @@ def train(
     from thermorender.learned.training_methods import method as known
 
     if not known(method).long and (run or resume):
-        raise ThermorenderError(f"--run and --resume belong to networks, and {method!r} is none; leave them out")
-    if len(sources or ()) != 1:
-        raise ThermorenderError(f"train {method} was given {len(sources or ())} data sets; give one")
+        raise ThermorenderError(f"--run and --resume belong to networks, and {method!r} is not one; leave them out")
+    if len(sources) != 1:
+        raise ThermorenderError(f"train {method} was given {len(sources)} data sets; give one")
     pairs = read_dataset(sources[0])
     if of is not None:
         pairs = pairs.split(read_split(of))
-    options = dict(named(text, "--set", "OPTION=VALUE") for text in setting or ())
-    with progress() as tell:
+    options = dict(named(text, "--set", "OPTION=VALUE") for text in setting)
+    with progress() as report:
         folder = (run or output.with_suffix(".run")) if known(method).long else None
-        model = train_map(output.stem, method, pairs, options, seed, tell, material=oracle, run=folder, resume=resume)
-        # Of the processes of a data-parallel training one writes.
+        model = train_map(output.stem, method, pairs, options, seed, report, material=oracle, run=folder, resume=resume)
+        # Only one process of a data-parallel training writes.
         if os.environ.get("RANK", "0") != "0":
             return
         save_map(model, output)
@@ -259,13 +267,16 @@ def train(
     typer.echo(f"{output}: trained in {model.about['training_s']:g} s{own}{cost}")
 
 
-def _train_emissivity(scenes, output, labels, texel_m, augmentations, seed):
-    """Train a map from colour and texture to materials, and print how well it tells them."""
+def _train_emissivity(
+    scenes: list[str] | None, output: Path, labels: Path | None, texel_m: float | None, augmentations: int | None,
+    seed: int,
+) -> None:  # fmt: skip
+    """Train a map from colour and texture to materials, and print its accuracy."""
     from thermorender.campaign.material_training import train_on
     from thermorender.learned.emissivity import save_map
 
-    with progress() as tell:
-        model, confusion = train_on(scenes or (), labels, output.stem, texel_m, augmentations, seed, tell)
+    with progress() as report:
+        model, confusion = train_on(scenes or (), labels, output.stem, texel_m, augmentations, seed, report)
         save_map(model, output)
     typer.echo(str(model))
     rows = [
@@ -292,15 +303,15 @@ def translate(
     ] = False,
     frames: Annotated[bool, typer.Option("--frames", help="Write the frames of videos too.")] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Continue a stopped run.")] = False,
-):
-    """Translate photographs and videos into thermal ones by a learned map, with temperatures in kelvin."""
+) -> None:
+    """Translate photographs and videos into thermal ones with a learned map; temperatures are in kelvin."""
     from thermorender.learned.temperature_map import load_model
     from thermorender.learned.translate import translate as run
     from thermorender.trajectory import parse_numbers
 
     limits = parse_numbers("--range-c", range_c, ("COLD", "WARM")) if range_c else None
-    with progress() as tell:
-        summary = run(load_model(model, limits), images, output, texel_m, palette, inner, frames, resume, tell)
+    with progress() as report:
+        summary = run(load_model(model, limits), images, output, texel_m, palette, inner, frames, resume, report)
     if summary["warning"]:
         typer.echo(f"warning: {summary['warning']}", err=True)
     for sentence in summary["failed"].values():
@@ -320,18 +331,18 @@ def evaluate(
         Path, output_option("-o", "--output", help="New folder for the results.", check=files.check_new_folder)
     ],
     oracle: Annotated[
-        str | None, typer.Option(help="File of a map that is shown the material as well, as a lower limit.")
+        str | None, typer.Option(help="File of a map that takes the true material as extra input, as a lower limit.")
     ] = None,
     foreign: Annotated[
         list[str] | None,
-        typer.Option(help="NAME=FOLDER: pictures that another program made, named by the pairs' keys; repeat."),
+        typer.Option(help="NAME=FOLDER: pictures of another program, named by the pairs' keys; repeat."),
     ] = None,
     of: Annotated[Path | None, typer.Option("--split", help="File of a split in place of the data set's own.")] = None,
     part: Annotated[str, typer.Option(help="train, validation or test.")] = "test",
-    limit: Annotated[int | None, typer.Option(help="Score so many pairs, evenly spaced.", min=1)] = None,
-    seed: Annotated[int, typer.Option(help="Of the bootstrap.", min=0)] = 0,
-):
-    """Errors of learned maps on a data set, in kelvin, beside simple methods and the least error there is."""
+    limit: Annotated[int | None, typer.Option(help="Number of pairs to score, evenly spaced.", min=1)] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the bootstrap.", min=0)] = 0,
+) -> None:
+    """Print errors of learned maps on a data set, in kelvin, with simple methods and the least possible error."""
     from thermorender.campaign.dataset import PARTS, read_dataset
     from thermorender.compare.evaluation import evaluate as study
     from thermorender.compare.evaluation import report
@@ -344,8 +355,9 @@ def evaluate(
         from thermorender.campaign.splits import read_split
 
         parts = read_split(of)
-    with progress() as tell:
-        result = study.evaluate(read_dataset(dataset), models, output, oracle, folders, parts, part, limit, seed, tell)
+    with progress() as advance:
+        data = read_dataset(dataset)
+        result = study.evaluate(data, models, output, oracle, folders, parts, part, limit, seed, advance)
     for line in report.lines_before(result):
         typer.echo(line)
     table(report.HEADER, [*report.rows(result), *report.published_rows()])

@@ -1,7 +1,7 @@
-"""The command line of the material tables: `thermorender materials VERB`; it parses, calls and prints."""
+"""The verbs `materials …`: list, show, plot, check, import, compare and join material tables."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -10,18 +10,23 @@ from thermorender.defaults import BAND_UM
 from thermorender.errors import ThermorenderError
 from thermorender.files import check_new_folder, check_output_file
 
+if TYPE_CHECKING:
+    from thermorender.materials.library import Material
+
 app = typer.Typer(help="Look at, check, import and join tables of surface materials.", no_args_is_help=True)
 
 Library = Annotated[
-    Path | None, typer.Option("--library", help="Materials folder laid over the shipped one, e.g. a scene's.")
+    Path | None, typer.Option("--library", help="Materials folder that overrides the shipped one, e.g. a scene's.")
 ]
 BAND = "{:g},{:g}".format(*BAND_UM)
 Band = Annotated[str, typer.Option("--band", help="LOWER,UPPER limits of the camera's band [µm].")]
-Kelvin = Annotated[float, typer.Option("--temperature", help="Of the surface, weighs the band emissivity [K].")]
+Kelvin = Annotated[
+    float, typer.Option("--temperature", help="Temperature of the surface for the band emissivity [K].")
+]
 
 
 @app.command("list")
-def list_materials(library: Library = None, band: Band = BAND, temperature: Kelvin = 300.0):
+def list_materials(library: Library = None, band: Band = BAND, temperature: Kelvin = 300.0) -> None:
     """List the materials with their band emissivity."""
     from thermorender.materials.compare import covers
 
@@ -45,8 +50,8 @@ def show(
     library: Library = None,
     band: Band = BAND,
     temperature: Kelvin = 300.0,
-):
-    """Print all that is known about materials, and their band emissivity."""
+) -> None:
+    """Print all data of materials, and their band emissivity."""
     import numpy as np
 
     limits = _band(band)
@@ -78,7 +83,7 @@ def plot(
     library: Library = None,
     band: Band = BAND,
     temperature: Kelvin = 300.0,
-):
+) -> None:
     """Draw emissivity against wavelength with its spread, and against angle."""
     from thermorender.materials import plot as material_plot
 
@@ -86,8 +91,8 @@ def plot(
 
 
 @app.command()
-def check(path: Annotated[Path, typer.Argument(help="Materials folder, or one spectrum file.")]):
-    """Find what is wrong with tables, and say how to mend it; status 2 if something keeps them from being used."""
+def check(path: Annotated[Path, typer.Argument(help="Materials folder, or one spectrum file.")]) -> None:
+    """Print errors in tables and how to fix them; status 2 if an error prevents their use."""
     from thermorender.materials.check import check as run
 
     findings = run(path)
@@ -104,21 +109,21 @@ def import_spectra(
     files: Annotated[
         list[Path] | None, typer.Argument(help="Spectra of one material, or folders with --selection.")
     ] = None,
-    name: Annotated[str | None, typer.Option(help="What scenes call it.")] = None,
+    name: Annotated[str | None, typer.Option(help="Name in scene files.")] = None,
     column: Annotated[list[str] | None, typer.Option(help="Sample of a SLUM table; repeat for more.")] = None,
-    title: Annotated[str, typer.Option(help="What people read.")] = "",
+    title: Annotated[str, typer.Option(help="Readable title.")] = "",
     colour: Annotated[str, typer.Option(help="R,G,B: typical sRGB colour, 0-255.")] = "128,128,128",
     solar_absorptance: Annotated[float | None, typer.Option(help="Default: from the samples' reflectance.")] = None,
-    temperature: Annotated[float, typer.Option(help="Typical by day [K].")] = 300.0,
+    temperature: Annotated[float, typer.Option(help="Typical temperature by day [K].")] = 300.0,
     rms_slope: Annotated[float, typer.Option(help="Roughness of a material given by n and k.")] = 0.0,
-    source: Annotated[str, typer.Option(help="Where the numbers come from; needed for your own.")] = "",
-    citation: Annotated[str, typer.Option(help="What to cite; needed for your own.")] = "",
-    licence: Annotated[str, typer.Option(help="Terms; needed for your own.")] = "",
-    note: Annotated[str, typer.Option(help="What a user should know.")] = "",
+    source: Annotated[str, typer.Option(help="Origin of the numbers; required for your own.")] = "",
+    citation: Annotated[str, typer.Option(help="Publication to cite; required for your own.")] = "",
+    licence: Annotated[str, typer.Option(help="Licence; required for your own.")] = "",
+    note: Annotated[str, typer.Option(help="Note for users.")] = "",
     selection: Annotated[Path | None, typer.Option(help="CSV that lists samples of many materials.")] = None,
     replace: Annotated[bool, typer.Option("--replace", help="Replace a material of that name.")] = False,
-):
-    """Make a material of ECOSTRESS text, SLUM columns, two-column CSV, or a CSV of n and k."""
+) -> None:
+    """Make a material from ECOSTRESS text, SLUM columns, two-column CSV, or a CSV of n and k."""
     from thermorender.materials.from_samples import import_files, read_selection
     from thermorender.materials.store import write_materials
 
@@ -141,12 +146,12 @@ def import_spectra(
 def diff(
     first: Annotated[str, typer.Argument(help="Materials folder, or the name of a material.")],
     second: Annotated[
-        str, typer.Argument(help="Materials folder, or name; default: the shipped tables, over which the first lies.")
+        str, typer.Argument(help="Materials folder, or name; default: the shipped tables, overridden by the first.")
     ] = "",
     library: Library = None,
     band: Band = BAND,
-):
-    """Tell what differs, in band emissivity and in mK of a 300 K surface under a 250 K sky."""
+) -> None:
+    """Print differences of materials, in band emissivity and in mK of a 300 K surface under a 250 K sky."""
     from thermorender.materials import compare as material_compare
 
     limits = _band(band)
@@ -156,7 +161,7 @@ def diff(
     elif second:
         found = material_compare.diff_folders(Path(first), Path(second), limits)
     else:
-        # By itself a folder lies over the shipped tables, as a scene's does: what it leaves out is as shipped.
+        # A single folder overrides the shipped tables, as a scene's does; other materials are as shipped.
         found = material_compare.diff(_library(first), _library(None), limits)
     rows = [
         (d.name, *("—" if value is None else f"{value:.4f}" for value in d.emissivity),
@@ -165,8 +170,8 @@ def diff(
     ]  # fmt: skip
     if rows:
         table(("material", "emissivity, first", "second", "shift [mK]", "differs in"), rows)
-    typer.echo(f"{len(rows)} differences; emissivity over {limits[0]:g}–{limits[1]:g} µm at 300 K; shift of what a "
-               "camera reads when the second replaces the first")  # fmt: skip
+    typer.echo(f"{len(rows)} differences; emissivity over {limits[0]:g}–{limits[1]:g} µm at 300 K; shift of a "
+               "camera's reading when the second replaces the first")  # fmt: skip
 
 
 @app.command()
@@ -176,9 +181,9 @@ def merge(
     output: Annotated[
         Path, output_option("-o", "--output", help="New folder for both.", check=check_new_folder)
     ],
-    prefer: Annotated[str | None, typer.Option(help="first or second: which wins a conflict.")] = None,
-):
-    """Join two libraries; materials that differ between them are refused unless --prefer says which wins."""
+    prefer: Annotated[str | None, typer.Option(help="first or second: which library wins a conflict.")] = None,
+) -> None:
+    """Join two libraries; materials that differ between them are refused unless --prefer is given."""
     from thermorender.materials.compare import merge as run
 
     from_first, from_second, conflicts = run(first, second, output, prefer)
@@ -187,27 +192,27 @@ def merge(
         typer.echo(f"the {prefer} won: {', '.join(conflicts)}")
 
 
-def _library(folder):
+def _library(folder: Path | str | None) -> "dict[str, Material]":
     from thermorender.materials.library import load_library
 
     return load_library(folder)
 
 
-def _materials(folder, names):
+def _materials(folder: Path | None, names: list[str]) -> "list[Material]":
     from thermorender.materials.library import find
 
     library = _library(folder)
     return [find(library, name, "the command line") for name in names]
 
 
-def _band(text):
+def _band(text: str) -> tuple[float, float]:
     lower, upper = _numbers("--band", text, ("LOWER", "UPPER"))
     if not 0.0 < lower < upper:
         raise ThermorenderError(f"--band={text!r} is not a band; give LOWER,UPPER in µm, e.g. {BAND}")
     return lower, upper
 
 
-def _numbers(option, text, names):
+def _numbers(option: str, text: str, names: tuple[str, ...]) -> tuple[float, ...]:
     from thermorender.trajectory import parse_numbers
 
     return tuple(parse_numbers(option, text, names))

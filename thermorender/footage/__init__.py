@@ -1,1 +1,1 @@
-"""What real cameras' files tell: readers, statistics and calibration."""
+"""Files of real cameras: readers, statistics and calibration."""

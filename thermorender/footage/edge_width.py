@@ -1,21 +1,24 @@
-"""How wide a camera draws a sharp edge: the sharpest straight steps of its pictures, each fitted as a blurred step.
+"""The width of a sharp edge in a camera's images: the sharpest straight steps, each fitted as a blurred step.
 
-A scene has edges that are soft by themselves, so the sharpest say most; and thin lines, corners and texture look
-sharper than they are, so only patches that a single straight step explains to within the noise are used.
+Some edges of a scene are soft, so the sharpest are the most informative. Thin lines, corners and texture look sharper
+than they are, so only patches that a single straight step explains to within the noise are used.
 """
 
-import numpy as np
+from collections.abc import Callable, Iterator
 
-# Half the side of a patch around an edge [px]; a step narrower than this is seen whole.
+import numpy as np
+from numpy.typing import NDArray
+
+# Half the side of a patch around an edge [px]; it contains any narrower step.
 _HALF = 6
-# Steps weaker than this times the noise are left out, and so are fits no better than these.
+# Steps weaker than the first times the noise, and fits worse than the others, are left out.
 _LEAST_STEP, _WORST_MISFIT, _WORST_ERROR = 15.0, 4.0, 0.15
 _MOST_PER_FRAME = 60
-# Found on simulated frames of lenses from 0.5 to 1.0 px.
+# Error of the Gaussian model, from simulated frames of lenses from 0.5 to 1.0 px.
 _MODEL_PX = 0.02
 
 
-def edge_widths(image, noise):
+def edge_widths(image: NDArray[np.float64], noise: float) -> NDArray[np.float64]:
     """Return the widths of the straight steps in an image and their uncertainties, (n, 2) [px].
 
     Parameters
@@ -26,7 +29,7 @@ def edge_widths(image, noise):
 
     Notes
     -----
-    Width is the σ of the Gaussian that blurs a step: a + b erf(u / √2 σ) + plane, u being the distance from a line.
+    Width is the σ of the Gaussian that blurs a step: a + b erf(u / √2 σ) + plane, with u the distance from a line.
     """
     fits = (_fitted(image[i - _HALF : i + _HALF + 1, j - _HALF : j + _HALF + 1], noise, angle)
             for i, j, angle in _steep_edges(image, noise))  # fmt: skip
@@ -38,12 +41,12 @@ def edge_widths(image, noise):
     return np.array(found).reshape(-1, 2)
 
 
-def sharpest(widths):
-    """Return (width, uncertainty) [px] of the sharpest of many edges; None where there are fewer than eight.
+def sharpest(widths: NDArray[np.float64]) -> tuple[float, float] | None:
+    """Return (width, uncertainty) [px] of the sharpest of many edges; None if there are fewer than eight.
 
-    Of the better half of the fits, the median of the sharpest fifth. Chance picks these too: of equal edges a tenth is
-    sharper than 1.28 times their uncertainty, which is added again. The uncertainty holds one edge's own, the
-    spread of that fifth, and how far the fit of a Gaussian step lies off for other steps.
+    The median of the sharpest fifth in the better half of the fits. This selection is biased: of equal edges, a tenth
+    looks sharper by more than 1.28 times the uncertainty, which is added back. The uncertainty combines that of one
+    edge, the spread of that fifth, and the error of the Gaussian model for other steps.
     """
     if len(widths) < 8:
         return None
@@ -54,13 +57,13 @@ def sharpest(widths):
     return float(np.median(fifth[:, 0])) + 1.28 * error, float(np.linalg.norm([error, np.std(fifth[:, 0]), _MODEL_PX]))
 
 
-def width_through(transfer):
-    """Return the width that `edge_widths` finds for a sharp step seen through a transfer function [px].
+def width_through(transfer: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> float:
+    """Return the width that `edge_widths` finds for a sharp step behind a transfer function [px].
 
     Parameters
     ----------
     transfer : callable
-        Frequencies [cycles per pixel] → transfer function, real, the pixel's own included.
+        Frequencies [cycles per pixel] → transfer function, real, including the pixel aperture.
     """
     from scipy.optimize import least_squares
     from scipy.special import erf
@@ -77,8 +80,8 @@ def width_through(transfer):
     return float(least_squares(misfit, (0.5, 1.0, 0.0), bounds=([0.01, 0.5, -1.0], [6.0, 2.0, 1.0])).x[0])
 
 
-def _steep_edges(image, noise):
-    """(row, column, angle) of steep, straight edges, the best first, none within another's patch."""
+def _steep_edges(image: NDArray[np.float64], noise: float) -> Iterator[tuple[int, int, float]]:
+    """(row, column, angle) of steep, straight edges, the best first, none within the patch of another."""
     from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
     down, right = (gaussian_filter1d(gaussian_filter1d(image, 1.0, axis=axis, order=1), 1.0, axis=1 - axis)
@@ -111,7 +114,7 @@ def _fitted(patch, noise, angle):
     def left(p):
         u = x * np.cos(p[0]) + y * np.sin(p[0]) - p[1]
         basis = np.stack([np.ones(x.size), erf(u / (np.sqrt(2.0) * np.exp(p[2]))), x, y], axis=-1)
-        # Heights and plane enter linearly, so they are solved for exactly.
+        # Heights and plane are linear, so they are solved for exactly.
         return (basis @ np.linalg.lstsq(basis, value, rcond=None)[0] - value) / noise
 
     found = least_squares(left, (angle, 0.0, np.log(0.7)), x_scale=(0.1, 0.3, 0.3), max_nfev=30)

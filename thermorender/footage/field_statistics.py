@@ -1,21 +1,22 @@
-"""What a sequence of frames tells of the whole image: shading, light that falls, pixels replaced, a wandering scale.
+"""Properties of the whole image from a sequence of frames: shading, vignetting, replaced pixels, drift of the scale.
 
-Where the camera moves, the scene drops out of the mean frame's smooth part, which is then the camera's own; where it
-stands, what all pixels change by together is the scale. Noise grows as the light falls. A pixel that is the mean of
-those around it in each frame has no noise of its own.
+If the camera moves, the scene averages out of the smooth part of the mean frame, which is then the camera's shading. If
+it is static, the common change of all pixels is the drift of the scale. Noise grows as the light decreases. A pixel
+that is the mean of its neighbours in each frame has no noise of its own.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.footage.noise_statistics import block_means, sigma_of
 from thermorender.sensor.noise import half_waves
 from thermorender.sensor.wander import TICK_S, covariance
 
-# Fewest frames to tell shading and the scale's wander from, and the most for the latter.
+# Fewest frames for shading and the drift of the scale, and the most for the latter.
 _FEWEST, _MOST = 8, 600
-# Parts of a sequence whose means are taken as independent, and rings of blocks around the middle.
+# Parts of a sequence whose means count as independent, and rings of blocks around the centre.
 _PARTS, _RINGS = 8, 6
-# Chance of one pixel in the whole image to pass for replaced.
+# Probability that any good pixel of the image counts as replaced.
 _FALSE_ALARM = 0.1
 
 
@@ -27,30 +28,29 @@ class Field:
     shape : (H, W)
     """
 
-    def __init__(self, shape):
+    def __init__(self, shape: tuple[int, int]) -> None:
         self.shape, self._waves, self._levels, self._first = shape, [], [], None
         self._sum, self._square, self._cut_off = np.zeros(shape), np.zeros(shape), np.zeros(shape, bool)
 
-    def add(self, image, cut_off):
+    def add(self, image: NDArray[np.float64], cut_off: NDArray[np.bool_]) -> None:
         """Add a frame, (H, W) [K], all finite, and where its pixels are at an end of their range, (H, W) bool."""
         from scipy.ndimage import uniform_filter
 
         self._cut_off |= cut_off
-
         down, right = (half_waves(n) for n in self.shape)
         self._waves.append(down @ image @ right.T / image.size)
         self._first = image if self._first is None else self._first
-        # Where a part of the scene changes, most blocks do not.
+        # The median, since a change in a part of the scene leaves most blocks unchanged.
         self._levels.append(np.median(block_means(image - self._first)))
         beside = image - (9.0 * uniform_filter(image, 3) - image) / 8.0
         self._sum += beside
         self._square += beside**2
 
-    def shading(self):
-        """Return (root mean square of the smooth part of the mean frame, uncertainty) [K]; None of few frames.
+    def shading(self) -> tuple[float, float] | None:
+        """Return (root mean square of the smooth part of the mean frame, uncertainty) [K]; None for few frames.
 
-        Of a moving camera: half waves as `sensor.noise.smooth_field` has them, less what the scene's change from one
-        eighth of the sequence to the next leaves in their mean.
+        For a moving camera: the half waves of `sensor.noise.smooth_field`, less the residual of the scene in their
+        mean, estimated from its change between eighths of the sequence.
         """
         if len(self._waves) < _FEWEST:
             return None
@@ -60,20 +60,20 @@ class Field:
         mean, error = parts.mean(axis=0), parts.var(axis=0, ddof=1) / _PARTS
         return sigma_of((mean**2 - error).sum(), np.sqrt((4.0 * mean**2 * error + 2.0 * error**2).sum()))
 
-    def replaced(self, noise_k, step_k):
-        """Return (share of the pixels that are the mean of their neighbours, uncertainty); None where frames are few.
+    def replaced(self, noise_k: float, step_k: float) -> tuple[float, float] | None:
+        """Return (share of the pixels that are the mean of their neighbours, uncertainty); None for few frames.
 
         Parameters
         ----------
         noise_k : float
-            Temporal noise of single pixels in the middle [K].
+            Temporal noise of single pixels at the image centre [K].
         step_k : float
             Step from one value of the frames to the next [K].
 
         Notes
         -----
-        A pixel and the mean of its eight neighbours differ by 9/8 of the noise's variance, and by no less over a scene;
-        one that is replaced differs by rounding. They are told apart where n frames do that without a false alarm.
+        The difference of a pixel from the mean of its eight neighbours has 9/8 of the noise's variance or more; that of
+        a replaced pixel is rounding. The result is None if n frames do not separate them without a false alarm.
         """
         from scipy.ndimage import binary_dilation
         from scipy.stats import chi2
@@ -83,7 +83,7 @@ class Field:
             return None
         inner = (slice(1, -1),) * 2
         variance = ((self._square - self._sum**2 / (free + 1)) / free)[inner]
-        # Where all are cut off alike, none has noise.
+        # Pixels cut off at the same value have no noise either.
         variance = variance[~binary_dilation(self._cut_off, np.ones((3, 3)))[inner]]
         limit = 1.125 * noise_k**2 * chi2.ppf(_FALSE_ALARM / variance.size, free) / free
         if limit < 1.125 * step_k**2 / 12.0 * chi2.ppf(0.999, free) / free:
@@ -91,25 +91,25 @@ class Field:
         count = int((variance < limit).sum())
         return count / variance.size, np.sqrt(max(count, 1)) / variance.size
 
-    def wander(self, rate_hz, known_k):
+    def wander(self, rate_hz: float, known_k: float) -> tuple[tuple[float, float], ...] | None:
         """Return ((noise of whole frames, uncertainty), (1/f noise of the scale per octave, uncertainty)) [K].
 
-        None of few frames. Of a camera that stands.
+        For a static camera; None for few frames.
 
         Parameters
         ----------
         rate_hz : float
             Frames per second.
         known_k : float
-            What pixels', rows' and columns' noise leave in the mean of a frame [K].
+            Contribution of the noise of pixels, rows and columns to the mean of a frame [K].
 
         Notes
         -----
-        Likelihood of the levels of up to 600 frames, whose covariance is that of `sensor.wander.covariance` and of
-        white noise: along the eigenvectors of the first that are free of the mean the two variances add up. A span of
-        k ticks has about k draws of the wander, however many frames: they tell its variance to √(2/k) at best. The
-        median over blocks of what differs from the first frame has 2π/3 of the mean's variance, the first frame's own
-        noise apart.
+        Maximum likelihood of the levels of up to 600 frames, with the covariance of `sensor.wander.covariance` plus
+        white noise. Along the eigenvectors of the former, orthogonal to the mean, the two variances add. A span of k
+        ticks has about k draws of the drift, however many frames, so its variance is uncertain by √(2/k) at least. The
+        median over blocks of the difference from the first frame has 2π/3 of the mean's variance, apart from the noise
+        of the first frame.
         """
         from scipy.optimize import minimize
 
@@ -136,23 +136,26 @@ class Field:
         return tuple(sigma_of(*pair) for pair in zip(found.x * unit, error * unit, strict=True))
 
 
-def vignetting(blocks, share, illumination, rims, fixed):
-    """Return (share of the light that the lens's rims take at the corner, uncertainty) by how noise grows outwards.
+def vignetting(
+    blocks: NDArray[np.float64], share: float, illumination: NDArray[np.float64], rims: NDArray[np.float64],
+    fixed: float,
+) -> tuple[float, float] | None:  # fmt: skip
+    """Return (loss of light at the corner by the rims of the lens as a share, uncertainty), from the growth of noise.
 
-    None where a ring around the middle has fewer than four blocks that are not cut off.
+    None if a ring around the centre has fewer than four blocks within the range.
 
     Parameters
     ----------
     blocks : (n, 2) array
-        As `noise_statistics.block_powers` of one frame after the other, or of changes from frame to frame [K²].
+        `noise_statistics.block_powers` of all frames, or of the changes between them [K²].
     share : float
-        Of the blocks of a ring around the middle, how many are flat enough to tell.
+        Share of the blocks of a ring that are flat enough to use.
     illumination : (H, W) array
-        Light over that in the middle, if there were no rims.
+        Illumination relative to the centre, without rims.
     rims : (H, W) array
-        By how much a `vignetting` of 1 darkens each pixel.
+        Loss of light at each pixel for a `vignetting` of 1.
     fixed : float
-        Power that does not grow as the light falls [K²].
+        Power that does not grow as the light decreases [K²].
 
     Notes
     -----

@@ -1,16 +1,19 @@
 """Read FLIR's radiometric JPEGs: the raw signal, the factory's constants and the settings stored with it.
 
-The container ("FFF") is cut into the JPEG's APP1 segments. It holds a directory of records; the raw image is
-record 1 (16-bit values, plain or as PNG with swapped bytes) and the camera's block is record 0x20. Offsets of the
-fields: the FLIR tables of ExifTool's documentation (https://exiftool.org/TagNames/FLIR.html).
+The container ("FFF") is split over the JPEG's APP1 segments. It has a directory of records: the raw image is record 1
+(16-bit values, plain or as PNG with swapped bytes), and the camera's block is record 0x20. The offsets of the fields
+come from the FLIR tables of ExifTool's documentation (https://exiftool.org/TagNames/FLIR.html).
 """
 
 import io
 import struct
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.sensor.radiometry import AirModel, PlanckConstants, ThermographySettings, thermography_temperature
@@ -32,31 +35,31 @@ class RadiometricJpeg:
     planck : PlanckConstants
         Of the factory's calibration, with `raw` as the signal.
     thermography : ThermographySettings
-        Settings stored with the picture.
+        Settings stored in the file.
     air : AirModel
     camera : dict
         model, serial, lens, range_c (the calibrated range) and scale_raw (the signals at the ends of the colour
-        scale beside the picture; None where the file tells none).
+        scale; None if the file has none).
     """
 
-    raw: np.ndarray
+    raw: NDArray[np.uint16]
     planck: PlanckConstants
     thermography: ThermographySettings
     air: AirModel
-    camera: dict
+    camera: dict[str, Any]
 
-    def temperature(self, thermography=None):
-        """Return what thermography software reads, (H, W) float64 [K], with the stored or other settings."""
+    def temperature(self, thermography: ThermographySettings | None = None) -> NDArray[np.float64]:
+        """Return the reading of thermography software, (H, W) float64 [K], with the stored or other settings."""
         return thermography_temperature(self.raw, self.planck, thermography or self.thermography, self.air)
 
 
-def read_flir_jpeg(path):
+def read_flir_jpeg(path: str | PathLike[str]) -> RadiometricJpeg:
     """Return the RadiometricJpeg of a file.
 
     Raises
     ------
     ThermorenderError
-        No radiometric JPEG of FLIR, or a damaged one; the message says what is missing.
+        The file is not a radiometric JPEG of FLIR, or is damaged; the message says what is missing.
     """
     path = Path(path)
     try:
@@ -73,17 +76,17 @@ def read_flir_jpeg(path):
         reason = str(error)
     except struct.error:
         reason = "a record ends too early"
-    raise ThermorenderError(f"{path} is no whole FLIR radiometric JPEG: {reason}; give the camera's original file")
+    raise ThermorenderError(f"{path} is not a whole FLIR radiometric JPEG: {reason}; give the camera's original file")
 
 
 class _Damaged(Exception):
-    """What is wrong with the file's contents, as half a sentence."""
+    """A defect of the file's contents, as half a sentence."""
 
 
 def _container(data):
     """The FFF container, joined from the JPEG's APP1 segments by their number."""
     if data[:2] != b"\xff\xd8":
-        raise _Damaged("it is no JPEG")
+        raise _Damaged("it is not a JPEG")
     parts, offset = {}, 2
     while offset + 4 <= len(data) and data[offset] == 0xFF:
         marker, length = data[offset + 1], int.from_bytes(data[offset + 2 : offset + 4], "big")
@@ -97,7 +100,7 @@ def _container(data):
     if not parts:
         raise _Damaged("it carries no FLIR data (DJI's own format needs DJI's software)")
     if sorted(parts) != list(range(last + 1)):
-        raise _Damaged(f"{last + 1} pieces of FLIR data are announced and {len(parts)} are there")
+        raise _Damaged(f"it announces {last + 1} pieces of FLIR data and holds {len(parts)}")
     return b"".join(parts[number] for number in sorted(parts))
 
 
@@ -105,7 +108,7 @@ def _records(container):
     """{kind: bytes} of the container's records, the first of each kind."""
     if container[:4] not in (b"FFF\0", b"AFF\0") or len(container) < 64:
         raise _Damaged("the FLIR data do not begin with FFF")
-    # The version, 100 to 199, tells the order of bytes.
+    # The version is between 100 and 199 in the right byte order.
     order = ">" if 100 <= struct.unpack(">I", container[20:24])[0] < 200 else "<"
     start, count = struct.unpack(order + "II", container[24:32])
     records = {}
@@ -119,7 +122,7 @@ def _records(container):
 
 
 def _order(record):
-    """Each record tells its own order of bytes by a leading 2."""
+    """The byte order of a record, given by a leading 2."""
     return "<" if record[:2] == b"\x02\x00" else ">"
 
 
@@ -131,7 +134,7 @@ def _raw_image(record):
         raise _Damaged(f"the raw image is {width}×{height} pixels")
     if pixels[:8] == b"\x89PNG\r\n\x1a\n":
         raw = _png(pixels, (width, height))
-        # PNG knows big-endian values only; cameras that think little-endian store theirs without turning them.
+        # PNG is big-endian; little-endian cameras store their values without swapping the bytes.
         return raw.byteswap() if order == "<" else raw
     if len(pixels) < 2 * width * height:
         raise _Damaged(f"the raw image has {len(pixels)} of {2 * width * height} bytes")

@@ -1,38 +1,39 @@
-"""What a sequence of frames tells of its camera's noise, without knowing the scene.
+"""The noise of a camera from a sequence of its frames of an unknown scene.
 
-The lens lets no fine detail through, so in flat parts of a picture the highest frequencies are the noise's own. What
-is the same on the detector in every frame is the fixed pattern: the mean product of different frames' spectra, from
-which the scene of a moving camera drops out. Noise of whole rows and columns stands in a spectrum as two lines over
-their surroundings.
+The lens passes no fine detail, so in flat parts of an image the highest frequencies are noise. The fixed pattern is
+the same on the detector in every frame: the mean product of the spectra of different frames, in which the scene of a
+moving camera averages out. Noise of whole rows and columns appears in a spectrum as two lines above their
+surroundings.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 
-# Sides of the blocks in which flat parts are looked for [px], and the share of them taken for flat.
+# Side of the blocks in which flat parts are searched [px], and the share of blocks that count as flat.
 _BLOCK, FLAT = 32, 0.1
-# What tells flat from not, and where the noise is read [cycles per pixel]: apart, so that choosing blocks by one
-# does not choose the other.
+# Bands of frequencies that decide whether a block is flat, and that give its noise [cycles per pixel]. They are
+# separate, so that the choice of blocks does not bias the noise.
 _TEXTURE, _FINE = (0.1, 0.22), (0.5, 0.71)
-# Share of the power of a scene's texture that passes lens and pixel as finest detail, found on simulated heath.
+# Share of the power of a scene's texture that lens and pixels pass as finest detail, from simulated heath.
 _LEAK = 0.0015
-# Power of what differs between a static camera's frames in texture over that in finest detail from which on the scene
+# Ratio of the power of changes between frames of a static camera, in texture over finest detail, above which the scene
 # changes; noise has 1.
 _LIVELY = 1.1
-# Frames whose difference from the frame before has so much more power in finest detail than others', over their median
-# and in deviations of single ones (by the median of these), have another fixed pattern; the fewest that tell.
+# A new fixed pattern shows as more power in finest detail of the difference from the frame before: ratio to the median
+# of all differences, and excess in median absolute deviations. Fewest differences for this test.
 _ANOTHER, _APART, _FEWEST = 1.05, 5.0, 4
-# Uncertainty over the power of the noise from which on it is not told from the scene.
-_UNTOLD = 0.5
-# Bins beside an axis hold the leakage of its line; those after, its surroundings.
+# Relative uncertainty of the power of the noise above which it cannot be separated from the scene.
+_INSEPARABLE = 0.5
+# First bins beside an axis with the leakage of its line; the following ones are its surroundings.
 _LEAKED, _BESIDE = 3, 13
-# Row and column noise is looked for where little of the scene is left [cycles per pixel].
+# Row and column noise is measured above this frequency, where little of the scene is left [cycles per pixel].
 _LINE_FROM = 0.3
-# Power of Hann's window in its middle line over that of a flat window, and how many of its neighbouring frequencies
-# tell as much as one that stands alone.
+# Power of Hann's window in its central line over that of a flat window, and number of its neighbouring frequencies
+# that carry as much information as one independent frequency.
 _HANN_LINE, _HANN_ALIKE = 2.0 / 3.0, 3.8
 
 
@@ -43,7 +44,7 @@ class Spectra:
     ----------
     shape : (H, W)
     gain : (H, W) array, optional
-        By how much the flat-field correction raises each pixel's own noise; 1 everywhere where None.
+        Amplification of each pixel's noise by the flat-field correction; None: 1 everywhere.
 
     Attributes
     ----------
@@ -53,10 +54,10 @@ class Spectra:
     image : (H, W) float64
         Mean frame.
     lost : (n,) bool
-        Blocks that are cut off at an end of the range in some frame.
+        Blocks that are cut off at an end of the range in any frame.
     """
 
-    def __init__(self, shape, gain=None):
+    def __init__(self, shape: tuple[int, int], gain: NDArray[np.float64] | None = None) -> None:
         self.shape, self.count, self._blocks, self._changes, self._last = shape, 0, [], [], None
         self.gain = np.ones(shape) if gain is None else gain
         self.lost = np.zeros((shape[0] // _BLOCK) * (shape[1] // _BLOCK), bool)
@@ -67,10 +68,10 @@ class Spectra:
                 f"{3 * _BLOCK}×{3 * _BLOCK}"
             )
 
-    def add(self, image, cut_off=None):
-        """Add a frame, (H, W) [K]; NaN takes the frame's mean.
+    def add(self, image: NDArray[np.float64], cut_off: NDArray[np.bool_] | None = None) -> None:
+        """Add a frame, (H, W) [K]; NaN is replaced by the frame's mean.
 
-        `cut_off`, (H, W) bool, says where pixels are at an end of their range: blocks with such are not flat.
+        `cut_off`, (H, W) bool, marks pixels at an end of their range: blocks with such pixels are not flat.
         """
         if image.shape != self.shape:
             raise ThermorenderError(
@@ -94,35 +95,36 @@ class Spectra:
         self._last = image
 
     @property
-    def image(self):
+    def image(self) -> NDArray[np.float64]:
+        """Mean frame, (H, W) [K]."""
         return self._image / self.count
 
     @property
-    def total(self):
+    def total(self) -> NDArray[np.float64]:
         """Mean power of a frame, (H, W//2+1) [K²]; white noise of variance σ² has σ² at every frequency."""
         return self._power / self.count
 
     @property
-    def fixed(self):
-        """Mean power of what is the same in every frame, (H, W//2+1) [K²], unbiased; None of a single frame."""
+    def fixed(self) -> NDArray[np.float64] | None:
+        """Mean power of the part common to all frames, (H, W//2+1) [K²], unbiased; None for a single frame."""
         if self.count == 1:
             return None
         return (np.abs(self._sum) ** 2 - self._power) / (self.count * (self.count - 1))
 
     @property
-    def blocks(self):
+    def blocks(self) -> NDArray[np.float64]:
         """Powers of texture and of the finest detail in each block of each frame, (n, 2) [K²]."""
         return np.concatenate(self._blocks)
 
     @property
-    def changes(self):
-        """The same of the changes from each frame to the next, over √2, (n, 2) [K²]; of two frames or more."""
+    def changes(self) -> NDArray[np.float64]:
+        """The same powers of the change from each frame to the next, over √2, (n, 2) [K²]; needs two frames."""
         return np.concatenate(self._changes)
 
-    def corrected(self):
-        """Return the numbers of the frames before which a flat-field correction changed the pattern, a list of ints.
+    def corrected(self) -> list[int]:
+        """Return the numbers of the frames before which a flat-field correction changed the pattern.
 
-        Of a camera that stands; by the finest detail of most blocks, from five frames on.
+        For a static camera, from the finest detail of most blocks; needs five frames.
         """
         if len(self._changes) < _FEWEST or self.lost.all():
             return []
@@ -131,12 +133,12 @@ class Spectra:
         spread = 1.48 * np.median(np.abs(power - middle))
         return (1 + np.flatnonzero(power > np.maximum(_ANOTHER * middle, middle + _APART * spread))).tolist()
 
-    def frequencies(self):
+    def frequencies(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the frequencies (H, 1) down and (1, W//2+1) to the right [cycles per pixel]."""
         return np.fft.fftfreq(self.shape[0])[:, None], np.fft.rfftfreq(self.shape[1])[None]
 
-    def off_axis(self, band):
-        """Return which frequencies lie in a band (low, high) and beside both axes, (H, W//2+1) bool."""
+    def off_axis(self, band: tuple[float, float]) -> NDArray[np.bool_]:
+        """Return which frequencies are in a band (low, high) and off both axes, (H, W//2+1) bool."""
         down, right = self.frequencies()
         radius = np.hypot(down, right)
         beside = (np.abs(down) * self.shape[0] > _LEAKED) & (right * self.shape[1] > _LEAKED)
@@ -145,47 +147,47 @@ class Spectra:
 
 @dataclass(frozen=True)
 class Noise:
-    """Standard deviations of the parts of the noise as they are seen in the frames [K], each (value, uncertainty).
+    """Standard deviations of the parts of the noise in the frames [K], each (value, uncertainty).
 
     Attributes
     ----------
     pixel, row, column : (2,) floats
-        What changes with each frame, where the gain of the flat-field correction is 1; of a single frame, all there
-        is.
+        Noise that changes with each frame, where the gain of the flat-field correction is 1; for a single frame, all
+        noise.
     fixed_pixel, fixed_row, fixed_column : (2,) floats or None
-        What stays; None of a single frame.
+        Constant noise; None for a single frame.
     static : bool
         Whether the camera did not move, so that the scene is in every frame.
     lively : bool
-        Whether the scene itself changes before a static camera.
+        Whether the scene changes before a static camera.
     """
 
-    pixel: tuple
-    row: tuple
-    column: tuple
-    fixed_pixel: tuple | None = None
-    fixed_row: tuple | None = None
-    fixed_column: tuple | None = None
+    pixel: tuple[float, float]
+    row: tuple[float, float]
+    column: tuple[float, float]
+    fixed_pixel: tuple[float, float] | None = None
+    fixed_row: tuple[float, float] | None = None
+    fixed_column: tuple[float, float] | None = None
     static: bool = False
     lively: bool = False
 
 
-def noise_of(spectra):
-    """Return the Noise behind Spectra.
+def noise_of(spectra: Spectra) -> Noise:
+    """Return the Noise of Spectra.
 
     Notes
     -----
-    From a moving camera the noise of single pixels is that of the flattest tenth of blocks, less what is fixed; it is
-    too high where nothing in the pictures is flat. From a static one it is what differs between frames, and
-    the fixed part is read in the flattest blocks of the mean frame. What differs between frames is no noise where it
-    has more power in coarse detail than in the finest: there the scene changes, and the tenth of blocks that changes
-    least coarsely tells the noise. Blocks that are cut off at an end of the range tell nothing. Rows and columns of
-    the scene itself (fields, roofs) pass for temporal row and column noise of a moving camera.
+    For a moving camera, the noise of single pixels is that of the flattest tenth of blocks, less the fixed part; it is
+    too high if no part of the images is flat. For a static camera, it is the difference between frames, and the fixed
+    part comes from the flattest blocks of the mean frame. If the difference has more power in coarse detail than in
+    the finest, the scene changes; then the tenth of blocks with the least coarse change gives the noise. Blocks that
+    are cut off at an end of the range are ignored. Rows and columns in the scene (fields, roofs) count as temporal row
+    and column noise of a moving camera.
 
     Raises
     ------
     ThermorenderError
-        Nothing of the picture is within the range, or nothing is flat or stays as it is.
+        No part of the image is within the range, or none is flat or constant.
     """
     window = _window(spectra.shape) ** 2
     seen_gain = float((window * spectra.gain**2).sum() / window.sum())
@@ -222,15 +224,15 @@ def noise_of(spectra):
         fixed, fixed_error = _flat_power(power, np.ones(len(power)), rest)
     else:
         fixed = float(spectra.fixed[fine].mean())
-        # Of the product of frames, and of the pattern being one of many possible.
+        # Uncertainty of the product of frames, and of the pattern as one sample of many.
         pairs = spectra.count * (spectra.count - 1)
         fixed_error = np.hypot(spectra.total[fine].mean() / np.sqrt(alone * pairs), fixed / np.sqrt(alone))
         temporal, temporal_error = _flat_power(blocks, gains, fixed)
         temporal_error = np.hypot(temporal_error, fixed_error)
-    if temporal_error > _UNTOLD * max(temporal, 0.0) > 0.0:
+    if temporal_error > _INSEPARABLE * max(temporal, 0.0) > 0.0:
         raise ThermorenderError(
-            "nothing in the frames is flat or stays as it is, so that noise cannot be told from the scene; give frames "
-            "that show some sky, water or even ground"
+            "no part of the frames is flat or constant, so noise cannot be separated from the scene; give frames with "
+            "some sky, water or uniform ground"
         )
     return Noise(
         sigma_of(temporal, temporal_error),
@@ -242,7 +244,7 @@ def noise_of(spectra):
     )
 
 
-def block_powers(image):
+def block_powers(image: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the powers of texture and of the finest detail in each block of an image, (n, 2) [K²]."""
     blocks = _cut(image)
     blocks = blocks - blocks.mean(axis=(1, 2), keepdims=True)
@@ -256,7 +258,7 @@ def block_powers(image):
     return np.stack([power[:, band].mean(axis=1) for band in bands], axis=-1)
 
 
-def block_means(image):
+def block_means(image: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the mean of each block of an image, (n,), in the order of `block_powers`."""
     return _cut(image).mean(axis=(1, 2))
 
@@ -274,13 +276,13 @@ def _window(shape):
 
 
 def _spectrum(image):
-    """Spectrum (…, H, W//2+1) through Hann's window, so scaled that white noise keeps its variance."""
+    """Spectrum (…, H, W//2+1) with Hann's window, scaled to preserve the variance of white noise."""
     window = _window(image.shape[-2:])
     return np.fft.rfft2(image * window) / np.sqrt((window**2).sum())
 
 
 def _flat_power(blocks, gains, other):
-    """(power of the finest detail where it is flat, its uncertainty) [K²], per gain and less the power of others."""
+    """(power of the finest detail in flat blocks, its uncertainty) [K²], over the gain and less other power."""
     fine, whole = np.broadcast_to(blocks[:, 1] - other, gains.shape), np.isfinite(blocks[:, 0])
     blocks, gains, fine = blocks[whole], gains[whole], fine[whole]
     order = np.argsort(blocks[:, 0] / gains)
@@ -291,8 +293,7 @@ def _flat_power(blocks, gains, other):
         return fine[chosen].mean() / gains[chosen].mean(), spread / gains[chosen].mean()
 
     power, error = flattest(FLAT)
-    # How much more comes in with twice, and how much less is left with half the blocks; and where even the flattest
-    # have texture, what of it gets through.
+    # Change of the power with twice and with half the blocks, and leakage of texture in the flattest blocks.
     change = 0.5 * (flattest(2.0 * FLAT)[0] - flattest(0.5 * FLAT)[0])
     chosen = order[: max(int(FLAT * len(order)), 4)]
     texture = (blocks[chosen, 0] - blocks[chosen, 1]).mean() / gains[chosen].mean()
@@ -300,10 +301,10 @@ def _flat_power(blocks, gains, other):
 
 
 def _lines(spectra, power, count):
-    """((variance of row noise, its uncertainty), the same of columns) [K²] by the excess of the two axes.
+    """((variance of row noise, its uncertainty), the same for columns) [K²] from the excess power on the two axes.
 
-    With a number of frames, medians of the powers are taken: scenes have their own rows and columns at some
-    frequencies, noise at all. Powers of mixed sign are averaged.
+    With a number of frames, medians of the powers are used, since scenes have rows and columns at some frequencies and
+    noise at all. Powers of mixed sign are averaged.
     """
     height, width = spectra.shape
     down, right = (np.abs(axis).ravel() for axis in spectra.frequencies())
@@ -320,7 +321,7 @@ def _lines(spectra, power, count):
             level, around = line.mean(), beside.mean()
         else:
             level, around = (np.median(values) / _gamma_median(count) for values in (line, beside))
-        # In the full circle of rows' frequencies each stands twice; Hann's window ties three of a line together.
+        # The frequencies of rows appear twice, with both signs; Hann's window correlates three neighbours of a line.
         alone = fine.sum() / (2.0 if length == width else 1.0) / np.sqrt(_HANN_ALIKE)
         scale = 1.0 / (length * _HANN_LINE)
         found.append(((level - around) * scale, np.std(line) / np.sqrt(alone) * scale))
@@ -334,7 +335,7 @@ def _gamma_median(count):
     return gammaincinv(count, 0.5) / count
 
 
-def sigma_of(variance, error):
-    """Return (standard deviation, uncertainty) of a variance, and of its own, that may come out below zero."""
+def sigma_of(variance: float, error: float) -> tuple[float, float]:
+    """Return (standard deviation, uncertainty) of a variance and its uncertainty; the variance may be negative."""
     sigma = np.sqrt(max(variance, 0.0))
     return float(sigma), float(np.sqrt(max(variance, 0.0) + error) - sigma)

@@ -1,1 +1,1 @@
-"""What is written: frames as files, videos, and flights."""
+"""Output: frames as files, videos, flights and days."""

@@ -1,14 +1,18 @@
 """A day: one view at each step of a local solar day, all frames on one display scale, and a curve per material.
 
-Everything appears at once when the day is done: a stop leaves nothing.
+The folder appears when the day is finished: a stop leaves nothing.
 """
 
 import csv
 import re
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from os import PathLike
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender import files, formats
 from thermorender.errors import ThermorenderError
@@ -19,7 +23,12 @@ from thermorender.output.timed import solved_in_parts
 from thermorender.output.video import write_video
 from thermorender.scene.surface import FILLED
 from thermorender.sensor.display import DisplaySettings
+from thermorender.sensor.radiometry import ThermographySettings
 from thermorender.units import instant, utc_text
+
+if TYPE_CHECKING:
+    from thermorender.frame import Frame
+    from thermorender.scene.load import Scene
 
 DEFAULT = ("exr", "truth", "counts", "display", "video")
 # Frames of the video per second.
@@ -27,17 +36,17 @@ RATE_HZ = 8.0
 _DAY_MIN = 24 * 60
 
 
-def solar_midnight(time, longitude_deg):
-    """Return the instant at which the local solar day of an instant begins, datetime64[s] UTC.
+def solar_midnight(time: np.datetime64, longitude_deg: float) -> np.datetime64:
+    """Return the start of the local solar day of an instant, datetime64[s] UTC.
 
-    By mean solar time, UTC + longitude/15° h, from which apparent solar time differs by up to 17 minutes in the year.
+    In mean solar time, UTC + longitude/15° h. Apparent solar time differs by up to 17 minutes over the year.
     """
     east = np.timedelta64(round(longitude_deg * 240.0), "s")
     return (time + east).astype("datetime64[D]").astype("datetime64[s]") - east
 
 
-def instant_of(scene, text):
-    """Return an instant of the local solar day that a text names at a scene's place: a date's noon, or an instant."""
+def instant_of(scene: "Scene", text: str) -> np.datetime64:
+    """Return an instant of the local solar day that a text names, a date or an instant, at a scene's longitude."""
     if not re.fullmatch(r"\d{4}-\d\d-\d\d", text):
         return instant("--time", text)
     longitude = scene.frame.longitude_deg if scene.frame else 0.0
@@ -45,9 +54,11 @@ def instant_of(scene, text):
 
 
 def day(
-    scene, pose, folder, step_min=60, products=DEFAULT, display=None, thermography=None, progress=None, device="auto",
-    **settings,
-):  # fmt: skip
+    scene: "Scene", pose: NDArray[np.float64], folder: str | PathLike[str], step_min: int = 60,
+    products: Sequence[str] = DEFAULT, display: DisplaySettings | None = None,
+    thermography: ThermographySettings | None = None, progress: Callable[[str, float], object] | None = None,
+    device: str = "auto", **settings: Any,
+) -> list[dict[str, Any]]:  # fmt: skip
     """Render one view over the local solar day of a scene's time into a folder; return its table.
 
     Parameters
@@ -57,15 +68,15 @@ def day(
     pose : (4, 4) array
         world_from_camera.
     folder : path
-        A new one; receives the frames' products, `day.mp4`, `day.csv`, `day.png`, `day.json` and `frames.jsonl`.
+        New; receives the frames' products, `day.mp4`, `day.csv`, `day.png`, `day.json` and `frames.jsonl`.
     step_min : int
         Minutes between frames, 5 to 720, a divisor of the day's 1440; the first frame is at mean solar midnight.
     products : sequence of str
-        As of a flight.
+        As for a flight.
     display : DisplaySettings, optional
-        How counts are shown, by one measure over all frames of the day.
+        How counts become display images, with one measure over all frames of the day.
     thermography : ThermographySettings, optional
-        As of a flight.
+        As for a flight.
     progress : callable, optional
         Called with (what, share done).
     device : {"auto", "cpu", "cuda"}
@@ -75,30 +86,30 @@ def day(
     Returns
     -------
     list of dict
-        The rows of `day.csv`: solar_hour [h], time_utc, sun_elevation_deg, air_k, apparent_mean_k of the frame, and of
-        each material of the terrain NAME_mean_k, NAME_min_k, NAME_max_k over its texels, seen or not.
+        The rows of `day.csv`: solar_hour [h], time_utc, sun_elevation_deg, air_k, apparent_mean_k of the frame, and
+        for each material of the terrain NAME_mean_k, NAME_min_k, NAME_max_k over its texels, visible or not.
 
     Raises
     ------
     ThermorenderError
-        A scene without heat balance, a step out of range, weather that does not hold the whole day, or a folder that
-        is in use.
+        A scene without heat balance, a step out of range, weather that does not cover the whole day, or a folder in
+        use.
     """
     products = product_files.check(products, thermography)
     if "visible" in products:
-        raise ThermorenderError("product 'visible' has an hour of its own: it is a frame's or a flight's; leave it out")
+        raise ThermorenderError("product 'visible' shows one hour, so a day cannot have it; leave it out")
     display = replace(display or DisplaySettings(), tails_percent=scene.camera.agc_tails_percent)
     times = _times(scene, step_min)
-    tell = progress or (lambda what, share: None)
+    report = progress or (lambda what, share: None)
+    single = [product for product in products if product not in ("display", "video")]
     with files.atomic_folder(folder) as out:
         rows, counts = [], []
-        for index, frame, solved in _frames(scene, pose, times, tell, device, settings):
-            told = [product for product in products if product not in ("display", "video")]
-            product_files.write(out, frame, told, None, thermography)
+        for index, frame, solved in _frames(scene, pose, times, report, device, settings):
+            product_files.write(out, frame, single, None, thermography)
             formats.append_json(out / "frames.jsonl", record(frame))
             counts.append(frame.counts)
             rows.append({"solar_hour": index * step_min / 60.0, **_row(solved, frame)})
-            tell(f"frame {index + 1} of {len(times)}", (index + 1) / len(times))
+            report(f"frame {index + 1} of {len(times)}", (index + 1) / len(times))
         if "display" in products:
             _show(out, display, np.stack(counts), "video" in products)
         _write_table(out / "day.csv", rows)
@@ -115,12 +126,12 @@ def day(
     return rows
 
 
-def _times(scene, step_min):
+def _times(scene: "Scene", step_min: int) -> NDArray[np.datetime64]:
     """The instants of the day's frames."""
     if not scene.temperature_state.weather_driven:
         raise ThermorenderError(
-            f"{scene.where}: a day needs temperature.source='balance', or a map with [temperature.trained], which make "
-            f"temperatures of an hour, not {scene.spec.temperature.source!r}; set one and add [weather]"
+            f"{scene.where}: a day needs temperature.source='balance', or a map with [temperature.trained], whose "
+            f"temperatures depend on the hour, not {scene.spec.temperature.source!r}; set one and add [weather]"
         )
     if not (5 <= step_min <= 720 and _DAY_MIN % step_min == 0):
         raise ThermorenderError(
@@ -139,29 +150,32 @@ def _times(scene, step_min):
     return times
 
 
-def _frames(scene, pose, times, tell, device, settings):
-    """Give (index, Frame, solved Scene) of each instant, light traced once."""
-    # It brings Mitsuba.
+def _frames(
+    scene: "Scene", pose: NDArray[np.float64], times: NDArray[np.datetime64], report: Callable[[str, float], object],
+    device: str, settings: dict[str, Any],
+) -> "Iterator[tuple[int, Frame, Scene]]":  # fmt: skip
+    """Yield (index, Frame, solved Scene) of each instant; the light is traced once."""
+    # These import Mitsuba.
     from thermorender.render.geometry import Geometry
     from thermorender.render.plan import checked
     from thermorender.render.renderer import Renderer
     from thermorender.render.variant import activate
 
-    # Before the march, so that a wrong setting is told at once.
+    # Before the heat balance is solved, so that a wrong setting fails at once.
     checked(**{name: value for name, value in settings.items() if name != "seed"})
     geometry = Geometry(activate(device), scene.surfaces)
     baked, seed = None, settings.get("seed", 0)
-    for index, solved in enumerate(solved_in_parts(scene, times, geometry, tell)):
+    for index, solved in enumerate(solved_in_parts(scene, times, geometry, report)):
         if baked is None:
-            renderer = Renderer(solved, device=device, progress=tell, **settings)
+            renderer = Renderer(solved, device=device, progress=report, **settings)
             baked = renderer.baked
         else:
             renderer = Renderer.of(baked.solved_for(solved), seed)
         yield index, renderer.frame(pose, index=index), solved
 
 
-def _row(scene, frame):
-    """What the day's table says of one instant, its hour apart."""
+def _row(scene: "Scene", frame: "Frame") -> dict[str, Any]:
+    """The row of one instant in the day's table, without its hour."""
     _, elevation = scene.weather.sun(scene.time)
     row = {
         "time_utc": utc_text(scene.time),
@@ -180,8 +194,8 @@ def _row(scene, frame):
     return row
 
 
-def _show(folder, display, counts, video):
-    """Write the display images of counts (N, H, W), by one measure of them all, and the video of these."""
+def _show(folder: Path, display: DisplaySettings, counts: NDArray[np.uint16], video: bool) -> None:
+    """Write the display images of counts (N, H, W), with one measure of all, and their video."""
     measured = display.measure(counts)
     images = [product_files.paths(folder, index, ("display",))["display"] for index in range(len(counts))]
     for path, one in zip(images, counts, strict=True):
@@ -190,7 +204,7 @@ def _show(folder, display, counts, video):
         write_video(folder / "day.mp4", images, RATE_HZ)
 
 
-def _write_table(path: Path, rows):
+def _write_table(path: Path, rows: list[dict[str, Any]]) -> None:
     with open(path, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(rows[0])
@@ -198,7 +212,7 @@ def _write_table(path: Path, rows):
             writer.writerow([f"{value:.3f}" if isinstance(value, float) else value for value in row.values()])
 
 
-def _sun_up(scene, midnight):
+def _sun_up(scene: "Scene", midnight: np.datetime64) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """(solar hours 0…24, whether the sun is above the horizon) every five minutes."""
     minutes = np.arange(0, _DAY_MIN + 1, 5)
     _, elevation = scene.weather.sun(midnight + minutes * np.timedelta64(60, "s"))

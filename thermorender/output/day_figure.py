@@ -1,16 +1,23 @@
 """The figure of a day: kinetic temperature of each material over the local solar hour."""
 
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender import files
 from thermorender.units import ZERO_CELSIUS_K
 
-# Okabe and Ito, Color Universal Design (2008): told apart with every kind of colour vision; its black is the air's.
+# Okabe and Ito, Color Universal Design (2008): distinct for every kind of colour vision; black is for the air.
 _COLOURS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#56B4E9", "#CC79A7", "#F0E442")
 _DASHES = ("-", "--", "-.", ":")
 
 
-def figure(path, name, rows, sun):
+def figure(
+    path: Path, name: str, rows: Sequence[dict[str, Any]], sun: tuple[NDArray[np.float64], NDArray[np.bool_]]
+) -> None:
     """Write a PNG of a day's table.
 
     Parameters
@@ -19,9 +26,9 @@ def figure(path, name, rows, sun):
     name : str
         Of the scene.
     rows : sequence of dict
-        As by `thermorender.output.day.day`.
+        From `thermorender.output.day.day`.
     sun : (hours, up)
-        Solar hours (N,) and whether the sun is above the horizon then (N,); the night is shaded.
+        Solar hours (N,) and whether the sun is above the horizon (N,); the night is shaded.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

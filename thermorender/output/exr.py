@@ -2,22 +2,31 @@
 
 import json
 from dataclasses import asdict
+from os import PathLike
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic
 from thermorender.output.record import made_by, record
-from thermorender.sensor.radiometry import thermography_reading
+from thermorender.sensor.radiometry import ThermographySettings, thermography_reading
+
+if TYPE_CHECKING:
+    from thermorender.frame import Frame
 
 
-def write_exr(path, frame, truth, thermography=None, error=False):
-    """Write a frame's radiance and apparent temperature, and its truth where asked, as one multi-channel EXR.
+def write_exr(
+    path: str | PathLike[str], frame: "Frame", truth: bool, thermography: ThermographySettings | None = None,
+    error: bool = False,
+) -> None:  # fmt: skip
+    """Write a frame's radiance and apparent temperature as one multi-channel EXR.
 
-    With `error`, what each pixel errs by is estimated beside them; with `thermography` settings, what such software
-    reads from the counts stands there. The header's `thermorender` attribute holds time, pose, seed, plan, versions,
-    device and units as JSON.
+    `truth` adds the frame's truth, `error` the estimated error of each pixel, and `thermography` the reading of
+    thermography software with these settings. The header's `thermorender` attribute holds time, pose, seed, plan,
+    versions, device and units as JSON.
     """
     import OpenEXR
 
@@ -51,13 +60,19 @@ def write_exr(path, frame, truth, thermography=None, error=False):
             {**record(frame), **made_by(), "thermography": thermography and asdict(thermography), "units": units}
         ),
     }
-    # A file opened here, since OpenEXR's own does not tell where its last bytes found no room.
+    # A file opened here, since OpenEXR's own file does not report a full disk at its last bytes.
     with atomic(path) as part, open(part, "wb") as file:
         OpenEXR.File(header, channels).write(file)
 
 
-def read_exr(path):
-    """Return ({channel: (H, W) array}, the frame's record) of an EXR written by `write_exr`."""
+def read_exr(path: str | PathLike[str]) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """Return ({channel: (H, W) array}, the frame's record) of an EXR written by `write_exr`.
+
+    Raises
+    ------
+    ThermorenderError
+        A file that does not exist or cannot be read.
+    """
     import OpenEXR
 
     if not Path(path).is_file():

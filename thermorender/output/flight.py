@@ -217,7 +217,7 @@ class _Flight:
         state = self.exposure.state() | ({} if agc is None else {"agc": agc})
         files.on_disk(*written.values(), save_state(folder, frame.index, state))
         self.terrain.append(_shows_terrain(self.renderer.scene, frame))
-        line = record(frame) | self.timed.told(frame.time_s) | {"shows_terrain": self.terrain[-1]}
+        line = record(frame) | self.timed.temperature_record(frame.time_s) | {"shows_terrain": self.terrain[-1]}
         line["files"] = {path.name: [path.stat().st_size, formats.checksum(path)] for path in written.values()}
         formats.append_json(folder / "frames.jsonl", formats.sealed(line))
 

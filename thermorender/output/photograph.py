@@ -1,14 +1,25 @@
-"""The photograph of a pose: the orthophoto seen from there, and the day's sky above it."""
+"""The photograph of a pose: the orthophoto from that view, and the day's sky."""
+
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.physics.srgb import bytes_from_linear
 from thermorender.scene.surface import BACKGROUND, SURFACE
+from thermorender.sensor.camera import Camera
 from thermorender.synthetic.light import sky_colour
 
+if TYPE_CHECKING:
+    from thermorender.render.renderer import Renderer
+    from thermorender.scene.load import Scene
 
-def photograph(renderer, pose, time_s=0.0, objects=None, camera=None):
-    """Return (image (H, W, 3) uint8 sRGB, covered (H, W) bool): what a camera for visible light sees.
+
+def photograph(
+    renderer: "Renderer", pose: NDArray[np.float64], time_s: float = 0.0, objects: dict[str, Any] | None = None,
+    camera: Camera | None = None,
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:  # fmt: skip
+    """Return (image (H, W, 3) uint8 sRGB, covered (H, W) bool) of a camera for visible light.
 
     Parameters
     ----------
@@ -16,15 +27,15 @@ def photograph(renderer, pose, time_s=0.0, objects=None, camera=None):
     pose : (4, 4) array
         world_from_camera.
     time_s : float
-        Where on their tracks dynamic objects are [s].
+        Time of the dynamic objects on their tracks [s].
     objects : dict, optional
-        As of `Renderer.frame`.
+        As for `Renderer.frame`.
     camera : Camera, optional
-        In place of the scene's: its pixels then show what the thermal camera's do, as of two registered pictures.
+        Default: the scene's camera, so that the photograph is registered to the thermal image.
 
     Returns
     -------
-    image : where the scene ends it has the colour of the sky, by the clouds that scene or weather declare.
+    image : with the sky, by the clouds of the scene or its weather, where no surface is visible.
     covered : where the orthophoto is known.
     """
     image, covered = renderer.visible(pose, camera, time_s, objects)
@@ -32,8 +43,10 @@ def photograph(renderer, pose, time_s=0.0, objects=None, camera=None):
                     cloud_of(renderer.scene)), covered  # fmt: skip
 
 
-def with_sky(image, sky, pose, camera, cloud):
-    """Return an image (H, W, 3) uint8 with the day's sky where `sky`, (H, W) bool, says so, under a share of clouds."""
+def with_sky(
+    image: NDArray[np.uint8], sky: NDArray[np.bool_], pose: NDArray[np.float64], camera: Camera, cloud: float
+) -> NDArray[np.uint8]:
+    """Return an image (H, W, 3) uint8 with the day's sky where `sky`, (H, W) bool, is true; `cloud` is a share."""
     if not sky.any():
         return image
     rows, columns = np.nonzero(sky)
@@ -45,14 +58,14 @@ def with_sky(image, sky, pose, camera, cloud):
     return image
 
 
-def cloud_of(scene):
-    """Return the share of the sky that a scene's weather, else its air, declares to be under clouds."""
+def cloud_of(scene: "Scene") -> float:
+    """Return the cloud fraction of a scene's weather, or else of its air."""
     weather = scene.spec.weather
     if weather is not None and weather.cloud is not None:
         return weather.cloud
     return scene.air.cloud_fraction if scene.air is not None else 0.0
 
 
-def sky_of(mask):
+def sky_of(mask: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Return where a truth mask, (H, W) uint8, shows neither the scene nor the ground beyond it."""
     return (mask & (SURFACE | BACKGROUND)) == 0

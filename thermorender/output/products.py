@@ -1,22 +1,31 @@
-"""The products of a frame: which there are, their files, and all of them written."""
+"""The products of a frame: their names, files and writers."""
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.footage.radiometric_files import write_tlinear
 from thermorender.formats import atomic_raster, write_image
 from thermorender.output.exr import write_exr
+from thermorender.sensor.camera import Camera
 from thermorender.sensor.radiometry import ThermographySettings, thermography_reading
 
+if TYPE_CHECKING:
+    from thermorender.frame import Frame
+
 DEFAULT = ("exr", "truth", "counts", "display", "video")
-# Products that are part of others.
+# Products that are parts of others.
 _PARTS = ("truth", "error", "video")
 
 
-def write_radiometric(path, frame, thermography):
-    """Write what thermography software reads as a 16-bit TIFF of 0.04 K per count."""
+def write_radiometric(path: Path, frame: "Frame", thermography: ThermographySettings | None) -> None:
+    """Write the reading of thermography software as a 16-bit TIFF of 0.04 K per count."""
     reading = thermography_reading(frame.counts, frame.camera, thermography or ThermographySettings())
     with atomic_raster(path) as part:
         write_tlinear(part, reading)
@@ -24,7 +33,7 @@ def write_radiometric(path, frame, thermography):
 
 @dataclass(frozen=True)
 class _Extras:
-    """What products are made of beside the frame: as of `write`."""
+    """Inputs of the writers in addition to the frame; see `write`."""
 
     truth: bool
     error: bool
@@ -52,10 +61,12 @@ WRITERS = {
 }  # fmt: skip
 
 
-def check(products, thermography=None, camera=None):
-    """Return the products as a tuple after refusing unknown names and combinations that give nothing.
+def check(
+    products: Iterable[str], thermography: ThermographySettings | None = None, camera: Camera | None = None
+) -> tuple[str, ...]:
+    """Return the products as a tuple, after refusing unknown names and combinations without effect.
 
-    The product "visible" is two pictures where `camera` has a visible one beside it: registered, and as that sees it.
+    If `camera` has a visible camera beside it, the product "visible" is two images: registered, and by that camera.
     """
     products = tuple(products)
     if "visible" in products and camera is not None and camera.visible_camera is not None:
@@ -81,14 +92,18 @@ def check(products, thermography=None, camera=None):
     return products
 
 
-def paths(folder, index, products):
+def paths(folder: str | PathLike[str], index: int, products: Iterable[str]) -> dict[str, Path]:
     """Return {product: path} of a frame's files."""
     return {
         name: Path(folder) / f"frame_{index:06d}{WRITERS[name][0]}" for name in products if name in WRITERS
     }
 
 
-def write(folder, frame, products, image=None, thermography=None, photograph=None):
+def write(
+    folder: str | PathLike[str], frame: "Frame", products: Iterable[str], image: NDArray[np.uint8] | None = None,
+    thermography: ThermographySettings | None = None,
+    photograph: Callable[[Camera], NDArray[np.uint8]] | None = None,
+) -> dict[str, Path]:  # fmt: skip
     """Write a frame's files and return their paths.
 
     Parameters
@@ -97,9 +112,9 @@ def write(folder, frame, products, image=None, thermography=None, photograph=Non
     frame : Frame
     products : sequence of str
     image : (H, W) or (H, W, 3) uint8, optional
-        What `display` shows; `frame.display` where None.
+        For `display`; None: `frame.display`.
     thermography : ThermographySettings, optional
-        For `radiometric` and the EXR: what thermography software then reads.
+        Settings of the thermography software whose reading goes into `radiometric` and the EXR.
     photograph : callable, optional
         (camera) → (H, W, 3) uint8, for `visible`.
     """

@@ -1,4 +1,6 @@
-"""The record of a frame: what it shows, and what made it."""
+"""The record of a frame, and of the weather, versions and device that it was made with."""
+
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -7,9 +9,13 @@ from thermorender.scene.temperature_state import Conditional
 from thermorender.units import utc_text
 from thermorender.versions import versions
 
+if TYPE_CHECKING:
+    from thermorender.frame import Frame
+    from thermorender.scene.load import Scene
 
-def record(frame):
-    """Return what a frame's line in `frames.jsonl` says: time, pose, seed, plan and targets, as plain values."""
+
+def record(frame: "Frame") -> dict[str, Any]:
+    """Return a frame's line in `frames.jsonl`: time, pose, seed, plan, budget and targets, as plain values."""
     return {
         "index": frame.index,
         "time_s": frame.time_s,
@@ -23,10 +29,10 @@ def record(frame):
     }
 
 
-def weather_of(scene):
-    """Return which weather made a scene's temperatures, and the map moved to it or taking it as input, plain values.
+def weather_of(scene: "Scene") -> dict[str, Any]:
+    """Return the weather of a scene's temperatures, and the learned map that depends on it, as plain values.
 
-    {} where they do not follow the weather.
+    {} if the temperatures do not depend on the weather.
     """
     state = scene.temperature_state
     if not state.weather_driven:
@@ -34,13 +40,15 @@ def weather_of(scene):
     spec = scene.spec.weather
     file = spec.file or spec.epw
     named = "named day" if file is None else file.name
-    found = {"weather": {"source": named, "digest": scene.weather_digest(), "notes": list(scene.weather_notes)}}
+    found: dict[str, Any] = {
+        "weather": {"source": named, "digest": scene.weather_digest(), "notes": list(scene.weather_notes)}
+    }
     if isinstance(state.source, Conditional):
         model = state.source.model
         found["map"] = {"name": model.name, "digest": model.digest(), **state.report.get(model.name, {})}
     return found | ({"moved": state.moved_report} if state.moved_report else {})
 
 
-def made_by():
-    """Return what makes the frames of this process, as plain values: {"versions": …, "device": …}."""
+def made_by() -> dict[str, Any]:
+    """Return the versions and the device of this process, as plain values: {"versions": …, "device": …}."""
     return {"versions": versions(), "device": active_device()}

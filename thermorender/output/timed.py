@@ -1,7 +1,7 @@
-"""One scene as its temperatures follow the weather: its renderers at the instants of a flight or of a day.
+"""Renderers of one scene at the instants of a flight or of a day, as its temperatures follow the weather.
 
-The heat balance is marched once for many instants, and light is solved anew for each of them with nothing traced again.
-What is kept at a time is bounded, and every renderer depends on its instant alone, whatever was asked for before it.
+The heat balance is solved once for many instants. For each instant the light is solved again without tracing rays. The
+memory in use is bounded, and a renderer depends only on its instant, not on earlier requests.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,14 +15,14 @@ from thermorender.scene.scene import Scene
 from thermorender.units import utc_text
 
 if TYPE_CHECKING:
-    # They bring Mitsuba, which whoever has a renderer has loaded.
+    # These import Mitsuba, which is loaded if there is a renderer.
     from thermorender.render.baked import Progress
     from thermorender.render.geometry import Geometry
     from thermorender.render.renderer import Renderer
 
-# Temperatures of a flight are those of the nearest of instants so far apart [s]: at 3 K an hour 25 mK from its own.
+# Step of the temperatures of a flight [s]; a frame takes the nearest: at 3 K an hour the error is up to 25 mK.
 STEP_S = 60.0
-# Instants that are marched together, and whose temperatures are in memory at once.
+# Instants that are solved together, with all their temperatures in memory.
 TOGETHER = 32
 
 
@@ -30,7 +30,7 @@ def solved_in_parts(
     scene: Scene, times: "Sequence[np.datetime64] | NDArray[Any]", geometry: "Geometry",
     progress: "Progress | None" = None,
 ) -> Iterator[Scene]:  # fmt: skip
-    """Give the scene at each instant of a rising sequence, its temperatures solved; few are in memory at once."""
+    """Yield the scene with solved temperatures at each instant of a rising sequence; few are in memory at once."""
     from thermorender.render.renderer import solved_at
 
     for first in range(0, len(times), TOGETHER):
@@ -43,11 +43,11 @@ class TimedRenderer:
     Parameters
     ----------
     renderer : Renderer
-        Of the flight's first instant, its scene's own time.
+        Of the flight's first instant, the time of its scene.
     first_s, last_s : float
-        Times of the whole trajectory [s], also where only a part is flown.
+        Times of the whole trajectory [s], even if only a part is flown.
     progress : callable, optional
-        Called with (what, share done) while a heat balance is marched.
+        Called with (what, share done) while a heat balance is solved.
 
     Raises
     ------
@@ -60,7 +60,7 @@ class TimedRenderer:
     ) -> None:
         self._first, self._first_s, self._progress = renderer, first_s, progress
         self._last_step = round((last_s - first_s) / STEP_S) if renderer.scene.temperature_state.weather_driven else 0
-        # Of two steps at most: what pixels remember reaches back over a change from one to the next.
+        # At most two steps, since the memory of pixels reaches back over a change of the step.
         self._made: dict[int, Renderer] = {}
         self._part: tuple[int, dict[int, Scene]] = (-1, {})
         if self._last_step:
@@ -68,7 +68,7 @@ class TimedRenderer:
             if end > weather.time[-1]:
                 raise ThermorenderError(
                     f"{renderer.scene.where}: the flight ends at {utc_text(end)}, after its weather, which ends at "
-                    f"{utc_text(weather.time[-1])}; give an earlier time, or weather that goes on"
+                    f"{utc_text(weather.time[-1])}; give an earlier time, or longer weather"
                 )
 
     def at(self, time_s: float) -> "Renderer":
@@ -90,15 +90,15 @@ class TimedRenderer:
             return None
         return start.astype("datetime64[ms]") + np.timedelta64(round(1e3 * (time_s - self._first_s)), "ms")
 
-    def record(self, time_s: float) -> dict[str, Any]:
-        """Return what a frame's record says of its temperatures; {} where they do not follow the weather.
+    def temperature_record(self, time_s: float) -> dict[str, Any]:
+        """Return the entry of temperatures in a frame's record; {} without a heat balance.
 
         Returns
         -------
         dict
-            {"temperature": {"time": their instant, UTC; "change_mk": root mean square over the terrain's texels of how
-            they differ from those `STEP_S` before, None for the flight's first [mK]; "moved": of a map that was moved
-            to it, the `moved_report` of the scene's temperature state}}
+            {"temperature": {"time": their instant, UTC; "change_mk": root mean square change over the terrain's texels
+            since `STEP_S` before, None at the flight's first instant [mK]; "moved": the temperature state's
+            `moved_report` for a map moved to the instant}}
         """
         scene = self._first.scene
         if not scene.temperature_state.weather_driven:
@@ -120,7 +120,7 @@ class TimedRenderer:
         return start + np.timedelta64(round(step * STEP_S), "s")
 
     def _scenes(self, step: int) -> dict[int, Scene]:
-        """The scenes of the part of the flight that a step lies in, and that of the step before this part."""
+        """The scenes of the part of the flight around a step, and of the step before this part."""
         from thermorender.render.renderer import solved_at
 
         part = (step - 1) // TOGETHER

@@ -2,18 +2,21 @@
 
 import subprocess
 import tempfile
+from collections.abc import Sequence
 from contextlib import suppress
 from fractions import Fraction
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.files import atomic
 from thermorender.formats import decoded
 
 
-def write_video(path, images, rate_hz):
+def write_video(path: str | PathLike[str], images: Sequence[Path], rate_hz: float) -> None:
     """Write 8-bit PNG files, grey or colour, as an H.264 MP4.
 
     Parameters
@@ -27,7 +30,9 @@ def write_video(path, images, rate_hz):
     Raises
     ------
     ThermorenderError
-        An image that is damaged, or an encoder that ends before the video does: killed, or on a full disk.
+        A damaged image.
+    OSError
+        An encoder that ends too early: killed, or on a full disk.
     """
     import imageio_ffmpeg
 
@@ -43,10 +48,10 @@ def write_video(path, images, rate_hz):
             *("-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-flags:v", "+bitexact", "-fflags", "+bitexact"),
             str(part),
         ]  # fmt: skip
-        with tempfile.TemporaryFile() as told:
-            encoder = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=told)
+        with tempfile.TemporaryFile() as messages:
+            encoder = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=messages)
             try:
-                # An encoder that has ended takes no more, and its status tells why.
+                # The status below reports an encoder that has ended.
                 with suppress(BrokenPipeError):
                     for image in images:
                         encoder.stdin.write(_display(image, first.shape).data)
@@ -59,13 +64,13 @@ def write_video(path, images, rate_hz):
                     encoder.stdin.close()
                 status = encoder.wait()
             if status:
-                told.seek(0)
-                said = " ".join(told.read().decode(errors="replace").split()[-40:])
+                messages.seek(0)
+                said = " ".join(messages.read().decode(errors="replace").split()[-40:])
                 raise OSError(f"the encoder ended with status {status}{': ' if said else ''}{said}")
 
 
-def _display(path, shape=None):
-    """A display image read back, (H, W) or (H, W, 3) RGB uint8; one that is damaged or of another size is refused."""
+def _display(path: Path, shape: tuple[int, ...] | None = None) -> NDArray[np.uint8]:
+    """A display image, (H, W) or (H, W, 3) RGB uint8; a damaged one or one of another shape is refused."""
     import cv2
 
     image = decoded(Path(path).read_bytes(), cv2.IMREAD_UNCHANGED) if Path(path).is_file() else None

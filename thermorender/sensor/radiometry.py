@@ -8,6 +8,7 @@ assumes one emissivity, one distance and one air for the whole image, so it is w
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -220,7 +221,7 @@ def fitted_constants(band_um: tuple[float, float], coldest: float, warmest: floa
     radiance = band_radiance(temperature, *band_um)
     weight = 1.0 / band_radiance_derivative(temperature, *band_um)
 
-    def linear(b: float, f: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def linear(b: float, f: float) -> tuple[NDArray[Any], NDArray[Any]]:
         # R and O are linear, so they are solved for exactly at each b and f.
         basis = np.stack([1.0 / (np.exp(b / temperature) - f), -np.ones_like(temperature)], axis=-1)
         values = np.linalg.lstsq(basis * weight[:, None], radiance * weight, rcond=None)[0]
