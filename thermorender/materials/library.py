@@ -6,7 +6,7 @@ ships one; a scene's own `materials/` folder overrides it.
 """
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,7 +33,7 @@ DIRECTIONAL_MODELS = ("lambertian", "fresnel", "table")
 NAME = re.compile(r"[A-Za-z0-9_-]+")
 
 
-def find(library: dict[str, Material], name: str, where: str) -> Material:
+def find(library: Mapping[str, Material], name: str, where: str) -> Material:
     """Return the material `name` of the library.
 
     Parameters

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.errors import ThermorenderError
 from thermorender.learned.temperature_map import TemperatureMap
-from thermorender.materials.library import Material
+from thermorender.materials.material import Material
 from thermorender.scene.parts.cover import OBJECT, Cover, Painted
 from thermorender.scene.parts.read import Parts
 from thermorender.scene.spec import AtmosphereSpec, EmissivitySpec, SunSpec, TemperatureSpec, WeatherSpec

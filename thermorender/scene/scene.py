@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from thermorender.atmosphere.model import Atmosphere
 from thermorender.errors import ThermorenderError
-from thermorender.materials.library import Material
+from thermorender.materials.material import Material
 from thermorender.physics.geodesy import LocalFrame
 from thermorender.scene.edit import Edits
 from thermorender.scene.ground import Ground
@@ -242,8 +242,10 @@ class Scene(Edits):
             return self.spec.sun
         if self.air is None or not self.temperature_state.solved:
             return None
-        azimuth, elevation = map(float, self.weather.sun(self.time))
-        shines = elevation > 0.0 and float(self.weather.at(self.time).direct_w_m2) > _SUNSHINE_W_M2
+        weather, time = self.weather, self.time
+        assert time is not None
+        azimuth, elevation = map(float, weather.sun(time))
+        shines = elevation > 0.0 and float(weather.at(time).direct_w_m2) > _SUNSHINE_W_M2
         return SunSpec(elevation, azimuth) if shines else None
 
     @cached_property
@@ -285,14 +287,16 @@ class Scene(Edits):
     @property
     def weather_notes(self) -> tuple[str, ...]:
         """What the weather lacked and how it was filled, and how little of it lies before `time`, in sentences."""
-        before_h = (self.time - self.weather.time[0]) / np.timedelta64(3600, "s")
-        notes = list(self.weather.notes)
+        weather, time = self.weather, self.time
+        assert time is not None
+        before_h = (time - weather.time[0]) / np.timedelta64(3600, "s")
+        notes = list(weather.notes)
         if before_h < 24.0:
             notes.append(
-                f"the weather begins {before_h:.1f} h before {utc_text(self.time)}: less than a day leaves the ground "
+                f"the weather begins {before_h:.1f} h before {utc_text(time)}: less than a day leaves the ground "
                 "near the state it was started in"
             )
-        snow = float(self.weather.at(self.time).snow_m)
+        snow = float(weather.at(time).snow_m)
         if snow > 0.0 and not any(each.thermal and each.thermal.cover == "snow" for each in self.materials):
             notes.append(
                 f"snow lies {snow:g} m deep by the weather, but no material of the scene is snow: its ground is taken "

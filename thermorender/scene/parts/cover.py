@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from thermorender.errors import ThermorenderError
 from thermorender.learned.emissivity import load_map
 from thermorender.materials import library as material_tables
-from thermorender.materials.library import Material
+from thermorender.materials.material import Material, grey
 from thermorender.scene.material_map import learned_materials
 from thermorender.scene.parts.read import Parts
 from thermorender.scene.spec import EmissivitySpec, ObjectSpec
@@ -204,4 +204,5 @@ def _single(source: EmissivitySpec, materials: MaterialList) -> int:
         return materials.index(source.material, "emissivity.material")
     if CONSTANT in materials.replaced:
         return materials.index(CONSTANT, "emissivity.value")
-    return materials.add(material_tables.grey(CONSTANT, source.value))
+    assert source.value is not None
+    return materials.add(grey(CONSTANT, source.value))

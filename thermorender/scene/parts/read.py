@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
 from thermorender.materials import library as material_tables
-from thermorender.materials.library import Material
+from thermorender.materials.material import Material
 from thermorender.physics.geodesy import FARTHEST_M, LocalFrame
 from thermorender.scene import terrain
 from thermorender.scene.parts import mesh

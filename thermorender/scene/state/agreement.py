@@ -49,10 +49,11 @@ def refuse_disagreement(declared: Declared, derived: Derived) -> None:
         )
     state = derived.temperature_state
     if isinstance(state, Known) and state.weather_driven:
-        if state.time is None or declared.time is None or state.time != declared.time:
+        if state.time != declared.time:
+            solved, now = ("no instant" if each is None else utc_text(each) for each in (state.time, declared.time))
             raise ThermorenderError(
-                f"{where}: the temperatures were solved for {utc_text(state.time)} and the scene is at "
-                f"{utc_text(declared.time)}; set the instant by at(time), and they are solved again"
+                f"{where}: the temperatures were solved for {solved} and the scene is at {now}; set the instant by "
+                "at(time), and they are solved again"
             )
     terrain = derived.surfaces[: len(derived.shape.ground)]
     if state.solved and not all(np.isfinite(surface.temperature).all() for surface in terrain):

@@ -11,7 +11,7 @@ import numpy as np
 
 from thermorender.errors import ThermorenderError, shortened
 from thermorender.materials import library as material_tables
-from thermorender.materials.library import Material
+from thermorender.materials.material import Material, grey
 from thermorender.scene.parts.tracks import COLUMNS
 from thermorender.scene.raster import FORMATS
 from thermorender.scene.spec import ObjectSpec, TemperatureSpec, WeatherSpec
@@ -28,8 +28,7 @@ def material_of(key: int | str, value: Any, library: Mapping[str, Material]) -> 
     if isinstance(value, Material):
         return value
     if isinstance(value, str):
-        found: Material = material_tables.find(library, value, f"with_material: {key}")
-        return found
+        return material_tables.find(library, value, f"with_material: {key}")
     if isinstance(value, bool) or not isinstance(value, Real):
         raise ThermorenderError(
             f"with_material: {key}={shortened(repr(value))} is not a material; give a name, an emissivity above 0 and "
@@ -37,8 +36,7 @@ def material_of(key: int | str, value: Any, library: Mapping[str, Material]) -> 
         )
     if not 0.0 < float(value) <= 1.0:
         raise ThermorenderError(f"with_material: {key}={value} is not allowed; give an emissivity above 0 and up to 1")
-    grey: Material = material_tables.grey(str(key), float(value))
-    return grey
+    return grey(str(key), float(value))
 
 
 def temperature_spec(source: Any) -> TemperatureSpec:

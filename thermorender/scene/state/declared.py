@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.atmosphere.model import Atmosphere
-from thermorender.materials.library import Material
+from thermorender.materials.material import Material
 from thermorender.scene.spec import SceneSpec
 from thermorender.sensor.camera import Camera
 

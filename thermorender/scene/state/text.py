@@ -43,11 +43,12 @@ def table_of(declared: Declared, derived: Derived) -> str:
 
 def _temperature(declared: Declared, derived: Derived) -> str:
     state = derived.temperature_state
+    when = "" if declared.time is None else utc_text(declared.time)
     if not state.solved:
-        return f"to be solved for {utc_text(declared.time)}"
+        return f"to be solved for {when}"
     terrain = [surface.temperature for surface in derived.surfaces[: len(derived.shape.ground)]]
     low, high = min(values.min() for values in terrain), max(values.max() for values in terrain)
-    return f"{low:.1f}–{high:.1f} K" + (f" at {utc_text(declared.time)}" if state.weather_driven else "")
+    return f"{low:.1f}–{high:.1f} K" + (f" at {when}" if state.weather_driven else "")
 
 
 def _sky(declared: Declared, derived: Derived, long: bool = False) -> str:
