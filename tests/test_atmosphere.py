@@ -386,26 +386,26 @@ def spoilt(values, index, value):
     ("name", "change", "words"),
     [
         ("weight", lambda v: None, "has no array weight"),
-        ("weight", lambda v: v[:-1], r"weight is \(25,\) where lower_um is \(26,\)"),
+        ("weight", lambda v: v[:-1], r"weight is \(25,\) but lower_um is \(26,\)"),
         ("weight", lambda v: 2.0 * v, "weight sums to 2 over 8–9.2 µm; the sum must be 1"),
         ("weight", lambda v: spoilt(v, 3, -0.1), "weight holds -0.1; it must not be negative"),
         ("tilt", lambda v: 1e3 * v, "tilt holds .*; it must be smaller than 1/upper_um"),
         ("lower_um", lambda v: v[None], r"lower_um is \(1, 26\), but \(N,\) is needed"),
-        ("lower_um", lambda v: v[:0], r"upper_um is \(26,\) where lower_um is \(0,\)"),
+        ("lower_um", lambda v: v[:0], r"upper_um is \(26,\) but lower_um is \(0,\)"),
         ("upper_um", lambda v: -v, "lower_um and upper_um are not contiguous sub-bands"),
         ("upper_um", lambda v: np.where(v == 9.2, 9.1, v), "are not contiguous sub-bands .8–9.1, 9.2–10,"),
         ("altitude_m", lambda v: spoilt(v, 5, v[4]), "altitude_m does not rise: 2500 follows 2500"),
         ("altitude_m", lambda v: v[::-1], "altitude_m does not rise"),
-        ("altitude_m", lambda v: v[:1], r"temperature is \(37,\) where altitude_m is \(1,\)"),
+        ("altitude_m", lambda v: v[:1], r"temperature is \(37,\) but altitude_m is \(1,\)"),
         ("absorption", lambda v: 1e308 * (v > 0.0), "give an extinction of .* per metre; air has up to 1e.06"),
         ("temperature", lambda v: v - 273.15, "temperature holds 26.55, not an air temperature in kelvin"),
-        ("temperature", lambda v: v[:-1], r"temperature is \(36,\) where altitude_m is \(37,\)"),
+        ("temperature", lambda v: v[:-1], r"temperature is \(36,\) but altitude_m is \(37,\)"),
         ("density", lambda v: -v, "density holds -.*; it must not be negative"),
-        ("density", lambda v: v.T, r"density is \(37, 16\) where altitude_m is \(37,\)"),
+        ("density", lambda v: v.T, r"density is \(37, 16\) but altitude_m is \(37,\)"),
         ("density", lambda v: spoilt(v, (0, 0), np.inf), "density holds inf; numbers must be finite"),
         ("absorption", lambda v: spoilt(v, (2, 1), -1e-9), "absorption holds -1e-09; it must not be negative"),
         ("absorption", lambda v: spoilt(v, (0, 0), np.nan), "absorption holds nan; numbers must be finite"),
-        ("absorption", lambda v: v[:, :-1], r"absorption is \(26, 15\) where density is \(16, 37\)"),
+        ("absorption", lambda v: v[:, :-1], r"absorption is \(26, 15\) but density is \(16, 37\)"),
         ("absorption", lambda v: v.astype(complex), "absorption is of type complex128"),
         ("absorption", lambda v: v.astype(str), "absorption is of type <U"),
         ("cloud", lambda v: v[:1], r"cloud is \(1,\), but \(2,\) is needed"),
@@ -454,7 +454,7 @@ def test_standard_refuses(arguments, words):
 
 def test_geometry_refuses():
     air = Atmosphere.standard().in_band(8.0, 12.0)
-    with pytest.raises(ThermorenderError, match="range_m=50 is shorter than the altitudes from_m=100 and to_m=0"):
+    with pytest.raises(ThermorenderError, match="range_m=50 is shorter than the difference of from_m=100 and to_m=0"):
         air.transmittance(100.0, 0.0, 50.0)
     with pytest.raises(ThermorenderError, match="to_m=nan is out of range; give metres above sea level"):
         air.path_radiance(100.0, np.nan, 50.0)
@@ -508,7 +508,7 @@ def changed(column, function):
         (changed(3, lambda v: -v), HEADER, "relative_humidity_percent=-60 is out of range"),
         (changed(3, lambda v: "wet"), HEADER, "line 2: .* is not a row of numbers; give 4 with"),
         (changed(3, lambda v: "nan"), HEADER, "has a value that is not finite"),
-        ([(0, 1013, 288, 15, 60), (1000, 898, 281, 65, 55)], HEADER, "line 2: .* no row of numbers; give 4 numbers w"),
+        ([(0, 1013, 288, 15, 60), (1000, 898, 281, 65, 55)], HEADER, "line 2: .* not a row of numbers; give 4 w"),
         (GOOD, HEADER.replace(",", ";"), "is separated by semicolons; save it comma-separated with a point"),
         ([(*row, 200.0) for row in GOOD], HEADER + ",temperature_k", "has the column temperature_k twice"),
         (GOOD[:1], HEADER, "has 1 levels; give at least 2"),

@@ -650,7 +650,7 @@ def test_date_times_of_a_dji_log(tmp_path):
     ):
         read(tmp_path, header + row + "noon,0,\n", **options)
     with pytest.raises(
-        ThermorenderError, match="no time: of the columns utc_at_exposure, local_datetime none"
+        ThermorenderError, match="no time: none of the columns utc_at_exposure, local_datetime"
     ):
         read(tmp_path, header + row + ",0,\n", **options)
 

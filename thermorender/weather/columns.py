@@ -137,8 +137,8 @@ def check_light(where: object, column: str, values: NDArray[np.float64], elevati
     most = np.nanmax(values)
     if elevation_deg.max() > 20.0 and most < 5.0 and not ("direct" in column and most <= 0.0):
         raise ThermorenderError(
-            f"{where}: {column} is {most:g} W/m² at most, but the sun rises to {elevation_deg.max():.0f}°; it looks "
-            "like MJ or kW, or was not measured, so give W/m² or leave it out"
+            f"{where}: {column} is {most:g} W/m² at most although the sun rises to {elevation_deg.max():.0f}°; it "
+            "looks like MJ or kW, or was not measured, so give W/m² or leave it out"
         )
 
 
