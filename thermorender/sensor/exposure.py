@@ -405,7 +405,7 @@ class Exposure:
     def _interpolated(
         self, images: list[tuple[float, Image]], relief: Relief, time_s: float, here: Any
     ) -> tuple[Image, Image]:
-        """(The image at a time, its `border_uncertainty`) from one or two images (time, (H, W) float32) before and after it."""
+        """(The image at a time, its `border_uncertainty`) from the images (time, (H, W) float32) before and after."""
         if images[0][0] == time_s:
             return images[0][1], np.zeros_like(images[0][1][here])
         camera, wanted = self.sensor.camera, self._pose_at(time_s)
