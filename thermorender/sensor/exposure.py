@@ -26,7 +26,7 @@ from thermorender.sensor.detector import (
     steady,
     stepped,
 )
-from thermorender.sensor.motion import Relief, grid_camera, guess_of, moved, pixel_grid
+from thermorender.sensor.motion import Relief, border_uncertainty, grid_camera, moved, pixel_grid
 from thermorender.sensor.movers import Mover, Part, parts
 from thermorender.sensor.schedule import (
     FITTED_GRADIENT_MK,
@@ -245,7 +245,7 @@ class Exposure:
             for at in {renders[max(after - 1, 0)], renders[min(after, len(renders) - 1)], plan.own}:
                 column, row = relief.source_pixels(self._pose_at(times[at]), self._pose_at(times[number]))
                 column, row = column[here], row[here]
-                guess = guess_of(image, column, row)
+                guess = border_uncertainty(image, column, row)
                 # The rim of the frame's own image estimates the uncertainty beyond the rim of another.
                 unseen = unseen * (guess if at == plan.own else guess > 0.0)
             if number not in renders and np.sqrt(np.mean(unseen**2)) > self._lag_mk * per_mk(self.sensor.camera):
@@ -405,7 +405,7 @@ class Exposure:
     def _interpolated(
         self, images: list[tuple[float, Image]], relief: Relief, time_s: float, here: Any
     ) -> tuple[Image, Image]:
-        """(The image at a time, its `guess_of`) from one or two images (time, (H, W) float32) before and after it."""
+        """(The image at a time, its `border_uncertainty`) from the images (time, (H, W) float32) before and after."""
         if images[0][0] == time_s:
             return images[0][1], np.zeros_like(images[0][1][here])
         camera, wanted = self.sensor.camera, self._pose_at(time_s)
@@ -415,7 +415,7 @@ class Exposure:
             inside = (np.abs(column + 0.5 - 0.5 * camera.width) <= 0.5 * camera.width) & (
                 np.abs(row + 0.5 - 0.5 * camera.height) <= 0.5 * camera.height
             )
-            found.append((moved(image, column, row), inside, guess_of(image, column[here], row[here])))
+            found.append((moved(image, column, row), inside, border_uncertainty(image, column[here], row[here])))
         if len(found) == 1:
             return found[0][0], found[0][2]
         (first, in_first, guess), (second, in_second, other) = found

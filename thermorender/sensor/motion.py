@@ -132,7 +132,7 @@ def moved(image: Image, column: Image, row: Image, coarsely: bool = False) -> Im
     return found
 
 
-def guess_of(image: Image, column: Image, row: Image) -> Image:
+def border_uncertainty(image: Image, column: Image, row: Image) -> Image:
     """Return the uncertainty of `moved` at positions outside the image, in the shape of `column`; 0 inside.
 
     It is the difference between the nearest border pixel and the image as far inside the border.
