@@ -806,7 +806,7 @@ def test_foreign_frames_are_checked_before_anything_is_rendered(ground, tmp_path
     with pytest.raises(ThermorenderError, match="below 100 K"):
         compare([flight(ground)], tmp_path / "c", [], Options(foreign={"celsius": celsius}, settings={"rays": 8}))
     small = frames_of(ground, 3, tmp_path / "small", lambda kelvin, index: kelvin[::2])
-    with pytest.raises(ThermorenderError, match="pixels; the camera has"):
+    with pytest.raises(ThermorenderError, match="pixels, but the camera has"):
         compare([flight(ground)], tmp_path / "c", [], Options(foreign={"small": small}, settings={"rays": 8}))
     level = uniform_map(tmp_path / "small.npz", 0.5)
     with pytest.raises(ThermorenderError, match="two methods are called 'small'"):
