@@ -85,7 +85,7 @@ def known_errors(numbers, valid=np.s_[2:, 3:]):
 
 @pytest.fixture
 def undrawn(monkeypatch):
-    """Draw nothing: what the figures show is tested once."""
+    """Draw nothing: the figures are tested once."""
     for name in ("picture", "against_time"):
         monkeypatch.setattr(figures, name, lambda *arguments: None)
 
@@ -108,11 +108,11 @@ def test_sums_of_parts_add_up_to_the_statistics_of_all_errors():
     error, group = rng.normal(1.5, 2.0, (30, 40)), rng.integers(0, 3, (30, 40))
     error[3, 4:9] = np.nan
     rows = sums.rows_by(error, group, 4)
-    told, all_of_it = sums.summary(rows.sum(axis=0)), error[np.isfinite(error)]
-    assert told["me_k"] == pytest.approx(all_of_it.mean()) and told["sd_k"] == pytest.approx(all_of_it.std())
-    assert told["mae_k"] == pytest.approx(np.abs(all_of_it).mean())
-    assert told["rmse_k"] == pytest.approx(np.sqrt((all_of_it**2).mean()))
-    assert told["pixels"] == 1195 and told["pixels_without_temperature"] == 5
+    reported, all_of_it = sums.summary(rows.sum(axis=0)), error[np.isfinite(error)]
+    assert reported["me_k"] == pytest.approx(all_of_it.mean()) and reported["sd_k"] == pytest.approx(all_of_it.std())
+    assert reported["mae_k"] == pytest.approx(np.abs(all_of_it).mean())
+    assert reported["rmse_k"] == pytest.approx(np.sqrt((all_of_it**2).mean()))
+    assert reported["pixels"] == 1195 and reported["pixels_without_temperature"] == 5
     assert sums.summary(rows[2])["mae_k"] == pytest.approx(np.nanmean(np.abs(error[group == 2])))
     assert sums.summary(rows[3])["mae_k"] is None
     np.testing.assert_allclose(sums.row(error), rows.sum(axis=0))
@@ -144,9 +144,9 @@ def test_the_interval_of_a_difference_uses_that_pictures_are_the_same():
     rows = np.repeat(of_errors([common, common + own]), 9, axis=1)
     ((group, more, (low, high)),) = paired.differences(rows, [[0], [1]], cluster, seed=1)
     assert group == [1] and more == pytest.approx(own.mean())
-    # What both have in common, twenty times the difference's scatter, is in no interval.
+    # Their common error, twenty times the scatter of the difference, does not widen the interval.
     assert high - low == pytest.approx(2 * 1.96 * own.std() / np.sqrt(400), rel=0.1) and low < more < high
-    # A picture that one of them lacks counts for neither, and one cluster tells no interval.
+    # A picture that one of them lacks counts for neither, and one cluster gives no interval.
     rows[1, :9] = 0.0
     assert paired.differences(rows, [[0], [1]], cluster)[0][1] == pytest.approx(own[1:].mean())
     assert paired.differences(rows, [[0], [1]], np.zeros(3600, int))[0][2] is None
@@ -157,12 +157,12 @@ def test_the_interval_of_a_difference_uses_that_pictures_are_the_same():
 
 
 def test_the_interval_of_a_difference_includes_the_scatter_of_seeds():
-    """Pictures alike, so that seeds alone scatter: s √(1/3 + 1/3) of two methods with three seeds each."""
+    """Equal pictures, so only seeds scatter: s √(1/3 + 1/3) for two methods with three seeds each."""
     first, other = np.array([1.0, 1.3, 1.6]), np.array([2.0, 2.3, 2.6])
     rows = of_errors(np.repeat([*first, *other], 50).reshape(6, 50))
     ((_, more, (low, high)),) = paired.differences(rows, [[0, 1, 2], [3, 4, 5]], np.arange(50), seed=2)
     assert more == pytest.approx(1.0) and low < 1.0 < high
-    # Few values are drawn, so that percentiles are those of a coarse law.
+    # Few values are drawn, so the percentiles are coarse.
     assert high - low == pytest.approx(2 * 1.96 * first.std(ddof=1) * np.sqrt(2.0 / 3.0), rel=0.15)
 
 
@@ -207,10 +207,10 @@ def test_structural_similarity_equals_a_direct_sum():
                 xy = (window * (x - mx) * (y - my)).sum()
                 c1, c2 = (0.01 * 255) ** 2, (0.03 * 255) ** 2
                 values.append((2 * mx * my + c1) * (2 * xy + c2) / ((mx**2 + my**2 + c1) * (vx + vy + c2)))
-    told = similarity.summary(found)
-    assert found[3] == len(values) > 20 and told["ssim"] == pytest.approx(np.mean(values), rel=1e-9)
+    reported = similarity.summary(found)
+    assert found[3] == len(values) > 20 and reported["ssim"] == pytest.approx(np.mean(values), rel=1e-9)
     square = ((other - true)[known] ** 2).mean()
-    assert told["psnr_db"] == pytest.approx(10 * np.log10(255**2 / square))
+    assert reported["psnr_db"] == pytest.approx(10 * np.log10(255**2 / square))
     same = similarity.summary(similarity.Similarity(true, known).row(true))
     assert same["ssim"] == pytest.approx(1.0) and same["psnr_db"] is None
 
@@ -258,7 +258,7 @@ def test_known_errors_are_reproduced(scored):
     assert groups["surface"]["man-made"] == groups["material"]["asphalt"]
     assert groups["surface"]["natural"] == groups["material"]["grass_green"]
     assert sum(each["pixels"] for each in groups["edges"].values()) == error.size
-    # The first two rows are no ground.
+    # The first two rows are not ground.
     sky = np.concatenate([known_pair(n)[2][:2, 3:] for n in range(4, 10)])
     assert groups["surface"]["sky, not scored"]["pixels"] == sky.size
     assert groups["surface"]["sky, not scored"]["me_k"] == pytest.approx(sky.mean(), abs=3e-3)
@@ -281,7 +281,7 @@ def test_baselines_have_the_expected_errors(scored):
     assert methods[BALANCE]["me_k"] == pytest.approx(1.5, abs=2e-3)
     assert methods[BALANCE]["mae_k"] == pytest.approx(1.5, abs=2e-3)
     assert methods[BALANCE]["sd_k"] == pytest.approx(0.0, abs=5e-3)
-    # Of Gaussian draws the best map errs by √(2/π) of their deviation.
+    # For Gaussian draws, the error of the best map is √(2/π) of their standard deviation.
     assert methods[REDRAWN]["mae_k"] == pytest.approx(np.sqrt(2 / np.pi) * HIDDEN_K, rel=0.02)
     grass = [known_pair(n)[3][2:, 3:] == 0 for n in range(10)]
     own = band_radiance(np.concatenate([true[n][grass[n]] for n in range(4)]), *BAND_UM).mean()
@@ -327,7 +327,7 @@ def test_pictures_without_truth_use_an_assumed_range(undrawn, tmp_path):
     visible = np.zeros((*SHAPE, 3), np.uint8)
     writer.shard("all", [(Entry(f"p{n}", ("train", "test", "test")[n], f"p{n}", "a", n, SHAPE), packed(visible, image))
                          for n, image in enumerate(thermal)])  # fmt: skip
-    # Half of the way from cold to warm everywhere.
+    # Halfway from cold to warm everywhere.
     save_map(linear_map(intercept=0.5).ranged((14.0, 24.0)), tmp_path / "m.npz")
     result = evaluate(read_dataset(tmp_path / "d"), [tmp_path / "m.npz"], tmp_path / "o")
     cold, warm = band_radiance(np.array([287.15, 297.15]), *BAND_UM)

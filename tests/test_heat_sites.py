@@ -143,7 +143,7 @@ def test_stated_figures_agree_with_the_code(name):
 
 
 def test_measurements_are_read_like_the_weather(tmp_path):
-    """−9999 is no temperature, and times may tell their offset."""
+    """−9999 is not a temperature, and times may have an offset."""
     surface = np.full(49, 20.0)
     surface[7] = -9999.0
     site = site_of(tmp_path, 'cover = [["asphalt", 1.0]]\nsurface = "surface_c"\n', surface_c=surface)

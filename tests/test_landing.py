@@ -52,7 +52,7 @@ def test_a_spot_is_locked_then_followed_past_a_warmer_one_and_lost():
         seen = tracker.look(picture({(100 + step, 200): 60}, 40.0, step), 40.0)
         assert seen == pytest.approx([100 + step, 200], abs=3.0)
     assert tracker.locked
-    # A warmer one far away does not lead it astray.
+    # A warmer spot far away is ignored.
     seen = tracker.look(picture({(104, 200): 60, (200, 60): 300}, 40.0, 7), 40.0)
     assert seen == pytest.approx([104, 200], abs=3.0)
     for step in range(guidance.MISSING):
@@ -98,14 +98,14 @@ def test_landings_are_paired_resumed_and_summarised(tmp_path):
     assert render["contrast_k"] > 20.0 and render["acquired_s"] < 1.0 and render["right"] > 0.95
     assert render["error_m"] < run.NEAR_M
     lines = (tmp_path / run.LOG).read_text()
-    # A line that was cut short by a kill is no run.
+    # An incomplete line is not a run.
     (tmp_path / run.LOG).write_text(lines + '{"run": 7, "fra')
     assert run.fly(tmp_path, ["fok-1to1"], 1, sizes=small, quality="fast", rays=8) == json.loads(
         "[" + ",".join(lines.splitlines()) + "]"
     )
     assert (tmp_path / run.LOG).read_text() == lines
-    told = run.write(found, tmp_path)
-    assert told["A"]["near"] == 1.0 and len(run.rows(told)) == 3
+    reported = run.write(found, tmp_path)
+    assert reported["A"]["near"] == 1.0 and len(run.rows(reported)) == 3
     with pytest.raises(ThermorenderError, match="has landings of other settings"):
         run.fly(tmp_path, ["fok-1to1"], 1, sizes=small, quality="high", rays=8)
     with pytest.raises(ThermorenderError, match="takes hour and weather as input"):

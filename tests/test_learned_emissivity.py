@@ -599,7 +599,7 @@ def test_the_shipped_map_beats_simpler_methods_on_unseen_land(monkeypatch):
 
 
 def test_the_map_is_not_evaluated_on_what_it_was_trained_on():
-    with pytest.raises(ThermorenderError, match="seed=101 is a seed that .procedural. was trained on; give another"):
+    with pytest.raises(ThermorenderError, match="seed=101 is a seed that 'procedural' was trained on; give another"):
         validation.evaluate("procedural", (101,))
 
 

@@ -130,11 +130,11 @@ def test_statistics_follow_from_pixels_csv(ground, tmp_path):
     for label in found["methods"]:
         for stage in ("radiometric", "sensor"):
             n, mean, absolute, square = sums[label, stage, "ground"]
-            told = errors(found, label, stage)
-            assert told["pixels"] == n
-            assert told["me_k"] == pytest.approx(mean / n, abs=1e-9)
-            assert told["mae_k"] == pytest.approx(absolute / n, abs=1e-9)
-            assert told["sd_k"] == pytest.approx(np.sqrt(square / n - (mean / n) ** 2), abs=1e-6)
+            reported = errors(found, label, stage)
+            assert reported["pixels"] == n
+            assert reported["me_k"] == pytest.approx(mean / n, abs=1e-9)
+            assert reported["mae_k"] == pytest.approx(absolute / n, abs=1e-9)
+            assert reported["sd_k"] == pytest.approx(np.sqrt(square / n - (mean / n) ** 2), abs=1e-6)
 
 
 def test_errors_equal_those_of_separately_rendered_frames(ground, tmp_path):
@@ -150,9 +150,9 @@ def test_errors_equal_those_of_separately_rendered_frames(ground, tmp_path):
         kept = np.load(tmp_path / f"c/arrays/ground_{index:04d}.npz")
         assert np.array_equal(kept["reference"], frame.apparent_temperature) and kept["B_level"].std() < 1e-3
     off = np.concatenate(off)
-    told = errors(found, "B level")
-    assert told["pixels"] == off.size and told["me_k"] == pytest.approx(off.mean(), abs=2e-4)
-    assert told["mae_k"] == pytest.approx(np.abs(off).mean(), abs=2e-4)
+    reported = errors(found, "B level")
+    assert reported["pixels"] == off.size and reported["me_k"] == pytest.approx(off.mean(), abs=2e-4)
+    assert reported["mae_k"] == pytest.approx(np.abs(off).mean(), abs=2e-4)
 
 
 @pytest.fixture(scope="module")
@@ -183,8 +183,8 @@ def test_findings_are_grouped_by_kind_and_methods_with_the_same_finding_share_a_
         (True, "B m", "leak", "seen"), (False, "C1 m", "offset", "of 1 K"), (False, "C2 m", "emissivity", "too high"),
         (False, "B m", "offset", "of 2 K"), (False, "C2 n", "emissivity", "too high"),
     ]  # fmt: skip
-    told = [dict(zip(("grave", "method", "kind", "says"), each, strict=True)) for each in said]
-    assert findings.grouped(told) == [
+    reported = [dict(zip(("grave", "method", "kind", "says"), each, strict=True)) for each in said]
+    assert findings.grouped(reported) == [
         ("Seen in training", True, ["B m: seen"]),
         ("An offset is most of the error", False, ["C1 m: of 1 K", "B m: of 2 K"]),
         ("Wrong emissivity", False, ["C2 m, C2 n: too high"]),
@@ -223,9 +223,9 @@ def test_shifted_photographs_are_found(ground, tmp_path, monkeypatch):
 
 
 def test_a_wrong_emissivity_is_found(planted):
-    told = [each for each in planted["findings"] if each["kind"] == "emissivity"]
-    assert told and {each["method"] for each in told} == {"foreign metal"}
-    for each in told:
+    reported = [each for each in planted["findings"] if each["kind"] == "emissivity"]
+    assert reported and {each["method"] for each in reported} == {"foreign metal"}
+    for each in reported:
         assert each["says"].startswith("the error of sand_quartz") and "emissivity wrong by -" in each["says"]
 
 
@@ -301,8 +301,8 @@ def test_bounds_are_refitted_on_other_lands_of_the_same_hour_and_weather(tmp_pat
     ]  # fmt: skip
     flown = [flight(folder) for folder in folders]
     found = compare(flown, tmp_path / "o", ["fok-1to1"], Options(settings={"rays": 2, "samples": 1}))
-    told = {scene["name"]: scene["campaign"] for scene in found["scenes"]}
-    assert told["c"] is None and told["a"]["lands"] == 1
+    reported = {scene["name"]: scene["campaign"] for scene in found["scenes"]}
+    assert reported["c"] is None and reported["a"]["lands"] == 1
     # Those of `a` are the quartiles of what the camera reads over `b` alone.
     renderer, counts = tr.Renderer(flown[1].scene, rays=2, samples=1), []
     for index, pose in enumerate(flown[1].poses):
@@ -312,8 +312,8 @@ def test_bounds_are_refitted_on_other_lands_of_the_same_hour_and_weather(tmp_pat
     camera = flown[1].scene.camera
     ends = radiance_from_counts(np.array([first - 1.5 * (third - first), third + 1.5 * (third - first)]), camera)
     expected = brightness_temperature(ends, *BAND) - 273.15
-    assert told["a"]["bounds_c"] == pytest.approx(expected, abs=0.02)
-    assert told["a-again"]["bounds_c"] == told["a"]["bounds_c"] and told["b"]["bounds_c"] != told["a"]["bounds_c"]
+    assert reported["a"]["bounds_c"] == pytest.approx(expected, abs=0.02)
+    assert reported["a-again"]["bounds_c"] == reported["a"]["bounds_c"] != reported["b"]["bounds_c"]
     labels = set(found["methods"])
     ways = {"fok-1to1", "fok-1to1, refitted", "fok-1to1, calibrated"}
     assert {f"{letter} {way}" for letter in ("B", "C1") for way in ways} <= labels
@@ -327,9 +327,9 @@ def test_a_land_is_the_same_under_snow_but_differs_from_other_lands(tmp_path):
     snow = np.where(rng.uniform(size=one.shape) < 0.2, 0.03, 0.0)
     heights = {"bare": one, "snowy": one + snow, "other": other, "flat": np.zeros((32, 32))}
     # The ground's mesh is finer beside an object.
-    thing = '[[object]]\nname = "thing"\nshape = "box"\nposition = [1, 2, 0]\ntemperature = 330.0\nmaterial = "brass"\n'
+    box = '[[object]]\nname = "box"\nshape = "box"\nposition = [1, 2, 0]\ntemperature = 330.0\nmaterial = "brass"\n'
     scenes = [
-        tr.load_scene(write_terrain(tmp_path / name, height, extra=thing if name == "snowy" else ""))
+        tr.load_scene(write_terrain(tmp_path / name, height, extra=box if name == "snowy" else ""))
         for name, height in heights.items()
     ]
     assert len(scenes[0].surfaces[0].vertices) != len(scenes[1].surfaces[0].vertices)
@@ -443,8 +443,8 @@ def test_only_the_method_with_true_objects_knows_their_temperatures(tmp_path):
     folder = write_terrain(tmp_path / "s", height=np.zeros((32, 32)), extra=hot)
     level = uniform_map(tmp_path / "level.npz", 0.5)
     found = compare([flight(folder, height=15.0)], tmp_path / "c", [level], Options(settings={"rays": 8}))
-    plain, told = (errors(found, label, part="objects")["me_k"] for label in ("C1 level", "C1 level, true objects"))
-    assert plain < -50.0 and abs(told) < 1.0
+    plain, true = (errors(found, label, part="objects")["me_k"] for label in ("C1 level", "C1 level, true objects"))
+    assert plain < -50.0 and abs(true) < 1.0
     # Of radiance, so above that of temperature by a little.
     assert 0.0 < errors(found, "D the frame's own mean")["me_k"] < 0.2
     assert errors(found, "B level", part="objects")["me_k"] == pytest.approx(plain, abs=3.0)
@@ -542,11 +542,11 @@ def test_compare_reads_a_flight_log_as_fly_does(ground, tmp_path, call, monkeypa
     )
     taken = []
 
-    def told(flights, *_, **__):
+    def reported(flights, *_, **__):
         taken.extend(flights)
         raise ThermorenderError("seen")
 
-    monkeypatch.setattr("thermorender.compare.referee.run.compare", told)
+    monkeypatch.setattr("thermorender.compare.referee.run.compare", reported)
     words = ("--mount", "0,-90,0", "--lever-arm-m", "0,0,2", "--clock-offset-s", "10", "--start-s", "12",
              "--stop-s", "15", "--rate-hz", "1")  # fmt: skip
     status, _, errors = call("compare", ground, "-o", tmp_path / "c", "--trajectory", tmp_path / "log.csv", *words)
@@ -635,10 +635,10 @@ def test_warm_and_cold_targets_are_found_but_not_a_misplaced_one():
     view = SimpleNamespace(object=number, known=np.ones(rows.shape, bool), truth=truth, index=0)
     found = targets.Targets()
     found.add("s", view, list(places), truth, 8000.0 + 25.0 * (truth - 290.0) + rng.normal(0.0, 10.0, rows.shape))
-    told = found.summary()["objects"]
-    assert {name: own["found"] for name, own in told.items()} == {"warm": 1.0, "cold": 1.0, "elsewhere": 0.0}
-    assert told["cold"]["contrast_k"] == told["cold"]["true_contrast_k"] == pytest.approx(-12.0, abs=0.5)
-    assert told["cold"]["offset_px"] < 2.0
+    reported = found.summary()["objects"]
+    assert {name: own["found"] for name, own in reported.items()} == {"warm": 1.0, "cold": 1.0, "elsewhere": 0.0}
+    assert reported["cold"]["contrast_k"] == reported["cold"]["true_contrast_k"] == pytest.approx(-12.0, abs=0.5)
+    assert reported["cold"]["offset_px"] < 2.0
 
 
 def test_the_emissivity_that_explains_an_error_is_found():
@@ -658,10 +658,10 @@ def test_the_emissivity_that_explains_an_error_is_found():
     error = brightness_temperature(radiance, *BAND) - kinetic
     found = emissivities.Emissivities()
     found.add("here", view, contrast, radiance, error, np.array([0.95, 0.95]))
-    told = found.summary()
-    assert told["wrong"]["others_k"] == pytest.approx(0.0, abs=1e-6)
-    assert set(told) == {"wrong"} and told["wrong"]["change"] == pytest.approx(-0.05, abs=1e-4)
-    assert told["wrong"]["share"] == pytest.approx(0.5) and told["wrong"]["explained"] > 0.99
+    reported = found.summary()
+    assert reported["wrong"]["others_k"] == pytest.approx(0.0, abs=1e-6)
+    assert set(reported) == {"wrong"} and reported["wrong"]["change"] == pytest.approx(-0.05, abs=1e-4)
+    assert reported["wrong"]["share"] == pytest.approx(0.5) and reported["wrong"]["explained"] > 0.99
 
 
 def test_the_registered_photograph_matches_that_of_the_visible_camera(ground, tmp_path, call):
@@ -673,15 +673,15 @@ def test_the_registered_photograph_matches_that_of_the_visible_camera(ground, tm
     (folder / "small.toml").write_text(text.replace("visible_width = 4000", "visible_width = 1600"))
     with open(folder / "scene.toml", "a", encoding="utf-8") as file:
         file.write('\n[camera]\nmodel = "small.toml"\n')
-    status, _, told = call("render", folder, "-o", tmp_path / "r", "--pose", "0,0,8,0,-90,0", "--products", "visible",
+    status, _, err = call("render", folder, "-o", tmp_path / "r", "--pose", "0,0,8,0,-90,0", "--products", "visible",
                            "--rays", "4")  # fmt: skip
-    assert status == 0, told
+    assert status == 0, err
     import cv2
 
     registered, whole = (cv2.imread(str(tmp_path / f"r/frame_000000_visible{end}.png")).astype(float)
                          for end in ("", "_camera"))  # fmt: skip
     assert registered.shape == (512, 640, 3) and whole.shape[1] == 1600
-    # Where a pixel of the thermal camera lies in the wider picture: same axis, another focal length.
+    # Position of the thermal camera's pixels in the wider picture: same axis, another focal length.
     thermal = load_camera("zenmuse-xt2")
     scale = 1600 / (2.0 * np.tan(np.radians(57.12 / 2.0))) / thermal.focal_length_px
     side = whole.shape[0]
@@ -695,14 +695,14 @@ def test_the_registered_photograph_matches_that_of_the_visible_camera(ground, tm
 
 def test_learned_materials_do_not_change_objects():
     scene = tr.load_scene("heath")
-    told = scene.with_learned_materials(methods.learned_materials())
-    for before, after in zip(scene.surfaces[1:], told.surfaces[1:], strict=True):
+    reported = scene.with_learned_materials(methods.learned_materials())
+    for before, after in zip(scene.surfaces[1:], reported.surfaces[1:], strict=True):
         assert [scene.materials[k].name for k in np.unique(before.material)] == [
-            told.materials[k].name for k in np.unique(after.material)
+            reported.materials[k].name for k in np.unique(after.material)
         ]
     assert (
-        told.emissivity_report["model"] == "procedural"
-        and told.surfaces[0].material.shape == scene.surfaces[0].material.shape
+        reported.emissivity_report["model"] == "procedural"
+        and reported.surfaces[0].material.shape == scene.surfaces[0].material.shape
     )
 
 
@@ -764,8 +764,8 @@ def test_pictures_with_almost_no_or_inverted_contrast_are_found(ground, tmp_path
     }
     found = compare([flight(ground)], tmp_path / "c", [], Options(foreign=folders, settings={"rays": 8}))
     for name, gain in (("grey", "0.10"), ("turned", "-1.00")):
-        (told,) = [each["says"] for each in found["findings"] if each["method"] == f"foreign {name}"]
-        assert told.startswith(f"it shows {gain} of the reference's contrast")
+        (reported,) = [each["says"] for each in found["findings"] if each["method"] == f"foreign {name}"]
+        assert reported.startswith(f"it shows {gain} of the reference's contrast")
 
 
 def test_a_material_is_compared_with_others_of_its_own_scenes():
@@ -778,9 +778,9 @@ def test_a_material_is_compared_with_others_of_its_own_scenes():
     for name in ("snow", "soil", "grass", "sand"):
         count, error = sum(own.get(name, np.zeros(2)) for own in found.scenes.values())
         found.rows[name] = np.array([count, 1e-3, 1.0, 1.0, error, 0.95 * count])
-    told = found.summary()
-    assert told["snow"]["error_k"] == 20.0 and told["snow"]["others_k"] == pytest.approx(20.0)
-    method = {"letter": "B", "emissivities": {"told": told}}
+    reported = found.summary()
+    assert reported["snow"]["error_k"] == 20.0 and reported["snow"]["others_k"] == pytest.approx(20.0)
+    method = {"letter": "B", "emissivities": {"told": reported}}
     assert "snow" not in " ".join(each["says"] for each in findings._materials("B m", method))
     found.scenes["w"]["snow"][1] = found.rows["snow"][4] = 8000.0
     (snow,) = findings._materials("B m", {"letter": "B", "emissivities": {"told": found.summary()}})
@@ -808,7 +808,7 @@ def test_foreign_frames_are_checked_before_anything_is_rendered(ground, tmp_path
     with pytest.raises(ThermorenderError, match="below 100 K"):
         compare([flight(ground)], tmp_path / "c", [], Options(foreign={"celsius": celsius}, settings={"rays": 8}))
     small = frames_of(ground, 3, tmp_path / "small", lambda kelvin, index: kelvin[::2])
-    with pytest.raises(ThermorenderError, match="pixels; the camera has"):
+    with pytest.raises(ThermorenderError, match="pixels, but the camera has"):
         compare([flight(ground)], tmp_path / "c", [], Options(foreign={"small": small}, settings={"rays": 8}))
     level = uniform_map(tmp_path / "small.npz", 0.5)
     with pytest.raises(ThermorenderError, match="two methods are called 'small'"):
@@ -829,12 +829,12 @@ def test_a_picture_is_translated_once_for_all_bounds_and_its_time_counts_for_eac
     heights = np.random.default_rng(1).uniform(0.0, 0.3, (2, 32, 32))
     lands = [write_terrain(tmp_path / f"land{k}", heights[k], structured(5 + k), extra=WEATHER) for k in range(2)]
     flights = [flight(each, poses=2) for each in lands]
-    told = compare(flights, tmp_path / "c", [uniform_map(tmp_path / "m.npz", 0.5)], Options(settings={"rays": 8}))
+    reported = compare(flights, tmp_path / "c", [uniform_map(tmp_path / "m.npz", 0.5)], Options(settings={"rays": 8}))
     texels = flights[0].scene.surfaces[0].colour.shape
     photograph_of = (flights[0].scene.camera.height, flights[0].scene.camera.width, 3)
     # Photographs once more, to calibrate it for the other land.
     assert asked.count(texels) == len(lands) and asked.count(photograph_of) == 2 * 2 * len(lands)
-    own = {label: found for label, found in told["methods"].items() if found["map"] == "m"}
+    own = {label: found for label, found in reported["methods"].items() if found["map"] == "m"}
     ways = ["m", "m, calibrated", "m, refitted"]
     assert sorted(own) == [*(f"{letter} {way}" for letter in ("B", "C1") for way in ways), "C2 m, calibrated"]
     for label, found in own.items():

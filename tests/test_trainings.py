@@ -31,14 +31,14 @@ def test_curves_best_errors_and_plateaus_are_read_from_logs(tmp_path):
     result = trainings.run([flat, falling])
     one, other = result["runs"]
     assert (one["name"], one["best_mae_k"], one["best_crops"], one["best_core_s"]) == ("falling", 1.0, 500, 50.0)
-    # Over the last fifth of its crops the one halves its error, the other gains half a percent.
+    # Over the last fifth of the crops, one halves its error, the other improves by half a percent.
     assert one["last_fifth"] == pytest.approx(0.5) and other["last_fifth"] == pytest.approx(0.005)
     assert one["published_crops"] == 3511 * 200
     rows = {row[0]: row for row in trainings.rows(result)}
     assert rows["flat"][-1] == "−0.5 %, plateau" and rows["falling"][-1] == "−50.0 %"
     short = trainings.run([write(tmp_path / "short.run", [2.0, 1.0])])
     assert short["runs"][0]["last_fifth"] is None and trainings.rows(short)[0][-1] == "too short"
-    # Both are of one method, which is not held against itself.
+    # Both have the same method, which is not compared with itself.
     assert not trainings.sentences(result)
 
 
@@ -49,7 +49,7 @@ def test_a_method_is_ahead_with_less_error_in_a_tenth_of_the_time(tmp_path):
     assert trainings.sentences(trainings.run([slow, fast])) == [
         "compact is ahead of pix2pix by at least 0.50 K, within 1/10 of the core time of its best error"
     ]
-    # A second whose best is less, or one that came to its best sooner, is not beaten.
+    # A second run with a smaller or an earlier best error is not behind.
     for number, other in enumerate(([1.4], [1.9])):
         more = write(tmp_path / f"{number}.run", other, core_s=1000.0 if number == 0 else 50.0)
         assert not trainings.sentences(trainings.run([slow, fast, more]))

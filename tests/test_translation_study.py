@@ -35,7 +35,7 @@ def test_steps_are_summed_at_borders_and_elsewhere():
     # Across the line 3.1 K, from column to column 0.1 K, from row to row nothing.
     assert sums[0] == pytest.approx([300 * 3.1, 300])
     assert sums[1] == pytest.approx([300 * 598 * 0.1, 300 * 598 + 299 * 600])
-    # What has no temperature makes no step.
+    # Pixels without temperature do not count.
     temperature[7, 255] = np.nan
     assert translation._steps(temperature, ((), np.array([256])))[0] == pytest.approx([299 * 3.1, 299])
 
@@ -48,7 +48,7 @@ def test_tiles_have_equal_weights_at_their_borders():
                            np.zeros((1, side, length), np.float32), (side, side), overlap, 8)[0, 0]  # fmt: skip
     middles = tiles.joints(length, side, overlap)
     assert len(middles) == found.max() == 4
-    # Centres of pixels stand at their number and a half.
+    # The centre of a pixel is at its number plus a half.
     halves = [np.interp(k + 0.5, found, np.arange(length) + 0.5) for k in range(4)]
     assert middles == pytest.approx(halves, abs=0.5)
     assert len(tiles.joints(256, 256, 64)) == 0
@@ -57,7 +57,7 @@ def test_tiles_have_equal_weights_at_their_borders():
 def test_borders_of_resampled_pictures_are_in_their_own_pixels():
     inputs = Inputs(picture(0, 600, 1000), 0.05)
     rows, columns = network("pix2pix").joints(inputs)
-    # Applied at 0.1 m, the finest it knows: half as many pixels.
+    # Applied at 0.1 m, its finest resolution: half as many pixels.
     own = network("pix2pix").joints(Inputs(picture(0, 300, 500), 0.1))
     assert rows == pytest.approx(2.0 * own[0]) and columns == pytest.approx(2.0 * own[1])
 
@@ -82,7 +82,7 @@ def test_costs_and_border_steps_of_maps_are_measured(tmp_path):
     result = translation.run([str(tmp_path / "p.npz"), str(tmp_path / "l.npz")], data, None, 2)
     net, line = result["maps"].values()
     assert set(net["seams"]["pictures"]) == {"squares", "published", "applied"}
-    # A colour decides alone: squares join as everything does, and there are no tiles.
+    # A map of single colours has no tiles, and its squares join without steps.
     assert set(line["seams"]["pictures"]) == {"squares"}
     assert line["seams"]["pictures"]["squares"][0] < 1.5 * line["seams"]["pictures"]["squares"][1]
     assert all(each["load_s"] > 0.0 and each["translate_s"] > 0.0 for each in (net, line))

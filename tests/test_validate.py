@@ -56,7 +56,7 @@ def test_errors_are_in_millikelvin():
     image = band_radiance(np.full((20, 30), 290.0), *CAMERA.band_um)
     warmer = band_radiance(np.full((20, 30), 290.1), *CAMERA.band_um)
     assert metrics.rms_mk(warmer, image, CAMERA) == pytest.approx(100.0, rel=2e-3)
-    # A difference without detail passes any lens.
+    # A uniform difference passes any lens.
     assert metrics.rms_mk(warmer, image, CAMERA, 2.0) == pytest.approx(100.0, rel=2e-3)
 
 
@@ -80,7 +80,7 @@ def test_squared_error_does_not_count_the_references_noise():
     found, standard_error = squared_error(image, first, second)
     assert standard_error == pytest.approx(4.0 / np.sqrt(truth.size), rel=0.05)
     assert abs(found - 0.01) < 4 * standard_error
-    # Against one noisy reference its noise would be taken for the image's error.
+    # With a single noisy reference, its noise would count as the image's error.
     assert ((image - first) ** 2).mean() > 100 * standard_error
 
 
@@ -110,7 +110,7 @@ def test_converged_image_agrees_with_the_renderer():
     finest, image = metrics.converged(renderer, pose, {"rays": 4}), renderer.radiance(pose)
     error = metrics.rms_mk(image, finest, scene.camera)
     for axis in (0, 1):
-        # A quarter at the wrong corner, or half a pixel off, would bring them no nearer than neighbours are.
+        # With a quarter at the wrong corner, or half a pixel off, the error would be that of neighbouring pixels.
         assert error < 0.1 * metrics.rms_mk(np.roll(image, 1, axis), finest, scene.camera)
 
 
@@ -119,7 +119,7 @@ def test_bench_returns_finite_numbers(tmp_path, monkeypatch):
     monkeypatch.setattr(cache, "WORTH_RAYS", 1)
     result = bench.bench((small(terrain(200)),), repeats=2, settings=(("one", {"samples": 1, "rays": 4}),))
     json.dumps(result)
-    # A bake read from disk would be timed as one that costs nothing.
+    # A bake read from disk would take no time.
     assert not list(tmp_path.iterdir())
     _ = tr.Renderer(terrain(200), rays=4).baked
     assert list(tmp_path.iterdir())
@@ -167,18 +167,18 @@ def test_open_cavity_agrees_with_the_closed_form_of_its_polyhedron(emissivity):
     found = cavity.measure("open", 0.1, emissivity, rays, "auto")
     ball = trimesh.creation.icosphere(subdivisions=4)
     kept = ball.triangles_center[:, 2] < 0.8
-    # Edges of the hole: those of one face that is kept and one that is not, in a circle round the hole.
+    # Edges of the hole, between a face that is kept and one that is not, in order around the hole.
     edges = ball.vertices[ball.face_adjacency_edges[kept[ball.face_adjacency].sum(axis=1) == 1]]
     clockwise = np.cross(edges[:, 0], edges[:, 1])[:, 2] < 0.0
     edges[clockwise] = edges[clockwise, ::-1]
     centre, inward, area = ball.triangles_center[kept], -ball.face_normals[kept], ball.area_faces[kept]
-    # The mean over each face, from the middles of 16 equal parts: that of its centre alone is 2e-5 too much.
+    # The mean over each face, from the middles of 16 equal parts; its centre alone would be 2e-5 too high.
     corners = ball.triangles[kept]
     thirds = [(i + k / 3.0, j + k / 3.0) for k in (1, 2) for i in range(4) for j in range(5 - k - i)]
     sides = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
     places = [corners[:, 0] + sides @ (np.array(at) / 4.0) for at in thirds]
     opening = np.mean([seen_through(edges, place, inward) for place in places], axis=0)
-    # Every wall shines by nearly the same light m into itself: a share of sky that is the mean over their areas.
+    # All walls have nearly the same radiance m, so the area-weighted mean share of sky suffices.
     black, sky = (float(band_radiance(t, *CAMERA.band_um)) for t in (300.0, 250.0))
 
     def wall(share):
@@ -189,12 +189,12 @@ def test_open_cavity_agrees_with_the_closed_form_of_its_polyhedron(emissivity):
     share = np.average(opening, weights=area)
     missing = 1.0 - area.sum() / ball.area
     assert np.ptp(opening) < 0.003 and share == pytest.approx(missing, abs=1e-3)
-    # `measure` tells the error against a sphere of whose area as much is missing: the polyhedron's own is 1–3 mK.
+    # `measure` returns the error against a sphere with the same open share; the polyhedron differs from it by 1–3 mK.
     own = scale * (wall(share) - wall(missing))
     assert 0.5 < abs(own) < 6.0
-    # A face's error were its rays independent; stratified ones err by less, and by as much from face to face, so the
-    # mean over the faces in the picture (45° by 37°) errs by their root's part. The mean light m adds its own error,
-    # of all faces, as often as light goes round.
+    # The error of a face with independent rays; stratified rays have less. The mean over the faces in the picture
+    # (45° by 37°) divides it by the root of their number. The mean light m adds its own error, that of all faces
+    # multiplied by the number of reflections.
     alone = scale * (1 - emissivity) * (wall(share) - sky) * np.sqrt(share * (1 - share) / rays)
     assert found["error_mk"] < 0.5 * alone
     seen = (np.abs(centre[:, :2]) < -centre[:, 2:] * np.tan(np.radians([45.4 / 2, 37.0 / 2]))).all(axis=1).sum()
@@ -212,11 +212,11 @@ def test_convergence_measures_missing_cases_only(tmp_path, monkeypatch):
     first = convergence.convergence((scene,), tmp_path, mode=mode)
     names = {record["setting"]: record for record in first.values() if record.get("view") != "20000 m"}
     assert names["1 · 1 · inf mK"]["sampling_mk"] >= 0.0 and names["1 · 1 · inf mK"]["seconds"] > 0.0
-    # One path per pixel errs by far more than one ray: its wavelength is random too.
+    # The error of one path per pixel is much larger than that of one ray: its wavelength is random, too.
     (stock,) = (record for record in first.values() if record["engine"] == engine)
     assert stock["error_mk"] > 100.0 > names["1 · 1 · inf mK"]["sampling_mk"]
     assert sum(record.get("default", False) for record in first.values()) == 2
-    # From afar most of the window is void, which has no error and counts for nothing.
+    # From far away, most of the window is empty, which does not count.
     far = [record for record in first.values() if record.get("view") == "20000 m"]
     assert {record["group"] for record in far} == {"sampling"} and min(r["sampling_mk"] for r in far) > 200.0
     assert "1 · 1 · inf mK" in (tmp_path / "convergence.md").read_text(encoding="utf-8")
@@ -299,8 +299,8 @@ def test_errors_of_air_channels_are_below_the_plan(tmp_path, monkeypatch):
     ]
     for loose, tight in zip(result["cases"][::2], result["cases"][1::2], strict=True):
         assert loose["channels"] < tight["channels"] and tight["error_mk"] < loose["error_mk"]
-        # What is planned holds for any path and surface; half a millikelvin is what the finest still err by. Channels
-        # and nodes each have their tolerance.
+        # The plan holds for any path and surface; the finest channels still have an error of half a millikelvin.
+        # Channels and nodes each have their tolerance.
         for case in (loose, tight):
             assert case["error_mk"] < case["planned_mk"] + 0.5 and case["planned_mk"] < 2.0 * case["tolerance_mk"]
             assert case["frame_ms"] > 0.0 and case["over_vacuum"] > 0.0
