@@ -212,7 +212,7 @@ def test_the_gravest_leak_gives_the_verdict():
     assert verdict(duplicate=1) == (
         "1 of 40 test pairs (2.5 %) have a picture that shows the same in training: results on these measure memory"
     )
-    assert verdict(conditions=40).endswith("results on this split do not tell of other land, hours or weather")
+    assert verdict(conditions=40).endswith("results on this split do not measure other land, hours or weather")
     assert verdict() == "none of the 40 test pairs has a leak from training: results on this split measure new pictures"
 
 

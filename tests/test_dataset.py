@@ -319,8 +319,8 @@ def test_what_could_not_be_read_again_is_not_written(tmp_path):
     before = lines(folder), bytes_of(folder)
     writer, files = Writer(folder, CARD, SCALE, resume=True), packed(*pictures(0))
     for pairs, words in (
-        ([(entry("b-0"), files), (entry("b-0"), files)], "'b-0' is the key of two pairs; give each its own"),
-        ([(entry("a-1"), files)], "'a-1' is the key of two pairs; give each its own"),
+        ([(entry("b-0"), files), (entry("b-0"), files)], "'b-0' is the key of two pairs; give each a different one"),
+        ([(entry("a-1"), files)], "'a-1' is the key of two pairs; give each a different one"),
         ([(entry("b-0", "tests"), files)], "part='tests' of 'b-0' is unknown; give one of train, validation, test"),
         ([(entry("b-0"), {"../../x.png": b""})], "'../../x.png' of 'b-0' is not a suffix of a name; give one such as "),
     ):

@@ -172,8 +172,8 @@ def test_a_card_without_a_name_is_no_hindrance(tmp_path):
         ("correlation-2x2", {}, "method 'correlation-2x2' is unknown; "),
         ("correlation-17x17", {}, "method 'correlation-17x17' is unknown; "),
         ("corelation+", {}, r"'corelation\+' is unknown; did you mean '?correlation\+'?"),
-        ("trees+", {}, r"'trees\+' needs the terrain's relief, hour and weather, which .* does not hold; take trees$"),
-        ("correlation+", {}, r"'correlation\+' needs .* does not hold; take correlation-9to1$"),
+        ("trees+", {}, r"'trees\+' needs the terrain's relief, hour and weather, which .* does not have; take trees$"),
+        ("correlation+", {}, r"'correlation\+' needs .* does not have; take correlation-9to1$"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_trained_is_refused(tmp_path, name, options, words):
@@ -191,7 +191,7 @@ def test_an_oracle_needs_a_method_that_looks_and_a_truth_that_knows(tmp_path, mo
     monkeypatch.setitem(METHODS, "trees+", replace(METHODS["trees+"], fit=look))
     plain = write(tmp_path / "plain", told=True)
     for name in ("trees", "palette", "correlation-9to1", "correlation+"):
-        with pytest.raises(ThermorenderError, match="learns nothing from materials, so it is no oracle; take trees"):
+        with pytest.raises(ThermorenderError, match="does not use materials, so it cannot be an oracle; take trees"):
             train_map("m", name, plain, material=True)
     with pytest.raises(ThermorenderError, match=r"pair 's\d-0' has no plane 'material'"):
         train_map("m", "trees+", plain, material=True)
@@ -247,7 +247,7 @@ def test_the_verb_trains_and_writes_a_map(tmp_path, call):
         (("correlation-1to1", "{d}", "--set", "penalty"), "--set='penalty' is not allowed; give OPTION=VALUE"),
         (("correlation-1to1", "{d}", "--set", "=3"), "--set='=3' is not allowed; give OPTION=VALUE"),
         (("correlation-1to1", "{d}", "--set", "penalty=a"), "option penalty='a' of 'correlation-1to1' is not allowed"),
-        (("correlation-1to1", "{d}", "--oracle"), "learns nothing from materials, so it is no oracle"),
+        (("correlation-1to1", "{d}", "--oracle"), "does not use materials, so it cannot be an oracle"),
         (("trees+", "{d}"), "needs the terrain's relief, hour and weather"),
         (("trees", "{d}", "--texel-m", "0.2"), "belong to `train emissivity`, not to 'trees'; leave them out"),
         (("trees", "{d}", "--labels", "x.geojson"), "belong to `train emissivity`, not to 'trees'; leave them out"),

@@ -64,7 +64,7 @@ def test_mistakes_are_one_sentence_and_status_2(run, tmp_path):
         (("list", "--band", "13,8"), "--band='13,8' is not a band"),
         (("list", "--band", "8"), "--band"),
         (("plot", "water", "-o", tmp_path / "a.jpg"), "give one that ends in .png"),
-        (("plot", *["water"] * 9, "-o", tmp_path / "a.png"), "9 materials cannot be told apart"),
+        (("plot", *["water"] * 9, "-o", tmp_path / "a.png"), "9 materials cannot be distinguished"),
         (("check", tmp_path / "nowhere"), "nowhere does not exist"),
         (("import", "--into", tmp_path), "needs spectrum files and --name"),
         (("list", "--library", tmp_path), "index.csv does not exist"),
@@ -117,7 +117,7 @@ def test_a_sound_library_has_no_finding(tmp_path):
         (SPECTRUM.replace("emissivity,", "eps,"), ["row 1 holds wavelength_um, eps, emissivity_std; it must hold"]),
         ("".join(SPECTRUM.splitlines(True)[:40]), ["covers 7–10.8 µm, not all of 7–14; a camera"]),
         (SPECTRUM.replace("0.2,\n", "0.2,0\n"), ["emissivity_std is 0 for one sample"]),
-        (SPECTRUM.splitlines(True)[0], ["holds no row of data"]),
+        (SPECTRUM.splitlines(True)[0], ["has no row of data"]),
     ],
 )  # fmt: skip
 def test_check_finds_the_fault_of_a_spectrum_and_its_cure(tmp_path, spectrum, words):

@@ -339,7 +339,7 @@ def test_faults_of_the_index_are_told(tmp_path, change, words):
         ("7,0.2,\n7,0.3,", r"row 3: wavelength_um=7 repeats the row above \(7\)"),
         ("7000,0.2,\n14000,0.3,", r"row 2: wavelength_um=7000 is not within 0…1000; .*nanometres"),
         ("7,0.2,-1\n14,0.3,", r"row 2: emissivity_std=-1 is not within 0…1"),
-        ("7,0.2,", r"tin.csv holds 1 rows of data; a spectrum needs 2"),
+        ("7,0.2,", r"tin.csv holds 1 rows of data; a spectrum needs at least 2"),
     ],
 )
 def test_faults_of_a_spectrum_are_told(tmp_path, rows, words):
@@ -591,7 +591,7 @@ def test_two_column_tables_tell_their_units(tmp_path, header, rows):
         ("um,eps\n7,0.9\n14,0.9\n", None, r"row 1 holds um, eps; the headings must be one of wavelength_um, wave"),
         ("wavelength_um,emissivity\n7,x\n", None, r"row 2: emissivity='x' is not a number"),
         ("wavelength_um,emissivity\n7,nan\n8,0.1\n", None, r"row 2: emissivity=nan is not within"),
-        ("wavelength_um,emissivity\n7,0.9\n7,0.9\n", None, r"two rows at least, each of its own positive"),
+        ("wavelength_um,emissivity\n7,0.9\n7,0.9\n", None, r"at least two rows with different, positive"),
         ("wavelength,A001,A002\n8,0.9,0.8\n9,0.9,0.8\n", "A9", r"holds the samples A001, A002 … A002, not 'A9'"),
         ("wavelength,A001,A002\n8,0.9,0.8\n9,0.9,0.8\n", None, r"not None; name one with --column"),
     ],

@@ -191,7 +191,7 @@ def test_a_rig_lays_visible_pictures_onto_thermal_ones(tmp_path, call):
     assert (tmp_path / "set" / "overlay.png").read_bytes() == overlay
     wrong = Rig((10, 10), (96, 128), 1.0, 0.0, (0.0, 0.0), 0.0)
     save_rig(wrong, tmp_path / "wrong.json")
-    assert "the rig others; give another --rig" in prepared(
+    assert "unlike the rig; give another --rig" in prepared(
         call, tmp_path, *options, "--rig", tmp_path / "wrong.json", out="no", status=2
     )
 
@@ -259,7 +259,7 @@ def test_sequences_by_name_by_pattern_and_by_gaps(tmp_path, call):
         assert [entry.key for entry in entries] == ["cam_8", "cam_9", "cam_10", "cam_400", "cam_405", "cam_1200"]
         assert [entry.sequence for entry in entries] == sequences
     assert "does not match 'cam_8'" in prepared(call, tmp_path, "--sequence=x(.)", out="no", status=2)
-    assert "is no regular expression" in prepared(call, tmp_path, "--sequence=(", out="no", status=2)
+    assert "is not a regular expression" in prepared(call, tmp_path, "--sequence=(", out="no", status=2)
 
 
 # --- what cannot be used ----------------------------------------------------------------------------------------
@@ -389,7 +389,7 @@ def test_bounds_without_contrast_or_pixels_are_refused():
         bounds.bounds_of(bounds.Histogram())
     histogram = bounds.Histogram()
     histogram.add(np.full(100, 7, np.uint8))
-    with pytest.raises(ThermorenderError, match="are 7, so no bounds"):
+    with pytest.raises(ThermorenderError, match="are 7, so there are no bounds"):
         bounds.bounds_of(histogram)
 
 

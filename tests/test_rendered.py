@@ -74,10 +74,10 @@ def test_parts_have_lands_and_weathers_of_their_own():
 
 def test_numbers_out_of_range_leave_nothing(tmp_path):
     for arguments, words in (
-        (dict(kinds=("moor",)), "kind='moor' is not a synthetic scene; choose of"),
-        (dict(train=0, validation=0, test=0), "0, 0, 0 worlds make no campaign; give one world at least"),
-        (dict(train=-1), "-1, 6, 12 worlds make no campaign"),
-        (dict(kinds=()), "worlds make no campaign"),
+        (dict(kinds=("moor",)), "kind='moor' is not a synthetic scene; choose one of"),
+        (dict(train=0, validation=0, test=0), "0, 0, 0 worlds are not a campaign; give at least one world"),
+        (dict(train=-1), "-1, 6, 12 worlds are not a campaign"),
+        (dict(kinds=()), "worlds are not a campaign"),
     ):
         with pytest.raises(ThermorenderError, match=words):
             rendered.worlds(**arguments)

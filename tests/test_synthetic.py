@@ -514,7 +514,7 @@ def test_the_command_takes_time_and_weather(tmp_path, unsolved):
         done = run("refused", *more)
         assert isinstance(done.exception, ThermorenderError) and words in str(done.exception), done.exception
         assert not (tmp_path / "refused").exists()
-    with pytest.raises(ThermorenderError, match="has no air_high_c; give a named day"):
+    with pytest.raises(ThermorenderError, match="has no air_high_c; declare a day with it"):
         make("heath", weather=WeatherSpec(time=WINTER.time))
 
 

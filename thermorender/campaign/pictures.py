@@ -1,10 +1,11 @@
-"""Picture files of a data set: which files belong together, and reading them.
+"""Picture files of a data set: which files form pairs and sequences, and reading them.
 
 A thermal file is an 8-bit picture, a 16-bit one, a TIFF of temperatures or FLIR's radiometric JPEG. Temperatures become
 16-bit values of 0.01 K; values of unknown scale stay unchanged.
 """
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -200,6 +201,58 @@ def listed(names: Iterable[str]) -> str:
     names = list(names)
     more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
     return ", ".join(names[:_NAMED]) + more
+
+
+def keys_of(pairs: Sequence[Files]) -> dict[str, str]:
+    """Return {name: key in a data set} of pairs; refuse names that become the same key."""
+    keys = {pair.name: re.sub(r"[^A-Za-z0-9_-]+", "-", pair.name)[:100] for pair in pairs}
+    twice = [key for key, count in Counter(keys.values()).items() if count > 1]
+    if twice:
+        names = [name for name, key in keys.items() if key == twice[0]]
+        raise ThermorenderError(
+            f"{listed(names)} differ only in characters that keys cannot have, so all become {twice[0]!r}; "
+            "rename the files"
+        )
+    return keys
+
+
+def sequences_of(pairs: Sequence[Files], sequence: str | None = None, gap: int | None = None) -> dict[str, str]:
+    """Return {name: sequence} of pairs sorted by name.
+
+    Parameters
+    ----------
+    pairs : sequence of Files
+    sequence : str, optional
+        Regular expression whose group is the sequence in a name; default: the name without its last digits.
+    gap : int, optional
+        A larger step of the last number in the names starts a new sequence.
+    """
+    try:
+        expression = re.compile(sequence) if sequence else None
+    except re.error as error:
+        raise ThermorenderError(
+            f"--sequence={sequence!r} is not a regular expression: {error}; put the sequence in a group, as in "
+            r"'(flight\d+)_'"
+        ) from None
+    found, before = {}, {}
+    for pair in pairs:
+        number = re.search(r"(\d+)\D*$", pair.name)
+        number = int(number[1]) if number else None
+        base = re.sub(r"[_\-. ]*\d*$", "", pair.name) or "all"
+        if expression is not None:
+            match = expression.search(pair.name)
+            if match is None:
+                raise ThermorenderError(
+                    f"--sequence={sequence!r} does not match {pair.name!r}; give one that matches every name"
+                )
+            base = match[1] if expression.groups else match[0]
+        found[pair.name] = base
+        if gap is not None and number is not None:
+            last, current = before.get(base, (None, None))
+            if last is None or number - last > gap:
+                current = f"{base}_{number}"
+            before[base], found[pair.name] = (number, current), current
+    return found
 
 
 def _named(folder, pattern, what):

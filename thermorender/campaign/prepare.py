@@ -4,7 +4,6 @@ All pictures are read and checked before anything is written. Unusable ones are 
 """
 
 import hashlib
-import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -203,7 +202,7 @@ def _usable(source, registered, cut, skip_bad, report_progress):
     pairs, alone = pictures.matched(
         source.visible_folder, source.thermal_folder, source.visible, source.thermal, source.valid
     )
-    sequence_of, keys = _sequences(pairs, source), _keys(pairs)
+    sequence_of, keys = pictures.sequences_of(pairs, source.sequence, source.gap), pictures.keys_of(pairs)
     found, left_out = _checked(pairs, source, registered, cut, report_progress)
     left_out = {name: "has no partner" for name in alone} | left_out
     if left_out and not skip_bad:
@@ -315,50 +314,7 @@ def _unit(found):
     return next(iter(kinds))[0]
 
 
-# --- names ------------------------------------------------------------------------------------------------------
-
-
-def _keys(pairs):
-    """{name: key of a data set} of pairs."""
-    keys = {pair.name: re.sub(r"[^A-Za-z0-9_-]+", "-", pair.name)[:100] for pair in pairs}
-    twice = [key for key, count in Counter(keys.values()).items() if count > 1]
-    if twice:
-        names = [name for name, key in keys.items() if key == twice[0]]
-        raise ThermorenderError(
-            f"{pictures.listed(names)} differ only in characters that keys cannot have, so all become {twice[0]!r}; "
-            "rename the files"
-        )
-    return keys
-
-
-def _sequences(pairs, source):
-    """{name: sequence} of pairs in the order of their names."""
-    try:
-        expression = re.compile(source.sequence) if source.sequence else None
-    except re.error as error:
-        raise ThermorenderError(
-            f"--sequence={source.sequence!r} is not a regular expression: {error}; put the sequence in a group, as in "
-            r"'(flight\d+)_'"
-        ) from None
-    found, before = {}, {}
-    for pair in pairs:
-        number = re.search(r"(\d+)\D*$", pair.name)
-        number = int(number[1]) if number else None
-        base = re.sub(r"[_\-. ]*\d*$", "", pair.name) or "all"
-        if expression is not None:
-            match = expression.search(pair.name)
-            if match is None:
-                raise ThermorenderError(
-                    f"--sequence={source.sequence!r} does not match {pair.name!r}; give one that matches every name"
-                )
-            base = match[1] if expression.groups else match[0]
-        found[pair.name] = base
-        if source.gap is not None and number is not None:
-            last, sequence = before.get(base, (None, None))
-            if last is None or number - last > source.gap:
-                sequence = f"{base}_{number}"
-            before[base], found[pair.name] = (number, sequence), sequence
-    return found
+# --- crops ------------------------------------------------------------------------------------------------------
 
 
 def _entries(pairs, found, keys, sequence_of, cut, texel_m):

@@ -241,13 +241,10 @@ def read_angles(path: str | Path, directory: str | Path | None = None) -> dict[s
 
 def _directional(wavelength, cosines, by_angle, holes):
     return {
-        "wavelength_um": wavelength,
-        "emissivity": fresnel.hemispherical(cosines, by_angle),
-        "emissivity_std": np.full(wavelength.size, np.nan),
-        "cosines": cosines,
-        "emissivity_by_angle": by_angle,
+        "wavelength_um": wavelength, "emissivity": fresnel.hemispherical(cosines, by_angle),
+        "emissivity_std": np.full(wavelength.size, np.nan), "cosines": cosines, "emissivity_by_angle": by_angle,
         "gaps_um": tuple(holes),
-    }
+    }  # fmt: skip
 
 
 def _rows(path, columns, directory):

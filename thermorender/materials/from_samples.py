@@ -97,21 +97,13 @@ def from_samples(
         for key in libraries
     ]
     return Material(
-        name=name,
-        title=title or samples[0].name,
-        wavelength_um=grid,
-        emissivity=np.nanmean(tables, axis=0),
-        emissivity_std=std,
-        colour=tuple(colour),
-        solar_absorptance=solar_absorptance,
-        temperature=temperature,
+        name=name, title=title or samples[0].name, wavelength_um=grid, emissivity=np.nanmean(tables, axis=0),
+        emissivity_std=std, colour=tuple(colour), solar_absorptance=solar_absorptance, temperature=temperature,
         source="; ".join(filter(None, [source, *sources])),
         citation="; ".join(filter(None, [citation, *(LIBRARIES[key][1] for key in libraries)])),
-        licence="; ".join(filter(None, [licence, *(LIBRARIES[key][2] for key in libraries)])),
-        samples=len(samples),
-        solar_absorptance_std=solar_absorptance_std,
-        note="; ".join(remark for remark in remarks if remark),
-    )
+        licence="; ".join(filter(None, [licence, *(LIBRARIES[key][2] for key in libraries)])), samples=len(samples),
+        solar_absorptance_std=solar_absorptance_std, note="; ".join(remark for remark in remarks if remark),
+    )  # fmt: skip
 
 
 def import_files(

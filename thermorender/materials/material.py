@@ -290,18 +290,11 @@ def grey(name: str, emissivity: float) -> Material:
             "blackbody's radiance, 0.95 for 95 %"
         )
     return Material(
-        name=name,
-        title=f"grey, emissivity {emissivity:g}",
-        wavelength_um=[0.0, LONGEST_WAVELENGTH_UM],
-        emissivity=[emissivity, emissivity],
-        emissivity_std=[np.nan, np.nan],
-        colour=(128, 128, 128),
-        solar_absorptance=float(emissivity),
-        temperature=300.0,
-        source="assumed constant",
-        citation="none",
+        name=name, title=f"grey, emissivity {emissivity:g}", wavelength_um=[0.0, LONGEST_WAVELENGTH_UM],
+        emissivity=[emissivity, emissivity], emissivity_std=[np.nan, np.nan], colour=(128, 128, 128),
+        solar_absorptance=float(emissivity), temperature=300.0, source="assumed constant", citation="none",
         licence="none needed",
-    )
+    )  # fmt: skip
 
 
 def _place(nodes, values):

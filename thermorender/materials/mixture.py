@@ -51,20 +51,14 @@ def mix(parts: Sequence[tuple[Material, float]]) -> Material:
         return "; ".join(dict.fromkeys(getattr(material, key) for material in materials))
 
     return Mixture(
-        name=names,
-        title=f"mix of {names}",
-        wavelength_um=wavelength,
-        emissivity=emissivity,
+        name=names, title=f"mix of {names}", wavelength_um=wavelength, emissivity=emissivity,
         emissivity_std=np.full(wavelength.size, np.nan),
         colour=tuple(int(round(c)) for c in share @ [material.colour for material in materials]),
         solar_absorptance=float(share @ [material.solar_absorptance for material in materials]),
-        temperature=float(share @ [material.temperature for material in materials]),
-        source=every("source"),
-        citation=every("citation"),
-        licence=every("licence"),
-        gaps_um=tuple(gap for material in materials for gap in material.gaps_um),
-        parts=tuple(parts),
-    )
+        temperature=float(share @ [material.temperature for material in materials]), source=every("source"),
+        citation=every("citation"), licence=every("licence"),
+        gaps_um=tuple(gap for material in materials for gap in material.gaps_um), parts=tuple(parts),
+    )  # fmt: skip
 
 
 def palette(

@@ -144,14 +144,9 @@ def read_ecostress(path: str | Path) -> Sample:
     unique, where, count = np.unique(wavelength, return_inverse=True, return_counts=True)
     reflectance = np.bincount(where, weights=percent) / count / 100.0
     return Sample(
-        name=header.get("name", path.stem),
-        source=path.name,
-        library="ECOSTRESS",
-        wavelength_um=unique,
-        reflectance=reflectance,
-        sunlight_um=unique,
-        sunlight_reflectance=reflectance,
-    )
+        name=header.get("name", path.stem), source=path.name, library="ECOSTRESS", wavelength_um=unique,
+        reflectance=reflectance, sunlight_um=unique, sunlight_reflectance=reflectance,
+    )  # fmt: skip
 
 
 def ecostress_lines(path: str | Path) -> tuple[dict[str, str], list[tuple[float, float]]]:

@@ -82,21 +82,13 @@ def write_refractive_index(
 def index_row(material: Material) -> dict[str, Any]:
     """Return the cells of a material's row of the index."""
     return {
-        "name": material.name,
-        "title": material.title,
-        "colour_r": material.colour[0],
-        "colour_g": material.colour[1],
-        "colour_b": material.colour[2],
-        "solar_absorptance": f"{material.solar_absorptance:.3g}",
-        "directional": material.directional,
-        "temperature_k": f"{material.temperature:g}",
-        "samples": material.samples,
-        "source": material.source,
-        "citation": material.citation,
-        "licence": material.licence,
-        "note": material.note,
+        "name": material.name, "title": material.title, "colour_r": material.colour[0],
+        "colour_g": material.colour[1], "colour_b": material.colour[2],
+        "solar_absorptance": f"{material.solar_absorptance:.3g}", "directional": material.directional,
+        "temperature_k": f"{material.temperature:g}", "samples": material.samples, "source": material.source,
+        "citation": material.citation, "licence": material.licence, "note": material.note,
         SOLAR_STD_COLUMN: "" if material.solar_absorptance_std is None else f"{material.solar_absorptance_std:.2g}",
-    } | ({ROUGHNESS_COLUMN: f"{material.rms_slope:g}"} if material.directional == "fresnel" else {})
+    } | ({ROUGHNESS_COLUMN: f"{material.rms_slope:g}"} if material.directional == "fresnel" else {})  # fmt: skip
 
 
 def store(

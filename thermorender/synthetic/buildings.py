@@ -11,15 +11,11 @@ from thermorender.synthetic.noise import smoothstep
 
 # Roofs: material, sRGB colour, whether it is pitched.
 ROOFS = (
-    ("roof_shingle", (168, 98, 74), True),
-    ("roof_shingle", (142, 84, 68), True),
-    ("roof_shingle", (182, 122, 90), True),
-    ("roof_shingle", (120, 92, 78), True),
-    ("roof_slate", (104, 106, 110), True),
-    ("roof_slate", (84, 86, 92), True),
-    ("concrete", (150, 146, 138), True),
+    ("roof_shingle", (168, 98, 74), True), ("roof_shingle", (142, 84, 68), True),
+    ("roof_shingle", (182, 122, 90), True), ("roof_shingle", (120, 92, 78), True),
+    ("roof_slate", (104, 106, 110), True), ("roof_slate", (84, 86, 92), True), ("concrete", (150, 146, 138), True),
     ("roof_rubber", (112, 109, 104), False),
-)
+)  # fmt: skip
 
 
 class Window:
@@ -195,14 +191,9 @@ def clutter(
     """Scatter garden objects: tables, woodpiles, trampolines, sandpits, covers."""
     c = window.canvas
     colours = [
-        (224, 222, 214),
-        (70, 72, 76),
-        (150, 120, 88),
-        (96, 128, 160),
-        (176, 90, 70),
-        (120, 112, 100),
+        (224, 222, 214), (70, 72, 76), (150, 120, 88), (96, 128, 160), (176, 90, 70), (120, 112, 100),
         (198, 184, 150),
-    ]
+    ]  # fmt: skip
     for _ in range(int(generator.integers(4, 11))):
         u, v = generator.uniform(-0.44, 0.44) * width, generator.uniform(low, high - 1.5)
         half = generator.uniform(0.35, 1.1, 2)
@@ -271,15 +262,11 @@ def car(
 
     def part(suffix, size, ahead, base, kelvin, tint):
         return {
-            "name": name + suffix,
-            "shape": "box",
-            "size": size,
+            "name": name + suffix, "shape": "box", "size": size,
             "position": [round(float(east + ahead * s), 2), round(float(north + ahead * c), 2), base],
-            "yaw_deg": round(float(heading_deg) % 360.0, 1),
-            "temperature": round(float(kelvin), 1),
-            "material": material,
-            "colour": [int(v) for v in tint],
-        }
+            "yaw_deg": round(float(heading_deg) % 360.0, 1), "temperature": round(float(kelvin), 1),
+            "material": material, "colour": [int(v) for v in tint],
+        }  # fmt: skip
 
     glass = [52, 58, 64]
     return [

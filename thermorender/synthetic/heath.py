@@ -286,27 +286,15 @@ def _trees(c, pines, south, track, sand):
     plant(g, c, scatter(g, c, 11.0, 0.3 * lone), birch, 6.5, warm, "broadleaf", 0.35)
     shrub = crowns(g, c.texel, 0.7, "broad", 16)
     plant(
-        g,
-        c,
-        scatter(g, c, 4.5, 0.32 * lone + 0.04 * open_land),
-        shrub,
-        1.1,
-        [(78, 88, 48), (100, 92, 56)],
-        "heath_shrub",
-        0.3,
-    )
+        g, c, scatter(g, c, 4.5, 0.32 * lone + 0.04 * open_land), shrub, 1.1, [(78, 88, 48), (100, 92, 56)],
+        "heath_shrub", 0.3,
+    )  # fmt: skip
     avenue = (south > 5.5) * (south < 9.5) * (np.abs(c.east - MARKER[0]) > 22.0)
     linden = crowns(g, c.texel, 2.7, "broad", 12)
     plant(
-        g,
-        c,
-        scatter(g, c, 9.0, 0.55 * avenue),
-        linden,
-        9.5,
-        [(112, 128, 68), (124, 136, 72), (138, 136, 70)],
-        "broadleaf",
-        0.22,
-    )
+        g, c, scatter(g, c, 9.0, 0.55 * avenue), linden, 9.5, [(112, 128, 68), (124, 136, 72), (138, 136, 70)],
+        "broadleaf", 0.22,
+    )  # fmt: skip
 
 
 def _clearing(c):
@@ -323,27 +311,15 @@ def _clearing(c):
 def _objects(c, track):
     """Return the heated marker, and a recovery car parked on the track."""
     marker = {
-        "name": "marker",
-        "shape": "disc",
-        "size": [2.0, 2.0, 0.1],
-        "position": [*MARKER, 0.05],
-        "temperature": 330.0,
-        "heated": True,
-        "material": "paint_black",
-        "colour": [44, 42, 40],
-    }
+        "name": "marker", "shape": "disc", "size": [2.0, 2.0, 0.1], "position": [*MARKER, 0.05], "temperature": 330.0,
+        "heated": True, "material": "paint_black", "colour": [44, 42, 40],
+    }  # fmt: skip
     nearest = track[np.argmin(np.abs(track[:, 1] + 0.03 * c.size))]
     position = [round(float(nearest[0]), 1), round(float(nearest[1]), 1)]
     car = {
-        "name": "car",
-        "shape": "box",
-        "size": [1.8, 4.4, 0.8],
-        "position": [*position, 0.25],
-        "yaw_deg": 12.0,
-        "temperature": 302.0,
-        "material": "paint_metallic",
-        "colour": [176, 178, 182],
-    }
+        "name": "car", "shape": "box", "size": [1.8, 4.4, 0.8], "position": [*position, 0.25], "yaw_deg": 12.0,
+        "temperature": 302.0, "material": "paint_metallic", "colour": [176, 178, 182],
+    }  # fmt: skip
     cabin = {**car, "name": "car_cabin", "size": [1.6, 2.3, 0.6], "position": [*position, 1.05], "temperature": 304.5}
     return [marker, car, cabin]
 
@@ -361,10 +337,6 @@ def _flight(c):
     altitude = c.height_at(*MARKER) + height + 0.4 * np.sin(2 * np.pi * time / 5.0)
     yaw = np.degrees(np.arctan2(MARKER[0] - east, np.maximum(distance, 1e-9))) * (distance > 1.0)
     return {
-        "time_s": time,
-        "east_m": east,
-        "north_m": MARKER[1] - distance,
-        "altitude_m": altitude,
-        "yaw_deg": yaw,
+        "time_s": time, "east_m": east, "north_m": MARKER[1] - distance, "altitude_m": altitude, "yaw_deg": yaw,
         "gimbal_pitch_deg": pitch,
-    }
+    }  # fmt: skip

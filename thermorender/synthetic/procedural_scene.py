@@ -292,17 +292,11 @@ def _flight_table(flight, elevation, size, post):
     column = (flight["east_m"] + 0.5 * size) / post - 0.5
     row = (0.5 * size - flight["north_m"]) / post - 0.5
     below = cv2.remap(
-        elevation,
-        column.astype(np.float32)[None],
-        row.astype(np.float32)[None],
-        cv2.INTER_LINEAR,
+        elevation, column.astype(np.float32)[None], row.astype(np.float32)[None], cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_REPLICATE,
-    )[0]
+    )[0]  # fmt: skip
     return {
-        "time_s": flight["time_s"],
-        "east_m": flight["east_m"],
-        "north_m": flight["north_m"],
-        "above_ground_m": flight["altitude_m"] - below,
-        "yaw_deg": np.mod(flight["yaw_deg"], 360.0),
+        "time_s": flight["time_s"], "east_m": flight["east_m"], "north_m": flight["north_m"],
+        "above_ground_m": flight["altitude_m"] - below, "yaw_deg": np.mod(flight["yaw_deg"], 360.0),
         "gimbal_pitch_deg": flight["gimbal_pitch_deg"],
-    }
+    }  # fmt: skip

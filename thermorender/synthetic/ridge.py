@@ -324,25 +324,14 @@ def _objects(c, slope, lake):
     row, column = np.unravel_index(int(np.argmin(fit)), c.shape)
     east, north = round(float(c.east[0, column]), 1), round(float(c.north[row, 0]), 1)
     hut = {
-        "name": "hut",
-        "shape": "box",
-        "size": [9.0, 13.0, 6.0],
-        "position": [east, north, -0.5],
-        "yaw_deg": 35.0,
-        "temperature": 287.5,
-        "material": "wood",
-        "colour": [112, 84, 62],
-    }
+        "name": "hut", "shape": "box", "size": [9.0, 13.0, 6.0], "position": [east, north, -0.5], "yaw_deg": 35.0,
+        "temperature": 287.5, "material": "wood", "colour": [112, 84, 62],
+    }  # fmt: skip
     fire = {
-        "name": "fire",
-        "shape": "disc",
-        "size": [1.6, 1.6, 0.1],
-        "position": [round(east + min(14.0, 0.1 * c.size), 1), north - 6.0, 0.1],
-        "temperature": 620.0,
-        "heated": True,
-        "material": "soil_dark",
-        "colour": [70, 54, 46],
-    }
+        "name": "fire", "shape": "disc", "size": [1.6, 1.6, 0.1],
+        "position": [round(east + min(14.0, 0.1 * c.size), 1), north - 6.0, 0.1], "temperature": 620.0,
+        "heated": True, "material": "soil_dark", "colour": [70, 54, 46],
+    }  # fmt: skip
     return [hut, fire]
 
 
@@ -360,10 +349,7 @@ def _flight(c):
     altitude = float(np.max(ground + 118.0 + sink)) - sink
     course = np.degrees(np.arctan2(np.gradient(east), np.gradient(north)))
     return {
-        "time_s": time,
-        "east_m": east,
-        "north_m": north,
-        "altitude_m": altitude,
+        "time_s": time, "east_m": east, "north_m": north, "altitude_m": altitude,
         "yaw_deg": course + 1.2 * np.sin(2 * np.pi * time / 5.0),
         "gimbal_pitch_deg": -38.0 + 1.0 * np.sin(2 * np.pi * time / 4.0),
-    }
+    }  # fmt: skip

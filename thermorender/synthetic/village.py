@@ -342,10 +342,6 @@ def _flight(c, main):
     altitude = base + 80.0 + 0.5 * np.sin(2 * np.pi * time / 6.0)
     pitch = -58.0 - 22.0 * smoothstep(0.0, 11.0, time) + 0.6 * np.sin(2 * np.pi * time / 3.3)
     return {
-        "time_s": time,
-        "east_m": east,
-        "north_m": north,
-        "altitude_m": altitude,
-        "yaw_deg": course + 1.5 * np.sin(2 * np.pi * time / 8.0),
-        "gimbal_pitch_deg": pitch,
-    }
+        "time_s": time, "east_m": east, "north_m": north, "altitude_m": altitude,
+        "yaw_deg": course + 1.5 * np.sin(2 * np.pi * time / 8.0), "gimbal_pitch_deg": pitch,
+    }  # fmt: skip

@@ -64,14 +64,10 @@ def drawn_weather(seed: int, altitude_m: float = _LOWLAND_M) -> WeatherSpec:
     lies = g.uniform() < (0.7 if mean < 0.0 else 0.25 if mean < 3.0 else 0.0)
     depth = np.exp(g.uniform(np.log(0.005), np.log(0.5)))
     return WeatherSpec(
-        time=time,
-        air_low_c=round(float(mean - 0.5 * range_k), 1),
-        air_high_c=round(float(mean + 0.5 * range_k), 1),
-        humidity=round(float(humidity), 2),
-        wind_m_s=round(float(wind), 1),
-        cloud=round(cloud, 2),
+        time=time, air_low_c=round(float(mean - 0.5 * range_k), 1), air_high_c=round(float(mean + 0.5 * range_k), 1),
+        humidity=round(float(humidity), 2), wind_m_s=round(float(wind), 1), cloud=round(cloud, 2),
         snow_depth_m=round(float(depth), 3) if lies else 0.0,
-    )
+    )  # fmt: skip
 
 
 def conditions(weather: WeatherSpec, latitude_deg: float, altitude_m: float) -> Conditions:
