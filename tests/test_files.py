@@ -284,8 +284,9 @@ def test_a_folder_in_use_is_told(tmp_path):
     with files.in_use(tmp_path):
         with pytest.raises(ThermorenderError, match="is being written by another process"), files.in_use(tmp_path):
             pytest.fail("two have it")
+    assert names(tmp_path) == []
     with files.in_use(tmp_path):
-        assert names(tmp_path) == []
+        pass
 
 
 def test_a_folder_without_permission(tmp_path, monkeypatch):

@@ -406,7 +406,7 @@ def test_shipped_maps_say_what_they_were_trained_on(name):
     assert bool(model.needs) == name.endswith("+")
     assert model.about.get("training") or SHIPPED[name].stat().st_size < 1_000_000
     # Networks tell what half precision changes them by: less than a count of the 16-bit pictures they translate to.
-    assert 0.0 <= model.about.get("training", {}).get("half_precision_mk", 0.0) < 40.0
+    assert 0.0 <= model.about.get("training", {}).get("kept_mk", 0.0) < 40.0
 
 
 def test_shipped_maps_are_small():

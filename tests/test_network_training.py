@@ -106,7 +106,7 @@ def test_what_half_precision_costs_is_told(tmp_path, name):
     crops = Crops(task, task.options.get("side", 256), False).validation()
     changes = [20e3 * np.abs(found.predict(crop.inputs, 0.2) - halved.predict(crop.inputs, 0.2)) for crop in crops]
     wanted = np.concatenate([change[crop.valid] for change, crop in zip(changes, crops, strict=True)]).mean()
-    assert found.trained["half_precision_mk"] == pytest.approx(wanted, rel=1e-3) and wanted > 1e-3
+    assert found.trained["kept_mk"] == pytest.approx(wanted, rel=1e-3) and wanted > 1e-3
 
 
 # Generators of many blocks; a step of each is in test_networks.py.

@@ -262,8 +262,8 @@ def _train_temperature(
     if training.get("stopped"):
         typer.echo(f"warning: {training['stopped']}; the map is the best state before", err=True)
     own = f", own error {model.error_k:.2f} K on validation" if model.error_k is not None else ""
-    halved = training.get("half_precision_mk")
-    cost = f", kept in half precision, which changes it by {halved:.2g} mK" if halved is not None else ""
+    kept = training.get("kept_mk")
+    cost = f"; its weights as the file keeps them change it by {kept:.2g} mK" if kept is not None else ""
     typer.echo(f"{output}: trained in {model.about['training_s']:g} s{own}{cost}")
 
 

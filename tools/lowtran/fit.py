@@ -150,7 +150,7 @@ def make_table(path, terms=TERMS):
     weight, tilt, absorption, error = fit(runs, terms, contrast)
     table = node_table(weight, tilt, absorption, terms)
     table["aerosol_factor"] = np.float32(aerosol_factors(runs, weight, absorption, terms))
-    altitude = np.union1d(levels[1].altitude_m, spectra.EXTRA_LEVELS_M)
+    altitude = np.union1d(levels[1].altitude_m, lowtran.EXTRA_LEVELS_M)
     pressure, temperature, gas, haze = [], [], [], []
     for model in lowtran.MODELS.values():
         own = levels[model]

@@ -35,6 +35,7 @@ from thermorender.learned.networks.building import kind_of, learner_of, net_of
 from thermorender.learned.networks.crops import Crops
 from thermorender.learned.networks.encoding import Encoding
 from thermorender.learned.networks.learners import Batch
+from thermorender.learned.networks.packing import coarsest_steps
 from thermorender.learned.networks.predictor import MOST_WIDTH, Network, device, state_of
 from thermorender.learned.networks.recipes import recipe_of
 from thermorender.versions import versions
@@ -53,6 +54,8 @@ _BASE_PENALTY = 1e-3
 _SHOWN = 4
 # Validation crops that a network is given at a time.
 _AT_ONCE = 4
+# Validation crops that say how coarse the file's weights may be.
+_LOOKED_AT = 32
 
 
 def train_network(task, method):
@@ -62,7 +65,8 @@ def train_network(task, method):
     crops between validations (0: as many as there are training pictures); `bf16`, whether convolutions are computed
     with 8 bits of mantissa where the machine can; `tensorboard`, whether losses are written for it too; `depth`,
     whether the network is shown the depth; `published`, see `Network`; `vgg`, file of the weights of the perceptual
-    loss; `architecture`, of `unet`: see `recipes`.
+    loss; `architecture`, of `unet`: see `recipes`; `tolerance_mk`, by how much the file's weights may change what the
+    network gives, on average over validation crops: they are kept as coarse as that allows (0: in half precision).
 
     Raises
     ------
@@ -112,6 +116,10 @@ def _refuse(method, recipe, options):
     if not 0 < side <= _MOST_SIDE or side % recipe.multiple:
         raise ThermorenderError(
             f"side={side} is not allowed for {method!r}; give a multiple of {recipe.multiple} up to {_MOST_SIDE} pixels"
+        )
+    if not 0.0 <= options["tolerance_mk"] < math.inf:
+        raise ThermorenderError(
+            f"tolerance_mk={options['tolerance_mk']:g} is not allowed for {method!r}; give 0 or a number above"
         )
     if not 0.0 < rate <= _MOST_RATE:
         raise ThermorenderError(f"rate={rate:g} is not allowed for {method!r}; give a number in 0…{_MOST_RATE:g}")
@@ -200,23 +208,36 @@ class _Run:
             state_of(net), self.crops.above_air, bool(self.task.options.get("published")), trained,
             self.recipe.net,
         )  # fmt: skip
-        trained["half_precision_mk"] = self._cost_of_halving(net.to(device()), found)
+        if self.task.options["tolerance_mk"]:
+            found = replace(found, steps=self._steps(found))
+        trained["kept_mk"] = self._cost_of_keeping(net.to(device()), found)
         return found
 
-    def _cost_of_halving(self, net, network):
-        """Mean absolute change of the validation crops where a network is kept in half precision, as files are [mK]."""
-        halved = Network.of(network.header(), network.arrays()).net
+    def _steps(self, network):
+        """Steps that the file keeps a network's weights in."""
+        some = self.validated[:: -(-len(self.validated) // _LOOKED_AT)]
+
+        def give(state):
+            changed = replace(network, state=state).net
+            return np.concatenate([guessed[crop.valid] for crop, _, guessed in self._guessed(changed, crops=some)])
+
+        return coarsest_steps(network.state, give, 1e-3 * self.task.options["tolerance_mk"])
+
+    def _cost_of_keeping(self, net, network):
+        """Mean absolute change of the validation crops by how the file keeps a network's weights [mK]."""
+        kept = Network.of(network.header(), network.arrays()).net
         changes = [
             np.abs(before - after)[crop.valid]
-            for (crop, _, before), (_, _, after) in zip(self._guessed(net), self._guessed(halved), strict=True)
+            for (crop, _, before), (_, _, after) in zip(self._guessed(net), self._guessed(kept), strict=True)
         ]
         return 1000.0 * float(np.concatenate(changes).mean())
 
-    def _guessed(self, net, half=False):
-        """Yield (crop, true, guessed) of each validation crop [K]."""
+    def _guessed(self, net, half=False, crops=None):
+        """Yield (crop, true, guessed) of each validation crop, or of some [K]."""
         net.eval()
-        for start in range(0, len(self.validated), _AT_ONCE):
-            some = self.validated[start : start + _AT_ONCE]
+        crops = self.validated if crops is None else crops
+        for start in range(0, len(crops), _AT_ONCE):
+            some = crops[start : start + _AT_ONCE]
             batch = self._encoded(some)
             with torch.inference_mode(), torch.autocast(device(), torch.bfloat16, enabled=half):
                 given = kind_of(self.recipe).predict(net, batch.planes)[:, 0].cpu().numpy()

@@ -9,6 +9,7 @@ import torch
 from thermorender.learned.networks import tiles
 from thermorender.learned.networks.building import kind_of, net_of
 from thermorender.learned.networks.encoding import Encoding
+from thermorender.learned.networks.packing import packed, unpacked
 from thermorender.learned.networks.recipes import RECIPES, recipe_of
 from thermorender.learned.rows import at_shape
 
@@ -46,6 +47,9 @@ class Network:
         What its training was: crops, seconds, curve; empty for one of a file.
     architecture : str or None
         That of the recipe, or another; None is the recipe's.
+    steps : dict of str to float
+        Of tensors that the file holds as whole multiples of a step, by `packing.coarsest_steps`; it holds the others in
+        half precision.
     """
 
     method: str
@@ -57,6 +61,7 @@ class Network:
     published: bool = False
     trained: dict = field(default_factory=dict)
     architecture: str | None = None
+    steps: dict = field(default_factory=dict)
 
     @cached_property
     def recipe(self):
@@ -125,13 +130,22 @@ class Network:
         return {
             "method": self.method, "architecture": self.recipe.net, "width": self.width,
             "encoding": self.encoding.header(), "texel_range_m": self.texel_range_m, "above_air": self.above_air,
-            "published": self.published,
+            "published": self.published, "packed": self._packed[1] if self.steps else [],
         }  # fmt: skip
+
+    @cached_property
+    def _packed(self):
+        """(codes, table) of what is kept in steps."""
+        return packed(self.state, self.steps)
 
     def arrays(self):
         """Return what the file holds of it: weights in half precision, but for statistics and what it cannot hold."""
         found = self.encoding.arrays()
+        if self.steps:
+            found["packed"] = self._packed[0]
         for name, values in self.state.items():
+            if name in self.steps:
+                continue
             single = np.asarray(values, np.float32)
             fits = "running_" not in name and np.abs(single).max(initial=0.0) < np.finfo(np.float16).max
             found[name] = single.astype(np.float16) if fits else single
@@ -140,6 +154,9 @@ class Network:
     @classmethod
     def of(cls, header, arrays):
         """Return the Network of `header` and `arrays`."""
+        table = header.get("packed", [])
+        if table:
+            arrays = unpacked(arrays["packed"], table) | {name: arrays[name] for name in arrays if name != "packed"}
         if header["method"] not in RECIPES or type(header["width"]) is not int:
             raise ValueError("it is of an unknown method or width")
         if not 1 <= header["width"] <= MOST_WIDTH or not all(type(header[name]) is bool for name in _FLAGS):
@@ -155,7 +172,8 @@ class Network:
         if any(values.min(initial=0.0) < 0.0 for name, values in state.items() if name.endswith("running_var")):
             raise ValueError("it has a variance below 0")
         found = cls(header["method"], header["width"], encoding, limits, state, header["above_air"],
-                    header["published"], architecture=header.get("architecture"))  # fmt: skip
+                    header["published"], architecture=header.get("architecture"),
+                    steps={name: step for name, _, _, step in table})  # fmt: skip
         _ = found.net
         return found
 

@@ -90,7 +90,7 @@ class Recipe:
     def all_options(self):
         """What may be chosen, with its default."""
         common = {"width": self.width, "batch": self.batch, "crops": self.crops, "rate": self.rate, "every": 0,
-                  "bf16": True, "tensorboard": False}  # fmt: skip
+                  "bf16": True, "tensorboard": False, "tolerance_mk": 0.0}  # fmt: skip
         side = {"side": self.side} if self.whole else {}
         return common | side | ({} if self.plus else {"depth": False}) | self.options
 

@@ -1,0 +1,71 @@
+"""Weights on file in few bits: exact multiples of their steps, coarse where the output allows it, small."""
+
+import numpy as np
+import pytest
+from test_network_training import SMALL, examples
+from test_networks import task_of
+
+from thermorender.learned.networks.loop import train_network
+from thermorender.learned.networks.packing import coarsest_steps, packed, unpacked
+from thermorender.learned.networks.predictor import Network
+
+
+def weights(*shape, seed=0):
+    return np.random.default_rng(seed).normal(size=shape).astype(np.float32)
+
+
+def test_weights_come_back_as_the_nearest_multiples_of_their_steps():
+    state = {"a": weights(40, 60), "b": weights(30, 20, 3, 3, seed=1)}
+    # One in a byte each, one in two.
+    steps = {"a": 0.05, "b": 0.001}
+    codes, table = packed(state, steps)
+    found = unpacked(codes, table)
+    for name, step in steps.items():
+        assert found[name].shape == state[name].shape and found[name].dtype == np.float32
+        assert np.abs(found[name] - state[name]).max() <= 0.5001 * step
+    again, _ = packed(found, steps)
+    assert np.array_equal(again, codes)
+    # A Gaussian of so many steps takes log2(σ / step) + 2.05 bits a weight; the Huffman code adds little.
+    alone, _ = packed({"a": weights(400, 600)}, {"a": 0.05})
+    assert 8.0 * alone.size / 240_000 == pytest.approx(np.log2(20.0) + 2.05, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda codes, table: (codes[:-9], table), "not those of its table"),
+        (lambda codes, table: (codes, [["a", [50, 61], 1, 0.05]]), "not those of its table"),
+        (lambda codes, table: (codes, [["a", [50, 60], 3, 0.05]]), "table of weights is none"),
+        (lambda codes, table: (codes, [["a", [50, -60], 1, 0.05]]), "table of weights is none"),
+        (lambda codes, table: (codes, [["a", [50, 60], 1, float("inf")]]), "table of weights is none"),
+        (lambda codes, table: (codes, [["a", [1 << 20, 1 << 20], 1, 0.05]]), "more than a network holds"),
+    ],
+)
+def test_a_table_that_does_not_belong_to_the_codes_is_refused(change, words):
+    with pytest.raises(ValueError, match=words):
+        unpacked(*change(*packed({"a": weights(50, 60)}, {"a": 0.05})))
+
+
+def test_steps_are_as_coarse_as_the_output_allows_and_coarser_where_it_hardly_depends():
+    state = {"strong": weights(64, 64), "weak": weights(64, 64, seed=1), "small": weights(9, seed=2)}
+    pictures = weights(64, 500, seed=3)
+
+    def give(state):
+        return state["strong"] @ pictures + 0.01 * state["weak"] @ pictures
+
+    steps = coarsest_steps(state, give, 0.1)
+    rounded = state | {name: np.rint(state[name] / step) * step for name, step in steps.items()}
+    assert 0.08 < np.abs(give(rounded) - give(state)).mean() <= 0.1
+    assert set(steps) == {"strong", "weak"} and steps["weak"] > 20.0 * steps["strong"]
+
+
+@pytest.mark.parametrize("name", ["compact", "pix2pix"])
+def test_a_network_is_kept_as_coarse_as_the_tolerance_allows(name, tmp_path):
+    halves = train_network(task_of(name, examples(), tmp_path / "r", **SMALL), name)
+    coarse = train_network(task_of(name, examples(), tmp_path / "s", **SMALL, tolerance_mk=50.0), name)
+    assert halves.trained["kept_mk"] < 10.0 < coarse.trained["kept_mk"] < 75.0
+    size = {each: sum(values.nbytes for values in each.arrays().values()) for each in (halves, coarse)}
+    assert size[coarse] < 0.7 * size[halves]
+    again = Network.of(coarse.header(), coarse.arrays())
+    assert again.header() == coarse.header()
+    assert all(np.array_equal(values, coarse.arrays()[key]) for key, values in again.arrays().items())
