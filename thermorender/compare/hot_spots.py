@@ -37,7 +37,7 @@ def response(counts: ArrayLike, size_px: float) -> NDArray[np.float32]:
     )
     areas = [float(width * width) for width in widths[1:]]
     ring = (outer * areas[1] - inner * areas[0]) / (areas[1] - areas[0])
-    difference: NDArray[np.float32] = small - ring
+    difference = np.asarray(small - ring, np.float32)
     middle = np.median(difference)
     scale = 1.4826 * np.median(np.abs(difference - middle))
     return (difference - middle) / max(float(scale), 1e-6)

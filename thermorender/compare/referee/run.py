@@ -192,7 +192,7 @@ def compare(
 
 def rows(summary: dict[str, Any]) -> list[tuple[str, ...]]:
     """Return the rows of a table of errors on ground, noise-free, under HEADER."""
-    found = []
+    found: list[tuple[str, ...]] = []
     for label, own in summary["methods"].items():
         if own["errors"]:
             ground = own["errors"][scores.RADIOMETRIC]["ground"]
