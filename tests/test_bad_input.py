@@ -1176,7 +1176,7 @@ def test_resume_without_a_flight_starts_one(scene, call, tmp_path):
 def test_a_broken_exr(scene, tmp_path):
 
     (tmp_path / "a.exr").write_text("garbage")
-    with pytest.raises(ThermorenderError, match="a.exr cannot be read as EXR"):
+    with pytest.raises(ThermorenderError, match=r"a.exr cannot be read as EXR"):
         read_exr(tmp_path / "a.exr")
 
 

@@ -154,7 +154,7 @@ def test_no_part_of_a_scene_can_be_replaced_alone(weathered):
     for name in ("camera", "spec", "air", "time", "surfaces", "materials", "weather"):
         with pytest.raises(ThermorenderError, match=rf"scene.{name} cannot be set; use with_camera"):
             setattr(weathered, name, None)
-    with pytest.raises(ThermorenderError, match="scene.camera cannot be deleted"):
+    with pytest.raises(ThermorenderError, match=r"scene.camera cannot be deleted"):
         del weathered.camera
     assert copy.copy(weathered).digest() == weathered.digest()
 
