@@ -160,7 +160,7 @@ def test_a_cross_section_of_nothing_is_met_in_a_straight_line(tmp_path):
     [
         ({"weight": None}, "has no array weight; give an .npz file as docs/architecture.md describes it"),
         ({"weight": np.full((3, 16), 0.1)}, "weight sums to 1.6 over 7.5–9 µm; the sum must be 1"),
-        ({"weight": np.full((3, 15), 1 / 15)}, r"cross_section_cm2 is .* where weight is \(3, 15\)"),
+        ({"weight": np.full((3, 15), 1 / 15)}, r"cross_section_cm2 is .* but weight is \(3, 15\)"),
         ({"gas": np.array(["vapour", "vapour"])}, "gas holds 'vapour'; names must be unique"),
         ({"gas": np.array([1.0, 2.0])}, "gas is of type float64, but text is needed"),
         ({"gas": np.array(["vapour", None])}, "has no array gas|is not an .npz file"),

@@ -582,7 +582,7 @@ def test_what_half_precision_cannot_hold_is_kept_whole(tmp_path):
         (lambda header, arrays: header["encoding"].update(scale=0.0), "not finite"),
         (lambda header, arrays: header.update(width=16000), "size mismatch"),
         (lambda header, arrays: header.update(published="no"), "neither true nor false"),
-        (lambda header, arrays: header.update(above_air=True), "not told the air's temperature"),
+        (lambda header, arrays: header.update(above_air=True), "does not take the air's temperature"),
         (lambda header, arrays: header["encoding"].update(scale=-1.0), "a scale that is none"),
         (lambda header, arrays: header["encoding"].update(offset=1e300), "too large"),
         (lambda header, arrays: header["encoding"].update(told={"terrain": [], "conditions": [1]}), "without a name"),

@@ -117,7 +117,7 @@ def test_a_rig_is_found_without_fields_of_view_and_with_unequal_sides():
 
 def test_unrelated_pictures_are_refused():
     pictures = [(f"f{k}", lambda k=k: (pair(k)[0], pair(90 + k)[1])) for k in range(4)]
-    with pytest.raises(ThermorenderError, match=r"agree on one rig|have a score of 0.0"):
+    with pytest.raises(ThermorenderError, match=r"agree on one rig|has a score of 0.0"):
         registration.calibrate(pictures, FIELDS)
 
 
@@ -133,7 +133,7 @@ def test_frames_of_another_size_and_none_are_refused():
 
 def test_pictures_without_detail_are_refused():
     flat = np.full((96, 128, 3), 80, np.uint8)
-    with pytest.raises(ThermorenderError, match=r"have a score of 0.000"):
+    with pytest.raises(ThermorenderError, match=r"has a score of 0.000"):
         registration.calibrate([("f", lambda: (flat, np.full((96, 128), np.nan)))], ((45, 37), (45, 37)))
 
 

@@ -18,7 +18,8 @@ import trimesh
 
 import thermorender as tr
 from scenes import coarse, write_balance, write_mesh, write_terrain
-from thermorender.compare.referee.run import Flight, Options, compare
+from thermorender.compare.referee.flight import Flight
+from thermorender.compare.referee.run import Options, compare
 from thermorender.errors import ThermorenderError
 from thermorender.output import timed
 from thermorender.output.day import day, instant_of, solar_midnight

@@ -12,7 +12,8 @@ import trimesh
 
 import thermorender as tr
 from scenes import write_balance, write_mesh
-from thermorender.compare.referee.run import Flight, Options, compare
+from thermorender.compare.referee.flight import Flight
+from thermorender.compare.referee.run import Options, compare
 from thermorender.errors import ThermorenderError
 from thermorender.learned.correlation import Correlation
 from thermorender.learned.linear import Linear, names_of_columns

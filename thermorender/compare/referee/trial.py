@@ -29,7 +29,7 @@ from thermorender.sensor.readout import radiance_from_counts
 from thermorender.units import ZERO_CELSIUS_K, utc_text
 
 if TYPE_CHECKING:
-    from thermorender.compare.referee.run import Flight
+    from thermorender.compare.referee.flight import Flight
 
 Image = NDArray[np.floating]
 Images = dict[str, Image]
