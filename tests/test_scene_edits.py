@@ -403,7 +403,7 @@ def test_values_say_what_they_are_in_a_line_or_two(weathered, balanced, solved):
     for value in (weathered, balanced, solved, renderer.plan, MODELS["fok-1to1"]):
         assert 4 < len(str(value).splitlines()) <= 15 and max(map(len, str(value).splitlines())) < 260, str(value)
     shown = [
-        (weathered, ("'tiny'", "1024", "texels of 0.5 m", "285.0–300.0 K", "sky of 260 K", "zenmuse-xt2 16×12")),
+        (weathered, ("'tiny'", "1025 texels of 0.5 m", "285.0–300.0 K", "sky of 260 K", "zenmuse-xt2 16×12")),
         (balanced, ("to be solved for 2018-07-28T12:00:00Z", "m above sea level")),
         (solved, (" K at 2018-07-28T12:00:00Z",)),
         (weathered.surfaces[0], ("'terrain'", "triangles", "32×32 texels of 0.5 m", "K")),
