@@ -44,8 +44,7 @@ def traced(folder, mesh, rays, seed=0):
 
 
 def solved(transport, emissivity, tolerance=1e-6, wall=WALL):
-    """(radiance leaving, incident, bounds) for walls of one temperature under a black surround, one node per
-    emissivity."""
+    """(radiance leaving, incident, bounds) of walls at one temperature under a black surround, one node per ε."""
     emitted = np.broadcast_to(wall * np.asarray(emissivity), (len(transport.up), len(emissivity)))
     reflectance = np.broadcast_to(1.0 - np.asarray(emissivity), emitted.shape)
     outside = even(np.zeros(len(emissivity)), np.zeros(len(emissivity)), len(emitted))
@@ -80,8 +79,7 @@ def groove(strips, along):
 
 @pytest.fixture(scope="module")
 def cavity(tmp_path_factory):
-    """(Transport, area fraction of each face, fraction f of the opening) of a sphere that lacks a tenth of its
-    faces."""
+    """(Transport, area fraction of each face, fraction f of the opening) of a sphere without a tenth of its faces."""
     sphere = trimesh.creation.icosphere(subdivisions=5, radius=2.0)
     whole = sphere.area
     sphere.update_faces(sphere.triangles_center[:, 2] / np.linalg.norm(sphere.triangles_center, axis=1) < 0.8)

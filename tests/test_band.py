@@ -92,8 +92,7 @@ def test_kinetic_temperature_outside_the_allowed_range_is_nan():
 
 
 def test_apparent_temperature_of_any_radiance():
-    """An image may hold radiances outside any table; they are inverted directly and leave their neighbours
-    unchanged."""
+    """Radiances outside any table are inverted directly and leave their neighbours unchanged."""
     odd = np.array([0.0, -1.0, np.nan, np.inf, 5e-324, 1e-300, 1e10, 1e300, 40.0])
     found = apparent_temperature(odd, BAND)
     expected = brightness_temperature(odd, *BAND)

@@ -37,8 +37,7 @@ def name_of(path):
 
 
 def blocks(path):
-    """[(language, code, expected output or None)] of a page's blocks, including those that state why they cannot
-    run."""
+    """[(language, code, expected output or None)] of a page's blocks that can run or state why not."""
     found = []
     for language, text in _BLOCK.findall(path.read_text(encoding="utf-8")):
         if language == "text":
