@@ -38,7 +38,7 @@ def forcing(**changed):
     return balance.Forcing(**(own | changed))
 
 
-def march(column, act, seconds, steps, start_k=290.0, state=None):
+def simulate(column, act, seconds, steps, start_k=290.0, state=None):
     """Yield (time at the end [s], State, Fluxes) for each step; `act(time)` gives the Forcing."""
     state = state or balance.at_rest(np, [np.full(np.shape(start_k), start_k)] * len(column.capacity), column)
     for number in range(steps):
@@ -60,7 +60,7 @@ def wave(column, period, seconds, amplitude=100.0):
     """
     steps = round(period / seconds)
     omega = 2.0 * np.pi / period
-    run = march(column, lambda t: forcing(absorbed=amplitude * np.cos(omega * t)), period / steps, 10 * steps)
+    run = simulate(column, lambda t: forcing(absorbed=amplitude * np.cos(omega * t)), period / steps, 10 * steps)
     seen = np.array([(t, state.surface_k) for t, state, _ in run])[-steps:]
     return 2.0 * np.mean((seen[:, 1] - seen[:, 1].mean()) * np.exp(-1j * omega * seen[:, 0])) / amplitude
 
@@ -162,7 +162,7 @@ def after_a_step(t):
 
 def test_step_in_flux(airless):
     """ΔT = 2 Q √(t/π) / I (Carslaw & Jaeger 1959, 2.9), from a quarter of an hour to three days, in steps of 15 min."""
-    for t, state, _ in march(ground(layered([SOIL])), lambda t: forcing(absorbed=100.0), 900.0, 288):
+    for t, state, _ in simulate(ground(layered([SOIL])), lambda t: forcing(absorbed=100.0), 900.0, 288):
         exact = 200.0 * np.sqrt(t / np.pi) / INERTIA
         assert state.surface_k - 290.0 == pytest.approx(exact, rel=after_a_step(t))
 
@@ -170,7 +170,7 @@ def test_step_in_flux(airless):
 def test_step_in_flux_with_newtons_law():
     """ΔT = Q/h (1 − exp(h²t/I²) erfc(h√t/I)), h = 2 W m⁻² K⁻¹ of calm air (Carslaw & Jaeger 1959, 2.7 (4))."""
     h = exchange.CALM_W_M2_K
-    for t, state, _ in march(ground(layered([SOIL])), lambda t: forcing(absorbed=100.0), 900.0, 288):
+    for t, state, _ in simulate(ground(layered([SOIL])), lambda t: forcing(absorbed=100.0), 900.0, 288):
         x = h * np.sqrt(t) / INERTIA
         exact = 100.0 / h * (1.0 - np.exp(x * x) * erfc(x))
         assert state.surface_k - 290.0 == pytest.approx(exact, rel=after_a_step(t))
@@ -180,7 +180,7 @@ def test_step_in_temperature():
     """Stored heat is 2 I ΔT √(t/π); temperature by depth follows erfc(x / 2√(at)) (Carslaw & Jaeger 1959, 2.4, 2.5)."""
     cut = layered([Slab(3.0, SOIL.conductivity, SOIL.capacity)], count=100)
     heat, state = 0.0, None
-    for t, state, fluxes in march(ground(cut), lambda t: forcing(air_k=300.0, **HOT_WIND), 60.0, 1440):  # noqa: B007
+    for t, state, fluxes in simulate(ground(cut), lambda t: forcing(air_k=300.0, **HOT_WIND), 60.0, 1440):  # noqa: B007
         heat += 60.0 * fluxes.into_ground
         if t >= 7200.0:
             assert heat == pytest.approx(2.0 * INERTIA * 10.0 * np.sqrt(t / np.pi), rel=5e-3)
@@ -192,7 +192,7 @@ def test_steady_wall_of_several_slabs():
     """q = ΔT / (Σ d/k + 1/h); mid-slab temperatures from the resistances in front of each (ISO 6946, 6.7)."""
     slabs = [Slab(0.02, 0.9, 1.6e6), Slab(0.1, 0.04, 5e4), Slab(0.24, 0.5, 1.4e6)]
     column = ground(layered(slabs, film=7.7))
-    run = march(column, lambda t: forcing(air_k=263.0, below_k=293.0, **HOT_WIND), 1e6, 60)
+    run = simulate(column, lambda t: forcing(air_k=263.0, below_k=293.0, **HOT_WIND), 1e6, 60)
     _, state, fluxes = list(run)[-1]
     through = 30.0 / (0.02 / 0.9 + 0.1 / 0.04 + 0.24 / 0.5 + 1.0 / 7.7)
     assert -fluxes.into_ground == pytest.approx(through, rel=1e-6)
@@ -215,7 +215,7 @@ def test_second_order_in_time():
     """The second day of soil under sun, wind and vapour: half the step, a quarter of the error; 1 mK at 15 min."""
     column, found = ground(layered([SOIL]), emissivity=0.95, resistance=200.0), {}
     for steps in (48, 96, 192, 1536):
-        run = march(column, sunny, DAY / steps, 2 * steps)
+        run = simulate(column, sunny, DAY / steps, 2 * steps)
         found[steps] = np.array([state.surface_k for _, state, _ in run])[steps // 48 - 1 :: steps // 48][48:]
     first, second, third = (np.sqrt(((found[n] - found[1536]) ** 2).mean()) for n in (48, 96, 192))
     assert 3.3 < first / second < 4.7 and 3.3 < second / third < 4.7
@@ -252,7 +252,7 @@ def test_energy_of_a_day_is_conserved(name):
     column, weather = COLUMNS[name]
     start = None
     into = gained = lost = melt = turned = 0.0
-    for t, state, fluxes in march(column, lambda t: sunny(t, **weather), 900.0, 192, weather.get("air_k", 290.0)):
+    for t, state, fluxes in simulate(column, lambda t: sunny(t, **weather), 900.0, 192, weather.get("air_k", 290.0)):
         if t <= DAY:
             start = stored(column, state)
             continue
@@ -272,7 +272,7 @@ def test_snow_melts_at_the_melting_point_by_the_heat_it_receives():
     column, weather = COLUMNS["snow that melts and runs off"]
     noon = [
         (t, state, fluxes)
-        for t, state, fluxes in march(column, lambda t: sunny(t, **weather), 900.0, 192, 273.15)
+        for t, state, fluxes in simulate(column, lambda t: sunny(t, **weather), 900.0, 192, 273.15)
         if 11.0 < (t - DAY) / 3600.0 < 15.0
     ]
     for _, state, fluxes in noon:
@@ -300,7 +300,7 @@ def test_freezing_of_moist_soil_against_neumann(count, error):
     begin = balance.State(ZERO_CELSIUS_K, [ZERO_CELSIUS_K] * count, 0.0, list(cut.water))
     frozen = heat = 0.0
     air = ZERO_CELSIUS_K - colder
-    for t, state, fluxes in march(column, lambda t: forcing(air_k=air, **HOT_WIND), 900.0, 960, state=begin):
+    for t, state, fluxes in simulate(column, lambda t: forcing(air_k=air, **HOT_WIND), 900.0, 960, state=begin):
         heat -= 900.0 * fluxes.into_ground
         frozen = (sum(cut.water) - sum(state.liquid)) / 300.0
         if t >= DAY:
@@ -355,7 +355,7 @@ def test_wet_surface_without_radiation_is_a_psychrometer(celsius, humidity):
     column = ground(cut, log_wind=4.0, log_heat=4.0, resistance=0.0, held=1e6)
     begin = balance.State(290.0, [290.0] * LAYERS, 1e6, None)
     air = {"air_k": celsius + ZERO_CELSIUS_K, "vapour_pa": vapour, "wind_m_s": 5.0, "pressure_pa": pressure}
-    *_, (_, state, _) = march(column, lambda t: forcing(**air), 3600.0, 20, state=begin)
+    *_, (_, state, _) = simulate(column, lambda t: forcing(**air), 3600.0, 20, state=begin)
     slope = 17.62 * 243.12 / (243.12 + wet_bulb) ** 2 * over_water(wet_bulb)
     allowed = 0.02 * 66.5 / (66.5 + slope) * (celsius - wet_bulb) + 0.01
     assert state.surface_k - ZERO_CELSIUS_K == pytest.approx(wet_bulb, abs=allowed)
