@@ -1,8 +1,8 @@
-"""The light of air by brute force, from the table's numbers alone: what frames through air are compared with.
+"""Radiance of air by brute force, from the table's numbers alone, which frames through air are compared with.
 
-A ray is a straight line above a sphere of the Earth's radius over 0.87 (refraction), cut into a thousand steps; at
-each, densities are interpolated between the table's own levels, depth is added up by the trapezoidal rule, and light
-is Planck's law times the transmittance that each step takes. Nothing is taken over from the model but its arrays.
+A ray is a straight line above a sphere of the Earth's radius over 0.87 (refraction), cut into a thousand steps. At each
+step, densities are interpolated between the table's own levels, depth is summed by the trapezoidal rule, and light is
+Planck's law times the absorption in that step. The model only provides its arrays.
 """
 
 import numpy as np
@@ -46,7 +46,7 @@ def along(air, altitude, distance):
 def between(air, from_m, to_m, length):
     """(transmittance, light) of a straight path between two altitudes, of a length [m]."""
     near, far = RADIUS_M + from_m, RADIUS_M + to_m
-    # The triangle of the Earth's centre and both ends: cosine at the near one.
+    # In the triangle of the Earth's centre and both ends: cosine at the first end.
     cosine = (near**2 + length**2 - far**2) / (2.0 * near * length)
     return along(air, *_points(from_m, -cosine, length * np.linspace(0.0, 1.0, STEPS)))
 
@@ -65,7 +65,7 @@ def _points(at_m, cosine, distance):
 
 
 def sky_mean(air, at_m, directions=14):
-    """E/π of the sky on level ground, (N,): the mean of its light over directions even in cos²θ."""
+    """E/π of the sky on level ground, (N,): the mean of its radiance over directions uniform in cos²θ."""
     root, weight = np.polynomial.legendre.leggauss(directions)
     cosine = np.square(0.5 * (root + 1.0))
     # 2 cosθ d(cosθ) with cosθ = u².

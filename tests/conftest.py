@@ -1,4 +1,4 @@
-"""Shared fixtures: measured data, and which tests may be left out; workers that share the cores."""
+"""Shared fixtures and options: measured data, the list of allowed skips, and one core per worker."""
 
 import atexit
 import functools
@@ -17,23 +17,23 @@ from hypothesis import HealthCheck, settings
 def _take_one_core():
     """Bind a worker of pytest-xdist to one core and one thread; other processes keep all of theirs.
 
-    One process that uses two cores is slower than two that use one each. NumPy, torch and Dr.Jit read all of this when
-    they are imported, so it stands before any of them is.
+    Two processes with one core each are faster than one with two. NumPy, torch and Dr.Jit read these settings when they
+    are imported, so this runs before any of them is.
     """
     worker = os.environ.get("PYTEST_XDIST_WORKER", "")
     if not worker.startswith("gw"):
         return
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"
-    if hasattr(os, "sched_setaffinity"):  # Linux only; Dr.Jit has as many threads as the process has cores
+    if hasattr(os, "sched_setaffinity"):  # Linux only; Dr.Jit starts as many threads as the process has cores
         cores = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {cores[int(worker[2:]) % len(cores)]})
 
 
 _take_one_core()
 
-# How many examples Hypothesis tries; `--hypothesis-profile slow` tries many. Always the same ones, so that a test that
-# is green stays so.
+# Number of examples for Hypothesis; `--hypothesis-profile slow` tries many. The examples are always the same, so that a
+# green test stays green.
 for name, count in (("default", 15), ("slow", 60)):
     settings.register_profile(
         name, derandomize=True, database=None, deadline=None, max_examples=count,
@@ -43,12 +43,12 @@ settings.load_profile("default")
 
 
 def slow(*cases):
-    """Return cases of a parametrised test, each a value or a tuple of values, as ones that are marked slow."""
+    """Return cases of a parametrised test, each a value or a tuple of values, marked as slow."""
     return [pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.slow) for case in cases]
 
 
 HERE = Path(__file__).resolve().parent
-# What may be redistributed travels with the tests; the rest is looked for here.
+# Data that may be redistributed is in tests/data; the rest is looked for here.
 DATA = Path(os.environ.get("THERMORENDER_DATA", HERE.parents[1] / "shared" / "data"))
 
 
@@ -68,7 +68,7 @@ def call(monkeypatch, capfd):
     """Run the command line in this process; return (status, output, errors)."""
     from thermorender.cli.app import main
 
-    # The command line takes the signal over for the whole process.
+    # The command line installs a signal handler for the whole process.
     ending = signal.getsignal(signal.SIGTERM)
 
     def run(*arguments):
@@ -115,7 +115,7 @@ def shared_data(path):
 
 @functools.cache
 def _unpacked():
-    """A folder of this run with what lies in `data/**/NAME.tar.xz`, as `**/NAME/`."""
+    """Temporary folder with the contents of `data/**/NAME.tar.xz`, each as `**/NAME/`."""
     folder = Path(tempfile.mkdtemp(prefix="thermorender-tests-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     for archive in (HERE / "data").rglob("*.tar.xz"):
@@ -146,7 +146,7 @@ def pytest_configure(config):
 
 
 class _ListedSkips:
-    """Fails a run in which a test was skipped that is not on the list."""
+    """Fails a run that skipped a test that is not on the list."""
 
     def __init__(self):
         self.unlisted = {}

@@ -1,15 +1,15 @@
-"""A second renderer, of the plainest kind: what frames are compared with, feature by feature.
+"""A second renderer, as simple as possible, which frames are compared with feature by feature.
 
-Float64 NumPy. Every ray is held against every triangle (Möller and Trumbore 1997, doi:10.1080/10867651.1997.10487468,
-written with Plücker's moments), light is followed backwards from the camera until it is lost, and every path carries
-one random wavelength in each part of the band, of which the samples of a pixel cover the part evenly. Surfaces are
-diffuse, or mirrors after Fresnel's equations, at every meeting. Air absorbs and shines along every segment of a path,
-in small steps. Of the scene only data are taken: triangles, texels, spectra, refractive indices as tabulated, the
-camera's numbers, the tracks, and the air's tables; nothing is shared with `thermorender.render`.
+Float64 NumPy. Every ray is tested against every triangle (Möller and Trumbore 1997, doi:10.1080/10867651.1997.10487468,
+in the form with Plücker's moments). Light is followed backwards from the camera until it is lost. Every path carries
+one random wavelength in each part of the band, and the samples of a pixel cover each part evenly. Surfaces are diffuse,
+or mirrors by Fresnel's equations, at every bounce. Air absorbs and emits along every segment of a path, in small steps.
+From the scene only data are used: triangles, texels, spectra, refractive indices as tabulated, the camera's numbers,
+the tracks, and the air's tables. Nothing is shared with `thermorender.render`.
 
-Beyond the surfaces lie the sky and, below the horizon, black ground of the surroundings' temperature at the altitude of
-the scene's origin. Clouds are black at their base and are seen from below only. The sun is a distant point that lights
-diffuse surfaces; its image in a mirror is left out.
+Beyond the surfaces are the sky and, below the horizon, black ground at the temperature of the surroundings and the
+altitude of the scene's origin. Clouds are black at their base and are seen from below only. The sun is a distant point
+that lights diffuse surfaces; its image in a mirror is left out.
 """
 
 import csv
@@ -21,16 +21,17 @@ from thermorender.paths import data_folder
 # CODATA 2018: 2hc² [W m⁻² sr⁻¹ µm⁴] and hc/k [µm K].
 _H, _C, _K = 6.62607015e-34, 299792458.0, 1.380649e-23
 C1L, C2 = 2e24 * _H * _C**2, 1e6 * _H * _C / _K
-# The air's table: temperature at which its shares hold, the Earth with the bend of refracted rays, and the top.
+# Reference temperature of the air table's shares, Earth radius including refraction, and the top of the air.
 SHARES_K, MEAN_RADIUS_M, TOP_M = 285.0, 6.371e6, 1.0e5
 RADIUS_M = MEAN_RADIUS_M / (1.0 - 0.13)
 # The sun's disc: Saiedy and Goody (1959), doi:10.1093/mnras/119.3.213; solar radius and astronomical unit of the IAU.
 SUN_K, SUN_SR = 5036.0, np.pi * (6.957e8 / 1.495978707e11) ** 2
-# Parts of the band where there is no air; altitudes at which the air is tabulated, 0.3 m apart at the ground.
+# Parts of the band in scenes without air; altitudes at which the air is tabulated, 0.3 m apart at the ground.
 PARTS, LEVELS_M = 24, 1.5e3 * np.expm1(np.linspace(0.0, np.log1p(TOP_M / 1.5e3), 20001))
-# Steps of a ray through the air to space, which err by up to 5 mK of the sky, longest step of others [m], rays at once.
+# Steps of a ray through the air to space (their error is up to 5 mK of the sky), longest step of others [m], rays at
+# once.
 SKY_STEPS, STEP_M, AT_ONCE = 120, 150.0, 1 << 14
-# Paths that carry less of the light than this end, or go on with more: roulette, which errs by nothing but noise.
+# Paths with less than this share of the light end at random or continue with more: roulette, which is unbiased.
 FAINT = 0.1
 
 
@@ -80,7 +81,8 @@ class PathTracer:
         pixels = np.arange(camera.width * camera.height)
         radiance = np.empty(len(pixels))
         for part in np.array_split(pixels, max(1, len(pixels) * samples // AT_ONCE)):
-            # Place in the pixel, first direction off a surface and wavelengths: each spread evenly by itself.
+            # Position in the pixel, first direction off a surface and wavelengths: each spread evenly, independently of
+            # the others.
             order = random.random((len(part), samples, 4 + len(self._low))).argsort(axis=1)
             even = ((order + random.random(order.shape)) / samples).reshape(len(part) * samples, -1)
             column, row = part % camera.width, part // camera.width
@@ -133,7 +135,7 @@ class PathTracer:
         return total
 
     def _cast(self, origin, direction):
-        """(length (n,), face (n,), −1 for none, barycentric (n, 2)) of where rays first meet a triangle."""
+        """(length (n,), face (n,), −1 for none, barycentric (n, 2)) of each ray's first hit on a triangle."""
         count = len(origin)
         length, face, inside = np.full(count, np.inf), np.full(count, -1), np.zeros((count, 2))
         level = (self._corner * self._across).sum(axis=1)
@@ -155,7 +157,8 @@ class PathTracer:
         return length, face, inside
 
     def _texel(self, face, inside, random):
-        """(temperature, material) at points of faces: of one of the four texels round it, drawn by bilinear weight."""
+        """(temperature, material) at points of faces, each from one of the four nearest texels, drawn by bilinear
+        weight."""
         surface, (u, v) = self._surface[face], inside.T[..., None]
         at = (1.0 - u - v) * self._uv[face, 0] + u * self._uv[face, 1] + v * self._uv[face, 2]
         size = self._shape[surface][:, ::-1]
@@ -209,7 +212,7 @@ class PathTracer:
         return share / total[..., self._of]
 
     def _black(self, wavelength, temperature, share=None):
-        """A blackbody's light by node, (n, N), as its one wavelength in each part of the band tells."""
+        """A blackbody's light by node, (n, N), estimated from its one wavelength in each part of the band."""
         if np.ndim(temperature) == 0 and temperature <= 0.0:
             return np.zeros((len(wavelength), len(self._of)))
         planck = C1L / wavelength**5 / np.expm1(C2 / (wavelength * np.asarray(temperature, dtype=float)[..., None]))
@@ -217,7 +220,7 @@ class PathTracer:
         return (planck * (self._high - self._low))[:, self._of] * share
 
     def _altitude(self, point):
-        """Above sea level, of points of the local frame."""
+        """Altitude above sea level of points of the local frame."""
         return self.scene.altitude_m + point[:, 2] + (point[:, :2] ** 2).sum(axis=1) / (2.0 * MEAN_RADIUS_M)
 
     def _segment(self, origin, direction, length, wavelength):
@@ -226,13 +229,13 @@ class PathTracer:
         return self._along(self._altitude(origin), direction[:, 2], length, wavelength, np.arange(steps + 1) / steps)
 
     def _along(self, start, cosine, length, wavelength, parts):
-        """As `_segment`, from altitudes along directions, in steps that end at these parts of the length."""
+        """As `_segment`, from altitudes along directions, in steps that end at these fractions of the length."""
         near = self._air_at(start, wavelength)
         passed = np.ones_like(near[0])
         light = np.zeros_like(passed)
         for k in range(len(parts) - 1):
             far = self._air_at(_risen(start, cosine, parts[k + 1] * length), wavelength)
-            # The mean of what falls exponentially, after Pólya.
+            # The mean of an exponential decrease, after Pólya.
             mean = (0.5 * (near[0] + far[0]) + 2.0 * np.sqrt(near[0] * far[0])) / 3.0
             depth = mean * ((parts[k + 1] - parts[k]) * length)[:, None]
             after = np.exp(-depth)
@@ -251,14 +254,14 @@ class PathTracer:
         return self._extinction[level], self._black(wavelength, self._air_k[level], self._air_share[level])
 
     def _beyond(self, origin, direction, wavelength):
-        """What rays bring that meet no surface, (n, N)."""
+        """Light from beyond the surfaces along rays that hit none, (n, N)."""
         scene, spec, cosine = self.scene, self.scene.spec, direction[:, 2]
         if self.air is None:
             sky, around = (self._black(wavelength, t) for t in (spec.sky_temperature, scene.surroundings_temperature))
             return np.where(cosine[:, None] >= 0.0, sky, around)
         start, found = self._altitude(origin), np.empty((len(origin), len(self._of)))
         above = np.maximum(start - scene.altitude_m, 0.0)
-        # Down to the sphere that goes through the scene's origin, or past it.
+        # Down to the sphere through the scene's origin, or past it.
         middle = (RADIUS_M + start) * cosine
         reach = middle**2 - above * (2.0 * RADIUS_M + start + scene.altitude_m)
         down = (cosine < 0.0) & (reach >= 0.0)
@@ -288,7 +291,7 @@ class PathTracer:
         return self._along(start, cosine, length, wavelength, np.linspace(0.0, 1.0, SKY_STEPS + 1) ** 4)
 
     def _sunlight(self, height):
-        """(towards the sun, heights [m], transmittance there (h, N) of what lies above, clouds included)."""
+        """(direction towards the sun, heights [m], transmittance there (h, N) of the air above, clouds included)."""
         elevation, azimuth = np.radians([self.scene.sun.elevation_deg, self.scene.sun.azimuth_deg])
         towards = np.array([np.cos(elevation) * np.sin(azimuth), np.cos(elevation) * np.cos(azimuth),
                             np.sin(elevation)])  # fmt: skip
@@ -299,7 +302,7 @@ class PathTracer:
         return towards, height, passed
 
     def _lit(self, point, normal, wavelength):
-        """What a white diffuse surface would send on of the sun's own light, (n, N)."""
+        """Sunlight that a white diffuse surface would reflect, (n, N)."""
         towards, height, passed = self._sun
         cosine = normal @ towards
         seen = cosine > 0.0
@@ -344,8 +347,8 @@ def fresnel(cosine, n, k):
 
 
 def _refractive_index(scene, material):
-    """(wavelength [µm], n, k) of a smooth material, as its table gives them."""
-    assert material.directional == "fresnel" and material.rms_slope == 0.0, f"{material.name} is no smooth mirror"
+    """(wavelength [µm], n, k) of a smooth material, from its table."""
+    assert material.directional == "fresnel" and material.rms_slope == 0.0, f"{material.name} is not a smooth mirror"
     own = scene.spec.folder / "materials" / "spectra" / f"{material.name}.csv"
     path = own if own.exists() else data_folder("materials") / "spectra" / f"{material.name}.csv"
     with open(path, newline="", encoding="utf-8") as file:
@@ -367,13 +370,13 @@ def _placed(scene, tracked, time_s, given):
 
 
 def _risen(start, cosine, distance):
-    """Altitude at a distance along straight rays over the sphere, without the cancellation of large numbers."""
+    """Altitude at a distance along straight rays over the sphere, without cancellation of large numbers."""
     square = distance**2 + 2.0 * (RADIUS_M + start) * distance * cosine
     return start + square / (np.sqrt((RADIUS_M + start) ** 2 + square) + RADIUS_M + start)
 
 
 def _off(normal, even):
-    """Directions off surfaces by the cosine law, (n, 3), of pairs of numbers 0…1."""
+    """Directions off surfaces by the cosine law, (n, 3), from pairs of numbers 0…1."""
     side = np.where(np.abs(normal[:, :1]) < 0.8, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
     one = np.cross(normal, side)
     one /= np.linalg.norm(one, axis=1, keepdims=True)

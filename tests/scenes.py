@@ -3,7 +3,7 @@
 
 import numpy as np
 
-# A day in July of which a balance is told no more.
+# A day in July: the weather keys that a heat balance needs.
 WEATHER = """[weather]
 time = 2018-07-28T12:00:00Z
 air_low_c = 12.0
@@ -69,7 +69,7 @@ temperature = "temperature.tif"
 
 
 def write_balance(folder, extra, source='source = "balance"', **terrain):
-    """Write a terrain scene of another temperature source, `extra` with its [weather], without truth; its folder."""
+    """Write a terrain scene with another temperature source and without truth; `extra` holds its [weather]."""
     path = write_terrain(folder, extra=extra, **terrain) / "scene.toml"
     text = path.read_text(encoding="utf-8").replace('source = "raster"\nraster = "temperature.tif"', source, 1)
     path.write_text(text.replace('[truth]\ntemperature = "temperature.tif"\n', ""), encoding="utf-8")
@@ -104,14 +104,14 @@ def coarse(scene, factor=4):
 
 
 def narrow(scene, width=160, height=128):
-    """Return the scene with the middle of its camera's picture, so many pixels of the same size."""
+    """Return the scene with its camera cropped to its middle `width` × `height` pixels."""
     camera = scene.camera
     row, column = (camera.height - height) // 2, (camera.width - width) // 2
     return scene.with_camera(camera.part(slice(row, row + height), slice(column, column + width)))
 
 
 def plane_depth(ground_m=0.0, slope=(0.0, 0.0)):
-    """What tells (pose, Camera) → depth along the axis of the ground that height + slope · (east, north) gives [m]."""
+    """Return a function (pose, Camera) → depth along the axis of the plane height + slope · (east, north) [m]."""
 
     def depth(pose, camera):
         row, column = np.mgrid[: camera.height, : camera.width] + 0.5

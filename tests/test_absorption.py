@@ -1,8 +1,9 @@
-"""Absorption data of one's own, against Elsasser's band summed line by line, steps in small, and damaged files.
+"""User-supplied absorption data: against Elsasser's band summed line by line, against small steps, and damaged files.
 
-Lines of one strength at equal distances, broadened by pressure (Elsasser 1938, doi:10.1103/PhysRev.54.126): the cross
-section at a part x of the distance is s sinh β / (cosh β − cos 2πx), β = 2π γ p / distance. It orders wavelengths
-alike at every pressure, so its k-distribution is exact, and is known without sorting: g = 2x.
+Elsasser's band has lines of equal strength at equal distances, broadened by pressure (Elsasser 1938,
+doi:10.1103/PhysRev.54.126). The cross section at a fraction x of the distance is s sinh β / (cosh β − cos 2πx), with β
+= 2π γ p / distance. The order of wavelengths is the same at every pressure, so its k-distribution is exact and known
+without sorting: g = 2x.
 """
 
 import air_by_steps
@@ -17,7 +18,7 @@ from thermorender.errors import ThermorenderError
 from thermorender.physics.planck import BOLTZMANN, band_radiance, band_radiance_derivative, brightness_temperature
 
 BANDS = np.array([[7.5, 9.0], [9.0, 11.0], [11.0, 13.5]])
-# Of a band's lines: mean cross section at 296 K [cm²], and half width at 1000 hPa by distance.
+# Lines of each band: mean cross section at 296 K [cm²], and half width at 1000 hPa in units of the distance.
 STRENGTH, WIDTH = (3e-22, 4e-23, 1e-21), (0.15, 0.1, 0.2)
 PPM = {"vapour": 8000.0, "haze": 2.0}
 GREY = 2e-20
@@ -27,7 +28,7 @@ LEVELS = np.array([(0, 1013.25, 288.15), (1e3, 898.74, 281.65), (3e3, 701.08, 26
 
 
 def line(band, x, pressure, temperature):
-    """Cross section of a band's vapour at parts x of the lines' distance [cm²]."""
+    """Cross section of a band's vapour at fractions x of the line distance [cm²]."""
     beta = 2.0 * np.pi * WIDTH[band] * pressure / 1000.0
     return STRENGTH[band] * (296.0 / temperature) ** 1.5 * np.sinh(beta) / (np.cosh(beta) - np.cos(2.0 * np.pi * x))
 
@@ -56,7 +57,7 @@ def written(folder, levels=LEVELS, **changes):
 
 
 def line_by_line(altitude, distance, behind):
-    """Radiance of a black wall of a temperature behind a path, summed over wavelengths and 4000 steps of its points."""
+    """Radiance of a black wall behind a path, summed over wavelengths and the 4000 steps between its points."""
     pressure = np.exp(np.interp(altitude, LEVELS[:, 0], np.log(LEVELS[:, 1])))
     temperature = np.interp(altitude, LEVELS[:, 0], LEVELS[:, 2])
     number = 100.0 * pressure / (BOLTZMANN * temperature)
@@ -74,20 +75,20 @@ def line_by_line(altitude, distance, behind):
 
 @pytest.mark.parametrize("camera_m", [50.0, 1000.0, 8000.0])
 @pytest.mark.parametrize("wall_k", [268.0, 308.0])
-def test_ground_from_above_is_its_sum_over_lines_and_steps(tmp_path, camera_m, wall_k):
+def test_radiance_from_above_equals_the_sum_over_lines_and_steps(tmp_path, camera_m, wall_k):
     air = from_absorption(*written(tmp_path)).in_band(7.5, 13.5)
     assert air.nodes == 3 * POINTS
     passed, added = air.path(camera_m, 0.0, camera_m)
     found = passed @ air.planck(wall_k) + added.sum()
     exact = line_by_line(*(camera_m * np.linspace(1.0, 0.0, 4001), camera_m * np.linspace(0.0, 1.0, 4001)), wall_k)
     error = brightness_temperature(found, 7.5, 13.5) - brightness_temperature(exact, 7.5, 13.5)
-    # What 49 pressures and steps of 3 K leave of the interpolation, 0.35 mK; with 97 of one and 32 points 0.33 mK.
+    # The interpolation over 49 pressures and 3 K steps leaves 0.35 mK; 97 pressures and 32 points leave 0.33 mK.
     assert abs(error) < 1e-3, error
     assert passed.mean() < 0.7
 
 
-def test_level_path_is_elsassers_integral(tmp_path):
-    """Of one pressure and temperature, T = ∫ e^(−k(x) u) dx, by 10⁵ points of the lines; 3 km and shorter."""
+def test_level_path_equals_elsassers_integral(tmp_path):
+    """At one pressure and temperature T = ∫ e^(−k(x) u) dx, here over 10⁵ points of the lines; paths up to 3 km."""
     alike = np.array([(0.0, 1000.0, 290.0), (500.0, 1000.0 * np.exp(-500.0 / 8487.0), 290.0)])
     air = from_absorption(*written(tmp_path, alike))
     x = (np.arange(100_000) + 0.5) / 2e5
@@ -96,11 +97,11 @@ def test_level_path_is_elsassers_integral(tmp_path):
         for band in range(3):
             number = 1e-4 * 1000.0 / (BOLTZMANN * 290.0) * 100.0 * metres * 1e-6
             depth = number * (PPM["vapour"] * line(band, x, 1000.0, 290.0) + PPM["haze"] * GREY)
-            # A chord of 3 km dips by 0.15 m, 2e-5 of the density; interpolation of k, 1e-5.
+            # A 3 km chord dips by 0.15 m, 2e-5 of the density; interpolating k adds 1e-5.
             assert through[band * POINTS : (band + 1) * POINTS].sum() == pytest.approx(np.exp(-depth).mean(), abs=2e-5)
 
 
-def test_model_of_own_data_against_a_thousand_steps(tmp_path):
+def test_absorption_model_against_a_thousand_steps(tmp_path):
     air = from_absorption(*written(tmp_path)).in_band(7.5, 13.5)
     for path in ((120.0, 0.0, 500.0), (8000.0, 0.0, 2e4), (10.0, 9000.0, 1.2e4), (500.0, 500.0, 2e4)):
         passed, light = air_by_steps.between(air, *path)
@@ -110,7 +111,7 @@ def test_model_of_own_data_against_a_thousand_steps(tmp_path):
 
 
 def scene(folder, more="", temperature=305.0):
-    """A black plane under own air, from the files in a folder."""
+    """A black plane under the user's air, from the files in a folder."""
     h = 400.0
     mesh = trimesh.Trimesh([[-h, -h, 0], [h, -h, 0], [h, h, 0], [-h, h, 0]], [[0, 1, 2], [0, 2, 3]])
     write_mesh(folder, mesh, temperature, 1.0)
@@ -120,7 +121,7 @@ def scene(folder, more="", temperature=305.0):
     return folder
 
 
-def test_a_frame_through_own_air(tmp_path):
+def test_frame_through_user_supplied_air(tmp_path):
     folder = tmp_path / "s"
     folder.mkdir()
     written(folder)
@@ -137,7 +138,7 @@ def test_a_frame_through_own_air(tmp_path):
         tr.load_scene(folder)
 
 
-def test_one_pressure_and_temperature_hold_for_all_within(tmp_path):
+def test_data_at_one_pressure_and_temperature_cover_no_other(tmp_path):
     level = np.array([(0.0, 1000.0, 290.0), (1.0, 999.9, 290.0)])
     one = arrays()["cross_section_cm2"][..., :1, :1]
     files = written(tmp_path, level, cross_section_cm2=one, pressure_hpa=[1000.0], temperature=[290.0])
@@ -145,7 +146,7 @@ def test_one_pressure_and_temperature_hold_for_all_within(tmp_path):
         from_absorption(*files)
 
 
-def test_a_cross_section_of_nothing_is_met_in_a_straight_line(tmp_path):
+def test_zero_cross_section_is_interpolated_linearly(tmp_path):
     section = arrays()["cross_section_cm2"][:1] * 0.0
     section[..., 1:] = 1e-22
     files = written(tmp_path, np.array([(0.0, 1000.0, 235.0), (1.0, 999.85, 235.0)]), cross_section_cm2=section,
@@ -175,7 +176,7 @@ def test_a_cross_section_of_nothing_is_met_in_a_straight_line(tmp_path):
         ({"temperature": WARM + 40.0}, "at .* m temperature is .*, which absorption data .* do not cover .240"),
     ],
 )
-def test_absorption_data_out_of_order_are_refused(tmp_path, changes, words):
+def test_inconsistent_absorption_data_are_refused(tmp_path, changes, words):
     with pytest.raises(ThermorenderError, match=words) as caught:
         from_absorption(*written(tmp_path, **changes))
     assert "k.npz" in str(caught.value) and "\n" not in str(caught.value)
@@ -202,8 +203,8 @@ def test_profiles_of_gases_are_refused(tmp_path, row, words):
         from_absorption(data, path)
 
 
-def test_damaged_files_are_refused_in_a_sentence_or_read_as_they_are(tmp_path):
-    """Bytes changed, cut and doubled, and single values: no other exception, no warning, no number that is none."""
+def test_damaged_files_are_refused_in_one_sentence_or_read_correctly(tmp_path):
+    """Flipped, cut and repeated bytes, and single values: no other exception, no warning, no NaN in the result."""
     random = np.random.default_rng(3)
     small = arrays()
     small["cross_section_cm2"] = small["cross_section_cm2"][..., ::16, ::20]
@@ -233,7 +234,7 @@ def test_damaged_files_are_refused_in_a_sentence_or_read_as_they_are(tmp_path):
             data[at:at] = data[at // 2 : at // 2 + 40]
         path.write_bytes(data)
         refused += tried()
-    # Zip's checksums tell most; a bit of a time stamp is nobody's loss.
+    # The zip checksums catch most damage; a flipped bit in a time stamp is harmless.
     assert refused > 200
     refused = 0
     numbers = [name for name in small if name != "gas"]

@@ -1,4 +1,4 @@
-"""Frames through air, against sums over steps, nodes and wavelengths at single pixels (`air_by_steps`)."""
+"""Frames through air, compared at single pixels with sums over steps, nodes and wavelengths (`air_by_steps`)."""
 
 from dataclasses import replace
 
@@ -39,7 +39,7 @@ def plane(side):
 
 
 def write(folder, mesh, air=AIR, temperature=300.0, material=None, emissivity=1.0, extra=""):
-    """A mesh scene with air in place of [sky]; `material` in place of a constant emissivity."""
+    """A mesh scene with air in place of [sky], and optionally `material` in place of a constant emissivity."""
     write_mesh(folder, mesh, temperature, emissivity, extra=extra)
     path = folder / "scene.toml"
     text = path.read_text().replace("[sky]\ntemperature = 250.0\n", air)
@@ -51,7 +51,7 @@ def write(folder, mesh, air=AIR, temperature=300.0, material=None, emissivity=1.
 
 
 def isothermal(folder, temperature):
-    """A scene's line naming a table of hazy air of one temperature all the way up."""
+    """Scene line that names a table of hazy air with one temperature at all altitudes."""
     air = Atmosphere.standard("tropical", "rural-5km")
     folder.mkdir(parents=True, exist_ok=True)
     replace(air, temperature=np.full_like(air.temperature, temperature)).save(folder / "air.npz")
@@ -65,9 +65,9 @@ def directions(camera, pose, pixel):
 
 
 def ground_radiance(air, material, temperature, height, cosine, ground_m=0.0):
-    """Band radiance of a plane behind air, summed per node; wavelengths within a node share its transmittance."""
+    """Band radiance of a plane behind air, summed over nodes; wavelengths within a node share its transmittance."""
     length = height / cosine
-    # A flat plane under a round sky: its ends lie higher than its middle.
+    # A flat plane under a curved atmosphere: its ends lie higher than its middle.
     end = ground_m + (length**2 - height**2) / (2.0 * MEAN_RADIUS_M)
     paths = [air_by_steps.between(air, ground_m + height, *path) for path in zip(end, length, strict=True)]
     passed, added = (np.array(part) for part in zip(*paths, strict=True))
@@ -91,13 +91,13 @@ def test_isothermal_air_is_invisible(tmp_path, height, pitch):
     frame = tr.Renderer(scene).frame(tr.pose(0, 0, height, pitch_deg=pitch))
     below = ~((frame.truth["mask"] == 0) & ~np.isfinite(frame.truth["depth"]))
     assert below.mean() > 0.3 and np.isfinite(frame.truth["depth"]).any()
-    # All of it but the sky, which is thin straight up: ground, and what lies beyond it.
+    # Everything but the sky, which is thin straight up: the ground and the surroundings beyond it.
     assert np.abs(frame.apparent_temperature[below] - 290.0).max() < 1e-3
 
 
 @pytest.mark.parametrize("material", ["grass_green", "sand_quartz"])
 @pytest.mark.parametrize(("height", "pitch"), [(1.5, -20.0), (120.0, -90.0), (120.0, -45.0), (12000.0, -60.0)])
-def test_ground_behind_air_is_the_sum_over_nodes(tmp_path, height, pitch, material):
+def test_ground_behind_air_equals_the_sum_over_nodes(tmp_path, height, pitch, material):
     scene = tr.load_scene(write(tmp_path / "s", plane(4.0 * height), temperature=305.0, material=material))
     renderer = tr.Renderer(scene, rays=4096)
     pose = tr.pose(0, 0, height, pitch_deg=pitch)
@@ -109,13 +109,13 @@ def test_ground_behind_air_is_the_sum_over_nodes(tmp_path, height, pitch, materi
     seen = frame.radiance[pixel[hit, 1], pixel[hit, 0]]
     error = (seen - exact) / band_radiance_derivative(brightness_temperature(exact, *BAND), *BAND) * 1e3
     spectrum = renderer.plan.spectrum
-    # Nodes and channels as planned; 2 mK for the grid of lengths, and the sky in 8 bins of 4096 rays; the model's own
-    # steps on a path from 12 km, 6 mK.
+    # Nodes and channels as planned, and 2 mK for the grid of lengths and for the sky in 8 bins of 4096 rays. On a path
+    # from 12 km the model's own steps add 6 mK.
     steps = 6.0 if height > 1e4 else 0.0
     assert hit.sum() >= 8 and np.abs(error).max() < spectrum.nodes_mk + spectrum.channels_mk + 2.0 + steps, error
 
 
-def test_sky_and_the_ground_beyond(tmp_path):
+def test_sky_and_surroundings_against_steps(tmp_path):
     scene = tr.load_scene(write(tmp_path / "s", plane(10.0), extra="[surroundings]\ntemperature = 310.0\n"))
     pose = tr.pose(0, 0, 120.0, pitch_deg=10.0)
     frame = tr.Renderer(scene).frame(pose)
@@ -128,13 +128,13 @@ def test_sky_and_the_ground_beyond(tmp_path):
     below = [air_by_steps.between(air, 120.0, 0.0, metres) for metres in length]
     exact[~up] = [passed @ air_by_steps.planck(air, 310.0)[0] + added.sum() for passed, added in below]
     kelvin = frame.apparent_temperature[pixel[:, 1], pixel[:, 0]] - brightness_temperature(exact, *BAND)
-    # The table's 10 mK, and what refraction bends, which the straight chord here leaves out.
+    # The table's 10 mK, and refraction, which the straight chord here leaves out.
     assert np.abs(kelvin).max() < 0.02, kelvin
     assert list(frame.truth["mask"][pixel[:, 1], pixel[:, 0]] == 0) == list(up)
 
 
 def test_sky_bins_on_a_wall_and_on_a_slope(tmp_path):
-    # A single face of any tilt: the hemisphere's upper part sees the sky, the lower one the ground beyond.
+    # A single tilted face: the upper part of its hemisphere sees the sky, the lower part the surroundings.
     air = Atmosphere.standard("us-1976", "rural-23km").in_band(*BAND)
     node, weight = np.polynomial.legendre.leggauss(60)
     cosine = 0.5 * (node + 1.0)
@@ -144,21 +144,21 @@ def test_sky_bins_on_a_wall_and_on_a_slope(tmp_path):
         turned.apply_transform(trimesh.transformations.rotation_matrix(np.radians(tilt), [1, 0, 0]))
         scene = tr.load_scene(write_mesh(tmp_path / f"{tilt}", turned))
         geometry = Geometry(activate(), scene.surfaces)
-        # Triangles that the one is cut into share these rays.
+        # The triangles that this face is split into share these rays.
         transport = radiosity.trace(geometry, (1 << 20) // geometry.face_count)
         light = environment.Environment(environment.sky_bins(air, 0.0)[None], np.ones((1, 1)), np.zeros(air.nodes))
         found = geometry.share @ light.light(transport.sky, transport.background).sum(axis=1)
-        # ∫ L cos θ dω / π by zenith angle and azimuth, the cosine to the face's normal clipped at 0.
+        # ∫ L cos θ dω / π over zenith angle and azimuth, with the cosine to the face's normal clipped at 0.
         azimuth = np.linspace(0.0, 2.0 * np.pi, 4000, endpoint=False)
         sine = np.sqrt(1.0 - cosine**2)[:, None]
         facing = cosine[:, None] * np.cos(np.radians(tilt)) + sine * np.sin(np.radians(tilt)) * np.cos(azimuth)
         share = np.maximum(facing, 0.0).mean(axis=1) * 2.0
         exact = (0.5 * weight * share) @ sky
-        # Bins and rays: 30 mK of apparent temperature, reflected with 0.05 1.5 mK of a frame.
+        # Bins and rays: 30 mK of apparent temperature; at a reflectance of 0.05 that is 1.5 mK of a frame.
         assert abs(found - exact) < 0.03 * band_radiance_derivative(280.0, *BAND), (tilt, found, exact)
 
 
-def test_sun_lights_what_faces_it(tmp_path):
+def test_sun_lights_surfaces_that_face_it(tmp_path):
     roof = '[[object]]\nname = "roof"\nshape = "box"\nsize = [4.0, 4.0, 0.2]\nposition = [0, 0, 2.0]\n'
     roof += 'temperature = 300.0\nmaterial = "paint_metallic"\n'
     bright = "[sun]\nelevation_deg = 30.0\nazimuth_deg = 90.0\n"
@@ -172,7 +172,7 @@ def test_sun_lights_what_faces_it(tmp_path):
     more = frames[1].radiance - frames[0].radiance
     position = frames[0].truth["position"]
     ground = np.abs(position[..., 2]) < 0.01
-    # The roof's shadow lies west of it: 2 m of height over tan 30° are 3.5 m.
+    # The roof's shadow falls to the west: 2 m of height over tan 30° are 3.5 m.
     shade = ground & (np.abs(position[..., 0] + 3.46) < 1.0) & (np.abs(position[..., 1]) < 1.0)
     open_ground = ground & (position[..., 0] > 3.2) & (np.abs(position[..., 1]) < 4.0)
     wavelength, weight = quadrature(*BAND)
@@ -180,13 +180,13 @@ def test_sun_lights_what_faces_it(tmp_path):
     share = air_by_steps.planck(scene.air, 5036.0)[0]
     passed = air_by_steps.outward(scene.air, 0.0, 0.5)[0] @ share / share.sum()
     expected = 0.4 * 0.5 * above * passed / np.pi
-    # What reaches the shade is sunlight off the lit ground, by way of the roof's shiny underside.
+    # The shade receives only sunlight that the lit ground and the roof's shiny underside reflect.
     assert shade.any() and np.abs(more[shade]).max() < 0.08 * expected
-    # Nodes of the air weigh the sun's light as they do a blackbody's of 285 K.
+    # The air's nodes weight sunlight as they weight a 285 K blackbody.
     assert np.median(more[open_ground]) == pytest.approx(expected, rel=0.03)
 
 
-def test_sunlight_above_the_air_is_that_of_modtran():
+def test_sunlight_above_the_air_agrees_with_modtran():
     tape = shared_data("emissivity/pyradi_modtran/tape7.LWIRSun")
     lines = tape.read_text(encoding="latin-1").splitlines()
     head = next(number for number, line in enumerate(lines) if "TOA_SUN" in line)
@@ -195,14 +195,14 @@ def test_sunlight_above_the_air_is_that_of_modtran():
     wavenumber = np.array([float(row[0]) for row in rows])
     theirs = np.array([float(row[column]) for row in rows]) * 1e4 * wavenumber**2 / 1e4
     ours = sun.irradiance(1e4 / wavenumber)
-    # Their sun is that of 1 January (card 3A1), 0.9833 astronomical units away; ours stands at one. What is left is
-    # what `irradiance` states for its one temperature over the window: 3 %.
+    # MODTRAN's sun is that of 1 January (card 3A1), at 0.9833 astronomical units; ours is at one. The remaining 3 % is
+    # the stated error of `irradiance`, which uses one temperature over the whole window.
     assert lines[6].split()[:3] == ["1", "2", "1"]
     assert np.abs(ours / 0.9833**2 / theirs - 1.0).max() < 0.03
 
 
-def test_grey_sand_is_wrong_and_its_nodes_cure_it(tmp_path):
-    # Hot sand reflects most where a clear sky is coldest and the air lets most pass.
+def test_grey_sand_is_wrong_and_spectral_nodes_correct_it(tmp_path):
+    # Hot sand reflects most where a clear sky is coldest and the air most transparent.
     air = '[atmosphere]\nstandard = "tropical"\n'
     own = tr.load_scene(write(tmp_path / "own", plane(2000.0), air, temperature=340.0, material="sand_quartz"))
     sand = own.materials[0]
@@ -217,7 +217,7 @@ def test_grey_sand_is_wrong_and_its_nodes_cure_it(tmp_path):
     assert true.plan.nodes > wrong.plan.nodes
 
 
-def test_plan_says_what_air_brings(tmp_path):
+def test_plan_states_the_effects_of_air(tmp_path):
     scene = tr.load_scene(write(tmp_path / "s", plane(10.0), emissivity=0.95))
     rows = {row[0]: row for row in make_plan(scene).rows()}
     assert "channels" in rows["air"][1] and "kilometre" in rows["air"][2] and rows["sun"][1] == "out"
@@ -225,7 +225,7 @@ def test_plan_says_what_air_brings(tmp_path):
     sunny = '[sun]\nelevation_deg = 40\nazimuth_deg = 180\n'
     lit = tr.load_scene(write(tmp_path / "lit", plane(10.0), emissivity=0.95, extra=sunny))
     assert make_plan(lit).sun and 5.0 < make_plan(lit).sun_mk < 100.0
-    # Nearly black ground: half a millikelvin at most.
+    # Nearly black ground: at most half a millikelvin.
     black = tr.load_scene(write(tmp_path / "black", plane(10.0), emissivity=0.9995, extra=sunny))
     assert not make_plan(black).sun and 0.0 < make_plan(black).sun_mk < 0.5
     night = tr.load_scene(write(tmp_path / "night", plane(10.0), extra=sunny.replace("40", "-5")))
@@ -236,8 +236,8 @@ def test_plan_says_what_air_brings(tmp_path):
     assert make_plan(without).spectrum.channels == 1 and make_plan(without).air_mk is None
 
 
-def test_what_light_between_surfaces_leaves_out_is_stated(tmp_path):
-    """A floor under a roof 60 m above: what it sees of that, by what the air changes over 60 m, by reflectance."""
+def test_neglected_air_between_surfaces_is_in_the_stated_error(tmp_path):
+    """A floor under a roof at 60 m: view factor of the roof × change of light by 60 m of air × reflectance."""
     roof = '[[object]]\nname = "roof"\nshape = "box"\nsize = [60.0, 60.0, 0.2]\nposition = [0, 0, 60.0]\n'
     roof += 'temperature = 340.0\nmaterial = "asphalt"\n'
     scene = tr.load_scene(write(tmp_path / "s", plane(4.0), emissivity=0.8, extra=roof))
@@ -248,10 +248,10 @@ def test_what_light_between_surfaces_leaves_out_is_stated(tmp_path):
     seen = np.asarray(baked.transport.operator[[0, 1]].sum(axis=1))
     assert seen == pytest.approx(0.24, abs=0.05)
     reflected = [left_out(scene, baked.transport, np.full(baked.geometry.face_count, r)) for r in (0.2, 0.4)]
-    # The roof's faces lie 60 to 70 m from the middle.
+    # The roof's faces are 60 to 70 m from the middle.
     assert np.all(reflected[0][:2] > 0.2 * seen * change) and np.all(reflected[0][:2] < 0.2 * seen * change * 70 / 60)
     assert reflected[1] == pytest.approx(2.0 * reflected[0])
-    # The budget of a frame of the floor holds it, beside the noise of the rays.
+    # A frame's budget includes it, together with the noise of the rays.
     stated = renderer.frame(tr.pose(0, 0, 2.0, **DOWN)).budget_mk["bake"]
     assert stated > reflected[0][:2].min() / renderer.plan.radiance_per_mk
     assert baked.errors_mk["air"] > 0.0 and "air" not in tr.Renderer(tr.load_scene("heath"), rays=2).baked.errors_mk
@@ -273,14 +273,14 @@ def test_what_light_between_surfaces_leaves_out_is_stated(tmp_path):
         ("[sky]\ntemperature = 250.0\n[sun]\nelevation_deg = 10\nazimuth_deg = 0\n", "add [atmosphere]"),
     ],
 )
-def test_bad_air_is_refused_by_key(tmp_path, air, words):
+def test_wrong_air_settings_are_refused_by_key(tmp_path, air, words):
     folder = write(tmp_path / "s", plane(4.0), air)
     with pytest.raises(ThermorenderError) as caught:
         tr.load_scene(folder)
     assert words in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_a_camera_in_space_is_refused(tmp_path):
+def test_camera_in_space_is_refused(tmp_path):
     scene = tr.load_scene(write(tmp_path / "s", plane(4.0)))
     with pytest.raises(ThermorenderError, match="out of range"):
         tr.Renderer(scene).frame(tr.pose(0, 0, 4e4, **DOWN))
@@ -301,7 +301,7 @@ def test_clouds_warm_the_sky(tmp_path):
     assert found[1] < scene.air.air_temperature(0.0)
 
 
-def test_what_lies_above_the_base_of_clouds_is_refused_before_any_work(tmp_path, monkeypatch):
+def test_surfaces_above_the_cloud_base_are_refused_before_any_work(tmp_path, monkeypatch):
     air = AIR + "cloud_fraction = 0.3\ncloud_base_m = 500.0\naltitude_m = 400.0\n"
     scene = tr.load_scene(write(tmp_path / "s", plane(4.0), air, emissivity=0.9))
     renderer = tr.Renderer(scene, rays=16)
@@ -314,7 +314,7 @@ def test_what_lies_above_the_base_of_clouds_is_refused_before_any_work(tmp_path,
         tr.fly(renderer, up, tmp_path / "out")
     assert not (tmp_path / "out").exists()
     monkeypatch.undo()
-    # Right below the base only the cloud is left of the sky.
+    # Just below the base, the cloud is all of the sky.
     over = tr.load_scene(write(tmp_path / "over", plane(4.0), air.replace("0.3", "1.0"), emissivity=0.9))
     seen = tr.Renderer(over, rays=16).frame(tr.pose(0, 0, 99.9, pitch_deg=60.0)).apparent_temperature
     assert np.abs(seen - over.air.air_temperature(500.0)).max() < 0.005
@@ -330,12 +330,12 @@ def test_what_lies_above_the_base_of_clouds_is_refused_before_any_work(tmp_path,
         tr.load_scene(high)
 
 
-def test_standard_air_in_place_of_a_scenes_sky(tmp_path):
+def test_standard_air_replaces_the_scenes_sky(tmp_path):
     scene = tr.load_scene(write_mesh(tmp_path / "s", plane(10.0), emissivity=1.0))
-    told = tr.load_scene(write(tmp_path / "t", plane(10.0)))
+    replaced = tr.load_scene(write(tmp_path / "t", plane(10.0)))
     aired = scene.with_air("midlatitude-summer", "rural-23km")
     pose = tr.pose(0, 0, 50, **DOWN)
-    assert np.array_equal(*(tr.Renderer(each).radiance(pose) for each in (aired, told)))
+    assert np.array_equal(*(tr.Renderer(each).radiance(pose) for each in (aired, replaced)))
     assert len({scene.digest(), aired.digest(), scene.with_air("tropical").digest()}) == 3
     arrays = [name for name, value in vars(aired.air).items() if isinstance(value, np.ndarray) and name[0] != "_"]
     others = [aired.with_air(replace(aired.air, **{name: getattr(aired.air, name) * 1.0001})) for name in arrays]
@@ -344,7 +344,7 @@ def test_standard_air_in_place_of_a_scenes_sky(tmp_path):
         scene.with_air("moon")
 
 
-def test_a_dynamic_object_in_air_is_as_a_static_one(tmp_path):
+def test_dynamic_object_in_air_equals_a_static_one(tmp_path):
     item = '[[object]]\nname = "car"\nshape = "box"\nsize = [1.8, 4.0, 1.2]\nposition = [0, 0, 0.0]\n'
     item += 'temperature = 310.0\nmaterial = "paint_metallic"\n'
     mesh = plane(20.0)
@@ -356,20 +356,20 @@ def test_a_dynamic_object_in_air_is_as_a_static_one(tmp_path):
         (folder / "car.csv").write_text("time_s,east_m\n0,0\n1,0.0\n") if more else None
         images.append(tr.Renderer(tr.load_scene(folder), rays=512).frame(tr.pose(0, -8, 9, pitch_deg=-50.0)))
     difference = images[1].apparent_temperature - images[0].apparent_temperature
-    # Noise of the rays, on the car's 0.59 of reflected light; a wrong sky or channel would be kelvins.
+    # Noise of the rays in the car's reflected light (reflectance 0.59); a wrong sky or channel would be kelvins off.
     assert np.sqrt(np.mean(np.square(difference))) < 0.06
     assert images[0].apparent_temperature.std() > 1.0
 
 
 @pytest.mark.parametrize("up", [-2000.0, 4e4])
-def test_a_camera_beyond_the_range_of_the_air_is_refused_by_its_pose(up):
+def test_camera_above_the_modelled_air_is_refused_by_pose(up):
     scene = tr.load_scene("heath").with_air("us-1976")
     with pytest.raises(ThermorenderError, match=r"pose: the camera is -?\d+ m above .* give −500 … 30000 m"):
         tr.Renderer(scene, "fast", rays=4, device="cpu").radiance(tr.pose(0.0, 0.0, up, pitch_deg=-90.0))
 
 
 def test_ground_less_than_a_metre_below_clouds(tmp_path):
-    """No camera a metre above the ground is below them; what leaves the ground reflects a cloud as warm as the air."""
+    """No camera a metre above the ground is below the clouds; the ground reflects a cloud as warm as the air."""
     air = AIR + "cloud_fraction = 1.0\ncloud_base_m = 0.5\naltitude_m = 0.0\n"
     scene = tr.load_scene(write(tmp_path / "s", plane(4.0), air, emissivity=0.5))
     seen = tr.Renderer(scene, rays=16).radiance(tr.pose(0, 0, 0.2, **DOWN), through_air=False)
@@ -378,7 +378,7 @@ def test_ground_less_than_a_metre_below_clouds(tmp_path):
 
 
 @pytest.mark.parametrize("altitude", [-600.0, 30_100.0, 100_000.0])
-def test_surfaces_where_no_air_is_known_are_refused_by_their_altitude(tmp_path, altitude):
+def test_surfaces_outside_the_modelled_air_are_refused_by_altitude(tmp_path, altitude):
     scene = tr.load_scene(write(tmp_path / "s", plane(4.0), AIR + f"altitude_m = {altitude}\n"))
     words = rf"scene.toml: surfaces lie {altitude:.7g} … {altitude:.7g} m above sea level, out of range of the air"
     with pytest.raises(ThermorenderError, match=words):

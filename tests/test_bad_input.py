@@ -1,4 +1,4 @@
-"""Every mistake ends in one sentence and status 2, without traceback or warning, and leaves nothing half-written."""
+"""Every user error ends in one sentence and status 2, without traceback or warning, and leaves no partial output."""
 
 import base64
 import io
@@ -95,7 +95,7 @@ def raster(path, bands, crs="EPSG:32632", corner=(500000.0, 5600000.0), size_m=1
 
 @pytest.fixture
 def scene(tmp_path):
-    """Folder of a scene of 8×8 posts and 16×16 texels that renders."""
+    """Folder of a small scene that renders: 8×8 posts and 16×16 texels."""
     folder = tmp_path / "tiny"
     folder.mkdir()
     draw = np.random.Generator(np.random.Philox(5))
@@ -146,13 +146,13 @@ def cut(path, share=0.5):
     path.write_bytes(data[: int(len(data) * share)])
 
 
-def test_the_scene_renders_as_it_is(scene, call, tmp_path):
+def test_unchanged_scene_renders(scene, call, tmp_path):
     status, output, errors = call("render", scene, "-o", tmp_path / "o", "--pose", "0,0,20,0,-90,0", *QUICK)
     assert (status, errors) == (0, "")
     assert "apparent temperature" in output and (tmp_path / "o" / "frame_000000.exr").exists()
 
 
-def test_a_render_says_what_made_it(scene, call, tmp_path):
+def test_render_records_versions_device_and_plan(scene, call, tmp_path):
     options = ["--pose", "0,0,20,0,-90,0", "--tolerance-mk", 4, *QUICK]
     for engine in ("renderer", "reference"):
         output = tmp_path / engine
@@ -179,7 +179,7 @@ def test_missing_scene(refused, tmp_path):
     "key, name", [("terrain.elevation", "elevation"), ("terrain.orthophoto", "orthophoto"),
                   ("temperature.raster", "temperature"), ("emissivity.raster", "classes")],
 )  # fmt: skip
-def test_a_file_named_but_missing(scene, refused, key, name):
+def test_missing_file_is_named(scene, refused, key, name):
     (scene / f"{name}.tif").unlink()
     refused(["scene.toml: ", f"{key}='{name}.tif' does not exist"], "render", scene)
 
@@ -268,7 +268,7 @@ def test_wrong_values(scene, refused, old, new, words):
 
 
 def many_materials(scene, count):
-    """Give the scene a library of so many materials, its texels one class of each of the first 255."""
+    """Give the scene a library of `count` materials, and its texels one class for each of the first 255."""
     from thermorender.paths import data_folder
 
     shipped, own = data_folder("materials"), scene / "materials"
@@ -286,7 +286,7 @@ def many_materials(scene, count):
     change(scene / "scene.toml", '1 = "grass_green"\n2 = "asphalt"\n', named)
 
 
-def test_as_many_materials_as_a_texel_can_tell_apart_and_no_more(scene, refused):
+def test_255_materials_are_accepted_and_256_refused(scene, refused):
     many_materials(scene, 256)
     loaded = load_scene(scene)
     names = np.array([material.name for material in loaded.materials])
@@ -296,7 +296,7 @@ def test_as_many_materials_as_a_texel_can_tell_apart_and_no_more(scene, refused)
     refused([scene / "scene.toml", "'m256' would be the scene's material number 256", "up to 255"], "render", scene)
 
 
-def test_temperatures_are_given_by_a_source(scene):
+def test_temperatures_need_a_source(scene):
 
     loaded = load_scene(scene)
     for given in (np.full((16, 16), 300.0), None, True):
@@ -306,7 +306,7 @@ def test_temperatures_are_given_by_a_source(scene):
 
 
 @pytest.mark.parametrize("given", [57.0, 0.0, -273.0, np.nan, np.inf, 1e4])
-def test_no_object_is_set_to_a_temperature_that_none_has(scene, given):
+def test_impossible_object_temperatures_are_refused(scene, given):
     change(scene / "scene.toml", "[sky]", OBJECT + "[sky]")
     with pytest.raises(ThermorenderError, match=f"^object 'marker': temperature_k={given:g} is "):
         load_scene(scene).with_objects({"marker": given})
@@ -367,8 +367,8 @@ def test_wrong_rasters(scene, refused, name, bands, how, words):
 
 
 @pytest.mark.parametrize("name", ["elevation", "orthophoto", "temperature", "classes"])
-def test_a_raster_has_a_limit(scene, refused, name):
-    """A GeoTIFF of 100 000² pixels, without any in the file, is refused before any memory is taken for it."""
+def test_raster_size_is_limited(scene, refused, name):
+    """A GeoTIFF that claims 100 000² pixels, and holds none, is refused before memory is allocated for it."""
     import rasterio
 
     bands, kind = {"orthophoto": (3, "uint8"), "classes": (1, "uint8")}.get(name, (1, "float32"))
@@ -384,7 +384,7 @@ def test_a_raster_has_a_limit(scene, refused, name):
         refused(words, "import-terrain", scene / "elevation.tif", scene / "orthophoto.tif")
 
 
-def test_terrain_beyond_the_memory_is_told_with_its_file(scene, refused, monkeypatch):
+def test_terrain_larger_than_memory_is_refused_by_file(scene, refused, monkeypatch):
     def full(*_):
         raise MemoryError("Unable to allocate 27.9 GiB")
 
@@ -405,7 +405,7 @@ WMS = """<GDAL_WMS><Service name="TMS"><ServerUrl>http://localhost:1/${z}/${x}/$
 
 
 @pytest.mark.parametrize("key, old", [("terrain.elevation", "elevation"), ("temperature.raster", "temperature")])
-def test_a_raster_leads_nowhere_else(scene, refused, key, old):
+def test_raster_cannot_refer_to_files_outside_the_scene(scene, refused, key, old):
     (scene / f"{old}.tif").rename(scene.parent / "out.tif")
     for text in (VRT, WMS):
         (scene / f"{old}.tif").write_text(text)
@@ -413,7 +413,7 @@ def test_a_raster_leads_nowhere_else(scene, refused, key, old):
     (scene / "own.vrt").write_text(VRT)
     change(scene / "scene.toml", f"{old}.tif", "own.vrt")
     refused([f"{key}='own.vrt'", "a raster that holds all its pixels itself", ".tif"], "render", scene)
-    # A file beside it that only GDAL asks for.
+    # A sidecar file that only GDAL asks for.
     change(scene / "scene.toml", "own.vrt", f"{old}.tif")
     (scene.parent / "out.tif").rename(scene / f"{old}.tif")
     (scene.parent / "out.xml").write_text("<PAMDataset></PAMDataset>")
@@ -421,8 +421,8 @@ def test_a_raster_leads_nowhere_else(scene, refused, key, old):
     refused([f"{key}='{old}.tif'", f"{old}.tif.aux.xml", "inside the scene's folder"], "render", scene)
 
 
-def test_what_lies_beside_a_raster_leads_nowhere_else(scene, refused, call, tmp_path):
-    """GDAL's sidecar file may name overviews anywhere, in a network too."""
+def test_sidecar_files_cannot_refer_outside_the_scene(scene, refused, call, tmp_path):
+    """GDAL's sidecar file may name overviews anywhere, even on the network."""
     import http.server
     import threading
 
@@ -453,7 +453,7 @@ def test_what_lies_beside_a_raster_leads_nowhere_else(scene, refused, call, tmp_
     assert (status, errors, asked) == (0, "", [])
 
 
-def test_a_raster_on_the_command_line_may_be_a_mosaic(scene, call, tmp_path):
+def test_raster_on_the_command_line_may_be_a_mosaic(scene, call, tmp_path):
     (scene / "elevation.tif").rename(tmp_path / "out.tif")
     (scene / "own.vrt").write_text(VRT)
     status, _, errors = call("import-terrain", scene / "own.vrt", scene / "orthophoto.tif", "-o", tmp_path / "new")
@@ -461,8 +461,8 @@ def test_a_raster_on_the_command_line_may_be_a_mosaic(scene, call, tmp_path):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="makes a pipe, and a name of bytes")
-def test_a_raster_on_the_command_line_is_an_ordinary_file_with_a_name(scene, refused, tmp_path):
-    """A pipe would be waited for without end."""
+def test_raster_on_the_command_line_must_be_a_regular_file(scene, refused, tmp_path):
+    """Reading from a pipe would block for ever."""
     os.mkfifo(tmp_path / "pipe.tif")
     odd = tmp_path / os.fsdecode(b"\xff.tif")
     for path, words in (
@@ -478,7 +478,7 @@ def test_a_raster_on_the_command_line_is_an_ordinary_file_with_a_name(scene, ref
 
 
 @pytest.mark.parametrize("name", ["scene.toml", "flight.csv", "materials", "elevation.tif", "small.toml"])
-def test_links_out_of_a_scene_are_not_followed(scene, refused, name):
+def test_links_out_of_a_scene_are_refused(scene, refused, name):
     if name == "materials":
         (scene / name).mkdir()
     (scene / name).rename(scene.parent / f"out {name}")
@@ -486,13 +486,13 @@ def test_links_out_of_a_scene_are_not_followed(scene, refused, name):
     refused([name, "inside the scene's folder"], "fly", scene, *QUICK)
 
 
-def test_a_scene_s_folder_may_be_a_link(scene, call, tmp_path):
+def test_scene_folder_may_be_a_link(scene, call, tmp_path):
     (tmp_path / "link").symlink_to(scene)
     status, _, errors = call("plan", tmp_path / "link", *QUICK)
     assert (status, errors) == (0, "")
 
 
-def test_a_raster_without_a_place(scene, refused):
+def test_raster_without_georeference(scene, refused):
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning
 
@@ -505,20 +505,20 @@ def test_a_raster_without_a_place(scene, refused):
 
 @pytest.mark.parametrize("name", ["elevation", "orthophoto", "temperature", "classes"])
 @pytest.mark.parametrize("share", [0.9, 0.02])
-def test_a_raster_cut_short(scene, refused, name, share):
+def test_truncated_raster(scene, refused, name, share):
     cut(scene / f"{name}.tif", share)
     refused([f"{name}.tif"], "render", scene)
     if name in ("elevation", "orthophoto"):
         refused([f"{name}.tif"], "import-terrain", scene / "elevation.tif", scene / "orthophoto.tif")
 
 
-def test_islands_without_height_are_holes(scene, call, tmp_path):
+def test_nodata_islands_become_holes(scene, call, tmp_path):
     height = np.ones((8, 8), np.float32)
     height[3:5, 3:5] = np.nan
     height[0, 0] = -9999.0
     raster(scene / "elevation.tif", height, nodata=-9999.0)
     mesh = load_scene(scene).surfaces[0]
-    # 3 × 3 cells of 4 m² touch the island in the middle and one cell the corner.
+    # 3 × 3 cells of 4 m² touch the island in the middle; one cell touches the corner.
     corner = mesh.vertices[mesh.faces]
     area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1).sum() / 2
     assert area == pytest.approx(4.0 * (49 - 9 - 1), rel=1e-2)
@@ -537,7 +537,7 @@ def test_islands_without_height_are_holes(scene, call, tmp_path):
     assert not (tmp_path / "p").exists()
 
 
-def test_names_of_files_and_folders_do_not_break_the_scene_file_that_names_them(scene, call, tmp_path):
+def test_special_characters_in_file_names_are_escaped_in_the_scene_file(scene, call, tmp_path):
     odd = scene / 'a"\nsky = "\x7f.tif'
     (scene / "orthophoto.tif").rename(odd)
     folder = tmp_path / 'my "own"\x7f\\scene'
@@ -546,7 +546,7 @@ def test_names_of_files_and_folders_do_not_break_the_scene_file_that_names_them(
     assert load_scene(folder).spec.title == folder.name
 
 
-def test_import_leaves_nothing(scene, refused, call, tmp_path):
+def test_failed_import_leaves_nothing(scene, refused, call, tmp_path):
     elevation, orthophoto = scene / "elevation.tif", scene / "orthophoto.tif"
     nan = "sky_temperature=nan is not a finite number"
     refused(nan, "import-terrain", elevation, orthophoto, "--sky-temperature", "nan")
@@ -624,7 +624,7 @@ def test_wrong_obj(scene, refused, text, words):
     refused(words, "render", scene)
 
 
-def test_an_archive_is_no_mesh(scene, refused):
+def test_archive_is_refused_as_a_mesh(scene, refused):
     import zipfile
 
     with zipfile.ZipFile(scene / "model.zip", "w") as archive:
@@ -633,7 +633,7 @@ def test_an_archive_is_no_mesh(scene, refused):
     refused("model.zip is of no form that is read; give one of .obj, .glb", "render", scene)
 
 
-def test_a_good_obj_passes(scene, call, tmp_path):
+def test_valid_obj_is_accepted(scene, call, tmp_path):
     from PIL import Image
 
     (scene / "good.mtl").write_bytes("# by Zoë\nnewmtl a\nmap_Kd good one.png\n".encode("latin-1"))
@@ -644,31 +644,31 @@ def test_a_good_obj_passes(scene, call, tmp_path):
     assert load_scene(scene).surfaces[0].colour.shape == (4, 4, 3)
 
 
-def test_polygons_that_bulge_pass(scene):
+def test_non_planar_and_concave_polygons_are_accepted(scene):
     mesh_scene(scene, "model.obj", QUAD + "v 0 12 0\nf 1 2 3 5 4\n")
     first = load_scene(scene).surfaces[0]
     a, b, c = np.moveaxis(first.vertices[first.faces].astype(np.float64), 1, 0)
     assert np.isclose(0.5 * np.cross(b - a, c - a)[:, 2].sum(), 16.0**2 + 32.0, rtol=1e-6)
-    # A hollow one whose triangles from the first corner fill it.
+    # A concave polygon whose fan of triangles from the first corner covers it.
     mesh_scene(scene, "model.obj", QUAD + "v 4 -4 0\nf 5 1 2 3\n")
     first = load_scene(scene).surfaces[0]
     a, b, c = np.moveaxis(first.vertices[first.faces].astype(np.float64), 1, 0)
     assert np.isclose(0.5 * np.abs(np.cross(b - a, c - a)[:, 2]).sum(), 64.0, rtol=1e-6)
 
 
-def test_a_part_without_image_has_its_material_s_colour(scene):
+def test_part_without_image_has_its_material_colour(scene):
     import trimesh
 
     (scene / "plain.mtl").write_text("newmtl a\nKd 0.2 0.4 0.8\n")
     mesh_scene(scene, "model.obj", "mtllib plain.mtl\n" + QUAD + FACES_UV)
     assert load_scene(scene).surfaces[0].colour.tolist() == [[[51, 102, 204]]]
     square = trimesh.Trimesh([[0, 0, 0], [9, 0, 0], [9, 0, -9]], [[0, 1, 2]])
-    for factor, told in (([51, 102, 204, 255], [[[124, 170, 231]]]), (None, [[[255, 255, 255]]])):
+    for factor, expected in (([51, 102, 204, 255], [[[124, 170, 231]]]), (None, [[[255, 255, 255]]])):
         material = trimesh.visual.material.PBRMaterial(baseColorFactor=factor)
         square.visual = trimesh.visual.TextureVisuals(material=material)
         mesh_scene(scene, "model.glb", square.export(file_type="glb"))
-        # Linear light there: 0.2, 0.4 and 0.8 are sRGB 0.485, 0.665 and 0.906.
-        assert load_scene(scene).surfaces[0].colour.tolist() == told
+        # GLB factors are linear: 0.2, 0.4 and 0.8 are sRGB 0.485, 0.665 and 0.906.
+        assert load_scene(scene).surfaces[0].colour.tolist() == expected
 
 
 def test_wrong_glb(scene, refused):
@@ -692,7 +692,7 @@ def test_wrong_glb(scene, refused):
     refused("has a texture but no map coordinates", "render", scene)
 
 
-def test_a_broken_object_mesh_and_a_mesh_with_map_rasters(scene, refused):
+def test_damaged_object_mesh_and_mesh_with_map_rasters(scene, refused):
     change(scene / "scene.toml", "[sky]", OBJECT.replace('shape = "disc"', 'file = "car.glb"') + "[sky]")
     refused("object 'marker'.file='car.glb' does not exist", "render", scene)
     (scene / "car.glb").write_bytes(b"")
@@ -703,7 +703,7 @@ def test_a_broken_object_mesh_and_a_mesh_with_map_rasters(scene, refused):
 
 
 def painted(image, **named):
-    """A square of 16 m around the origin, z up, as a glTF dictionary: buffer and image are where they are named."""
+    """A square of 16 m around the origin, z up, as (buffer, glTF dictionary that names its image)."""
     corner = np.array([[-8, 0, 8], [8, 0, 8], [8, 0, -8]], np.float32)
     data = corner.tobytes() + np.zeros((3, 2), np.float32).tobytes() + np.arange(3, dtype=np.uint32).tobytes()
     views = [{"buffer": 0, "byteOffset": at, "byteLength": size} for at, size in ((0, 36), (36, 24), (60, 12))]
@@ -736,7 +736,7 @@ def uri_of(image):
     return "data:image/png;base64," + base64.b64encode(file.getvalue()).decode()
 
 
-def test_a_texture_laid_as_is_not_read(scene, refused):
+def test_unsupported_texture_mappings_are_refused(scene, refused):
     uri = uri_of(np.full((4, 4, 3), (200, 0, 0), np.uint8))
     once = {"samplers": [{"wrapS": 33071}], "textures": [{"source": 0, "sampler": 0}]}
     data, tree = painted(uri)
@@ -747,16 +747,16 @@ def test_a_texture_laid_as_is_not_read(scene, refused):
     mesh_scene(scene, "model.glb", glb(beyond, tree | once))
     refused("model.glb: the texture of material 'paint' is drawn out or mirrored beyond its edge", "render", scene)
     base = {"index": 0}
-    for told, coat in (
+    for mapping, coat in (
         ("the second map coordinates", {"baseColorTexture": base | {"texCoord": 1}}),
         ("KHR_texture_transform", {"baseColorTexture": base | {"extensions": {"KHR_texture_transform": {}}}}),
     ):
         paint = {"name": "paint", "pbrMetallicRoughness": coat}
         mesh_scene(scene, "model.glb", glb(data, tree | {"materials": [paint]}))
-        refused(f"model.glb: the texture of material 'paint' is laid through {told}", "render", scene)
+        refused(f"model.glb: the texture of material 'paint' is laid through {mapping}", "render", scene)
 
 
-def test_a_texture_is_multiplied_by_its_material_s_factor_in_linear_light(scene):
+def test_texture_is_multiplied_by_its_material_factor_in_linear_light(scene):
     import colour
 
     for name, shade, factor in (("white", 255, (0.25, 0.5, 1.0)), ("grey", 200, (0.4, 0.4, 0.4))):
@@ -764,7 +764,7 @@ def test_a_texture_is_multiplied_by_its_material_s_factor_in_linear_light(scene)
         coat = {"baseColorTexture": {"index": 0}, "baseColorFactor": [*factor, 1.0]}
         mesh_scene(scene, "model.glb", glb(data, tree | {"materials": [{"name": name, "pbrMetallicRoughness": coat}]}))
         light = colour.models.eotf_sRGB(shade / 255.0) * np.array(factor)
-        # trimesh keeps the factor as a byte; the colour is one itself.
+        # trimesh keeps the factor as a byte, and the colour is a byte too.
         least, most = (255.0 * colour.models.eotf_inverse_sRGB(light * (1.0 + half / np.array(factor)))
                        for half in (-0.5 / 255.0, 0.5 / 255.0))
         found = load_scene(scene).surfaces[0].colour[0, 0]
@@ -791,7 +791,7 @@ end_header
 
 
 def textured_mesh(scene, kind, image):
-    """Make the scene a mesh of a kind that names an image as its texture."""
+    """Give the scene a mesh of the given kind that names an image as its texture."""
     if kind == "obj":
         (scene / "own.mtl").write_text(f"newmtl a\nmap_Kd {image}\n")
         mesh_scene(scene, "model.obj", "mtllib own.mtl\n" + QUAD + FACES_UV)
@@ -809,7 +809,7 @@ TEXTURED = ("obj", "ply", "glb", "gltf")
 
 
 @pytest.mark.parametrize("kind", TEXTURED)
-def test_a_texture_is_found_within_the_scene_only(scene, refused, kind):
+def test_texture_must_be_inside_the_scene(scene, refused, kind):
     from PIL import Image
 
     red = Image.new("RGB", (4, 4), (200, 0, 0))
@@ -818,7 +818,7 @@ def test_a_texture_is_found_within_the_scene_only(scene, refused, kind):
     textured_mesh(scene, kind, "textures/good one.png")
     colour = load_scene(scene).surfaces[0].colour
     assert colour.shape == (4, 4, 3) and (colour == (200, 0, 0)).all()
-    # From a folder of its own, the way round is still within the scene.
+    # From a subfolder, a path with ".." that stays within the scene is allowed.
     (scene / "models").mkdir()
     for name in ("own.mtl", "model.bin", f"model.{kind}"):
         if (scene / name).exists():
@@ -830,7 +830,7 @@ def test_a_texture_is_found_within_the_scene_only(scene, refused, kind):
             (scene / "models" / name).write_bytes(data.replace(b"textures/good one.png", b"../textures/other.png"))
     red.save(scene / "textures" / "other.png")
     assert load_scene(scene).surfaces[0].colour.shape == (4, 4, 3)
-    # Beyond it nothing is read, whether it is there or not; nor through a link.
+    # Nothing outside is read, whether it exists or not, and not through a link.
     red.save(scene.parent / "x.png")
     (scene / "link.png").symlink_to(scene.parent / "x.png")
     for image in ("../x.png", "../../x.png", str(scene.parent / "x.png"), "link.png", "http://localhost/x.png"):
@@ -843,7 +843,7 @@ def test_a_texture_is_found_within_the_scene_only(scene, refused, kind):
     refused([f"model.{kind}: the texture", "cannot be read", "give a whole PNG or JPEG"], "render", scene)
 
 
-def test_a_mesh_s_other_files_are_found_within_the_scene_only(scene, refused):
+def test_other_files_of_a_mesh_must_be_inside_the_scene(scene, refused):
     data, tree = painted("x.png", uri="../out.bin")
     (scene.parent / "out.bin").write_bytes(data)
     mesh_scene(scene, "model.gltf", json.dumps(tree))
@@ -857,7 +857,7 @@ def test_a_mesh_s_other_files_are_found_within_the_scene_only(scene, refused):
 
 
 def huge_png(path, side=100_000):
-    """A PNG of a few bytes whose head claims so many pixels along each side."""
+    """A PNG of a few bytes whose header claims `side` pixels along each side."""
     def chunk(kind, data):
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
@@ -866,14 +866,14 @@ def huge_png(path, side=100_000):
 
 
 @pytest.mark.parametrize("kind", TEXTURED)
-def test_a_texture_has_a_limit(scene, refused, kind):
+def test_texture_size_is_limited(scene, refused, kind):
     huge_png(scene / "huge.png")
     textured_mesh(scene, kind, "huge.png")
     refused([f"model.{kind}: the texture", "up to 536870912 pixels"], "render", scene)
 
 
-def test_the_limit_of_a_texture_is_not_pillow_s(scene, monkeypatch):
-    """Pillow warns of half, and refuses more than, 179 million pixels: fewer than a large texture has."""
+def test_texture_limit_is_independent_of_pillows(scene, monkeypatch):
+    """Pillow warns above, and refuses above twice, its own limit, which a large texture exceeds."""
     from PIL import Image
 
     Image.new("RGB", (5, 4)).save(scene / "good.png")
@@ -913,7 +913,7 @@ def test_wrong_cameras(scene, refused, old, new, words):
     refused(words, "render", scene)
 
 
-def test_a_whole_number_written_with_a_point_is_a_width(scene):
+def test_width_may_be_a_whole_float(scene):
     change(scene / "small.toml", "width = 16", "width = 16.0")
     assert load_scene(scene).camera.width == 16 and isinstance(load_scene(scene).camera.width, int)
 
@@ -955,7 +955,7 @@ def test_missing_and_binary_logs(scene, refused, tmp_path):
     refused("flight.csv does not exist, and no other log is given; add --trajectory", "fly", scene, *QUICK)
 
 
-def test_two_samples_of_one_time(scene, refused, call, tmp_path):
+def test_two_samples_at_the_same_time(scene, refused, call, tmp_path):
     change(scene / "scene.toml", "[camera]", '[truth]\ntemperature = "temperature.tif"\n[camera]')
     (scene / "flight.csv").write_text(f"{COLUMNS}\n0,0,0,20,-90\n0,1,0,20,-90\n1,2,0,20,-90\n")
     for verb in ("fly", "compare"):
@@ -969,7 +969,7 @@ def test_two_samples_of_one_time(scene, refused, call, tmp_path):
             assert status == 0 and "error" not in errors
 
 
-def test_frames_without_terrain_are_told(scene, call, tmp_path):
+def test_frames_without_terrain_are_reported(scene, call, tmp_path):
     flight = ["fly", scene, "--products", "counts", *QUICK]
     status, printed, errors = call(*flight, "-o", tmp_path / "a")
     assert (status, errors) == (0, "") and "show no terrain" not in printed
@@ -978,7 +978,7 @@ def test_frames_without_terrain_are_told(scene, call, tmp_path):
     assert (status, errors) == (0, "") and "2 of 3 frames show no terrain" in printed
 
 
-def test_a_path_under_the_terrain(scene, refused, call, tmp_path):
+def test_path_below_the_terrain(scene, refused, call, tmp_path):
     (scene / "flight.csv").write_text(f"{COLUMNS.replace('above_ground_m', 'up_m')}\n0,0,0,-20,90\n")
     refused(["at 0.000 s the camera is 2", "m below the ground"], "fly", scene, *QUICK)
     status, _, errors = call(
@@ -1057,7 +1057,7 @@ def test_wrong_mapping_files(scene, refused, tmp_path, text, words):
     refused(["own.toml", words], "fly", scene, "--format", tmp_path / "own.toml", *QUICK)
 
 
-def test_the_command_line_itself(call):
+def test_wrong_command_lines(call):
     for arguments, words in (
         (["nonsense"], "No such command 'nonsense'"),
         (["render"], "Missing argument"),
@@ -1070,7 +1070,7 @@ def test_the_command_line_itself(call):
         assert (status, errors) == (0, "") and "Usage" in output
 
 
-def test_debug_shows_where(scene, monkeypatch, tmp_path):
+def test_debug_raises_the_original_error(scene, monkeypatch, tmp_path):
 
     arguments = ["thermorender", "render", str(scene), "-o", str(tmp_path / "o"), "--quality", "finest", "--debug"]
     monkeypatch.setattr(sys, "argv", arguments)
@@ -1096,7 +1096,7 @@ def test_output_that_cannot_be_written(scene, call, tmp_path, verb):
     assert not long.parent.exists()
 
 
-def test_a_failure_after_the_folder_is_made_removes_it(scene, refused, monkeypatch):
+def test_failed_run_removes_its_new_folder(scene, refused, monkeypatch):
     from thermorender.render.renderer import Renderer
 
     def fail(self, *arguments, **named):
@@ -1109,7 +1109,7 @@ def test_a_failure_after_the_folder_is_made_removes_it(scene, refused, monkeypat
     refused("the bake failed", "compare", scene, *QUICK)
 
 
-def test_compare_says_what_it_lacks(scene, refused):
+def test_compare_names_the_wrong_option(scene, refused):
     change(scene / "scene.toml", "[camera]", '[truth]\ntemperature = "temperature.tif"\n[camera]')
     refused("learned map 'x' is unknown", "compare", scene, "--models", "x", *QUICK)
     refused("models is empty", "compare", scene, "--models", ",", *QUICK)
@@ -1175,7 +1175,7 @@ def test_resume_without_a_flight_starts_one(scene, call, tmp_path):
     assert json.loads((tmp_path / "o" / "flight.json").read_text())["frames"] == 3
 
 
-def test_a_broken_exr(scene, tmp_path):
+def test_damaged_exr(scene, tmp_path):
 
     (tmp_path / "a.exr").write_text("garbage")
     with pytest.raises(ThermorenderError, match=r"a.exr cannot be read as EXR"):
@@ -1187,7 +1187,7 @@ def test_a_broken_exr(scene, tmp_path):
 
 @pytest.fixture
 def no_llvm(monkeypatch):
-    """A machine without LLVM libraries, as seen by a process that has not chosen a variant yet."""
+    """A machine without LLVM libraries, as a process that has not chosen a variant yet finds it."""
     import mitsuba
 
     from thermorender.render import variant
@@ -1199,7 +1199,7 @@ def no_llvm(monkeypatch):
     return variant
 
 
-def test_a_process_keeps_its_device(monkeypatch):
+def test_device_cannot_change_within_a_process(monkeypatch):
     import mitsuba
 
     from thermorender.render.variant import activate
@@ -1229,7 +1229,7 @@ def test_old_llvm(scene, refused, no_llvm, monkeypatch, tmp_path):
     refused(["none.so does not exist", "apt-get install"], "render", scene, "--device", "cpu", *QUICK)
 
 
-# --- a process of its own ---------------------------------------------------------------------------------------
+# --- a separate process -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("case", ["scene", "raster", "mesh", "log", "option"])

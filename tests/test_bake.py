@@ -25,7 +25,7 @@ EMISSIVITIES = np.array([0.9, 0.5, 0.1, 0.01, 0.001])
 
 
 class Counting:
-    """A transport's operator that counts its products."""
+    """A transport operator that counts its products."""
 
     def __init__(self, operator):
         self.operator, self.products = operator, 0
@@ -44,7 +44,7 @@ def traced(folder, mesh, rays, seed=0):
 
 
 def solved(transport, emissivity, tolerance=1e-6, wall=WALL):
-    """(radiance leaving, incident, bounds) of walls of one temperature under a black outside, a node per emissivity."""
+    """(radiance leaving, incident, bounds) of walls at one temperature under a black surround, one node per ε."""
     emitted = np.broadcast_to(wall * np.asarray(emissivity), (len(transport.up), len(emissivity)))
     reflectance = np.broadcast_to(1.0 - np.asarray(emissivity), emitted.shape)
     outside = even(np.zeros(len(emissivity)), np.zeros(len(emissivity)), len(emitted))
@@ -53,7 +53,7 @@ def solved(transport, emissivity, tolerance=1e-6, wall=WALL):
 
 
 def rough(count=25, seed=3):
-    """Terrain of steep random heights, as a mesh of 2 (count − 1)² faces."""
+    """Steep random terrain as a mesh of 2 (count − 1)² faces."""
     rows, columns = np.mgrid[:count, :count]
     height = np.random.default_rng(seed).uniform(0.0, 1.5, (count, count))
     number = np.arange(count * count).reshape(count, count)
@@ -63,7 +63,7 @@ def rough(count=25, seed=3):
 
 
 def groove(strips, along):
-    """V-groove of 60° along y, walls 1 m wide of `strips` strips that narrow towards the bottom."""
+    """V-groove of 60° along y, with walls 1 m wide of `strips` strips that get narrower towards the bottom."""
     place = np.linspace(0.0, 1.0, strips + 1) ** 2
     vertices, faces, n = [], [], len(along)
     for side in (-1.0, 1.0):
@@ -79,7 +79,7 @@ def groove(strips, along):
 
 @pytest.fixture(scope="module")
 def cavity(tmp_path_factory):
-    """(Transport, area share of each face, share f of the opening) of a sphere without a tenth of its faces."""
+    """(Transport, area fraction of each face, fraction f of the opening) of a sphere without a tenth of its faces."""
     sphere = trimesh.creation.icosphere(subdivisions=5, radius=2.0)
     whole = sphere.area
     sphere.update_faces(sphere.triangles_center[:, 2] / np.linalg.norm(sphere.triangles_center, axis=1) < 0.8)
@@ -99,7 +99,7 @@ def test_spherical_cavity_with_an_opening(cavity):
     exact = EMISSIVITIES / (1.0 - (1.0 - EMISSIVITIES) * (1.0 - opening))
     leaving, _, _ = solved(transport, EMISSIVITIES)
     error = brightness_temperature(weight @ leaving, *BAND) - brightness_temperature(exact * WALL, *BAND)
-    # Standard error of the mean share of the opening from the halves of all faces, carried to the temperature.
+    # Standard error of the opening's mean share, from the two halves of the rays, propagated to temperature.
     seen = transport.up.sum(axis=2) + transport.down.astype(float)
     share_error = np.sqrt((((seen[:, 0] - seen[:, 1]) / transport.rays / 2 * weight) ** 2).sum())
     slope = band_radiance_derivative(brightness_temperature(exact * WALL, *BAND), *BAND)
@@ -112,9 +112,9 @@ def test_spherical_cavity_with_an_opening(cavity):
     assert np.abs(error).max() < 0.010 and np.abs(error / sigma).max() < 3.0, report
 
 
-def test_work_hardly_depends_on_emissivity(cavity):
+def test_number_of_products_hardly_depends_on_emissivity(cavity):
     transport = cavity[0]
-    # 1 mK of a wall of 300 K, whatever the emissivity.
+    # 1 mK of a wall at 300 K, for every emissivity.
     tolerance = 1e-3 * band_radiance_derivative(300.0, *BAND)
     products = []
     for emissivity in (EMISSIVITIES, *EMISSIVITIES[:, None]):
@@ -122,7 +122,7 @@ def test_work_hardly_depends_on_emissivity(cavity):
         view = SimpleNamespace(rays=512, operator=counted, up=transport.up, down=transport.down)
         assert solved(view, emissivity, tolerance)[2].max() <= tolerance
         products.append(counted.products)
-    # Bounces need ln(1e-5) / ln(0.999 · 0.9) = 108 for the last. All together cost no more than the worst alone.
+    # Plain bounces would need ln(1e-5) / ln(0.999 · 0.9) = 108 for the last. All together cost no more than the worst.
     assert max(products) <= 12 and products[0] == max(products), products
 
 
@@ -132,13 +132,13 @@ def test_closed_isothermal_enclosure_of_low_emissivity(tmp_path):
     transport, _, _ = traced(tmp_path / "s", sphere, 64)
     leaving, incident, bounds = solved(transport, [0.001], tolerance=0.5e-3 * band_radiance_derivative(300.0, *BAND))
     assert np.abs(brightness_temperature(leaving, *BAND) - 300.0).max() < 1e-3
-    # The bound holds, and is none too many: it allows for the 1000 bounces of this wall.
+    # The bound is not exceeded; it allows for the 1000 bounces between these walls.
     assert np.abs(incident - WALL).max() <= bounds[0]
 
 
 def test_long_v_groove(tmp_path):
-    # Sparrow's integral equation of the walls' radiosity, solved by Gauss quadrature with 200…800 graded nodes;
-    # the mean over the mouth, which is as wide as a wall.
+    # Sparrow's integral equation of the walls' radiosity, solved by Gauss quadrature with 200…800 graded nodes: the
+    # mean over the mouth, which is as wide as a wall.
     exact = np.array([0.943050, 0.654098, 0.179658])
     along = [-20.0, -8.0, -2.0, -0.5, 0.5, 2.0, 8.0, 20.0]
     transport, corners, area = traced(tmp_path / "s", groove(24, along), 16384)
@@ -147,19 +147,19 @@ def test_long_v_groove(tmp_path):
     escaping = area * (transport.sky.sum(axis=1) + transport.background)
     found = (escaping[:, None] * leaving)[middle].sum(axis=0)
     assert area[middle].sum() == pytest.approx(2.0, abs=1e-5)
-    # Standard error of what escapes, from the rays' halves; the rays start lifted off the wall by 64 · 2⁻²⁴ · 21 m,
-    # 8e-5 of its width; more than 20 m away lies less than (1 / 20)² / 12 of what a wall sees.
+    # Standard error of the escaping light, from the two halves of the rays. Rays start 64 · 2⁻²⁴ · 21 m off the wall,
+    # 8e-5 of its width. Less than (1 / 20)² / 12 of a wall's view is more than 20 m away.
     seen = transport.up.sum(axis=2) + transport.down.astype(float)
     half = (seen[:, 0] - seen[:, 1]) / transport.rays / 2 * area
     sigma = np.sqrt(((half[:, None] * leaving)[middle] ** 2).sum(axis=0))
     assert (np.abs(found - exact) < 3.0 * sigma + 8e-5 + 2.1e-4).all(), (found - exact, sigma)
 
 
-def test_noise_is_what_more_rays_show(tmp_path):
+def test_noise_estimate_matches_the_error_against_more_rays(tmp_path):
     random = np.random.default_rng(4)
     mesh = rough()
-    # Where walls emit (1 − ρ) c under an outside of c, all is c without error. Hence the second node, half of what
-    # the first lacks of c = 200, errs by −½ of the first: the errors must add up with their signs.
+    # If walls emit (1 − ρ) c under a surround of c, all radiance is c without error. The second node is half of what
+    # the first lacks of c = 200, so its error is −½ of the first's: the errors must add with their signs.
     emitted = random.uniform(8.0, 12.0, len(mesh.faces))
     emitted = np.column_stack([emitted, 0.5 * (20.0 - emitted)])
     reflectance = np.full(emitted.shape, 0.9)
@@ -173,11 +173,11 @@ def test_noise_is_what_more_rays_show(tmp_path):
         assert each.shape == (len(mesh.faces),)
         error = (reflectance * (incident - truth)).sum(axis=1)
         ratios.append(np.sqrt(np.mean(each**2) / np.mean(error**2)))
-    # 1152 draws tell a deviation to 1 / √(2 · 1152) = 2 %. Halves that fill each other's gaps tell too much, not less.
+    # 1152 draws give a deviation to 1 / √(2 · 1152) = 2 %. Halves that fill each other's gaps overestimate the noise.
     assert all(0.94 < ratio < 1.5 for ratio in ratios), ratios
 
 
-def test_halves_do_not_err_alike_and_add_up(terrain, tmp_path):
+def test_halves_have_independent_errors_and_sum_to_the_whole(terrain, tmp_path):
     shares = np.asarray(terrain.operator.sum(axis=1)).ravel() + terrain.sky.sum(axis=1) + terrain.background
     np.testing.assert_allclose(shares, 1.0, atol=1e-12)
     outside = terrain.up.sum(axis=2) + terrain.down
@@ -187,7 +187,7 @@ def test_halves_do_not_err_alike_and_add_up(terrain, tmp_path):
     assert np.shares_memory(terrain.halves.indices, terrain.seen)
     better = traced(tmp_path / "s", rough(), 4096)[0]
     error = terrain.up.sum(axis=2) / terrain.rays - better.sky.sum(axis=1)[:, None]
-    # What halves err by together would be hidden from `noise`.
+    # `noise` could not see errors that both halves have in common.
     assert np.corrcoef(error.T)[0, 1] < 4.0 / np.sqrt(len(error))
 
 
@@ -198,7 +198,7 @@ def test_odd_and_single_rays(tmp_path):
     assert [traced(tmp_path / f"s{rays}", rough(4), rays)[0].rays for rays in (64, 65)] == [32, 33]
 
 
-def test_blocks_of_nodes_and_faces_change_nothing(monkeypatch):
+def test_block_size_does_not_change_the_solution(monkeypatch):
     scene = made_scenes.terrain(2000, 64)
     together = tr.Renderer(scene, rays=16).baked
     assert together.plan.spectrum.nodes > 2
@@ -211,7 +211,7 @@ def test_blocks_of_nodes_and_faces_change_nothing(monkeypatch):
     assert apart.errors_mk == pytest.approx(together.errors_mk, rel=0.06)
 
 
-def test_light_that_never_leaves_is_refused(tmp_path):
+def test_enclosures_without_loss_are_refused(tmp_path):
     box = trimesh.creation.box(extents=(4, 4, 4))
     box.invert()
     transport, _, _ = traced(tmp_path / "s", box, 16)
@@ -242,12 +242,12 @@ def test_cache_returns_what_was_stored(terrain, kept):
     assert cache.store("a" * 40, terrain) is None
     assert same(cache.load("a" * 40), terrain)
     assert [path.name for path in kept.iterdir()] == ["a" * 40 + ".npz"]
-    # A file under another scene's name is none of its own.
+    # A file renamed to another scene's key is ignored.
     (kept / ("a" * 40 + ".npz")).rename(kept / ("b" * 40 + ".npz"))
     assert cache.load("b" * 40) is None
 
 
-def test_cache_spares_the_tracing(kept, tmp_path, monkeypatch):
+def test_cache_avoids_tracing_again(kept, tmp_path, monkeypatch):
     geometry = Geometry(activate(), tr.load_scene(write_mesh(tmp_path / "s", rough(8))).surfaces)
     small, why = cache.traced(geometry, 64)
     assert why is None and not kept.exists()
@@ -264,7 +264,7 @@ def test_cache_spares_the_tracing(kept, tmp_path, monkeypatch):
     assert same(cache.load(file.stem), first)
 
 
-def test_key_names_all_that_light_depends_on(tmp_path, monkeypatch):
+def test_key_depends_on_everything_that_light_depends_on(tmp_path, monkeypatch):
     def geometry(mesh, name):
         surfaces = tr.load_scene(write_mesh(tmp_path / name, mesh)).surfaces
         return SimpleNamespace(mi=activate(), surfaces=surfaces)
@@ -282,7 +282,7 @@ def test_key_names_all_that_light_depends_on(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("damage", ["empty", "truncated", "text", "flipped"])
-def test_damaged_files_are_no_light(damage, terrain, kept):
+def test_damaged_files_are_ignored(damage, terrain, kept):
     assert cache.store("c" * 40, terrain) is None
     (file,) = kept.iterdir()
     whole = file.read_bytes()
@@ -302,7 +302,7 @@ def test_damaged_files_are_no_light(damage, terrain, kept):
     for content in versions:
         file.write_bytes(content)
         found = cache.load("c" * 40)
-        # A flipped bit in a time stamp or the like does no harm to the light.
+        # A flipped bit in a time stamp and the like does not change the light.
         assert found is None or (damage == "flipped" and same(found, terrain))
     file.write_bytes(versions[0])
     assert cache.store("c" * 40, terrain) is None and same(cache.load("c" * 40), terrain)
@@ -319,7 +319,7 @@ def _store_often(folder, name, own, other, count):
 
 
 def test_two_processes_store_at_once(terrain, kept, tmp_path):
-    # Different light under one name, so that a mixture would be no light at all.
+    # Different light under one key, so that a mixture of both would match neither.
     plain = [
         radiosity.Transport(*(getattr(light, name) for name in ("rays", "start", "seen", "hits", "up", "down")))
         for light in (terrain, traced(tmp_path / "s", rough(12), 64)[0])
@@ -335,7 +335,7 @@ def test_two_processes_store_at_once(terrain, kept, tmp_path):
     assert any(same(cache.load("d" * 40), light) for light in plain) and len(list(kept.iterdir())) == 1
 
 
-def test_unwritable_folder_says_why(terrain, tmp_path, monkeypatch):
+def test_unwritable_folder_gives_the_reason(terrain, tmp_path, monkeypatch):
     # A file where the folder should be: no user, not even root, can write there.
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path / "file" / "kept"))
@@ -354,7 +354,7 @@ def test_interrupted_store_leaves_nothing(terrain, kept, monkeypatch):
     assert not kept.exists()
 
 
-def test_longest_unused_goes_first(terrain, kept):
+def test_least_recently_used_is_removed_first(terrain, kept):
     a, b, c, d, e = (letter * 40 for letter in "abcde")
     for age, name in enumerate((a, b, c)):
         assert cache.store(name, terrain) is None
@@ -363,7 +363,7 @@ def test_longest_unused_goes_first(terrain, kept):
     for part in (old, new):
         part.write_bytes(b"x")
     os.utime(old, (time.time() - 7200,) * 2)
-    # c is the oldest by its time stamp, but was just used; b then is.
+    # c has the oldest time stamp but was just used, so b is next.
     assert cache.load(c) is not None
     size = (kept / f"{a}.npz").stat().st_size
     assert cache.store(d, terrain, limit=3 * size + 100) is None
@@ -372,15 +372,15 @@ def test_longest_unused_goes_first(terrain, kept):
     assert "GB are more than the" in why and not (kept / f"{e}.npz").exists()
 
 
-def test_trimming_leaves_what_is_not_the_caches(terrain, kept):
-    # A folder that the user names may hold anything of his, older than all light and larger than the limit.
+def test_trimming_leaves_other_files_alone(terrain, kept):
+    # A folder that the user names may hold other files, older than all light and larger than the limit.
     names = ["results.npz", "film.part", f"{'a' * 40}.npz", "light/results.npz", "light/film.part"]
     names += [f"light/{'e' * 39}.npz", "light/.x.01234567.part.npz"]
     for name in names:
         (kept.parent / name).parent.mkdir(parents=True, exist_ok=True)
         (kept.parent / name).write_bytes(bytes(1 << 20))
         os.utime(kept.parent / name, (1e9, 1e9))
-    # Less than two of them together: each but the last has to go.
+    # Less than two of them together: all but the last have to go.
     limit = int(1.5 * sum(getattr(terrain, which).nbytes for which in ("start", "seen", "hits", "up", "down")))
     for name in ("b", "c", "d"):
         assert cache.store(name * 40, terrain, limit=limit) is None

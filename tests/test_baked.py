@@ -1,4 +1,4 @@
-"""A baked scene and its frames are values: sent, kept, solved anew, and never dependent on what was rendered before."""
+"""Baked scenes and frames are values: picklable, solvable again for an edit, and independent of earlier renders."""
 
 import copy
 import pickle
@@ -31,7 +31,7 @@ track = "car.csv"
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A terrain with a step, whose car drives east, and cools, from time 0 to 2."""
+    """A terrain with a step and a car that drives east and cools from time 0 to 2."""
     height = np.zeros((16, 16))
     height[:, 9:] = 2.0
     made = write_terrain(tmp_path_factory.mktemp("baked") / "s", height, extra=CAR)
@@ -62,21 +62,21 @@ def test_radiance_is_a_function_of_pose_time_and_objects(renderer, pose):
     assert (renderer.visible(pose, time_s=2.0)[0] != colour).any()
 
 
-def test_what_a_frame_tells_later_is_of_its_own_time(renderer, pose):
+def test_lazily_computed_properties_belong_to_the_frames_own_time(renderer, pose):
     early = renderer.frame(pose, time_s=0.0)
     late = renderer.frame(pose, time_s=2.0)
-    # Asked for only now: the car was at 340 K west of the middle, then at 320 K in the middle.
+    # Computed only now: the car was at 340 K west of the middle, then at 320 K in the middle.
     assert early.targets["car"]["pixel"][0] < late.targets["car"]["pixel"][0]
-    # A drop of 20 K in its own temperature; the terrain is between 285 and 300 K.
+    # The car cools by 20 K; the terrain is between 285 and 300 K.
     assert np.nanmax(early.truth["kinetic_temperature"]) == 340.0
     assert np.nanmax(late.truth["kinetic_temperature"]) == 320.0
 
 
-def test_a_frame_is_pickled_with_its_truth_and_without_its_scene(renderer, pose):
+def test_frame_is_pickled_with_its_truth_and_without_its_scene(renderer, pose):
     frame = renderer.frame(pose, time_s=1.0, index=3)
     sent = pickle.dumps(frame)
     back = pickle.loads(sent)
-    # 96 × 80 pixels of 4 bytes radiance, 4 of its error and 26 truth; the scene's texels and rays would be megabytes.
+    # 96 × 80 pixels: 4 bytes of radiance, 4 of its error, 26 of truth. The scene's texels and rays would be megabytes.
     assert len(sent) < 96 * 80 * (4 + 4 + 26) + 20_000
     np.testing.assert_array_equal(back.error_mk, frame.error_mk)
     for name, values in frame.truth.items():
@@ -85,14 +85,14 @@ def test_a_frame_is_pickled_with_its_truth_and_without_its_scene(renderer, pose)
     assert (back.targets, back.budget_mk, back.seed, back.index) == (frame.targets, frame.budget_mk, 5, 3)
 
 
-def test_what_can_be_made_again_is_not_sent(renderer):
+def test_derived_arrays_are_not_pickled(renderer):
     light = renderer.baked.transport
     assert light.operator.nnz and "operator" in vars(light)
     back = pickle.loads(pickle.dumps(light))
     assert "operator" not in vars(back) and (back.operator != light.operator).nnz == 0
 
 
-def test_a_baked_scene_renders_the_same_bytes_in_another_process(renderer, pose, tmp_path):
+def test_baked_scene_renders_the_same_bytes_in_another_process(renderer, pose, tmp_path):
     (tmp_path / "baked").write_bytes(pickle.dumps(renderer.baked))
     np.save(tmp_path / "pose.npy", pose)
     code = (
@@ -108,14 +108,14 @@ def test_a_baked_scene_renders_the_same_bytes_in_another_process(renderer, pose,
             np.testing.assert_array_equal(found[name], values)
 
 
-def test_an_edit_is_solved_without_tracing(renderer, pose, monkeypatch):
+def test_edit_is_solved_without_tracing(renderer, pose, monkeypatch):
     warmer = renderer.scene.with_temperature(TemperatureSpec(source="constant", value=310.0))
-    anew = tr.Renderer(warmer, rays=16, seed=5).radiance(pose)
+    again = tr.Renderer(warmer, rays=16, seed=5).radiance(pose)
     baked = renderer.baked
     monkeypatch.setattr(radiosity, "trace", lambda *_: pytest.fail("light was traced again"))
-    np.testing.assert_array_equal(tr.Renderer.of(baked.solved_for(warmer)).radiance(pose), anew)
-    np.testing.assert_array_equal(tr.Renderer(warmer, rays=16, like=renderer).radiance(pose), anew)
-    # Materials changed behind the same surfaces: their light is not the old one's.
+    np.testing.assert_array_equal(tr.Renderer.of(baked.solved_for(warmer)).radiance(pose), again)
+    np.testing.assert_array_equal(tr.Renderer(warmer, rays=16, like=renderer).radiance(pose), again)
+    # After other materials on the same surfaces, the old light is not reused.
     swapped = renderer.scene.with_surfaces(materials=renderer.scene.materials[::-1])
     assert (tr.Renderer(swapped, rays=16, like=renderer).radiance(pose) != renderer.radiance(pose)).any()
 
@@ -144,12 +144,12 @@ def test_like_compares_content(folder, renderer, pose):
             tr.Renderer(other, rays=16, like=renderer)
 
 
-def test_a_frame_that_was_sent_can_be_changed(renderer, pose):
+def test_unpickled_frame_can_be_changed(renderer, pose):
     back = pickle.loads(pickle.dumps(renderer.frame(pose, index=3)))
     later, want = replace(back, index=4), renderer.frame(pose, index=4)
     np.testing.assert_array_equal(later.counts, want.counts)
     assert (later.targets, later.budget_mk) == (want.targets, want.budget_mk)
-    # What the sensor adds to the truth is that of the new reading, not of the one before.
+    # The sensor's flags in the truth follow the new reading, not the previous one.
     full = back.with_reading(np.full_like(want.counts, 2**14 - 1), {})
     for sent in (full, pickle.loads(pickle.dumps(full))):
         assert (sent.truth["mask"] & SATURATED).all()
@@ -159,20 +159,20 @@ def test_a_frame_that_was_sent_can_be_changed(renderer, pose):
     assert back in (want, back) and len({back, want}) == 2
 
 
-def test_light_of_another_altitude_is_not_taken(renderer, pose):
+def test_light_from_another_altitude_is_not_reused(renderer, pose):
     high = renderer.scene.with_air("tropical")
     low = high.with_air(AtmosphereSpec(standard="tropical", altitude_m=high.altitude_m + 3000.0))
     found = tr.Renderer(low, rays=16, like=tr.Renderer(high, rays=16, like=renderer)).radiance(pose)
     np.testing.assert_array_equal(found, tr.Renderer(low, rays=16).radiance(pose))
 
 
-def test_a_scene_like_another_shows_its_own_colours_and_names(folder, renderer, pose):
+def test_scene_like_another_has_its_own_colours_and_names(folder, renderer, pose):
     first, *others = renderer.scene.surfaces
     dark = renderer.scene.with_surfaces((replace(first, colour=first.colour // 2, name="land"), *others))
     alone = tr.Renderer(dark, rays=16)
     for like in (tr.Renderer(dark, rays=16, like=renderer), tr.Renderer.of(renderer.baked.solved_for(dark))):
         np.testing.assert_array_equal(like.visible(pose)[0], alone.visible(pose)[0])
-    # An object's name decides whether a target is seen.
+    # An object's name decides whether a target is visible.
     still = (folder / "scene.toml").read_text().replace('track = "car.csv"\n', "")
     other = folder.parent / "still"
     shutil.copytree(folder, other)

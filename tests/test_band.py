@@ -1,4 +1,4 @@
-"""Band radiance of real materials, its tables, and the kinetic temperature behind an apparent one."""
+"""Band radiance of real materials, its tables, and the kinetic temperature from an apparent one."""
 
 import numpy as np
 import pytest
@@ -65,7 +65,7 @@ def test_emitted_plus_reflected_in_an_isothermal_room_is_black():
         assert abs(total - band_radiance(290.0, *BAND)) < 1e-3 * MILLIKELVIN
 
 
-# Kinetic temperatures behind 19 °C apparent under a 250 K sky, worked out apart from this code.
+# Kinetic temperatures at 19 °C apparent under a 250 K sky, computed independently of this code.
 @pytest.mark.parametrize(("emissivity", "celsius"), [(0.2, 109.0), (0.1, 180.0)])
 def test_low_emissivity_is_ill_posed(emissivity, celsius):
     material = grey("metal", emissivity)
@@ -74,7 +74,7 @@ def test_low_emissivity_is_ill_posed(emissivity, celsius):
     assert kinetic == pytest.approx(celsius + 273.15, abs=0.5)
 
 
-def test_kinetic_is_the_inverse_of_what_a_surface_shows():
+def test_kinetic_temperature_inverts_the_radiance_of_a_surface():
     for material in measured_in_band():
         shown = emitted_radiance(material.emissivity_at, 301.0, *BAND) + reflected_radiance(
             material.emissivity_at, 255.0, *BAND
@@ -84,7 +84,7 @@ def test_kinetic_is_the_inverse_of_what_a_surface_shows():
         )
 
 
-def test_no_kinetic_temperature_outside_the_believed_range():
+def test_kinetic_temperature_outside_the_allowed_range_is_nan():
     black = grey("black", 1.0).emissivity_at
     radiance = np.array([-1.0, *band_radiance(np.array([250.0, 279.8, 320.2, 300.0]), *BAND)])
     kinetic = kinetic_temperature(radiance, black, 255.0, BAND, (280.0, 320.0))
@@ -92,7 +92,7 @@ def test_no_kinetic_temperature_outside_the_believed_range():
 
 
 def test_apparent_temperature_of_any_radiance():
-    """An image may hold what no scene shows: no table is made for it, and its neighbours stay as they are."""
+    """Radiances outside any table are inverted directly and leave their neighbours unchanged."""
     odd = np.array([0.0, -1.0, np.nan, np.inf, 5e-324, 1e-300, 1e10, 1e300, 40.0])
     found = apparent_temperature(odd, BAND)
     expected = brightness_temperature(odd, *BAND)

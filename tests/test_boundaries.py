@@ -1,4 +1,4 @@
-"""Who imports what: the rooms and their order, the libraries' owners, and how little a light use loads."""
+"""Imports: rooms import only downwards, libraries stay with their owners, and light use loads little."""
 
 import subprocess
 import sys
@@ -11,7 +11,7 @@ import architecture
 
 OWNER = {"mitsuba": "render", "drjit": "render", "torch": "learned"}
 ORDER = list(architecture.ROOMS)
-MOST_FILES = 16  # fifteen and an __init__
+MOST_FILES = 16  # fifteen modules and `__init__`
 
 
 def test_every_module_has_a_known_room():
@@ -27,7 +27,7 @@ def test_libraries_stay_in_their_room():
             assert owner in (None, architecture.room_of(module)), f"{path} imports {name}, which belongs to {owner}/"
 
 
-def test_the_package_imports_nothing_of_the_checkout_around_it():
+def test_package_imports_nothing_from_the_checkout():
     for path in architecture.modules().values():
         tops = {name.split(".")[0] for name in architecture.imports(path)}
         assert not tops & {"validation", "tests", "examples", "tools"}, path
@@ -45,16 +45,16 @@ def test_rooms_import_only_from_those_below():
         assert ORDER.index(there) < ORDER.index(here), f"{here} imports {there}, which lies above it"
 
 
-def test_no_modules_import_each_other_in_a_circle():
+def test_no_circular_imports():
     assert architecture.circles() == []
 
 
-def test_no_folder_is_crowded():
+def test_folders_hold_at_most_fifteen_modules():
     for folder in {path.parent for path in architecture.modules().values()} - {architecture.PACKAGE}:
         assert len(list(folder.glob("*.py"))) <= MOST_FILES, f"{folder} holds more than {MOST_FILES - 1} modules"
 
 
-def test_the_drawing_is_that_of_the_code():
+def test_drawing_matches_the_code():
     assert architecture.DRAWING.read_text(encoding="utf-8") == architecture.drawing(), (
         "docs/architecture.svg is out of date; run python docs/architecture.py"
     )
@@ -68,7 +68,7 @@ def test_the_drawing_is_that_of_the_code():
         ("import thermorender.sensor.camera as c, os", {"thermorender.sensor.camera", "os"}),
     ],
 )
-def test_every_form_of_import_is_seen(source, found, tmp_path):
+def test_every_form_of_import_is_found(source, found, tmp_path):
     (tmp_path / "m.py").write_text(source, encoding="utf-8")
     assert found <= architecture.imports(tmp_path / "m.py")
 
@@ -84,7 +84,7 @@ def test_every_form_of_import_is_seen(source, found, tmp_path):
         ("import thermorender as tr; tr.Renderer(tr.load_scene('heath'), rays=1)", ("torch", "matplotlib")),
     ],
 )
-def test_light_use_loads_little(code, absent):
+def test_light_use_loads_few_libraries(code, absent):
     check = (
         f"import sys\n{code}\nfound = [name for name in {absent!r} if name in sys.modules]\n"
         "sys.exit(str(found) if found else 0)"

@@ -1,4 +1,4 @@
-"""Cameras read back from their footage: noise, fixed pattern, blur, gain control; on simulated frames and real ones."""
+"""Camera parameters fitted to footage (noise, fixed pattern, blur, gain control), simulated and real."""
 
 import re
 from dataclasses import replace
@@ -28,7 +28,7 @@ from thermorender.sensor.wander import Wander
 GRID = RadianceTable.grid(250.0, 345.0)
 TABLE = RadianceTable(GRID, band_radiance(GRID, 7.5, 13.5))
 STEP_K = 0.006
-# A small XT2 whose every part is big enough to be told from the others, and nothing of what wanders or shades.
+# A small XT2 whose noise components are large enough to separate, without drift or shading.
 STEADY = dict.fromkeys(
     ("narcissus_mk", "shading_mk", "shading_mk_per_k", "flicker_mk", "scale_drift_mk", "blinking_pixels", "case_rise_k",
      "ffc_interval_s"), 0.0,
@@ -41,7 +41,7 @@ CAMERA = replace(
 
 
 def polygons(height, width, seed=0, oversampled=4, count=60):
-    """Temperature of flat patches with straight borders, (height, width) pixel means of an oversampled drawing [K]."""
+    """Temperature of flat patches with straight edges, (height, width) pixel means of an oversampled drawing [K]."""
     import cv2
 
     rng = np.random.default_rng(seed)
@@ -56,7 +56,7 @@ def polygons(height, width, seed=0, oversampled=4, count=60):
 
 
 def footage(camera, frames, static=False, seed=4, change=lambda view, index: view):
-    """Apparent temperatures of a camera over a scene of patches, with a little texture [K]."""
+    """Apparent temperatures [K] of a camera over a scene of patches, with a little texture."""
     scene, rng = polygons(2 * camera.height, 2 * camera.width, seed), np.random.default_rng(seed + 1)
     sensor = Sensor(camera, seed)
     for index in range(frames):
@@ -88,8 +88,8 @@ def write_frames(folder, images):
     return folder
 
 
-# Mean error and spread of single fits over 24 takes, each of another scene, another way over it and other noise, in the
-# keys' units. The finest texture of edges passes for a little sharpness, and no fit of a standard deviation is below 0.
+# Mean error and spread of single fits over 24 takes, in the keys' units. Takes differ in scene, path and noise. The
+# finest texture of edges is fitted as a little sharpness, and no fitted standard deviation is below 0.
 TAKES = 4
 SINGLE_FIT = {
     "netd_mk": (-0.3, 1.0), "sigma_tv_mk": (0.2, 1.6), "sigma_th_mk": (-1.2, 2.4), "sigma_v_mk": (-0.1, 0.95),
@@ -99,7 +99,7 @@ SINGLE_FIT = {
 
 @pytest.fixture(scope="module")
 def takes(base, tmp_path_factory):
-    """[(folder of frames, what was fitted to them)] of the known camera."""
+    """[(folder of frames, the fit to them)] of the known camera."""
     folder = tmp_path_factory.mktemp("footage")
     whole = [write_frames(folder / f"take{seed}", footage(CAMERA, 8, seed=seed)) for seed in range(TAKES)]
     return [(take, calibration.fit_camera([take], base)) for take in whole]
@@ -111,30 +111,31 @@ def fitted(takes):
 
 
 @pytest.mark.parametrize("key", SINGLE_FIT)
-def test_a_known_camera_is_found_again(takes, key):
+def test_fit_recovers_a_known_camera(takes, key):
     found = np.array([(estimates[key].value, estimates[key].uncertainty) for _, estimates in takes])
     true, (offset, spread) = getattr(CAMERA, key), SINGLE_FIT[key]
-    # The mean of the takes errs by the spread over the root of their number.
+    # The error of the mean is the spread over the square root of the number of takes.
     assert abs(found[:, 0].mean() - true - offset) < 3.0 * spread / np.sqrt(TAKES)
-    # What a fit says of its own error is what fits do err by: from 0.5 to 1.7 times as much among the 24.
+    # The stated uncertainty matches the true error: 0.5 to 1.7 times it among the 24 takes.
     error = np.hypot(offset, spread)
     assert 0.4 * error < found[:, 1].min() and found[:, 1].max() < 2.0 * error
     assert error < 0.28 * true
 
 
-def test_a_static_camera(base, tmp_path):
+def test_static_camera(base, tmp_path):
     folder = write_frames(tmp_path / "static", footage(CAMERA, 5, static=True))
     found = calibration.fit_camera([folder], base)
     assert "static camera" in found["netd_mk"].how
-    # Five frames may tell nothing of rows and columns, 1.9 mK of the whole; single pixels they tell to 0.2 mK.
+    # Five frames may contain no information on rows and columns, 1.9 mK of the whole; single pixels are known to 0.2
+    # mK.
     without = np.sqrt(CAMERA.netd_mk**2 - CAMERA.sigma_tv_mk**2 - CAMERA.sigma_th_mk**2)
     assert found["netd_mk"].value == pytest.approx(CAMERA.netd_mk, abs=CAMERA.netd_mk - without + 3.0 * 0.2)
     # Mean error and spread over 12 takes: (−1.3, 1.8).
     assert found["sigma_vh_mk"].value == pytest.approx(CAMERA.sigma_vh_mk - 1.3, abs=5.4)
 
 
-# As SINGLE_FIT, with the uncertainty that is stated, over 16 takes of 24 frames over scenes without an end, and over 12
-# of 60 of a static camera. That of bad pixels is their share's; neighbours among them are overlooked.
+# As SINGLE_FIT, plus the stated uncertainty, over 16 takes of 24 frames over endless scenes and 12 takes of 60 frames
+# from a static camera. The uncertainty of bad pixels is that of their share; adjacent bad pixels are missed.
 WHOLE = {"shading_mk": (15.0, 60.0, 80.0), "vignetting": (0.006, 0.022, 0.038), "bad_pixels": (-1e-4, 5e-5, 2.2e-4)}
 LEVELS = {"sigma_t_mk": (0.0, 2.0, 1.5), "scale_drift_mk": (0.0, 8.0, 6.6), "vignetting": (-0.004, 0.01, 0.02)}
 
@@ -147,8 +148,8 @@ LEVELS = {"sigma_t_mk": (0.0, 2.0, 1.5), "scale_drift_mk": (0.0, 8.0, 6.6), "vig
         (True, 60, LEVELS, {"sigma_t_mk": 15.0, "scale_drift_mk": 30.0, "vignetting": 0.25}),
     ],
 )
-def test_what_belongs_to_the_whole_image(base, tmp_path, static, frames, fits, true):
-    # From a seam to the next a scene is another, so that views have no gradient alike.
+def test_fit_of_whole_image_parameters(base, tmp_path, static, frames, fits, true):
+    # Rolled at a random seam in every frame, so that views share no gradient.
     camera, takes = replace(CAMERA, **true), 3
     found = []
     for seed in range(takes):
@@ -158,19 +159,19 @@ def test_what_belongs_to_the_whole_image(base, tmp_path, static, frames, fits, t
         )  # fmt: skip
         folder = write_frames(tmp_path / f"{seed}", footage(camera, frames, static, seed, shift))
         found.append(calibration.fit_camera([folder], base))
-    for key, (offset, spread, told) in fits.items():
+    for key, (offset, spread, uncertainty) in fits.items():
         values, uncertainties = np.array([(each[key].value, each[key].uncertainty) for each in found]).T
         assert abs(values.mean() - true[key] - offset) < 3.0 * spread / np.sqrt(takes), key
-        assert 0.4 * told < uncertainties.min() and uncertainties.max() < 2.2 * told, key
-    # A camera that stands shows its scene's gradients, one that moves another scene in each frame.
+        assert 0.4 * uncertainty < uncertainties.min() and uncertainties.max() < 2.2 * uncertainty, key
+    # A static camera shows its scene's gradients, a moving one another scene in each frame.
     assert ("shading_mk" in found[0]) != static and ("scale_drift_mk" in found[0]) == static
-    # Noise is stated for the middle: by the light as it was found to fall.
+    # Noise is stated for the image centre, using the fitted vignetting.
     netd = np.hypot(CAMERA.netd_mk, true.get("sigma_t_mk", 0.0)) if static else CAMERA.netd_mk
     mean = np.mean([each["netd_mk"].value for each in found])
     assert mean == pytest.approx(netd, abs=3.0 * 1.2 / np.sqrt(takes) + 1.0)
 
 
-def test_shading_is_less_what_changing_scenes_leave():
+def test_shading_excludes_what_changing_scenes_add():
     # One mode of 0.4 K, and nine that the scene changes by 0.5 K from frame to frame.
     draws, rng, found = 400, np.random.default_rng(3), []
     for _ in range(draws):
@@ -178,7 +179,7 @@ def test_shading_is_less_what_changing_scenes_leave():
         field._waves = list(rng.normal(0.0, 0.5, (24, 4, 4)) + np.where(np.arange(16).reshape(4, 4) == 4, 0.4, 0.0))
         found.append(field.shading())
     value, uncertainty = np.array(found).T
-    # Of the square, as no root is below zero; a few of it are.
+    # The mean of the square is compared, as some squares are negative and no root is below zero.
     square = value**2
     assert square.mean() == pytest.approx(0.16, abs=3.0 * square.std() / np.sqrt(draws) + 0.01)
     seen = np.quantile(value, (0.16, 0.84))
@@ -186,8 +187,8 @@ def test_shading_is_less_what_changing_scenes_leave():
 
 
 @pytest.mark.parametrize(("frames", "rate_hz"), [(60, 9.0), *slow((60, 30.0), (300, 9.0))])
-def test_a_wandering_scale_is_told_as_well_as_its_draws_tell(frames, rate_hz):
-    # Levels as a camera's own scale makes them, from anywhere on its course: whole ticks of 1 s have new draws.
+def test_stated_uncertainty_of_scale_drift_matches_its_error(frames, rate_hz):
+    # Levels from the camera's own model of scale drift, from a random start: each whole second has a new draw.
     camera, rng, takes = replace(CAMERA, scale_drift_mk=1.0), np.random.default_rng(5), 80
     one_k, time_s, found = noise_power(camera, 1.0), np.arange(frames) / rate_hz, []
     for seed in range(takes):
@@ -195,27 +196,27 @@ def test_a_wandering_scale_is_told_as_well_as_its_draws_tell(frames, rate_hz):
         drift = [course.scale_drift(start_s, start_s + t) / one_k for t in time_s]
         field._levels = list(0.03 * np.array(drift) + rng.normal(0.0, 0.01, frames))
         found.append(field.wander(rate_hz, 0.0))
-    for (value, told), true in zip(np.moveaxis(found, 0, -1), (0.01, 0.03), strict=True):
-        error, stated = (np.sqrt(np.mean(np.square(values))) for values in (value - true, told))
-        # A root mean square of 80 draws errs by 8 %, one with tails as long as these by twice that.
+    for (value, uncertainty), true in zip(np.moveaxis(found, 0, -1), (0.01, 0.03), strict=True):
+        error, stated = (np.sqrt(np.mean(np.square(values))) for values in (value - true, uncertainty))
+        # A root mean square of 80 draws has an error of 8 %; with tails as long as these, twice that.
         assert 0.75 * error < stated < 2.0 * error
 
 
-def test_levels_of_even_frames_have_no_noise_of_their_own():
-    # Rows, columns and pixels leave noise in a frame's level, and in a median over its blocks more than in its mean.
+def test_level_noise_of_uniform_frames_is_small():
+    # Row, column and pixel noise enter a frame's level, and the median over its blocks more than its mean.
     rng, found = np.random.default_rng(2), []
     for _ in range(24):
         field = Field((192, 192))
         for _ in range(40):
             field.add(290.0 + rng.normal(0.0, 0.5, (192, 192)), np.zeros((192, 192), bool))
         found.append(field.wander(9.0, 0.5 / 192)[0][0])
-    # 40 levels tell their variance, 2π/3 of a mean's, to √(2/39): 0.47. Half of the fits are 0, the others' roots about
-    # 0.6, and the mean of 24 errs by 0.08.
+    # 40 levels give their variance, 2π/3 of a mean's, to √(2/39): 0.47. Half of the fits are 0, the roots of the others
+    # are about 0.6, and the error of the mean of 24 is 0.08.
     assert np.mean(found) < (0.5 * 0.6 + 2.0 * 0.08) * 0.5 / 192, found
 
 
 def flames(share, most_k, side=16):
-    """A share of the picture flickers by up to so many kelvins, in squares."""
+    """A share of the picture flickers in squares by up to `most_k` kelvins."""
 
     def change(view, index):
         rng, (height, width) = np.random.default_rng(index), view.shape
@@ -229,19 +230,19 @@ def flames(share, most_k, side=16):
     ("share", "most_k", "how"),
     [(0.1, 6.0, "changing scene"), *slow((1.0, 3.0, "changing scene"), (0.4, 30.0, "flattest tenth"))],
 )
-def test_a_scene_that_changes_is_no_noise(base, tmp_path, share, most_k, how):
-    # A little fire before a camera that is seen to stand, and one so large that nothing tells that it does.
+def test_scene_changes_do_not_count_as_noise(base, tmp_path, share, most_k, how):
+    # A small fire in front of a camera that is recognised as static, and one so large that it is not.
     folder = write_frames(tmp_path / "fire", footage(CAMERA, 3, static=True, change=flames(share, most_k)))
     found = calibration.fit_camera([folder], base)
     assert how in found["netd_mk"].how
-    # Three frames' quiet blocks tell single pixels' noise to 1.5 mK; rows and columns are lost in the flames.
+    # The quiet blocks of three frames give single-pixel noise to 1.5 mK; rows and columns are lost in the flames.
     single = np.sqrt(CAMERA.netd_mk**2 - CAMERA.sigma_tv_mk**2 - CAMERA.sigma_th_mk**2)
     rest = np.hypot(found["sigma_tv_mk"].value, found["sigma_th_mk"].value)
     assert np.sqrt(found["netd_mk"].value ** 2 - rest**2) == pytest.approx(single, abs=4.5)
 
 
 @pytest.mark.slow
-def test_a_correction_between_frames_is_no_noise(base, tmp_path):
+def test_flat_field_correction_between_frames_does_not_count_as_noise(base, tmp_path):
     # Every 1 s at 9 Hz a new pattern, of half the noise of single pixels.
     camera = replace(CAMERA, ffc_interval_s=1.0, ffc_duration_s=0.0)
     folder = write_frames(tmp_path / "static", footage(camera, 24, static=True))
@@ -253,15 +254,15 @@ def test_a_correction_between_frames_is_no_noise(base, tmp_path):
     assert "too low where a flat-field correction fell" in calibration.fit_camera([folder], base)["sigma_vh_mk"].how
 
 
-def test_a_scene_without_anything_even_is_refused(base, tmp_path):
+def test_scene_without_flat_or_constant_parts_is_refused(base, tmp_path):
     folder = write_frames(tmp_path / "storm", footage(CAMERA, 3, static=True, change=flames(1.0, 12.0, 4)))
     with pytest.raises(ThermorenderError, match="no part of the frames is flat or constant"):
         calibration.fit_camera([folder], base)
 
 
 @pytest.mark.slow
-def test_pixels_at_the_end_of_the_range_tell_nothing(base, tmp_path):
-    # The range begins at 293 K; a wedge of four tenths of the picture is colder, and so are some patches.
+def test_pixels_at_the_end_of_the_range_are_ignored(base, tmp_path):
+    # The range begins at 293 K; a wedge over four tenths of the picture is colder, and so are some patches.
     camera = replace(CAMERA, range_c=(20.0, 60.0))
 
     def cold(view, index):
@@ -275,7 +276,7 @@ def test_pixels_at_the_end_of_the_range_tell_nothing(base, tmp_path):
         single = found["netd_mk"].value ** 2 - found["sigma_tv_mk"].value ** 2 - found["sigma_th_mk"].value ** 2
         assert np.sqrt(single) == pytest.approx(43.1, abs=4.5), static
         assert found["bad_pixels"].value == 0.0
-        # What is cut off is not as warm as the noise's scale takes it.
+        # The clipped pixels do not enter the temperature at which the noise is stated.
         assert float(re.search(r"frames at (\d+) K", found["netd_mk"].how)[1]) >= 296.0
     folder = write_frames(tmp_path / "all", footage(CAMERA, 2, change=lambda view, index: 0.0 * view + 251.0))
     with pytest.raises(ThermorenderError, match=r"cut off at an end|hold no noise"):
@@ -303,34 +304,34 @@ def test_frames_without_noise_or_beyond_the_range(base, tmp_path):
     assert load_camera(tmp_path / "mine.toml").gain_netd_mk == found["low_gain_netd_mk"].rounded
 
 
-def test_noise_of_low_gain_is_told(base, tmp_path):
+def test_low_gain_is_suggested_by_high_noise(base, tmp_path):
     folder = write_frames(tmp_path / "low", footage(replace(CAMERA, netd_mk=200.0), 4))
     assert "low gain is likely" in calibration.fit_camera([folder], base)["netd_mk"].how
 
 
 @pytest.mark.parametrize("frames", [2, *slow(3, 7)])
-def test_few_frames_tell_less(base, tmp_path, frames):
+def test_few_frames_give_fewer_parameters(base, tmp_path, frames):
     for static in (False, True):
         folder = write_frames(tmp_path / f"few{static}", footage(CAMERA, frames, static))
         found = calibration.fit_camera([folder], base)
         assert not {"shading_mk", "sigma_t_mk", "scale_drift_mk"} & set(found)
-        # Two frames' neighbours are alike by chance here and there; seven are not.
+        # Adjacent pixels of two frames are similar by chance here and there; those of seven are not.
         assert ("bad_pixels" in found) == (frames == 7)
         assert frames < 7 or found["bad_pixels"].value == 0.0
 
 
-def test_one_frame_holds_everything(base, tmp_path):
+def test_one_frame_gives_noise_including_the_fixed_pattern(base, tmp_path):
     folder = write_frames(tmp_path / "one", footage(CAMERA, 1))
     found = calibration.fit_camera([folder], base)
     assert set(found) <= {"netd_mk", "blur_sigma_px"} and "holds the fixed pattern" in found["netd_mk"].how
     parts = [CAMERA.netd_mk, CAMERA.sigma_v_mk, CAMERA.sigma_h_mk, CAMERA.sigma_vh_mk]
-    # Over 12 takes (−1.6, 1.7) around 54.1: the correction's gain raises the temporal part only, by up to 1.9 in the
-    # corners, so the flattest blocks tell a little less of the fixed part.
+    # Over 12 takes (−1.6, 1.7) around 54.1. The gain correction raises only the temporal part, by up to 1.9 in the
+    # corners, so the flattest blocks contain slightly less of the fixed part.
     assert found["netd_mk"].value == pytest.approx(np.linalg.norm(parts) - 1.6, abs=5.1)
 
 
-def test_scale_of_noise_as_the_published_ratio():
-    # 50 mK at f/1.0 are 72.5 mK at f/1.25, (4F²+1)/5, and 1/0.9 more through a lens of that transmittance.
+def test_noise_scale_against_the_published_ratio():
+    # 50 mK at f/1.0 are 72.5 mK at f/1.25, (4F²+1)/5, and 1/0.9 times more through a lens of that transmittance.
     assert calibration.noise_scale(CAMERA, 300.0) == pytest.approx(1.45 / 0.9)
     assert calibration.noise_scale(replace(CAMERA, f_number=1.0, lens_transmittance=1.0), 300.0) == pytest.approx(1.0)
     # The same noise is more kelvins where radiance grows more slowly: dL/dT over 7.5–13.5 µm by differences.
@@ -338,15 +339,15 @@ def test_scale_of_noise_as_the_published_ratio():
     assert calibration.noise_scale(CAMERA, 270.0) == pytest.approx(1.45 / 0.9 * slope[0] / slope[1], rel=1e-4)
 
 
-def test_spectra_of_white_noise_and_of_what_stays():
-    # Variance of white noise at every frequency; of the mean product of frames only what they share.
+def test_spectra_of_white_and_fixed_noise():
+    # White noise has its variance at every frequency; the mean product of frames keeps only what they share.
     rng, frames = np.random.default_rng(12), 40
     shared, spectra = rng.normal(0.0, 0.03, (128, 192)), Spectra((128, 192))
     for _ in range(frames):
         spectra.add(290.0 + shared + rng.normal(0.0, 0.05, (128, 192)))
     band = spectra.off_axis((0.05, 0.71))
-    # Powers scatter by their own size; Hann's window makes 3.8 neighbours tell as much as one. What stays is one draw,
-    # what changes one of 40, and their cross term is of twice its part.
+    # Powers scatter by their own size; with Hann's window 3.8 neighbours count as one. The fixed part is one draw, the
+    # changing part one of 40, and their cross term counts twice.
     alone = band.sum() / 3.8
     scatter = np.sqrt((0.03**4 + 2.0 * 0.03**2 * 0.05**2 / frames + 0.05**4 / frames) / alone)
     assert abs(spectra.total[band].mean() - 0.03**2 - 0.05**2) < 3.0 * scatter < 0.1 * 0.03**2
@@ -355,17 +356,17 @@ def test_spectra_of_white_noise_and_of_what_stays():
     blocks = block_powers(rng.normal(0.0, 0.05, (512, 640)))
     spread = blocks.std(axis=0) / np.sqrt(len(blocks))
     assert abs(blocks[:, 1].mean() - 0.05**2) < 3.0 * spread[1] < 0.04 * 0.05**2
-    # A plane has 3 of a block's 1024 degrees of freedom, and what it takes away is coarse: of the coarser band, with
-    # its 7 % of all frequencies, less than all of it.
+    # A plane has 3 of a block's 1024 degrees of freedom, and what it removes is coarse: at most all of it comes from
+    # the coarser band, which has 7 % of all frequencies.
     assert -3.0 / (0.07 * 1024) * 0.05**2 - 3.0 * spread[0] < blocks[:, 0].mean() - 0.05**2 < 3.0 * spread[0]
 
 
-def test_blocks_are_blind_to_slopes():
+def test_block_powers_ignore_slopes():
     down, right = np.mgrid[:128, :160]
     assert block_powers(3.0 * down - 2.0 * right).max() < 1e-18
 
 
-def test_row_and_column_noise_by_their_lines():
+def test_row_and_column_noise_from_their_spectral_lines():
     true = {"fixed_row": 0.02, "row": 0.03, "column": 0.03, "fixed_column": 0.0, "pixel": 0.05}
     found = {name: [] for name in true}
     draws = 6
@@ -378,8 +379,8 @@ def test_row_and_column_noise_by_their_lines():
         noise = noise_of(spectra)
         for name, values in found.items():
             values.append(getattr(noise, name))
-    # Mean error and spread of single draws over 24 of them [K]. Nothing there reads as (2.6, 2.3) mK, as no deviation
-    # is below 0.
+    # Mean error and spread of single draws over 24 of them [K]. A zero component reads as (2.6, 2.3) mK, as no
+    # deviation is below 0.
     single = {
         "fixed_row": (-3e-4, 1.7e-3), "row": (-9e-4, 1.2e-3), "fixed_column": (2.6e-3, 2.3e-3),
         "column": (-2e-4, 0.9e-3), "pixel": (0.0, 3.6e-4),
@@ -404,19 +405,19 @@ def test_width_of_a_blurred_step(sigma):
     angles = (0.1, 0.7, 1.3, -0.5)
     steps = [blurred_step(sigma, angle, 0.05, seed) for seed, angle in enumerate(angles)]
     widths = np.concatenate([edge_widths(step, 0.05) for step in steps])
-    # Some 40 windows along four edges, whose median errs by 0.17 % (one standard deviation, over 12 draws).
+    # Some 40 windows along four edges; the error of their median is 0.17 % (one standard deviation, over 12 draws).
     assert len(widths) >= 38
     assert np.median(widths[:, 0]) == pytest.approx(sigma, rel=0.006)
-    # The stated uncertainty is that of the scatter, which 40 windows tell to 1/√80 and some more.
+    # The stated uncertainty matches the scatter, which 40 windows give to 1/√80 and a little more.
     assert np.std(widths[:, 0]) == pytest.approx(np.median(widths[:, 1]), rel=0.4)
     width, uncertainty = sharpest(widths)
-    # Over 24 draws at each width the sharpest err by up to 0.28 % in the mean, with a spread of 0.28 %; stated is what
-    # a scene's own edges may lack in sharpness, 0.02 px, and hardly more.
+    # Over 24 draws at each width the error of the sharpest is up to 0.28 % in the mean, with a spread of 0.28 %. The
+    # stated uncertainty is the possible softness of a scene's own edges, 0.02 px, and little more.
     assert abs(width - sigma) < 0.0112 * sigma and 0.02 < uncertainty < 0.025
 
 
 @pytest.mark.parametrize("blur", [0.4, 0.8])
-def test_blur_of_a_lens_without_its_pixel_and_diffraction(blur):
+def test_lens_blur_excludes_pixel_and_diffraction(blur):
     quiet = dict.fromkeys(("sigma_tv_mk", "sigma_th_mk", "sigma_v_mk", "sigma_h_mk", "sigma_vh_mk"), 0.0)
     camera = replace(CAMERA, blur_sigma_px=blur, netd_mk=30.0, **quiet)
     images = list(footage(camera, 2))
@@ -426,7 +427,7 @@ def test_blur_of_a_lens_without_its_pixel_and_diffraction(blur):
     assert abs(estimate.value - blur - offset) < 3.0 * 0.012 and 0.015 < estimate.uncertainty < 0.055
 
 
-def test_thin_lines_are_no_edges():
+def test_thin_lines_are_not_edges():
     y, x = np.mgrid[:96, :128]
     line = 290.0 + 8.0 * np.exp(-0.5 * ((x - 60.0 - 0.3 * y) / 0.6) ** 2)
     line += np.random.default_rng(12).normal(0.0, 0.05, x.shape)
@@ -436,7 +437,7 @@ def test_thin_lines_are_no_edges():
 
 def test_width_through_a_lens():
     assert width_through(lambda f: np.exp(-2.0 * (np.pi * 0.7 * f) ** 2)) == pytest.approx(0.7, rel=1e-3)
-    # A square pixel alone draws a ramp of one pixel: the nearest blurred step, by trying all.
+    # A square pixel alone blurs a step to a ramp one pixel wide: compare with the best blurred step from a search.
     from scipy.special import erf
 
     position, sigmas = np.linspace(-6.0, 6.0, 1201), np.linspace(0.25, 0.4, 301)
@@ -446,7 +447,7 @@ def test_width_through_a_lens():
     assert np.sqrt(0.4**2 + 1 / 12) < whole < 1.0
 
 
-def test_the_file_it_writes_is_a_camera(fitted, base, tmp_path, monkeypatch):
+def test_written_file_is_a_valid_camera(fitted, base, tmp_path, monkeypatch):
     folder, estimates = fitted
     calibration.write_camera(tmp_path / "mine.toml", base, estimates)
     mine = load_camera(tmp_path / "mine.toml")
@@ -455,7 +456,7 @@ def test_the_file_it_writes_is_a_camera(fitted, base, tmp_path, monkeypatch):
         assert getattr(mine, key) == pytest.approx(estimate.value, rel=1e-3)
     text = (tmp_path / "mine.toml").read_text()
     assert "± " in text and text.count("\nnetd_mk =") == 1
-    # What the fitted numbers rest on is told, with its values, and what else is the base's.
+    # The file lists the assumed values that the fit uses, and the other values copied from the base.
     rest, others = calibration.not_measured(base, estimates)
     assert "f_number = 1.25" in rest and "lens_transmittance = 0.9" in rest and "small" in rest
     assert "time_constant_ms" in others and " netd_mk" not in others and "f_number" not in others
@@ -470,7 +471,7 @@ def test_the_file_it_writes_is_a_camera(fitted, base, tmp_path, monkeypatch):
     assert rest in run.output and others in run.output
 
 
-def test_what_is_refused(base, tmp_path):
+def test_wrong_inputs_are_refused(base, tmp_path):
     small, odd = np.full((64, 64), 290.0), np.full((256, 320), 290.0)
     write_tlinear(tmp_path / "small.tif", small)
     write_tlinear(tmp_path / "odd.tif", odd)
@@ -496,7 +497,7 @@ def test_what_is_refused(base, tmp_path):
         Spectra((128, 128)).add(np.full((128, 128), np.nan))
 
 
-def test_a_real_camera(tmp_path):
+def test_real_camera(tmp_path):
     # Radiometric JPEGs of a Zenmuse XT, whose core is specified to have less than 50 mK at f/1.0.
     found = calibration.fit_camera([shared_data("pairs/thermal_only/eth_crops_xt/flight1/rjpeg")], "zenmuse-xt2")
     assert 20.0 < found["netd_mk"].value < 50.0
@@ -506,7 +507,7 @@ def test_a_real_camera(tmp_path):
     assert load_camera(tmp_path / "xt.toml").agc_tails_percent[0] == 0.0
 
 
-def test_simulated_frames_beside_footage(fitted, base, tmp_path, monkeypatch):
+def test_simulated_frames_have_the_noise_of_the_footage(fitted, base, tmp_path, monkeypatch):
     from validation.footage import study as sensor_statistics
 
     scene = TABLE(polygons(2 * CAMERA.height, 2 * CAMERA.width).astype(float)).astype(np.float32)
@@ -521,6 +522,6 @@ def test_simulated_frames_beside_footage(fitted, base, tmp_path, monkeypatch):
         (true, error), (filed, _), (found, other) = (side["noise_mk"][part] for side in (real, as_filed, simulated))
         assert abs(found - true) < 3.0 * np.hypot(error, other) + 0.02 * true
         assert part == "row" or abs(filed - true) > 2.0 * abs(found - true)
-    # The noise of a real frame is found again at the corner as in the middle.
+    # Noise matches the real frame in the corners as well as in the centre.
     np.testing.assert_allclose(simulated["field"]["noise_mk"], real["field"]["noise_mk"], rtol=0.15)
     assert real["frames"] == 8 and len(sensor_statistics.rows(result)[0]) == len(sensor_statistics.HEADER)

@@ -1,4 +1,4 @@
-"""The camera as data and as geometry."""
+"""The camera: its file, its projection and its fields of view."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""All verbs alike: what their help says, and outputs that are refused before the work."""
+"""Every verb: its help text, and outputs that are refused before any work."""
 
 import re
 import signal
@@ -24,7 +24,7 @@ def verbs(command=None, path=()):
 
 
 def outputs(verb):
-    """Its parameters that name a file or folder to be written."""
+    """Parameters of a verb that name a file or folder to be written."""
     return [parameter for parameter in verb.params if {"-o", "--into"} & set(parameter.opts)]
 
 
@@ -36,21 +36,21 @@ def with_option(name):
     return {words for words, verb in VERBS.items() for parameter in verb.params if name in parameter.opts}
 
 
-def test_the_walk_finds_every_verb():
+def test_every_verb_is_found():
     assert {("render",), ("fly",), ("train",), ("bench",), ("materials", "merge")} <= set(VERBS)
     assert len(WRITING) >= 14
     logs = with_option("--trajectory")
     assert logs >= {("fly",), ("compare",)}
-    # A log is read alike wherever one is given.
+    # Every verb that takes a log has all options for logs.
     for option in ("--format", "--anchor", "--duplicates", "--clock-offset-s", "--mount", "--lever-arm-m"):
         assert with_option(option) == logs, option
 
 
 @pytest.mark.parametrize("words", VERBS, ids=" ".join)
-def test_help_says_the_units(words, call):
+def test_help_is_printed_in_full_with_units(words, call):
     status, output, errors = call(*words, "--help")
     assert (status, errors) == (0, "")
-    # Whatever the width of the terminal and the frame around it, the help is there word by word, its units too.
+    # The help text appears in full, units included, whatever the terminal's width and frames.
     shown = "".join(re.sub(r"[│╭╮╰╯─]", " ", output).split())
     verb = VERBS[words]
     for text in (verb.help, *(parameter.help for parameter in verb.params if getattr(parameter, "help", None))):
@@ -75,7 +75,7 @@ def test_outputs_are_refused_before_the_work(words, where, call, tmp_path):
         pytest.skip("no folder that refuses even root: /proc is not here")
     verb = VERBS[words]
     (option,) = outputs(verb)
-    # A verb that looked at its inputs first would say that they do not exist.
+    # A verb that read its inputs first would report that they do not exist.
     inputs = ["none" for parameter in verb.params if parameter.param_type_name == "argument"]
     suffix = ".toml" if words == ("fit-camera",) else ".png" if words == ("materials", "plot") else ""
     output = folder / f"thermorender{suffix}"
@@ -87,7 +87,7 @@ def test_outputs_are_refused_before_the_work(words, where, call, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "output", "told"),
+    ("words", "output", "fragment"),
     [
         (("fit-camera",), "a.txt", "give one that ends in .toml"),
         (("materials", "plot"), "a.jpg", "give one that ends in .png"),
@@ -100,26 +100,26 @@ def test_outputs_are_refused_before_the_work(words, where, call, tmp_path):
         (("render",), "full/file", "output folder"),
     ],
 )
-def test_outputs_of_another_kind_are_refused_before_the_work(words, output, told, call, tmp_path):
+def test_outputs_of_the_wrong_kind_are_refused_before_any_work(words, output, fragment, call, tmp_path):
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "file").write_text("precious")
     inputs = ["none" for parameter in VERBS[words].params if parameter.param_type_name == "argument"]
     status, printed, errors = call(*words, *inputs, "-o", tmp_path / output)
-    assert status == 2 and printed == "" and str(tmp_path / output) in errors and told in errors, errors
+    assert status == 2 and printed == "" and str(tmp_path / output) in errors and fragment in errors, errors
     assert (tmp_path / "full" / "file").read_text() == "precious"
     assert [path.name for path in tmp_path.rglob("*")] == ["full", "file"]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
-def test_a_process_that_is_told_to_end_cleans_up(tmp_path):
-    """As `timeout`, `docker stop` and systemd tell it."""
+def test_terminated_process_cleans_up(tmp_path):
+    """Terminated by SIGTERM, as `timeout`, `docker stop` and systemd do."""
     folder = tmp_path / "new"
     command = [sys.executable, "-m", "thermorender", "make-scene", "heath", "--size-m", "240", "-o", folder / "scene"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     begun = False
     while process.poll() is None and not begun:
         time.sleep(1e-3)
-        # It may be renamed while it is looked through.
+        # The folder may be renamed while glob reads it.
         with suppress(FileNotFoundError):
             begun = any(folder.glob(".scene*.part/*"))
     process.send_signal(signal.SIGTERM)
@@ -128,7 +128,7 @@ def test_a_process_that_is_told_to_end_cleans_up(tmp_path):
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
-def test_a_full_disk_behind_what_is_printed_is_told():
+def test_full_disk_on_standard_output_is_reported():
     with open("/dev/full", "w") as full:
         command = [sys.executable, "-m", "thermorender", "materials", "list"]
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
@@ -138,7 +138,7 @@ def test_a_full_disk_behind_what_is_printed_is_told():
     )
 
 
-def test_one_study_does_not_need_the_folder_of_all(tmp_path, call_module, monkeypatch):
+def test_one_study_does_not_need_the_common_folder(tmp_path, call_module, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "validation").write_text("in the way")
     status, _, errors = call_module("validation.trainings", "nothing", "-o", "out")

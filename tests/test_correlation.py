@@ -1,4 +1,4 @@
-"""The published linear maps: coefficients, neighbourhood, range and the step to kinetic temperature."""
+"""The published linear maps: coefficients, neighbourhood, range and the conversion to kinetic temperature."""
 
 from dataclasses import replace
 
@@ -39,7 +39,7 @@ def test_one_to_one_spans_the_published_range():
     np.testing.assert_allclose(celsius, [33.0, 2.4], atol=0.05)
 
 
-def test_nine_to_one_is_equation_six():
+def test_nine_to_one_equals_equation_six():
     rgb = picture()
     model = load_model("fok-9to1")
     found = intensity(model, rgb)
@@ -54,13 +54,13 @@ def test_nine_to_one_is_equation_six():
     assert found.shape == (40, 30)
 
 
-def test_own_ground_sampling_distance_changes_nothing():
+def test_stating_the_published_ground_sampling_distance_changes_nothing():
     rgb = picture()
     for model in MODELS.values():
         np.testing.assert_allclose(intensity(model, rgb, model.texel_m), intensity(model, rgb), atol=1e-12)
 
 
-def test_neighbourhood_is_laid_out_in_metres():
+def test_neighbourhood_scales_with_the_texel_size():
     model = load_model("fok-9to1")
     rgb = np.repeat(np.repeat(picture(12, 12), 4, axis=0), 4, axis=1)
     fine = intensity(model, rgb, model.texel_m / 4)
@@ -68,7 +68,7 @@ def test_neighbourhood_is_laid_out_in_metres():
     block = fine.reshape(12, 4, 12, 4)[:, 1:3, :, 1:3].mean(axis=(1, 3))
     coarse = intensity(model, rgb[::4, ::4])
     assert np.corrcoef(block[2:-2, 2:-2].ravel(), coarse[2:-2, 2:-2].ravel())[0, 1] > 0.97
-    # Applied texel by texel the same picture gives something else.
+    # With the neighbourhood counted in texels the same picture gives something else.
     assert np.abs(intensity(model, rgb)[8:-8, 8:-8] - fine[8:-8, 8:-8]).max() > 0.5
     for texel_m in (0.02, 0.1, 0.5, 6.0):
         flat = np.full((30, 30, 3), 128, np.uint8)
@@ -77,8 +77,8 @@ def test_neighbourhood_is_laid_out_in_metres():
         )
 
 
-def test_a_tap_sees_its_whole_area():
-    # Stripes one texel wide, four to a tap: averaged, they all but vanish; picked one by one, they stay.
+def test_a_tap_averages_its_whole_area():
+    # Stripes one texel wide, four to a tap: averaging nearly removes them, picking single texels keeps them.
     stripes = np.zeros((32, 32, 3), np.uint8)
     stripes[:, ::2] = 255
     model = load_model("fok-1to1")
@@ -90,7 +90,7 @@ def test_intensity_is_linear_in_band_radiance():
     model = load_model("fok-1to1", (10.0, 30.0))
     ends = band_radiance(np.array([283.15, 303.15]), *model.band_um)
     np.testing.assert_allclose(model.intensity(ends), [0.0, 1.0], atol=1e-12)
-    # A grey of 0.5: its intensity is half the sum of the weights.
+    # At a grey of 0.5 the intensity is half the sum of the weights.
     half = model.radiance(Inputs(np.full((1, 1, 3), 128, np.uint8)))
     np.testing.assert_allclose(half, ends[0] + (ends[1] - ends[0]) * 0.953 * 128 / 255, atol=1e-12)
     middle = brightness_temperature(ends.mean(), *model.band_um) - 273.15
@@ -120,7 +120,7 @@ def test_kinetic_temperatures_and_their_flags():
     assert kinetic_from_map(model, Inputs(yellow, 0.157), material, materials)[2] == 1.0
 
 
-def test_what_is_not_trusted_gets_its_materials_temperature():
+def test_untrusted_texels_get_their_materials_temperature():
     model = load_model("fok-1to1")
     shiny, dull = replace(grey("shiny", 0.45), temperature=311.0), replace(grey("dull", 0.55), temperature=312.0)
     # 9 °C and 33 °C apparent; under a sky of 255 K the dull surface is then at about 25 °C and 70 °C.
@@ -132,7 +132,7 @@ def test_what_is_not_trusted_gets_its_materials_temperature():
     assert 290.0 < temperature[1, 0] < 305.0
 
 
-def test_neighbourhood_in_metres_reaches_the_temperatures():
+def test_neighbourhood_in_metres_also_applies_to_temperatures():
     model, rgb, black = load_model("fok-9to1"), picture(12, 12), grey("black", 1.0)
     material = np.zeros((12, 12), np.uint8)
     temperature, trusted, _ = kinetic_from_map(model, Inputs(rgb, model.texel_m / 4), material, (black,))
@@ -141,7 +141,7 @@ def test_neighbourhood_in_metres_reaches_the_temperatures():
     assert trusted.mean() > 0.5
 
 
-def test_errors():
+def test_wrong_arguments_are_refused():
     with pytest.raises(ThermorenderError, match=r"'fok-1to2' is unknown; did you mean 'fok-1to1'.*fok-9to1"):
         load_model("fok-1to2")
     with pytest.raises(ThermorenderError, match=r"range_c=\(24, 14\) is not a range.*coldest first"):

@@ -1,4 +1,4 @@
-"""Fits of correlations: exact sums, known coefficients found again, and pictures that tell too little."""
+"""Fits of correlations: exact sums, recovery of known coefficients, and pictures with too little information."""
 
 import numpy as np
 import pytest
@@ -19,27 +19,27 @@ def task(examples, intensity, **options):
 
 
 def as_values(intensity):
-    """Whole numbers of intensities, and the table that they index."""
+    """Intensities as integers, and the table that they index."""
     table, values = np.unique(intensity, return_inverse=True)
     return values.reshape(intensity.shape), table
 
 
 def described_by(map_, rgb, valid=None):
-    """(example, table) of a picture whose thermal picture is what a map makes of it."""
+    """(example, table) of a picture whose thermal picture is the output of a map."""
     values, table = as_values(map_.predict(Inputs(rgb), 1.0))
     return Example(Inputs(rgb), values, np.ones(values.shape, bool) if valid is None else valid), table
 
 
 @pytest.fixture(params=["shipped", "surveyed"])
 def orthophoto(request):
-    """(rgb, valid) of an orthophoto: a procedural one, and one of drone photographs."""
+    """(rgb, valid) of an orthophoto: a procedural one, and one from drone photographs."""
     if request.param == "shipped":
         return read_colour(data_folder("scenes") / "village" / "orthophoto.tif")
     return read_colour(shared_data("terrain/odm_toufeng/orthophoto_0.2m.tif"))
 
 
 @pytest.mark.parametrize(("size", "known"), [(1, PUBLISHED_1TO1), (3, PUBLISHED_9TO1)], ids=["1to1", "9to1"])
-def test_known_coefficients_are_found_again(orthophoto, size, known):
+def test_fit_recovers_known_coefficients(orthophoto, size, known):
     rgb, valid = orthophoto
     middle = slice(len(rgb) // 2 - 300, len(rgb) // 2 + 300)
     example, table = described_by(known, rgb[middle, middle], valid[middle, middle])
@@ -51,7 +51,7 @@ def test_known_coefficients_are_found_again(orthophoto, size, known):
 
 
 @pytest.mark.parametrize(("darkest", "invalid"), [(0, 0.0), (0, 0.01), (0, 0.2), (255, 0.0), (255, 0.2)])
-def test_equations_are_whole_numbers_without_rounding(darkest, invalid):
+def test_normal_equations_are_integers_without_rounding(darkest, invalid):
     g = np.random.default_rng(1)
     rgb, valid = g.integers(darkest, 256, (19, 530, 3), dtype=np.uint8), g.random((19, 530)) >= invalid
     values = g.integers(0, 1000, (19, 530))
@@ -60,7 +60,7 @@ def test_equations_are_whole_numbers_without_rounding(darkest, invalid):
     rows, target = [], []
     for i in range(1, 18):
         for j in range(1, 529):
-            # A neighbourhood counts where all of it is valid.
+            # A neighbourhood counts only where all of it is valid.
             if valid[i - 1 : i + 2, j - 1 : j + 2].all():
                 rows.append([*rgb[i - 1 : i + 2, j - 1 : j + 2].ravel().tolist(), 1])
                 target.append(intensity[values[i, j]])
@@ -85,7 +85,7 @@ def test_larger_neighbourhoods_are_least_squares_too(size):
     assert found.intercept == pytest.approx(expected[-1], abs=1e-10)
 
 
-def test_pictures_are_summed_and_invalid_ones_left_out():
+def test_pictures_are_summed_and_invalid_ones_ignored():
     g = np.random.default_rng(2)
     pictures = [g.integers(0, 256, (24, 24, 3), dtype=np.uint8) for _ in range(40)]
     joined = np.concatenate(pictures)
@@ -98,7 +98,7 @@ def test_pictures_are_summed_and_invalid_ones_left_out():
     np.testing.assert_allclose(found.kernel, PUBLISHED_1TO1.kernel, atol=1e-10)
 
 
-def test_ridge_shrinks_as_its_closed_form():
+def test_ridge_matches_its_closed_form():
     g = np.random.default_rng(3)
     rgb, target = g.integers(0, 256, (40, 40, 3), dtype=np.uint8), g.random((40, 40))
     values, table = as_values(target)
@@ -110,7 +110,7 @@ def test_ridge_shrinks_as_its_closed_form():
         np.testing.assert_allclose(found.kernel.ravel(), expected, rtol=1e-10)
 
 
-def test_kelvin_above_the_air():
+def test_kelvin_above_air_temperature():
     g = np.random.default_rng(6)
     known, examples = PUBLISHED_1TO1, []
     air = (270.0, 301.25)
@@ -128,7 +128,7 @@ def test_kelvin_above_the_air():
                         1)  # fmt: skip
 
 
-def test_what_pictures_cannot_tell():
+def test_underdetermined_fits_are_refused():
     grey = np.repeat(np.random.default_rng(4).integers(0, 256, (30, 30, 1), dtype=np.uint8), 3, axis=2)
     values, table = as_values(grey[..., 0] / 255.0)
     example = Example(Inputs(grey), values, np.ones(values.shape, bool))

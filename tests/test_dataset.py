@@ -1,4 +1,4 @@
-"""Data sets on disk: round trips, the form of their shards, what kills and two processes leave, and damage."""
+"""Data sets on disk: round trips, shard format, interrupted and concurrent writers, and damage."""
 
 import io
 import json
@@ -23,7 +23,7 @@ SHAPE = (24, 32)
 
 
 def pictures(seed, kind=np.uint16, shape=SHAPE):
-    """(visible, thermal, valid, truth) of a pair; the parts of truth are of all kinds that are kept."""
+    """(visible, thermal, valid, truth) of a pair; truth has channels of every kind."""
     rng = np.random.default_rng(seed)
     truth = {
         "radiance": rng.uniform(20, 60, shape), "mask": rng.integers(0, 9, shape, np.uint8),
@@ -66,7 +66,7 @@ def bytes_of(folder):
 
 
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
-def test_a_pair_is_read_as_it_was_written(tmp_path, kind):
+def test_pair_is_read_as_it_was_written(tmp_path, kind):
     known = {
         "texel_m": 0.2, "place": (48.5, 21.0), "time": "2018-07-28T12:00:00Z", "sky_temperature": 250.25,
         "conditions": {"air_k": 290.5}, "labels": {"kind": "heath"},
@@ -85,7 +85,7 @@ def test_a_pair_is_read_as_it_was_written(tmp_path, kind):
     for name in ("mask", "sunlight"):
         assert pair.truth[name].dtype == truth[name].dtype
         np.testing.assert_array_equal(pair.truth[name], truth[name])
-    # 16 bits of the mantissa, to the nearest.
+    # A mantissa of 16 bits, rounded to nearest.
     np.testing.assert_allclose(pair.truth["radiance"], truth["radiance"], rtol=2.0**-17)
     np.testing.assert_array_equal(pair.radiance, thermal * 1e-3 + 2.0)
     np.testing.assert_array_equal(pair.reference, pair.truth["radiance"].astype(np.float64))
@@ -94,7 +94,7 @@ def test_a_pair_is_read_as_it_was_written(tmp_path, kind):
     np.testing.assert_array_equal(bare.reference, pair.radiance)
 
 
-def test_what_thermal_values_stand_for():
+def test_thermal_values_convert_to_radiance():
     kelvin = ThermalScale("kelvin", 0.01, 200.0, None, (8.0, 14.0))
     np.testing.assert_array_equal(kelvin.radiance(np.uint16([0, 9000])), band_radiance([200.0, 290.0], 8.0, 14.0))
     share = ThermalScale("intensity", 1 / 200, -0.1, (14.0, 24.0))
@@ -103,8 +103,8 @@ def test_what_thermal_values_stand_for():
     np.testing.assert_allclose(share.radiance(np.uint8([20, 120, 220])), [low, (low + high) / 2, high], rtol=1e-12)
 
 
-def test_shards_are_plain_tar_files_in_webdatasets_form(tmp_path):
-    """Files of a pair follow each other and are named by its key, which ends at the first dot."""
+def test_shards_are_plain_tar_files_in_webdatasets_format(tmp_path):
+    """Files of a pair are adjacent and named by its key, which ends at the first dot."""
     long = "k" * 120
     writer = Writer(tmp_path / "set", CARD, SCALE)
     writer.shard("s", [(entry(key), packed(*pictures(number))) for number, key in enumerate(("a-0", long, "b-0"))])
@@ -119,23 +119,23 @@ def test_shards_are_plain_tar_files_in_webdatasets_form(tmp_path):
             ends = {name.split(".", 1)[1] for name in where if name.startswith(f"{each.key}.")}
             assert ends == {"visible.png", "thermal.png", "valid.png", "truth.npz", "json"}
             assert each.members == {end: where[f"{each.key}.{end}"] for end in ends - {"json"}}
-            told = json.load(tar.extractfile(f"{each.key}.json"))
-            assert told == json.loads(json.dumps(asdict(each)))
+            written = json.load(tar.extractfile(f"{each.key}.json"))
+            assert written == json.loads(json.dumps(asdict(each)))
         assert all(member.isfile() and member.mtime == 0 for member in members)
-    # Any of them, in any order.
+    # Random access, in any order.
     for number in (2, 0, 1):
         np.testing.assert_array_equal(dataset.pair(dataset.entries[number]).thermal, pictures(number)[1])
 
 
-def test_without_holes_no_mask_is_kept(tmp_path):
+def test_without_holes_no_mask_is_stored(tmp_path):
     visible, thermal, _, _ = pictures(0)
     assert set(packed(visible, thermal, np.ones(SHAPE, bool))) == {"visible.png", "thermal.png"}
     Writer(tmp_path / "set", CARD, SCALE).shard("s", [(entry("a-0"), packed(visible, thermal))])
     assert next(read_dataset(tmp_path / "set").pairs()).valid.all()
 
 
-def test_what_a_loader_of_batches_asks_for(tmp_path):
-    """Length, numbers from either end, IndexError beyond them, equal kinds that stack; and it goes to workers."""
+def test_dataset_works_with_batch_loaders(tmp_path):
+    """Length, indices from either end, IndexError outside, arrays that stack, and pickling for workers."""
     dataset = read_dataset(made(tmp_path / "set"))
     assert len(dataset) == 4 and len(list(dataset)) == 4
     assert dataset[np.int64(3)]["key"] == dataset[-1]["key"] == "b-1"
@@ -148,7 +148,7 @@ def test_what_a_loader_of_batches_asks_for(tmp_path):
     kinds = {"visible": np.uint8, "thermal": np.int32, "radiance": np.float32, "valid": bool}
     for name, values in batch.items():
         assert np.stack(values).dtype == kinds[name] and np.stack(values).shape[:3] == (4, *SHAPE)
-        # torch.from_numpy takes no negative strides, and nothing that cannot be written to without a warning.
+        # torch.from_numpy refuses negative strides and warns about read-only arrays.
         assert all(value.flags.c_contiguous and value.flags.writeable for value in values), name
 
 
@@ -167,7 +167,7 @@ def test_parts_and_splits(tmp_path):
 
 
 def continued(folder, names=("a", "b")):
-    """Write what is not there; return the names of what was written."""
+    """Write the missing shards; return the names of those written."""
     writer, written = Writer(folder, CARD, SCALE, resume=True), []
     for name in names:
         if not writer.has(name):
@@ -176,7 +176,7 @@ def continued(folder, names=("a", "b")):
     return written
 
 
-def test_nothing_is_written_twice(tmp_path):
+def test_existing_shards_are_not_written_again(tmp_path):
     folder = made(tmp_path / "set")
     before = bytes_of(folder), lines(folder)
     assert continued(folder) == []
@@ -185,30 +185,30 @@ def test_nothing_is_written_twice(tmp_path):
 
 @pytest.mark.parametrize("keep", [0, 1, 40, -1])
 @pytest.mark.parametrize("line", [0, 1, 2, 3])
-def test_an_index_cut_short_anywhere_loses_no_pair(tmp_path, line, keep):
-    """A line without its end, with nothing behind it; the lines of its shard that are whole do not make it whole."""
+def test_truncated_index_loses_no_pair(tmp_path, line, keep):
+    """The index ends within a line; whole lines of a shard do not make it complete."""
     whole, folder = made(tmp_path / "whole"), made(tmp_path / "set")
-    told = lines(folder)
-    (folder / "index.jsonl").write_bytes(b"".join(told[:line]) + told[line][:keep])
-    # Without the missing ones it can be read meanwhile; a line that lacks its end alone is whole.
+    written = lines(folder)
+    (folder / "index.jsonl").write_bytes(b"".join(written[:line]) + written[line][:keep])
+    # Readable without the missing pairs; a line that lacks only its newline is whole.
     assert keys(folder) == ["a-0", "a-1", "b-0", "b-1"][: line + (keep == -1)]
     assert continued(folder) == ([["a", "b"], ["a", "b"], ["b"], ["b"]][line])
     assert sorted(lines(folder)) == sorted(lines(whole)) and bytes_of(folder) == bytes_of(whole)
     assert len(list(read_dataset(folder).pairs())) == 4
 
 
-def test_a_shard_that_is_half_written_or_has_no_lines_is_written_again(tmp_path):
+def test_partial_shard_or_one_without_lines_is_written_again(tmp_path):
     whole, folder = made(tmp_path / "whole"), made(tmp_path / "set", "a")
     half = bytes_of(whole)["b.tar"][:700]
     (folder / "shards/.b.0123abcd.part.tar").write_bytes(half)
     assert continued(folder) == ["b"] and lines(folder) == lines(whole)
     (folder / "index.jsonl").write_bytes(b"".join(lines(whole)[:2]))
     assert continued(folder) == ["b"] and lines(folder) == lines(whole)
-    # What another process may be writing is left alone.
+    # A temporary file, which another process may be writing, is left alone.
     assert (folder / "shards/.b.0123abcd.part.tar").read_bytes() == half
 
 
-def test_a_shard_that_is_gone_or_cut_is_written_again(tmp_path):
+def test_missing_or_truncated_shard_is_written_again(tmp_path):
     whole, folder = made(tmp_path / "whole"), made(tmp_path / "set")
     (folder / "shards/a.tar").unlink()
     assert continued(folder) == ["a"]
@@ -217,8 +217,8 @@ def test_a_shard_that_is_gone_or_cut_is_written_again(tmp_path):
     assert continued(folder) == ["a"] and bytes_of(folder) == bytes_of(whole)
 
 
-def test_a_beginning_that_was_killed_can_be_begun_again(tmp_path):
-    """Nothing but an empty folder for shards, or a temporary file; or a card and no such folder."""
+def test_killed_start_can_be_continued(tmp_path):
+    """Left over: an empty folder for shards, a temporary file, or a card without that folder."""
     for name in ("shards", "part", "card"):
         (tmp_path / name).mkdir()
     (tmp_path / "shards/shards").mkdir()
@@ -231,7 +231,7 @@ def test_a_beginning_that_was_killed_can_be_begun_again(tmp_path):
         assert not any(path.name.startswith(".") for path in (tmp_path / name).iterdir())
 
 
-def test_what_is_no_continuation_is_refused(tmp_path):
+def test_continuing_with_other_settings_is_refused(tmp_path):
     folder = made(tmp_path / "set")
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     with pytest.raises(ThermorenderError, match="holds a data set; give a new folder, or --resume to continue it"):
@@ -252,7 +252,7 @@ def test_what_is_no_continuation_is_refused(tmp_path):
 
 
 def test_two_writers_of_one_folder_lose_nothing(tmp_path):
-    """What one leaves behind when it is killed while the other is at work; and the same shard by both."""
+    """One is killed in mid-line while the other writes; and both write the same shard."""
     folder = made(tmp_path / "set", "a")
     other = Writer(folder, CARD, SCALE, resume=True)
     with open(folder / "index.jsonl", "ab") as file:
@@ -295,7 +295,7 @@ def test_two_processes_fill_one_folder(tmp_path):
 
 
 @pytest.mark.parametrize("key", ["../a", "a/b", "", "a.b", "a\n", "k" * 121, "/a", "ä"])
-def test_keys_and_names_that_would_escape_are_refused(tmp_path, key):
+def test_keys_and_names_outside_the_folder_are_refused(tmp_path, key):
     folder = made(tmp_path / "set", "a")
     before = lines(folder), bytes_of(folder)
     writer = Writer(folder, CARD, SCALE, resume=True)
@@ -304,17 +304,17 @@ def test_keys_and_names_that_would_escape_are_refused(tmp_path, key):
     if len(key) < 121:
         with pytest.raises(ThermorenderError, match=r"is not a name for a shard; give letters, digits, _ and -"):
             writer.shard(key, shard_of("b"))
-    # Nor does a reader follow what somebody else wrote.
-    told = json.loads(lines(folder)[0])
+    # A reader refuses them as well in an index that somebody else wrote.
+    written = json.loads(lines(folder)[0])
     for name, value in (("key", key), ("shard", f"shards/{key}"), ("shard", "shards/../../a.tar"), ("shard", "/a.tar")):
-        (folder / "index.jsonl").write_text(json.dumps({**told, name: value}) + "\n")
+        (folder / "index.jsonl").write_text(json.dumps({**written, name: value}) + "\n")
         with pytest.raises(ThermorenderError, match=r"index.jsonl, line 1 is not a pair or repeats a key; remove"):
             read_dataset(folder)
     (folder / "index.jsonl").write_bytes(b"".join(before[0]))
     assert (lines(folder), bytes_of(folder)) == before and set(tmp_path.iterdir()) == {folder}
 
 
-def test_what_could_not_be_read_again_is_not_written(tmp_path):
+def test_unreadable_pairs_are_not_written(tmp_path):
     folder = made(tmp_path / "set", "a")
     before = lines(folder), bytes_of(folder)
     writer, files = Writer(folder, CARD, SCALE, resume=True), packed(*pictures(0))
@@ -327,12 +327,12 @@ def test_what_could_not_be_read_again_is_not_written(tmp_path):
         with pytest.raises(ThermorenderError, match=words):
             writer.shard("b", pairs)
     assert (lines(folder), bytes_of(folder)) == before
-    # A name of a shard that was refused is still free.
+    # The name of a refused shard is still free.
     assert not writer.has("b") and writer.shard("b", shard_of("b")) and writer.has("b")
 
 
-def test_a_folder_that_is_kept_from_others_can_be_written(tmp_path):
-    """Whoever fills a folder as a whole keeps it for itself, and waits for nobody."""
+def test_locked_folder_can_be_written_by_its_owner(tmp_path):
+    """A process that fills a folder as a whole holds its lock, and writing does not wait for that lock."""
     from thermorender import files
 
     writer = Writer(tmp_path / "set", CARD, SCALE)
@@ -351,7 +351,7 @@ def test_a_folder_that_is_kept_from_others_can_be_written(tmp_path):
     ],
     ids=str,
 )  # fmt: skip
-def test_lines_that_are_no_pairs_are_refused_wherever_they_stand(tmp_path, change):
+def test_wrong_index_lines_are_refused_at_any_position(tmp_path, change):
     folder = made(tmp_path / "set", "a")
     first, second = lines(folder)
     bad = json.dumps({**json.loads(first), **change}).encode() + b"\n"
@@ -373,14 +373,14 @@ def test_lines_that_are_no_pairs_are_refused_wherever_they_stand(tmp_path, chang
         json.dumps({"format": 2, "thermal": asdict(SCALE)}),
     ],
 )  # fmt: skip
-def test_cards_that_tell_no_scale_are_refused(tmp_path, text):
+def test_cards_without_a_valid_scale_are_refused(tmp_path, text):
     folder = made(tmp_path / "set", "a")
     (folder / "card.json").write_text(text)
     with pytest.raises(ThermorenderError, match=r"card.json is not the card of a data set of format 1 .*; make the"):
         read_dataset(folder)
 
 
-def test_no_data_set(tmp_path):
+def test_folder_without_card_is_refused(tmp_path):
     words = r"is not a data set: card\.json is missing; make one with `thermorender"
     with pytest.raises(ThermorenderError, match=words):
         read_dataset(tmp_path)
@@ -399,7 +399,7 @@ def png(image):
 
 
 def flipped(data):
-    """Bits changed in the middle."""
+    """Bits flipped in the middle."""
     middle = len(data) // 2
     return data[:middle] + bytes(255 - value for value in data[middle : middle + 40]) + data[middle + 40 :]
 
@@ -408,7 +408,7 @@ WHOLE = packed(*pictures(0))
 
 
 class Evil:
-    """What a pickle would run when it is read."""
+    """A pickle that would run code when it is read."""
 
     def __reduce__(self):
         return pytest.fail, ("a pickle was run",)
@@ -420,7 +420,7 @@ class Evil:
         ("visible.png", b""), ("visible.png", b"no picture"), ("visible.png", flipped(WHOLE["visible.png"])),
         ("visible.png", WHOLE["visible.png"][:-300]), ("thermal.png", WHOLE["thermal.png"][:200]),
         ("thermal.png", png(np.zeros((24, 33), np.uint16))), ("thermal.png", png(np.zeros((*SHAPE, 3), np.uint8))),
-        # A header that promises 2⁶⁰ pixels.
+        # A header that claims 2⁶⁰ pixels.
         ("visible.png", WHOLE["visible.png"][:16] + b"\x3f\xff\xff\xff\x3f\xff\xff\xff" + WHOLE["visible.png"][24:]),
         ("valid.png", b"no picture"), ("truth.npz", b""), ("truth.npz", b"no archive"),
         ("truth.npz", WHOLE["truth.npz"][:-30]), ("truth.npz", flipped(WHOLE["truth.npz"])),
@@ -445,7 +445,7 @@ def test_damaged_shards_are_named_in_one_sentence(tmp_path):
     whole, dataset = path.read_bytes(), read_dataset(folder)
     last = dataset.entries[-1]
     end = sum(last.members["truth.npz"])
-    # Cut inside the last file; a shard made again with files of other lengths; nothing in it.
+    # Cut inside the last file; rewritten with files of other lengths; empty.
     for data in (whole[: end - 5], whole[512:], bytes(512) + whole, b""):
         path.write_bytes(data)
         with pytest.raises(ThermorenderError, match=r"shards/a.tar is damaged: a-1\.\S+ is not .*; write the"):

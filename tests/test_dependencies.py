@@ -1,4 +1,4 @@
-"""The versions of Mitsuba and Dr.Jit the package admits, and what differs between them."""
+"""The versions of Mitsuba and Dr.Jit that the package admits, and the differences between them."""
 
 import importlib.metadata
 import sys
@@ -21,21 +21,21 @@ else:
 PROJECT = Path(__file__).resolve().parents[1] / "pyproject.toml"
 
 
-def test_only_versions_that_were_seen_to_work_are_admitted():
+def test_only_tested_versions_are_admitted():
     listed = tomllib.loads(PROJECT.read_text("utf-8"))["project"]["dependencies"]
     admitted = {requirement.name: requirement.specifier for requirement in map(Requirement, listed)}
-    # 3.7.0 has no UInt8; 3.10 renames vertex_positions and changes mi.Mesh(...).
+    # 3.7.0 lacks UInt8; 3.10 renames vertex_positions and changes mi.Mesh(...).
     found = [v for v in ("3.7.0", "3.7.1", "3.8.0", "3.9.1", "3.10.0", "4.0.0") if v in admitted["mitsuba"]]
     assert found == ["3.7.1", "3.8.0", "3.9.1"]
-    # Each Mitsuba demands the very Dr.Jit it was built with, so the pin of one is the pin of both.
+    # Each Mitsuba requires the exact Dr.Jit it was built with, so pinning one pins both.
     (drjit,) = (r for r in map(Requirement, importlib.metadata.requires("mitsuba")) if r.name == "drjit")
     assert [clause.operator for clause in drjit.specifier] == ["=="]
     assert importlib.metadata.version("drjit") in drjit.specifier & admitted["drjit"]
     assert importlib.metadata.version("mitsuba") in admitted["mitsuba"]
 
 
-def handing_on(dr, name):
-    """Dr.Jit's function as of 1.5: NaN comes out where NaN goes in."""
+def propagating(dr, name):
+    """Dr.Jit's function as of 1.5: a NaN operand gives NaN."""
     original = getattr(dr, name)
 
     def function(*values):
@@ -48,8 +48,8 @@ def handing_on(dr, name):
     return function
 
 
-def dropping(dr, name):
-    """Dr.Jit's function up to 1.4: NaN is the operand that is left out."""
+def ignoring(dr, name):
+    """Dr.Jit's function up to 1.4: a NaN operand is ignored."""
     original = getattr(dr, name)
 
     def function(first, *others):
@@ -64,11 +64,11 @@ def dropping(dr, name):
 
 
 @pytest.mark.parametrize("air", [False, True])
-def test_frames_do_not_depend_on_what_minimum_and_clip_make_of_nan(tmp_path, monkeypatch, air):
-    """Dr.Jit 1.5 hands NaN on where earlier ones drop it; a frame must be the same bytes with both.
+def test_frames_do_not_depend_on_how_minimum_and_clip_treat_nan(tmp_path, monkeypatch, air):
+    """Dr.Jit 1.5 propagates NaN, earlier versions ignore it; both must give the same bytes.
 
-    NaN does arise: a ray that meets nothing has an infinite distance, and so a place of ∞ − ∞. Sky, edges, mirrors,
-    an object that moves, and air are all in the picture; light is traced anew for each.
+    NaN does occur: a ray without a hit has an infinite distance, and so a position of ∞ − ∞. The picture contains sky,
+    edges, mirrors, a moving object, and air; light is traced again for each version.
     """
     import drjit as dr
 
@@ -95,14 +95,14 @@ def test_frames_do_not_depend_on_what_minimum_and_clip_make_of_nan(tmp_path, mon
         path.write_text(text)
     scene = tr.load_scene(folder)
     frames = []
-    for number, change in enumerate((None, handing_on, dropping)):
+    for number, change in enumerate((None, propagating, ignoring)):
         monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path / f"cache{number}"))
         with monkeypatch.context() as patch:
             for name in ("minimum", "maximum", "clip") if change else ():
                 patch.setattr(dr, name, change(dr, name))
             if change:
                 nan = dr.clip(activate().Float(np.nan), 0.0, 1.0)[0]
-                assert np.isnan(nan) == (change is handing_on)
+                assert np.isnan(nan) == (change is propagating)
             frames.append(tr.Renderer(scene, rays=16).frame(tr.pose(0, -9, 4, pitch_deg=-8)))
     assert np.isfinite(frames[0].radiance).all()
     depth = frames[0].truth["depth"]

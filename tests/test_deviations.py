@@ -1,4 +1,4 @@
-"""How a terrain's texels stray from their tables: on the device as in columns in the open; refused if no field."""
+"""Per-texel deviations from tabulated properties: on the device as for columns in the open; wrong fields refused."""
 
 import numpy as np
 import pytest
@@ -27,10 +27,11 @@ def fields(shape, **factors):
     return Deviations(**{name: one * np.float32(factors.get(name, 1.0)) for name in NAMES})
 
 
-def test_texels_stray_as_columns_in_the_open_do(level):
-    """Each factor moves both materials as it moves a column of them that is marched by NumPy, to 0.02 K.
+def test_deviations_match_columns_in_the_open(level):
+    """Each factor changes both materials as it changes a column simulated with NumPy, to 0.02 K.
 
-    The two marches differ in their steps, which moves all alike, and in single precision (5 mK, test_heat_device.py).
+    The two simulations differ in their steps, which affects all alike, and in single precision (5 mK,
+    test_heat_device.py).
     """
     from thermorender.render.heat.march import solved
 
@@ -69,7 +70,7 @@ def test_texels_stray_as_columns_in_the_open_do(level):
         assert found == pytest.approx(expected, abs=0.02)
 
 
-def test_only_the_texels_that_stray_move(level):
+def test_only_texels_with_deviations_change(level):
     from thermorender.render.heat.march import solved
 
     wet = np.ones(level.surfaces[0].material.shape, np.float32)
@@ -80,7 +81,7 @@ def test_only_the_texels_that_stray_move(level):
         for deviations in (None, Deviations(one, wet, one, one))
     )
     assert (plain - moved)[:8, :8].min() > 0.5
-    # Their colder long-wave reaches nobody: level ground does not see itself.
+    # Their lower long-wave emission reaches nothing: level ground does not see itself.
     assert np.abs(plain - moved)[10:].max() < 0.01
 
 
@@ -92,7 +93,7 @@ def test_only_the_texels_that_stray_move(level):
         (np.full((32, 32), np.nan), "deviations.inertia holds a factor not above 0"),
     ],
 )
-def test_what_is_no_field_is_refused(field, words):
+def test_wrong_fields_are_refused(field, words):
     one = np.ones((32, 32))
     with pytest.raises(ThermorenderError, match=words):
         Deviations(one, one, one, field).columns(1024)

@@ -18,7 +18,7 @@ SCENE = np.clip(
 
 
 def brute_force_equalisation(counts, plateau_share, steepest):
-    """Level of every count present, pixel by pixel: capped histogram, capped slope, rest shared by both ends."""
+    """Level of every count in the image: histogram with capped counts and slope, remainder shared by both ends."""
     seen = {}
     for value in counts.ravel().tolist():
         seen[value] = seen.get(value, 0) + 1
@@ -40,9 +40,9 @@ def test_plateau_against_brute_force(counts):
     assert np.abs(shown - expected).max() <= 0.5 + 1e-9
 
 
-def test_plateau_lies_between_stretch_and_equalisation():
-    # A big flat population and a ramp: full equalisation gives the flat part its share of pixels (a half) of the
-    # levels, the plateau gives it no more than the ramp's own counts have.
+def test_plateau_is_between_stretch_and_equalisation():
+    # A large flat population and a ramp. Full equalisation gives the flat part its share of the pixels (a half) of the
+    # levels; the plateau gives it no more than the ramp's own counts have.
     flat, ramp = np.full(160 * 320, 5000), np.linspace(6000, 7000, 96 * 320)
     counts = np.concatenate([flat, ramp]).reshape(256, 320).astype(np.uint16)
     shown = DisplaySettings("plateau").image(counts)[1]
@@ -55,20 +55,20 @@ def test_linear_stretches_between_the_tails():
     for tails in ((0.5, 0.5), (0.0, 10.0)):
         shown = DisplaySettings(tails_percent=tails).image(ramp)[1]
         assert shown.min() == 0 and shown.max() == 255 and (np.diff(shown.ravel().astype(int)) >= 0).all()
-        # Half a level of 255 more is rounded to the ends at either side.
+        # The ends on either side are rounded by half a level of 255.
         low, high = 2000 + 40 * tails[0], 6000 - 40 * tails[1]
         assert np.abs(shown - np.clip((ramp - low) / (high - low), 0, 1) * 255.0).max() < 0.6
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_noise_on_a_flat_scene_stays_quiet(mode):
+def test_noise_on_a_flat_scene_is_not_amplified(mode):
     quiet = RNG.normal(5000, 2, (512, 640)).astype(np.uint16)
-    # Two counts at 255/64 levels each are 8 levels; CLAHE may treble the slope.
+    # A spread of 2 counts at 255/64 levels each is 8 levels; CLAHE may triple the slope.
     assert DisplaySettings(mode).image(quiet)[1].std() < (8.5 if mode != "local" else 25.5)
 
 
-def test_local_contrast_lifts_faint_texture():
-    # Two halves far apart, each with texture of 12 counts that a global stretch leaves within 3 levels.
+def test_local_contrast_amplifies_faint_texture():
+    # Two halves far apart, each with a texture of 12 counts that a global stretch shows within 3 levels.
     texture = np.tile(np.kron(np.indices((32, 20)).sum(axis=0) % 2, np.ones((4, 4))) * 24, (2, 4))[:256, :320]
     counts = (texture + np.where(np.arange(320) < 160, 4000, 6000)).astype(np.uint16)
     spread = {mode: DisplaySettings(mode).image(counts)[1][:, 40:120].std() for mode in MODES}
@@ -79,7 +79,7 @@ def test_local_contrast_lifts_faint_texture():
 
 @pytest.mark.parametrize("mode", MODES)
 def test_memory_is_an_exponential_mean(mode):
-    # After a jump of the scene the measure nears the new one as 1 − exp(−t/τ), however often it is looked at.
+    # After a jump of the scene the state approaches the new one as 1 − exp(−t/τ), for any number of frames.
     settings = DisplaySettings(mode, memory_s=0.5)
     before, after = SCENE, (SCENE + 700).astype(np.uint16)
     old, new = (MODES[mode][0](counts, (0.5, 0.5)) for counts in (before, after))
@@ -110,7 +110,7 @@ def test_palettes():
     np.testing.assert_array_equal(palette("white-hot"), grey)
     np.testing.assert_array_equal(palette("black-hot"), 255 - grey)
     iron = palette("ironbow").astype(float)
-    # Brightness (Rec. 601) rises all the way, so no two temperatures look alike.
+    # Luma (Rec. 601) rises throughout, so no two temperatures look alike.
     assert np.diff(iron @ [0.299, 0.587, 0.114]).min() > 0.0
     assert iron[0].max() < 10 and iron[-1].tolist() == [255, 255, 255]
     shown = DisplaySettings(palette="ironbow").image(SCENE)[1]
@@ -118,7 +118,7 @@ def test_palettes():
     np.testing.assert_array_equal(shown, palette("ironbow")[DisplaySettings().image(SCENE)[1]])
 
 
-def test_ironbow_against_the_palette_a_camera_stores():
+def test_ironbow_against_a_cameras_stored_palette():
     # Record 0x22 of a radiometric JPEG: Y, Cr, Cb of its colours in studio range (Rec. 601).
     stored = np.loadtxt(shared_data("flir/iron_palette.csv"), delimiter=",", skiprows=1)
     y, cr, cb = ((stored - [16, 128, 128]) * [255 / 219, 255 / 224, 255 / 224]).T
@@ -129,7 +129,7 @@ def test_ironbow_against_the_palette_a_camera_stores():
     assert error.mean() < 3 and error[8:-8].max() < 16
 
 
-def test_colour_video_keeps_its_colours(tmp_path):
+def test_colour_video_preserves_colours(tmp_path):
     images = []
     for k, level in enumerate((30, 128, 230)):
         images.append(tmp_path / f"{k}.png")
@@ -138,7 +138,7 @@ def test_colour_video_keeps_its_colours(tmp_path):
     video = cv2.VideoCapture(str(tmp_path / "a.mp4"))
     for level in (30, 128, 230):
         frame = video.read()[1][..., ::-1].reshape(-1, 3).mean(axis=0)
-        # 8-bit Y'CbCr of a flat frame keeps colours to a few levels.
+        # 8-bit Y'CbCr preserves the colours of a flat frame to a few levels.
         np.testing.assert_allclose(frame, palette("ironbow")[level], atol=6)
 
 

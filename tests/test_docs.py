@@ -1,4 +1,4 @@
-"""The commands and code of README, docs/ and examples/ run as they stand there, and print what the pages say.
+"""The commands and code of README, docs/ and examples/ run as written and print what the pages say.
 
 Blocks ```python and ```bash of a page run in order in one temporary folder; a block ```text behind one of them is its
 output. A block that cannot run begins with "# not run:" and the reason, which readers see too.
@@ -37,7 +37,7 @@ def name_of(path):
 
 
 def blocks(path):
-    """[(language, code, expected output or None)] of a page's blocks that can run or say why not."""
+    """[(language, code, expected output or None)] of a page's blocks that can run or state why not."""
     found = []
     for language, text in _BLOCK.findall(path.read_text(encoding="utf-8")):
         if language == "text":
@@ -53,14 +53,13 @@ PAGES = [page for page in PAGES if any(not code.startswith(NOT_RUN) for _, code,
 
 
 def marked(paths):
-    """Parameters of a test over paths, those of SLOW marked so."""
+    """Parameters of a test over paths, with those of SLOW marked as slow."""
     slow = pytest.mark.slow
     return [pytest.param(path, id=name_of(path), marks=[slow] if name_of(path) in SLOW else []) for path in paths]
 
 
 def agrees(printed, expected):
-    """Whether outputs are the same: words exactly, numbers within 2 units of the last digit that is stated; lines "…"
-    stand for any lines."""
+    """Whether outputs agree: words exactly, numbers within 2 units of the last stated digit; "…" matches any lines."""
     number = r"-?\d+(?:\.\d+)?"
     patterns = []
     for line in expected.strip().splitlines():
@@ -81,12 +80,12 @@ _CAPTURE = r"(-?\\d+(?:\\.\\d+)?)"
 
 
 def _escaped(line):
-    """A regular expression of a line's words; numbers stay as they are, runs of spaces match any."""
+    """A regular expression for a line's words; numbers stay as they are, and runs of spaces match any."""
     return re.sub(r"(\\ )+", r"\\s+", re.escape(line.strip())).replace(r"\.", ".").replace(r"\-", "-")
 
 
 def environment():
-    """Variables with which a shell finds this Python's `thermorender`."""
+    """Environment in which a shell finds this Python's `thermorender`."""
     return dict(os.environ) | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}", "MPLBACKEND": "Agg"}
 
 
@@ -139,7 +138,7 @@ def test_notebooks_run(notebook, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("notebook", [pytest.param(path, id=path.name) for path in NOTEBOOKS])
-def test_notebooks_are_kept_without_outputs(notebook):
+def test_notebooks_are_stored_without_outputs(notebook):
     for cell in json.loads(notebook.read_text(encoding="utf-8"))["cells"]:
         assert not cell.get("outputs") and cell.get("execution_count") is None
 
@@ -148,7 +147,7 @@ def test_readme_is_short():
     assert len(README.read_text(encoding="utf-8").splitlines()) <= 150
 
 
-def test_links_of_the_readme_lead_somewhere():
+def test_links_of_the_readme_exist():
     for page in (README, ROOT / "CONTRIBUTING.md", ROOT / "examples" / "README.md"):
         for link in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
             assert (page.parent / link).exists(), f"{page.name} links to {link}"
@@ -159,7 +158,7 @@ EVERY_PAGE = [README, *(page for page in sorted(DOCS.rglob("*.md")) if "_build" 
 
 @pytest.mark.parametrize("page", [pytest.param(path, id=name_of(path)) for path in EVERY_PAGE])
 def test_verbs_and_options_of_a_page_exist(page):
-    """Whatever `thermorender VERB --option` a page writes, in blocks and in sentences, is known to the parser."""
+    """Every `thermorender VERB --option` on a page, in blocks and in sentences, is known to the parser."""
     text = page.read_text(encoding="utf-8").replace("\\\n", " ")
     fenced = "\n".join(re.findall(r"^```(?:bash)?\n(.*?)^```$", text, flags=re.S | re.M))
     inline = re.findall(r"`thermorender ([a-z][^`\n]*)`", text)
@@ -175,6 +174,6 @@ def test_verbs_and_options_of_a_page_exist(page):
         assert given <= known, f"thermorender {command}"
 
 
-def test_outputs_that_differ_are_seen():
+def test_differing_outputs_are_detected():
     assert agrees("a 1.52 b\nc\n", "a 1.51 b\nc") and agrees("x\ny\nz\n", "x\n…\nz")
     assert not agrees("a 1.58 b\n", "a 1.51 b") and not agrees("a 3\n", "a 2") and not agrees("x\ny\n", "x\nz")

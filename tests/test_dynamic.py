@@ -1,4 +1,4 @@
-"""Dynamic objects: the same light as static ones, along their tracks, without tracing the scene again."""
+"""Dynamic objects: lit like static ones, moved along their tracks, without tracing the scene again."""
 
 import numpy as np
 import pytest
@@ -23,20 +23,20 @@ def scene_with(folder, track=None, shape="box", size=(3, 3, 1.5), rest="", **key
         extra += 'track = "track.csv"\n'
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "track.csv").write_text(track)
-    # Sand reflects most of what the small tests have.
+    # Of the materials in the small tests, sand reflects most.
     sand = np.full((64, 64), 2)
     return tr.load_scene(write_terrain(folder, height=np.zeros((33, 33)), classes=sand, extra=extra, **keywords))
 
 
 @pytest.mark.parametrize(("shape", "size"), [("box", (3, 3, 1.5)), ("disc", (3, 3, 1))])
-def test_an_object_with_a_track_shines_as_one_that_stands_still(tmp_path, shape, size):
+def test_tracked_object_is_lit_as_a_static_one(tmp_path, shape, size):
     pose, rays = tr.pose(1, -6, 8, pitch_deg=-45), 1024
     scene = scene_with(tmp_path / "static", None, shape, size)
     static = tr.Renderer(scene, rays=rays).frame(pose)
     tracked = scene_with(tmp_path / "dynamic", "time_s,yaw_deg\n0,30\n", shape, size)
     dynamic = tr.Renderer(tracked, rays=rays).frame(pose)
     for name in ("kinetic_temperature", "material", "mask", "depth", "emissivity"):
-        # A point between two texels may fall to either.
+        # A point between two texels may belong to either.
         assert np.mean(~np.isclose(dynamic.truth[name], static.truth[name], rtol=1e-5)) < 1e-4
     assert dynamic.targets == static.targets and dynamic.targets["target"]["visible"]
     difference = 1e3 * (dynamic.apparent_temperature - static.apparent_temperature)
@@ -46,32 +46,32 @@ def test_an_object_with_a_track_shines_as_one_that_stands_still(tmp_path, shape,
     assert near.sum() > 5000
 
     def one_face(name, warm, cold, temperature):
-        """Standard error [mK] of two frames' difference on one face half of whose view is warm and half cold."""
+        """Standard error [mK] of two frames' difference on one face that sees half warm and half cold."""
         reflected = 1.0 - next(m for m in scene.materials if m.name == name).band_emissivity(*BAND, 300.0)
         contrast = reflected * (band_radiance(warm, *BAND) - band_radiance(cold, *BAND))
         return 1e3 * contrast * np.sqrt(2.0 * 0.25 / rays) / band_radiance_derivative(temperature, *BAND)
 
-    # Sand sees the target of 340 K or the sky of 260 K; cells of 1 m² are two faces, and each errs by itself.
+    # Sand sees the target at 340 K or the sky at 260 K. A cell of 1 m² is two faces with independent errors.
     error = one_face("sand_quartz", 340.0, 260.0, 290.0)
     faces = 2.0 * (9.0 * np.pi - size[0] * size[1] * (1.0 if shape == "box" else np.pi / 4))
     assert difference[near].std() < error and abs(difference[near].mean()) < 3.0 * error / np.sqrt(faces)
-    # Black paint sees ground of 300 K at most, or the sky; of its faces one may fill the picture.
+    # Black paint sees ground of at most 300 K, or the sky; one of its faces may fill the picture.
     assert abs(difference[target].mean()) < 3.0 * one_face("paint_black", 300.0, 260.0, 340.0) < 100.0
-    # What the target itself sends to the ground is far more than any of these errors.
+    # The target's own light on the ground is far larger than any of these errors.
     cold = scene_with(tmp_path / "cold", "time_s,temperature_k\n0,300\n", shape, size)
     change = static.apparent_temperature - tr.Renderer(cold, rays=rays).frame(pose).apparent_temperature
     assert 1e3 * change[near].mean() > 3.0 * 3.0 * error / np.sqrt(faces)
 
 
 @pytest.mark.parametrize("kelvin", [300.0, 340.0, 900.0])
-def test_a_frame_states_what_the_light_of_a_moving_object_errs_by(tmp_path, kelvin):
-    """Against one that stands still, under many rays, on the ground round it."""
+def test_frame_states_the_error_of_a_moving_objects_light(tmp_path, kelvin):
+    """Compared with a static object under many rays, on the ground around it."""
     pose, track = tr.pose(1, 2, 14, pitch_deg=-90), f"time_s,temperature_k\n0,{kelvin}\n"
     still = scene_with(tmp_path / "still").with_objects({"target": kelvin})
     still = tr.Renderer(still, quality="high", rays=4096).frame(pose)
     frame = tr.Renderer(scene_with(tmp_path / "moving", track), quality="high", rays=128).frame(pose)
     away = np.linalg.norm(still.truth["position"][..., :2] - [1, 2], axis=-1)
-    # Its edges, half a metre wide, are left out: what other rays show there is another error.
+    # Its edges, half a metre wide, are excluded: rays differ there for another reason.
     ground = (away > 2.7) & (away < 5.0)
     error = 1e3 * (frame.radiance - still.radiance)[ground] / band_radiance_derivative(300.0, *BAND)
     off, stated = (np.sqrt(np.mean(np.square(values))) for values in (error, frame.error_mk[ground]))
@@ -79,7 +79,7 @@ def test_a_frame_states_what_the_light_of_a_moving_object_errs_by(tmp_path, kelv
     assert 0.5 * off < frame.budget_mk["bake"] < 2.0 * off
 
 
-def test_it_moves_without_another_trace(tmp_path, monkeypatch):
+def test_object_moves_without_another_trace(tmp_path, monkeypatch):
     scene = scene_with(tmp_path / "s", "time_s,east_m,yaw_deg,temperature_k\n0,-6,350,300\n10,6,10,320\n")
     renderer = tr.Renderer(scene, rays=16)
     _ = renderer.baked
@@ -93,7 +93,7 @@ def test_it_moves_without_another_trace(tmp_path, monkeypatch):
         assert column == pytest.approx(320 + scene.camera.focal_length_px * east / height, abs=0.5)
         assert frame.truth["kinetic_temperature"][int(row), int(column)] == pytest.approx(kelvin)
         seen.append(frame)
-    # A frame keeps its own truth after the object went on.
+    # A frame keeps its own truth after the object has moved on.
     column, row = seen[0].targets["target"]["pixel"]
     assert seen[0].truth["kinetic_temperature"][int(row), int(column)] == pytest.approx(300.0)
     back = renderer.frame(pose, time_s=-1.0)
@@ -113,13 +113,13 @@ def test_heading_turns_the_short_way(tmp_path):
     np.testing.assert_allclose(ahead, [0, 1, 0], atol=1e-9)
 
 
-def test_a_track_is_part_of_the_scene(tmp_path):
+def test_track_is_part_of_the_scene_digest(tmp_path):
     one = scene_with(tmp_path / "a", "time_s,yaw_deg\n0,30\n")
     other = scene_with(tmp_path / "b", "time_s,yaw_deg\n0,31\n")
     assert one.digest() != other.digest()
 
 
-def test_how_a_tracked_model_lies_in_its_texture_is_part_of_the_scene(tmp_path):
+def test_texture_mapping_of_a_tracked_model_is_part_of_the_scene_digest(tmp_path):
     extra = '[[object]]\nname = "car"\nfile = "car.obj"\nposition = [0.0, 0.0, 0.0]\ntemperature = 330.0\n' \
             'material = "paint_black"\ntrack = "car.csv"\n'  # fmt: skip
     folder = write_terrain(tmp_path / "tiny", extra=extra)
@@ -175,7 +175,7 @@ def test_bad_settings(tmp_path):
         with pytest.raises(ThermorenderError, match=f"^{name}=.* is not allowed; give a whole number 0 … 2⁶⁴−1$"):
             made = tr.Renderer.of(renderer.baked, **({name: value} if name == "seed" else {}))
             made.frame(tr.pose(0, 0, 30, pitch_deg=-90), **settings)
-    # A camera in the place of a time would be passed over where nothing moves.
+    # Without moving objects, a camera passed in place of a time would otherwise go unnoticed.
     for time_s in (np.nan, scene.camera):
         for render in (renderer.frame, renderer.visible):
             with pytest.raises(ThermorenderError, match=r"^time_s=.* is no time; give a finite number of seconds$"):
@@ -185,20 +185,20 @@ def test_bad_settings(tmp_path):
         renderer.visible(tr.pose(0, 0, 30, pitch_deg=-90), 1.0)
 
 
-def test_what_stands_in_the_ground_does_not_light_it(tmp_path):
-    """The bake's faces get light on their fronts alone, and so must they from what moves below them."""
+def test_object_below_the_ground_does_not_light_it(tmp_path):
+    """The bake's faces are lit from the front only, so objects below them must not light them either."""
     scene = scene_with(tmp_path / "s", "time_s,above_ground_m\n0,-3\n")
     renderer, pose = tr.Renderer(scene, rays=64), tr.pose(1, 2, 10, pitch_deg=-90)
     below, hotter = (renderer.radiance(pose, objects={"target": {"temperature_k": k}}) for k in (300.0, 900.0))
     np.testing.assert_array_equal(hotter, below)
-    # Half of it below: what is above shines on.
+    # Half of it below: the part above still lights the ground.
     above, hotter = (
         renderer.radiance(pose, objects={"target": {"temperature_k": k, "above_ground_m": -0.75}}) for k in (300, 900)
     )
     assert (hotter > above).mean() > 0.9
 
 
-def test_a_thing_in_the_ground_shines_as_one_that_stands_still(tmp_path):
+def test_half_buried_tracked_object_is_lit_as_a_static_one(tmp_path):
     moving = scene_with(tmp_path / "moving", "time_s,above_ground_m\n0,-0.5\n")
     scene_with(tmp_path / "still")
     toml = tmp_path / "still" / "scene.toml"
@@ -210,12 +210,12 @@ def test_a_thing_in_the_ground_shines_as_one_that_stands_still(tmp_path):
     assert ground.sum() > 100_000 and abs(apart.mean()) < 20.0
 
 
-def test_it_may_be_the_only_mirror(tmp_path):
+def test_only_mirror_may_be_a_tracked_object(tmp_path):
     folder = tmp_path / "s"
     scene_with(folder, "time_s,yaw_deg\n0,30\n")
     toml = folder / "scene.toml"
     toml.write_text(toml.read_text().replace("paint_black", "aluminium_polished"))
     frame = tr.Renderer(tr.load_scene(folder), rays=16).frame(tr.pose(1, 2, 10, pitch_deg=-90))
-    thing = frame.truth["kinetic_temperature"] == 340.0
-    # Of 340 K, but nearly all that it shows is the sky of 260 K.
-    assert frame.plan["specular"] and abs(np.median(frame.apparent_temperature[thing]) - 260.0) < 15.0
+    target = frame.truth["kinetic_temperature"] == 340.0
+    # It is at 340 K, but nearly all of its radiance is reflected sky at 260 K.
+    assert frame.plan["specular"] and abs(np.median(frame.apparent_temperature[target]) - 260.0) < 15.0

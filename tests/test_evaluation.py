@@ -85,7 +85,7 @@ def known_errors(numbers, valid=np.s_[2:, 3:]):
 
 @pytest.fixture
 def undrawn(monkeypatch):
-    """Draw nothing: the figures are tested once."""
+    """Skip the figures, which one test covers."""
     for name in ("picture", "against_time"):
         monkeypatch.setattr(figures, name, lambda *arguments: None)
 
@@ -137,7 +137,7 @@ def of_errors(absolute, pixels=100):
     return row
 
 
-def test_the_interval_of_a_difference_uses_that_pictures_are_the_same():
+def test_interval_of_a_difference_is_paired_by_picture():
     rng = np.random.default_rng(5)
     common, own = rng.normal(9.0, 2.0, 400), rng.normal(0.25, 0.1, 400)
     cluster = np.arange(3600) // 9
@@ -156,7 +156,7 @@ def test_the_interval_of_a_difference_uses_that_pictures_are_the_same():
     assert paired.differences(rows[:, :0], [[0], [1]], cluster[:0]) == [([1], None, None)]
 
 
-def test_the_interval_of_a_difference_includes_the_scatter_of_seeds():
+def test_interval_of_a_difference_includes_the_scatter_of_seeds():
     """Equal pictures, so only seeds scatter: s √(1/3 + 1/3) for two methods with three seeds each."""
     first, other = np.array([1.0, 1.3, 1.6]), np.array([2.0, 2.3, 2.6])
     rows = of_errors(np.repeat([*first, *other], 50).reshape(6, 50))
@@ -172,12 +172,12 @@ def test_maps_that_differ_only_in_their_seed_are_grouped():
         {"seed": 1, "options": {"depth": True}}, {}, {},
     )]  # fmt: skip
     assert paired.kin([LearnedMap("m", each) for each in maps]) == [[0, 2], [1], [3], [4]]
-    # An oracle is another method, and one seed twice another training.
+    # An oracle counts as another method, and one seed twice as two trainings.
     assert paired.kin([LearnedMap("m", maps[0]), LearnedMap("o", maps[2], oracle=True)]) == [[0], [1]]
     assert paired.kin([LearnedMap("m", maps[0]), LearnedMap("n", maps[0])]) == [[0], [1]]
 
 
-def test_parents_are_drawn_where_sequences_are_few():
+def test_parents_are_resampled_where_sequences_are_few():
     entries = [Entry(f"k{n}", "test", f"parent{n // 4}", f"flight{n % 2}", 0, SHAPE) for n in range(12)]
     number, what = sums.clusters(entries)
     assert what == "parents" and number.tolist() == [0] * 4 + [1] * 4 + [2] * 4
@@ -291,7 +291,7 @@ def test_baselines_have_the_expected_errors(scored):
     )
 
 
-def test_an_exact_map_has_no_error(undrawn, tmp_path, monkeypatch):
+def test_exact_map_has_no_error(undrawn, tmp_path, monkeypatch):
     monkeypatch.setitem(globals(), "known_pair", lambda n, of=known_pair: _exact(*of(n)))
     dataset = make_dataset(tmp_path / "d", 4, 2)
     save_map(linear_map(), tmp_path / "m.npz")
@@ -341,7 +341,7 @@ def test_pictures_without_truth_use_an_assumed_range(undrawn, tmp_path):
     assert "not available" in (tmp_path / "o/evaluation.md").read_text()
 
 
-def test_maps_get_the_inputs_that_the_card_names_and_only_the_oracle_the_material(undrawn, tmp_path, monkeypatch):
+def test_maps_get_the_inputs_on_the_card_and_only_the_oracle_the_material(undrawn, tmp_path, monkeypatch):
     seen = {}
 
     def predict(self, inputs, texel_m):
@@ -360,7 +360,7 @@ def test_maps_get_the_inputs_that_the_card_names_and_only_the_oracle_the_materia
     assert result["methods"]["oracle b"]["knows"] == "the material"
 
 
-def test_pictures_without_a_scale_are_fitted_and_others_are_not(undrawn, tmp_path):
+def test_only_pictures_without_a_scale_are_fitted(undrawn, tmp_path):
     """The fit recovers an affine function of the truth; bad or missing pictures are refused."""
     dataset = make_dataset(tmp_path / "d", 4, 2)
     for name in ("plain", "scaled"):
@@ -387,7 +387,7 @@ def test_pictures_without_a_scale_are_fitted_and_others_are_not(undrawn, tmp_pat
     assert not (tmp_path / "q").exists()
 
 
-def test_the_command_scores_the_given_split_and_part(undrawn, tmp_path, call, monkeypatch):
+def test_command_scores_the_given_split_and_part(undrawn, tmp_path, call, monkeypatch):
     make_dataset(tmp_path / "d", 4, 2)
     asked = []
 

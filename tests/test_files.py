@@ -1,4 +1,4 @@
-"""Files and folders come whole or not at all: after failures, interruptions and beside other processes."""
+"""Files and folders are written whole or not at all: after failures, interruptions and beside other processes."""
 
 import errno
 import json
@@ -22,7 +22,7 @@ def names(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_a_file_is_whole_or_as_it_was(tmp_path):
+def test_file_is_written_whole_or_left_as_it_was(tmp_path):
     target = tmp_path / "a.txt"
     target.write_text("before")
     with pytest.raises(ThermorenderError, match=r"a.txt cannot be written: no room; check the folder"):
@@ -34,7 +34,7 @@ def test_a_file_is_whole_or_as_it_was(tmp_path):
             part.write_text("half")
             raise KeyboardInterrupt
     assert target.read_text() == "before" and names(tmp_path) == ["a.txt"]
-    # A whole new file takes the name; the old one is never written into.
+    # A new file takes the name; the old file is never written into.
     (tmp_path / "old").hardlink_to(target)
     with files.atomic(target) as part:
         part.write_text("after")
@@ -43,7 +43,7 @@ def test_a_file_is_whole_or_as_it_was(tmp_path):
 
 
 @pytest.mark.parametrize("letter", ["n", "ü"])
-def test_the_longest_name_has_room_for_a_temporary_one(tmp_path, letter):
+def test_longest_name_leaves_room_for_a_temporary_name(tmp_path, letter):
     name = letter * (250 // len(letter.encode()))
     with files.atomic(tmp_path / f"{name}.txt") as part:
         part.write_text("whole")
@@ -61,7 +61,7 @@ def test_the_longest_name_has_room_for_a_temporary_one(tmp_path, letter):
     assert names(tmp_path) == [name, f"{name}.txt"]
 
 
-def test_missing_folders_come_with_the_file_only(tmp_path):
+def test_missing_folders_are_made_with_the_file_only(tmp_path):
     with pytest.raises(KeyboardInterrupt), files.atomic(tmp_path / "a" / "b" / "c.txt"):
         raise KeyboardInterrupt
     assert names(tmp_path) == []
@@ -69,7 +69,7 @@ def test_missing_folders_come_with_the_file_only(tmp_path):
     assert (tmp_path / "a" / "b" / "c.txt").read_bytes() == "°\n".encode()
 
 
-def test_a_file_has_the_permissions_of_any_other(tmp_path):
+def test_written_files_and_folders_have_default_permissions(tmp_path):
     (tmp_path / "other").touch()
     formats.write_text(tmp_path / "file", "")
     with files.atomic_folder(tmp_path / "folder"):
@@ -80,7 +80,7 @@ def test_a_file_has_the_permissions_of_any_other(tmp_path):
 
 
 @pytest.mark.parametrize("there", ["nothing", "an empty folder", "files"])
-def test_a_folder_is_whole_or_as_it_was(there, tmp_path):
+def test_folder_is_written_whole_or_left_as_it_was(there, tmp_path):
     target = tmp_path / "a"
     if there != "nothing":
         target.mkdir()
@@ -101,7 +101,7 @@ def test_a_folder_is_whole_or_as_it_was(there, tmp_path):
     assert names(tmp_path) == ["a"] and names(target) == ["new"]
 
 
-def test_a_second_process_is_kept_out_of_a_folder_that_is_being_made(tmp_path):
+def test_folder_that_is_being_written_refuses_a_second_process(tmp_path):
     target = tmp_path / "a"
     with files.atomic_folder(target) as part:
         (part / "first").write_text("x")
@@ -111,7 +111,7 @@ def test_a_second_process_is_kept_out_of_a_folder_that_is_being_made(tmp_path):
     assert names(tmp_path) == ["a"] and names(target) == ["first"]
 
 
-def test_files_that_come_into_a_folder_meanwhile_stay(tmp_path):
+def test_files_that_appear_during_the_write_are_kept(tmp_path):
     target = tmp_path / "a"
     with pytest.raises(ThermorenderError, match="a cannot be written: Directory not empty"):
         with files.atomic_folder(target) as part:
@@ -122,7 +122,7 @@ def test_files_that_come_into_a_folder_meanwhile_stay(tmp_path):
 
 
 @pytest.mark.parametrize("kept", ["before", "between", "after"])
-def test_a_folder_replaced_by_a_killed_process_is_the_old_one_or_the_new_one(kept, tmp_path, monkeypatch):
+def test_killed_overwrite_leaves_the_old_or_the_new_folder(kept, tmp_path, monkeypatch):
     """Killed before its two renames, between them, and after them."""
     target, replace, calls = tmp_path / "a", os.replace, []
     target.mkdir()
@@ -148,7 +148,7 @@ def test_a_folder_replaced_by_a_killed_process_is_the_old_one_or_the_new_one(kep
 
 
 @pytest.mark.parametrize("error", [OSError("no room"), KeyboardInterrupt()])
-def test_the_old_folder_comes_back(error, tmp_path, monkeypatch):
+def test_old_folder_is_restored_after_an_error(error, tmp_path, monkeypatch):
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "old").write_text("precious")
     replace, calls = os.replace, []
@@ -183,7 +183,7 @@ with getattr(files, sys.argv[2])(target) as part:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
 @pytest.mark.parametrize("kind", ["atomic", "atomic_folder"])
-def test_an_interrupted_process_leaves_nothing(kind, tmp_path):
+def test_interrupted_process_leaves_nothing(kind, tmp_path):
     target = tmp_path / "new" / "a.txt"
     command = [sys.executable, "-c", WRITER, target, kind]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
@@ -202,8 +202,8 @@ def _write_often(path, letter, start, count):
                 file.flush()
 
 
-def test_processes_that_write_one_file_do_not_meet(tmp_path):
-    # "x" refuses a temporary file that another one made; mixed letters would be two writers in one file.
+def test_two_processes_can_write_one_file(tmp_path):
+    # Mode "x" fails on another process's temporary file; mixed letters would mean two writers in one file.
     spawn = multiprocessing.get_context("spawn")
     start, path = spawn.Barrier(3), tmp_path / "a.txt"
     both = [spawn.Process(target=_write_often, args=(path, letter, start, 200)) for letter in "ab"]
@@ -221,7 +221,7 @@ def test_processes_that_write_one_file_do_not_meet(tmp_path):
     assert [process.exitcode for process in both] == [0, 0] and seen <= {"a", "b"} and names(tmp_path) == ["a.txt"]
 
 
-def test_what_killed_processes_left_is_removed(tmp_path):
+def test_temporary_files_of_killed_processes_are_removed(tmp_path):
     parts = []
     for name in ("frame_000001.exr", "frames.jsonl", "notes"):
         with files.atomic(tmp_path / name) as part:
@@ -269,7 +269,7 @@ def test_checks_leave_nothing_behind(tmp_path):
         (files.check_new_folder, "/proc", "/proc is where a file system is mounted; give a folder below it"),
     ],
 )
-def test_what_cannot_be_written_is_told_before(check, path, words, tmp_path):
+def test_unwritable_outputs_are_reported_before_the_work(check, path, words, tmp_path):
     if not os.path.exists("/proc/self") and path.startswith("/proc"):
         pytest.skip("no folder that refuses even root: /proc is not here")
     (tmp_path / "folder").mkdir()
@@ -280,7 +280,7 @@ def test_what_cannot_be_written_is_told_before(check, path, words, tmp_path):
     assert names(tmp_path) == ["file", "folder"] and names(tmp_path / "folder") == ["file"]
 
 
-def test_a_folder_in_use_is_told(tmp_path):
+def test_folder_in_use_is_reported(tmp_path):
     with files.in_use(tmp_path):
         with pytest.raises(ThermorenderError, match="is being written by another process"), files.in_use(tmp_path):
             pytest.fail("two have it")
@@ -289,11 +289,11 @@ def test_a_folder_in_use_is_told(tmp_path):
         pass
 
 
-def test_a_folder_without_permission(tmp_path, monkeypatch):
+def test_folder_without_permission(tmp_path, monkeypatch):
     def refuse(path, *_, **__):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), path)
 
-    # Told by the attempt, since permissions do not bind root.
+    # A failed attempt is simulated, since permissions do not bind root.
     monkeypatch.setattr(Path, "touch", refuse)
     with pytest.raises(ThermorenderError, match="cannot be written to: Permission denied; give another folder"):
         files.check_output_folder(tmp_path)
@@ -301,7 +301,7 @@ def test_a_folder_without_permission(tmp_path, monkeypatch):
         files.check_output_file(tmp_path / "a")
 
 
-def test_text(tmp_path):
+def test_text_and_json(tmp_path):
     (tmp_path / "a.txt").write_bytes(b"\xef\xbb\xbfa\xc2\xb5")
     assert formats.read_text(tmp_path / "a.txt") == "aµ"
     (tmp_path / "a.txt").write_bytes(b"a\xb5")
@@ -316,7 +316,7 @@ def test_text(tmp_path):
     assert (tmp_path / "a.jsonl").read_text() == '{"index": 0}\n{"index": 1}\n'
 
 
-def test_each_kind_of_kept_files_has_its_folder(tmp_path, monkeypatch):
+def test_each_kind_of_cached_files_has_its_folder(tmp_path, monkeypatch):
     monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path))
     folders = [cache_folder(kind) for kind in CACHED]
     assert len(set(folders)) == len(folders) and all(folder.parent == tmp_path for folder in folders)
@@ -328,7 +328,7 @@ def test_each_kind_of_kept_files_has_its_folder(tmp_path, monkeypatch):
         assert cache_folder("light") == tmp_path / "xdg" / "thermorender" / "light"
 
 
-def test_a_folder_that_another_process_is_about_to_fill_is_left_to_it(tmp_path):
+def test_folder_reserved_by_another_process_is_not_removed(tmp_path):
     folder = tmp_path / "new" / "flight"
     with files.output_folder(folder) as out, files.in_use(out):
         with pytest.raises(ThermorenderError, match="is being written by another process"):
@@ -338,8 +338,8 @@ def test_a_folder_that_another_process_is_about_to_fill_is_left_to_it(tmp_path):
     assert not names(tmp_path)
 
 
-def test_a_process_that_waits_for_a_folder_gets_it(tmp_path):
-    """The lock is removed while it is held, and then neither two have it nor does one wait for ever."""
+def test_waiting_process_gets_the_folder(tmp_path):
+    """The holder removes the lock file. Still no two processes may hold it, and none may wait for ever."""
     spawn = multiprocessing.get_context("spawn")
     start = spawn.Barrier(3)
     (tmp_path / "count").write_text("0")
@@ -363,8 +363,8 @@ def _count(folder, start, times):
 
 
 
-def test_kept_arrays_are_whole_or_absent(tmp_path):
-    """Each bit of the file flipped, the file cut anywhere, or written for something else."""
+def test_stored_arrays_are_read_whole_or_not_at_all(tmp_path):
+    """Every bit of the file flipped, the file truncated at any length, or a file of another version."""
     path, arrays = tmp_path / "a.npz", {"signal": np.arange(6.0).reshape(2, 3), "time_s": np.float64(2.5)}
     assert formats.read_arrays(path, 3) is None
     formats.write_arrays(path, 3, arrays)
@@ -375,7 +375,7 @@ def test_kept_arrays_are_whole_or_absent(tmp_path):
         damaged[place // 8] ^= 1 << place % 8
         path.write_bytes(damaged)
         found = formats.read_arrays(path, 3)
-        # Of what no reader uses, as a member's date, a bit may fall.
+        # Bits that no reader uses, such as a member's date, may flip.
         assert found is None or (all(np.array_equal(found.pop(name), arrays[name]) for name in arrays) and not found)
     for size in range(0, len(whole), 7):
         path.write_bytes(whole[:size])

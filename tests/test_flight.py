@@ -1,4 +1,4 @@
-"""Flights: products, records, resume to the same bytes."""
+"""Flights: products, records, and resuming to the same bytes."""
 
 import json
 import shutil
@@ -75,7 +75,7 @@ def test_products_and_records(setting, tmp_path):
     assert record["index"] == 2 and record["units"]["radiance"] == "W m-2 sr-1"
     counts = cv2.imread(str(tmp_path / "f/frame_000002_counts.png"), cv2.IMREAD_UNCHANGED)
     assert counts.dtype == np.uint16
-    assert np.abs(counts.astype(int) - frame.counts).max() > 0  # the flight's pixels remember, a single frame's do not
+    assert np.abs(counts.astype(int) - frame.counts).max() > 0  # a flight's pixels have memory, a single frame's do not
     assert lines[2]["plan"]["sensor"]["motion_px"] == pytest.approx(2.0 * 0.01 * 765 / 4 / 12, rel=0.01)
     video = cv2.VideoCapture(str(tmp_path / "f/flight.mp4"))
     assert video.get(cv2.CAP_PROP_FRAME_COUNT) == 5 and video.get(cv2.CAP_PROP_FRAME_WIDTH) == 160
@@ -107,7 +107,7 @@ def test_resume_gives_the_same_bytes(setting, tmp_path):
 
 
 @pytest.mark.parametrize("fault", ["removed", "moved", "replaced"])
-def test_a_folder_that_goes_during_a_flight_is_told(setting, tmp_path, fault):
+def test_folder_removed_during_a_flight_is_reported(setting, tmp_path, fault):
     renderer, path = setting
     folder, flight = tmp_path / "f", FlightOptions(rate_hz=4.0, products=("counts",))
 
@@ -121,20 +121,20 @@ def test_a_folder_that_goes_during_a_flight_is_told(setting, tmp_path, fault):
 
     with pytest.raises(ThermorenderError, match="f was removed, moved or replaced while it was flown into"):
         fly(renderer, path, folder, flight, progress=meddle)
-    # Nothing is written to where it was.
+    # Nothing is written to the old path.
     assert not (folder.exists() and any(folder.iterdir()))
     if fault == "moved":
         assert fly(renderer, path, tmp_path / "elsewhere", flight, resume=True)["rendered"] == 2
 
 
 @pytest.mark.parametrize("damage", ["cut", "changed"])
-def test_damaged_files_are_rendered_anew(setting, tmp_path, damage):
+def test_damaged_files_are_rendered_again(setting, tmp_path, damage):
     renderer, path = setting
     flight = FlightOptions(rate_hz=4.0, products=("exr", "counts"))
     fly(renderer, path, tmp_path / "f", flight)
     whole = contents(tmp_path / "f")
-    told = json.loads((tmp_path / "f/frames.jsonl").read_text().splitlines()[2])["files"]
-    assert told["frame_000002.exr"][0] == len(whole["frame_000002.exr"]) and len(told) == 2
+    recorded = json.loads((tmp_path / "f/frames.jsonl").read_text().splitlines()[2])["files"]
+    assert recorded["frame_000002.exr"][0] == len(whole["frame_000002.exr"]) and len(recorded) == 2
     damaged = bytearray(whole["frame_000002.exr"])
     if damage == "cut":
         del damaged[20_000:]
@@ -146,7 +146,7 @@ def test_damaged_files_are_rendered_anew(setting, tmp_path, damage):
     assert contents(tmp_path / "f") == whole
 
 
-def test_a_hovering_flight_starts_as_a_single_frame(setting, tmp_path):
+def test_hovering_flight_starts_as_a_single_frame(setting, tmp_path):
     import cv2
 
     renderer, path = setting
@@ -157,8 +157,8 @@ def test_a_hovering_flight_starts_as_a_single_frame(setting, tmp_path):
 
 
 @pytest.mark.parametrize("lost", ["nothing", "the state", "half of the state"])
-def test_resume_restores_what_the_pixels_remember(setting, tmp_path, lost):
-    # At 100 Hz a third of a frame is that before; at 4 Hz nothing would be.
+def test_resume_restores_the_pixels_memory(setting, tmp_path, lost):
+    # At 100 Hz a third of a frame is the previous signal; at 4 Hz nothing would be.
     renderer, path = setting
     flight = FlightOptions(rate_hz=100.0, stop_s=0.05, products=("counts",))
     fly(renderer, path, tmp_path / "whole", flight)
@@ -197,16 +197,16 @@ def test_resume_continues_the_gain_control(setting, tmp_path, lost):
         (tmp_path / "part/sensor_even.npz").unlink()
     assert fly(renderer, path, tmp_path / "part", flight, resume=True)["rendered"] == 2
     assert contents(tmp_path / "part") == contents(tmp_path / "whole")
-    # Without memory the last frame looks different, so the memory did reach it.
+    # Without memory the last frame is different, so this memory has an effect.
     fly(renderer, path, tmp_path / "none", replace(flight, display=DisplaySettings("plateau", "ironbow")))
     assert contents(tmp_path / "none")["frame_000004.png"] != contents(tmp_path / "whole")["frame_000004.png"]
     with pytest.raises(ThermorenderError, match=r"was flown with display.mode="):
         fly(renderer, path, tmp_path / "whole", replace(flight, display=DisplaySettings()), resume=True)
 
 
-def test_the_thermography_reading_stands_beside_the_truth(setting, tmp_path):
+def test_thermography_reading_is_written_with_the_truth(setting, tmp_path):
     renderer, path = setting
-    # What shades and drifts would stand beside it as well.
+    # Shading and drift would also change the reading.
     quiet = replace(renderer.scene.camera, shading_mk=0.0, shading_mk_per_k=0.0, scale_drift_mk=0.0)
     renderer = tr.Renderer(renderer.scene.with_camera(quiet), rays=4, samples=1, seed=11)
     settings = ThermographySettings(emissivity=0.95, reflected_c=-13.15, air_c=15.0, distance_m=12.0)
@@ -216,7 +216,7 @@ def test_the_thermography_reading_stands_beside_the_truth(setting, tmp_path):
     read = channels["thermography_temperature"]
     assert record["thermography"]["emissivity"] == 0.95 and record["units"]["thermography_temperature"] == "K"
     assert np.abs(read_temperature(tmp_path / "f/frame_000001_radiometric.tif") - read).max() < 0.0201
-    # Where nothing is taken away, the formula and the true apparent temperature differ by noise, blur and fit only.
+    # With neutral settings, the formula and the true apparent temperature differ by noise, blur and fit only.
     flight = FlightOptions(rate_hz=1.0, products=("exr",), thermography=ThermographySettings())
     fly(renderer, path, tmp_path / "g", flight)
     plain = read_exr(tmp_path / "g/frame_000001.exr")[0]
@@ -227,8 +227,8 @@ def test_the_thermography_reading_stands_beside_the_truth(setting, tmp_path):
         fly(renderer, path, tmp_path / "h", FlightOptions(products=("counts",), thermography=settings))
 
 
-def test_what_a_pixel_errs_by_stands_beside_it_on_request(setting, tmp_path):
-    # As many pixels as the camera has, as the record looks the light up in every sixteenth only.
+def test_per_pixel_error_is_written_on_request(setting, tmp_path):
+    # The full pixel count, as the record samples the light in every sixteenth pixel only.
     renderer, path = tr.Renderer(tr.load_scene(setting[0].scene.spec.folder), rays=4, samples=1), setting[1]
     fly(renderer, path, tmp_path / "f", FlightOptions(rate_hz=1.0, products=("exr", "error")))
     channels, record = read_exr(tmp_path / "f/frame_000001.exr")
@@ -251,19 +251,19 @@ def flown_over(tmp_path, name, track, path, **keywords):
 
 
 @pytest.mark.slow
-def test_what_moves_by_itself_is_followed_in_its_part_of_the_image(tmp_path):
+def test_moving_object_is_rendered_in_its_part_of_the_image(tmp_path):
     path = tr.Trajectory(np.array([0.0, 1.0]), np.array([[-1.0, 0, 12], [1.0, 0, 12]]), np.array([[0, 1.0, 0, 0]] * 2))
     for name in ("a", "b"):
-        _, told = flown_over(tmp_path / name, "scene", "time_s,east_m\n0,1\n1,-1\n", path, rate_hz=2.0)
+        _, sensor = flown_over(tmp_path / name, "scene", "time_s,east_m\n0,1\n1,-1\n", path, rate_hz=2.0)
     # Camera and marker pass each other.
-    assert told[1]["motion_px"] == pytest.approx(1.3, abs=0.1) and told[1]["renders"] >= told[1]["instants"] > 5
+    assert sensor[1]["motion_px"] == pytest.approx(1.3, abs=0.1) and sensor[1]["renders"] >= sensor[1]["instants"] > 5
     first, second = (contents(tmp_path / name / "scene flown") for name in ("a", "b"))
     assert {name for name in first if first[name] != second[name]} == {"flight.json"}
 
 
 @pytest.mark.parametrize("rate_hz", [9.0, *slow(30.0)])
-def test_a_marker_that_warms_is_read_by_rows_at_their_own_time(tmp_path, rate_hz):
-    """The same noise in all three flights: what is left of their differences is the marker's."""
+def test_warming_marker_is_read_by_rows_at_their_own_time(tmp_path, rate_hz):
+    """All three flights have the same noise, so their differences are the marker's."""
     import cv2
 
     path = tr.Trajectory(np.array([0.0, 1.0]), np.array([[0.1, 0, 2], [0.1, 0, 2]]), np.array([[0, 1.0, 0, 0]] * 2))
@@ -317,12 +317,12 @@ def test_resume_refuses_other_settings(setting, tmp_path):
         fly(other, path, tmp_path / "f", FlightOptions(rate_hz=2.0, products=("counts",)), resume=True)
 
 
-def test_resume_compares_all_that_the_bytes_depend_on(setting, tmp_path):
+def test_resume_compares_everything_that_the_bytes_depend_on(setting, tmp_path):
     renderer, path = setting
     folder, flight = tmp_path / "f", FlightOptions(rate_hz=2.0, products=("counts",))
     fly(renderer, path, folder, flight)
     for setting, was, now in (
-        # So near each other that the same spectral nodes do.
+        # So close that the spectral nodes are the same.
         ({"tolerance_mk": 4.9}, "plan.tolerance_mk=5.0", "plan.tolerance_mk=4.9"),
         ({"rays": 6}, "plan.bake_rays=4", "plan.bake_rays=6"),
         ({"taps": 8}, "plan.taps=4", "plan.taps=8"),
@@ -342,7 +342,7 @@ def test_resume_compares_all_that_the_bytes_depend_on(setting, tmp_path):
                 fly(renderer, path, folder, flight, resume=True)
 
 
-@pytest.mark.parametrize("damage", ["not JSON", "frame 2 told as 1", "a line missing", "another number"])
+@pytest.mark.parametrize("damage", ["not JSON", "frame 2 replaced by 1", "a line missing", "another number"])
 def test_resume_from_a_damaged_record(setting, tmp_path, damage):
     renderer, path = setting
     flight = FlightOptions(rate_hz=4.0, products=("counts",))
@@ -350,7 +350,7 @@ def test_resume_from_a_damaged_record(setting, tmp_path, damage):
     whole = contents(tmp_path / "f")
     lines = (tmp_path / "f/frames.jsonl").read_text().splitlines()
     lines[2:3] = {
-        "not JSON": ['{"index": 2, "ti'], "frame 2 told as 1": [lines[1]], "a line missing": [],
+        "not JSON": ['{"index": 2, "ti'], "frame 2 replaced by 1": [lines[1]], "a line missing": [],
         "another number": [lines[2].replace('"seed": ', '"seed": 1')],
     }[damage]  # fmt: skip
     (tmp_path / "f/frames.jsonl").write_text("".join(line + "\n" for line in lines))
@@ -383,8 +383,8 @@ def test_frames_without_terrain_are_counted(setting, tmp_path):
     assert contents(tmp_path / "part") == contents(tmp_path / "whole")
 
 
-def test_terrain_larger_than_the_picture_is_shown(tmp_path):
-    # No corner of its two triangles lies in the picture.
+def test_terrain_larger_than_the_picture_counts_as_terrain(tmp_path):
+    # No corner of its two triangles is inside the picture.
     square = trimesh.Trimesh([[-50, -50, 0], [50, -50, 0], [50, 50, 0], [-50, 50, 0]], [[0, 1, 2], [0, 2, 3]])
     renderer = tr.Renderer(tr.load_scene(write_mesh(tmp_path / "square", square)), rays=4, samples=1)
     path = tr.Trajectory(np.array([0.0, 1.0]), np.array([[0.0, 0, 12], [1.0, 0, 12]]), np.array([[0, 1.0, 0, 0]] * 2))
@@ -416,7 +416,7 @@ def test_colours_keep_their_order(tmp_path):
 
 @pytest.fixture
 def kernels():
-    """What gives the kernels that ran since it last was asked."""
+    """A function that returns the kernels that ran since its last call."""
     import drjit as dr
 
     def ran():
@@ -432,8 +432,8 @@ def kernels():
 
 
 @pytest.mark.slow
-def test_a_flight_compiles_nothing_for_each_pose(tmp_path, kernels):
-    """A kernel for each pose would take milliseconds, and be kept."""
+def test_flight_compiles_no_kernel_per_pose(tmp_path, kernels):
+    """Compiling a kernel per pose would cost milliseconds, and its memory."""
     from tests.robustness import crash_targets
 
     crash_targets.write_scene(tmp_path / "scene")
@@ -442,12 +442,12 @@ def test_a_flight_compiles_nothing_for_each_pose(tmp_path, kernels):
     fly(renderer, path, tmp_path / "f", flight, progress=lambda done, total: known.append(kernels()))
     whole = round(crash_targets.ROUND_S * 9.0)
     assert len(known) > 2 * whole
-    # All there is to see was seen in a round.
+    # After one round every object has been in view.
     assert not set().union(*known[whole + 1 :]) - set().union(*known[: whole + 1])
 
 
 @pytest.mark.slow
-def test_a_scene_is_loaded_anew_without_compiling(tmp_path, kernels):
+def test_scene_is_reloaded_without_compiling(tmp_path, kernels):
     from tests.robustness import crash_targets
 
     crash_targets.write_scene(tmp_path / "scene")
@@ -455,14 +455,14 @@ def test_a_scene_is_loaded_anew_without_compiling(tmp_path, kernels):
     for _ in range(6):
         crash_targets.renderer(tmp_path / "scene").frame(crash_targets.straight(1.0).pose(0.5)).budget_mk  # noqa: B018
         known.append(kernels())
-        # Its arrays lie elsewhere each time.
+        # Shift memory, so that the scene's arrays have new addresses each time.
         kept.append(np.empty(1000 + 24 * len(kept), np.uint8))
     assert not set().union(*known[1:]) - known[0]
 
 
 @pytest.mark.slow
 def test_another_scene_is_rendered_without_compiling(tmp_path, kernels):
-    """Other heights and temperatures: of the next hour, of an edit, of a campaign's next scene."""
+    """Other heights and temperatures: the next hour, an edit, the next scene of a campaign."""
     from tests.robustness import crash_targets
 
     crash_targets.write_scene(tmp_path / "scene")

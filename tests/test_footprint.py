@@ -22,7 +22,7 @@ def test_squares_are_means_of_texels():
     assert [part.shape[:2] for part in squares(image[:5, :3])] == sizes(5, 3)[1:] == [(3, 2), (2, 1), (1, 1)]
 
 
-def test_squares_leave_out_what_no_face_covers():
+def test_squares_ignore_uncovered_texels():
     random = np.random.default_rng(1)
     image = random.uniform(1, 9, (8, 8, 1)).astype(np.float32)
     covered = np.arange(64).reshape(8, 8) % 3 > 0
@@ -30,7 +30,7 @@ def test_squares_leave_out_what_no_face_covers():
     spoiled = np.where(covered[..., None], image, np.float32(1e3))
     spoiled[:2, :2] = 5.0
     first, *_, last = squares(spoiled, covered)
-    # What lies between counts 1e-6 of a texel, and 1e3 is a hundred times the rest.
+    # An uncovered texel has a weight of 1e-6, and 1e3 is a hundred times the other values.
     assert first[0, 0, 0] == pytest.approx(5.0)
     np.testing.assert_allclose(first[1, 1, 0], image[2:4, 2:4, 0][covered[2:4, 2:4]].mean(), rtol=1e-3)
     np.testing.assert_allclose(last[0, 0, 0], image[..., 0][covered].mean(), rtol=1e-3)
@@ -39,7 +39,7 @@ def test_squares_leave_out_what_no_face_covers():
 def averaged(texels, on_map, pose, camera, pixels, finer=16):
     """Mean over pixels (n, 2), (column, row), of texels on level ground at 0 m, linear between their centres.
 
-    By plain arithmetic; `on_map` (2, 3) takes (east, north, 1) to (column, row) on the texels' map.
+    Plain arithmetic; `on_map` (2, 3) maps (east, north, 1) to (column, row) on the texels' map.
     """
     offset = np.stack(np.meshgrid(*[(np.arange(finer) + 0.5) / finer] * 2), axis=-1).reshape(-1, 2)
     slopes = camera.directions((pixels[:, None] + offset).reshape(-1, 2))
@@ -58,8 +58,8 @@ def averaged(texels, on_map, pose, camera, pixels, finer=16):
 
 
 @pytest.mark.parametrize(("up", "pitch_deg"), [(800, -45), *slow((150, -90), (800, -90), (5000, -90), (1500, -30))])
-def test_a_pixel_shows_the_mean_of_its_texels(tmp_path, up, pitch_deg):
-    # 1024² independent texels of 0.5 m: 0.4 to 13 of them a side of a pixel.
+def test_pixel_is_the_mean_of_its_texels(tmp_path, up, pitch_deg):
+    # 1024² independent texels of 0.5 m; a pixel's side is 0.4 to 13 of them.
     random = np.random.default_rng(2)
     flat, warm = np.zeros((512, 512)), random.uniform(280, 320, (1024, 1024))
     scene = narrow(tr.load_scene(write_terrain(tmp_path / "s", flat, warm, np.ones_like(warm))))
@@ -75,8 +75,8 @@ def test_a_pixel_shows_the_mean_of_its_texels(tmp_path, up, pitch_deg):
     want, inside = averaged(radiance, on_map, pose, scene.camera, pixels)
     assert inside.sum() > 1000
     found, spread = (image[pixels[:, 1], pixels[:, 0]] - want)[inside], radiance.std()
-    # Sixteen places that read n texels of a pixel's N independent ones err by σ √(1/n − 1/N); the squares are at least
-    # 0.35 of a place's share a side, and linear between their middles, which makes them half as large again.
+    # Sixteen samples that read n of a pixel's N independent texels have an error of σ √(1/n − 1/N). The squares have at
+    # least 0.35 of a sample's share per side; interpolation between their centres makes them half as large again.
     pixel = up / scene.camera.focal_length_px / 0.5 / np.sin(np.radians(-pitch_deg)) ** 1.5
     texels = 16 * max(1.5 * 0.35 * pixel / 4, 1.5) ** 2
     limit = spread * np.sqrt(max(1.0 / texels - 1.0 / pixel**2, 2e-3))
@@ -85,7 +85,7 @@ def test_a_pixel_shows_the_mean_of_its_texels(tmp_path, up, pitch_deg):
 
 
 @pytest.mark.parametrize(("up", "pitch_deg"), [(900, -40), *slow((60, -90), (900, -90), (6000, -90))])
-def test_the_budget_knows_the_error_from_any_height(tmp_path, up, pitch_deg):
+def test_budget_covers_the_sampling_error_from_any_height(tmp_path, up, pitch_deg):
     random = np.random.default_rng(4)
     height, warm = random.uniform(0, 1.5, (256, 256)), random.uniform(270, 330, (512, 512))
     extra = (
@@ -102,8 +102,8 @@ def test_the_budget_knows_the_error_from_any_height(tmp_path, up, pitch_deg):
     assert true < frame.budget_mk["sampling"] < 3 * true
 
 
-def test_the_budget_knows_what_footprints_err_by_alike(tmp_path):
-    """Slopes that face the camera are warm and hide cold ones, into which footprints reach from afar."""
+def test_budget_covers_correlated_footprint_errors(tmp_path):
+    """Slopes that face the camera are warm and hide cold ones, which distant footprints reach into."""
     row = np.arange(256)
     height = np.broadcast_to(2.0 * (row % 2)[:, None], (256, 256))
     # Texels half a post wide: two warm rows, two cold ones.

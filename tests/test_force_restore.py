@@ -1,4 +1,4 @@
-"""Force–restore, which is kept for comparison: balance of fluxes, inertia, how soon it forgets, vapour tables."""
+"""Force–restore, kept for comparison: balance of fluxes, inertia, memory of its start, vapour tables."""
 
 import numpy as np
 import pytest
@@ -7,18 +7,18 @@ from thermorender.physics.balance import STEFAN_BOLTZMANN
 from thermorender.physics.heat import saturation_vapour, step
 
 
-def test_a_day_forgets_where_it_began():
+def test_start_is_forgotten_after_a_day():
     one, ends = np.ones((1, 3), np.float32), []
     for start in (265.0, 305.0):
         temperature = np.float32(start) * one
         for _ in range(20):
-            # No radiation but its own, no wind, three inertias.
+            # Only its own emission, no wind, three inertias.
             temperature = step(
                 temperature, 4320.0, 0 * one, 330 * one, 0 * one, 0 * one, 285.0, 1000.0,
                 np.float32([[300.0, 2000.0, 14000.0]]), 285 * one,
             )  # fmt: skip
         ends.append(temperature)
-    # Force and restore: e^(−2π) of 40 K is 0.08 K; in twenty implicit steps (1 + 2π/20)⁻²⁰, 0.17 K.
+    # Force and restore: e^(−2π) of 40 K is 0.08 K; with twenty implicit steps (1 + 2π/20)⁻²⁰, 0.17 K.
     assert 0.01 < np.abs(ends[1] - ends[0]).max() < 0.18
 
 
@@ -26,7 +26,7 @@ def test_balance_closes_at_equilibrium():
     one = np.ones((3, 4), np.float32)
     air, sky = 290.0, 260.0
     absorbed, longwave, exchange = 400.0 * one, STEFAN_BOLTZMANN * sky**4 * one, 14.0 * one
-    # Almost no inertia: the step lands on the balance of fluxes.
+    # Almost no inertia: the step ends at the balance of fluxes.
     surface = step(
         290.0 * one, 3600.0, absorbed, longwave, exchange, 0.2 * one, air, 1000.0, 1e-3 * one, 285.0 * one
     )
@@ -34,14 +34,14 @@ def test_balance_closes_at_equilibrium():
     latent = 0.2 * 14.0 / 66.0 * (float(saturation_vapour(np.float64(t))[0]) - 1000.0)
     flux = 400.0 + 0.96 * STEFAN_BOLTZMANN * (sky**4 - t**4) - 14.0 * (t - air) - latent
     assert abs(flux) < 0.05
-    # Great inertia: it stays where it was.
+    # Great inertia: the temperature stays.
     slow = step(
         288.0 * one, 3600.0, absorbed, longwave, exchange, 0 * one, air, 1000.0, 1e7 * one, 288.0 * one
     )
     assert slow[0, 0] == pytest.approx(288.0, abs=0.01)
 
 
-def test_wet_is_cooler_than_dry_and_inert_lags():
+def test_wet_is_cooler_than_dry_and_high_inertia_lags():
     one = np.ones((1, 1), np.float32)
     run = lambda wet, inertia: float(  # noqa: E731
         step(

@@ -1,4 +1,4 @@
-"""Files of learned maps from others: broken, hostile or of other kinds, refused in one sentence with nothing run."""
+"""Learned maps from others: damaged, hostile or wrong files are refused in one sentence, without running code."""
 
 import io
 import json
@@ -32,12 +32,12 @@ def put(folder, header=HEADER, **arrays):
 
 
 def refused(path, words=""):
-    with pytest.raises(ThermorenderError, match=r"m\.npz is no learned map of format 1 \(.*" + words) as told:
+    with pytest.raises(ThermorenderError, match=r"m\.npz is no learned map of format 1 \(.*" + words) as refusal:
         load_map(path)
-    assert "\n" not in str(told.value) and len(str(told.value)) < 400 + len(str(path))
+    assert "\n" not in str(refusal.value) and len(str(refusal.value)) < 400 + len(str(path))
 
 
-def test_the_header_that_the_others_are_made_of_is_a_map(tmp_path):
+def test_base_header_is_a_valid_map(tmp_path):
     assert load_map(put(tmp_path, kernel=KERNEL)).radiance(Inputs(np.zeros((2, 2, 3), np.uint8))).shape == (2, 2)
 
 
@@ -74,13 +74,13 @@ def test_wrong_coefficients(tmp_path):
                           (np.zeros((0, 0, 3)), "no kernel"), (KERNEL.astype(str) + "x", "")):  # fmt: skip
         refused(put(tmp_path, kernel=kernel), words)
     refused(put(tmp_path), "kernel")
-    told = {"terrain": ["sunlight"], "conditions": ["air_k"], "offset": 0.0}
+    inputs = {"terrain": ["sunlight"], "conditions": ["air_k"], "offset": 0.0}
     weight = np.zeros(len(names_of_columns(ExtraInputs(("sunlight",), ("air_k",)))))
-    linear = HEADER | {"predictor": "linear", "of_predictor": told}
+    linear = HEADER | {"predictor": "linear", "of_predictor": inputs}
     refused(put(tmp_path, linear, weight=weight * np.nan), "not finite")
     refused(put(tmp_path, linear, weight=weight[1:]), "other columns")
-    alone = linear | {"of_predictor": told | {"terrain": [], "conditions": []}}
-    refused(put(tmp_path, alone, weight=np.zeros(28)), "not told the air's temperature")
+    alone = linear | {"of_predictor": inputs | {"terrain": [], "conditions": []}}
+    refused(put(tmp_path, alone, weight=np.zeros(28)), "does not take the air's temperature as input")
     for cell, value in ((0.0, 0.0), (1e-300, 0.0), (64.0, np.nan)):
         palette = HEADER | {"predictor": "palette", "of_predictor": {"cell": cell}}
         refused(put(tmp_path, palette, value=np.full((4, 4, 4), value), count=np.zeros((4, 4, 4), int)), "no cells")
@@ -91,7 +91,7 @@ class _Runs:
         return exec, ("raise SystemExit('code of a file was run')",)
 
 
-def test_objects_are_never_made(tmp_path):
+def test_pickled_objects_are_refused(tmp_path):
     path = tmp_path / "m.npz"
     for arrays in ({"header": np.array(json.dumps(HEADER)), "kernel": np.array([_Runs()], object)},
                    {"header": np.array([_Runs()], object), "kernel": KERNEL}):  # fmt: skip
@@ -113,7 +113,7 @@ def test_damaged_files(tmp_path):
     refused(put(tmp_path, "[1, 2]", kernel=KERNEL))
 
 
-def test_a_file_that_unpacks_to_more_than_a_map_holds_is_not_unpacked(tmp_path, monkeypatch):
+def test_file_that_unpacks_too_large_is_not_unpacked(tmp_path, monkeypatch):
     path = put(tmp_path, kernel=np.zeros((3, 3, 3)))
     from thermorender.learned import temperature_map
 
@@ -134,7 +134,7 @@ def test_a_file_that_unpacks_to_more_than_a_map_holds_is_not_unpacked(tmp_path, 
 
 @pytest.fixture(scope="module")
 def text():
-    """A model of trees over all features, as LightGBM writes it."""
+    """A tree model over all features, as LightGBM writes it."""
     import lightgbm
 
     rng = np.random.default_rng(0)

@@ -38,14 +38,14 @@ def measured(file):
 
 
 @pytest.mark.parametrize(("n", "k"), [(1.5, 0.0), (1.15, 0.1), (0.6, 0.3), (12.0, 55.0)])
-def test_along_the_normal_the_closed_form_holds(n, k):
+def test_closed_form_along_the_normal(n, k):
     expected = 4.0 * n / ((n + 1.0) ** 2 + k**2)
     assert fresnel.smooth_emissivity(1.0, n, k) == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize(("n", "k"), [(1.5, 0.0), (1.15, 0.1), (0.6, 0.3), (12.0, 55.0)])
 def test_at_45_degrees_parallel_reflectance_is_the_square_of_perpendicular(n, k):
-    """Abelès' identity, which holds for every complex index."""
+    """Abelès' identity, valid for every complex index."""
     perpendicular, parallel = fresnel.reflectances(np.sqrt(0.5), n, k)
     assert parallel == pytest.approx(perpendicular**2, rel=1e-12)
 
@@ -56,8 +56,8 @@ def test_brewster_angle_and_grazing_view():
     assert fresnel.smooth_emissivity(0.0, 1.15, 0.1) == pytest.approx(0.0, abs=1e-7)
 
 
-def test_fresnel_agrees_with_mitsubas():
-    """The renderer beneath computes Fresnel's equations of a complex index by itself, in single precision."""
+def test_fresnel_agrees_with_mitsuba():
+    """Mitsuba has its own Fresnel equations for a complex index, in single precision."""
     import mitsuba
 
     variant = mitsuba.scalar_rgb
@@ -67,7 +67,7 @@ def test_fresnel_agrees_with_mitsubas():
         np.testing.assert_allclose(1.0 - fresnel.smooth_emissivity(cosines, n, k), expected, atol=2e-6)
 
 
-def test_hemispherical_emissivity_of_a_dielectric_is_walshs():
+def test_hemispherical_emissivity_of_a_dielectric_matches_walsh():
     """Walsh's closed form of the reflectance for diffuse light (Duntley 1942, doi:10.1364/JOSA.32.000061)."""
     for n in (1.2, 1.5, 2.0):
         q = n**2
@@ -87,7 +87,7 @@ def test_hemispherical_emissivity_of_a_dielectric_is_walshs():
 
 
 def test_table_of_cosines_is_fine_enough():
-    """2e-5 for water and 3e-4 for metals, as said beside COSINES."""
+    """2e-5 for water and 3e-4 for metals, as stated at COSINES."""
     cosine = np.cos(np.radians(np.linspace(0.0, 89.9, 3000)))
     for n, k, tolerance in ((1.15, 0.1, 2.2e-5), (12.0, 55.0, 3e-4), (30.0, 90.0, 3e-4)):
         table = fresnel.directional_emissivity([n], [k])[0]
@@ -99,8 +99,8 @@ def test_table_of_cosines_is_fine_enough():
 
 
 @pytest.mark.parametrize("slope", [0.055, 0.169, 0.4])
-def test_roughness_against_a_crowd_of_random_facets(slope):
-    """Facets with Gaussian slopes, drawn and weighted with the area they show, within four standard errors."""
+def test_roughness_against_random_facets(slope):
+    """Facets with Gaussian slopes, weighted by their projected area, within four standard errors."""
     random = np.random.Generator(np.random.Philox(7))
     along, across = random.normal(0.0, slope / np.sqrt(2.0), (2, 400_000))
     table = fresnel.directional_emissivity([1.15], [0.1], slope)[0]
@@ -114,15 +114,15 @@ def test_roughness_against_a_crowd_of_random_facets(slope):
         assert np.interp(cosine, fresnel.COSINES, table) == pytest.approx(expected, abs=4.0 * error + 3e-5)
 
 
-def test_almost_smooth_is_smooth():
+def test_nearly_smooth_equals_smooth():
     smooth = fresnel.directional_emissivity([1.15], [0.1])
     rough = fresnel.directional_emissivity([1.15], [0.1], 1e-3)
     inside = np.cos(np.radians(85.0)) < fresnel.COSINES
     np.testing.assert_allclose(rough[:, inside], smooth[:, inside], atol=3e-5)
 
 
-def test_emissivity_stays_a_share_and_light_is_conserved():
-    """Whatever the index, 0 ≤ ε ≤ 1; under an even sky a surface at its temperature looks black from everywhere."""
+def test_emissivity_is_between_0_and_1_and_energy_is_conserved():
+    """For any index 0 ≤ ε ≤ 1; in isothermal surroundings a surface looks black from every direction."""
     n, k = np.meshgrid([0.3, 1.0, 1.3, 4.0, 40.0], [0.0, 0.1, 1.0, 10.0, 100.0])
     for slope in (0.0, 0.1, 0.5):
         table = fresnel.directional_emissivity(n.ravel(), k.ravel(), slope)
@@ -132,8 +132,8 @@ def test_emissivity_stays_a_share_and_light_is_conserved():
     np.testing.assert_allclose(fresnel.hemispherical(fresnel.COSINES, np.ones((3, 257))), 1.0, rtol=1e-12)
 
 
-def test_the_breeze_s_slope_is_cox_and_munk_s():
-    """Mean square slope of their regression: 0.003 in a calm, and 0.0256 more at 5 m/s."""
+def test_slope_of_water_in_a_breeze_matches_cox_and_munk():
+    """Mean square slope by their regression: 0.003 in calm air, plus 0.0256 at 5 m/s."""
     assert load_library()["water_breeze"].rms_slope == pytest.approx(np.sqrt(0.003 + 0.0256), abs=5e-5)
 
 
@@ -165,7 +165,7 @@ def test_optical_constants_give_the_measured_emissivity_at_10_degrees(library, n
     [(0, 0.002), (10, 0.002), (30, 0.002), (45, 0.002), (60, 0.004), (70, 0.005), (75, 0.006), (80, 0.007)],
 )
 def test_water_by_angle_agrees_with_segelsteins_constants(library, degrees, of_band):
-    """Other constants, another form of the equations: what is left is how far two compilations of n and k differ."""
+    """Other constants and another form of the equations: two compilations of n and k differ by the tolerance."""
     wavelength, n, k = optical_constants("H2O-Segelstein.yml")
     grid = np.linspace(7.5, 13.5, 601)
     index = np.interp(grid, wavelength, n) + 1j * np.interp(grid, wavelength, k)
@@ -177,7 +177,7 @@ def test_water_by_angle_agrees_with_segelsteins_constants(library, degrees, of_b
     assert abs(difference.mean()) < of_band and abs(difference).max() < 2.6 * of_band
 
 
-def test_water_falls_with_angle_as_measured(library):
+def test_emissivity_of_water_decreases_with_angle_as_measured(library):
     """About 7 % less at 65° than at nadir over 8–14 µm.
 
     Measured: "Experimental investigation of the angular variation of emissivity in the thermal infrared band" (SPIE).
@@ -196,8 +196,8 @@ def test_water_falls_with_angle_as_measured(library):
         ("gold_polished", "Au-Ordal.yml"), ("iron_polished", "Fe-Ordal.yml"),
     ],
 )  # fmt: skip
-def test_shipped_constants_are_the_papers(library, name, file):
-    """Along the normal, from the paper's rows by the closed form, at every row within the table."""
+def test_shipped_constants_match_the_papers(library, name, file):
+    """Along the normal, by the closed form from the paper's rows, at every row within the table."""
     wavelength, n, k = optical_constants(file)
     low, high = library[name].valid_range_um
     inside = (wavelength >= low) & (wavelength <= high)

@@ -28,7 +28,7 @@ def test_round_trip_and_curvature():
     assert frame.enu_from_geodetic(lat, lon, 300.0)[2] == pytest.approx(-785.0, abs=2.0)
 
 
-def test_map_pose_turns_by_the_convergence():
+def test_map_pose_is_rotated_by_the_grid_convergence():
     utm = CRS.from_epsg(32651)
     (x,), (y,) = transform(CRS.from_epsg(4326), utm, [120.95], [24.68])
     pose = np.eye(4)

@@ -11,7 +11,7 @@ from thermorender.units import ZERO_CELSIUS_K
 DAY = 86400.0
 SOIL = Slab(np.inf, 1.0, 2e6)
 INERTIA = np.sqrt(SOIL.conductivity * SOIL.capacity)
-# Its exchange, 1e7 W m⁻² K⁻¹, holds a surface at the air's temperature.
+# An exchange of 1e7 W m⁻² K⁻¹ fixes the surface at the air's temperature.
 HOT_WIND = {"wind_m_s": 1e4, "pressure_pa": 1e7}
 
 
@@ -30,7 +30,7 @@ def ground(layers, **changed):
 
 
 def forcing(**changed):
-    """A dark, calm hour in air so thin that it takes no heat but by `exchange.CALM_W_M2_K`."""
+    """A dark, calm hour in air so thin that it takes heat only through `exchange.CALM_W_M2_K`."""
     own = {
         "absorbed": 0.0, "longwave": 0.0, "sunlight": 0.0, "air_k": 290.0, "vapour_pa": 0.0, "wind_m_s": 0.0,
         "pressure_pa": 1e-9, "rain_kg_m2_s": 0.0, "below_k": 290.0,
@@ -38,8 +38,8 @@ def forcing(**changed):
     return balance.Forcing(**(own | changed))
 
 
-def march(column, act, seconds, steps, start_k=290.0, state=None):
-    """Yield (time at its end [s], State, Fluxes) of each step; `act(time)` gives the Forcing."""
+def simulate(column, act, seconds, steps, start_k=290.0, state=None):
+    """Yield (time at the end [s], State, Fluxes) for each step; `act(time)` gives the Forcing."""
     state = state or balance.at_rest(np, [np.full(np.shape(start_k), start_k)] * len(column.capacity), column)
     for number in range(steps):
         at = number * seconds
@@ -54,13 +54,13 @@ def airless(monkeypatch):
 
 
 def wave(column, period, seconds, amplitude=100.0):
-    """Complex amplitude of the surface's temperature over that of a sinusoidal flux, in the periodic state [K m² W⁻¹].
+    """Complex amplitude of the surface temperature per unit of a sinusoidal flux, in the periodic state [K m² W⁻¹].
 
-    Of the tenth period's temperatures, less their mean: what is left of the beginning is that mean, but for 1e-4.
+    Computed from the tenth period, less its mean: the start then only affects the mean, except for 1e-4.
     """
     steps = round(period / seconds)
     omega = 2.0 * np.pi / period
-    run = march(column, lambda t: forcing(absorbed=amplitude * np.cos(omega * t)), period / steps, 10 * steps)
+    run = simulate(column, lambda t: forcing(absorbed=amplitude * np.cos(omega * t)), period / steps, 10 * steps)
     seen = np.array([(t, state.surface_k) for t, state, _ in run])[-steps:]
     return 2.0 * np.mean((seen[:, 1] - seen[:, 1].mean()) * np.exp(-1j * omega * seen[:, 0])) / amplitude
 
@@ -80,7 +80,7 @@ def test_semi_infinite_solid_under_a_sinusoidal_flux(airless, hours, minutes):
 
 
 def impedance(layers, s):
-    """Surface temperature over flux of Layers at complex rates s, by their own resistances and capacities."""
+    """Surface temperature over flux of Layers at complex rates s, from their resistances and capacities."""
     admittance = layers.conductance[-1] + 0.0 * s
     for capacity, conductance in zip(layers.capacity[::-1], layers.conductance[-2::-1], strict=True):
         admittance = 1.0 / (1.0 / (admittance + s * capacity) + 1.0 / conductance)
@@ -91,8 +91,8 @@ def impedance(layers, s):
     ("count", "hours", "error"),
     [(8, (0.5, 240.0), 1.5e-2), (10, (1.0, 120.0), 3e-3), (LAYERS, (1.0, 240.0), 1e-3), (16, (6.0, 48.0), 1.1e-4)],
 )
-def test_the_ladder_answers_as_the_half_space_does(count, hours, error):
-    """The errors that its docstring states, neither better nor worse."""
+def test_ladder_matches_the_half_space(count, hours, error):
+    """The errors are those its docstring states, neither better nor worse."""
     s = 2j * np.pi / (3600.0 * np.geomspace(*hours, 200))
     found = np.abs(impedance(layered([SOIL], count=count), s) * INERTIA * np.sqrt(s) - 1.0).max()
     assert 0.3 * error < found < error
@@ -107,7 +107,7 @@ def test_ladder_scales_with_the_material():
 
 
 def test_damping_depth():
-    """Sixty layers over ten damping depths: a daily wave falls and lags by e^(−x/d), x/d, to a thousandth of d."""
+    """Sixty layers over ten damping depths: a daily wave decays as e^(−x/d) and lags by x/d, to a thousandth of d."""
     # Carslaw & Jaeger, Conduction of Heat in Solids (1959), 2.6.
     deep = np.sqrt(DAY * SOIL.conductivity / (np.pi * SOIL.capacity))
     cut = layered([Slab(10.0 * deep, SOIL.conductivity, SOIL.capacity)], count=60)
@@ -135,10 +135,10 @@ CHAINS = {
 
 @pytest.mark.parametrize("name", CHAINS)
 def test_layers_against_the_exact_impedance(name):
-    """Sun of 100 W/m² that comes and goes within 3 h … 10 d, heat given to the air at 15 W m⁻² K⁻¹: kelvin of error.
+    """Sun of 100 W/m² with periods of 3 h … 10 d, heat loss to the air of 15 W m⁻² K⁻¹: error in kelvin.
 
-    The reference transforms the impedance from slab to slab, as a transmission line does: Z' = Z₀ (Z + Z₀ tanh κd) /
-    (Z₀ + Z tanh κd), Z₀ = 1/√(s k c), κ = √(s c/k) (Carslaw & Jaeger 1959, 3.7).
+    The reference transforms the impedance from slab to slab, as in a transmission line:
+    Z' = Z₀ (Z + Z₀ tanh κd) / (Z₀ + Z tanh κd), Z₀ = 1/√(s k c), κ = √(s c/k) (Carslaw & Jaeger 1959, 3.7).
     """
     slabs, film, allowed_k = CHAINS[name]
     s = 2j * np.pi / (3600.0 * np.geomspace(3.0, 240.0, 60))
@@ -156,13 +156,13 @@ def test_layers_against_the_exact_impedance(name):
 
 
 def after_a_step(t):
-    """Share by which a temperature may err after a step of 15 min: the first is that of an infinite slope."""
+    """Allowed relative error of temperature after a step of 15 min: the first has an infinite slope."""
     return 0.065 if t < 1000.0 else 3e-3 if t < 3600.0 else 1e-3
 
 
 def test_step_in_flux(airless):
     """ΔT = 2 Q √(t/π) / I (Carslaw & Jaeger 1959, 2.9), from a quarter of an hour to three days, in steps of 15 min."""
-    for t, state, _ in march(ground(layered([SOIL])), lambda t: forcing(absorbed=100.0), 900.0, 288):
+    for t, state, _ in simulate(ground(layered([SOIL])), lambda t: forcing(absorbed=100.0), 900.0, 288):
         exact = 200.0 * np.sqrt(t / np.pi) / INERTIA
         assert state.surface_k - 290.0 == pytest.approx(exact, rel=after_a_step(t))
 
@@ -170,17 +170,17 @@ def test_step_in_flux(airless):
 def test_step_in_flux_with_newtons_law():
     """ΔT = Q/h (1 − exp(h²t/I²) erfc(h√t/I)), h = 2 W m⁻² K⁻¹ of calm air (Carslaw & Jaeger 1959, 2.7 (4))."""
     h = exchange.CALM_W_M2_K
-    for t, state, _ in march(ground(layered([SOIL])), lambda t: forcing(absorbed=100.0), 900.0, 288):
+    for t, state, _ in simulate(ground(layered([SOIL])), lambda t: forcing(absorbed=100.0), 900.0, 288):
         x = h * np.sqrt(t) / INERTIA
         exact = 100.0 / h * (1.0 - np.exp(x * x) * erfc(x))
         assert state.surface_k - 290.0 == pytest.approx(exact, rel=after_a_step(t))
 
 
 def test_step_in_temperature():
-    """Heat that has gone in is 2 I ΔT √(t/π); the depth follows erfc(x / 2√(at)) (Carslaw & Jaeger 1959, 2.4, 2.5)."""
+    """Stored heat is 2 I ΔT √(t/π); temperature by depth follows erfc(x / 2√(at)) (Carslaw & Jaeger 1959, 2.4, 2.5)."""
     cut = layered([Slab(3.0, SOIL.conductivity, SOIL.capacity)], count=100)
     heat, state = 0.0, None
-    for t, state, fluxes in march(ground(cut), lambda t: forcing(air_k=300.0, **HOT_WIND), 60.0, 1440):  # noqa: B007
+    for t, state, fluxes in simulate(ground(cut), lambda t: forcing(air_k=300.0, **HOT_WIND), 60.0, 1440):  # noqa: B007
         heat += 60.0 * fluxes.into_ground
         if t >= 7200.0:
             assert heat == pytest.approx(2.0 * INERTIA * 10.0 * np.sqrt(t / np.pi), rel=5e-3)
@@ -189,10 +189,10 @@ def test_step_in_temperature():
 
 
 def test_steady_wall_of_several_slabs():
-    """q = ΔT / (Σ d/k + 1/h), and in the middle of each slab what the resistances before it leave (ISO 6946, 6.7)."""
+    """q = ΔT / (Σ d/k + 1/h); mid-slab temperatures from the resistances in front of each (ISO 6946, 6.7)."""
     slabs = [Slab(0.02, 0.9, 1.6e6), Slab(0.1, 0.04, 5e4), Slab(0.24, 0.5, 1.4e6)]
     column = ground(layered(slabs, film=7.7))
-    run = march(column, lambda t: forcing(air_k=263.0, below_k=293.0, **HOT_WIND), 1e6, 60)
+    run = simulate(column, lambda t: forcing(air_k=263.0, below_k=293.0, **HOT_WIND), 1e6, 60)
     _, state, fluxes = list(run)[-1]
     through = 30.0 / (0.02 / 0.9 + 0.1 / 0.04 + 0.24 / 0.5 + 1.0 / 7.7)
     assert -fluxes.into_ground == pytest.approx(through, rel=1e-6)
@@ -212,10 +212,10 @@ def sunny(t, **changed):
 
 
 def test_second_order_in_time():
-    """The second day of soil under sun, wind and vapour: half the step, a quarter of the error; 15 min err by 1 mK."""
+    """The second day of soil under sun, wind and vapour: half the step, a quarter of the error; 1 mK at 15 min."""
     column, found = ground(layered([SOIL]), emissivity=0.95, resistance=200.0), {}
     for steps in (48, 96, 192, 1536):
-        run = march(column, sunny, DAY / steps, 2 * steps)
+        run = simulate(column, sunny, DAY / steps, 2 * steps)
         found[steps] = np.array([state.surface_k for _, state, _ in run])[steps // 48 - 1 :: steps // 48][48:]
     first, second, third = (np.sqrt(((found[n] - found[1536]) ** 2).mean()) for n in (48, 96, 192))
     assert 3.3 < first / second < 4.7 and 3.3 < second / third < 4.7
@@ -247,12 +247,12 @@ COLUMNS = {
 
 
 @pytest.mark.parametrize("name", COLUMNS)
-def test_energy_of_a_day(name):
-    """Heat stored and molten is what went into the ground, to 1e-9; the surface's fluxes add up to 1e-3 of them."""
+def test_energy_of_a_day_is_conserved(name):
+    """Heat stored and used for melting equals the heat into the ground, to 1e-9; surface fluxes close to 1e-3."""
     column, weather = COLUMNS[name]
     start = None
     into = gained = lost = melt = turned = 0.0
-    for t, state, fluxes in march(column, lambda t: sunny(t, **weather), 900.0, 192, weather.get("air_k", 290.0)):
+    for t, state, fluxes in simulate(column, lambda t: sunny(t, **weather), 900.0, 192, weather.get("air_k", 290.0)):
         if t <= DAY:
             start = stored(column, state)
             continue
@@ -267,17 +267,17 @@ def test_energy_of_a_day(name):
     assert turned > 1e6
 
 
-def test_snow_melts_at_the_melting_point_and_with_the_heat_it_is_given():
-    """Surface and snow at 273.15 K through the afternoon; what melts is what went in, over the heat of fusion."""
+def test_snow_melts_at_the_melting_point_by_the_heat_it_receives():
+    """Surface and snow stay at 273.15 K through the afternoon; melt = absorbed heat / heat of fusion."""
     column, weather = COLUMNS["snow that melts and runs off"]
     noon = [
         (t, state, fluxes)
-        for t, state, fluxes in march(column, lambda t: sunny(t, **weather), 900.0, 192, 273.15)
+        for t, state, fluxes in simulate(column, lambda t: sunny(t, **weather), 900.0, 192, 273.15)
         if 11.0 < (t - DAY) / 3600.0 < 15.0
     ]
     for _, state, fluxes in noon:
         assert state.surface_k == ZERO_CELSIUS_K
-        # Snow gives up to 0.2 W/m² to the ground below it, or takes it.
+        # Snow exchanges up to 0.2 W/m² with the ground below it.
         assert balance.FUSION * fluxes.molten == pytest.approx(fluxes.into_ground, rel=1e-3, abs=0.5)
         # The dry ground below may be a microkelvin warmer.
         snow = [kelvin for kelvin, water in zip(state.layers_k, column.water, strict=True) if water > 0.0]
@@ -300,7 +300,7 @@ def test_freezing_of_moist_soil_against_neumann(count, error):
     begin = balance.State(ZERO_CELSIUS_K, [ZERO_CELSIUS_K] * count, 0.0, list(cut.water))
     frozen = heat = 0.0
     air = ZERO_CELSIUS_K - colder
-    for t, state, fluxes in march(column, lambda t: forcing(air_k=air, **HOT_WIND), 900.0, 960, state=begin):
+    for t, state, fluxes in simulate(column, lambda t: forcing(air_k=air, **HOT_WIND), 900.0, 960, state=begin):
         heat -= 900.0 * fluxes.into_ground
         frozen = (sum(cut.water) - sum(state.liquid)) / 300.0
         if t >= DAY:
@@ -326,7 +326,7 @@ def iapws_ice(kelvin):
 
 
 def test_saturation_vapour():
-    """Within 0.4 % of the international formulations from −40 to 50 °C, whose own check values are held first."""
+    """Within 0.4 % of the international formulations from −40 to 50 °C; their own check values are tested first."""
     assert iapws_water(273.16) == pytest.approx(611.657, rel=1e-5)
     assert iapws_ice(230.0) == pytest.approx(8.94735, rel=1e-6)
     for low, high, exact in ((273.15, 323.15, iapws_water), (233.15, 273.1, iapws_ice)):
@@ -338,7 +338,7 @@ def test_saturation_vapour():
 
 
 @pytest.mark.parametrize(("celsius", "humidity"), [(20, 0.5), (30, 0.4), (40, 0.2), (10, 0.5), (45, 0.05), (5, 0.9)])
-def test_a_wet_surface_without_radiation_is_a_psychrometer(celsius, humidity):
+def test_wet_surface_without_radiation_is_a_psychrometer(celsius, humidity):
     """e = eₛ(T') − 6.53e-4 (1 + 9.44e-4 T') p (T − T'), WMO-No. 8, annex 4.B: its coefficient is 2 % from ours."""
     from scipy.optimize import brentq
 
@@ -355,7 +355,7 @@ def test_a_wet_surface_without_radiation_is_a_psychrometer(celsius, humidity):
     column = ground(cut, log_wind=4.0, log_heat=4.0, resistance=0.0, held=1e6)
     begin = balance.State(290.0, [290.0] * LAYERS, 1e6, None)
     air = {"air_k": celsius + ZERO_CELSIUS_K, "vapour_pa": vapour, "wind_m_s": 5.0, "pressure_pa": pressure}
-    *_, (_, state, _) = march(column, lambda t: forcing(**air), 3600.0, 20, state=begin)
+    *_, (_, state, _) = simulate(column, lambda t: forcing(**air), 3600.0, 20, state=begin)
     slope = 17.62 * 243.12 / (243.12 + wet_bulb) ** 2 * over_water(wet_bulb)
     allowed = 0.02 * 66.5 / (66.5 + slope) * (celsius - wet_bulb) + 0.01
     assert state.surface_k - ZERO_CELSIUS_K == pytest.approx(wet_bulb, abs=allowed)
@@ -370,8 +370,8 @@ def exchanged(surface_k, air_k, wind, rough=0.01, rough_heat=0.001, height=2.0):
     return exchange.convection(np, surface_k, air_k, wind, density, *logs, height)
 
 
-def test_neutral_exchange_is_that_of_the_logarithmic_profile():
-    """ρ c u* θ* of a wind and a temperature that are both logarithmic in height."""
+def test_neutral_exchange_follows_the_logarithmic_profile():
+    """ρ c u* θ* for a wind and a temperature that are both logarithmic in height."""
     wind, rough, rough_heat = np.array([0.5, 2.0, 10.0, 30.0]), 0.01, 0.001
     friction = 0.4 * wind / np.log(2.0 / rough)
     per_kelvin = 0.4 / np.log(2.0 / rough_heat)
@@ -380,8 +380,8 @@ def test_neutral_exchange_is_that_of_the_logarithmic_profile():
     np.testing.assert_allclose(found - exchange.CALM_W_M2_K, density * 1005.0 * friction * per_kelvin, rtol=1e-6)
 
 
-def test_stable_air_damps_by_its_richardson_number():
-    """Ri = 0.1 halves what turbulence gives in neutral air; what it takes from the air grows with cold without end."""
+def test_stable_air_reduces_exchange_by_its_richardson_number():
+    """Ri = 0.1 halves the turbulent exchange of neutral air; a colder surface still takes more heat."""
     wind, height, air = 2.0, 2.0, 280.0
     # Ri = g z (T_air − T) / (T̄ U²), solved for the surface.
     share = 0.1 * wind**2 / (exchange.GRAVITY * height)
@@ -404,8 +404,8 @@ def test_stomata_close_in_the_dark_and_in_dry_air():
     assert dry == pytest.approx((1500.0 + 4000.0) / (1500.0 + 1000.0))
 
 
-def test_wind_over_another_land_is_that_of_two_logarithmic_profiles():
-    """5 m/s at 10 m over grass of 0.03 m: both profiles meet at 60 m, where neither knows what lies beneath."""
+def test_wind_over_other_land_follows_two_logarithmic_profiles():
+    """5 m/s at 10 m over grass of 0.03 m: both profiles meet at 60 m, the blending height."""
     friction = [0.4 * 5.0 / np.log(10.0 / 0.03), None]
     aloft = friction[0] / 0.4 * np.log(60.0 / 0.03)
     friction[1] = 0.4 * aloft / np.log(60.0 / 0.5)
@@ -413,8 +413,8 @@ def test_wind_over_another_land_is_that_of_two_logarithmic_profiles():
     assert exchange.wind_factor(10.0, 0.03, 10.0, 0.03) == pytest.approx(1.0)
 
 
-def test_free_convection_does_not_know_the_wind():
-    """Far into the unstable the law's limit is ρ c √(g z₀ ΔT/T)/5, whatever wind, height and roughness for heat."""
+def test_free_convection_is_independent_of_wind():
+    """In very unstable air the law's limit is ρ c √(g z₀ ΔT/T)/5, for any wind, height and roughness for heat."""
     kelvin = np.array([300.0, 310.0, 330.0])
     free = exchange.air_density(1e5, 290.0) * 1005.0 * 0.2 * np.sqrt(9.80665 * 0.01 * (kelvin - 290.0)
                                                                      / (0.5 * (kelvin + 290.0)))  # fmt: skip
@@ -426,8 +426,8 @@ def test_free_convection_does_not_know_the_wind():
 
 
 @pytest.mark.parametrize("wind", [0.0, 0.5, 3.0, 30.0])
-def test_exchange_is_continuous_and_its_derivative_is_one(wind):
-    """h(T) has no jump at the air's temperature; its derivative is stated for a fixed mean of both temperatures."""
+def test_exchange_is_continuous_and_its_derivative_is_correct(wind):
+    """h(T) has no jump at the air's temperature; its derivative is stated at a fixed mean of both temperatures."""
     around, _ = exchanged(290.0 + np.array([-1e-7, 0.0, 1e-7]), 290.0, wind)
     assert np.ptp(around) < 1e-3
     kelvin = 290.0 + np.array([-30.0, -5.0, -0.5, 0.5, 5.0, 40.0])
@@ -439,10 +439,10 @@ def test_exchange_is_continuous_and_its_derivative_is_one(wind):
     np.testing.assert_allclose(numerical, bend * (1.0 - (kelvin - 290.0) / (2.0 * mean)), rtol=1e-5, atol=1e-8)
 
 
-def test_one_temperature_balances():
-    """Heat given off grows with the surface's temperature, from 20 K below the air on: wind 0–30 m/s, −40…50 °C.
+def test_balance_has_one_solution():
+    """Heat loss grows with surface temperature, from 20 K below the air upwards: wind 0–30 m/s, −40…50 °C.
 
-    In humid hot air and 30 K of dew it would not: nothing but refrigeration makes such a surface.
+    In humid hot air and 30 K below the dew point it would not, but only refrigeration makes such a surface.
     """
     rng = np.random.default_rng(1)
     air, wind = rng.uniform(233.0, 323.0, (2000, 1)), rng.uniform(0.0, 30.0, (2000, 1))
@@ -458,16 +458,16 @@ def test_one_temperature_balances():
             np, kelvin, vapour, 1e5, h, bend, density, resistance, film, frozen
         )
         given = h * (kelvin - air) + latent
-        assert (np.diff(given, axis=1) / 0.1).min() > 1.9  # what calm air takes alone is 2 W m⁻² K⁻¹
-        # The slope that Newton is told is the flux's, but for the mean temperature and where laws meet.
+        assert (np.diff(given, axis=1) / 0.1).min() > 1.9  # calm air alone takes 2 W m⁻² K⁻¹
+        # Newton's slope is that of the flux, except for the mean temperature and where two laws meet.
         middle = 0.5 * (slope[:, 1:] + slope[:, :-1])
         assert np.median(np.abs(middle / (np.diff(latent, axis=1) / 0.1) - 1.0)) < 0.03
 
 
-def test_newton_finds_the_temperature_from_afar(monkeypatch):
+def test_newton_converges_from_far_away(monkeypatch):
     """Columns up to 50 K from balance, one step of 1 s … 3 h: 99 % within a millikelvin, all within 2 K.
 
-    Left are calm, hot and wet ones whose exchange sets in where they are as warm as the air; the next step finds them.
+    The rest are calm, hot and wet ones whose exchange sets in at the air's temperature; they converge in the next step.
     """
     rng, many = np.random.default_rng(0), 20_000
     kinds = [layered([SOIL]), layered([Slab(0.0005, 50.0, 3.9e6)], film=10.0), layered([Slab(np.inf, 0.1, 3e5)]), POND]

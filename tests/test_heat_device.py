@@ -1,4 +1,4 @@
-"""The heat balance in Dr.Jit's single precision against NumPy's double, over two days."""
+"""The heat balance in Dr.Jit's single precision against NumPy's double precision, over two days."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from thermorender.render.variant import activate
 
 @pytest.mark.parametrize("name", COLUMNS)
 def test_both_array_libraries_agree(name):
-    """Surface temperatures of 48 h in 15-min steps within 2 mK: an ulp at 300 K is 0.03 mK."""
+    """Surface temperatures over 48 h in 15-min steps within 2 mK; one ulp at 300 K is 0.03 mK."""
     import drjit as dr
 
     mi = activate("cpu")

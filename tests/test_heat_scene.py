@@ -45,12 +45,12 @@ def test_shade_is_north_of_a_wall_at_noon_and_colder(walled, day):
     size = noon.shape[0] // 32
     sand = slice(24 * size, 30 * size)
     shaded, lit = noon[11 * size : 13 * size, sand], noon[18 * size : 26 * size, sand]
-    # Sand loses some 600 W/m² of sun: by 10 K and more at its thermal inertia.
+    # Sand loses some 600 W/m² of sun: 10 K and more at its thermal inertia.
     assert lit.mean() - shaded.mean() > 8.0
 
 
-def test_thermal_crossover_is_when_the_column_has_it(walled, day):
-    """Sand, warmer by day, becomes colder than granite within 20 minutes of when columns in the open do."""
+def test_thermal_crossover_matches_columns_in_the_open(walled, day):
+    """Sand, warmer by day, becomes colder than granite within 20 minutes of the time for columns in the open."""
     times, kelvin = day
     size = kelvin[0].shape[0] // 32
     rows, west, east = slice(24 * size, 30 * size), slice(4 * size, 12 * size), slice(20 * size, 28 * size)
@@ -75,8 +75,8 @@ def test_thermal_crossover_is_when_the_column_has_it(walled, day):
     assert crossing(contrast) == pytest.approx(crossing(alone), abs=20.0 / 60.0)
 
 
-def test_columns_that_are_shared_differ_little(walled, monkeypatch):
-    """Texels of one face and material share a column until four hours before: 0.1 K in the root mean square at most."""
+def test_shared_columns_differ_little(walled, monkeypatch):
+    """Texels of one face and material share a column until four hours before: at most 0.1 K RMS."""
     shared = heat.solved(walled, [AT])[0].surfaces[0].temperature
     monkeypatch.setattr(heat, "_OWN_S", 1e9)
     each = heat.solved(walled, [AT])[0].surfaces[0].temperature
@@ -85,35 +85,35 @@ def test_columns_that_are_shared_differ_little(walled, monkeypatch):
     assert 0.0 < np.sqrt(np.mean(difference**2)) < 0.1
 
 
-def test_blocks_do_not_show(walled, monkeypatch):
+def test_block_size_does_not_change_temperatures(walled, monkeypatch):
     whole = heat.solved(walled, [AT])[0].surfaces[0].temperature
     monkeypatch.setattr(heat, "_AT_ONCE", whole.size // 3)
     parts = heat.solved(walled, [AT])[0].surfaces[0].temperature
-    # Texels that share a column stand elsewhere in it where a block ends.
+    # At the end of a block, texels that share a column have other positions in it.
     assert np.abs(parts - whole).mean() < 0.02
 
 
-def test_an_instant_is_the_same_alone_and_among_others(walled, day):
+def test_instant_is_the_same_alone_and_among_others(walled, day):
     times, kelvin = day
     late = times[-1]
     alone = heat.solved(walled, [late])[0].surfaces[0].temperature
-    # Marched from another start, two days before the instant instead of before the first: a day later nothing is left.
+    # The simulation starts two days before this instant instead of before the first; a day later no difference is left.
     assert np.sqrt(np.mean((alone - kelvin[-1]) ** 2)) < 0.1
 
 
-def test_weathers_first_instant_can_be_asked_for(walled):
-    """The state a march begins with is what is there then; instants behind it keep their places."""
+def test_first_instant_of_the_weather_can_be_requested(walled):
+    """The first instant is the state the simulation starts from; later instants stay in order."""
     first = walled.weather.time[0]
     begin, later = (scene.surfaces[0].temperature for scene in heat.solved(walled, [first, first + HOUR]))
     alone = heat.solved(walled, [first + HOUR])[0].surfaces[0].temperature
-    # Alone, texels of a face share a column: on the wall's 6 m the air differs by 0.04 K.
+    # Alone, texels of a face share a column: over the wall's 6 m the air differs by 0.04 K.
     assert np.abs(later - alone).max() < 0.05
-    # It begins at noon in the open, where an hour changes next to nothing; shadows come with the march.
+    # It starts at noon in the open, where an hour changes almost nothing; shadows appear with the first steps.
     assert np.isfinite(begin).all() and np.median(np.abs(begin - later)) < 2.0
 
 
 def test_air_above_the_station_is_drier_and_thinner(walled, monkeypatch):
-    """A station 1000 m below is one whose air was brought up here: 6.5 K/km, its relative humidity, its pressure."""
+    """A station 1000 m below equals one whose air was lifted here: 6.5 K/km, relative humidity, pressure."""
     up_m, night = 1000.0, np.datetime64("2018-07-28T02:00:00")
     here = walled.weather
     air = here.air_k - 0.0065 * up_m
@@ -122,17 +122,17 @@ def test_air_above_the_station_is_drier_and_thinner(walled, monkeypatch):
     below = replace(here, altitude_m=here.altitude_m - up_m)
     brought = replace(here, air_k=air, vapour_pa=here.vapour_pa * share, pressure_pa=here.pressure_pa * thinner)
     both, settled = [], open_ground.settled
-    # Both begin alike: the depth would keep what it began with.
+    # Both start alike, because deep layers would keep the difference.
     monkeypatch.setattr(open_ground, "settled", lambda columns, weather, *more: settled(columns, brought, *more))
     for weather in (below, brought):
         scene = walled.with_weather(weather)
         both.append([found.surfaces[0].temperature for found in heat.solved(scene, [night, AT])])
-    # Both rest on Magnus' form and the standard lapse; 1 K where vapour and pressure stay as below.
+    # Both use Magnus' formula and the standard lapse rate; unadjusted vapour and pressure would make 1 K.
     assert max(np.abs(one - other).max() for one, other in zip(*both, strict=True)) < 0.1
 
 
-def test_a_mixture_shows_what_its_parts_emit(walled):
-    """Polished metal emits next to nothing: ε T⁴ of the parts add up to that of the mix, not T⁴."""
+def test_mixture_emits_the_sum_of_its_parts(walled):
+    """Polished metal emits almost nothing: the mix is the sum of ε T⁴ over the parts, not of T⁴."""
     library = load_library()
     parts = [(library[name], share) for name, share in (("aluminium_polished", 0.75), ("asphalt", 0.25))]
     terrain = walled.surfaces[0]
@@ -141,7 +141,7 @@ def test_a_mixture_shows_what_its_parts_emit(walled):
     def kelvin(material):
         surface = replace(terrain, material=np.zeros_like(terrain.material))
         scene = walled.with_surfaces((surface,), (material,))
-        # The open, far from the wall, where nothing else than what lies there tells.
+        # In the open, far from the wall, where only the ground's own material matters.
         return float(heat.solved(scene, [night])[0].surfaces[0].temperature[-6:].mean())
 
     emits = np.array([share * open_ground.broadband(material) for material, share in parts])
@@ -150,7 +150,7 @@ def test_a_mixture_shows_what_its_parts_emit(walled):
     assert kelvin(mix(parts)) == pytest.approx(expected, abs=0.2)
 
 
-def test_scene_without_balance_imports_none_of_it():
+def test_scene_without_heat_balance_imports_none_of_it():
     import subprocess
     import sys
 
@@ -163,16 +163,16 @@ def test_scene_without_balance_imports_none_of_it():
     assert done.stdout.strip() == "[]"
 
 
-def test_ground_that_is_bare_under_snow_is_told(tmp_path):
+def test_missing_snow_material_under_snow_is_reported(tmp_path):
     scene = scene_of(tmp_path / "snow")
     assert not any("snow lies" in note for note in scene.weather_notes)
     path = scene.spec.folder / "scene.toml"
     path.write_text(path.read_text().replace("cloud = 0.1\n", "cloud = 0.1\nsnow_depth_m = 0.3\n"))
-    told = load_scene(path.parent).weather_notes
-    assert any("snow lies 0.3 m deep by the weather, but no material of the scene is snow" in note for note in told)
+    notes = load_scene(path.parent).weather_notes
+    assert any("snow lies 0.3 m deep by the weather, but no material of the scene is snow" in note for note in notes)
 
 
-def test_terrain_that_looks_down_is_refused(walled):
+def test_terrain_that_faces_down_is_refused(walled):
     from dataclasses import replace
 
     (surface,) = walled.surfaces
@@ -182,7 +182,7 @@ def test_terrain_that_looks_down_is_refused(walled):
         heat.solved(turned, [AT])
 
 
-def test_ground_that_does_not_settle_is_told(walled, monkeypatch):
+def test_unsettled_ground_is_reported(walled, monkeypatch):
     monkeypatch.setattr(open_ground, "_MOST_DAYS", 1)
     (scene,) = heat.solved(walled, [AT])
     assert any("did not settle before" in note for note in scene.weather_notes)

@@ -1,4 +1,4 @@
-"""Sites with measured surface temperature: their file, what is read of them, the figures that the project states."""
+"""Sites with measured surface temperatures: their files, the measurements read from them, and the published figures."""
 
 import json
 
@@ -25,7 +25,7 @@ altitude_m = 300.0
 
 
 def site_of(folder, text, rows=49, step_min=30, **columns):
-    """A Site of a file made for it: a clear day over a column of numbers."""
+    """A Site with its own file: a clear day over a column of numbers."""
     time = np.datetime64("2020-06-20T00:00", "s") + np.arange(rows) * np.timedelta64(60 * step_min, "s")
     own = {"air_c": np.full(rows, 15.0), "rh_percent": np.full(rows, 60.0), "wind_m_s": np.full(rows, 3.0),
            "lw_down_w_m2": np.full(rows, 330.0), **columns}  # fmt: skip
@@ -45,14 +45,14 @@ def test_sites_of_the_project_name_materials_with_thermal_properties():
 
 
 def test_upwelling_longwave_becomes_a_temperature(tmp_path):
-    """ε σ T⁴ + (1 − ε) L is the very T."""
+    """ε σ T⁴ + (1 − ε) L gives back exactly T."""
     kelvin, emissivity = 300.0, 0.95
     up = np.full(49, emissivity * STEFAN_BOLTZMANN * kelvin**4 + (1.0 - emissivity) * 330.0)
     site = site_of(tmp_path, 'cover = [["asphalt", 1.0]]\nlongwave_up = "up"\nemissivity = 0.95\n', up=up)
     assert measured(site, tmp_path).observed_k == pytest.approx(np.full(49, kelvin), abs=1e-4)
 
 
-def test_a_model_that_equals_the_measurement_has_no_error(tmp_path):
+def test_model_that_equals_the_measurement_has_no_error(tmp_path):
     text = 'cover = [["asphalt", 0.5], ["soil_loam", 0.5]]\nsurface = "surface_c"\n'
     site = site_of(tmp_path, text, surface_c=np.zeros(49))
     own = modelled(measured(site, tmp_path))
@@ -63,7 +63,7 @@ def test_a_model_that_equals_the_measurement_has_no_error(tmp_path):
     assert study["missing"] == []
 
 
-def test_the_temperature_of_a_mixed_cover_is_between_those_of_its_parts(tmp_path):
+def test_temperature_of_a_mixed_cover_is_between_those_of_its_parts(tmp_path):
     parts = [
         modelled(measured(site_of(tmp_path, f'cover = {cover}\nsurface = "air_c"\n'), tmp_path))
         for cover in ('[["asphalt", 1.0]]', '[["grass_green", 1.0]]', '[["asphalt", 0.3], ["grass_green", 0.7]]')
@@ -71,7 +71,7 @@ def test_the_temperature_of_a_mixed_cover_is_between_those_of_its_parts(tmp_path
     assert (np.minimum(*parts[:2]) < parts[2]).all() and (parts[2] < np.maximum(*parts[:2])).all()
 
 
-def test_the_model_starts_from_measured_soil_temperatures(tmp_path):
+def test_model_starts_from_measured_soil_temperatures(tmp_path):
     soil = 'soil = [[0.05, "a_c"], [1.0, "b_c"]]\n'
     text = 'cover = [["soil_loam", 1.0]]\nsurface = "air_c"\n' + soil
     warm, cold = (
@@ -90,13 +90,13 @@ def test_the_model_starts_from_measured_soil_temperatures(tmp_path):
         ('cover = ["asphalt"]\nsurface = "air_c"\n', "a list of pairs"),
     ],
 )
-def test_an_inconsistent_site_is_refused(tmp_path, text, words):
+def test_inconsistent_site_is_refused(tmp_path, text, words):
     with pytest.raises(ThermorenderError, match=words):
         site_of(tmp_path, text)
 
 
 def test_sensors_inside_the_cover_are_refused(tmp_path):
-    """Where the logarithm of height over roughness is nothing or less, heat would flow the wrong way."""
+    """Where the logarithm of height over roughness is not positive, heat would flow the wrong way."""
     text = 'cover = [["conifer", 1.0]]\nsurface = "surface_c"\nair_height_m = 0.5\nwind_height_m = 2.0\n'
     found = measured(site_of(tmp_path, text, surface_c=np.zeros(49)), tmp_path)
     with pytest.raises(ThermorenderError, match=r"air_height_m=0.5, wind_height_m=2 are too low over conifer"):
@@ -114,8 +114,8 @@ def test_missing_columns_tables_and_materials_are_refused(tmp_path):
         modelled(measured(site, tmp_path))
 
 
-def test_a_repeated_day_settles():
-    """Columns of all kinds end a repeated day where they began it, to 0.1 K."""
+def test_repeated_day_converges():
+    """Columns of all kinds end a repeated day as they began it, to 0.1 K."""
     from thermorender.weather.named_day import named_day
 
     at = np.datetime64("2018-07-28T12:00:00")
@@ -131,8 +131,8 @@ def test_a_repeated_day_settles():
 
 
 @pytest.mark.parametrize("name", ["grass", "desert", "square", "lake"])
-def test_stated_figures_agree_with_the_code(name):
-    """Against `validation/heat/heat.json`, to its rounding and that of other processors' arithmetic."""
+def test_published_figures_match_the_code(name):
+    """Compared with `validation/heat/heat.json`, to its rounding and to other processors' arithmetic."""
     stated = json.loads((SITES.parent / "heat.json").read_text())["sites"][name]["scores"]["balance"]
     site = next(site for site in read_sites(SITES) if site.name == name)
     shared_data(f"weather/{site.file}")

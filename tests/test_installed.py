@@ -1,4 +1,4 @@
-"""What a user gets: the wheel with its data, the machine's check-up, a scene of one's own, the demonstration."""
+"""What a user installs: the wheel with its data, the doctor, make-scene and the demo."""
 
 import filecmp
 import json
@@ -37,7 +37,7 @@ def wheel(tmp_path_factory):
 
 
 def run(site, *arguments):
-    """Standard output of a fresh Python process that has the wheel before everything else, run outside the checkout."""
+    """Standard output of a fresh Python process outside the checkout, with the wheel first on its path."""
     command, environment = [sys.executable, *arguments], dict(os.environ) | {"PYTHONPATH": str(site)}
     done = subprocess.run(command, env=environment, cwd=site.parent, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -45,7 +45,7 @@ def run(site, *arguments):
 
 
 def shipping():
-    """{path in the wheel: file of the checkout} of all that must be in the wheel."""
+    """{path in the wheel: file of the checkout} of everything that must be in the wheel."""
     shipped = {Path("thermorender", "_data", kind): ROOT / kind for kind in ("scenes", "materials")}
     shipped[Path("thermorender")] = ROOT / "thermorender"
     return {
@@ -56,8 +56,8 @@ def shipping():
     }
 
 
-def test_the_list_of_the_wheels_files_is_all_that_ships():
-    """As the builder would take them, without building: the slow tests build it."""
+def test_build_configuration_lists_everything_that_ships():
+    """As the builder would take them, without building: the slow tests build the wheel."""
     from hatchling.builders.wheel import WheelBuilder
 
     files = WheelBuilder(str(ROOT)).recurse_included_files()
@@ -65,7 +65,7 @@ def test_the_list_of_the_wheels_files_is_all_that_ships():
 
 
 @pytest.mark.slow
-def test_the_wheel_holds_all_that_ships_and_nothing_else(wheel):
+def test_wheel_holds_everything_that_ships_and_nothing_else(wheel):
     wanted = shipping()
     there = {path.relative_to(wheel) for path in wheel.rglob("*") if path.is_file()}
     (about,) = wheel.glob("*.dist-info")
@@ -77,7 +77,7 @@ def test_the_wheel_holds_all_that_ships_and_nothing_else(wheel):
 
 
 @pytest.mark.slow
-def test_the_wheel_works_away_from_its_checkout(wheel):
+def test_wheel_works_away_from_its_checkout(wheel):
     code = "import thermorender as tr, sys; s = tr.load_scene('heath'); print(tr.__file__); print(s.spec.folder)"
     places = run(wheel, "-c", code).splitlines()
     assert all(Path(place).is_relative_to(wheel) for place in places), places
@@ -88,7 +88,7 @@ def test_the_wheel_works_away_from_its_checkout(wheel):
 # --- doctor -----------------------------------------------------------------------------------------------
 
 
-def test_doctor_finds_this_machine_fit():
+def test_doctor_finds_this_machine_usable():
     done = CliRunner().invoke(cli.app, ["doctor"])
     assert done.exit_code == 0, done.output
     rows, healthy = doctor.examine()
@@ -98,14 +98,14 @@ def test_doctor_finds_this_machine_fit():
     assert all(name in done.output for name in state)
 
 
-def test_doctor_names_packages_of_extras_that_lack(monkeypatch):
+def test_doctor_names_missing_packages_of_extras(monkeypatch):
     monkeypatch.setattr(doctor, "version_of", lambda name: "not installed" if name == "torch" else "1.0")
     rows, healthy = doctor.examine()
-    mend = {name: mend for name, _, mend in rows}
-    assert healthy and "thermorender[networks]" in mend["torch"] and not mend["lightgbm"]
+    fix = {name: fix for name, _, fix in rows}
+    assert healthy and "thermorender[networks]" in fix["torch"] and not fix["lightgbm"]
 
 
-def test_doctor_names_what_fails_and_how_to_mend_it(monkeypatch, tmp_path):
+def test_doctor_names_failures_and_their_fixes(monkeypatch, tmp_path):
     monkeypatch.setattr(variant, "works", lambda name: (False, "the process was killed by signal 6"))
     tool = tmp_path / "nvidia-smi"
     tool.write_text("#!/bin/sh\necho 'Test GPU, 1.2'\n")
@@ -113,10 +113,10 @@ def test_doctor_names_what_fails_and_how_to_mend_it(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
     rows, healthy = doctor.examine()
     assert not healthy
-    told = {name: (state, mend) for name, state, mend in rows}
-    assert told["GPU"][0] == "Test GPU, 1.2"
-    for name, mend in (("scalar_rgb", "reinstall Mitsuba"), ("llvm_ad_mono", "version 16"), ("cuda_ad_mono", "driver")):
-        assert told[name][0] == "fails: the process was killed by signal 6" and mend in told[name][1]
+    found = {name: (state, fix) for name, state, fix in rows}
+    assert found["GPU"][0] == "Test GPU, 1.2"
+    for name, fix in (("scalar_rgb", "reinstall Mitsuba"), ("llvm_ad_mono", "version 16"), ("cuda_ad_mono", "driver")):
+        assert found[name][0] == "fails: the process was killed by signal 6" and fix in found[name][1]
     with pytest.raises(ThermorenderError, match="no back end renders on this machine; fix the rows above"):
         CliRunner().invoke(cli.app, ["doctor"], catch_exceptions=False)
 
@@ -125,9 +125,9 @@ def test_doctor_on_a_machine_without_llvm(monkeypatch, tmp_path):
     monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
     monkeypatch.setattr(variant, "llvm_libraries", dict)
     assert variant.works("llvm_ad_mono") == (False, "no LLVM library of version 16 or newer")
-    rows = {name: (state, mend) for name, state, mend in doctor.examine()[0]}
+    rows = {name: (state, fix) for name, state, fix in doctor.examine()[0]}
     assert rows["LLVM libraries"][0] == "none found" and "thermorender doctor --install" in rows["LLVM in use"][1]
-    # apt runs and fails, as without a network; then there is none at all.
+    # First apt runs and fails, as without a network; then there is no apt.
     (tmp_path / "apt-get").write_text(f"#!/bin/sh\necho $@ >> {tmp_path}/asked\nexit 100\n")
     (tmp_path / "apt-get").chmod(0o755)
     monkeypatch.setattr(variant.os, "geteuid", lambda: 0, raising=False)
@@ -141,13 +141,13 @@ def test_doctor_on_a_machine_without_llvm(monkeypatch, tmp_path):
         variant.install_llvm()
 
 
-def test_install_leaves_alone_what_is_there():
+def test_install_keeps_an_existing_llvm():
     assert variant.usable_llvm()[0].exists()
     done = CliRunner().invoke(cli.app, ["doctor", "--install"])
     assert done.exit_code == 0 and "is present" in done.output
 
 
-def test_a_variant_that_cannot_start_tells_its_last_line():
+def test_variant_that_cannot_start_reports_its_last_line():
     good, reason = variant.works("no_such_variant")
     assert not good and "no_such_variant" in reason
 
@@ -170,13 +170,13 @@ def test_make_scene_writes_a_scene_that_loads(tmp_path):
     assert not filecmp.cmp(tmp_path / "one" / "temperature.tif", tmp_path / "other" / "temperature.tif", shallow=False)
 
 
-def test_make_scene_refuses_what_it_does_not_know(tmp_path):
+def test_make_scene_refuses_unknown_kinds(tmp_path):
     done = CliRunner().invoke(cli.app, ["make-scene", "moon", "-o", str(tmp_path / "m")])
     assert isinstance(done.exception, ThermorenderError) and "'moon'" in str(done.exception)
     assert "heath, village, ridge" in str(done.exception) and not (tmp_path / "m").exists()
 
 
-def test_the_verb_demo_on_a_tiny_scene(tmp_path, monkeypatch):
+def test_demo_on_a_tiny_scene(tmp_path, monkeypatch):
     small = re.sub("(?m)^(width|height) = .*", r"\1 = 48", model_path("zenmuse-xt2").read_text(encoding="utf-8"))
     folder = write_terrain(tmp_path / "tiny", extra='[camera]\nmodel = "small.toml"')
     (folder / "small.toml").write_text(small, encoding="utf-8")
@@ -195,7 +195,7 @@ def test_the_verb_demo_on_a_tiny_scene(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_demo_flies_and_compares(tmp_path, monkeypatch):
-    """The verb itself; only the flight is cut to its first frames, and pixels are sampled coarsely."""
+    """The real demo, except that the flight is cut to its first frames and pixels have few samples."""
     fly, compare = cli.fly, cli.compare
     little = {"quality": "fast", "rays": 2}
     monkeypatch.setattr(cli, "fly", lambda *a, **k: fly(*a, **k, **little, stop_s=0.3))

@@ -1,4 +1,4 @@
-"""The landing in the loop: the vehicle's motion, the tracker and its steering, and whole landings."""
+"""The closed-loop landing: the vehicle's motion, the tracker and its steering, and whole landings."""
 
 import json
 from collections import Counter
@@ -12,7 +12,7 @@ from thermorender.errors import ThermorenderError
 FOCAL_PX = 765.0
 
 
-def test_the_vehicle_follows_the_closed_form():
+def test_vehicle_follows_the_closed_form():
     """dv/dt = (u − v)/τ + k (w − v) has v∞ = (u/τ + k w)/(1/τ + k) and decays at 1/τ + k."""
     command, wind = np.array([1.0, -0.5, -1.0]), np.array([4.0, 2.0, 0.0])
     start, velocity = np.array([3.0, 2.0, 40.0]), np.array([0.2, 0.0, 0.0])
@@ -36,7 +36,7 @@ def test_gusts_have_the_stated_spread_and_correlation():
 
 
 def picture(spots, height_m, seed=0, shape=(256, 320)):
-    """Counts with discs of the marker's size: {(row, column): counts above the noise of 10}."""
+    """Counts with discs of the marker's size: {(row, column): counts above the background}."""
     rows, columns = np.indices(shape)
     image = 8000.0 + np.random.default_rng(seed).normal(scale=10.0, size=shape)
     radius = 0.5 * FOCAL_PX * sites.MARKER_M / height_m
@@ -45,7 +45,7 @@ def picture(spots, height_m, seed=0, shape=(256, 320)):
     return image.astype(np.uint16)
 
 
-def test_a_spot_is_locked_then_followed_past_a_warmer_one_and_lost():
+def test_spot_is_locked_then_followed_past_a_warmer_one_and_lost():
     tracker = guidance.Tracker(FOCAL_PX, sites.MARKER_M)
     for step in range(guidance.AGREEING):
         assert not tracker.locked
@@ -61,7 +61,7 @@ def test_a_spot_is_locked_then_followed_past_a_warmer_one_and_lost():
     assert not tracker.locked and tracker.at is None
 
 
-def test_the_tracker_does_not_lock_on_noise():
+def test_tracker_does_not_lock_on_noise():
     tracker = guidance.Tracker(FOCAL_PX, sites.MARKER_M)
     for step in range(20):
         tracker.look(picture({}, 40.0, 100 + step), 40.0)

@@ -32,10 +32,10 @@ STRIPES = {
     "asphalt": ((105, 104, 102), 3.0),
     "sand_quartz": ((200, 180, 140), 6.0),
 }
-# Their colours lie so far apart that only beside the two borders, where windows hold both, a texel may be wrong: one on
-# either side in 144 columns.
+# Their colours are so far apart that a texel may be wrong only beside the two borders, where windows see both: one
+# texel on either side, in 144 columns.
 RIGHT = 1.0 - 4.0 / 144.0
-PATCH = (slice(50, 78), slice(150, 178))  # of the scene: in the middle stripe
+PATCH = (slice(50, 78), slice(150, 178))  # in the scene's middle stripe
 SMALL = {"village": (110.0, 0.25, 0.5)}
 
 
@@ -59,7 +59,7 @@ def model():
 
 @pytest.fixture
 def scene(tmp_path, model):
-    """Folder of a striped scene with a magenta patch, its materials learned."""
+    """Folder of a striped scene with a magenta patch and learned materials."""
     rgb, number = striped(7, 128, 288)
     rgb[PATCH] = (255, 0, 255)
     folder = write_terrain(tmp_path / "stripes", np.zeros((64, 144)), classes=number, colour=rgb)
@@ -74,15 +74,15 @@ def learned_source(folder, text='model = "own.npz"\nfallback = "granite"\n'):
     (folder / "scene.toml").write_text(f'{whole[:start]}[emissivity]\nsource = "learned"\n{text}{whole[end:]}', "utf-8")
 
 
-def test_lab_is_that_of_the_tables():
+def test_lab_matches_published_values():
     # Lindbloom's calculator, sRGB with its own D65 white: red, green, blue, white, black.
     bytes_ = np.array([[255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 255], [0, 0, 0]], np.uint8)
     published = [[53.24, 80.09, 67.20], [87.73, -86.18, 83.18], [32.30, 79.19, -107.86], [100, 0, 0], [0, 0, 0]]
-    # Its white is (0.9505, 1, 1.0888), of more digits here.
+    # The calculator's white is (0.9505, 1, 1.0888); the one here has more digits.
     assert lab(bytes_) == pytest.approx(np.array(published), abs=0.06)
 
 
-def test_features_tell_texture_and_direction():
+def test_features_respond_to_texture_and_direction():
     generator = np.random.default_rng(0)
     flat = np.full((96, 96, 3), 120, np.uint8)
     rough = np.clip(120 + 20 * generator.standard_normal((96, 96, 1)), 0, 255).astype(np.uint8).repeat(3, axis=2)
@@ -90,13 +90,13 @@ def test_features_tell_texture_and_direction():
     of = {name: {key: features(image)[48, 48, NAMES.index(key)] for key in ("L spread 4", "gradient", "coherence")}
           for name, image in (("flat", flat), ("rough", rough), ("furrows", furrows))}  # fmt: skip
     assert of["flat"]["L spread 4"] == pytest.approx(0.0, abs=1e-2) and of["flat"]["gradient"] < 1e-3
-    # 20 bytes of noise are 8 of lightness at this grey: d L*/d byte = 0.40. Gauss' window of 4 texels holds 4π 4² = 201
-    # of them, which tell a spread to 1/√402: three times 5 %.
+    # 20 bytes of noise are 8 of lightness at this grey: d L*/d byte = 0.40. The Gaussian window of 4 texels holds 4π 4²
+    # = 201 of them, which give a spread to 1/√402: three times 5 %.
     assert np.expm1(of["rough"]["L spread 4"]) == pytest.approx(8.0, rel=0.15)
     assert of["furrows"]["coherence"] > 0.9 > 0.4 > of["rough"]["coherence"]
 
 
-def test_probabilities_are_those_of_scikit_learn():
+def test_probabilities_match_scikit_learn():
     from sklearn.neural_network import MLPClassifier
 
     generator = np.random.default_rng(1)
@@ -115,7 +115,7 @@ def test_probabilities_are_those_of_scikit_learn():
     assert novelty == pytest.approx(away / 2.0, rel=1e-4)
 
 
-def test_two_materials_are_trained_as_well():
+def test_training_with_two_materials():
     rgb, number = striped(1)
     number[number == 3] = 0
     two, confusion = train([Labelled(rgb, number, {1: "grass_green", 2: "asphalt"}, 0.5, "x")], 0.5, "two")
@@ -126,19 +126,19 @@ def test_two_materials_are_trained_as_well():
     assert mapped.share[..., 2].max() == 0.0
 
 
-def test_what_training_did_not_test_is_told(tmp_path, capsys, monkeypatch):
-    """One small patch of asphalt lies in a block that is trained on, so that the accuracy is that of grass alone."""
+def test_untested_materials_are_reported(tmp_path, capsys, monkeypatch):
+    """A single small patch of asphalt is in a training block, so the accuracy is that of grass alone."""
     rgb, number = striped(1)
     labels = np.where(number == 1, 1, 0).astype(np.uint8)
     labels[50:60, 60:70] = 2
     names = {1: "grass_green", 2: "asphalt"}
-    # This seed holds the patch's one block not out.
+    # With this seed, the patch's only block is not held out.
     few = Labelled(rgb, labels, names, 0.5, "few labels")
     partly, confusion = train([few], 0.5, "partly", seed=0)
     assert confusion[0].sum() > 0 and confusion[1].sum() == 0, confusion
-    told = partly.about["not_tested"]
-    assert told.startswith("asphalt, of which no texel was held out; ")
-    assert f"{np.mean(labels == 0):.0%} of the ground, which has no label" in told
+    untested = partly.about["not_tested"]
+    assert untested.startswith("asphalt, of which no texel was held out; ")
+    assert f"{np.mean(labels == 0):.0%} of the ground, which has no label" in untested
     only = np.where((number == 1) & (np.indices(number.shape).max(axis=0) < 24), 1, labels // 2 * 2).astype(np.uint8)
     nothing, confusion = train([replace(few, material=only)], 0.5, "nothing", seed=0)
     assert confusion.sum() == 0 and nothing.about["held_out_accuracy"] is None
@@ -146,7 +146,7 @@ def test_what_training_did_not_test_is_told(tmp_path, capsys, monkeypatch):
     whole, _ = train([Labelled(rgb, number, dict(enumerate(STRIPES, 1)), 0.5, "all labelled")], 0.5, "whole")
     assert "not_tested" not in whole.about
     save_map(partly, tmp_path / "partly.npz")
-    assert load_map(tmp_path / "partly.npz").about["not_tested"] == told
+    assert load_map(tmp_path / "partly.npz").about["not_tested"] == untested
 
     from thermorender.campaign import material_training
     from thermorender.cli import maps as cli
@@ -159,7 +159,7 @@ def test_what_training_did_not_test_is_told(tmp_path, capsys, monkeypatch):
         assert ("warning: not tested: asphalt, of which no texel" in printed.err) == warned, printed.err
 
 
-def test_unseen_picture_is_mapped_right(model):
+def test_unseen_picture_is_mapped_correctly(model):
     rgb, number = striped(11)
     mapped = map_materials(model, rgb, 0.5)
     named = np.array(model.materials)[mapped.index[..., 0]]
@@ -169,7 +169,7 @@ def test_unseen_picture_is_mapped_right(model):
     assert model.about["held_out_accuracy"] > 0.95 and model.about["trained_on"] == "stripes 1; stripes 2"
 
 
-def test_same_seed_same_map():
+def test_same_seed_gives_the_same_map():
     names = dict(enumerate(STRIPES, 1))
     picture = Labelled(*striped(1, 48, 72), names, 0.5, "stripes")
     one, two, other = (train([picture], 0.5, "m", augmentations=1, seed=seed)[0] for seed in (0, 0, 1))
@@ -179,7 +179,7 @@ def test_same_seed_same_map():
 
 @pytest.mark.parametrize("axes", [(0, 1, 2), (1, 0, 2)])
 def test_tiles_leave_no_seams(model, monkeypatch, axes):
-    # A trained map is sure of these stripes whatever the wide windows say; one at random heeds every feature.
+    # A trained map is sure of these stripes whatever the wide windows show; a random one depends on every feature.
     generator = np.random.default_rng(0)
     heedful = replace(
         model, layers=((np.float32(generator.normal(0.0, 0.3, (len(NAMES), 3))), np.zeros(3, np.float32)),)
@@ -196,12 +196,12 @@ def test_tiles_leave_no_seams(model, monkeypatch, axes):
     whole, novelty = heedful.probabilities(features(rgb).reshape(-1, len(NAMES)))
     assert found.reshape(3, -1).transpose() == pytest.approx(whole, abs=2e-4)
     best = np.where(novelty <= 1.0, whole.max(axis=-1), 0.0).reshape(rgb.shape[:2])
-    # A texel beside the threshold may fall to either side of it.
+    # A texel at the threshold may be on either side of it.
     assert (np.abs(mapped.confidence - best) > 2e-3).mean() < 1e-4
 
 
 @pytest.mark.parametrize("factor", [2, 5])
-def test_a_finer_orthophoto_is_brought_to_the_map_s_own_grid(model, factor):
+def test_finer_orthophoto_is_resampled_to_the_maps_own_grid(model, factor):
     rgb, _ = striped(11)
     fine = rgb.repeat(factor, axis=0).repeat(factor, axis=1)
     coarse = map_materials(model, rgb, 0.5)
@@ -210,16 +210,16 @@ def test_a_finer_orthophoto_is_brought_to_the_map_s_own_grid(model, factor):
     middle = slice(factor // 2, None, factor)
     same = mapped.index[middle, middle, 0] == coarse.index[..., 0]
     assert same.mean() > 0.97
-    if factor % 2:  # at the middle of a texel nothing is interpolated
+    if factor % 2:  # nothing is interpolated at the centre of a texel
         assert mapped.confidence[middle, middle] == pytest.approx(coarse.confidence, abs=2e-2)
 
 
-def test_too_coarse_an_orthophoto_is_refused(model):
+def test_too_coarse_orthophoto_is_refused(model):
     with pytest.raises(ThermorenderError, match=r"texels of 6 m, but emissivity map 'stripes' was trained at 0.5 m"):
         map_materials(model, np.zeros((8, 8, 3), np.uint8), 6.0)
 
 
-def test_what_was_never_seen_is_unknown(model):
+def test_unseen_colours_are_unknown(model):
     rgb, _ = striped(11)
     rgb[30:60, 60:90] = (255, 0, 255)
     confidence = map_materials(model, rgb, 0.5).confidence
@@ -227,7 +227,7 @@ def test_what_was_never_seen_is_unknown(model):
     assert (confidence[:, :30] > 0.35).mean() > 0.97
 
 
-def test_materials_known_not_to_occur_are_left_out(model):
+def test_excluded_materials_get_no_probability(model):
     rgb, _ = striped(11)
     described = features(rgb).reshape(-1, len(NAMES))
     fewer = model.without(["asphalt"])
@@ -241,7 +241,7 @@ def test_materials_known_not_to_occur_are_left_out(model):
         model.without(["asphalt", "sand_quartz"])
 
 
-def test_a_map_is_read_as_it_was_written(model, tmp_path):
+def test_map_is_read_as_it_was_written(model, tmp_path):
     save_map(model, tmp_path / "m.npz")
     again = load_map(tmp_path / "m.npz")
     rgb, _ = striped(4)
@@ -250,8 +250,8 @@ def test_a_map_is_read_as_it_was_written(model, tmp_path):
     assert "RGB → 3 materials at 0.5 m" in str(again)
 
 
-def test_more_materials_than_a_class_raster_tells_apart_are_refused(model, tmp_path):
-    """255 stands for unknown texels and 0 for none, so a map may tell 254 materials apart."""
+def test_more_materials_than_a_class_raster_can_hold_are_refused(model, tmp_path):
+    """255 means unknown and 0 no label, so a map may distinguish 254 materials."""
     for count in (254, 255):
         width = len(model.layers[-1][0])
         last = (np.zeros((width, count), np.float32), np.zeros(count, np.float32))
@@ -271,7 +271,7 @@ def test_more_materials_than_a_class_raster_tells_apart_are_refused(model, tmp_p
 
 
 @pytest.mark.parametrize("damage", ["cut", "pickle", "text", "shape", "nan"])
-def test_a_file_that_is_no_map_is_refused(model, tmp_path, damage):
+def test_file_that_is_not_a_map_is_refused(model, tmp_path, damage):
     path = tmp_path / "m.npz"
     save_map(model, path)
     if damage == "cut":
@@ -288,12 +288,12 @@ def test_a_file_that_is_no_map_is_refused(model, tmp_path, damage):
         load_map(path)
 
 
-def test_a_missing_map_names_the_shipped_one():
+def test_missing_map_error_names_the_shipped_one():
     with pytest.raises(ThermorenderError, match=r"map 'nowhere.npz' does not exist; give a file .* procedural"):
         load_map("nowhere.npz")
 
 
-def test_a_mix_is_the_mean_of_its_parts():
+def test_mixture_emissivity_is_the_mean_of_its_parts():
     library = load_library()
     parts = [(library["sand_quartz"], 0.25), (library["snow"], 0.75)]
     mixed = mix(parts)
@@ -306,7 +306,7 @@ def test_a_mix_is_the_mean_of_its_parts():
         mixed.emissivity_at(200.0)
 
 
-def test_a_palette_keeps_the_emissivity_of_every_mix():
+def test_palette_preserves_the_emissivity_of_every_mix():
     library = load_library()
     own = [library[name] for name in ("sand_quartz", "snow", "paint_metallic", "grass_green")]
     generator = np.random.default_rng(2)
@@ -324,7 +324,7 @@ def test_a_palette_keeps_the_emissivity_of_every_mix():
         assert error["mean"] == pytest.approx(change.mean(), abs=1e-9)
         if most == 200:
             assert made[number[0, 0]] is own[3]
-            # Half an eighth of each of two shares, between materials no further apart than these.
+            # Half an eighth for each of two shares, between materials no further apart than these.
             assert error["largest"] < 0.125 * np.ptp(mean) and error["mean"] < 0.02
     one_way, other_way = np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1, 3), np.uint8)
     one_way[..., :2], other_way[..., :2] = (0, 1), (1, 0)
@@ -333,7 +333,7 @@ def test_a_palette_keeps_the_emissivity_of_every_mix():
     assert len(both[1]) == 1
 
 
-def test_a_scene_takes_its_materials_from_its_orthophoto(scene):
+def test_scene_takes_its_materials_from_its_orthophoto(scene):
     loaded = tr.load_scene(scene)
     surface, names = loaded.surfaces[0], [material.name for material in loaded.materials]
     found = np.array(names)[surface.material]
@@ -347,7 +347,7 @@ def test_a_scene_takes_its_materials_from_its_orthophoto(scene):
     assert "unknown and taken for granite" in str(loaded)
 
 
-def test_confidence_and_without_are_heeded(scene):
+def test_confidence_and_without_are_applied(scene):
     learned_source(scene, 'model = "own.npz"\nfallback = "granite"\nconfidence = 1.0\n')
     strict = tr.load_scene(scene).emissivity_report["share_unknown"]
     learned_source(scene, 'model = "own.npz"\nfallback = "granite"\nconfidence = 0.01\nwithout = ["asphalt"]\n')
@@ -357,8 +357,8 @@ def test_confidence_and_without_are_heeded(scene):
 
 
 @pytest.mark.slow
-def test_what_cannot_be_told_apart_is_mixed(scene):
-    # Of the sand's texels, as many as one in four are called asphalt: by colour nobody can say which.
+def test_indistinguishable_materials_are_mixed(scene):
+    # One in four of the sand's texels is labelled asphalt, so colour cannot separate them.
     rgb, number = striped(1)
     number[(number == 3) & (np.random.default_rng(0).random(number.shape) < 0.25)] = 2
     save_map(train([Labelled(rgb, number, dict(enumerate(STRIPES, 1)), 0.5, "x")], 0.5, "x")[0], scene / "own.npz")
@@ -378,15 +378,15 @@ def test_what_cannot_be_told_apart_is_mixed(scene):
             wanted = sum(share * kelvin[name] for name, share in shares.items())
             assert surface.temperature[here] == pytest.approx(np.full(here.sum(), wanted), abs=1e-3)
             asphalt[number] = shares.get("asphalt", 0.0)
-    # Rare materials are drawn more often than their area, by its square root: of a quarter, as asphalt has 5/12 of all
-    # texels and sand 3/12, is left a fifth. The palette's eighths round it by a sixteenth at most.
+    # Training draws materials by the square root of their area. Asphalt has 5/12 of all texels and sand 3/12, so of a
+    # quarter a fifth is left. The palette's eighths round it by a sixteenth at most.
     drawn = 0.25 / np.sqrt(5 / 12), 0.75 / np.sqrt(3 / 12)
     share = asphalt[surface.material[:, 220:260]].mean()
     assert share == pytest.approx(drawn[0] / sum(drawn), abs=1 / 16)
     assert f"and {sum(isinstance(m, Mixture) for m in loaded.materials)} mixes of them" in str(loaded)
 
 
-def test_unknown_texels_show_in_the_truth_of_a_frame(scene):
+def test_unknown_texels_are_flagged_in_the_truth_of_a_frame(scene):
     loaded = tr.load_scene(scene)
     frame = tr.Renderer(loaded, "fast", rays=4).frame(straight_down(60.0))
     mask, material = frame.truth["mask"], frame.truth["material"]
@@ -403,7 +403,7 @@ def straight_down(up):
     return pose
 
 
-def test_empty_borders_stay_filled_and_are_not_counted_unknown(scene):
+def test_empty_borders_stay_filled_and_do_not_count_as_unknown(scene):
     rgb, _ = striped(7, 128, 288)
     rgb[:, 240:] = 0
     write_raster(scene / "orthophoto.tif", np.moveaxis(rgb, -1, 0), 0.5, photometric="RGB")
@@ -426,7 +426,7 @@ def test_empty_borders_stay_filled_and_are_not_counted_unknown(scene):
         ('model = "own.npz"\nfallback = "granite"\nwithout = ["snow"]\n', "knows no 'snow' to leave out"),
     ],
 )  # fmt: skip
-def test_scene_files_that_cannot_be_used(scene, text, words):
+def test_wrong_scene_files_are_refused(scene, text, words):
     learned_source(scene, text)
     with pytest.raises(ThermorenderError, match=words):
         tr.load_scene(scene)
@@ -447,7 +447,7 @@ def test_learned_materials_need_an_orthophoto(scene, tmp_path):
         tr.load_scene(folder)
 
 
-def test_map_materials_writes_what_a_scene_can_use(scene, tmp_path, model):
+def test_map_materials_output_can_be_used_in_a_scene(scene, tmp_path, model):
     output = tmp_path / "out"
     output.mkdir()
     written, shares = write_map(scene, output, scene / "own.npz", "granite")
@@ -470,7 +470,7 @@ def test_map_materials_writes_what_a_scene_can_use(scene, tmp_path, model):
     with rasterio.open(written["confidence"]) as file:
         assert (file.read(1)[PATCH] == 0).all()
     assert written["materials"].stat().st_size > 5000
-    # What was written, put into the scene, gives the same materials.
+    # A scene that uses the written files has the same materials.
     text = (scene / "scene.toml").read_text(encoding="utf-8")
     start, end = text.index("[emissivity]"), text.index("[sky]")
     own = written["emissivity"].read_text(encoding="utf-8")
@@ -479,7 +479,7 @@ def test_map_materials_writes_what_a_scene_can_use(scene, tmp_path, model):
     loaded = tr.load_scene(scene)
     names = np.array([material.name for material in loaded.materials])[loaded.surfaces[0].material]
     assert (names == np.array([*model.materials, "granite"])[np.where(sure, classes.astype(int) - 1, 3)]).all()
-    # Unknown texels are nothing to learn from.
+    # Unknown texels are not used as labels.
     assert (labelled_scene(scene).material[~sure] == 0).all()
 
 
@@ -497,7 +497,7 @@ def polygons(path, shapes, crs="urn:ogc:def:crs:EPSG::32634", key="material"):
 
 
 def boxes(offset=500000.0):
-    """A box in each stripe of the scene, in map coordinates; texels are 0.5 m, the corner lies at 5780000 north."""
+    """A box in each stripe of the scene, in map coordinates; texels are 0.5 m, the corner is at 5780000 north."""
     ring = lambda left, right: [(offset + x, 5780000.0 - y) for x, y in  # noqa: E731
                                 ((left, 4), (right, 4), (right, 60), (left, 60))]  # fmt: skip
     return [("grass_green", ring(2, 40)), ("asphalt", ring(52, 70)), ("sand_quartz", ring(100, 140))]
@@ -514,7 +514,7 @@ def test_polygons_train_a_map(scene, tmp_path):
     assert np.trace(confusion) / confusion.sum() > 0.97 and "ground.geojson on stripes" in model.about["trained_on"]
 
 
-def test_polygons_in_longitude_and_latitude_land_in_the_same_place(scene, tmp_path):
+def test_polygons_in_longitude_and_latitude_give_the_same_labels(scene, tmp_path):
     from rasterio.warp import transform
 
     there = [(name, list(zip(*transform("EPSG:32634", "OGC:CRS84", *zip(*ring, strict=True)), strict=True)))
@@ -538,7 +538,7 @@ def test_polygons_in_longitude_and_latitude_land_in_the_same_place(scene, tmp_pa
         (lambda p: None, "labels.geojson cannot be read: No such file"),
     ],
 )  # fmt: skip
-def test_labels_that_cannot_be_used(scene, tmp_path, make_file, words):
+def test_wrong_labels_are_refused(scene, tmp_path, make_file, words):
     path = tmp_path / "labels.geojson"
     make_file(path)
     with pytest.raises(ThermorenderError, match=words):
@@ -556,7 +556,7 @@ def test_training_settings_are_checked(scene, tmp_path):
         train_on([scene])
 
 
-def test_a_class_raster_trains_a_map(tmp_path):
+def test_class_raster_trains_a_map(tmp_path):
     rgb, number = striped(3)
     folder = write_terrain(tmp_path / "classes", np.zeros((48, 72)), classes=np.minimum(number, 2), colour=rgb)
     model, confusion = train_on([folder], seed=1)
@@ -564,7 +564,7 @@ def test_a_class_raster_trains_a_map(tmp_path):
     assert np.trace(confusion) / confusion.sum() > 0.9
 
 
-def test_training_takes_no_class_number_for_another(tmp_path):
+def test_class_numbers_above_255_are_refused(tmp_path):
     classes = np.full((32, 32), 300, np.uint16)
     classes[:, 16:] = 2
     folder = write_terrain(tmp_path / "wide")
@@ -573,7 +573,7 @@ def test_training_takes_no_class_number_for_another(tmp_path):
         labelled_scene(folder)
 
 
-def test_the_shipped_map_is_small_and_labelled():
+def test_shipped_map_is_small_and_labelled():
     path = learned.SHIPPED["procedural"]
     assert Path(path).stat().st_size <= 2_000_000
     shipped = load_map("procedural")
@@ -582,7 +582,7 @@ def test_the_shipped_map_is_small_and_labelled():
     assert shipped.texel_m == 0.5 and shipped.about["split"].startswith("one block of 12 m in 5")
 
 
-def test_the_shipped_map_beats_simpler_methods_on_unseen_land(monkeypatch):
+def test_shipped_map_is_better_than_simpler_methods_on_unseen_land(monkeypatch):
     monkeypatch.setattr(validation, "make", lambda kind, seed: make(kind, seed, *SMALL[kind]))
     result = validation.evaluate("procedural", (11,), kinds=("village",))
     methods = result["all"]
@@ -598,12 +598,12 @@ def test_the_shipped_map_beats_simpler_methods_on_unseen_land(monkeypatch):
     assert right == pytest.approx(learned["accuracy"], abs=0.02)
 
 
-def test_the_map_is_not_evaluated_on_what_it_was_trained_on():
+def test_evaluation_on_training_seeds_is_refused():
     with pytest.raises(ThermorenderError, match="seed=101 is a seed that 'procedural' was trained on; give another"):
         validation.evaluate("procedural", (101,))
 
 
-def test_errors_of_temperature_are_those_of_grey_surfaces():
+def test_temperature_errors_match_those_of_grey_surfaces():
     temperature = np.array([[280.0, 300.0, 320.0]])
     judge = validation._Errors([grey("black", 1.0), grey("grey", 0.9)], temperature, 250.0)
     truth = np.zeros((1, 3), int)
@@ -611,14 +611,14 @@ def test_errors_of_temperature_are_those_of_grey_surfaces():
     band = (7.5, 13.5)
     wanted = brightness_temperature(0.9 * band_radiance(temperature, *band) + 0.1 * band_radiance(250.0, *band), *band)
     assert emissivity == pytest.approx([-0.1] * 3, abs=1e-6)
-    # The tables' steps err by 45 µK.
+    # The tables' steps cause 45 µK of error.
     assert kelvin == pytest.approx((wanted - temperature)[0], abs=1e-4)
     half = np.array([[[0, 1]] * 3])
     _, emissivity, _ = judge(truth, half, np.full((1, 3, 2), 0.5))
     assert emissivity == pytest.approx([-0.05] * 3, abs=1e-6)
 
 
-def test_the_verbs_train_and_map(scene, tmp_path):
+def test_train_and_map_commands(scene, tmp_path):
     from typer.testing import CliRunner
 
     from thermorender.cli.app import app
@@ -642,6 +642,6 @@ def test_the_verbs_train_and_map(scene, tmp_path):
     assert "give one that ends in .npz" in str(failed.exception) and not (tmp_path / "none.txt").exists()
 
 
-def test_seeds_of_the_study_are_whole_numbers(tmp_path, call_module):
+def test_study_seeds_must_be_integers(tmp_path, call_module):
     status, _, errors = call_module("validation.emissivity", "--seeds", "one", "-o", tmp_path / "none")
     assert status == 2 and "--seeds='one' is not allowed" in errors

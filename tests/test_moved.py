@@ -45,8 +45,8 @@ def written(folder, extra=TABLES, **options):
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _short_marches():
-    """The march begins as late as it may: here nobody asks how true it is, only what is made of it."""
+def _short_simulations():
+    """Simulations start as late as possible: these tests do not judge their accuracy, only how they are used."""
     from thermorender.render.heat import march as heat
     from thermorender.scene import open_ground
 
@@ -59,7 +59,7 @@ def _short_marches():
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    """A raster of the trained instant with a hole in it, asked for at that instant."""
+    """A raster for the trained instant with a hole in it, requested at that instant."""
     temperature = np.full((32, 32), 300.0) + np.arange(32)[:, None] / 8.0
     temperature[:4, :4] = np.nan
     folder = written(tmp_path_factory.mktemp("moved") / "tiny", temperature=temperature)
@@ -68,7 +68,7 @@ def scene(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def tools():
-    """The modules that bring Mitsuba, once they are wanted."""
+    """The modules that import Mitsuba, imported on first use."""
     from thermorender.render.heat import march as heat
     from thermorender.render.heat import moved
 
@@ -76,7 +76,7 @@ def tools():
 
 
 def mapped(scene, kelvin, error_k):
-    """The scene with other temperatures for its map, and their error."""
+    """The scene with other temperatures in its map, and their error."""
     spec = replace(scene.spec.temperature, map_error_k=error_k)
     return scene.with_temperature(spec, kelvin=(kelvin.astype(np.float32),))
 
@@ -84,9 +84,12 @@ def mapped(scene, kelvin, error_k):
 # --- the model --------------------------------------------------------------------------------------------------
 
 
-def test_stated_uncertainty_is_the_spread_of_draws_from_the_model(tmp_path, tools):
-    """Errors over their stated deviation have a root mean square of one, to three standard errors and what finding the
-    ratio of the variances from a median of as many texels adds; with no map they would be far from it."""
+def test_stated_uncertainty_matches_the_spread_of_draws(tmp_path, tools):
+    """Errors over their stated deviation have a root mean square of one.
+
+    Allowed are three standard errors, plus those of the variance ratio, which comes from a median over as many texels.
+    Without a map the ratio would be far from one.
+    """
     _, moved = tools
     side, error_k = 128, 0.8
     folder = written(tmp_path / "tiny", texel=0.125)
@@ -97,7 +100,7 @@ def test_stated_uncertainty_is_the_spread_of_draws_from_the_model(tmp_path, tool
     at = TRAINED + 2 * HOUR
     rho = moved._correlation(there, here, at)
     assert 0.3 < rho < 0.95
-    # Of one length, so that the median of the squares is that of one normal variable.
+    # All of one length, so that the median of the squares is that of one normal variable.
     first, second = rng.normal(size=(2, len(PROPERTIES), count))
     first *= 2.0 / np.linalg.norm(first, axis=0)
     second = 0.7 * first + 0.3 * second
@@ -115,12 +118,12 @@ def test_stated_uncertainty_is_the_spread_of_draws_from_the_model(tmp_path, tool
     allowed = 3.0 * (1.0 / np.sqrt(2.0 * count) + 1.25 / np.sqrt(0.5 * count))
     print(ratio, allowed, np.std(error), np.std(truth))
     assert abs(ratio - 1.0) < allowed
-    # Without a map the balance is wrong by the truth's own spread.
+    # Without a map the error of the balance is the spread of the truth.
     assert np.std(error) < 0.8 * np.std(truth)
     assert not (found.scene.surfaces[0].flags & UNMOVED).any()
 
 
-def test_properties_move_by_what_their_tables_state():
+def test_properties_move_by_their_stated_uncertainty():
     grass, sand = LIBRARY["grass_green"], LIBRARY["sand_quartz"]
     assert shifted(sand, "absorptance").solar_absorptance == sand.solar_absorptance + sand.solar_uncertainty
     black = replace(sand, solar_absorptance=0.96)
@@ -152,7 +155,7 @@ def test_properties_move_by_what_their_tables_state():
 # --- scenes -----------------------------------------------------------------------------------------------------
 
 
-def test_at_the_trained_instant_the_map_is_itself(scene, tools):
+def test_map_is_unchanged_at_the_trained_instant(scene, tools):
     _, moved = tools
     state = scene.temperature_state
     assert isinstance(state, Pending) and isinstance(state.source, Moved) and not scene.balanced
@@ -163,7 +166,7 @@ def test_at_the_trained_instant_the_map_is_itself(scene, tools):
     assert hole.sum() == 16
     np.testing.assert_array_equal(surface.temperature[~hole], state.source.temperatures[0][~hole])
     np.testing.assert_array_equal((surface.flags & UNMOVED) > 0, hole)
-    # At least the error assumed where nobody states one.
+    # At least the error that is assumed when none is stated.
     assert found.std_k[0][~hole].min() > 2.0 - 1e-5
     for number in (0, 1):
         own = found.std_k[0][(surface.material == number) & ~hole]
@@ -173,7 +176,7 @@ def test_at_the_trained_instant_the_map_is_itself(scene, tools):
     assert report["share_unmoved"] == round(16 / 1024, 5) and found.scene.temperature_state.solved
 
 
-def test_where_the_map_failed_the_balance_stands(scene, tools):
+def test_balance_is_used_where_the_map_failed(scene, tools):
     heat, moved = tools
     at = TRAINED + 3 * HOUR
     found = moved.moved(scene, [at])[0].scene.surfaces[0]
@@ -181,13 +184,13 @@ def test_where_the_map_failed_the_balance_stands(scene, tools):
     hole = (found.flags & FALLBACK) > 0
     np.testing.assert_array_equal(found.temperature[hole], balance.temperature[hole])
     assert ((found.flags & UNMOVED) > 0)[hole].all()
-    # Elsewhere the map tells something.
+    # Elsewhere the map contributes.
     assert np.abs(found.temperature - balance.temperature)[~hole].mean() > 0.1
 
 
 @pytest.mark.slow
-def test_an_absorptance_that_is_off_is_found_at_other_hours(scene, tools):
-    """A map whose only fault against the balance is an absorptance 0.04 too low in the table."""
+def test_wrong_absorptance_is_corrected_at_other_hours(scene, tools):
+    """A map whose only difference from the balance is an absorptance 0.04 too low in the table."""
     heat, moved = tools
     balanced = scene.with_temperature("balance")
     true = balanced.with_material(
@@ -206,9 +209,10 @@ def test_an_absorptance_that_is_off_is_found_at_other_hours(scene, tools):
 
 
 @pytest.mark.slow
-def test_uncertainty_grows_with_the_distance(scene, tools):
+def test_uncertainty_grows_with_the_time_difference(scene, tools):
     heat, moved = tools
-    # As far from the balance as what is stated explains, and a good map: a poor one gains from the balance at once.
+    # A good map that differs from the balance by as much as the stated errors explain. A poor map would gain from the
+    # balance at once.
     expected = heat.solved(scene.with_temperature(TemperatureSpec("balance")), [TRAINED])[0].surfaces[0].temperature
     known = mapped(scene, expected + 0.5, 0.3)
     hours = moved.moved(known, [TRAINED + step * np.timedelta64(60, "s") for step in (0, 30, 60, 120)])
@@ -225,7 +229,7 @@ def test_uncertainty_grows_with_the_distance(scene, tools):
 
 
 @pytest.mark.slow
-def test_snow_or_rain_at_one_instant_only_cannot_be_moved(scene, tools):
+def test_snow_or_rain_at_one_instant_only_leaves_the_balance(scene, tools):
     heat, moved = tools
     at = TRAINED + HOUR
     white = scene.with_weather(snow_depth_m=0.1)
@@ -242,22 +246,22 @@ def test_snow_or_rain_at_one_instant_only_cannot_be_moved(scene, tools):
 
 
 @pytest.mark.slow
-def test_frames_flags_and_records_tell(scene, tmp_path, call):
+def test_frames_flags_and_records_describe_the_moved_map(scene, tmp_path, call):
     from thermorender.output.record import weather_of
 
     renderer = tr.Renderer(scene.at(TRAINED + 2 * HOUR), rays=4, samples=1)
     frame = renderer.frame(tr.pose(0, 0, 20, pitch_deg=-90))
     assert frame.time == TRAINED + 2 * HOUR
     assert (frame.truth["mask"] & UNMOVED).any() and not (frame.truth["mask"] & UNMOVED).all()
-    told = weather_of(renderer.scene)
-    assert told["moved"] == renderer.scene.temperature_state.moved_report
-    assert told["moved"]["mean_absolute_difference_k"] > 0.0
+    recorded = weather_of(renderer.scene)
+    assert recorded["moved"] == renderer.scene.temperature_state.moved_report
+    assert recorded["moved"]["mean_absolute_difference_k"] > 0.0
     assert np.isfinite(frame.apparent_temperature).all()
 
 
-def test_a_learned_map_that_says_when_it_was_trained(tmp_path, monkeypatch):
-    told = {"time": "2018-07-15T12:36Z", **DAY}
-    known = replace(temperature_map.MODELS["fok-1to1"], name="mine", trained=told, error_k=1.5)
+def test_learned_map_with_a_recorded_training_time(tmp_path, monkeypatch):
+    recorded = {"time": "2018-07-15T12:36Z", **DAY}
+    known = replace(temperature_map.MODELS["fok-1to1"], name="mine", trained=recorded, error_k=1.5)
     monkeypatch.setitem(temperature_map.MODELS, "mine", known)
     folder = written(tmp_path / "tiny", extra=TABLES.partition("[weather]")[1] + TABLES.partition("[weather]")[2])
     text = (folder / "scene.toml").read_text()
@@ -268,15 +272,15 @@ def test_a_learned_map_that_says_when_it_was_trained(tmp_path, monkeypatch):
     assert "share_outside_0_1" in scene.temperature_state.report["mine"]
     own = scene.spec.temperature
     assert trained(own) == WeatherSpec(time=TRAINED, **DAY) and map_error_k(own) == 1.5
-    # The scene's word goes before the map's.
+    # The scene file overrides the map's record.
     other = replace(own, trained=WeatherSpec(time=TRAINED + HOUR, **DAY), map_error_k=0.5)
     assert trained(other).time == TRAINED + HOUR and map_error_k(other) == 0.5
-    monkeypatch.setitem(temperature_map.MODELS, "mine", replace(known, trained=told | {"wind": 3.0}))
+    monkeypatch.setitem(temperature_map.MODELS, "mine", replace(known, trained=recorded | {"wind": 3.0}))
     with pytest.raises(ThermorenderError, match="learned map 'mine': unknown key 'wind' in trained; did you mean"):
         tr.load_scene(folder)
 
 
-def test_refusals(tmp_path, call, tools):
+def test_wrong_settings_are_refused(tmp_path, call, tools):
     _, moved = tools
     weather = TABLES[TABLES.index("[weather]") :]
     folder = written(tmp_path / "tiny", extra=weather)
@@ -315,7 +319,7 @@ def test_refusals(tmp_path, call, tools):
         moved.moved(tr.load_scene(folder), [TRAINED])
 
 
-def test_a_scene_that_moves_nothing_imports_none_of_it():
+def test_scene_without_a_moved_map_imports_none_of_it():
     code = "import thermorender as tr; tr.Renderer(tr.load_scene('heath'), rays=1)"
     absent = ("thermorender.render.heat.moved", "thermorender.materials.shifted", "thermorender.render.heat.march")
     check = f"import sys\n{code}\nfound = [n for n in {absent!r} if n in sys.modules]\nsys.exit(str(found or ''))"
@@ -327,7 +331,7 @@ def test_a_scene_that_moves_nothing_imports_none_of_it():
 
 
 @pytest.mark.slow
-def test_the_study_tells_errors_of_every_method():
+def test_study_reports_errors_of_every_method():
     found = study.run(("heath",), (5,), ("14 h", "18 h"), sizes={"heath": (32.0, 0.5, 2.0)})
     assert set(found["all"]) == {f"{name}: {case}" for name in study.MAPS for case in ("14 h", "18 h")}
     assert all(len(row) == len(study.HEADER) for row in study.rows(found))

@@ -1,4 +1,4 @@
-"""What moves or warms by itself under the camera: the pixels' memory of it, against closed forms and dense instants."""
+"""Moving and warming objects under the camera: the pixels' memory of them, against closed forms and dense instants."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ from thermorender.sensor.movers import Mover
 from thermorender.trajectory.path import pose
 
 TAU, HEIGHT_M = 0.010, 120.0
-# As slow a read-out over fewer rows.
+# The same read-out time with fewer rows.
 CAMERA = replace(load_camera("zenmuse-xt2"), width=120, height=96, row_time_us=63.5 * 512 / 96, ffc_interval_s=0.0,
                  diffraction=False, blur_sigma_px=0.0, illumination_exponent=0.0, vignetting=0.0)  # fmt: skip
 GROUND = band_radiance(290.0, *CAMERA.band_um)
@@ -24,7 +24,7 @@ SLOPE = band_radiance_derivative(290.0, *CAMERA.band_um)
 
 
 class Plate:
-    """A plate on level ground, warm by a function of time; seen straight down by cameras that look north."""
+    """A plate on level ground whose temperature is a function of time, seen from straight above, north up."""
 
     def __init__(self, east, north=lambda t: 0.0, warm=lambda t: 45.0, half_m=1.5, bends=()):
         self.east, self.north, self.warm, self.half_m = east, north, warm, half_m
@@ -36,7 +36,7 @@ class Plate:
         return np.array([[self.east(time_s) + x, self.north(time_s) + y, 0.0] for x in side for y in side])
 
     def radiance(self, time_s, camera, at):
-        """Its share of each pixel, exactly, times what it adds to the ground, (H, W) float32."""
+        """Its exact share of each pixel, times its contrast with the ground, plus the ground, (H, W) float32."""
         self.rendered.append(time_s)
         middle, scale = camera._principal_point, camera.focal_length_px / HEIGHT_M
         shares = []
@@ -48,13 +48,13 @@ class Plate:
         return (GROUND + SLOPE * self.warm(time_s) * shares[1][:, None] * shares[0]).astype(np.float32)
 
 
-def flown(plate, flight_mps, rate_hz, frames, camera=CAMERA, told=True):
-    """(signals as radiance of each frame, what was told, Exposure) of a flight north, down, at constant speed."""
+def flown(plate, flight_mps, rate_hz, frames, camera=CAMERA, known=True):
+    """(signals as radiance of each frame, report of the last one, Exposure) of a steady flight north, looking down."""
     at = lambda t: (0.0, flight_mps * t)  # noqa: E731
     path = lambda t: pose(*at(t), HEIGHT_M, 0.0, -90.0)  # noqa: E731
     sensor = Sensor(camera, 0)
     taken = Exposure(sensor, lambda t, by, lit: plate.radiance(t, by, at(t)), path, plane_depth(), 1.0 / rate_hz,
-                     movers=[plate.mover] if told else [])  # fmt: skip
+                     movers=[plate.mover] if known else [])  # fmt: skip
     found, how = [], None
     for index in range(frames):
         moment = in_sequence(camera, 0, 0.0)
@@ -66,7 +66,7 @@ def flown(plate, flight_mps, rate_hz, frames, camera=CAMERA, told=True):
 
 
 def dense(plate, flight_mps, time_s, rate_hz, camera=CAMERA, each=100):
-    """A frame as instants close together make it: every row is an integral over its own past, in float64."""
+    """The frame by brute force: every row is an integral over its own past, in float64, in small steps."""
     delays, tau = row_delays(camera, 1.0 / rate_hz), camera.time_constant_s
     age = (np.arange(12 * each) + 0.5) * tau / each
     weight = np.exp(-age / tau)
@@ -80,7 +80,7 @@ def dense(plate, flight_mps, time_s, rate_hz, camera=CAMERA, each=100):
 
 
 class Both:
-    """Two plates in one picture, of which the first has a course of its own."""
+    """Two plates in one picture; only the first is a mover."""
 
     def __init__(self, first, second):
         self.plates, self.mover = (first, second), first.mover
@@ -99,17 +99,17 @@ def mk(difference):
 
 
 @pytest.mark.parametrize(("flight_mps", "rate_hz"), [(0.0, 9.0), (0.0, 30.0), (0.0, 60.0), (3.0, 9.0), (12.0, 30.0)])
-def test_a_plate_that_moves_trails_under_a_camera_that_hovers_or_flies(flight_mps, rate_hz):
+def test_moving_plate_lags_under_a_hovering_or_flying_camera(flight_mps, rate_hz):
     plate = Plate(lambda t: 20.0 * t - 3.0, lambda t: flight_mps * t + 1.0)
     frames = 1 + round(0.2 * rate_hz)
     found, how, _ = flown(plate, flight_mps, rate_hz, frames)
     time_s = (frames - 1) / rate_hz
     expected = dense(plate, flight_mps, time_s, rate_hz)
-    blind = flown(plate, flight_mps, rate_hz, frames, told=False)[0][-1]
+    blind = flown(plate, flight_mps, rate_hz, frames, known=False)[0][-1]
     error = mk(found[-1] - expected)
     assert mk(blind - expected) > 500.0
     assert error < 60.0 and error < how["lag_mk"] < 10.0 * error
-    # By its centre of mass it trails by what it goes in a time constant.
+    # Its centre of mass lags by the way it moves in a time constant.
     now = plate.radiance(time_s, CAMERA, (0.0, flight_mps * time_s))
     trail = 20.0 * TAU * CAMERA.focal_length_px / HEIGHT_M
     # Rows are read before and after the frame's time; the plate is in the middle ones.
@@ -119,7 +119,7 @@ def test_a_plate_that_moves_trails_under_a_camera_that_hovers_or_flies(flight_mp
 
 @pytest.mark.parametrize("rate_hz", [9.0, 30.0, 60.0])
 @pytest.mark.parametrize("flight_mps", [0.0, 5.0])
-def test_a_step_of_temperature_is_read_by_rows_at_their_own_time(rate_hz, flight_mps):
+def test_temperature_step_is_read_by_rows_at_their_own_time(rate_hz, flight_mps):
     last = np.ceil(0.5 * rate_hz) / rate_hz
     step_s = last - 0.012
     warm = lambda t: 30.0 * float(np.clip((t - step_s) / 1e-6, 0.0, 1.0))  # noqa: E731
@@ -132,8 +132,8 @@ def test_a_step_of_temperature_is_read_by_rows_at_their_own_time(rate_hz, flight
     np.testing.assert_allclose(share, expected, atol=2e-4)
 
 
-def test_what_is_remembered_of_a_plate_that_has_left():
-    """Pixels of a slow camera go on fading where the plate was frames ago."""
+def test_memory_of_a_plate_that_has_left_fades():
+    """Pixels of a slow camera keep fading where the plate was frames ago."""
     slow = replace(CAMERA, time_constant_ms=100.0, row_time_us=0.0)
     leave_s = 0.1
     plate = Plate(lambda t: 0.0 if t < leave_s else 1e4, warm=lambda t: 45.0, bends=[leave_s - 1e-7, leave_s])
@@ -145,21 +145,21 @@ def test_what_is_remembered_of_a_plate_that_has_left():
 
 
 @pytest.mark.parametrize("flight_mps", [60.0, 300.0])
-def test_what_goes_with_the_camera_stays_in_its_place_while_the_ground_passes(flight_mps):
-    """Images that are moved between renders as the ground moves show it elsewhere; ground behind it has its own lag."""
+def test_object_that_moves_with_the_camera_stays_in_place(flight_mps):
+    """Shifting images between renders as the ground moves would misplace it; the ground behind it has its own lag."""
     along = lambda t: flight_mps * t  # noqa: E731
     plates = Both(Plate(lambda t: 0.0, along), Plate(lambda t: 1.0, lambda t: 2.0, half_m=0.7))
     found, how, _ = flown(plates, flight_mps, 9.0, 2)
     frame = dense(plates, flight_mps, 1 / 9.0, 9.0)
     alone = dense(plates.plates[0], flight_mps, 1 / 9.0, 9.0)
     assert mk(found[-1] - frame) < 60.0 and mk(found[-1] - frame) < how["lag_mk"], how
-    # Where it is not, nothing of it is seen: of 45 K no more than e⁻⁸.
+    # Elsewhere nothing of it is visible: of 45 K no more than e⁻⁸.
     found, how, _ = flown(plates.plates[0], flight_mps, 9.0, 2)
     assert np.abs(found[-1] - alone).max() / SLOPE < 0.02, how
 
 
-def test_what_crosses_the_picture_between_two_frames_is_told():
-    # It has left the picture of even ground when the frame is taken.
+def test_object_that_crosses_between_two_frames_is_in_the_stated_error():
+    # It has left the picture of uniform ground when the frame is taken.
     leave_s = 1.0 / 9.0 - 0.017
     plate = Plate(lambda t: float(np.interp(t, [leave_s - 0.1, leave_s], [-25.0, 25.0])), half_m=3.0,
                   bends=[leave_s - 0.1, leave_s])  # fmt: skip
@@ -170,7 +170,7 @@ def test_what_crosses_the_picture_between_two_frames_is_told():
     assert error < 0.2 * mk(expected - GROUND) and error < how["lag_mk"]
 
 
-def test_what_warms_fast_is_followed_along_the_curve_of_its_radiance():
+def test_fast_warming_follows_the_radiance_curve():
     bends = np.array([0.02, 0.12])
     kelvin = lambda t: float(np.interp(t, bends, [300.0, 500.0]))  # noqa: E731
     plate = Plate(lambda t: 0.0, warm=lambda t: (band_radiance(kelvin(t), *CAMERA.band_um) - GROUND) / SLOPE)
@@ -178,12 +178,12 @@ def test_what_warms_fast_is_followed_along_the_curve_of_its_radiance():
     found, how, _ = flown(plate, 0.0, 9.0, 2)
     expected = dense(plate, 0.0, 1.0 / 9.0, 9.0)
     assert mk(found[-1] - expected) < how["lag_mk"]
-    # A straight line over 0.1 s would err by 13 K; over 3 K nowhere by more than ⅛ 3² of a curvature of 0.0113 per K.
+    # A straight line over 0.1 s would be off by 13 K; over 3 K the limit is ⅛ 3² of a curvature of 0.0113 per K.
     assert np.abs(found[-1] - expected).max() / SLOPE < 9 / 8 * 0.0113 + 1e-3
 
 
 @pytest.mark.parametrize("flight_mps", [0.0, 4.0, 30.0])
-def test_pixels_that_are_fast_beside_the_reading_of_rows(flight_mps):
+def test_pixels_faster_than_the_row_readout(flight_mps):
     fast = replace(CAMERA, time_constant_ms=0.1)
     plate = Plate(lambda t: 20.0 * t - 3.0, lambda t: 1.0)
     found, how, _ = flown(plate, flight_mps, 9.0, 2, fast)
@@ -191,7 +191,7 @@ def test_pixels_that_are_fast_beside_the_reading_of_rows(flight_mps):
     at = plate.radiance(1.0 / 9.0, CAMERA, (0.0, flight_mps / 9.0))
     error = mk(found[-1] - expected)
     assert error < 0.1 * mk(at - expected) and error < how["lag_mk"], how
-    # Where nothing moves by itself, rows are read at their own time too; moved images blur the plate's edges.
+    # Without moving objects, rows are read at their own time too; shifted images blur the plate's edges.
     still = Plate(lambda t: 0.0, lambda t: 1.0)
     found, how, _ = flown(still, flight_mps, 9.0, 1, fast)
     expected = dense(still, flight_mps, 0.0, 9.0, fast)
@@ -199,35 +199,35 @@ def test_pixels_that_are_fast_beside_the_reading_of_rows(flight_mps):
     assert mk(found[-1] - expected) < 0.3 * mk(at - expected) + 0.1, how
 
 
-def test_pixels_that_are_slow_keep_what_was_told_of_their_error():
+def test_slow_pixels_keep_their_stated_error():
     slow = replace(CAMERA, time_constant_ms=500.0)
     plate = Plate(lambda t: 8.0 * t, bends=[-20.0, 20.0])
     seen, path = lambda t, by, lit: plate.radiance(t, by, (0.0, 0.0)), lambda t: pose(0, 0, HEIGHT_M, 0.0, -90.0)
     taken = Exposure(Sensor(slow, 0), seen, path, plane_depth(), 1.0 / 60.0, movers=[plate.mover])
-    told = []
+    stated = []
     for index in range(4):
         now = plate.radiance(index / 60.0, slow, (0.0, 0.0))
-        told.append(taken.signal(in_sequence(slow, 0, 0.0), index / 60.0, now)[1]["lag_mk"])
-    # It fades with the pixels' memory, and what each frame adds is little.
-    assert told[0] > 20.0 and told[3] == pytest.approx(told[0] * np.exp(-3 / 60.0 / 0.5), rel=0.1)
+        stated.append(taken.signal(in_sequence(slow, 0, 0.0), index / 60.0, now)[1]["lag_mk"])
+    # It fades with the pixels' memory, and each frame adds little.
+    assert stated[0] > 20.0 and stated[3] == pytest.approx(stated[0] * np.exp(-3 / 60.0 / 0.5), rel=0.1)
     again = Exposure(Sensor(slow, 0), *[None] * 3, 1.0 / 60.0)
     again.restore(taken.state())
     assert again.pixels.error_mk == taken.pixels.error_mk > 0.0
 
 
 @pytest.mark.parametrize("turns_per_s", [1.0, 2.0, 3.0])
-def test_a_view_that_comes_back_within_a_time_constant_has_moved(turns_per_s):
+def test_view_that_returns_within_a_time_constant_counts_as_motion(turns_per_s):
     camera = replace(CAMERA, time_constant_ms=1000.0)
     path = lambda t: pose(0.0, 0.0, HEIGHT_M, 360.0 * turns_per_s * t, -90.0)  # noqa: E731
     image = (GROUND + np.zeros((camera.height, camera.width))).astype(np.float32)
     taken = Exposure(Sensor(camera, 0), lambda t, by, lit: image, path, plane_depth(), 0.1)
     _, how = taken.signal(in_sequence(camera, 0, 0.0), 0.0, image)
-    # Corners go round; of the way of all but a fiftieth, the chord of a fiftieth of a second is up to 0.6 % short.
+    # Corners move on a circle; the chord of a fiftieth of a second is up to 0.6 % short.
     way_px = 2.0 * np.pi * turns_per_s * np.hypot(camera.width, camera.height) / 2.0
     assert 0.85 * way_px < how["motion_px"] < way_px
 
 
-def test_only_the_part_that_changes_is_rendered_again():
+def test_only_the_changing_part_is_rendered_again():
     plate, still = Plate(lambda t: 5.0 * t), Plate(lambda t: 2.0)
     _, how, _ = flown(still, 0.0, 30.0, 3)
     assert how["renders"] == 1 and how["lag_mk"] == 0.0
@@ -242,7 +242,7 @@ def test_only_the_part_that_changes_is_rendered_again():
     assert not movers.parts(CAMERA, up, [plate.mover], 0.0, 0.1, 6)
 
 
-def test_parts_that_overlap_are_one():
+def test_overlapping_parts_are_merged():
     path = lambda t: pose(0, 0, HEIGHT_M, 0.0, -90.0)  # noqa: E731
     near = [Plate(lambda t, off=off: 5.0 * t + off).mover for off in (0.0, 2.0, -8.0)]
     found = movers.parts(CAMERA, path, near, 0.0, 0.1, 3)
@@ -250,7 +250,7 @@ def test_parts_that_overlap_are_one():
     assert sum(part.columns.stop - part.columns.start for part in found) < CAMERA.width
 
 
-def test_a_part_is_blurred_as_in_the_whole_image():
+def test_part_is_blurred_as_in_the_whole_image():
     camera = replace(load_camera("zenmuse-xt2"), width=243, height=197)
     sensor, image = Sensor(camera, 0), np.random.default_rng(0).normal(20.0, 5.0, (197, 243)).astype(np.float32)
     whole = sensor.blurred(image)
@@ -261,7 +261,7 @@ def test_a_part_is_blurred_as_in_the_whole_image():
         seen = np.zeros_like(image)
         seen[wide] = sensor.blurred(image[wide])
         np.testing.assert_allclose(seen[rows, columns], whole[rows, columns], atol=2e-5)
-    # And as a camera of its own it looks where the whole one does.
+    # As a camera it has the directions of the whole one.
     part_of = camera.part(*wide)
     pixel = np.array([3.2, 4.1])
     np.testing.assert_allclose(part_of.directions(pixel), camera.directions(pixel + [wide[1].start, wide[0].start]))

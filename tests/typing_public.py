@@ -1,6 +1,6 @@
-"""The public API as a user's type checker sees it: read by `make lint` under mypy's strict rules, and never run.
+"""The public API as a user's type checker sees it: checked by `make lint` under mypy's strict rules, and never run.
 
-Each line with a `type: ignore` is a mistake that must be found; where none is found, the ignore itself is the error.
+Each line with a `type: ignore` is an error that mypy must find; where it finds none, the ignore itself is the error.
 """
 
 import pickle
@@ -59,7 +59,7 @@ def frames() -> None:
 
 
 def baked_scenes() -> None:
-    """What is sent to another process and solved anew."""
+    """Objects that are sent to another process or solved again."""
     renderer = tr.Renderer(tr.load_scene("heath"))
     baked = renderer.baked
     assert_type(baked, tr.BakedScene)
