@@ -163,8 +163,8 @@ def training(folder):
     found = train_network(replace(job, options=job.options | {"crops": 24}), "compact")
     with files.atomic(folder / "weights.npz") as part:
         np.savez(part, **found.state)
-    printed = [(line["crops"], line["losses"], line["validation_mae_k"]) for line in read_log(folder / "run")]
-    formats.write_json(folder / "epochs.json", printed)
+    epochs = [(line["crops"], line["losses"], line["validation_mae_k"]) for line in read_log(folder / "run")]
+    formats.write_json(folder / "epochs.json", epochs)
 
 
 # --- jobs in a hostile place ------------------------------------------------------------------------------------
