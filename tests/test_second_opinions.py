@@ -286,7 +286,7 @@ def _(folder):
     land = trimesh.util.concatenate([quad(2400.0, cells=2), slope])
     scene = written(folder, land, "paint_metallic", 290.0, air=AIR, extra=hot)
     return Case(scene, tr.pose(0, 150, 140, yaw_deg=180, pitch_deg=-5), 16,
-                left_out="light between surfaces passes no air")  # fmt: skip
+                left_out="light between surfaces ignores the air")  # fmt: skip
 
 
 SUN = "[sun]\nelevation_deg = 40.0\nazimuth_deg = 160.0\n"
@@ -353,22 +353,22 @@ def test_renderer_and_others_agree(tmp_path, feature):
 
 PAGE = """# Second opinions
 
-Every feature of the renderer beside an engine that is not its own: `tests/path_tracer.py`, float64 NumPy, which shares
-no transport, bake, plan, sampling or lookup with it, and stock Mitsuba where that knows all of the scene. Compared is
-band radiance, in mK of the temperature that it appears as, over blocks of {block}×{block} pixels of scenes made for the
-feature, at quality high with 2048 rays per face. Worst is the block that stands most standard errors (s.e.) beyond what
-the renderer states of its nodes, channels, mirrors and sky. A test fails where that is more than allowed, which right
-code does once in a thousand runs. `tests/test_second_opinions.py` holds each row, and
+Every feature of the renderer against an independent engine: `tests/path_tracer.py`, float64 NumPy, which shares
+no transport, bake, plan, sampling or lookup with it, and stock Mitsuba if it supports the whole scene. The
+comparison is of band radiance, in mK of apparent temperature, over blocks of {block}×{block} pixels of scenes made for
+the feature, at quality high with 2048 rays per face. The worst block exceeds the renderer's stated error of nodes,
+channels, mirrors and sky by the most standard errors (s.e.). A test fails if that is more than allowed, which
+correct code does once in a thousand runs. `tests/test_second_opinions.py` tests each row, and
 `python tests/test_second_opinions.py` writes this page.
 
 | feature | second opinion | worst block ± s.e. [mK] | stated [mK] | s.e. beyond, allowed | whole image [mK] |
 |---|---|---|---|---|---|
 {rows}
-| lag of pixels over what moves or warms | closed forms, dense instants: `tests/test_movers.py` | | | | |
+| lag of pixels over moving or warming surfaces | closed forms, dense instants: `tests/test_movers.py` | | | | |
 
-Left out by the renderer, and how much that is where a scene is made to show it:
+Effects that the renderer leaves out, and their size in scenes made to show them:
 
-| what | second opinion | worst block ± s.e. [mK] | whole image [mK] |
+| effect | second opinion | worst block ± s.e. [mK] | whole image [mK] |
 |---|---|---|---|
 {left_out}
 """

@@ -148,7 +148,7 @@ def closed(emissivity):
 
 @case("light", "closed cavity of emissivity 0 is refused")
 def closed_mirror():
-    """No temperature of its own is visible."""
+    """The mirror's own temperature is not visible."""
     from validation.cavity import measure
 
     with np.errstate(invalid="ignore"):

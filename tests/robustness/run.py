@@ -104,9 +104,9 @@ def table(path, result):
     lines = [
         "# Stability",
         "",
-        f"{held} of {len(result['cases'])} cases hold, in {result['seconds']:.0f} s. A case holds where what it finds",
-        "differs from what is expected by no more than is allowed, in kelvin or in what its name says; each says in",
-        "its code where that comes from. Errors of steps are the largest of a day, and of some winds.",
+        f"{held} of {len(result['cases'])} cases hold, in {result['seconds']:.0f} s. A case holds if its value differs",
+        "from the expected one by at most the allowed error, in kelvin or in the unit in its name. The code of each case",
+        "derives the allowed error. Errors of steps are the largest of a day, and of some winds.",
     ]
     for group in dict.fromkeys(case["group"] for case in result["cases"]):
         lines += ["", f"## {group}", "", f"| {' | '.join(HEADER)} |", "|---" + "|--:" * 4 + "|---|--:|"]
