@@ -105,8 +105,8 @@ def table(path, result):
         "# Stability",
         "",
         f"{held} of {len(result['cases'])} cases hold, in {result['seconds']:.0f} s. A case holds if its value differs",
-        "from the expected one by at most the allowed error, in kelvin or in the unit in its name. The code of each case",
-        "derives the allowed error. Errors of steps are the largest of a day, and of some winds.",
+        "from the expected one by at most the allowed error, in kelvin or in the unit in its name. The code of each",
+        "case derives the allowed error. Errors of steps are the largest of a day, and of some winds.",
     ]
     for group in dict.fromkeys(case["group"] for case in result["cases"]):
         lines += ["", f"## {group}", "", f"| {' | '.join(HEADER)} |", "|---" + "|--:" * 4 + "|---|--:|"]
