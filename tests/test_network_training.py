@@ -1,4 +1,4 @@
-"""The loop that trains networks: what it learns, keeps, resumes, stops and refuses."""
+"""The training loop of networks: what it learns, keeps, resumes and refuses, and when it stops."""
 
 import json
 import os
@@ -28,22 +28,22 @@ from thermorender.learned.temperature_map import Inputs
 from thermorender.learned.training_methods import method
 
 TESTS = Path(__file__).resolve().parent
-# A training of some seconds.
+# A training that takes a few seconds.
 SMALL = {"width": 4, "batch": 4, "crops": 48, "every": 12}
 MORE = {"crops": 72, "every": 24}
 
 
 @pytest.fixture(autouse=True)
 def _one_thread():
-    """The number of threads decides the order of sums; one suits a worker's one core."""
+    """The number of threads decides the order of sums; a worker has one core, so one thread."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(before)
 
 
-def examples(count=20, told=False):
-    return [example(seed, told=told) for seed in range(count)]
+def examples(count=20, conditional=False):
+    return [example(seed, conditional=conditional) for seed in range(count)]
 
 
 def losses(folder):
@@ -51,25 +51,25 @@ def losses(folder):
 
 
 class Stopped(BaseException):
-    """As from the keyboard."""
+    """Stands in for an interrupt from the keyboard."""
 
 
 def stopping(at):
     """A progress function that stops the training at its `at`-th step."""
     calls = iter(range(1, 10**6))
 
-    def tell(what, share):
+    def stop(what, share):
         if next(calls) == at:
             raise Stopped
 
-    return tell
+    return stop
 
 
 # --- what it learns ---------------------------------------------------------------------------------------------
 
 
 def test_a_linear_world_is_learned(tmp_path):
-    """Of what is linear in colour two thirds of what it varies by are found in seconds, on pictures not seen too."""
+    """A temperature linear in colour: two thirds of its variation are learned in seconds, also on unseen pictures."""
     task = task_of("compact", examples(), tmp_path / "r", width=8, batch=8, crops=400, every=100, rate=4e-3)
     found = train_network(task, "compact")
     errors = [line["validation_mae_k"] for line in read_log(tmp_path / "r")]
@@ -84,7 +84,7 @@ def test_a_linear_world_is_learned(tmp_path):
 
 @pytest.mark.slow
 def test_the_spread_is_that_of_the_errors(tmp_path):
-    """Noise that no colour tells, of one standard deviation: the network finds it."""
+    """Noise that colour does not predict, of one standard deviation: the network finds its size."""
     noisy = []
     for each in examples():
         noise = np.random.default_rng(int(each.values[0, 0])).laplace(0.0, 100.0, each.values.shape)
@@ -94,12 +94,12 @@ def test_the_spread_is_that_of_the_errors(tmp_path):
     mean, spread = found.with_spread(Inputs(picture(99), 0.2))
     noise = np.random.default_rng(0).laplace(0.0, 1.0, mean.shape)
     error = 280.0 + 20.0 * mean - kelvin(picture(99)) - noise
-    told = 20.0 * np.sqrt((spread**2).mean())
-    assert told == pytest.approx(np.sqrt((error**2).mean()), rel=0.35) and told > np.sqrt(2.0)
+    stated = 20.0 * np.sqrt((spread**2).mean())
+    assert stated == pytest.approx(np.sqrt((error**2).mean()), rel=0.35) and stated > np.sqrt(2.0)
 
 
 @pytest.mark.parametrize("name", ["compact", *slow("pix2pix")])
-def test_what_half_precision_costs_is_told(tmp_path, name):
+def test_the_cost_of_half_precision_is_reported(tmp_path, name):
     task = task_of(name, examples(), tmp_path / "r", **SMALL)
     found = train_network(task, name)
     halved = Network.of(found.header(), found.arrays())
@@ -117,7 +117,7 @@ LARGE = ("cyclegan", "pix2pixhd")
     "name", [*(name for name in RECIPES if name not in ("compact+", "pix2pix-b25", *LARGE)), *slow(*LARGE)]
 )
 def test_every_network_trains(name, tmp_path):
-    """Its losses fall, or hold for those that fight each other; what it made is in the folder."""
+    """Its losses fall, or stay level for adversarial networks; its results are in the folder."""
     batch = {"batch": 2, "crops": 8, "every": 4}
     found = train_network(task_of(name, examples(11), tmp_path / "r", **batch | {"width": 4}), name)
     log = read_log(tmp_path / "r")
@@ -154,7 +154,7 @@ def test_architectures_that_a_recipe_does_not_have_are_refused(method, options, 
 
 def test_hour_and_weather_are_learned(tmp_path):
     """compact+ gives kelvin above the air, and begins with the linear map."""
-    task = task_of("compact+", examples(told=True), tmp_path / "r", **SMALL)
+    task = task_of("compact+", examples(conditional=True), tmp_path / "r", **SMALL)
     found = train_network(task, "compact+")
     assert found.above_air and found.encoding.base is not None and set(found.needs) == {"terrain", "conditions"}
     rgb = picture(99)
@@ -164,8 +164,8 @@ def test_hour_and_weather_are_learned(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_depth_is_seen(tmp_path):
-    """Where temperature hangs on depth alone, a network that sees it errs less than one that does not."""
+def test_depth_as_an_input_reduces_the_error(tmp_path):
+    """Where temperature depends on depth alone, a network with depth input has a smaller error than one without."""
     deep = []
     for seed in range(20):
         depth = 50.0 * np.exp(np.float32(picture(seed)[..., 0]) / 100.0)
@@ -187,12 +187,12 @@ def test_a_depth_is_seen(tmp_path):
     ("name", "at"),
     [("compact", 5), ("pix2pix", 5), *slow(("compact", 1), ("compact", 9), ("unet-gan", 3), ("compact+", 5))],
 )
-def test_stopped_and_resumed_is_the_same(tmp_path, name, at):
-    """The same losses, and the same network, as one that was never stopped."""
+def test_a_stopped_and_resumed_training_is_the_same(tmp_path, name, at):
+    """The losses and the network are the same as those of an uninterrupted training."""
     options = SMALL if name.startswith("compact") else SMALL | {"crops": 16, "every": 4, "batch": 2}
-    pairs = examples(told=name == "compact+")
+    pairs = examples(conditional=name == "compact+")
     whole = train_network(task_of(name, pairs, tmp_path / "whole", **options), name)
-    # Some steps of the linear map's fit tell progress as well.
+    # Some steps of the linear map's fit report progress as well.
     extra = 18 if name == "compact+" else 0
     with pytest.raises(Stopped):
         train_network(task_of(name, pairs, tmp_path / "r", progress=stopping(at + extra), **options), name)
@@ -203,9 +203,9 @@ def test_stopped_and_resumed_is_the_same(tmp_path, name, at):
 
 
 @pytest.mark.slow
-def test_killed_at_any_moment_and_resumed_is_the_same(tmp_path):
-    """kill −9 of a process at random moments, then resumed until it ends: nothing lost, nothing doubled."""
-    # Every step waits, so that a fast machine is not done before it is killed.
+def test_a_training_killed_at_any_moment_and_resumed_is_the_same(tmp_path):
+    """A process is killed at random moments and resumed until it ends: nothing is lost and nothing is doubled."""
+    # Every step waits, so that a fast machine does not finish before it is killed.
     program = (
         "import sys, torch; torch.set_num_threads(1); sys.path.insert(0, sys.argv[1]);"
         "from test_network_training import *;"
@@ -217,7 +217,7 @@ def test_killed_at_any_moment_and_resumed_is_the_same(tmp_path):
     generator, status, kills = np.random.default_rng(5), None, 0
     for _ in range(4):
         process = subprocess.Popen([sys.executable, "-W", "ignore", "-c", program, str(TESTS), str(tmp_path / "r")])
-        # From the first line of the log on there is something to lose.
+        # From the first line of the log on, there is something to lose.
         until = time.monotonic() + 60.0
         before = len(read_log(tmp_path / "r"))
         while process.poll() is None and len(read_log(tmp_path / "r")) == before and time.monotonic() < until:
@@ -235,7 +235,7 @@ def test_killed_at_any_moment_and_resumed_is_the_same(tmp_path):
     assert losses(tmp_path / "r") == losses(tmp_path / "whole") and again.trained["crops"] == 72
 
 
-def test_a_disk_that_is_full_loses_nothing(tmp_path, monkeypatch):
+def test_a_full_disk_loses_nothing(tmp_path, monkeypatch):
     whole = train_network(task_of("compact", examples(), tmp_path / "whole", **SMALL), "compact")
     written, original = iter(range(100)), checkpoint.save_file
 
@@ -256,8 +256,8 @@ def test_a_disk_that_is_full_loses_nothing(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_two_processes_learn_what_one_does(tmp_path):
-    """Data-parallel with half the batch each: the same crops, so the same losses but for the order of sums."""
+def test_two_processes_have_the_losses_of_one(tmp_path):
+    """Data-parallel with half the batch each: the same crops, so the same losses except for the order of sums."""
     program = tmp_path / "p.py"
     program.write_text(
         f"import sys; sys.path.insert(0, {str(TESTS)!r}); import torch; torch.set_num_threads(1)\n"
@@ -278,7 +278,7 @@ def test_two_processes_learn_what_one_does(tmp_path):
 
 
 def test_a_training_that_explodes_keeps_its_best_state(tmp_path, monkeypatch):
-    """The discriminator's weights are blown up half-way: the training stops, and what it found is what was best."""
+    """The discriminator's weights explode half-way: the training stops, and the result is the best state so far."""
     task = task_of("pix2pix", examples(), tmp_path / "r", width=4, batch=2, crops=24, every=4)
     original, steps = loop._Run._step, iter(range(100))
 
@@ -299,14 +299,14 @@ def test_a_training_that_explodes_keeps_its_best_state(tmp_path, monkeypatch):
     assert found.trained["best_crops"] == best["crops"]
 
 
-def test_one_that_explodes_at_once_says_so(tmp_path):
+def test_a_training_that_explodes_at_once_is_refused(tmp_path):
     task = task_of("unet", examples(), tmp_path / "r", width=4, batch=2, crops=400, every=200, rate=1e3)
     with pytest.raises(ThermorenderError, match=r"unet: training exploded at crop .*; take a smaller --set rate"):
         train_network(task, "unet")
 
 
-def test_pictures_without_colour_and_without_anything_do_not_stop_it(tmp_path):
-    """Black, white, grey and wholly invalid pictures among the others."""
+def test_colourless_and_invalid_pictures_do_not_stop_a_training(tmp_path):
+    """The pictures include black, white, grey and wholly invalid ones."""
     odd = examples(14)
     for number, level in enumerate((0, 255, 128)):
         odd[number] = replace(odd[number], inputs=Inputs(np.full((96, 128, 3), level, np.uint8), 0.2))
@@ -332,13 +332,13 @@ def test_pictures_without_colour_and_without_anything_do_not_stop_it(tmp_path):
         ("pix2pixhd", {"vgg": "none.safetensors", "width": 4}, "vgg=none.safetensors holds no weights of VGG-19"),
     ],
 )
-def test_what_cannot_be_trained_is_refused(tmp_path, name, options, words):
+def test_impossible_trainings_are_refused(tmp_path, name, options, words):
     with pytest.raises(ThermorenderError, match=words):
         train_network(task_of(name, examples(11), tmp_path / "r", **options), name)
 
 
-def test_numbers_that_are_none_are_no_error_of_zero(tmp_path, monkeypatch):
-    """A network that gives no number has exploded; pairs to validate on without a valid pixel are refused."""
+def test_nan_does_not_count_as_an_error_of_zero(tmp_path, monkeypatch):
+    """A network whose output is NaN has exploded; validation pairs without a valid pixel are refused."""
     from thermorender.learned.networks.learners import Regression
 
     monkeypatch.setattr(Regression, "predict", staticmethod(lambda net, planes: net(planes).float() * np.nan))
@@ -352,14 +352,14 @@ def test_numbers_that_are_none_are_no_error_of_zero(tmp_path, monkeypatch):
 
 
 def test_a_pair_without_air_among_others_is_named(tmp_path):
-    pairs = examples(told=True)
+    pairs = examples(conditional=True)
     pairs[9] = replace(pairs[9], inputs=replace(pairs[9].inputs, conditions={"wind_m_s": 2.0}))
     with pytest.raises(ThermorenderError, match="pair number 9 lacks the condition air_k"):
         train_network(task_of("compact+", pairs, tmp_path / "r", **SMALL), "compact+")
 
 
 @pytest.mark.parametrize("text", ["null\n", "{}\n", '{"crops": "a"}\n', "[]\n", '{"crops": 12, "sec'])
-def test_a_damaged_line_of_a_log_is_passed_over_and_no_other_is_lost(tmp_path, text):
+def test_only_the_damaged_line_of_a_log_is_skipped(tmp_path, text):
     epochs = [{"crops": n, "seconds": 1.0, "core_seconds": 1.0, "validation_mae_k": 1.0} for n in (12, 24, 36)]
     first, *rest = (json.dumps(each) + "\n" for each in epochs)
     (tmp_path / "log.jsonl").write_text(first + text.rstrip() + "\n" + "".join(rest), encoding="utf-8")
@@ -370,7 +370,7 @@ def test_a_damaged_line_of_a_log_is_passed_over_and_no_other_is_lost(tmp_path, t
     assert read_log(tmp_path) == epochs[:1]
 
 
-def test_stopped_before_the_first_checkpoint_begins_anew(tmp_path, monkeypatch):
+def test_a_training_stopped_before_its_first_checkpoint_starts_again(tmp_path, monkeypatch):
     whole = train_network(task_of("compact", examples(), tmp_path / "whole", **SMALL), "compact")
     original = checkpoint.save
 
@@ -414,7 +414,7 @@ def test_a_folder_in_use_is_refused(tmp_path):
         train_network(task_of("compact", examples(11), tmp_path / "r", **SMALL), "compact")
 
 
-# --- by the verb ------------------------------------------------------------------------------------------------
+# --- command line -----------------------------------------------------------------------------------------------
 
 
 def test_the_verb_trains_and_resumes(tmp_path, call):
@@ -442,7 +442,7 @@ def test_a_network_is_trained_without_a_folder(tmp_path):
     assert model.predictor.method == "unet" and model.about["training"]["crops"] == 8
 
 
-def test_options_are_those_of_the_recipes():
+def test_command_line_options_match_the_recipes():
     for name, recipe in RECIPES.items():
         assert method(name).options == recipe.all_options and method(name).plus == recipe.plus
     assert method("pix2pix").options["crops"] == 3511 * 200

@@ -1,4 +1,4 @@
-"""Networks: their size and reach, one step of each against a few lines of its own, and what they are shown."""
+"""Networks: size and receptive field, one step of each against a few lines written here, and their training crops."""
 
 import copy
 from dataclasses import replace
@@ -25,11 +25,11 @@ from thermorender.learned.networks.recipes import RECIPES, recipe_of
 from thermorender.learned.temperature_map import Inputs, TemperatureMap, load_map, save_map
 from thermorender.learned.training import Example, Task
 
-# Values of a thermal picture are hundredths of a kelvin, and of its range of intensity 280 K to 300 K.
+# Thermal values are hundredths of a kelvin; intensities have a range of 280 K to 300 K.
 TEMPERATURE = np.arange(40000) / 100.0
 INTENSITY = (TEMPERATURE - 280.0) / 20.0
 WIDTH = 4
-# Every recipe, and the architectures that a recipe may have instead of its own.
+# Every recipe, and the alternative architectures that a recipe may have.
 NAMES = (*RECIPES, "unet:autoencoder", "unet:dense")
 
 
@@ -45,14 +45,14 @@ def picture(seed, height=96, width=128):
 
 
 def kelvin(rgb):
-    """What the made world says: linear in colour, 281 K to 299 K."""
+    """The true temperature of the test pictures: linear in colour, 281 K to 299 K."""
     return 290.0 + (rgb @ np.array([8.0, -5.0, 4.0]) - 900.0) / 250.0
 
 
-def example(seed, valid=None, told=False, **sides):
+def example(seed, valid=None, conditional=False, **sides):
     rgb = picture(seed, **sides)
-    terrain = {"slope": np.full(rgb.shape[:2], 0.1 * seed, np.float32)} if told else {}
-    conditions = {"air_k": 285.0 + seed % 3, "wind_m_s": 2.0} if told else {}
+    terrain = {"slope": np.full(rgb.shape[:2], 0.1 * seed, np.float32)} if conditional else {}
+    conditions = {"air_k": 285.0 + seed % 3, "wind_m_s": 2.0} if conditional else {}
     values = np.rint(100.0 * kelvin(rgb)).astype(np.uint16)
     valid = np.ones(values.shape, bool) if valid is None else valid
     return Example(Inputs(rgb, 0.2, terrain, conditions), values, valid)
@@ -65,12 +65,12 @@ def task_of(method, examples, run=None, seed=3, progress=lambda what, share: Non
                 run=run, resume=resume)  # fmt: skip
 
 
-# --- what they are ----------------------------------------------------------------------------------------------
+# --- architectures ----------------------------------------------------------------------------------------------
 
 
-def test_sizes_are_those_of_the_published_architectures():
-    """Counted for one thermal channel; the programs behind the papers have three, some thousand weights more."""
-    # Of weights that are counted, none is drawn.
+def test_sizes_equal_the_published_architectures():
+    """Counted for one thermal channel; the authors' programs have three, a few thousand weights more."""
+    # Only counted, so no weights are drawn.
     with torch.device("meta"):
         assert size(UNet256()) / 1e6 == pytest.approx(54.41, abs=0.005)
         assert size(PatchDiscriminator()) / 1e6 == pytest.approx(2.77, abs=0.005)
@@ -80,18 +80,18 @@ def test_sizes_are_those_of_the_published_architectures():
         assert size(ResidualGenerator(3, 64, 2, 3)) == 11_378_179
         assert size(Compact(3, RECIPES["compact"].width)) / 1e6 == pytest.approx(5.0, abs=0.3)
         assert size(Dense()) == (3 * 64 * 64 + 1) * 1024 + (1024 + 1) * 64 * 64
-        # Of the page that shows it, with its three classes: 2 055 203 to train, 3 776 running means and variances.
+        # Of the page that documents it, with its three classes: 2 055 203 to train, 3 776 running means and variances.
         keras = KerasUNet(out=3)
         assert size(keras) == 2_055_203
         assert sum(each.numel() for name, each in keras.named_buffers() if "running" in name) == 3_776
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_every_network_gives_a_picture_of_its_size(name):
+def test_every_network_returns_a_picture_of_the_input_size(name):
     recipe = recipe_of(*name.split(":"))
     net = net_of(recipe, Encoding(), WIDTH).eval()
     side = max(recipe.side, recipe.multiple)
-    # Convolutional ones take other sides, too.
+    # Convolutional networks take other sides, too.
     other = side if recipe.net == "dense" else side + recipe.multiple
     for planes in (torch.zeros(2, 3, side, side), torch.ones(1, 3, side, other)):
         found = kind_of(recipe).predict(net, planes)
@@ -110,8 +110,8 @@ def test_the_discriminator_sees_70_pixels():
     assert rows.max() - rows.min() + 1 == 70 and columns.max() - columns.min() + 1 == 70
 
 
-def test_the_compact_network_loses_nothing_where_it_begins():
-    """With no weights it gives its last plane, but for the share e⁻⁴ of each other temperature."""
+def test_the_compact_network_starts_as_its_last_plane():
+    """With zero weights it returns its last plane, except for the share e⁻⁴ of each other temperature."""
     net = Compact(5, 8, mixed=2)
     nn.init.zeros_(net.exit.weight)
     nn.init.zeros_(net.doubt.weight)
@@ -126,7 +126,7 @@ def test_the_compact_network_loses_nothing_where_it_begins():
 
 
 class Descent(torch.optim.SGD):
-    """Plain gradient descent, so that a step is rate times gradient."""
+    """Plain gradient descent: a step is the learning rate times the gradient."""
 
     def __init__(self, parameters):
         super().__init__(parameters, lr=1e-2)
@@ -193,7 +193,7 @@ def test_a_step_of_pix2pix(name):
     net, judge = twin["net"], twin["discriminator"]
     torch.manual_seed(7)
     made = net(batch.planes)
-    # Where nothing is known both show the generator's own.
+    # Where nothing is known, both get the generator's own picture.
     real = torch.where(batch.valid.bool(), batch.target, made.detach())
     yes, no = (judge(torch.cat([batch.planes, each], 1)) for each in (real, made.detach()))
     loss = -0.5 * (torch.log(torch.sigmoid(yes)).mean() + torch.log(1.0 - torch.sigmoid(no)).mean())
@@ -221,7 +221,7 @@ def test_a_step_of_pix2pixhd():
     made = net(batch.planes)
     real = torch.where(batch.valid.bool(), batch.target, made.detach())
     yes, no = scales(real, judges), scales(made, judges)
-    # Of pix2pixHD's program: 4 over the number of compared layers, over the number of scales.
+    # From pix2pixHD's program: 4 over the number of compared layers, over the number of scales.
     layers = [both for one, other in zip(yes, no, strict=True) for both in zip(one[:-1], other[:-1], strict=True)]
     alike = sum((a.detach() - b).abs().mean() * (4.0 / 4.0) * 0.5 for a, b in layers)
     fooled = sum(((each[-1] - 1.0) ** 2).mean() for each in no)
@@ -255,7 +255,7 @@ def test_a_step_of_cyclegan():
 def test_a_step_of_the_compact_network():
     learner, twin, batch = learner_and_twin("compact")
     net = twin["net"]
-    # A spread far too small and weights that are not, so that both gradients are too long.
+    # The spread is far too small and the weights are large, so both gradients are too long.
     for each in (net, learner.net):
         nn.init.constant_(each.doubt.bias, -4.0)
         nn.init.constant_(each.exit.weight, 0.1)
@@ -264,10 +264,10 @@ def test_a_step_of_the_compact_network():
     rows, columns = (batch.valid[:, :, 1:] * batch.valid[:, :, :-1], batch.valid[..., 1:] * batch.valid[..., :-1])
     slopes = masked((error[:, :, 1:] - error[:, :, :-1]).abs(), rows)
     slopes = slopes + masked((error[..., 1:] - error[..., :-1]).abs(), columns)
-    # Minus the logarithm of Laplace's density, but for a constant.
+    # Minus the logarithm of Laplace's density, except for a constant.
     likelihood = masked(error.detach().abs() / torch.exp(spread) + spread, batch.valid)
     loss = masked(error.abs(), batch.valid) + 0.5 * slopes + likelihood
-    # The doubt's layer and the others are each held to a step of bounded length.
+    # The uncertainty layer and the others are each limited to a step of bounded length.
     wanted = {}
     for doubt in (True, False):
         some = {name: each for name, each in net.named_parameters() if (name.split(".")[0] == "doubt") == doubt}
@@ -280,7 +280,7 @@ def test_a_step_of_the_compact_network():
     assert_same(learner.net, wanted)
 
 
-def test_what_is_applied_of_the_compact_network_is_the_mean_of_its_last_weights():
+def test_the_applied_compact_network_is_the_mean_of_its_last_weights():
     learner, _, batch = learner_and_twin("compact")
     seen = []
     for _ in range(40):
@@ -296,17 +296,17 @@ def test_what_is_applied_of_the_compact_network_is_the_mean_of_its_last_weights(
 def test_the_history_is_shown_half_of_the_time():
     torch.manual_seed(2)
     history = learners.History(1, 2)
-    # The first fifty are shown as they come.
+    # The first fifty are used as they come.
     for number in range(50):
         assert float(history(torch.full((1, 1, 2, 2), float(number))).mean()) == number
     shown = [float(history(torch.full((1, 1, 2, 2), 100.0 + number)).mean()) for number in range(400)]
     fresh = sum(each == 100.0 + number for number, each in enumerate(shown))
-    # Four standard deviations of 400 throws.
+    # Four standard deviations of 400 draws.
     assert abs(fresh - 200) < 40 and len(set(shown)) == 400
     assert {"pictures", "count"} == set(history.state_dict())
 
 
-def test_a_batch_without_a_valid_pixel_teaches_nothing():
+def test_a_batch_without_a_valid_pixel_changes_nothing():
     learner, _, batch = learner_and_twin("unet")
     batch.valid = torch.zeros_like(batch.valid)
     before = copy.deepcopy(learner.net.state_dict())
@@ -316,7 +316,7 @@ def test_a_batch_without_a_valid_pixel_teaches_nothing():
 
 
 def test_the_perceptual_loss_compares_the_named_layers(tmp_path):
-    """With weights of a file: 0 of like pictures, and the sum of five layers of unlike ones."""
+    """With weights from a file: 0 for equal pictures, and the sum of five layers for unequal ones."""
     from safetensors.torch import save_file
 
     layers, before = [], 3
@@ -338,10 +338,10 @@ def test_the_perceptual_loss_compares_the_named_layers(tmp_path):
         Perception(tmp_path / "none.safetensors")
 
 
-# --- what they are shown ----------------------------------------------------------------------------------------
+# --- training crops and inputs ----------------------------------------------------------------------------------
 
 
-def test_crops_hang_on_seed_and_number_alone():
+def test_crops_depend_only_on_seed_and_number():
     examples = [example(seed) for seed in range(12)]
     first, again, other = (Crops(task_of("unet", examples, seed=seed), 64, False) for seed in (3, 3, 4))
     some = first.batch(0, 700)
@@ -357,20 +357,20 @@ def test_crops_of_both_pictures_show_the_same_and_are_mirrored():
     crops = Crops(task_of("unet", examples), 64, False)
     mirrored = 0
     for crop in crops.batch(0, 256):
-        # To the rounding of a value: both were cut and mirrored alike.
+        # Equal up to rounding: both were cut and mirrored in the same way.
         assert np.abs(280.0 + 20.0 * crop.target - kelvin(crop.inputs.rgb)).max() < 0.006 and crop.valid.all()
         mirrored += not any(_holds(each.inputs.rgb, crop.inputs.rgb) for each in examples)
-    # A half, four standard deviations of 256 throws.
+    # One half, within four standard deviations of 256 draws.
     assert abs(mirrored - 128) < 32
 
 
 def _holds(whole, part):
-    """Whether a picture holds a square as it stands."""
+    """Whether a picture contains a square unchanged."""
     rows, columns = np.where((whole[: whole.shape[0] - 63, : whole.shape[1] - 63] == part[0, 0]).all(axis=-1))
     return any(np.array_equal(whole[r : r + 64, c : c + 64], part) for r, c in zip(rows, columns, strict=True))
 
 
-def test_every_picture_is_learned_from_and_those_held_out_are_not():
+def test_every_training_picture_is_used_and_held_out_ones_are_not():
     examples = [example(seed) for seed in range(40)]
     held = np.zeros(40, bool)
     held[[3, 17, 30]] = True
@@ -388,20 +388,20 @@ def test_every_picture_is_learned_from_and_those_held_out_are_not():
     assert read == [3, 17, 30]
 
 
-def test_what_is_not_valid_and_what_a_picture_lacks_teaches_nothing():
+def test_invalid_and_missing_pixels_do_not_affect_training():
     valid = np.ones((96, 128), bool)
     valid[40:60] = False
     crops = Crops(task_of("unet", [example(seed, valid) for seed in range(12)]), 64, False)
     for crop in crops.batch(0, 30):
         assert (crop.target[~crop.valid] == 0.0).all() and np.isfinite(crop.target).all()
-    # Smaller than a square: in its corner, edges repeated, and not valid there.
+    # Smaller than a square: placed in its corner, with edges repeated and marked as not valid.
     crops = Crops(task_of("unet", [example(seed, height=40, width=50) for seed in range(12)]), 64, False)
     (crop,) = crops.batch(0, 1)
     assert crop.valid[:40, :50].all() and not crop.valid[40:].any() and not crop.valid[:, 50:].any()
     assert np.array_equal(crop.inputs.rgb[40:, :50], np.repeat(crop.inputs.rgb[39:40, :50], 24, axis=0))
 
 
-def test_values_that_stand_for_no_temperature_are_left_out():
+def test_values_without_a_temperature_are_left_out():
     cold = replace(example(1), values=np.full((96, 128), 7, np.uint16))
     table = TEMPERATURE.copy()
     table[7] = np.nan
@@ -427,18 +427,18 @@ def test_encoding_of_a_picture():
     assert near == pytest.approx([1.0, 1.0], abs=1e-6)
 
 
-def test_hour_and_weather_leave_the_planes_in_units_of_about_one():
-    examples = [example(seed, told=True) for seed in range(12)]
+def test_hour_and_weather_planes_are_scaled_to_about_one():
+    examples = [example(seed, conditional=True) for seed in range(12)]
     crops = Crops(task_of("compact+", examples), 64, True)
     encoding = Encoding.measured(crops, False)
-    # Kelvin above the air are measured from 0, by their root mean square over the training pictures.
+    # Kelvin above the air are measured from 0 and scaled by their root mean square over the training pictures.
     above = [kelvin(picture(seed)) - 285.0 - seed % 3 for seed in range(12) if seed % 10 != 9]
     assert encoding.offset == 0.0 and encoding.scale == pytest.approx(np.sqrt(np.mean(np.square(above))), rel=1e-3)
     assert encoding.extra.conditions == ("air_k", "wind_m_s")
     assert Encoding.of(encoding.header(), encoding.arrays()) == encoding
 
 
-def test_typical_materials_are_what_the_linear_map_says():
+def test_typical_material_planes_equal_those_of_the_linear_map():
     from thermorender.learned.linear import grounds
 
     names = ("sunlight",)
@@ -447,17 +447,17 @@ def test_typical_materials_are_what_the_linear_map_says():
     terrain = {"sunlight": np.float32([[0.0, 421.4], [np.nan, 200.0]])}
     from thermorender.learned.rows import ExtraInputs
 
-    told = ExtraInputs(names, tuple(sorted(conditions)))
-    encoding = Encoding(told, False, 2.0, 4.0)
+    extra = ExtraInputs(names, tuple(sorted(conditions)))
+    encoding = Encoding(extra, False, 2.0, 4.0)
     planes = encoding.planes(Inputs(np.zeros((2, 2, 3), np.uint8), 0.2, terrain, conditions))
     assert encoding.mixed == 2 and len(planes) == encoding.channels == 3 + 1 + 1 + 2
-    wanted = [plane for name, plane in grounds({**terrain, **conditions}, told) if name.startswith("as ")]
+    wanted = [plane for name, plane in grounds({**terrain, **conditions}, extra) if name.startswith("as ")]
     assert np.allclose(planes[-2:] * 4.0 + 2.0, wanted, atol=1e-4)
-    # In full sunlight that of the open, in none that of the shade.
+    # In full sunlight that of open ground, without sunlight that of shade.
     assert planes[-2, 0] * 4.0 + 2.0 == pytest.approx([3.0, 20.0], abs=0.1)
 
 
-# --- applied ----------------------------------------------------------------------------------------------------
+# --- application ------------------------------------------------------------------------------------------------
 
 
 def network(name, width=WIDTH, published=False, encoding=None, seed=0):
@@ -473,7 +473,7 @@ def map_of(predictor):
                           260.0, "x")  # fmt: skip
 
 
-def test_tiles_of_what_needs_no_neighbours_are_the_whole():
+def test_tiles_of_a_pointwise_network_equal_the_whole():
     planes = np.random.default_rng(0).normal(size=(3, 150, 333)).astype(np.float32)
     for side, overlap, margin in ((64, 16, 0), (64, 32, 8), (128, 1, 0), (256, 64, 4), (64, 48, 23)):
         found = tiles.stitched(lambda part: 2.0 * part[:1] + 1.0, planes, (side, side), overlap, margin)
@@ -481,7 +481,7 @@ def test_tiles_of_what_needs_no_neighbours_are_the_whole():
 
 
 def test_neighbouring_tiles_fade_into_each_other():
-    """Tiles that disagree by 1 differ by no more from one pixel to the next than the window's steepest slope."""
+    """Tiles that disagree by 1: neighbouring pixels differ by no more than the window's steepest slope."""
     calls, planes = iter(range(100)), np.zeros((1, 64, 400), np.float32)
     found = tiles.stitched(lambda part: np.full((1, 64, 64), float(next(calls) % 2)), planes, (64, 64), 16, 0)
     assert 0.5 < np.ptp(found) <= 1.0
@@ -497,17 +497,17 @@ def test_pictures_of_any_size_and_colour(name, shape):
         assert found.shape == shape and np.isfinite(found).all()
 
 
-def test_a_part_gives_what_the_whole_does(monkeypatch):
-    """The compact network, whose reach is bounded: a large picture has no seam where it is cut."""
+def test_a_part_gives_the_same_result_as_the_whole(monkeypatch):
+    """The compact network has a bounded receptive field, so a large picture has no seam where it is cut."""
     # oneDNN chooses its kernels by the width of the picture; on some CPUs they round by 4.5e-7 of the span differently.
     monkeypatch.setattr(torch.backends.mkldnn, "enabled", False)
     predictor = network("compact")
     generator = np.random.default_rng(4)
-    # Weights so large that what lies far from a pixel shows in it.
+    # Weights large enough that distant pixels affect the result.
     for name, values in predictor.state.items():
         spread = 1.5 / np.sqrt(values[0].size) if values.ndim > 1 else 0.01
         predictor.state[name] = generator.normal(0.0, spread, values.shape).astype(np.float32)
-    # Tiles that overlap as little as they may, and three whose places are rounded.
+    # Tiles with the smallest allowed overlap, and three tiles at rounded positions.
     side, margin = 2048, 288
     for width in (3456, 4620):
         rgb = picture(1, 128, width)
@@ -520,23 +520,23 @@ def test_a_part_gives_what_the_whole_does(monkeypatch):
             assert off.max() < 3e-7 * np.ptp(whole), (width, left)
 
 
-def test_as_published_each_square_has_its_own_statistics():
+def test_published_networks_normalise_each_square_separately():
     rgb = picture(1, 256, 256)
     safe, published = network("pix2pix"), network("pix2pix", published=True)
     one, other = (each.predict(Inputs(rgb, 0.2), 0.2) for each in (safe, published))
     assert np.abs(one - other).max() > 1e-3
     torch.manual_seed(5)
     assert np.array_equal(other, published.predict(Inputs(rgb, 0.2), 0.2))
-    # Dropout drew from a generator of its own.
+    # Dropout drew from a separate generator.
     drawn = torch.rand(1)
     torch.manual_seed(5)
     assert drawn == torch.rand(1)
-    # The statistics of the training do not hang on the picture.
+    # The statistics of the training do not depend on the picture.
     twice = np.concatenate([rgb, 255 - rgb], axis=1)
     assert np.allclose(safe.predict(Inputs(twice, 0.2), 0.2)[:, :100], one[:, :100], atol=0.2)
 
 
-def test_a_picture_outside_the_range_trained_at_is_brought_to_its_end():
+def test_a_texel_outside_the_trained_range_is_resampled_to_its_end():
     predictor, sizes = network("compact"), []
     original = Encoding.planes
     rgb = picture(1, 64, 64)
@@ -555,14 +555,14 @@ def test_a_file_keeps_the_network_to_half_precision(tmp_path):
         again = load_map(tmp_path / "n.npz")
         inputs = Inputs(picture(2, 64, 64), 0.2)
         one, other = model.radiance(inputs), again.radiance(inputs)
-        # A weight is kept to 2⁻¹¹ of itself, after which another class may be a little likelier than before.
+        # A weight is stored to 2⁻¹¹ of its value; afterwards another class may be slightly more likely.
         off = np.abs(one - other) > 0.02 * max(np.ptp(one), 0.5)
         assert off.mean() < (0.05 if name == "unet-classes" else 1e-9), name
         save_map(again, tmp_path / "again.npz")
         assert load_map(tmp_path / "again.npz").digest() == again.digest()
 
 
-def test_what_half_precision_cannot_hold_is_kept_whole(tmp_path):
+def test_weights_beyond_half_precision_keep_full_precision(tmp_path):
     model = map_of(network("unet"))
     for name, values in model.predictor.state.items():
         if name.endswith("running_var"):
@@ -612,7 +612,7 @@ def test_a_variance_below_0_is_refused(tmp_path):
         load_map(tmp_path / "n.npz")
 
 
-def test_without_pytorch_the_sentence_says_what_to_install(tmp_path, monkeypatch):
+def test_without_pytorch_the_error_says_what_to_install(tmp_path, monkeypatch):
     import sys
 
     save_map(map_of(network("compact")), tmp_path / "n.npz")

@@ -1,4 +1,4 @@
-"""Every name of docs/nomenclature.md stands in the code of its room."""
+"""Every name of docs/nomenclature.md occurs in the code of its room."""
 
 import ast
 import functools
@@ -18,7 +18,7 @@ ROOM_TEXT = {text.split("\n", 1)[0]: text for text in ROOMS}
 
 @functools.cache
 def names_of(room=None):
-    """(identifiers of a room's code, with texts that are keys; "Class.member" of its classes); of all without one."""
+    """(identifiers of a room's code, with texts that are keys; "Class.member" of its classes); of all rooms if None."""
     found, members = set(), set()
     for module, path in architecture.modules().items():
         if room not in (None, architecture.room_of(module)):
@@ -35,7 +35,7 @@ def names_of(room=None):
 
 
 def unknown(text, room=None):
-    """The names in backticks of a text that the room's code does not hold; "_ending" is one of any name."""
+    """The names in backticks of a text that do not occur in the room's code; "_ending" matches any name's ending."""
     found, members = names_of(room)
     every, _ = names_of()
     for name in re.findall(r"`([^`]+)`", text):
@@ -50,17 +50,17 @@ def unknown(text, room=None):
 
 
 def rows(text):
-    """The cells of the tables in a text, without their heads."""
+    """The cells of the tables in a text, without their headers."""
     lines = re.findall(r"^\| (.+) \|$", text, flags=re.M)
     return [line.split(" | ") for line in lines if not line.startswith(("symbol |", "letter in"))]
 
 
-def test_conventions_name_what_there_is():
+def test_names_in_the_conventions_exist():
     assert list(unknown(CONVENTIONS)) == []
 
 
 @pytest.mark.parametrize("room", ROOM_TEXT)
-def test_names_stand_in_the_code_of_their_room(room):
+def test_names_occur_in_the_code_of_their_room(room):
     assert room in architecture.ROOMS
     table = rows(ROOM_TEXT[room])
     assert table and all(len(cells) == 4 and all(cells) for cells in table), table

@@ -1,4 +1,4 @@
-"""One place for each thing: constants, shipped names, the reading of TOML, hints at misspelt names, extras."""
+"""One place for each: constants, shipped names, the reading of TOML, hints for misspelt names, extras."""
 
 import ast
 import re
@@ -24,10 +24,10 @@ TREES = {str(path.relative_to(PACKAGE)): ast.parse(path.read_text("utf-8")) for 
 
 
 def literals(tree):
-    """The values a module writes out, without its docstrings."""
-    told = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    """The literal values of a module, without its docstrings."""
+    documentation = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
     for node in ast.walk(tree):
-        if isinstance(node, (ast.Constant, ast.Tuple)) and id(node) not in told:
+        if isinstance(node, (ast.Constant, ast.Tuple)) and id(node) not in documentation:
             try:
                 yield ast.literal_eval(node)
             except ValueError:
@@ -53,7 +53,7 @@ def writers(value):
         (273.15, {"units.py"}),
         (defaults.BAND_UM, {"defaults.py"}),
         (defaults.CAMERA, {"defaults.py"}),
-        # Where they are made, and where they are named.
+        # Where they are created, and where they are named.
         *((name, {"defaults.py", "synthetic/procedural_scene.py"}) for name in defaults.SCENES),
         *((name, {"defaults.py", "learned/temperature_map.py"}) for name in defaults.TEMPERATURE_MAPS),
         *((name, {"defaults.py"}) for name in defaults.TRAINED_MAPS),
@@ -71,7 +71,7 @@ def test_no_message_repeats_a_constant():
         assert not {name for name, found in texts.items() if any(value in text for text in found)}, value
 
 
-def test_names_of_what_ships_are_those_of_what_ships():
+def test_lists_of_shipped_names_match_the_shipped_files():
     assert tuple(KINDS) == defaults.SCENES
     assert {file.parent.name for file in data_folder("scenes").glob("*/scene.toml")} == set(defaults.SCENES)
     assert tuple(MODELS) == defaults.TEMPERATURE_MAPS
@@ -85,7 +85,7 @@ def test_only_the_schema_reads_toml_and_guesses_names(library):
     assert {name for name, tree in TREES.items() if library in imported(tree)} == {"schema.py"}
 
 
-def test_the_schema_stands_on_the_ground():
+def test_the_schema_imports_only_the_ground_modules():
     ground = {"errors", "units", "paths", "versions"}
     for node in ast.walk(TREES["schema.py"]):
         if isinstance(node, ast.ImportFrom) and node.module.startswith("thermorender"):
@@ -94,7 +94,7 @@ def test_the_schema_stands_on_the_ground():
 
 
 def test_every_extra_has_an_importer():
-    """Names of distributions and of modules differ; these are the ones in use."""
+    """Names of distributions and modules differ; these are the ones in use."""
     modules = {"scikit-learn": "sklearn", "opencv-python-headless": "cv2", "colour-science": "colour", "pillow": "PIL",
                "imageio-ffmpeg": "imageio_ffmpeg", "pytest-xdist": "xdist"}  # fmt: skip
     # Read by trimesh; asked only where its source is; builds the wheel; a plugin of pytest.

@@ -1,4 +1,4 @@
-"""Weights on file in few bits: exact multiples of their steps, coarse where the output allows it, small."""
+"""Packed weights in files: exact multiples of their steps, coarse where the output allows it, and small."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def weights(*shape, seed=0):
 
 def test_weights_come_back_as_the_nearest_multiples_of_their_steps():
     state = {"a": weights(40, 60), "b": weights(30, 20, 3, 3, seed=1)}
-    # One in a byte each, one in two.
+    # One byte each for one, two bytes for the other.
     steps = {"a": 0.05, "b": 0.001}
     codes, table = packed(state, steps)
     found = unpacked(codes, table)
@@ -25,7 +25,7 @@ def test_weights_come_back_as_the_nearest_multiples_of_their_steps():
         assert np.abs(found[name] - state[name]).max() <= 0.5001 * step
     again, _ = packed(found, steps)
     assert np.array_equal(again, codes)
-    # A Gaussian of so many steps takes log2(σ / step) + 2.05 bits a weight; the Huffman code adds little.
+    # A Gaussian spread over that many steps takes log2(σ / step) + 2.05 bits a weight; the Huffman code adds little.
     alone, _ = packed({"a": weights(400, 600)}, {"a": 0.05})
     assert 8.0 * alone.size / 240_000 == pytest.approx(np.log2(20.0) + 2.05, rel=0.02)
 
@@ -46,7 +46,7 @@ def test_a_table_that_does_not_belong_to_the_codes_is_refused(change, words):
         unpacked(*change(*packed({"a": weights(50, 60)}, {"a": 0.05})))
 
 
-def test_steps_are_as_coarse_as_the_output_allows_and_coarser_where_it_hardly_depends():
+def test_steps_are_as_coarse_as_the_sensitivity_of_the_output_allows():
     state = {"strong": weights(64, 64), "weak": weights(64, 64, seed=1), "small": weights(9, seed=2)}
     pictures = weights(64, 500, seed=3)
 

@@ -1,4 +1,4 @@
-"""Geometry against real aerial photographs: the orthophoto seen from a photograph's pose must lie on it."""
+"""Geometry against real aerial photographs: the orthophoto seen from a photograph's pose must coincide with it."""
 
 import csv
 import json
@@ -27,7 +27,7 @@ def photograph(path):
 
 
 def displacement(rendered, covered, photo):
-    """Distances between matched features of both pictures, (n,) [px]; no match is thrown out by distance."""
+    """Distances between matched features of both pictures, (n,) [px]; no match is rejected by distance."""
     import cv2
 
     sift = cv2.SIFT_create(8000)
@@ -68,7 +68,7 @@ def test_drone_photographs(toufeng, name):
     pose = np.eye(4)
     pose[:3, :3] = Rotation.from_rotvec(shot["rotation"]).as_matrix().T
     pose[:3, 3] = -pose[:3, :3] @ shot["translation"]
-    # The reconstruction is in the axes of the UTM grid, counted from its reference point.
+    # The reconstruction uses the axes of the UTM grid, relative to its reference point.
     from rasterio.crs import CRS
     from rasterio.warp import transform
 

@@ -1,4 +1,4 @@
-"""Maps that learn from single pixels: what describes a pixel, the palette, the trees, the linear map with relief."""
+"""Maps of single pixels: their features, the palette, the trees, and the linear map with relief."""
 
 import sys
 from dataclasses import replace
@@ -12,13 +12,13 @@ from thermorender.learned.temperature_map import Inputs, TemperatureMap, load_ma
 from thermorender.learned.training import Example, Task
 from thermorender.learned.training_methods import method
 
-# Values of a thermal picture are hundredths of a kelvin, and of its range of intensity 280 K to 300 K.
+# Thermal values are hundredths of a kelvin; intensities have a range of 280 K to 300 K.
 TEMPERATURE = np.arange(40000) / 100.0
 INTENSITY = (TEMPERATURE - 280.0) / 20.0
 
 
 def picture(seed, height=48, width=64):
-    """A picture of smooth colours, from all of the cube."""
+    """A picture of smooth colours from the whole colour cube."""
     import cv2
 
     image = np.random.default_rng(seed).normal(size=(height, width, 3))
@@ -42,7 +42,7 @@ def through_a_file(predictor, folder, name="m"):
     return load_map(folder / f"{name}.npz")
 
 
-# --- what describes a pixel -------------------------------------------------------------------------------------
+# --- features ---------------------------------------------------------------------------------------------------
 
 
 def described(rgb):
@@ -95,7 +95,7 @@ def test_features_move_with_the_picture():
     np.testing.assert_allclose(after[:, inner, inner], expected[:, inner, inner], atol=2e-3)
 
 
-def test_a_picture_is_brought_to_the_maps_texel_and_back():
+def test_a_picture_is_resampled_to_the_maps_texel_and_back():
     rgb = picture(3)
     plane = np.arange(48.0 * 64.0).reshape(48, 64)
     plane[4, 5] = np.nan
@@ -105,29 +105,29 @@ def test_a_picture_is_brought_to_the_maps_texel_and_back():
     np.testing.assert_array_equal(found.terrain["x"], plane)
     assert found.texel_m == 0.5
     assert rows.at_texel(Inputs(rgb, 0.54), 0.5).rgb is rgb and rows.at_texel(Inputs(rgb), 0.5).rgb is rgb
-    # Classes stay what they are, at any ratio.
+    # Classes keep their numbers at any ratio.
     odd = rows.at_texel(Inputs(rgb, 0.3, {"material": np.where(plane > 900.0, 7, 2).astype(np.uint8)}), 0.5)
     assert odd.rgb.shape == (29, 38, 3) and np.unique(odd.terrain["material"]).tolist() == [2.0, 7.0]
-    # Coarser by ten: no more than twofold enlarged.
+    # Coarser by ten: enlarged at most twofold.
     assert rows.at_texel(Inputs(rgb, 5.0), 0.5).rgb.shape == (96, 128, 3)
     ramp = np.add.outer(np.arange(48.0), 2.0 * np.arange(64.0))
     back = rows.at_shape(ramp, (96, 128))
     np.testing.assert_allclose(rows.at_shape(back, (48, 64)), ramp, atol=1.0)
 
 
-def test_tiles_are_the_picture(monkeypatch):
+def test_tiles_together_equal_the_picture(monkeypatch):
     inputs = Inputs(picture(4, 150, 170), 0.5, {"sky": np.random.default_rng(0).random((150, 170))}, {"air_k": 290.0})
-    told = rows.ExtraInputs.of(inputs)
-    ((_, whole),) = told.tiles(inputs)
-    assert whole.shape == (len(told.columns), 150, 170)
+    extra = rows.ExtraInputs.of(inputs)
+    ((_, whole),) = extra.tiles(inputs)
+    assert whole.shape == (len(extra.columns), 150, 170)
     monkeypatch.setattr(rows, "_TILE", 64)
-    parts = list(told.tiles(inputs))
+    parts = list(extra.tiles(inputs))
     assert len(parts) == 9
     for (down, across), part in parts:
         np.testing.assert_allclose(part, whole[:, down, across], atol=2e-3)
 
 
-def test_rows_are_drawn_evenly_from_what_is_valid():
+def test_rows_are_drawn_evenly_from_valid_pixels():
     valid = np.zeros((48, 64), bool)
     valid[10:20] = True
     kelvin = 280.0 + np.arange(48.0)[:, None] + np.zeros(64)
@@ -145,7 +145,7 @@ def test_rows_are_drawn_evenly_from_what_is_valid():
             method(name).fit(task_of(name, nothing))
 
 
-def test_pixels_of_large_pictures_are_drawn_from_a_part_that_is_described_as_in_the_whole():
+def test_features_of_a_part_of_a_large_picture_equal_those_of_the_whole():
     g = np.random.default_rng(11)
     rgb = g.integers(0, 256, (420, 600, 3), dtype=np.uint8)
     valid = np.zeros((420, 600), bool)
@@ -161,14 +161,14 @@ def test_pixels_of_large_pictures_are_drawn_from_a_part_that_is_described_as_in_
         assert column.min() >= left and column.max() < right
         seen.add(found.window)
     assert len(seen) > 4
-    told = rows.ExtraInputs()
-    ((_, whole),) = told.tiles(Inputs(rgb))
-    ((where, part),) = told.tiles(Inputs(rgb), found.window)
+    extra = rows.ExtraInputs()
+    ((_, whole),) = extra.tiles(Inputs(rgb))
+    ((where, part),) = extra.tiles(Inputs(rgb), found.window)
     assert where == (slice(top, bottom), slice(left, right))
     np.testing.assert_allclose(part, whole[:, top:bottom, left:right], atol=2e-3)
 
 
-def test_training_brings_pictures_to_the_maps_texel():
+def test_training_resamples_pictures_to_the_maps_texel():
     rgb = picture(5)
     kelvin = 280.0 + np.arange(48.0)[:, None] + np.zeros(64)
     fine = example(Inputs(rgb.repeat(2, axis=0).repeat(2, axis=1), 0.25), kelvin.repeat(2, axis=0).repeat(2, axis=1))
@@ -198,7 +198,7 @@ def test_palette_is_the_mean_of_each_cell(tmp_path):
                                     strict=True):  # fmt: skip
             if use:
                 own.setdefault(cell, []).append(value)
-        # The narrowest cell that holds a valid pixel.
+        # The narrowest cell that contains a valid pixel.
         for number, cell in enumerate(cells):
             if cell in own:
                 wide[number] = np.mean(own[cell])
@@ -213,8 +213,8 @@ def test_palette_is_the_mean_of_each_cell(tmp_path):
     np.testing.assert_array_equal(again.predict(Inputs(rgb), None), found)
 
 
-def test_shrinkage_draws_towards_wider_cells():
-    """Black and white share no cell narrower than 192: five steps on the way from the whole to cells of 6."""
+def test_shrinkage_pulls_towards_the_mean_of_wider_cells():
+    """Black and white only share cells of 192 and wider: five steps from the whole range down to cells of 6."""
     rgb = np.zeros((1, 40, 3), np.uint8)
     rgb[0, 30:] = 255
     kelvin = np.where(np.arange(40)[None] < 30, 284.0, 296.0)
@@ -223,7 +223,7 @@ def test_shrinkage_draws_towards_wider_cells():
     found = model.predict(Inputs(rgb), None)[0]
     assert found[0] == pytest.approx(0.2 + (mean - 0.2) * (50 / 80) ** 5, abs=1e-12)
     assert found[-1] == pytest.approx(0.8 + (mean - 0.8) * (50 / 60) ** 5, abs=1e-12)
-    # Lightness 6.9: nothing of this colour was seen, and in the cell twice as wide black only.
+    # Lightness 6.9: this colour was not seen, and the cell twice as wide holds black only.
     grey = Inputs(np.full((1, 1, 3), 20, np.uint8))
     assert model.unseen(grey) == 1.0
     assert model.predict(grey, None)[0, 0] == pytest.approx(0.2 + (mean - 0.2) * (50 / 80) ** 4, abs=1e-12)
@@ -238,14 +238,14 @@ def test_palette_refuses_options(option, value):
 # --- trees ------------------------------------------------------------------------------------------------------
 
 
-def test_trees_learn_a_step_and_come_back_from_their_file(tmp_path):
+def test_trees_learn_a_step_and_survive_their_file(tmp_path):
     examples = [example(Inputs(rgb), np.where(rgb[..., 1] > 120, 296.0, 284.0)) for rgb in map(picture, range(10))]
     model = trees.fit_trees(task_of("trees", examples))
     assert model.needs == () and not model.above_air
     unseen = picture(99)
     found = model.predict(Inputs(unseen), 0.5)
     expected = np.where(unseen[..., 1] > 120, 0.8, 0.2)
-    # Green is no axis of CIELAB, so its step has no straight wall there.
+    # Green is not an axis of CIELAB, so its step has no straight boundary there.
     assert np.abs(found - expected).mean() < 0.03
     again = through_a_file(model, tmp_path)
     np.testing.assert_array_equal(again.predictor.predict(Inputs(unseen), 0.5), found)
@@ -263,7 +263,7 @@ def test_trees_do_not_depend_on_how_many_threads_grow_them(monkeypatch):
 
 
 def above_air(seed, air):
-    """An example whose warmth above the air is red's in the sun, class 3 being 6 K colder."""
+    """An example whose temperature above the air is red's in the sun; class 3 is 6 K colder."""
     generator = np.random.default_rng(seed)
     rgb = picture(seed)
     sun = generator.uniform(0.0, 800.0, (48, 64))
@@ -278,14 +278,14 @@ def test_trees_with_relief_give_kelvin_above_the_air(tmp_path):
     model = trees.fit_trees(task_of("trees+", examples))
     assert model.needs == ("terrain", "conditions") and model.above_air
     assert model.extra == rows.ExtraInputs(("material", "sunlight"), ("air_k", "wind_m_s"))
-    # LightGBM's word for splits by sets of classes.
+    # LightGBM's name for splits by sets of classes.
     assert max(int(line[8:]) for line in model.text.splitlines() if line.startswith("num_cat=")) > 0
     other = above_air(20, 287.0)
     again = through_a_file(model, tmp_path)
     assert again.predictor.extra == model.extra
     found = again.predictor.predict(other.inputs, None)
     assert np.abs(found + 287.0 - TEMPERATURE[other.values]).mean() < 0.8
-    # The terrain ends somewhere: a temperature is given all the same.
+    # The terrain ends within the picture; a temperature is still given.
     other.inputs.terrain["sunlight"][:, :20] = np.nan
     assert np.isfinite(model.predict(other.inputs, None)).all()
     with pytest.raises(ThermorenderError, match="terrain of a picture have material and lack sunlight, which the map"):
@@ -301,7 +301,7 @@ def test_whole_runs_are_held_out():
     assert not trees.held_out(7).any() and trees.held_out(8).sum() == 1
 
 
-def test_without_lightgbm_a_sentence(monkeypatch, tmp_path):
+def test_without_lightgbm_the_error_is_one_sentence(monkeypatch, tmp_path):
     task = task_of("trees", [example(Inputs(picture(0)), 280.0 + picture(0)[..., 0] / 20.0)])
     through_a_file(trees.fit_trees(task), tmp_path)
     monkeypatch.setitem(sys.modules, "lightgbm", None)
@@ -310,7 +310,7 @@ def test_without_lightgbm_a_sentence(monkeypatch, tmp_path):
             needs_it()
 
 
-def test_what_is_no_map_of_these_is_refused(tmp_path):
+def test_files_that_are_not_such_maps_are_refused(tmp_path):
     import lightgbm
 
     examples = [example(Inputs(picture(0)), 280.0 + picture(0)[..., 0] / 20.0)]
@@ -330,26 +330,26 @@ def test_what_is_no_map_of_these_is_refused(tmp_path):
 def linear_example(seed, air, generator):
     rgb = generator.integers(0, 256, (48, 64, 3), dtype=np.uint8)
     terrain = {name: generator.uniform(0.0, most, (48, 64)) for name, most in (("sky_view", 1.0), ("sunlight", 900.0))}
-    told = {"air_k": air, "wind_m_s": generator.uniform(0.0, 8.0), "longwave_w_m2": generator.uniform(250.0, 400.0),
-            "direct_w_m2": generator.uniform(100.0, 800.0), "diffuse_w_m2": 100.0, "sun_elevation_deg": 50.0,
-            "open_sand": generator.uniform(0.0, 20.0), "shade_sand": generator.uniform(-5.0, 5.0)}  # fmt: skip
-    inputs = Inputs(rgb, None, terrain, told)
+    given = {"air_k": air, "wind_m_s": generator.uniform(0.0, 8.0), "longwave_w_m2": generator.uniform(250.0, 400.0),
+             "direct_w_m2": generator.uniform(100.0, 800.0), "diffuse_w_m2": 100.0, "sun_elevation_deg": 50.0,
+             "open_sand": generator.uniform(0.0, 20.0), "shade_sand": generator.uniform(-5.0, 5.0)}  # fmt: skip
+    inputs = Inputs(rgb, None, terrain, given)
     return inputs, air + above_the_air(inputs)
 
 
 def above_the_air(inputs):
-    """Kelvin above the air by a law of the linear map's own form, written out."""
-    told, view, sunlight = inputs.conditions, inputs.terrain["sky_view"], inputs.terrain["sunlight"]
+    """Kelvin above the air by a law of the linear map's form, written out."""
+    given, view, sunlight = inputs.conditions, inputs.terrain["sky_view"], inputs.terrain["sunlight"]
     light, green, blue = np.moveaxis(features.lab(inputs.rgb), -1, 0)
     light, green, blue = light / 50.0 - 1.0, np.clip(green / 20.0, -3.0, 3.0), np.clip(blue / 20.0, -3.0, 3.0)
     known = np.isfinite(view)
-    level = told["direct_w_m2"] * np.sin(np.radians(50.0)) + 100.0
+    level = given["direct_w_m2"] * np.sin(np.radians(50.0)) + 100.0
     share = np.where(known, np.minimum(sunlight / level, 3.0), 1.0)
-    sand = told["shade_sand"] + (told["open_sand"] - told["shade_sand"]) * share
+    sand = given["shade_sand"] + (given["open_sand"] - given["shade_sand"]) * share
     return (
         1.5 + 3.0 * light - 0.4 * green * blue + sand * (0.7 + 0.2 * blue)
         + np.where(known, sunlight * (0.02 - 0.01 * light * light) - 4.0 * view, -20.0)
-        + np.where(known, 1.0 - view, 0.0) * told["longwave_w_m2"] * 0.01 * green - 0.5 * told["wind_m_s"]
+        + np.where(known, 1.0 - view, 0.0) * given["longwave_w_m2"] * 0.01 * green - 0.5 * given["wind_m_s"]
     )  # fmt: skip
 
 
@@ -362,14 +362,14 @@ LAW = {
 def test_linear_finds_known_coefficients(tmp_path):
     generator = np.random.default_rng(0)
     made = [linear_example(seed, 275.0 + 4.0 * seed, generator) for seed in range(12)]
-    # Beyond the terrain, other laws.
+    # Outside the terrain, other laws.
     for inputs, kelvin in made:
         inputs.terrain["sky_view"][:10] = inputs.terrain["sunlight"][:10] = np.nan
         kelvin[:10] = (inputs.conditions["air_k"] + above_the_air(inputs))[:10]
     model = linear.fit_linear(task_of("correlation+", [example(*one) for one in made], penalty=0.0))
     names = linear.names_of_columns(model.extra)
     found = dict(zip(names, model.weight, strict=True))
-    # Sky view and hidden sky say the same but for where the terrain ends, and share a coefficient.
+    # Sky view and hidden sky carry the same information except at the terrain's edge, and share a coefficient.
     assert found["sky_view"] - found["hidden sky"] == pytest.approx(-4.0, abs=0.01)
     # The pictures' values are rounded to 0.01 K.
     for name, value in found.items():
@@ -385,7 +385,7 @@ def test_linear_finds_known_coefficients(tmp_path):
 def test_linear_is_ridge_regression(monkeypatch):
     from sklearn.linear_model import Ridge
 
-    # All pixels instead of some.
+    # All pixels, not a sample.
     monkeypatch.setattr(linear, "_MOST_ROWS", 48 * 64)
     generator = np.random.default_rng(1)
     made = [linear_example(seed, 275.0 + 4.0 * seed, generator) for seed in range(5)]
@@ -405,36 +405,36 @@ def test_linear_is_ridge_regression(monkeypatch):
 
 
 @pytest.mark.parametrize("fit", [linear.fit_linear, trees.fit_trees])
-def test_what_hardly_varied_is_not_believed_far_beyond_that(fit):
-    """One hour's weather with a kelvin of noise from picture to picture, asked at another; a plain, asked for hills."""
+def test_inputs_that_hardly_varied_have_little_effect_far_outside_their_range(fit):
+    """Training has one hour's weather with 1 K of noise between pictures, and a plain; the test asks for others."""
     generator = np.random.default_rng(4)
 
-    def told(seed, hot=0.0):
+    def conditional(seed, hot=0.0):
         terrain = {"normal_east": generator.normal(hot, 2e-7, (48, 64)).astype(np.float32),
                    "sky_view": np.full((48, 64), 1.0 - 0.3 * hot, np.float32)}  # fmt: skip
         known = {"air_k": 290.0 + 0.02 * seed + 10.0 * hot, "solar_hour": 12.0 + 0.01 * seed + 6.0 * hot,
                  "open_sand": 15.0 + 0.01 * seed - 15.0 * hot, "shade_sand": 2.0}  # fmt: skip
         return Inputs(picture(seed), None, terrain, known)
 
-    made = [told(seed) for seed in range(9)]
+    made = [conditional(seed) for seed in range(9)]
     kelvin = [one.conditions["air_k"] + 10.0 * one.rgb[..., 0] / 255.0 + generator.normal() for one in made]
     name = "correlation+" if fit is linear.fit_linear else "trees+"
     model = fit(task_of(name, [example(*one) for one in zip(made, kelvin, strict=True)]))
-    found = model.predict(told(20, hot=1.0), None)
-    # What was learned lies between 0 and 10 K, give or take the noise.
+    found = model.predict(conditional(20, hot=1.0), None)
+    # The training data are between 0 and 10 K, plus or minus the noise.
     assert found.min() > -25.0 and found.max() < 35.0
 
 
-def test_linear_passes_over_what_it_was_not_told():
-    """A condition that training lacked, and that would make a column with one it had."""
+def test_linear_ignores_conditions_it_was_not_trained_with():
+    """A condition that training lacked, although it would form a column together with a known one."""
     inputs, _ = linear_example(0, 290.0, np.random.default_rng(2))
-    told = rows.ExtraInputs(("sunlight",), tuple(sorted(set(inputs.conditions) - {"shade_sand"})))
-    weight = np.array([name == "sunlight" for name in linear.names_of_columns(told)], float)
-    found = linear.Linear(told, weight, 1.0).predict(inputs, None)
+    extra = rows.ExtraInputs(("sunlight",), tuple(sorted(set(inputs.conditions) - {"shade_sand"})))
+    weight = np.array([name == "sunlight" for name in linear.names_of_columns(extra)], float)
+    found = linear.Linear(extra, weight, 1.0).predict(inputs, None)
     np.testing.assert_allclose(found, 1.0 + inputs.terrain["sunlight"], rtol=1e-12)
 
 
-def test_linear_leaves_out_what_is_constant_and_classes():
+def test_linear_leaves_out_constant_columns_and_classes():
     inputs, kelvin = linear_example(0, 290.0, np.random.default_rng(2))
     inputs.terrain["material"] = np.ones((48, 64), np.uint8)
     model = linear.fit_linear(task_of("correlation+", [example(inputs, kelvin)]))
@@ -442,7 +442,7 @@ def test_linear_leaves_out_what_is_constant_and_classes():
     assert (model.weight[-2:] == 0.0).all()
 
 
-def test_linear_refuses():
+def test_linear_refuses_unusable_inputs():
     inputs, kelvin = linear_example(0, 290.0, np.random.default_rng(3))
     with pytest.raises(ThermorenderError, match="penalty=-1 is not allowed; give 0 or more"):
         linear.fit_linear(task_of("correlation+", [example(inputs, kelvin)], penalty=-1))

@@ -118,20 +118,20 @@ def test_inverse_of_any_radiance_that_a_float_can_hold(radiance, band):
         else:
             c1 = 2 * mpmath.mpf("6.62607015e-34") * mpmath.mpf(299792458) ** 2 * mpmath.mpf(10) ** 24
             exact = mpmath.quad(lambda um: c1 / um**5 / mpmath.expm1(c2 / (um * kelvin)), [lower, upper])
-        # An error of T counts x = c₂/(λT) times in ln L; the logarithm itself is as good as its ulp.
+        # The error of ln L is x = c₂/(λT) times the relative error of T; the logarithm itself is exact to one ulp.
         assert abs(mpmath.log(exact / mpmath.mpf(radiance))) < 2e-12 * max(1, coldest), (temperature, exact)
 
 
-def test_inverse_beyond_what_a_blackbody_has():
-    """0 K for 0; NaN below and for what is no number; infinity where the temperature itself overflows."""
+def test_inverse_outside_the_range_of_a_blackbody():
+    """0 K for 0; NaN below 0 and for NaN; infinity where the temperature itself overflows."""
     values = planck.brightness_temperature(np.array([0.0, -0.0, -1e-320, -1e300, np.nan, np.inf, -np.inf]), *BAND)
     assert list(values[:2]) == [0.0, 0.0] and np.isnan(values[2:]).all()
     assert planck.brightness_temperature(1.7e308, 100.0, 1000.0) == np.inf
 
 
 @pytest.mark.parametrize("band", [BAND, (3.0, 5.0), (10.5, 10.6)])
-def test_slope_of_the_inverse_is_its_difference(band):
-    """Of few values, and of many, which are read from a table: ten decades, kelvin of one part in a million."""
+def test_slope_of_the_inverse_equals_its_finite_difference(band):
+    """For few values, and for many, which are read from a table: ten decades, kelvin to one part in a million."""
     top = planck.band_radiance(2000.0, *band)
     radiance = np.geomspace(1e-10 * top, top, 5001)
     below, above = (planck.brightness_temperature(radiance * factor, *band) for factor in (1.0 - 1e-5, 1.0 + 1e-5))
@@ -152,8 +152,8 @@ def test_bands_of_a_nanometre_and_of_a_picometre(temperature, width_um):
 
 
 @pytest.mark.parametrize("band", [BAND, (8.0, 8.001), (1e-3, 1e7)])
-def test_any_temperature_is_answered_without_a_warning(band):
-    """Straight in temperature where Rayleigh and Jeans hold, across the border to it, up to the end of float64."""
+def test_any_temperature_gives_a_value_without_a_warning(band):
+    """Linear in temperature in the Rayleigh-Jeans limit, across the transition, up to the end of float64."""
     border = 1e6 * planck.C2 / band[0]
     kelvin = border * np.array([1.0 - 1e-9, 1.0 + 1e-9, 1e3, 1e60])
     value, slope = (f(kelvin, *band) for f in (planck.band_radiance, planck.band_radiance_derivative))
@@ -174,11 +174,11 @@ def test_faint_and_bright_radiances_of_any_type(kind, radiance):
     assert 0.0 < alone < np.inf
     among = planck.brightness_temperature(np.full((2, 3), radiance, kind), *BAND)
     assert among.shape == (2, 3) and np.abs(among / alone - 1.0).max() < 1e-14
-    # T rises with L: slower than L itself, faster than not at all.
+    # T rises with L, but more slowly than L itself.
     assert 0.0 < planck.kelvin_per_radiance(kind(radiance), *BAND) <= np.inf
 
 
-def test_slope_at_what_no_blackbody_has():
+def test_slope_outside_the_range_of_a_blackbody():
     for count in (1, 2000):
         found = planck.kelvin_per_radiance(np.tile([0.0, -1.0, np.nan, np.inf, 1.0, 2.0, 3.0], count), *BAND)
         assert found[0] == np.inf and np.isnan(found[1:4]).all() and np.isfinite(found[4:7]).all()

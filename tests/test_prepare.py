@@ -1,4 +1,4 @@
-"""Data sets made of folders of pictures: `thermorender prepare`, its readers, bounds, crops and shifts."""
+"""Data sets made from folders of pictures: `thermorender prepare`, its readers, bounds, crops and shifts."""
 
 import cv2
 import numpy as np
@@ -16,7 +16,7 @@ from thermorender.footage.radiometric_files import write_tlinear
 
 @pytest.fixture(autouse=True)
 def no_figure(monkeypatch, request):
-    """Drawing takes longer than all the rest; one test draws."""
+    """Drawing takes longer than everything else, so only one test draws."""
     if "pictures_are_kept" not in request.node.name:
         monkeypatch.setattr(bounds, "figure", lambda path, *_: path.write_bytes(b""))
 
@@ -52,12 +52,12 @@ def prepared(call, path, *options, out="set", status=0):
     return found[1] if status == 0 else found[2]
 
 
-# --- the whole --------------------------------------------------------------------------------------------------
+# --- whole data sets --------------------------------------------------------------------------------------------
 
 
 def test_pictures_are_kept_as_they_are_and_scaled_by_the_training_part(tmp_path, call):
     made = folders(tmp_path)
-    told = prepared(call, tmp_path, "--texel-m", "0.15", "--licence", "CC0", "--split", "sequence")
+    report = prepared(call, tmp_path, "--texel-m", "0.15", "--licence", "CC0", "--split", "sequence")
     found = read_dataset(tmp_path / "set")
     assert len(found) == 8 and {entry.sequence for entry in found.entries} == {"seq0", "seq1", "seq2", "seq3"}
     for each in found.pairs():
@@ -70,22 +70,22 @@ def test_pictures_are_kept_as_they_are_and_scaled_by_the_training_part(tmp_path,
     assert found.scale.unit == "intensity" and found.scale.range_c == (14.0, 24.0)
     np.testing.assert_allclose(np.array([low, high]) * found.scale.step + found.scale.zero, (0.0, 1.0), atol=1e-9)
     share = ((values < low) | (values > high)).mean()
-    assert f"bounds {low:g} and {high:g}, {share:.2%} of the values outside" in told
+    assert f"bounds {low:g} and {high:g}, {share:.2%} of the values outside" in report
     assert found.card["licence"] == "CC0" and found.card["bounds"]["first_quartile"] == first
     assert (tmp_path / "set" / "histogram.png").stat().st_size > 1000
 
 
-def test_all_can_be_for_tests(tmp_path, call):
+def test_a_data_set_can_consist_of_test_pairs_only(tmp_path, call):
     made = folders(tmp_path, count=2)
     prepared(call, tmp_path, "--split", "test")
     found = read_dataset(tmp_path / "set")
     assert [entry.part for entry in found.entries] == ["test"] * 2
-    # Nothing is trained on, so the scale is that of all.
+    # Without training pictures the scale is that of all pictures.
     first, third = np.percentile(np.stack([thermal for _, thermal in made.values()]), (25, 75))
     assert (2.5 * first - 1.5 * third) * found.scale.step + found.scale.zero == pytest.approx(0.0, abs=1e-9)
 
 
-def test_crops_are_of_their_parents_and_the_same_each_time(tmp_path, call):
+def test_crops_come_from_their_parents_and_are_repeatable(tmp_path, call):
     made = folders(tmp_path)
     for out in ("set", "again"):
         prepared(call, tmp_path, "--crops", "4", "--crop-size", "16", "--split", "crop", "--seed", "5", out=out)
@@ -102,7 +102,7 @@ def test_crops_are_of_their_parents_and_the_same_each_time(tmp_path, call):
         assert (visible[row : row + 16, column : column + 16] == one.visible).all()
         corners |= set(places)
     assert len(corners) > 28
-    # Of each parent some crops are for training, and only those count.
+    # Some crops of each parent are for training, and only those count.
     values = np.concatenate([each.thermal.ravel() for each in found.of("train").pairs()])
     assert found.card["bounds"]["third_quartile"] == np.percentile(values, 75)
     assert len({entry.parent for entry in found.of("train").entries}) == 8
@@ -120,7 +120,7 @@ def test_corners_of_crops_are_uniform():
         assert chi < count - 1 + 5.0 * np.sqrt(2.0 * (count - 1))
 
 
-def test_shifted_pairs_lie_that_far_off(tmp_path, call):
+def test_shifted_pairs_are_off_by_the_requested_distance(tmp_path, call):
     made = folders(tmp_path, shape=(60, 60))
     prepared(call, tmp_path, "--shift", "5")
     seen = set()
@@ -155,7 +155,7 @@ def test_temperatures_become_hundredths_of_kelvin(tmp_path, call):
     for each in found.pairs():
         valid = np.isfinite(celsius[each.entry.key]) & (celsius[each.entry.key] < 382.0)
         assert (each.valid == valid).all()
-        # Half a step of this scale, and of the camera's 0.04 K.
+        # Half a step of this scale, plus that of the camera's 0.04 K.
         kelvin = each.thermal * 0.01
         assert np.abs(kelvin - 273.15 - celsius[each.entry.key])[valid].max() <= 0.0051 + 0.02
         assert np.isfinite(each.radiance).all()
@@ -163,7 +163,7 @@ def test_temperatures_become_hundredths_of_kelvin(tmp_path, call):
     assert "these are temperatures; leave it out" in fail and not (tmp_path / "other").exists()
 
 
-def test_a_rig_lays_visible_pictures_onto_thermal_ones(tmp_path, call):
+def test_a_rig_registers_visible_pictures_to_thermal_ones(tmp_path, call):
     for folder in ("visible", "thermal"):
         (tmp_path / folder).mkdir()
     for k in range(3):
@@ -171,8 +171,8 @@ def test_a_rig_lays_visible_pictures_onto_thermal_ones(tmp_path, call):
         cv2.imwrite(str(tmp_path / "visible" / f"DJI_{k:04d}_V.png"), visible[..., ::-1])
         cv2.imwrite(str(tmp_path / "thermal" / f"DJI_{k:04d}_T.png"), np.uint16(thermal * 100))
     options = ("--visible", "*_V.png", "--thermal", "*_T.png", "--scale", "0.01,0", "--split", "crop")
-    told = prepared(call, tmp_path, *options, "--calibrate", "--fields-of-view", "43.6,33.4,32.4,24.6")
-    assert "score 0." in told and (tmp_path / "set" / "overlay.png").exists()
+    report = prepared(call, tmp_path, *options, "--calibrate", "--fields-of-view", "43.6,33.4,32.4,24.6")
+    assert "score 0." in report and (tmp_path / "set" / "overlay.png").exists()
     found = read_dataset(tmp_path / "set")
     assert found.scale.unit == "kelvin" and found.card["rig"]["scale"] == pytest.approx(TRUE.scale, abs=0.01)
     assert "DJI_0000_T.png=" in prepared(call, tmp_path, *options[:5], "0.01,-273.15", out="celsius", status=2)
@@ -184,7 +184,7 @@ def test_a_rig_lays_visible_pictures_onto_thermal_ones(tmp_path, call):
         assert np.abs(one.visible.astype(float) - other.visible)[both].mean() < 1.0
     kept = (tmp_path / "set" / "index.jsonl").read_bytes()
     overlay = (tmp_path / "set" / "overlay.png").read_bytes()
-    # As a process leaves it that is killed once the rig is written.
+    # The state of a process that is killed after it has written the rig.
     (tmp_path / "set" / "overlay.png").unlink()
     prepared(call, tmp_path, *options, "--calibrate", "--fields-of-view", "43.6,33.4,32.4,24.6", "--resume")
     assert (tmp_path / "set" / "index.jsonl").read_bytes() == kept
@@ -225,7 +225,7 @@ def test_a_stopped_data_set_is_continued(tmp_path, call, monkeypatch):
 
 
 @pytest.mark.parametrize("left", ["shards", "part", "parts of all"])
-def test_what_a_killed_process_left_is_continued_and_goes(left, tmp_path, call):
+def test_files_of_a_killed_process_are_continued_then_removed(left, tmp_path, call):
     folders(tmp_path)
     prepared(call, tmp_path, out="whole")
     whole = {path.name for path in (tmp_path / "whole").iterdir()}
@@ -262,11 +262,11 @@ def test_sequences_by_name_by_pattern_and_by_gaps(tmp_path, call):
     assert "is not a regular expression" in prepared(call, tmp_path, "--sequence=(", out="no", status=2)
 
 
-# --- what cannot be used ----------------------------------------------------------------------------------------
+# --- unusable input ---------------------------------------------------------------------------------------------
 
 
 def spoil(path, kind):
-    """Make one pair in the middle unusable; return words of what is said of it."""
+    """Make one pair in the middle unusable; return the words expected in the error."""
     visible, thermal = path / "visible" / "seq1_003.png", path / "thermal" / "seq1_003.png"
     if kind == "alone":
         thermal.unlink()
@@ -323,7 +323,7 @@ def test_kinds_of_thermal_pictures_are_not_mixed(tmp_path, call):
     )
 
 
-def test_grey_visible_pictures_are_warned_of(tmp_path, call):
+def test_grey_visible_pictures_give_a_warning(tmp_path, call):
     folders(tmp_path, colour=False)
     status, _, errors = call("prepare", tmp_path / "visible", tmp_path / "thermal", "-o", tmp_path / "set")
     assert status == 0 and "8 of 8 visible pictures are grey" in errors and "penalty=1e-6" in errors
@@ -349,20 +349,20 @@ def test_grey_visible_pictures_are_warned_of(tmp_path, call):
         (("--calibrate", "--fields-of-view", "57,42,45,400"), "give degrees in 0…180"),
     ],
 )
-def test_settings_that_cannot_be_are_refused_in_one_sentence(options, words, tmp_path, call):
+def test_impossible_settings_are_refused_in_one_sentence(options, words, tmp_path, call):
     folders(tmp_path)
     said = prepared(call, tmp_path, *options, status=2)
     assert words in said, said
     assert said.count("\n") == 1 and not (tmp_path / "set").exists()
 
 
-def test_a_pattern_that_finds_a_name_twice_is_refused(tmp_path, call):
+def test_a_pattern_that_matches_a_name_twice_is_refused(tmp_path, call):
     folders(tmp_path, 2)
     cv2.imwrite(str(tmp_path / "visible" / "seq0_000.jpg"), np.zeros((40, 48, 3), np.uint8))
     assert "are both pair 'seq0_000' by pattern '*'" in prepared(call, tmp_path, status=2)
 
 
-def test_a_folder_that_holds_something_else_stays_as_it_is(tmp_path, call):
+def test_a_folder_with_other_files_is_left_unchanged(tmp_path, call):
     folders(tmp_path)
     (tmp_path / "set").mkdir()
     (tmp_path / "set" / "notes.txt").write_text("mine")
@@ -413,7 +413,7 @@ def test_a_place_is_read_from_exif(tmp_path):
     assert pictures.place_of(tmp_path / "b.jpg") is None
 
 
-def test_floats_that_are_kelvin_without_saying_so_are_refused(tmp_path):
+def test_kelvin_floats_without_a_unit_are_refused(tmp_path):
     import rasterio
 
     write_floats(tmp_path / "a.tif", np.linspace(280, 300, 400).reshape(20, 20))

@@ -1,4 +1,4 @@
-"""The public names: what the package hands out, what type checkers see, and what `make lint` checks are the same."""
+"""The public names: the package's exports, what type checkers see, and what `make lint` checks are the same."""
 
 import ast
 import re
@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = Path(tr.__file__).parent
 
 
-def test_type_checkers_see_the_names_that_are_handed_out():
+def test_type_checkers_see_the_exported_names():
     tree = ast.parse((PACKAGE / "__init__.py").read_text(encoding="utf-8"))
     (block,) = (node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
     imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
@@ -47,16 +47,16 @@ def test_the_version_is_that_of_the_installed_package():
         tr.__author__  # noqa: B018
 
 
-def test_the_package_says_that_it_has_types():
+def test_the_package_declares_its_types():
     assert (PACKAGE / "py.typed").is_file()
 
 
-# --- what README says ---------------------------------------------------------------------------------------
+# --- the README ---------------------------------------------------------------------------------------------
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
-def test_the_example_of_the_readme_runs_and_prints_what_it_says(capsys):
+def test_the_example_of_the_readme_prints_the_documented_output(capsys):
     (example,) = re.findall(r"```python\n(.*?)```", README, flags=re.S)
     exec(compile(example, "README.md", "exec"), found := {})
     mean, target = capsys.readouterr().out.splitlines()
@@ -74,7 +74,7 @@ def test_the_verbs_of_the_readme_exist_with_their_options():
         verb, *rest = words[0].split()[1:]
         listed.add(verb)
         group = getattr(commands[verb], "commands", None)
-        # A row of a group's name alone is that of the group itself.
+        # A row with a group's name alone is that of the group itself.
         if group and rest:
             below = {rest[0], *(word.split()[0] for word in words[1:])}
             assert below <= set(group), verb

@@ -1,4 +1,4 @@
-"""What thermography software reads: the camera's formula, its corrections, and files of temperature."""
+"""Thermography: the camera's formula, its corrections, and files of temperature that thermography software reads."""
 
 import io
 import json
@@ -26,7 +26,7 @@ from thermorender.sensor.radiometry import (
 )
 
 CAMERA = load_camera("zenmuse-xt2")
-# Of a FLIR SC660, the default of many programs; and of a DJI Zenmuse XT.
+# A FLIR SC660, the default of many programs, and a DJI Zenmuse XT.
 SC660 = PlanckConstants(r1=21106.77, b=1501.0, f=1.0, o=-7340.0, r2=0.012545258)
 XT = PlanckConstants(r1=17096.453, b=1428.0, f=1.0, o=-342.0, r2=0.046642166)
 
@@ -39,7 +39,7 @@ def test_formula_is_its_own_inverse(planck):
 
 
 def test_fit_of_the_flat_band():
-    # 73 mK over 233–423 K is what the four constants can do for 7.5–13.5 µm.
+    # The best fit of the four constants to 7.5–13.5 µm is off by 73 mK over 233–423 K.
     temperature = np.linspace(233.15, 423.15, 1901)
     radiance = band_radiance(temperature, 7.5, 13.5)
     error = fitted_constants((7.5, 13.5), 233.15, 423.15).temperature(radiance) - temperature
@@ -50,7 +50,7 @@ def test_fit_of_the_flat_band():
 
 
 def test_constants_resemble_those_of_a_real_camera():
-    # B of a Zenmuse XT, whose core is that of the XT2: 1428 K.
+    # B of a Zenmuse XT, which has the same core as the XT2: 1428 K.
     assert camera_constants(CAMERA).b == pytest.approx(XT.b, rel=0.01)
 
 
@@ -71,7 +71,7 @@ def test_air_model():
     assert np.diff([air.transmittance(15.0, 0.5, d) for d in (1.0, 10.0, 100.0, 1000.0)]).max() < 0.0
 
 
-def test_settings_that_take_nothing_away():
+def test_settings_without_attenuation_change_nothing():
     signal = camera_constants(CAMERA).signal(np.linspace(250.0, 400.0, 50))
     np.testing.assert_allclose(
         thermography_temperature(signal, camera_constants(CAMERA), ThermographySettings()),
@@ -82,7 +82,7 @@ def test_settings_that_take_nothing_away():
 
 @pytest.mark.parametrize("planck", [SC660, XT, camera_constants(CAMERA)])
 def test_true_settings_give_the_true_temperature(planck):
-    # A grey surface seen through air and a window, summed in signal by hand.
+    # A grey surface seen through air and a window; the signal is summed by hand.
     settings = ThermographySettings(
         emissivity=0.8, reflected_c=-30.0, air_c=12.0, humidity=0.7, distance_m=120.0, window_c=25.0,
         window_transmittance=0.9,
@@ -146,7 +146,7 @@ def test_radiometric_tiff_is_read_by_common_tools(tmp_path):
     assert np.nanmax(np.abs(back - temperature)) <= 0.02 + 1e-9
 
 
-def test_a_scale_is_never_guessed(tmp_path):
+def test_a_missing_scale_is_refused(tmp_path):
     from PIL import Image
 
     Image.fromarray(np.full((4, 4), 7500, np.uint16)).save(tmp_path / "a.tif")
@@ -166,7 +166,7 @@ def test_a_scale_is_never_guessed(tmp_path):
             read_temperature(tmp_path / name, (0.04, 0.0))
 
 
-# Ends of the colour scale as the cameras printed them into the pictures themselves [°C], read by eye.
+# Ends of the colour scale that the cameras printed into the pictures themselves [°C], read by eye.
 PRINTED = {
     "16 - Man_in_water_-_IR_image.jpg": (4.0, 10.8),
     "17 - Solar_halo_thermal.jpg": (-32.0, 0.0),
@@ -178,8 +178,8 @@ PRINTED = {
 
 
 @pytest.mark.parametrize("name", PRINTED)
-def test_formula_and_settings_of_real_cameras_give_what_they_printed(name):
-    """The numbers of the files alone: constants, the thermography settings, raw values at the scale's ends."""
+def test_formula_and_settings_of_real_cameras_reproduce_the_printed_scale(name):
+    """Only numbers from the files: constants, the thermography settings, raw values at the scale's ends."""
     stored = json.loads(shared_data("flir/settings.json").read_text(encoding="utf-8"))[name]
     kinds = {"planck": PlanckConstants, "thermography": ThermographySettings, "air": AirModel}
     settings = [kind(**stored[part]) for part, kind in kinds.items()]
@@ -189,7 +189,7 @@ def test_formula_and_settings_of_real_cameras_give_what_they_printed(name):
 
 
 @pytest.mark.parametrize("name", PRINTED)
-def test_readings_are_those_the_camera_printed(name):
+def test_readings_equal_those_the_camera_printed(name):
     picture = read_flir_jpeg(shared_data(f"pairs/flir_rjpeg_samples/{name}"))
     signal = np.array(picture.camera["scale_raw"])
     ends = thermography_temperature(signal, picture.planck, picture.thermography, picture.air)
@@ -241,7 +241,7 @@ def test_temperatures_against_another_package(name):
 
 
 def png(raw, order):
-    """A 16-bit PNG of raw values; a camera that thinks little-endian stores them without turning their bytes."""
+    """A 16-bit PNG of raw values; a little-endian camera stores them without swapping their bytes."""
     from PIL import Image
 
     memory = io.BytesIO()
@@ -293,7 +293,7 @@ def test_a_file_written_by_hand(order, pieces, compressed, tmp_path):
     assert replace(picture.thermography, emissivity=1.0) != picture.thermography
 
 
-def test_damaged_files_give_one_sentence(tmp_path):
+def test_damaged_files_are_refused_in_one_sentence(tmp_path):
     whole = fff(np.full((12, 16), 17000, np.uint16))
     path = tmp_path / "a.jpg"
     rng = np.random.default_rng(1)
@@ -342,7 +342,7 @@ def test_real_files_cut_short(tmp_path):
 
 
 def test_every_kind_of_camera_in_the_samples_is_read():
-    # Plain, PNG with turned bytes, big-endian PNG (07), an XT's container (thermal_only).
+    # Plain, PNG with swapped bytes, big-endian PNG (07), an XT's container (thermal_only).
     folder = shared_data("pairs/flir_rjpeg_samples")
     files = sorted((*folder.glob("*.jp*g"), *folder.glob("*.JPG")))
     files.append(shared_data("pairs/thermal_only/eth_crops_xt/flight1/rjpeg/DJI_0003.jpg"))
@@ -350,5 +350,5 @@ def test_every_kind_of_camera_in_the_samples_is_read():
     for path in files:
         celsius = read_temperature(path) - 273.15
         assert np.isfinite(celsius).all() and -70 < celsius.min() < celsius.max() < 200, path.name
-        # Wrong order of bytes makes noise of neighbours.
+        # A wrong byte order turns neighbouring pixels into noise.
         assert np.median(np.abs(np.diff(celsius))) < 3.0, path.name

@@ -1,4 +1,4 @@
-"""The recipes of docs/architecture.md run as they stand there, and do what they say."""
+"""The recipes of docs/architecture.md run as written there, and do what they say."""
 
 import re
 from pathlib import Path
@@ -36,7 +36,7 @@ def test_there_are_three_of_at_most_twenty_lines():
 def test_a_material_is_added(run):
     folder = run("material")["scene_folder"]
     found = load_library(folder / "materials")["roof_membrane"]
-    # Six decimals are kept.
+    # Six decimals are stored.
     assert found.emissivity_at(10.0) == pytest.approx(0.94 + 0.02 * np.cos(10.0), abs=1e-6)
     text = (folder / "scene.toml").read_text(encoding="utf-8").replace("grass_green", "roof_membrane")
     (folder / "scene.toml").write_text(text, encoding="utf-8")
@@ -52,7 +52,7 @@ def test_a_camera_is_added(run):
 def test_a_learned_map_is_added(run):
     found = run("learned map")
     mine = load_model(found["scene_folder"] / "green.npz")
-    # The map is applied texel by texel; a grey scene's intensity is the kernel's sum times its brightness.
+    # The map is applied texel by texel; for a grey scene the intensity is the kernel's sum times the brightness.
     grey = mine.radiance(Inputs(np.full((4, 4, 3), 128, np.uint8)))
     np.testing.assert_allclose(mine.intensity(grey), 0.5 * 128 / 255, atol=1e-12)
     share = found["scene"].temperature_state.report["green-is-cool"]["share_fallback"]

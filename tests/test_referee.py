@@ -52,7 +52,7 @@ def flight(folder, height=8.0, poses=3, step=0.6, factor=4):
 
 
 def uniform_map(path, level, name=None, range_k=(280.0, 300.0), **about):
-    """A map that says one temperature of everything: intensity `level` of its range."""
+    """A map with the same temperature everywhere: intensity `level` of its range."""
     model = TemperatureMap(
         name or path.stem, "correlation-1to1", Correlation(np.zeros((1, 1, 3)), level), range_k, BAND, 0.5, (0.01, 5.0),
         "zenmuse-xt2", 255.0, "a test", about=about,
@@ -62,7 +62,7 @@ def uniform_map(path, level, name=None, range_k=(280.0, 300.0), **about):
 
 
 def black(folder):
-    """A scene's folder with all of it black."""
+    """Make all of a scene's folder black."""
     text = (folder / "scene.toml").read_text()
     start, end = text.index("[emissivity]"), text.index("[sky]")
     (folder / "scene.toml").write_text(text[:start] + '[emissivity]\nsource = "constant"\nvalue = 1.0\n' + text[end:])
@@ -163,7 +163,7 @@ def planted(ground, tmp_path_factory):
     other = place / "wrong"
     shutil.copytree(ground, other)
     text = (other / "scene.toml").read_text()
-    # Sand taken for a bright metal.
+    # Sand with the emissivity of a bright metal.
     (other / "scene.toml").write_text(text.replace('2 = "sand_quartz"', '2 = "paint_metallic"'))
     folders = {
         "true": frames_of(ground, 5, place / "true", factor=2),
@@ -274,7 +274,7 @@ def test_a_map_that_has_seen_the_scene_is_found(tmp_path):
     leaky = uniform_map(tmp_path / "leaky.npz", 0.5, dataset={"name": "theirs"})
     fair = uniform_map(tmp_path / "fair.npz", 0.4, dataset={"name": "others"})
     unknown = uniform_map(tmp_path / "unknown.npz", 0.3)
-    # Of the same name, but more than there is: another data set.
+    # The same name, but more training pictures: another data set.
     larger = uniform_map(tmp_path / "larger.npz", 0.2, dataset={"name": "others"}, pairs={"train": 36, "validation": 4})
     data = [_Pairs("theirs", [*foreign, taken[1]]), _Pairs("others", list(foreign))]
     options = Options(datasets=data, settings={"rays": 2})
@@ -304,7 +304,7 @@ def test_bounds_are_refitted_on_other_lands_of_the_same_hour_and_weather(tmp_pat
     found = compare(flown, tmp_path / "o", ["fok-1to1"], Options(settings={"rays": 2, "samples": 1}))
     reported = {scene["name"]: scene["campaign"] for scene in found["scenes"]}
     assert reported["c"] is None and reported["a"]["lands"] == 1
-    # Those of `a` are the quartiles of what the camera reads over `b` alone.
+    # The range of `a` is that between the quartiles of what the camera reads over `b` alone.
     renderer, counts = tr.Renderer(flown[1].scene, rays=2, samples=1), []
     for index, pose in enumerate(flown[1].poses):
         frame = renderer.frame(pose, float(index), index)
@@ -327,7 +327,7 @@ def test_a_land_is_the_same_under_snow_but_differs_from_other_lands(tmp_path):
     one, other = rng.uniform(0.0, 2.0, (2, 32, 32))
     snow = np.where(rng.uniform(size=one.shape) < 0.2, 0.03, 0.0)
     heights = {"bare": one, "snowy": one + snow, "other": other, "flat": np.zeros((32, 32))}
-    # The ground's mesh is finer beside an object.
+    # The ground's mesh is finer around an object.
     box = '[[object]]\nname = "box"\nshape = "box"\nposition = [1, 2, 0]\ntemperature = 330.0\nmaterial = "brass"\n'
     scenes = [
         tr.load_scene(write_terrain(tmp_path / name, height, extra=box if name == "snowy" else ""))
@@ -533,7 +533,7 @@ def test_a_shift_is_measured_to_a_tenth_of_a_pixel(right, down, sign):
     shift = found.registration.summary()
     assert shift["right_px"] == pytest.approx(right, abs=0.1) and shift["down_px"] == pytest.approx(down, abs=0.1)
     assert np.sign(shift["correlation"]) == sign and max(shift["error_px"]) < 0.1
-    # The data kept for each of hundreds of methods is small: no view of a whole picture.
+    # The data stored for each of hundreds of methods are small: no view of a whole picture.
     assert all(one.base is None and one.size < 100**2 for one in found.registration.surfaces)
 
 
@@ -630,7 +630,7 @@ def test_warm_and_cold_targets_are_found_but_not_a_misplaced_one():
     for k, (name, (row, column)) in enumerate(places.items()):
         disc = np.hypot(rows - row, columns - column) < 4
         number[disc] = k
-        # The last one is shown 15 px beside its place.
+        # The last one is shown 15 px from its place.
         away = 15 if name == "elsewhere" else 0
         truth[np.hypot(rows - row, columns - column - away) < 4] += -12.0 if name == "cold" else 12.0
     view = SimpleNamespace(object=number, known=np.ones(rows.shape, bool), truth=truth, index=0)
@@ -736,7 +736,7 @@ def test_a_wrong_contrast_is_found_and_no_emissivity_is_blamed(ground, planted, 
     frames = frames_of(ground, 3, tmp_path / "damped", damped)
     found = compare([flight(ground)], tmp_path / "c", [], Options(foreign={"damped": frames}, settings={"rays": 8}))
     gain = found["methods"]["foreign damped"]["gain"]
-    # Frames keep 0.04 K, of a spread of kelvins.
+    # Frames are stored in steps of 0.04 K, with a spread of several kelvin.
     assert gain["gain"] == pytest.approx(0.8, abs=0.002) and gain["explained"] > 0.98
     assert kinds(found, "foreign damped") == {"contrast"}
 
@@ -833,7 +833,7 @@ def test_a_picture_is_translated_once_for_all_bounds_and_its_time_counts_for_eac
     reported = compare(flights, tmp_path / "c", [uniform_map(tmp_path / "m.npz", 0.5)], Options(settings={"rays": 8}))
     texels = flights[0].scene.surfaces[0].colour.shape
     photograph_of = (flights[0].scene.camera.height, flights[0].scene.camera.width, 3)
-    # Photographs once more, to calibrate it for the other land.
+    # The photographs are translated once more, to calibrate the map for the other land.
     assert asked.count(texels) == len(lands) and asked.count(photograph_of) == 2 * 2 * len(lands)
     own = {label: found for label, found in reported["methods"].items() if found["map"] == "m"}
     ways = ["m", "m, calibrated", "m, refitted"]

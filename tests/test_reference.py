@@ -29,7 +29,7 @@ def test_reference_in_an_isothermal_enclosure(tmp_path, emissivity):
     scene = small(tr.load_scene(write_mesh(tmp_path / "s", walls, 300.0, emissivity, sky=0.0)))
     radiance = reference.render(scene, np.eye(4), samples=16, depth=48)
     error = radiance.mean() - band_radiance(300.0, *BAND)
-    # Half of the light is lost at each wall: 48 of them leave nothing to speak of.
+    # Half of the light is lost at each wall: after 48 bounces what remains is negligible.
     assert abs(error) < 4 * radiance.std() / np.sqrt(radiance.size)
     assert abs(error) < 2 * MILLIKELVIN
 
@@ -48,13 +48,13 @@ def test_renderer_against_the_reference(tmp_path, relief):
     # The mean's own error, from the difference of two independent renders.
     noise = np.std((first - second)[ground] / MILLIKELVIN) / 2 / np.sqrt(ground.sum())
     # On flat ground only the nodes may differ, by less than their tolerance. On relief light is constant per face:
-    # it errs by some 10 mK from pixel to pixel, and by a tenth of that in the mean over hundreds of faces.
+    # the error is some 10 mK from pixel to pixel, and a tenth of that in the mean over hundreds of faces.
     assert abs(error.mean()) < 4 * noise + (0.3 if relief == 0.0 else 1.0)
     images = (image[ground] / MILLIKELVIN for image in (seen.radiance, first, second))
     square, uncertainty = reference.squared_error(*images)
     limit = 3.0 if relief == 0.0 else 20.0
     assert square - 4 * uncertainty < limit**2
-    # The limit means something: a hundredth of the radiance more or less would break it.
+    # The limit is meaningful: a change of 1 % of the radiance would exceed it.
     assert np.abs(seen.radiance[ground] * 0.99 - first[ground]).mean() / MILLIKELVIN > 5 * limit
 
 
@@ -74,7 +74,7 @@ def test_refusals(tmp_path):
 
 @pytest.mark.parametrize("height_m", [30.0, 3000.0])
 def test_a_wall_reflects_the_same_horizon_from_any_height(tmp_path, height_m):
-    """Half of what a steep wall reflects is sky, whatever the height of the camera that looks at it."""
+    """Half of the light that a steep wall reflects is sky, whatever the height of the camera."""
     tilt = np.radians(70.0)
     wall = trimesh.Trimesh([[-20, -20, 0], [20, -20, 0], [20, 20, 0], [-20, 20, 0]], [[0, 1, 2], [0, 2, 3]])
     wall.apply_transform(trimesh.transformations.rotation_matrix(tilt, [1, 0, 0]))

@@ -1,4 +1,4 @@
-"""Finer triangles beside objects: the same shapes and maps, and light that no longer leaks from under them."""
+"""Finer triangles around objects: shapes and maps stay the same, and no light leaks from under the objects."""
 
 from dataclasses import replace
 
@@ -34,20 +34,20 @@ def test_lattice_covers_the_triangle_once():
         weights = _lattice(n)
         assert weights.shape == (n * n, 3, 3)
         np.testing.assert_allclose(weights.sum(axis=-1), 1.0)
-        # Equal areas that add up, all wound as the whole one.
+        # Equal areas that add up, all with the winding of the whole triangle.
         flat = weights[..., 1:]
         signed = np.linalg.det(np.stack([flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]], axis=1))
         np.testing.assert_allclose(signed, 1.0 / n**2)
 
 
-def test_shapes_and_maps_stay(tmp_path):
+def test_refining_keeps_shapes_and_maps(tmp_path):
     height = np.random.default_rng(3).uniform(0, 0.4, (16, 16))
     plain = tr.load_scene(write_terrain(tmp_path / "a", height=height)).surfaces[0]
     scene = tr.load_scene(write_terrain(tmp_path / "b", height=height, extra=DISC))
     fine = scene.surfaces[0]
     assert len(fine.faces) > 1.5 * len(plain.faces)
     np.testing.assert_allclose(area(fine).sum(), area(plain).sum(), rtol=1e-9)
-    # The map is the same function of position: here affine, so one fit must hold for the corners of all triangles.
+    # The map is the same function of position: affine here, so one fit must hold for the corners of all triangles.
     position, uv = fine.vertices[fine.faces].reshape(-1, 3)[:, :2], fine.uv.reshape(-1, 2)
     system = np.column_stack([position, np.ones(len(position))])
     solution, *_ = np.linalg.lstsq(system, uv, rcond=None)
@@ -79,7 +79,7 @@ def test_heat_stays_under_the_plate(tmp_path):
 
 
 def edges_of(surface):
-    """(ends by place (E, 2), how many triangles have each) of a surface's edges."""
+    """(End points of the edges (E, 2), number of triangles at each) of a surface."""
     _, place = np.unique(surface.vertices, axis=0, return_inverse=True)
     ends = np.sort(place.reshape(-1)[surface.faces][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     return np.unique(ends, axis=0, return_counts=True)
@@ -87,7 +87,7 @@ def edges_of(surface):
 
 @pytest.mark.parametrize("textured", [False, True])
 def test_the_largest_triangles_are_cut_along_shared_edges(tmp_path, textured):
-    """A closed body of 12 and one of many triangles: closed as before, also where corners are not shared."""
+    """A closed body of 12 triangles and one of many stay closed, also where corners are not shared."""
     surface = tr.load_scene(write_terrain(tmp_path / "a")).surfaces[0]
     for body in (trimesh.creation.box((40.0, 3.0, 8.0)), trimesh.creation.icosphere(subdivisions=4)):
         vertices = body.vertices.copy()
@@ -98,18 +98,18 @@ def test_the_largest_triangles_are_cut_along_shared_edges(tmp_path, textured):
         uv = np.random.default_rng(1).random((len(faces), 3, 2)).astype(np.float32)
         one = replace(surface, vertices=vertices, faces=faces.astype(np.int32), uv=uv)
         fine = evened(one)
-        # Neighbours of what is halved are cut with it.
+        # Neighbours of a halved triangle are cut with it.
         more = len(fine.faces) - len(faces)
         assert 0.5 * max(1000, 0.2 * len(faces)) < more < 2.0 * max(1000, 0.2 * len(faces))
         assert (edges_of(fine)[1] == 2).all() and area(fine).max() < 0.5 * area(one).max()
         np.testing.assert_allclose(area(fine).sum(), area(one).sum(), rtol=1e-5)
-        # Wound as before.
+        # Same winding as before.
         corner, old = fine.vertices[fine.faces], vertices[faces]
         volume = [np.linalg.det(each.astype(float)).sum() for each in (corner, old)]
         assert volume[0] == pytest.approx(volume[1], rel=1e-5) and volume[0] > 0.0
 
 
-def test_equal_triangles_stay_as_they_are(tmp_path):
+def test_equal_triangles_are_not_cut(tmp_path):
     surface = tr.load_scene(write_terrain(tmp_path, height=np.random.default_rng(0).normal(0, 0.2, (60, 60)))).surfaces[
         0
     ]
@@ -117,7 +117,7 @@ def test_equal_triangles_stay_as_they_are(tmp_path):
 
 
 def test_light_changes_up_a_wall_of_two_triangles(tmp_path):
-    """Metal beside metal ground, four bands of the wall's height against path tracing."""
+    """Metal beside metal ground: four bands of the wall's height against path tracing."""
     y, height_m, ground_m = 30.0, 8.0, 12.0
     vertices = [[0, -y, 0], [ground_m, -y, 0], [ground_m, y, 0], [0, y, 0], [0, -y, height_m], [0, y, height_m]]
     mesh = trimesh.Trimesh(vertices, [[0, 1, 2], [0, 2, 3], [0, 3, 5], [0, 5, 4]], process=False)
@@ -135,7 +135,7 @@ def test_light_changes_up_a_wall_of_two_triangles(tmp_path):
         means = paths[:, band].mean(axis=(1, 2))
         error_mk = means.std(ddof=1) / 2.0 / per_mk
         off.append((found[band].mean() - means.mean()) / per_mk)
-        # Light is constant over triangles 1 m large: a tenth of how it changes from one to the next.
+        # Light is constant over triangles of 1 m: a tenth of the difference between neighbours.
         assert error_mk < 40.0 and abs(off[-1]) < 4.0 * error_mk + 60.0
     levels = [paths[:, (height > low) & (height < low + 2)].mean() / per_mk for low in (0, 6)]
     assert abs(levels[0] - levels[1]) > 3000.0

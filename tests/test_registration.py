@@ -1,4 +1,4 @@
-"""Rigs found from pictures whose mapping is known, and those of real cameras."""
+"""Rigs estimated from pictures with a known mapping, and those of real cameras."""
 
 import json
 from dataclasses import replace
@@ -14,14 +14,14 @@ from thermorender.campaign.registration.rig import Rig, load_rig, parameters_of,
 from thermorender.errors import ThermorenderError
 
 TRUE = Rig((300, 400), (96, 128), scale=2.2, rotation_deg=1.7, shift_px=(9.0, -6.0), k1=-0.06)
-# Of square pixels with the two pictures' scale, rounded as published ones are.
+# Square pixels with the two pictures' scale, rounded like published values.
 FIELDS = (
     tuple(2.0 * np.degrees(np.arctan([200 / 500, 150 / 500]))), tuple(2.0 * np.degrees(np.arctan([64 / 220, 48 / 220])))
 )  # fmt: skip
 
 
 def land(rng, shape):
-    """Patches over unevenness of all sizes, like an orthophoto, (h, w) float32 within 0…1."""
+    """Patches on variation at all scales, like an orthophoto, (h, w) float32 within 0…1."""
     import cv2
 
     height, width = shape
@@ -38,7 +38,7 @@ def land(rng, shape):
 
 
 def pair(seed, rig=TRUE, moved=(0.0, 0.0)):
-    """(visible, thermal) of a land: what is warm is bright at some places and dark at others."""
+    """(visible, thermal) of a land: warm places are bright in some parts and dark in others."""
     import cv2
 
     rng = np.random.default_rng(seed)
@@ -58,7 +58,7 @@ def pair(seed, rig=TRUE, moved=(0.0, 0.0)):
 
 
 def position(rig, column, row):
-    """The module's model written out for itself, with complex numbers."""
+    """The module's model written out independently, with complex numbers."""
     point = (column - rig.thermal_shape[1] / 2) + 1j * (row - rig.thermal_shape[0] / 2)
     point = rig.scale * np.exp(1j * np.radians(rig.rotation_deg)) * point + complex(*rig.shift_px)
     half = abs(complex(*rig.visible_shape)) / 2
@@ -81,32 +81,32 @@ def apart(first, second):
 
 @pytest.fixture(scope="module")
 def found():
-    """A rig from ten frames, of which two lie elsewhere."""
+    """A rig from ten frames, two of which are misaligned."""
     wrong = {"f3": pair(3, moved=(9.0, 4.0)), "f7": (pair(7)[0], pair(70)[1])}
     return registration.calibrate(frames(10, **wrong), FIELDS)
 
 
-def test_a_known_rig_is_found(found):
+def test_a_known_rig_is_recovered(found):
     assert apart(TRUE, found) < 0.06
     assert found.k1 == pytest.approx(TRUE.k1, abs=0.01) and found.aspect == 1.0
     assert found.rotation_deg == pytest.approx(TRUE.rotation_deg, abs=0.1)
 
 
-def test_frames_that_lie_elsewhere_are_left_out(found):
+def test_misaligned_frames_are_left_out(found):
     assert set(found.rejected) == {"f3", "f7"} and "px from the others" in found.rejected["f3"]
     good = [score for name, score in found.frames.items() if name not in found.rejected]
     assert max(found.frames["f3"], found.frames["f7"]) < 0.5 * min(good)
     assert found.score == pytest.approx(np.mean(good)) and abs(found.score_unrelated) < 0.1 * found.score
 
 
-def test_standard_errors_are_those_of_other_frames():
+def test_standard_errors_match_the_scatter_over_other_frames():
     rigs = [
         registration.calibrate([(str(k), lambda k=k: pair(k)) for k in range(start, start + 5)], FIELDS)
         for start in (20, 30)
     ]
     wrong = np.array([(rig.rotation_deg - TRUE.rotation_deg, rig.k1 - TRUE.k1, apart(TRUE, rig)) for rig in rigs])
-    told = np.array([[rig.errors[key] for key in ("rotation_deg", "k1", "position_px")] for rig in rigs])
-    ratio = np.sqrt((wrong**2).mean(axis=0) / (told**2).mean(axis=0))
+    stated = np.array([[rig.errors[key] for key in ("rotation_deg", "k1", "position_px")] for rig in rigs])
+    ratio = np.sqrt((wrong**2).mean(axis=0) / (stated**2).mean(axis=0))
     assert (ratio > 0.3).all() and (ratio < 3.0).all(), ratio
 
 
@@ -144,11 +144,11 @@ def test_scale_of_published_fields_of_view():
     assert found == pytest.approx(np.sqrt(lengths[0] * lengths[1] / lengths[2] / lengths[3]))
 
 
-def test_directions_do_not_know_the_sign_of_contrast():
+def test_directions_do_not_depend_on_the_sign_of_contrast():
     image = land(np.random.default_rng(1), (60, 80))
     np.testing.assert_allclose(directions(image), directions(1.0 - image), atol=5e-3)
     slope = directions(np.tile(np.arange(40.0), (30, 1)))
-    # A slope to the right is on the real axis; one downwards opposite to it.
+    # A slope to the right is on the real axis; a slope downwards is opposite to it.
     assert np.allclose(slope[10:20, 10:30], 0.5, atol=1e-3)
     assert np.allclose(directions(np.tile(np.arange(40.0), (30, 1)).T)[10:30, 10:20], -0.5, atol=1e-3)
 
@@ -167,7 +167,7 @@ def test_directions_turn_with_the_picture():
     assert alignment.scores_of(level, parameters)[0] > 0.95
 
 
-def test_warped_is_what_the_thermal_camera_sees():
+def test_a_warped_picture_equals_the_thermal_cameras_view():
     rig = Rig((300, 400), (90, 120), scale=2.7, rotation_deg=5.0, shift_px=(60.0, -20.0), k1=0.1, aspect=1.05)
     row, column = np.mgrid[0:300, 0:400]
     ramp = np.stack([column * 0.6, row * 0.8, np.full((300, 400), 7.0)], axis=-1)
@@ -178,7 +178,7 @@ def test_warped_is_what_the_thermal_camera_sees():
     inner = valid & (x > 5) & (y > 5) & (x < 395) & (y < 295)
     for band, expected in ((0, 0.6 * (x - 0.5)), (1, 0.8 * (y - 0.5))):
         wrong = (seen[..., band] - expected)[inner]
-        # Rounded three times; half a pixel would be 0.3.
+        # Rounded three times; an offset of half a pixel would give 0.3.
         assert np.abs(wrong).max() < 1.6 and abs(wrong.mean()) < 0.1
     assert (seen[~valid] == 0).all()
     half, _ = warped(np.uint8(np.rint(ramp)), rig, (45, 60))
@@ -202,7 +202,7 @@ def test_a_rig_survives_its_file(tmp_path, found):
 @pytest.mark.parametrize(
     "change", [{"scale": "wide"}, {"scale": -1.0}, {"k1": None}, {"shift_px": [1.0]}, {"format": 9}, {"lens": 1}]
 )
-def test_what_is_no_rig_is_refused(change, tmp_path):
+def test_a_file_that_is_not_a_rig_is_refused(change, tmp_path):
     save_rig(TRUE, tmp_path / "rig.json")
     values = json.loads((tmp_path / "rig.json").read_text("utf-8")) | change
     (tmp_path / "rig.json").write_text(json.dumps(values), "utf-8")
@@ -210,7 +210,7 @@ def test_what_is_no_rig_is_refused(change, tmp_path):
         load_rig(tmp_path / "rig.json")
 
 
-def test_real_pairs_that_are_aligned_give_the_identity():
+def test_real_aligned_pairs_give_the_identity():
     import cv2
 
     folder = shared_data("pairs/flame3/sycan_m30t")
@@ -219,7 +219,7 @@ def test_real_pairs_that_are_aligned_give_the_identity():
     def read(name):
         thermal = cv2.imread(str(folder / f"{name}_thermal_degC.tif"), cv2.IMREAD_UNCHANGED)
         visible = cv2.imread(str(folder / f"{name}_rgb_aligned.png"))
-        # Half the size is enough, and quicker.
+        # Half the size is enough, and faster.
         return cv2.resize(visible, (320, 256), interpolation=cv2.INTER_AREA), cv2.resize(thermal, (320, 256))
 
     rig = registration.calibrate([(name, lambda name=name: read(name)) for name in names], ((45, 37), (45, 37)))

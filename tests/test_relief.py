@@ -1,4 +1,4 @@
-"""What a terrain and a station tell learned maps: relief, sun and its memory; hour and weather in numbers."""
+"""Inputs of conditional maps from terrain and station: relief, sunlight and its memory; hour and weather as numbers."""
 
 import math
 from dataclasses import replace
@@ -18,7 +18,7 @@ from thermorender.scene import open_ground
 from thermorender.scene.load import load_scene
 from thermorender.weather.series import Weather
 
-# The sun stands in the south.
+# The sun is in the south.
 AT = np.datetime64("2018-07-28T10:42:00")
 HOUR = np.timedelta64(3600, "s")
 
@@ -44,7 +44,7 @@ def sunlit(weather, time):
 
 
 def steady(start, hours=160.0, latitude=52.0, **values):
-    """A Weather, hourly, that is the same all the time but for what is given at its instants."""
+    """An hourly Weather that is constant except for the values given at its instants."""
     time = start + HOUR * np.arange(int(hours) + 1)
     usual = {"air_k": 285.0, "vapour_pa": 900.0, "wind_m_s": 3.0, "direct_w_m2": 0.0, "diffuse_w_m2": 80.0,
              "longwave_w_m2": 320.0, "rain_mm_h": 0.0, "pressure_pa": 1e5, "snow_m": 0.0}  # fmt: skip
@@ -62,13 +62,13 @@ def test_level_ground_in_the_open(level):
         assert values.dtype == np.float32 and values.shape == (32, 32) and np.isfinite(values).all(), name
     for name, value in (("normal_east", 0.0), ("normal_north", 0.0), ("normal_up", 1.0), ("sky_view", 1.0)):
         np.testing.assert_allclose(found[name], value, atol=1e-5)
-    # The ray casting keeps 1e-7 of where the scene lies in space.
+    # The ray casting has a relative precision of 1e-7 of the scene's coordinates.
     np.testing.assert_allclose(found["above_m"], 0.0, atol=1e-3)
     np.testing.assert_allclose(found["sunlight"], sunlit(level.weather, AT), rtol=1e-5)
 
 
 def test_memory_of_the_sun_against_a_dense_sum(level):
-    """Within 1 % of a sum over minutes of the 40 hours before, at noon, in the morning and by night."""
+    """Within 1 % of a sum over minutes of the previous 40 hours, at noon, in the morning and at night."""
     for hours in (0, -5, 13):
         at = AT + hours * HOUR
         found = relief(level, at)
@@ -78,11 +78,11 @@ def test_memory_of_the_sun_against_a_dense_sum(level):
             weight = np.exp(-ago / memory)
             expected = (weight * light).sum() / weight.sum()
             print(hours, memory, found[f"sunlight_{memory:g}h"].mean() / expected - 1.0)
-            # Steps that weigh less than 1e-4 are left out: at most 12e-4 of an evening's 250 W/m².
+            # Steps with a weight below 1e-4 are left out: at most 12e-4 of an evening's 250 W/m².
             np.testing.assert_allclose(found[f"sunlight_{memory:g}h"], expected, rtol=0.01, atol=0.3)
 
 
-def test_instants_share_what_they_remember_and_are_as_alone(level, monkeypatch):
+def test_instants_share_their_memory_and_equal_separate_ones(level, monkeypatch):
     asked = []
     weather = level.weather
     times = [AT + np.timedelta64(minutes, "m") for minutes in (3, 0, 1, 2, 25)]
@@ -90,7 +90,7 @@ def test_instants_share_what_they_remember_and_are_as_alone(level, monkeypatch):
     watched = under(level, replace(weather))
     monkeypatch.setattr(Weather, "sun", lambda self, time, real=Weather.sun: asked.append(time) or real(self, time))
     together = reliefs(watched, times)
-    # Of 120 steps one more for the later hour, the one that each minute ends in, and its present.
+    # 120 steps, one more for the later hour, the one at the end of each minute, and the present.
     assert len(asked) <= 121 + 2 * len(times)
     for time, one in zip(times, alone, strict=True):
         for name in NAMES:
@@ -98,10 +98,10 @@ def test_instants_share_what_they_remember_and_are_as_alone(level, monkeypatch):
 
 
 def test_a_slope_that_faces_the_sun(tmp_path):
-    """30° towards the south: its normal by hand, what a plane sees of the sky, and the sun against its cosine."""
+    """30° towards the south: its normal by hand, its view of the sky, and the sun against its cosine."""
     rise = math.tan(math.radians(30.0))
     scene = scene_of(tmp_path / "s", np.repeat(rise * -np.arange(16.0)[:, None], 16, axis=1))
-    # A metre of the map, on the middle of its zone, is longer outdoors.
+    # A metre of the map, in the middle of its zone, is longer on the ground.
     tilt = math.atan(0.9996 * rise)
     found = relief(scene, AT)
     for name, value in (("east", 0.0), ("north", -math.sin(tilt)), ("up", math.cos(tilt))):
@@ -112,12 +112,12 @@ def test_a_slope_that_faces_the_sun(tmp_path):
     now = scene.weather.at(AT)
     direct = found["sunlight"] - now.diffuse_w_m2 * found["sky_view"]
     np.testing.assert_allclose(direct, now.direct_w_m2 * cosine, rtol=1e-4)
-    # Of 2 × 64 rays a binomial share: each of 450 faces within 4.5 standard deviations, their mean within 3 of its own.
+    # The share of 2 × 64 rays is binomial: each of 450 faces within 4.5 standard deviations, their mean within 3.
     view = (1.0 + math.cos(tilt)) / 2.0
     spread = math.sqrt(view * (1.0 - view) / 128.0)
     np.testing.assert_allclose(found["sky_view"], view, atol=4.5 * spread)
     assert found["sky_view"].mean() == pytest.approx(view, abs=3.0 * spread / math.sqrt(450))
-    # By symmetry the middle lies as high as the mean around it.
+    # By symmetry the middle is as high as the mean around it.
     assert abs(found["above_m"][15:17].mean()) < 1e-3
 
 
@@ -128,11 +128,11 @@ def test_height_above_the_mean_around_against_scipy(tmp_path):
     height = 5.0 * np.exp(-((rows - 32) ** 2 + (columns - 20) ** 2) / 60.0)
     scene = scene_of(tmp_path / "s", height)
     found = relief(scene, AT)["above_m"]
-    # Its bilinear posts on the texels, half a metre each.
+    # Its posts interpolated to the texels, half a metre each.
     rows, columns = (np.mgrid[:128, :128] + 0.5) / 2.0
     fine = 5.0 * np.exp(-((rows - 32) ** 2 + (columns - 20) ** 2) / 60.0)
     expected = fine - gaussian_filter(fine, 30.0, mode="mirror")
-    # A triangle of 1 m lies up to h″/8 + … below a round hill: 5 / 30 / 4.
+    # A triangle of 1 m is up to h″/8 + … below a round hill: 5 / 30 / 4.
     np.testing.assert_allclose(found[4:-4, 4:-4], expected[4:-4, 4:-4], atol=0.05)
     assert found.max() > 4.0
 
@@ -146,7 +146,7 @@ def test_the_shadow_of_a_wall_has_its_length(tmp_path):
     length = 6.0 / math.tan(elevation) * math.cos(azimuth - math.pi)
     assert 3.0 < length < 6.0
     direct = ((found["sunlight"] - now.diffuse_w_m2 * found["sky_view"]) / now.direct_w_m2)[:, 24:40]
-    # Middles of texels from the wall's upper edge, whose posts are middles of cells, northward; level from 1 m on.
+    # Texel centres from the wall's upper edge, whose posts are cell centres, northward; level from 1 m on.
     north = 20.5 - (np.arange(64) + 0.5) / 2.0
     shaded, lit = (north > 1.0) & (north < length - 0.01), (north > length + 0.01) | (north < -2.0)
     assert shaded.sum() >= 4 and lit.sum() > 40 and (shaded | lit)[north > 1.0].all()
@@ -154,18 +154,18 @@ def test_the_shadow_of_a_wall_has_its_length(tmp_path):
     np.testing.assert_allclose(direct[lit], math.sin(elevation), rtol=1e-4)
 
 
-def test_polar_night_has_its_skylight_alone(level):
+def test_polar_night_has_skylight_only(level):
     at = np.datetime64("2018-12-21T12:00:00")
-    # Nothing of a direct sun that a station should not have measured.
+    # No direct sun, which a station could not have measured.
     weather = steady(at - 100 * HOUR, latitude=80.0, direct_w_m2=300.0, diffuse_w_m2=2.0)
     found = relief(under(level, weather), at)
     for name in NAMES[5:]:
-        # Steps that weigh less than 1e-4 are left out: of four hours' memory what lies 27 hours back, 12e-4.
+        # Steps with a weight below 1e-4 are left out: of a memory of four hours what is 27 hours ago, 12e-4.
         np.testing.assert_allclose(found[name], 2.0, rtol=1.3e-3)
 
 
-def test_weather_that_has_just_begun(level):
-    """What there is of the past is all of the memory; at the very beginning that is the present."""
+def test_the_memory_of_weather_that_has_just_begun(level):
+    """The memory consists of the past that exists; at the very beginning that is the present."""
     ramp = np.array([100.0, 400.0])
     for after_s in (3600, 1200, 60, 0):
         weather = replace(steady(AT, hours=1), diffuse_w_m2=ramp)
@@ -180,7 +180,7 @@ def test_weather_that_has_just_begun(level):
                 ago = (np.arange(after_s) + 0.5) / 3600.0
                 light, weight = 100.0 + 300.0 * (after_s / 3600.0 - ago), np.exp(-ago / memory)
                 expected = (weight * light).sum() / weight.sum()
-            # Twenty minutes, of which the weather has a part, change it by up to 50 W/m².
+            # Twenty minutes, part of which the weather covers, change it by up to 50 W/m².
             np.testing.assert_allclose(mean, expected, atol=51.0)
 
 
@@ -188,7 +188,7 @@ def test_weather_that_has_just_begun(level):
 
 
 def by_hand(weather, begin, stop, inside_k, shade, step_s=450.0):
-    """Kelvin of the typical materials, level in the open or in shade, marched at half the usual step."""
+    """Kelvin of the typical materials, level in the open or in shade, simulated at half the usual step."""
     library = load_library()
     made = open_ground.columns(
         [find(library, name, "x") for name in TYPICAL], weather, float(weather.at(stop).snow_m),
@@ -213,8 +213,8 @@ def by_hand(weather, begin, stop, inside_k, shade, step_s=450.0):
     return state.surface_k
 
 
-def test_typical_materials_against_a_march_by_hand(level):
-    """Half the step changes 4 mK; leaves in shade, whose stomata close, are 0.8 to 1.2 K warmer than in full light."""
+def test_typical_materials_against_a_simulation_by_hand(level):
+    """Half the step changes 4 mK; leaves in shade, where stomata close, are 0.8 to 1.2 K warmer than in full light."""
     weather, at = level.weather, AT
     found = conditions(weather, at, 18.0)
     for where in ("open", "shade"):
@@ -225,8 +225,8 @@ def test_typical_materials_against_a_march_by_hand(level):
     assert found["open_asphalt"] > found["shade_asphalt"] + 10.0
 
 
-def test_what_a_station_measures_stands_beside_it():
-    """At night, in a day of rain: means over a day against sums by the minute; names are always the same."""
+def test_conditions_include_the_stations_measurements():
+    """At night on a rainy day: means over a day against sums by the minute; the names are always the same."""
     start = np.datetime64("2018-03-01T00:00:00")
     count = np.arange(73.0)
     weather = steady(start, 72, air_k=275.0 + count / 8.0, rain_mm_h=np.where(count > 60, 1.5, 0.0), snow_m=0.05)
@@ -246,7 +246,7 @@ def test_what_a_station_measures_stands_beside_it():
     assert first["air_day_k"] == first["rain_day_mm"] == 0.0
 
 
-def test_an_instant_is_traced_once_for_maps_that_ask_in_turn(level, monkeypatch):
+def test_an_instant_is_traced_once_for_several_maps(level, monkeypatch):
     geometry, asked = Geometry(activate(), level.surfaces), []
     monkeypatch.setattr(relief_module, "_traced", lambda scene, times, *rest: asked.append(times) or {times[0]: {}})
     later = level.time + HOUR

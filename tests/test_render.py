@@ -21,8 +21,8 @@ from thermorender.render.variant import activate
 from thermorender.scene.surface import BACKGROUND, FILLED, SURFACE
 
 BAND = (7.5, 13.5)
-# What is exact but for arithmetic: single precision of a sum of nodes (2⁻²⁴ of 300 K and some ten roundings: 0.2 mK),
-# and black bodies' tables (45 µK). [K]
+# Error of arithmetic alone: single precision of a sum of nodes (2⁻²⁴ of 300 K and some ten roundings: 0.2 mK),
+# and the tables of black bodies (45 µK). [K]
 ARITHMETIC_K = 1e-3
 DOWN = {"pitch_deg": -90.0}
 
@@ -41,7 +41,7 @@ def square(side=10.0, up=0.0):
 
 @pytest.mark.parametrize("emissivity", [1.0, 0.5, *slow(0.9, 0.05), 0.001])
 def test_isothermal_enclosure_reads_the_wall(tmp_path, emissivity):
-    # The sky would be seen at 0 K through any leak.
+    # Through any leak the sky would be seen at 0 K.
     scene = tr.load_scene(write_mesh(tmp_path / "s", box(True), 300.0, emissivity, sky=0.0))
     frame = tr.Renderer(scene, rays=64, tolerance_mk=0.5).frame(np.eye(4))
     assert np.abs(frame.apparent_temperature - 300.0).max() < ARITHMETIC_K
@@ -86,7 +86,7 @@ def view_factor_of_parallel_squares(ratio):
     return 2 / (np.pi * x**2) * (np.log(np.sqrt(one**2 / (1 + 2 * x**2))) + edges)
 
 
-# Two large faces show that rays start all over a face, many small ones that faces are told apart.
+# Two large faces show that rays start all over a face, many small ones that faces are distinguished.
 @pytest.mark.parametrize(("subdivisions", "rays"), [(0, 16384), (2, 1024)])
 def test_transport_against_the_view_factor_of_parallel_squares(tmp_path, subdivisions, rays):
     lower, upper = square(2.0), square(2.0, up=2.0)
@@ -100,7 +100,7 @@ def test_transport_against_the_view_factor_of_parallel_squares(tmp_path, subdivi
     seen = np.asarray(transport.operator[~up][:, up].sum()) / (~up).sum()
     exact = view_factor_of_parallel_squares(1.0)
     assert exact == pytest.approx(0.1998, abs=1e-4)
-    # Independent rays would err by this much (one standard error); stratified ones by less.
+    # Independent rays would have this error (one standard error); stratified ones have less.
     standard_error = np.sqrt(exact * (1 - exact) / (rays * (~up).sum()))
     assert abs(seen - exact) < 4 * standard_error
     sums = np.asarray(transport.operator.sum(axis=1)).ravel() + transport.sky.sum(axis=1) + transport.background
@@ -108,7 +108,7 @@ def test_transport_against_the_view_factor_of_parallel_squares(tmp_path, subdivi
 
 
 def test_neighbouring_faces_cast_different_rays(tmp_path):
-    # One ray each: parallel rays off the floor of a room would meet its ceiling and two walls at most.
+    # One ray each: parallel rays from the floor of a room would hit its ceiling and two walls at most.
     scene = tr.load_scene(write_mesh(tmp_path / "s", box(True)))
     transport = radiosity.trace(Geometry(activate(), scene.surfaces), 1)
     middle = scene.surfaces[0].vertices[scene.surfaces[0].faces].mean(axis=1)
@@ -151,11 +151,11 @@ def test_occluded_directions_return_solved_radiance(tmp_path):
     seen = frame.radiance[200:300, 250:390].mean()
     assert middle == pytest.approx(0.9980, abs=1e-4)
     assert low - 3.0 * error * 0.5 * (roof - sky) < seen < high + 3.0 * error * 0.5 * (roof - sky)
-    # Black or sky in the ceiling's place would be far off.
+    # Black or sky in the ceiling's place would be clearly wrong.
     assert low > 1.3 * own and low - (0.5 * own + 0.5 * sky) > 20.0 * error * roof
 
 
-def test_plan_leaves_out_what_black_scenes_do_not_need(tmp_path, monkeypatch):
+def test_the_plan_leaves_out_steps_that_black_scenes_do_not_need(tmp_path, monkeypatch):
     scene = tr.load_scene(write_mesh(tmp_path / "s", square(), 300.0, 1.0))
     monkeypatch.setattr(radiosity, "trace", lambda *_: pytest.fail("a black scene traced light between surfaces"))
     renderer = tr.Renderer(scene)
@@ -172,7 +172,7 @@ def test_plan_gives_quartz_the_nodes_it_needs(tmp_path):
     assert plan.nodes > 1 and plan.spectrum.nodes_mk <= 2.0
     loose = make_plan(scene, tolerance_mk=500.0)
     assert loose.nodes < plan.nodes
-    # A single node has the band's own emissivity: every wavelength counts with its share of 300 K light.
+    # A single node has the band's emissivity: every wavelength counts with its share of 300 K light.
     (single,) = make_plan(scene, tolerance_mk=5000.0).spectrum.emissivity.T
     exact = [emitted_radiance(material.emissivity_at, 300.0, *BAND) for material in scene.materials]
     np.testing.assert_allclose(single, np.array(exact) / band_radiance(300.0, *BAND), rtol=1e-9)
@@ -181,7 +181,7 @@ def test_plan_gives_quartz_the_nodes_it_needs(tmp_path):
     )
 
 
-def test_truth_stands_where_the_geometry_says(tmp_path):
+def test_truth_is_where_the_geometry_puts_it(tmp_path):
     height = np.add.outer(np.zeros(24), np.linspace(0.0, 6.0, 24))
     scene = tr.load_scene(write_terrain(tmp_path / "s", height=height))
     pose = tr.pose(1.0, -2.0, 25.0, yaw_deg=30.0, pitch_deg=-60.0)
@@ -200,8 +200,8 @@ def test_truth_stands_where_the_geometry_says(tmp_path):
     assert np.isinf(truth["depth"][~hit]).all() and (truth["material"][~hit] == 255).all()
 
 
-def test_texels_lie_where_the_map_says(tmp_path):
-    # One warm texel, looked at from right above: its place in the image gives its place on the ground.
+def test_texels_are_where_the_map_puts_them(tmp_path):
+    # One warm texel seen from straight above: its place in the image gives its place on the ground.
     temperature = np.full((64, 64), 290.0)
     temperature[20, 41] = 320.0
     flat, grass = np.zeros((32, 32)), np.ones((64, 64))
@@ -211,7 +211,7 @@ def test_texels_lie_where_the_map_says(tmp_path):
     weight = np.clip(weight, 0, None) * (frame.truth["mask"] == SURFACE)
     row, column = ((weight * axis).sum() / weight.sum() + 0.5 for axis in np.mgrid[:512, :640])
     slope = scene.camera.directions(np.array([column, row]))
-    # Texel (20, 41) of 0.5 m: its centre lies at map offsets east +4.75, north +5.75 of the middle, and map
+    # Texel (20, 41) of 0.5 m: its centre is at map offsets east +4.75, north +5.75 of the middle, and map
     # north is true north to 1e-4 so near the central meridian.
     np.testing.assert_allclose(20.0 * slope * [1, -1], [4.75, 5.75], atol=0.02)
 
@@ -225,8 +225,8 @@ def test_radiance_is_averaged_not_temperature(tmp_path):
     material = scene.materials[0]
     exact = emitted_radiance(material.emissivity_at, np.array([250.0, 350.0]), *BAND).mean()
     wrong = emitted_radiance(material.emissivity_at, 300.0, *BAND)
-    # A rectangle of 40 pixels' side holds more of one kind than of the other by a quarter of a square metre at most,
-    # and of its 16 · 1600 places, were they independent, one in 160.
+    # A rectangle of 40 pixels' side contains more of one kind than of the other by a quarter of a square metre at most,
+    # and of its 16 · 1600 places, if they were independent, one in 160.
     side = 40 * 150.0 / scene.camera.focal_length_px
     half = 0.5 * float(np.ptp(emitted_radiance(material.emissivity_at, np.array([250.0, 350.0]), *BAND)))
     limit = half * (0.25 / side**2 + 3.0 / np.sqrt(16 * 1600))
@@ -234,7 +234,7 @@ def test_radiance_is_averaged_not_temperature(tmp_path):
 
 
 @pytest.mark.slow
-def test_places_around_a_ray_stand_for_more_rays(tmp_path):
+def test_places_around_a_ray_replace_more_rays(tmp_path):
     checker = np.where(np.indices((64, 64)).sum(axis=0) % 2, 250.0, 350.0)
     flat, grass = np.zeros((32, 32)), np.ones((64, 64))
     scene = tr.load_scene(write_terrain(tmp_path / "s", height=flat, temperature=checker, classes=grass, sky=0.0))
@@ -243,7 +243,7 @@ def test_places_around_a_ray_stand_for_more_rays(tmp_path):
         tr.Renderer(scene, rays=1, samples=samples, taps=taps).radiance(pose)[240:272, 304:336]
         for samples, taps in ((16, 1), (1, 1), (1, 4))
     )
-    # Four places drawn independently would halve the error; spread evenly over the ray's footprint they do better.
+    # Four independent places would halve the error; spread evenly over the footprint of the ray they reduce it further.
     assert (four - many).std() < 0.3 * (one - many).std()
 
 
@@ -260,12 +260,12 @@ def test_pixels_on_an_edge_are_shared(tmp_path):
     shared = tr.Renderer(scene, rays=8).radiance(pose)[156:356, 220:420]
     contrast = many.max() - many.min()
     assert np.abs(shared - many).max() < 0.3 * contrast
-    # A share never lies outside what is shared.
+    # A shared value is always between those it is mixed from.
     assert many.min() - 1e-4 * contrast < shared.min() and shared.max() < many.max() + 1e-4 * contrast
 
 
 @pytest.mark.parametrize("quality", ["fast", "standard", "high"])
-def test_sampling_errs_less_than_its_budget(tmp_path, quality):
+def test_the_sampling_error_is_below_its_budget(tmp_path, quality):
     random = np.random.default_rng(6)
     extra = (
         '[[object]]\nname = "box"\nshape = "box"\nsize = [2, 1, 1]\nposition = [1, 2, 0]\nyaw_deg = 20\n'
@@ -304,7 +304,7 @@ def test_new_temperatures_reuse_the_traced_light(tmp_path, monkeypatch):
 
 
 def test_targets_and_their_visibility(tmp_path):
-    things = (
+    targets = (
         ("disc", "disc", [2.0, 1.0, 0.0]),
         ("roof", "box", [-3.0, 0.0, 2.0]),
         ("hidden", "disc", [-3.0, 0.0, 0.0]),
@@ -312,7 +312,7 @@ def test_targets_and_their_visibility(tmp_path):
     extra = "".join(
         f'[[object]]\nname = "{name}"\nshape = "{shape}"\nsize = [1, 1, 1]\nposition = {place}\n'
         f'temperature = 330.0\nmaterial = "paint_black"\n'
-        for name, shape, place in things
+        for name, shape, place in targets
     )
     scene = tr.load_scene(write_terrain(tmp_path / "s", height=np.zeros((16, 16)), extra=extra))
     frame = tr.Renderer(scene, rays=1).frame(tr.pose(0, 0, 20, **DOWN))
@@ -338,7 +338,7 @@ def test_empty_colour_is_masked(tmp_path):
     assert not known[256, 100] and known[256, 500]
 
 
-def test_beyond_the_edge_lies_ground_not_sky(tmp_path):
+def test_beyond_the_edge_is_ground_not_sky(tmp_path):
     flat, even = np.zeros((16, 16)), np.full((32, 32), 295.0)
     scene = tr.load_scene(write_terrain(tmp_path / "s", height=flat, temperature=even, sky=200.0))
     frame = tr.Renderer(scene, rays=8).frame(tr.pose(0, 0, 30, pitch_deg=0.0))
@@ -363,21 +363,21 @@ def test_an_edge_is_where_depth_jumps_and_radiance_differs():
         return edge_step(radiance, inverse_depth)
 
     assert inner(texture, plane).max() < 1e-3
-    # The right half lies further off: the edge is in column 5 or 6, and their neighbours differ from neither.
+    # The right half is further away: the edge is in column 5 or 6, and their neighbours differ from neither.
     broken = np.where(column > 5, 0.8 * plane, plane)
     step = inner(texture, broken)
     np.testing.assert_allclose(step, np.broadcast_to([0, 0, 0, 2, 2, 0, 0, 0], step.shape), atol=1e-3)
     assert inner(np.full_like(texture, 6.0), broken).max() == 0.0
-    # A thing in one pixel may reach into its neighbours, and half as surely across the corners.
-    thing = (row == 4) & (column == 5)
-    step = inner(np.where(thing, 9.0, 5.0).astype(np.float32), np.where(thing, 2.0 * plane, plane))
+    # An object in one pixel may extend into its neighbours, and half as likely across the corners.
+    target = (row == 4) & (column == 5)
+    step = inner(np.where(target, 9.0, 5.0).astype(np.float32), np.where(target, 2.0 * plane, plane))
     expected = np.zeros_like(step)
     expected[1:4, 2:5] = [[2.0, 4.0, 2.0], [4.0, 4.0, 4.0], [2.0, 4.0, 2.0]]
     np.testing.assert_allclose(step, expected, atol=1e-3)
 
 
-def test_a_part_of_an_image_is_what_the_whole_shows_there(tmp_path):
-    """Edges at the rim of a part included, of which only rays beyond it tell."""
+def test_a_part_of_an_image_equals_the_whole_there(tmp_path):
+    """This includes edges at the rim of a part, which only rays beyond it detect."""
     hot = "".join(
         f'\n[[object]]\nname = "box {number}"\nshape = "box"\nsize = [{side}, {side}, 2.0]\n'
         f'position = [{east}, {north}, 0.0]\nyaw_deg = {turn}\ntemperature = 345.0\nmaterial = "paint_black"\n'
@@ -397,7 +397,7 @@ def test_a_part_of_an_image_is_what_the_whole_shows_there(tmp_path):
             np.testing.assert_allclose(part, whole[rows, columns], rtol=2e-6)
 
 
-def test_a_ring_tells_all_of_edges_within_it():
+def test_a_ring_of_pixels_determines_all_edges_inside():
     radiance = np.random.default_rng(1).uniform(50.0, 60.0, (20, 24)).astype(np.float32)
     row, column = np.mgrid[:20, :24]
     for jump in range(5, 12):
@@ -408,7 +408,7 @@ def test_a_ring_tells_all_of_edges_within_it():
             np.testing.assert_array_equal(part, whole[cut:, cut:])
 
 
-def test_errors(tmp_path):
+def test_unusable_scenes_and_poses_are_refused(tmp_path):
     scene = tr.load_scene(write_mesh(tmp_path / "s", square()))
     renderer = tr.Renderer(scene)
     skewed = np.eye(4)
@@ -430,8 +430,8 @@ def test_errors(tmp_path):
         tr.Renderer("heath")
 
 
-def test_vertices_have_behind_them_what_embree_reads():
-    """Four bytes beyond the last: where memory ends there, the process would."""
+def test_vertex_arrays_have_the_padding_that_embree_reads():
+    """Embree reads four bytes beyond the last vertex: where memory ends there, the process would crash."""
     vertices = np.random.default_rng(0).normal(size=(7, 3))
     found = positions(vertices)
     assert found.dtype == np.float32 and np.array_equal(found, vertices.astype(np.float32).ravel())

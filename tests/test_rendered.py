@@ -1,4 +1,4 @@
-"""A rendered campaign: one small world against fresh renderers, its solved tables, its sky, its second draw."""
+"""A rendered campaign: one small world against fresh renderers, its solved tables, its sky and its second draw."""
 
 import json
 from functools import cache
@@ -23,19 +23,19 @@ from thermorender.synthetic.canvas import Canvas
 from thermorender.synthetic.light import sky_colour
 from thermorender.synthetic.procedural_scene import KINDS, make
 
-# A clear morning in August, with land in each view and sky in the last.
+# A clear morning in August, with land in each view and sky in the last view.
 WORLD = rendered.worlds(0, 0, 1, 6, ("heath",))[0]
 
 
 @pytest.fixture(scope="module")
 def campaign(tmp_path_factory):
-    """(Dataset of one world of 100 × 100 texels in three views of 160 × 128 pixels, what `_pair` was given of each)."""
+    """(Dataset of one world of 100 × 100 texels in three views of 160 × 128 pixels, the arguments of each `_pair`)."""
     folder, seen, own = tmp_path_factory.mktemp("campaign"), [], rendered._pair
     text = model_path("boson-640").read_text(encoding="utf-8")
     for before, after in (("width = 640", "width = 160"), ("height = 512", "height = 128"), ("um = 12.0", "um = 48.0")):
         assert text.count(before) == 1
         text = text.replace(before, after)
-    # What lies smoothly over the image has tests of its own, and would hide what is asked for here.
+    # Smooth fields over the image have their own tests, and would hide what is tested here.
     smooth = ("narcissus_mk", "shading_mk", "responsivity_percent")
     lines = [line for line in text.splitlines() if not line.startswith(smooth)]
     (folder / "small.toml").write_text("\n".join(lines), encoding="utf-8")
@@ -46,7 +46,7 @@ def campaign(tmp_path_factory):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rendered, "SIDE_TEXELS", 100)
-        # The march begins as late as it may: here nobody asks how true it is.
+        # The simulation starts as late as it may: its accuracy does not matter here.
         patch.setattr(heat, "_BEFORE_S", 6 * 3600.0)
         patch.setattr(open_ground, "_LOOK_BACK", np.timedelta64(86400, "s"))
         patch.setattr(open_ground, "_MOST_DAYS", 2)
@@ -59,20 +59,20 @@ def campaign(tmp_path_factory):
 NAMED = ("renderers", "at", "order", "fields", "number", "cloud")
 
 
-def test_parts_have_lands_and_weathers_of_their_own():
+def test_parts_share_no_lands_and_weathers():
     of = rendered.worlds(9, 3, 6, seed=2)
     assert [sum(each.part == part for each in of) for part in ("train", "validation", "test")] == [9, 3, 6]
     seeds = [seed for each in [*of, *rendered.worlds(9, 3, 6, seed=3)] for seed in (each.seed, each.weather_seed)]
     assert len(set(seeds)) == len(seeds) and len({each.name for each in of}) == 18
     for part in ("train", "validation", "test"):
         assert {each.kind for each in of if each.part == part} == set(KINDS)
-    # Only tests are drawn again, some of each kind; a campaign that is stopped half way has something of each part.
+    # Only test pairs are drawn again, some of each kind; a campaign stopped half-way has pairs of each part.
     again = [each for each in of if each.redrawn]
     assert {each.part for each in again} == {"test"} and {each.kind for each in again} == set(KINDS)
     assert {each.part for each in of[:9]} == {"train", "validation", "test"}
 
 
-def test_numbers_out_of_range_leave_nothing(tmp_path):
+def test_numbers_out_of_range_leave_no_files(tmp_path):
     for arguments, words in (
         ({"kinds": ("moor",)}, "kind='moor' is not a synthetic scene; choose one of"),
         ({"train": 0, "validation": 0, "test": 0}, "0, 0, 0 worlds are not a campaign; give at least one world"),
@@ -87,7 +87,7 @@ def test_numbers_out_of_range_leave_nothing(tmp_path):
     assert not (tmp_path / "set").exists()
 
 
-def test_the_verb_asks_for_the_worlds_it_was_told(tmp_path, monkeypatch, call, campaign):
+def test_the_verb_renders_the_requested_worlds(tmp_path, monkeypatch, call, campaign):
     asked = []
     monkeypatch.setattr(rendered, "render_campaign", lambda *given, **more: asked.append((given, more)) or campaign[0])
     words = ("--train", 2, "--validation", 0, "--test", 1, "--kinds", "heath", "--hours", 1, "--views", 3)
@@ -100,27 +100,27 @@ def test_the_verb_asks_for_the_worlds_it_was_told(tmp_path, monkeypatch, call, c
     assert status == 2 and "--turn='2,2' is not allowed; give K,N with K from 0 to N − 1" in errors
 
 
-def test_noise_free_radiance_is_that_of_a_fresh_renderer(campaign):
+def test_noise_free_radiance_equals_that_of_a_fresh_renderer(campaign):
     dataset, seen = campaign
     for number, name in enumerate(("radiance", "balance", "redrawn")):
         fresh = Renderer(seen[0].renderers[number].scene, tolerance_mk=rendered._TOLERANCE_MK)
         for entry, given in zip(dataset.entries, seen, strict=True):
             kept = dataset.pair(entry).truth[name]
-            # Kept to 16 bits of the mantissa.
+            # Stored with 16 bits of mantissa.
             np.testing.assert_allclose(kept, fresh.radiance(given.at), rtol=2.0**-17)
     truth = dataset.pair(dataset.entries[0]).truth
     assert (truth["redrawn"] != truth["radiance"]).any()
 
 
 def test_the_balance_is_solved_with_table_values(campaign):
-    """As whoever predicts does it: the land's files loaded, its tables taken as they are, nothing hidden."""
+    """The same as for a predictor: the land's files are loaded, its tables are unchanged, nothing is hidden."""
     dataset, seen = campaign
     lands, times = rendered._lands(WORLD, 1)
     scene = rendered._loaded(lands[0], dataset.card["camera"])
     (own,) = heat.solved(scene, times)
     (true, predicted, again) = (each.scene.surfaces[0].temperature for each in seen[0].renderers)
     np.testing.assert_array_equal(predicted, own.surfaces[0].temperature)
-    # What is hidden and drawn is worth a few tenths of a kelvin at least, and a few kelvin at most.
+    # The hidden, drawn properties change the temperature by a few tenths of a kelvin to a few kelvin.
     for one, other in ((true, predicted), (again, predicted), (again, true)):
         assert 0.2 < np.abs(one - other).mean() < 8.0
     entry = dataset.entries[0]
@@ -129,10 +129,10 @@ def test_the_balance_is_solved_with_table_values(campaign):
     assert entry.sky_temperature == pytest.approx(at_camera, abs=0.006)
 
 
-def test_counts_tell_the_radiance_but_for_noise_and_blur(campaign):
-    """Where land is even: the middle of the differences within 50 mK, their spread once to thrice the detector's noise.
+def test_counts_equal_the_radiance_except_for_noise_and_blur(campaign):
+    """On even land: the median difference is within 50 mK, the spread one to three times the detector's noise.
 
-    That is 40 mK of a pixel in time; rows, columns and what is fixed add to it, and the land's own 30 mK.
+    The noise is 40 mK per pixel over time; rows, columns and the fixed pattern add to it, and the land's own 30 mK.
     """
     dataset, seen = campaign
     camera = seen[0].renderers[0].scene.camera
@@ -153,7 +153,7 @@ def test_pixels_of_sky_are_valid_and_of_its_colour(campaign):
     pair, given = dataset.pair(dataset.entries[2]), seen[2]
     sky = (pair.truth["mask"] & 17) == 0
     assert 0.1 < sky.mean() < 0.9 and pair.valid[sky].all()
-    # A pinhole by hand, from its pixels' pitch; the third row of the pose is up.
+    # A pinhole camera by hand, from the pixel pitch; the third row of the pose is up.
     camera = given.renderers[0].scene.camera
     row, column = np.mgrid[: camera.height, : camera.width] + 0.5
     pitch = camera.pixel_pitch_um * 1e-3 / camera.focal_length_mm
@@ -162,12 +162,12 @@ def test_pixels_of_sky_are_valid_and_of_its_colour(campaign):
     assert sine[sky].min() > -1e-6
     expected = srgb.bytes_from_linear(sky_colour(sine, given.cloud))
     np.testing.assert_array_equal(pair.visible[sky], expected[sky])
-    # Without sky there is land, or nothing: neither is sky.
+    # Pixels that are not sky are land or nothing.
     assert not (pair.valid & ~sky & (pair.truth["material"] == 255)).any()
 
 
 def test_the_days_sky():
-    """Blue overhead and pale at the horizon; under clouds grey, a third as bright at the horizon as overhead."""
+    """Blue overhead and pale at the horizon; under clouds grey, and at the horizon a third as bright as overhead."""
     clear, grey = sky_colour(np.linspace(0.0, 1.0, 50)), sky_colour(np.linspace(0.0, 1.0, 50), 1.0)
     assert clear.shape == (50, 3) and clear.dtype == np.float32
     assert (np.diff(clear, axis=0) < 0.0).all()
@@ -176,8 +176,8 @@ def test_the_days_sky():
     np.testing.assert_allclose(sky_colour(0.3, 0.25), 0.75 * sky_colour(0.3) + 0.25 * sky_colour(0.3, 1.0), rtol=1e-6)
 
 
-def test_texels_are_those_that_lie_under_pixels(campaign):
-    """Against positions in the truth of the frame: a texel's middle is half its side away at most along either axis."""
+def test_texels_are_those_under_the_pixels(campaign):
+    """Against the positions in the frame's truth: a texel's centre is at most half its side away along either axis."""
     _, seen = campaign
     for given in seen:
         renderer = given.renderers[0]
@@ -192,7 +192,7 @@ def test_texels_are_those_that_lie_under_pixels(campaign):
         assert on.sum() > 1000 and away.max() < 0.5 * surface.texel_m * 1.01 + 0.01
 
 
-def test_planes_are_those_of_the_texels(campaign):
+def test_planes_equal_those_of_the_texels(campaign):
     dataset, seen = campaign
     for entry, given in zip(dataset.entries, seen, strict=True):
         pair, texel = dataset.pair(entry), given.renderers[0].texels(given.at)
@@ -206,7 +206,7 @@ def test_planes_are_those_of_the_texels(campaign):
         assert (listed[pair.truth["material"][texel >= 0]] == names[texel[texel >= 0]]).all()
 
 
-def test_a_camera_never_stands_under_ground_or_beside_the_land(campaign, monkeypatch):
+def test_a_camera_is_never_under_ground_or_off_the_land(campaign, monkeypatch):
     _, seen = campaign
     scene = seen[0].renderers[0].scene
     names = [name for name, *_ in rendered.VIEWS]
@@ -228,11 +228,11 @@ def test_a_camera_never_stands_under_ground_or_beside_the_land(campaign, monkeyp
     assert len(poses) == 400
 
 
-# --- drawn once more --------------------------------------------------------------------------------------------
+# --- drawn again ------------------------------------------------------------------------------------------------
 
 
 def test_a_second_draw_keeps_the_photograph(monkeypatch):
-    """Bit for bit, and its classes and heights; what is hidden is another."""
+    """The photograph, its classes and heights stay bit for bit; the hidden properties differ."""
     monkeypatch.setattr(rendered, "SIDE_TEXELS", 100)
     sizes = rendered._sizes("village")
     first, second, third = (make("village", 5, *sizes, again=again) for again in (0, 1, 2))
@@ -244,11 +244,11 @@ def test_a_second_draw_keeps_the_photograph(monkeypatch):
             assert np.abs(draws[one] - draws[other]).mean() > 0.05, name
 
 
-def test_what_is_seen_of_moisture_stays_and_the_rest_is_drawn_anew(monkeypatch):
-    """Moisture, cover and roughness from the fields' logarithms; what is seen from what it does to the picture.
+def test_visible_moisture_stays_and_hidden_properties_are_drawn_again(monkeypatch):
+    """Moisture, cover and roughness from the logarithms of the fields; the visible part from its effect on the picture.
 
-    Each draw knows what is seen by 0.6, and so the other draw by 0.36; cover and roughness know nothing. Eight lands of
-    (720 / 48)² patches leave a standard deviation of 0.024 to a correlation.
+    Each draw correlates with the visible part by 0.6, and so with the other draw by 0.36; cover and roughness do not
+    correlate. Eight lands of (720 / 48)² patches give a correlation a standard deviation of 0.024.
     """
 
     monkeypatch.setattr(deviations_module, "load_library", cache(load_library))
@@ -278,7 +278,7 @@ def test_what_is_seen_of_moisture_stays_and_the_rest_is_drawn_anew(monkeypatch):
         np.testing.assert_allclose(others, 0.0, atol=0.08)
 
 
-def test_materials_are_drawn_anew(campaign):
+def test_materials_are_drawn_again(campaign):
     _, seen = campaign
     scene = seen[0].renderers[0].scene
 
@@ -295,7 +295,7 @@ def test_materials_are_drawn_anew(campaign):
 # --- continued --------------------------------------------------------------------------------------------------
 
 
-def test_what_is_whole_is_not_rendered_again(campaign, monkeypatch):
+def test_complete_worlds_are_not_rendered_again(campaign, monkeypatch):
     dataset, _ = campaign
     before = {path: path.read_bytes() for path in dataset.folder.rglob("*") if path.is_file()}
     monkeypatch.setattr(rendered, "_pairs", lambda *_: pytest.fail("rendered again"))
@@ -306,8 +306,8 @@ def test_what_is_whole_is_not_rendered_again(campaign, monkeypatch):
         rendered.render_campaign(dataset.folder, [WORLD], 1, 2, dataset.card["camera"], resume=True)
 
 
-def test_turns_and_a_stop_leave_no_world_out(tmp_path, monkeypatch, campaign):
-    """Pairs of a stand-in: of several processes each does its own worlds; one that is stopped goes on behind."""
+def test_turns_and_an_interruption_skip_no_world(tmp_path, monkeypatch, campaign):
+    """With stand-in pairs: each of several processes renders its own worlds; a stopped one continues later."""
     dataset, _ = campaign
     entry, done = dataset.entries[0], []
     pair = {"visible.png": b"v", "thermal.png": b"t"}

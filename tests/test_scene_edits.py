@@ -1,4 +1,4 @@
-"""Edits of a scene: in any order the same scene and the same frame, no part left stale, and short words for each value.
+"""Edits of a scene: the order does not matter, no part is left stale, and each value has a short repr.
 
 The scenes are of 16 × 16 posts; a frame has 16 × 12 pixels.
 """
@@ -86,9 +86,9 @@ EDITS = {
     ),
     "instant": lambda scene: scene.at(AT),
 }
-# The last of these counts, as the second declares what the first did.
+# The last edit counts here, as the second declares the same as the first.
 SAME = [{"air", "sky"}, {"sun", "no sun"}, {"kelvin", "balance"}, {"kelvin", "map"}, {"balance", "map"}]
-# Each of these refuses what the other declares.
+# Each edit refuses what the other declares.
 CONTRADICT = [{"sun", "balance"}, {"class", "learned materials"}, {"instant", "map"}]
 PAIRS = [set(pair) for pair in itertools.combinations(EDITS, 2)]
 
@@ -128,7 +128,7 @@ def test_edits_that_contradict_each_other_are_refused_in_either_order(weathered,
 
 @pytest.mark.parametrize("band_um", [(8.0, 14.0), (8.0, 12.0), (7.5, 9.0)])
 def test_air_follows_the_band_of_a_later_camera(weathered, band_um):
-    """Camera after air errs by +0.57, +24 and +94 K where the air stays in the old band."""
+    """If the air keeps the old band, a camera set after the air has an error of +0.57, +24 and +94 K."""
     camera = dataclasses.replace(CAMERA, band_um=band_um)
     after = weathered.with_air("tropical").with_camera(camera)
     before = weathered.with_camera(camera).with_air("tropical")
@@ -143,7 +143,7 @@ def test_an_atmosphere_in_memory_follows_the_band_too(weathered):
     assert given.digest() == named.digest()
 
 
-# --- what no edit may leave stale -----------------------------------------------------------------------------------
+# --- no edit may leave a part stale ---------------------------------------------------------------------------------
 
 
 def test_no_part_of_a_scene_can_be_replaced_alone(weathered):
@@ -159,8 +159,8 @@ def test_no_part_of_a_scene_can_be_replaced_alone(weathered):
     assert copy.copy(weathered).digest() == weathered.digest()
 
 
-def test_temperatures_are_those_declared(weathered):
-    """With the specification alone replaced they stayed, 47 K off."""
+def test_temperatures_follow_the_declaration(weathered):
+    """Replacing only the specification left them unchanged, 47 K off."""
     warm = weathered.with_temperature(345.0)
     assert warm.spec.temperature == TemperatureSpec("constant", value=345.0)
     assert (warm.surfaces[0].temperature == 345.0).all() and (frame_of(warm) > 1.3 * frame_of(weathered)).any()
@@ -172,8 +172,8 @@ def test_temperatures_are_those_declared(weathered):
     assert list(learned.temperature_state.report) == ["fok-1to1"]
 
 
-def test_emissivity_is_the_one_declared(tmp_path):
-    """With the specification alone replaced it stayed, 15.6 K off."""
+def test_emissivity_follows_the_declaration(tmp_path):
+    """Replacing only the specification left it unchanged, 15.6 K off."""
     scene = tr.load_scene(write_mesh(tmp_path / "m", trimesh.creation.box((40, 40, 2)))).with_camera(CAMERA)
     dark = scene.with_material(constant=0.6)
     direct = tr.load_scene(write_mesh(tmp_path / "d", trimesh.creation.box((40, 40, 2)), emissivity=0.6))
@@ -181,8 +181,8 @@ def test_emissivity_is_the_one_declared(tmp_path):
     assert frame_of(dark).mean() < 0.95 * frame_of(scene).mean()
 
 
-def test_a_time_or_weather_is_that_of_the_temperatures(balanced, solved):
-    """With `weather.time` alone replaced they stayed, 18.5 K off."""
+def test_temperatures_follow_an_edit_of_time_or_weather(balanced, solved):
+    """Replacing only `weather.time` left them unchanged, 18.5 K off."""
     later = balanced.at("2018-07-28T01:00Z")
     assert later.time == later.spec.weather.time and isinstance(later.temperature_state, Pending)
     asked = balanced.with_weather(time="2018-07-28T01:00Z")
@@ -206,7 +206,7 @@ def test_a_time_or_weather_is_that_of_the_temperatures(balanced, solved):
     ],
 )  # fmt: skip
 def test_solved_temperatures_are_pending_again_after_an_edit_they_depend_on(balanced, solved, edit):
-    """They stayed, up to 18.5 K off."""
+    """They stayed unchanged, up to 18.5 K off."""
     assert isinstance(solved.temperature_state, Known) and isinstance(solved.temperature_state.source, Balance)
     edited, unsolved = edit(solved), edit(balanced)
     assert isinstance(edited.temperature_state, Pending) and isinstance(edited.temperature_state.source, Balance)
@@ -234,16 +234,16 @@ def test_another_air_keeps_the_sun_of_a_solved_scene(solved):
     assert solved.with_sky(250.0).sun is None and solved.with_sky(250.0).with_air("tropical").sun == sun
 
 
-def test_air_is_that_of_its_own_altitude(weathered):
+def test_air_uses_its_own_altitude(weathered):
     """The specification's air was ignored and its altitude obeyed."""
     high = weathered.with_air(AtmosphereSpec(standard="tropical", altitude_m=2000.0))
     assert high.altitude_m == 2000.0 and high.sky_temperature < weathered.with_air("tropical").sky_temperature - 5.0
-    # The altitude is of the place: another air, or none, leaves it.
+    # The altitude belongs to the place: another air, or none, does not change it.
     again = high.with_sky(250.0).with_air("midlatitude-winter")
     assert again.altitude_m == 2000.0 and again.sky_temperature != high.sky_temperature
 
 
-def test_no_air_returns_to_the_sky_declared(weathered):
+def test_removing_the_air_restores_the_declared_sky(weathered):
     """`air=None` was a TypeError."""
     assert weathered.with_air("tropical").with_air(None).digest() == weathered.digest()
     folder = weathered.spec.folder.parent / "aired"
@@ -260,7 +260,7 @@ def test_an_object_has_the_temperature_and_place_declared(weathered, tmp_path):
     assert warm.spec.objects[0].temperature == 400.0 and (warm.surfaces[1].temperature == 400.0).all()
     moved = weathered.with_objects({"marker": {"east_m": -4.0, "yaw_deg": 30.0}})
     assert moved.targets["marker"][0] == pytest.approx(-4.0) and moved.spec.objects[0].yaw_deg == 30.0
-    # The ground is finer where the object stands now.
+    # The ground is finer where the object is now.
     near = np.linalg.norm(moved.surfaces[0].vertices[:, :2] - [-4.0, 1.0], axis=1) < 1.5
     assert near.sum() > 3 * (np.linalg.norm(weathered.surfaces[0].vertices[:, :2] - [-4.0, 1.0], axis=1) < 1.5).sum()
     direct = tmp_path / "direct"
@@ -268,7 +268,7 @@ def test_an_object_has_the_temperature_and_place_declared(weathered, tmp_path):
     np.testing.assert_array_equal(frame_of(moved), frame_of(tr.load_scene(direct).with_camera(CAMERA)))
 
 
-def test_an_edit_holds_a_column_of_a_track(tmp_path):
+def test_an_edit_fixes_a_column_of_a_track(tmp_path):
     write_terrain(tmp_path / "t", extra=CAR)
     (tmp_path / "t/car.csv").write_text("time_s,east_m,temperature_k\n0,0,310\n10,3,330\n")
     scene = tr.load_scene(tmp_path / "t").with_camera(CAMERA)
@@ -349,7 +349,7 @@ def test_a_truth_raster_is_of_its_own_weather(weathered):
         (lambda s: s.with_solved_temperatures(s.time, [300.0]), "are not solved for an instant; call with_temperature"),
     ],
 )  # fmt: skip
-def test_an_edit_that_cannot_be_is_refused_in_one_sentence(weathered, edit, words):
+def test_impossible_edits_are_refused_in_one_sentence(weathered, edit, words):
     with pytest.raises(ThermorenderError, match=words) as error:
         edit(weathered)
     assert "\n" not in str(error.value)
@@ -363,7 +363,7 @@ def test_a_sun_without_air_is_refused_when_the_scene_is_rendered(weathered):
 
 
 def tampered(scene, **changes):
-    """A scene whose parts were replaced behind its back."""
+    """A scene with parts replaced without its edits."""
     other = copy.copy(scene)
     vars(other)["_derived"] = dataclasses.replace(scene._derived, **changes)
     return other
@@ -388,10 +388,10 @@ def test_the_renderer_refuses_a_scene_whose_parts_disagree(weathered, solved):
             assert "\n" not in str(error.value)
 
 
-# --- words --------------------------------------------------------------------------------------------------------
+# --- reprs --------------------------------------------------------------------------------------------------------
 
 
-def test_values_say_what_they_are_in_a_line_or_two(weathered, balanced, solved):
+def test_reprs_take_a_line_or_two(weathered, balanced, solved):
     """A scene took 147,867 characters, a plan 35,384."""
     renderer = tr.Renderer(weathered, rays=2, samples=1)
     frame = renderer.frame(tr.pose(0, 0, 12, pitch_deg=-90))
@@ -418,7 +418,7 @@ def test_values_say_what_they_are_in_a_line_or_two(weathered, balanced, solved):
             assert word in repr(value), (word, repr(value))
 
 
-def test_a_scene_equals_itself_alone_and_can_be_a_key(weathered):
+def test_a_scene_equals_only_itself_and_is_hashable(weathered):
     """`scene == other` and `hash(scene)` raised."""
     same = tr.load_scene(weathered.spec.folder)
     assert weathered == weathered and weathered != same and len({weathered, same}) == 2

@@ -1,4 +1,4 @@
-"""Settings as tables: what is refused and in which words, and TOML written so that it reads back."""
+"""Settings as tables: refused values and their messages, and TOML that reads back as written."""
 
 import random
 import re
@@ -47,7 +47,7 @@ def test_a_table_is_read_into_its_dataclass():
         items=(Inner("a", 3.0), Inner("b")), sky=250.0,
     )  # fmt: skip
     assert isinstance(found.width, int) and isinstance(found.mode, float)
-    # A table left out is its own each time.
+    # A table that is left out is a new one each time.
     one, other = (read(Table, {"width": 1}, WHERE) for _ in range(2))
     assert one.classes == {} and one.classes is not other.classes
 
@@ -91,7 +91,7 @@ def test_a_table_is_read_into_its_dataclass():
         ({"width": 1, "tags": 200 * "x"}, f"tags='{159 * 'x'}… is not allowed"),
     ],
 )  # fmt: skip
-def test_what_is_refused_says_file_key_value_and_what_is_allowed(raw, message):
+def test_errors_name_file_key_value_and_what_is_allowed(raw, message):
     with pytest.raises(ThermorenderError) as caught:
         read(Table, raw, WHERE)
     assert message in str(caught.value) and str(caught.value).startswith("s.toml: ")
@@ -115,7 +115,7 @@ def test_exactly_one_of_several_keys():
         (b"a = " + 100_000 * b"[", "x.toml is not valid TOML: brackets are nested too deeply"),
     ],
 )
-def test_what_is_no_toml_names_file_and_line(tmp_path, data, words):
+def test_invalid_toml_names_file_and_line(tmp_path, data, words):
     (tmp_path / "x.toml").write_bytes(data)
     with pytest.raises(ThermorenderError, match=words) as caught:
         read_toml(tmp_path / "x.toml")
@@ -124,7 +124,7 @@ def test_what_is_no_toml_names_file_and_line(tmp_path, data, words):
         read_toml(tmp_path / "x.toml", "mine")
 
 
-def test_a_byte_order_mark_is_passed_over(tmp_path):
+def test_a_byte_order_mark_is_ignored(tmp_path):
     (tmp_path / "x.toml").write_bytes(b"\xef\xbb\xbfa = 1\n")
     assert read_toml(tmp_path / "x.toml") == {"a": 1}
 
@@ -171,7 +171,7 @@ def test_hostile_texts_are_read_back_as_keys_and_as_values(tmp_path):
         assert read_toml(tmp_path / "line.toml") == {value: value}
 
 
-def test_a_text_that_is_no_unicode_is_refused_as_a_value_and_marked_in_a_comment(tmp_path):
+def test_a_text_that_is_not_unicode_is_refused_as_a_value_and_marked_in_a_comment(tmp_path):
     with pytest.raises(ThermorenderError, match=r"'a\\udcff' is not valid Unicode"):
         toml_text({"a": "a\udcff"})
     assert back(tmp_path, {"a": 1}, "a\udcff") == {"a": 1}
@@ -186,7 +186,7 @@ def test_numbers_and_tables_are_read_back_with_their_kinds(tmp_path):
     found = back(tmp_path, values)
     assert found == values
     assert [type(found[name]) for name in ("whole", "point", "yes")] == [int, float, bool]
-    # NumPy's numbers and paths are written as what they stand for, None not at all.
+    # NumPy's numbers and paths are written as plain values, None is left out.
     other = {"a": np.float32(0.5), "b": np.int64(3), "c": Path("x/y"), "d": (1, 2), "e": None, "f": np.float64(1 / 3)}
     assert back(tmp_path, other) == {"a": 0.5, "b": 3, "c": "x/y", "d": [1, 2], "f": 1 / 3}
     assert str(back(tmp_path, {"a": float("nan")})["a"]) == "nan"
@@ -194,7 +194,7 @@ def test_numbers_and_tables_are_read_back_with_their_kinds(tmp_path):
         toml_text({"a": object()})
 
 
-def test_a_table_of_plain_keys_looks_as_written_by_hand():
+def test_a_table_of_plain_keys_looks_hand_written():
     values = {"title": "x", "terrain": {"mesh": "a.obj"}, "sky": {"temperature": 250.0}, "object": [{"name": "a"}]}
     assert toml_text(values, "Made by hand.\nTwice.") == (
         '# Made by hand.\n# Twice.\ntitle = "x"\n\n[terrain]\nmesh = "a.obj"\n\n[sky]\ntemperature = 250.0\n\n'

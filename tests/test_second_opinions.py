@@ -1,13 +1,13 @@
-"""Every feature of the renderer beside a second opinion: the path tracer of `path_tracer`, in standard errors.
+"""Every feature of the renderer against a second opinion: the path tracer of `path_tracer`, in standard errors.
 
 A case is a scene made for one feature, a camera in it and how many paths to take. The renderer's band radiance is
-compared in blocks of pixels: paths of several seeds tell each pixel's variance, a block's pixels together that of their
+compared in blocks of pixels. Several seeds give each pixel's variance, and the pixels of a block that of their
 mean. The largest deviation of all blocks must stay below the quantile that, by Student's distribution, one run in a
-thousand exceeds; a deviation means something only where the standard error is small, which is asserted too. Beyond
-noise, the renderer is allowed what it states of itself: its spectral nodes and channels, its directional reflectances,
+thousand exceeds. A deviation is only meaningful if the standard error is small, which is asserted too. Beyond
+noise, the renderer may deviate by its stated errors: its spectral nodes and channels, its directional reflectances,
 the rays of its bake and its sampling.
 
-`python tests/test_second_opinions.py` writes all of it to `validation/second_opinions.md`.
+`python tests/test_second_opinions.py` writes all results to `validation/second_opinions.md`.
 """
 
 import tempfile
@@ -32,17 +32,17 @@ from thermorender.render.pixels.budget import sampling_error
 
 BAND = (7.5, 13.5)
 AIR = '[atmosphere]\nstandard = "midlatitude-summer"\naerosol = "rural-23km"\n'
-# Share of runs in which right code may fail; standard error of a block up to which a comparison says something [mK].
+# Share of runs in which correct code may fail; largest standard error of a block for a meaningful comparison [mK].
 FALSE_ALARM, LARGEST_MK = 1e-3, 30.0
 SEEDS, BLOCK, SIZE = 4, 8, (48, 40)
 QUALITY = {"quality": "high", "rays": 2048, "tolerance_mk": 1.0}
-# What `render.air` and `atmosphere.rays` state of the sky: its table by zenith angle, and the steps of its rays [mK].
+# The errors that `render.air` and `atmosphere.rays` state for the sky: its table by zenith angle, and ray steps [mK].
 SKY_MK = 5.0 + 4.0
 
 
 @dataclass(frozen=True)
 class Case:
-    """A scene made for one feature, and how it is looked at.
+    """A scene made for one feature, and its view.
 
     Attributes
     ----------
@@ -54,13 +54,13 @@ class Case:
     view : dict
         `time_s` and `objects` of the renderer's frame.
     camera : dict
-        What differs from the ideal camera, beside its few pixels.
+        Differences from the ideal camera, apart from its few pixels.
     stock : bool
-        Whether the reference engine, stock Mitsuba, knows all of it too.
+        Whether the reference engine, stock Mitsuba, supports all of it too.
     less : Path or None
-        Folder of a scene whose light is taken off both, seed by seed: what is left is one cause, and little noise.
+        Folder of a scene whose light is subtracted from both, seed by seed: one cause remains, with little noise.
     left_out : str
-        What the renderer leaves out and says so: here it must stand apart from the path tracer.
+        Effect that the renderer documents as left out: here it must differ from the path tracer.
     """
 
     folder: Path
@@ -73,7 +73,7 @@ class Case:
     left_out: str = ""
 
     def scene(self, plain=False):
-        """The Scene, with a camera of a few pixels over the same field of view; its plain shapes where it has such."""
+        """The Scene, with a camera of a few pixels over the same field of view; plain shapes if it has them."""
         plainer = self.folder / "plain"
         scene = tr.load_scene(plainer if plain and plainer.is_dir() else self.folder)
         wide = scene.camera.pixel_pitch_um * scene.camera.width / SIZE[0]
@@ -83,21 +83,21 @@ class Case:
 
 @dataclass(frozen=True)
 class Opinion:
-    """What a comparison found, in mK; blocks of pixels.
+    """Result of a comparison, in mK; for blocks of pixels.
 
     Attributes
     ----------
     deviation_mk, error_mk : float
-        Of the block that stands worst: renderer less path tracer, and the standard error of that.
+        Of the block that deviates most: renderer minus path tracer, and its standard error.
     apart, limit : float
-        Standard errors between that block and what the renderer states to err by, and those allowed to the worst of
+        Standard errors between that block and the renderer's stated error, and those allowed for the worst of
         all blocks.
     stated_mk : float
-        Largest error that the renderer states of its nodes, channels, tables of mirrors and sky.
+        Largest error that the renderer states for its nodes, channels, tables of mirrors and sky.
     mean_mk, mean_error_mk : float
-        Of the whole image.
+        For the whole image.
     largest_mk : float
-        Largest standard error of a block by the paths alone.
+        Largest standard error of a block from the paths alone.
     """
 
     deviation_mk: float
@@ -112,7 +112,7 @@ class Opinion:
 
 def traced(case, seed):
     """Return the band radiance of a Case by the path tracer, (H, W) [W m⁻² sr⁻¹]."""
-    # Triangles as they are described, not as they are split for the light between surfaces.
+    # Triangles as described, not as split for the light between surfaces.
     with mock.patch("thermorender.scene.parts.shape.refined", lambda terrain, objects: (terrain, objects)):
         scene = case.scene(plain=True)
     return PathTracer(scene, **case.view).image(case.pose, case.samples, seed)
@@ -134,14 +134,14 @@ def opinion(case, engine=traced):
         dark = replace(case, folder=case.less)
         seen -= tr.Renderer(dark.scene(), **QUALITY).radiance(case.pose, **case.view)
         images -= np.stack([engine(dark, seed) for seed in range(SEEDS)])
-    # Of a block's mean, by the paths: each pixel's mean has a variance of var / SEEDS, and the block a share of theirs.
+    # Variance of a block's mean from the paths: each pixel's mean has var / SEEDS, and the block a share of theirs.
     paths = np.sqrt(_blocks(images.var(axis=0, ddof=1)) / SEEDS) / BLOCK / per_mk
     everywhere = sum(frame.budget_mk.get(name, 0.0) for name in ("nodes", "air", "mirrors"))
     everywhere += SKY_MK if renderer.scene.air is not None and not case.less else 0.0
     own = sampling_error(renderer.plan, frame._view.tracer(), frame.radiance, frame._sampling)
     sampling = np.sqrt(_blocks(np.square(np.nan_to_num(own), dtype=float))) / BLOCK / per_mk
-    # The bake's rays err by as much in a whole face; a pixel's own sampling is its own. Mirrors show nothing of the
-    # bake, differences have no such noise, and light that is constant over faces is no excuse, as blocks hold several.
+    # The bake's rays have a common error in a whole face; a pixel's sampling is independent. Mirrors do not show the
+    # bake and differences have no such noise. Constant light over faces is no excuse, as blocks contain several.
     noise = 0.0 if renderer.plan.specular or case.less else renderer.baked.errors_mk["noise"]
     error = np.sqrt(paths**2 + noise**2 + sampling**2)
     deviation = _blocks(seen - images.mean(axis=0)) / per_mk
@@ -159,11 +159,11 @@ def _blocks(image):
     return image.reshape(height // BLOCK, BLOCK, width // BLOCK, BLOCK).mean(axis=(1, 3))
 
 
-# --- scenes, each for one feature -------------------------------------------------------------------------
+# --- one scene for each feature ---------------------------------------------------------------------------
 
 
 def quad(side, up=0.0, cells=1):
-    """A level square of so many cells a side."""
+    """A level square of `cells` cells a side."""
     at = np.linspace(-0.5 * side, 0.5 * side, cells + 1)
     x, y = np.meshgrid(at, at)
     vertices = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, up)])
@@ -180,7 +180,7 @@ def turned(mesh, angle_deg, axis, up=0.0):
     return mesh
 
 
-def thing(name, material, temperature, size, position, rest="", shape="box"):
+def item(name, material, temperature, size, position, rest="", shape="box"):
     size, position = ([float(value) for value in values] for values in (size, position))
     return (
         f'[[object]]\nname = "{name}"\nshape = "{shape}"\nsize = {size}\nposition = {position}\n'
@@ -203,7 +203,7 @@ def written(folder, mesh, material, temperature=300.0, sky=230.0, air=None, extr
 
 
 def trench(cells):
-    """Floor and walls of a box of 4 m that is open above."""
+    """Floor and walls of a box of 4 m that is open at the top."""
     turns = ((0, [1, 0, 0]), (90, [1, 0, 0]), (-90, [1, 0, 0]), (90, [0, 1, 0]), (-90, [0, 1, 0]))
     return trimesh.util.concatenate([turned(quad(4.0, -2.0, cells), angle, axis, 2.0) for angle, axis in turns])
 
@@ -236,8 +236,8 @@ def _(folder):
 
 @case("mirror, tilted: what only it shows")
 def _(folder):
-    # Black, as the renderer has mirrors light other surfaces as if diffuse: 57 mK on the underside of black paint.
-    hot = thing("hot", "black", 330.0, [12, 6, 3], [0, 3.4, 8])
+    # Black, because in mirrors the renderer treats light on other surfaces as diffuse: 57 mK under black paint.
+    hot = item("hot", "black", 330.0, [12, 6, 3], [0, 3.4, 8])
     own_materials(folder)
     scene = written(folder, turned(quad(30.0), 20.0, [1, 0, 0]), "gold_polished", 300.0, 290.0, extra=hot)
     return Case(scene, tr.pose(0, -16, 12, pitch_deg=-35), 64, stock=True)
@@ -245,16 +245,16 @@ def _(folder):
 
 @case("mirror under air: what stands 150 m behind a lake")
 def _(folder):
-    hot = thing("hot", "paint_black", 340.0, [120, 2, 60], [0, 150, 0])
+    hot = item("hot", "paint_black", 340.0, [120, 2, 60], [0, 150, 0])
     scene = written(folder, quad(800.0, cells=4), "water_fresnel", 290.0, air=AIR, extra=hot, plain=quad(800.0))
     return Case(scene, tr.pose(0, 0, 4, pitch_deg=-15), 32)
 
 
 @case("mirror in a mirror")
 def _(folder):
-    hot = thing("hot", "black", 280.0, [1, 1, 1], [1.5, 0, 0])
+    hot = item("hot", "black", 280.0, [1, 1, 1], [1.5, 0, 0])
     own_materials(folder)
-    plate = thing("plate", "gold_polished", 300.0, [8, 0.1, 8], [0, 6, 0])
+    plate = item("plate", "gold_polished", 300.0, [8, 0.1, 8], [0, 6, 0])
     scene = written(folder, quad(30.0), "gold_polished", extra=hot + plate)
     return Case(scene, tr.pose(0, -8, 4, pitch_deg=-20), 100, stock=True)
 
@@ -273,7 +273,7 @@ def _(folder):
 
 @case("air, level from 2 m")
 def _(folder):
-    far = thing("far", "paint_black", 330.0, [500, 20, 250], [0, 1500, 0])
+    far = item("far", "paint_black", 330.0, [500, 20, 250], [0, 1500, 0])
     scene = written(folder, quad(4000.0), "grass_green", 295.0, air=AIR, extra=far)
     return Case(scene, tr.pose(0, -900, 2, pitch_deg=0), 16)
 
@@ -281,12 +281,12 @@ def _(folder):
 @case("air in the light between surfaces: a valley 1 km wide")
 def _(folder):
     # A slope of metallic paint sees a wall 60 K warmer than the air.
-    hot = thing("hot", "paint_black", 360.0, [1000, 1, 500], [0, 1000, 0])
+    hot = item("hot", "paint_black", 360.0, [1000, 1, 500], [0, 1000, 0])
     slope = turned(quad(300.0), -60.0, [1, 0, 0], 131.0)
     land = trimesh.util.concatenate([quad(2400.0, cells=2), slope])
     scene = written(folder, land, "paint_metallic", 290.0, air=AIR, extra=hot)
     return Case(scene, tr.pose(0, 150, 140, yaw_deg=180, pitch_deg=-5), 16,
-                left_out="light between surfaces passes no air")  # fmt: skip
+                left_out="light between surfaces ignores the air")  # fmt: skip
 
 
 SUN = "[sun]\nelevation_deg = 40.0\nazimuth_deg = 160.0\n"
@@ -294,7 +294,7 @@ SUN = "[sun]\nelevation_deg = 40.0\nazimuth_deg = 160.0\n"
 
 @case("sun, with shadow")
 def _(folder):
-    roof = thing("roof", "paint_black", 300.0, [4, 4, 0.2], [0, 0, 3])
+    roof = item("roof", "paint_black", 300.0, [4, 4, 0.2], [0, 0, 3])
     shapes = quad(16.0, cells=24), "paint_metallic", 300.0, 0.0, AIR
     dark = written(folder / "dark", *shapes, roof, quad(16.0))
     scene = written(folder, *shapes, SUN + roof, quad(16.0))
@@ -318,7 +318,7 @@ def _(folder):
 
 @case("distortion and principal offset")
 def _(folder):
-    hot = thing("hot", "paint_black", 360.0, [5, 4, 1], [7.5, 4, 0])
+    hot = item("hot", "paint_black", 360.0, [5, 4, 1], [7.5, 4, 0])
     scene = written(folder, quad(40.0, cells=40), "grass_green", extra=hot, plain=quad(40.0))
     bent = {"distortion": (-0.26, 0.10, 7e-4, 3e-4, -0.026), "principal_offset_px": (2.3, -1.7)}
     return Case(scene, tr.pose(0, 0, 25, pitch_deg=-80), 64, camera=bent, stock=True)
@@ -329,13 +329,13 @@ def _(folder):
     folder.mkdir()
     track = "time_s,east_m,north_m,yaw_deg,temperature_k\n0,-4,1,350,300\n10,6,3,30,380\n"
     (folder / "car.csv").write_text(track)
-    car = thing("car", "paint_metallic", 290.0, [3, 5, 2], [0, 0, 0], 'track = "car.csv"')
+    car = item("car", "paint_metallic", 290.0, [3, 5, 2], [0, 0, 0], 'track = "car.csv"')
     scene = written(folder, quad(40.0, cells=32), "sand_quartz", extra=car, plain=quad(40.0))
     (folder / "plain" / "car.csv").write_text(track)
     return Case(scene, tr.pose(0, 0, 25, pitch_deg=-75), 32, {"time_s": 6.5})
 
 
-# The one that costs least; every feature takes minutes.
+# The cheapest one; every feature takes minutes.
 QUICK = ("emission of a raster of temperatures",)
 
 
@@ -353,22 +353,22 @@ def test_renderer_and_others_agree(tmp_path, feature):
 
 PAGE = """# Second opinions
 
-Every feature of the renderer beside an engine that is not its own: `tests/path_tracer.py`, float64 NumPy, which shares
-no transport, bake, plan, sampling or lookup with it, and stock Mitsuba where that knows all of the scene. Compared is
-band radiance, in mK of the temperature that it appears as, over blocks of {block}×{block} pixels of scenes made for the
-feature, at quality high with 2048 rays per face. Worst is the block that stands most standard errors (s.e.) beyond what
-the renderer states of its nodes, channels, mirrors and sky. A test fails where that is more than allowed, which right
-code does once in a thousand runs. `tests/test_second_opinions.py` holds each row, and
+Every feature of the renderer against an independent engine: `tests/path_tracer.py`, float64 NumPy, which shares
+no transport, bake, plan, sampling or lookup with it, and stock Mitsuba if it supports the whole scene. The
+comparison is of band radiance, in mK of apparent temperature, over blocks of {block}×{block} pixels of scenes made for
+the feature, at quality high with 2048 rays per face. The worst block exceeds the renderer's stated error of nodes,
+channels, mirrors and sky by the most standard errors (s.e.). A test fails if that is more than allowed, which
+correct code does once in a thousand runs. `tests/test_second_opinions.py` tests each row, and
 `python tests/test_second_opinions.py` writes this page.
 
 | feature | second opinion | worst block ± s.e. [mK] | stated [mK] | s.e. beyond, allowed | whole image [mK] |
 |---|---|---|---|---|---|
 {rows}
-| lag of pixels over what moves or warms | closed forms, dense instants: `tests/test_movers.py` | | | | |
+| lag of pixels over moving or warming surfaces | closed forms, dense instants: `tests/test_movers.py` | | | | |
 
-Left out by the renderer, and how much that is where a scene is made to show it:
+Effects that the renderer leaves out, and their size in scenes made to show them:
 
-| what | second opinion | worst block ± s.e. [mK] | whole image [mK] |
+| effect | second opinion | worst block ± s.e. [mK] | whole image [mK] |
 |---|---|---|---|
 {left_out}
 """

@@ -25,7 +25,7 @@ def test_the_installed_package_agrees_with_its_closed_forms():
     assert steps == ["Planck's law", "counts", "rendered scenes"]
 
 
-def test_the_verb_prints_rows_in_kelvin_and_ends_with_0(monkeypatch):
+def test_the_verb_prints_rows_in_kelvin_and_exits_with_0(monkeypatch):
     without_rendering(monkeypatch)
     done = CliRunner().invoke(cli.app, ["doctor", "--self-test"])
     assert done.exit_code == 0, done.output
@@ -47,13 +47,13 @@ def test_a_relative_error_of_a_millionth_fails_with_status_1(name, failed, monke
     assert f"{16 - len(rows)} of 16 checks passed" in done.output
 
 
-def test_a_read_out_that_is_one_count_off_fails(monkeypatch):
+def test_a_read_out_one_count_off_fails(monkeypatch):
     right = self_test.digitised
     monkeypatch.setattr(self_test, "digitised", lambda signal, camera: np.maximum(right(signal, camera), 1))
     assert not any(check.passed for check in self_test._counts())
 
 
-def test_no_value_at_all_fails():
+def test_a_missing_value_fails():
     assert not self_test.Check("mean", 300.0, float("nan"), 1.0).passed
     assert self_test._worst(np.array([300.0, 300.0]), np.array([301.0, np.nan]))[0] == 300.0
     assert np.isnan(self_test._worst(np.array([300.0, 300.0]), np.array([301.0, np.nan]))[1])

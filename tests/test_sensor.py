@@ -14,10 +14,10 @@ from thermorender.sensor.chain import Moment, Sensor, at_rest, in_sequence
 CAMERA = load_camera("zenmuse-xt2")
 BAND = CAMERA.band_um
 K300 = float(band_radiance(300.0, *BAND))
-# The first and the required keys of a camera, and nothing of its effects.
+# The first and the required keys of a camera, without any of its effects.
 PLAIN = Camera(**{item.name: getattr(CAMERA, item.name) for item in fields(Camera)[:13]})
 SMALL = replace(PLAIN, width=128, height=96)
-# What is no noise of frames, rows, columns or pixels, and not even over the image.
+# Everything except noise of frames, rows, columns or pixels, and not uniform over the image.
 EVEN = {"narcissus_mk": 0.0, "shading_mk": 0.0, "shading_mk_per_k": 0.0, "responsivity_percent": (0.0, 0.0)}
 
 
@@ -26,7 +26,7 @@ def even(camera, kelvin=300.0):
 
 
 def read_mk(camera, frames, seed=0, kelvin=300.0):
-    """Apparent temperature behind the counts of frames of a blackbody, less its own, (frames, H, W) [mK]."""
+    """Apparent temperature from the counts of frames of a blackbody, minus the blackbody's, (frames, H, W) [mK]."""
     sensor, scene = Sensor(camera, seed), even(camera, kelvin)
     counts = [sensor.counts_at_rest(scene, index) for index in range(frames)]
     table = brightness_temperature(readout.radiance_from_counts(np.arange(2.0**camera.bits), camera), *camera.band_um)
@@ -34,7 +34,7 @@ def read_mk(camera, frames, seed=0, kelvin=300.0):
 
 
 def step_mk(camera, kelvin=300.0):
-    """What one count more means at a temperature [mK]."""
+    """Temperature step of one count at a temperature [mK]."""
     step = np.diff(readout.radiance_from_counts([0, 1], camera))[0]
     return 1e3 * step / band_radiance_derivative(kelvin, *camera.band_um)
 
@@ -71,7 +71,7 @@ def test_light_falls_with_the_fourth_power_of_the_cosine_and_by_the_rims():
 
 
 def test_lens_and_housing_at_the_temperature_of_the_scene_make_an_enclosure():
-    # From within a closed black room a pixel is sent π B(T), whatever the lens passes.
+    # In a closed black room a pixel receives π B(T), whatever the lens transmits.
     camera = replace(CAMERA, width=64, height=48)
     share = optics.relative_illumination(camera)
     scene = optics.detector_irradiance(K300, camera.f_number, camera.lens_transmittance) * share
@@ -101,7 +101,7 @@ def test_transfer_function_is_the_autocorrelation_of_the_pupil(defocus_um):
     shift = np.arange(0, count // 2, 16)
     frequency = shift / (count / 2) / (wavelength_um * f_number)
     expected = transfer[shift] / transfer[0]
-    # The drawn pupil has a jagged rim: one part in its 512 pixels of diameter.
+    # The drawn pupil has a jagged rim: one part in 512, its diameter in pixels.
     np.testing.assert_allclose(psf.lens_otf(frequency, wavelength_um, f_number, defocus_um), expected, atol=2e-3)
 
 
@@ -111,7 +111,7 @@ def test_strong_defocus_is_the_disc_of_geometrical_optics():
     frequency, defocus_um, f_number = np.linspace(1e-4, 2e-3, 20), 800.0, 1.25
     argument = np.pi * frequency * defocus_um / f_number
     expected = 2.0 * j1(argument) / argument
-    # Geometry leaves diffraction out, which near zero takes 4/π of the share of the cut-off 1/(λF): 2.5 % at most here.
+    # Geometry ignores diffraction, which near zero takes 4/π of the share of the cut-off 1/(λF): 2.5 % at most here.
     limit = 4.0 / np.pi * frequency[-1] * 10.0 * f_number
     np.testing.assert_allclose(psf.lens_otf(frequency, 10.0, f_number, defocus_um), expected, atol=limit)
     assert limit < 0.033
@@ -131,11 +131,11 @@ def test_blurred_waves_shrink_by_the_transfer_function_and_not_by_the_pixel(dire
         seen = psf.blurred(wave.astype(np.float32), psf.blur_of(camera))[48:-48, 48:-48]
         inner = wave[48:-48, 48:-48]
         amplitude = (seen * inner).sum() / (inner**2).sum()
-        # Goodman's formula at the middle of the band, which stands for its mean to 1 %; the kernel's fit: 2 %.
+        # Goodman's formula at the middle of the band, within 1 % of the band's mean; the kernel's fit: 2 %.
         s = radius * 10.3 * camera.f_number / camera.pixel_pitch_um
         expected = 2.0 / np.pi * (np.arccos(s) - s * np.sqrt(1.0 - s**2))
         assert amplitude == pytest.approx(expected, abs=0.03), cycles
-        # With the pixel's own sinc once more it would be lower from a quarter of a cycle on.
+        # With the pixel's sinc applied twice it would be lower from a quarter of a cycle on.
         if radius >= 0.25:
             assert amplitude > expected * np.sinc(frequency) + 0.03
 
@@ -151,7 +151,7 @@ def test_blur_of_a_scene_agrees_with_its_fourier_transform():
     scene = (scene / scene.std()).astype(np.float32)
     transfer = psf.otf(CAMERA, radius.ravel()).reshape(radius.shape)
     expected = idctn(dctn(scene.astype(float)) * transfer)
-    # Of a scene of unit contrast the kernels' finite size leaves 0.0037 and 0.019 at most, over three scenes.
+    # For a scene of unit contrast the finite kernels leave 0.0037 and 0.019 at most, over three scenes.
     for fine, coarse, allowed in ((7, 5, 0.005), (5, 0, 0.025)):
         blur = psf.blur_of(CAMERA, fine, coarse)
         assert blur.fine.sum() + blur.coarse.sum() == pytest.approx(1.0, abs=1e-6)
@@ -170,8 +170,8 @@ def test_an_even_scene_stays_even_in_any_format(shape):
 
 @pytest.mark.parametrize(("f_number", "expected_mk"), [(1.0, 50.0), (1.25, 72.5)])
 def test_netd_over_a_thousand_frames(f_number, expected_mk):
-    # All temporal parts together, in the middle of the image; rows and columns of noise are shared by many pixels,
-    # so that a 1000 frames measure σ_t alone to 2 % of a part that is 0.4 % of the whole.
+    # All temporal parts together, in the middle of the image; many pixels share the noise of rows and columns,
+    # so 1000 frames measure σ_t alone to 2 % of a part that is 0.4 % of the whole.
     camera = replace(CAMERA, width=96, height=64, f_number=f_number, lens_transmittance=1.0, drift_mk_per_k=0.0)
     seen = read_mk(camera, 1000)
     light = optics.relative_illumination(camera)
@@ -184,7 +184,7 @@ def test_netd_follows_the_slope_of_planck_with_scene_temperature(kelvin):
     camera, frames = replace(SMALL, lens_transmittance=1.0), 60
     seen = np.sqrt(read_mk(camera, frames, kelvin=kelvin).var(axis=0, ddof=1).mean())
     slope = band_radiance_derivative(300.0, *BAND) / band_radiance_derivative(kelvin, *BAND)
-    # Counts are steps of even noise; a variance of n values errs by √(2/n) of itself.
+    # Counts add uniform noise; a variance of n values has a relative error of √(2/n).
     error = 1.0 / np.sqrt(2.0 * (frames - 1) * camera.width * camera.height)
     assert seen == pytest.approx(np.hypot(72.5 * slope, step_mk(camera, kelvin) / np.sqrt(12.0)), rel=3.0 * error)
 
@@ -198,7 +198,7 @@ def components(cube):
     total = {name: values.var() for name, values in mean.items() if name} | {"tvh": cube.var()}
     size = {"t": t, "v": v, "h": h}
     names = ["t", "v", "h", "tv", "th", "vh", "tvh"]
-    # The variance of a mean holds every part: those along the axes left, whole; the others over what was averaged.
+    # The variance of a mean contains every part: those along the remaining axes fully, the others divided by the count.
     matrix = np.zeros((7, 7))
     for i, kept in enumerate(names):
         for j, part in enumerate(names):
@@ -212,7 +212,7 @@ def components(cube):
 def test_the_seven_parts_are_recovered_by_directional_averages():
     stated = {"t": 12.0, "tv": 16.0, "th": 14.0, "v": 15.0, "h": 22.0, "vh": 30.0}
     camera = replace(SMALL, lens_transmittance=1.0, f_number=1.0, **{f"sigma_{k}_mk": v for k, v in stated.items()})
-    # Single rows, columns and frames are few: several seeds, and tolerances of three standard errors.
+    # There are few single rows, columns and frames: several seeds, and tolerances of three standard errors.
     seeds, frames = 8, 60
     found = [components(read_mk(camera, frames, seed)) for seed in range(seeds)]
     degrees = {"t": frames, "v": 96, "h": 128, "tv": frames * 96, "th": frames * 128, "vh": 96 * 128}
@@ -273,13 +273,13 @@ def test_an_even_scene_is_even_after_the_flat_field_but_noisier_in_the_corners()
         assert abs(part.mean()) < 4.0 * part.std() / np.sqrt(part.size) + 0.5
 
 
-def test_pattern_grows_with_the_drift_of_the_case_and_is_new_after_a_correction():
+def test_the_pattern_grows_with_the_drift_and_is_new_after_a_correction():
     camera = replace(SMALL, netd_mk=1e-3, sigma_vh_mk=20.0, drift_mk_per_k=30.0, lens_transmittance=1.0, f_number=1.0)
     sensor = Sensor(camera, 1)
     read = lambda moment: sensor.counts(sensor.power(even(camera), moment), moment)  # noqa: E731
     fresh, drifted = read(Moment(0, 1, 300.0, 300.0)), read(Moment(0, 1, 302.0, 300.0))
     again = read(Moment(0, 2, 302.0, 302.0))
-    # Steps of a count are even noise; the spread of n pixels errs by 1/√(2n), and a correlation by 1/√n.
+    # Steps of a count add uniform noise; the spread of n pixels has an error of 1/√(2n), and a correlation of 1/√n.
     step, pixels = step_mk(camera), camera.width * camera.height
     for counts, wanted in ((fresh, 20.0), (drifted, np.hypot(20.0, 60.0)), (again, 20.0)):
         expected = np.hypot(wanted, step / np.sqrt(12.0))
@@ -287,7 +287,7 @@ def test_pattern_grows_with_the_drift_of_the_case_and_is_new_after_a_correction(
     assert abs(np.corrcoef(fresh.ravel(), again.ravel())[0, 1]) < 3.0 / np.sqrt(pixels)
 
 
-def test_what_the_case_sends_shows_only_as_far_as_it_drifts_uncompensated():
+def test_radiation_of_the_case_shows_only_by_its_uncompensated_drift():
     camera = replace(SMALL, netd_mk=1e-3, housing_residual=0.01, lens_transmittance=0.9)
     sensor = Sensor(camera, 0)
     moment = Moment(0, 0, 301.0, 300.0)
@@ -301,7 +301,7 @@ def test_narcissus_is_a_ring_of_the_stated_size():
     plain = Sensor(replace(CAMERA, **EVEN), 0).power(even(CAMERA), at_rest(CAMERA))
     ring = Sensor(camera, 0).power(even(camera), at_rest(camera)) - plain
     kelvin = ring / (plain / K300) / band_radiance_derivative(300.0, *BAND)
-    # Powers are single precision, of which 0.3 K is some 0.5 %: 2⁻²⁴ / 0.005 and a pixel's half off the ring's crest.
+    # Powers are single precision, and 0.3 K is some 0.5 % of them: 2⁻²⁴ / 0.005, and half a pixel off the ring's crest.
     assert kelvin[256, 320 + 120] * Sensor(CAMERA, 0).illumination[256, 440] == pytest.approx(0.3, rel=1e-3)
     assert kelvin[256, 320] < 1e-3
 
@@ -312,10 +312,10 @@ def test_bad_pixels_take_the_mean_of_good_neighbours():
     bad = noise.bad_pixels(camera, 2)
     assert len(bad) == round(0.03 * 128 * 96) and len(set(bad.tolist())) == len(bad)
     image = np.random.default_rng(0).normal(size=(96, 128)).astype(np.float32)
-    mended = chain.bad_pixels(image.copy(), sensor, None)
+    repaired = chain.bad_pixels(image.copy(), sensor, None)
     untouched = np.ones(image.size, bool)
     untouched[bad] = False
-    assert (mended.ravel()[untouched] == image.ravel()[untouched]).all()
+    assert (repaired.ravel()[untouched] == image.ravel()[untouched]).all()
     for number in bad[:40]:
         i, j = divmod(int(number), 128)
         near = [
@@ -324,7 +324,7 @@ def test_bad_pixels_take_the_mean_of_good_neighbours():
             for b in range(max(j - 1, 0), min(j + 2, 128))
             if a * 128 + b not in bad
         ]
-        assert mended[i, j] == pytest.approx(np.mean([image[pixel] for pixel in near]), abs=1e-6)
+        assert repaired[i, j] == pytest.approx(np.mean([image[pixel] for pixel in near]), abs=1e-6)
 
 
 def test_corrections_follow_at_their_interval_and_freeze_the_image():
@@ -332,7 +332,7 @@ def test_corrections_follow_at_their_interval_and_freeze_the_image():
     moments = [in_sequence(camera, index, index / 10.0) for index in range(50)]
     assert [m.index for m in moments if m.frozen] == [20, 21, 22, 23, 24, 40, 41, 42, 43, 44]
     assert [m.correction for m in moments] == [0] * 20 + [1] * 20 + [2] * 10
-    # The case warms to 1 − 1/e of its rise in a time constant, and the drift starts anew with each correction.
+    # The case warms to 1 − 1/e of its rise in a time constant, and the drift starts again with each correction.
     assert in_sequence(camera, 0, 5.0).case_k - 298.15 == pytest.approx(10.0 * (1 - np.exp(-1)))
     assert moments[20].drift_k == pytest.approx(0.0, abs=1e-12) and moments[39].drift_k > 1.0
     assert not any(in_sequence(PLAIN, index, index / 9.0).frozen for index in range(10000))
@@ -343,7 +343,7 @@ def test_corrections_follow_at_their_interval_and_freeze_the_image():
 
 @pytest.mark.parametrize("gain", ["high", "low"])
 def test_noise_free_chain_inverts_within_half_a_count(gain):
-    # Everything that shapes the signal is on, except blur and noise.
+    # All effects on the signal are on, except blur and noise.
     effects = EVEN | {"diffraction": False, "blur_sigma_px": 0.0, "netd_mk": 1e-6, "low_gain_netd_mk": 1e-6}
     effects |= {"bad_pixels": 0.0} | dict.fromkeys((f"sigma_{k}_mk" for k in ("t", "tv", "th", "v", "h", "vh")), 0.0)
     camera = replace(CAMERA, gain=gain, **effects)
@@ -369,7 +369,7 @@ def test_temperature_linear_counts_are_steps_of_kelvin(tlinear_mk, gain):
 
 @pytest.mark.parametrize("tlinear_mk", [0.0, 40.0])
 @pytest.mark.parametrize(("gain", "ends"), [("high", (-25.0, 135.0)), ("low", (-40.0, 550.0))])
-def test_both_ends_of_a_range_are_flagged_and_nothing_else(tlinear_mk, gain, ends):
+def test_only_both_ends_of_a_range_are_flagged(tlinear_mk, gain, ends):
     camera = replace(SMALL, netd_mk=1e-6, gain=gain, tlinear_mk=tlinear_mk)
     cold, warm = np.array(ends) + 273.15
     inside = 1.5 if gain == "high" else 4.0
@@ -382,7 +382,7 @@ def test_both_ends_of_a_range_are_flagged_and_nothing_else(tlinear_mk, gain, end
 
 def test_low_gain_is_noisier():
     quiet, loud = (replace(CAMERA, width=64, height=64, gain=gain, **EVEN) for gain in ("high", "low"))
-    # Temporal noise by the lens and the mode; the pattern is the same in both; steps of a count are even noise.
+    # Temporal noise follows lens and mode; the pattern is the same in both; steps of a count add uniform noise.
     lens = (4.0 * CAMERA.f_number**2 + 1.0) / 5.0 / CAMERA.lens_transmittance
     pattern = lens * np.linalg.norm([CAMERA.sigma_v_mk, CAMERA.sigma_h_mk, CAMERA.sigma_vh_mk])
     expected = [
@@ -390,12 +390,12 @@ def test_low_gain_is_noisier():
         for camera, netd in ((quiet, 50.0), (loud, 200.0))
     ]
     seen = [read_mk(camera, 10).std() for camera in (quiet, loud)]
-    # 4096 pixels tell the pattern to 1.1 %, 64 rows and columns their third of it to 9 %, and ten frames the rest well;
+    # 4096 pixels give the pattern to 1.1 %, 64 rows and columns their third of it to 9 %, and ten frames the rest well;
     # light falls by 1 % towards the corners of so small a picture.
     assert seen == pytest.approx(expected, rel=0.02)
 
 
-# --- the whole --------------------------------------------------------------------------------------------------
+# --- whole chain ------------------------------------------------------------------------------------------------
 
 
 def test_the_order_of_the_stages():
@@ -406,14 +406,14 @@ def test_the_order_of_the_stages():
         "temporal_noise", "wandering", "flat_field", "fixed_pattern", "bad_pixels", "analogue_to_digital",
         "temperature_linear",
     ]  # fmt: skip
-    # By what it does to a single hot pixel: it is spread before it is cut off at the end of the range.
+    # A single hot pixel shows the order: it is blurred before it is clipped at the end of the range.
     scene = even(CAMERA)
     scene[200, 300] = band_radiance(900.0, *BAND)
     counts = Sensor(replace(CAMERA, bad_pixels=0.0), 0).counts_at_rest(scene).astype(int)
     assert counts[200, 300] == 2**14 - 1 and counts[200, 301] > counts[200, 310] + 500
 
 
-def test_the_ideal_camera_shows_what_is_there():
+def test_the_ideal_camera_returns_the_scene_temperature():
     camera = load_camera("ideal")
     rng = np.random.default_rng(1)
     radiance = band_radiance(rng.uniform(280.0, 320.0, (512, 640)), *camera.band_um).astype(np.float32)
@@ -423,19 +423,19 @@ def test_the_ideal_camera_shows_what_is_there():
     assert np.abs(kelvin).max() < 3e-3
 
 
-def test_every_camera_reads_a_blackbody_right():
+def test_every_camera_reads_a_blackbody_correctly():
     for name in ("zenmuse-xt2", "zenmuse-xt2-9mm", "zenmuse-xt2-19mm", "tau2-640", "boson-640"):
         camera = load_camera(name)
         seen = read_mk(camera, 1)[0]
-        # Noise of the middle, by the lens; towards the corners it grows as light falls.
+        # Noise in the middle, by the lens; towards the corners it grows as light falls.
         lens = (4.0 * camera.f_number**2 + 1.0) / (4.0 * camera.netd_f_number**2 + 1.0) / camera.lens_transmittance
         light = optics.relative_illumination(camera)
         fixed = [camera.sigma_v_mk, camera.sigma_h_mk, camera.sigma_vh_mk]
         noise_mk = lens * np.hypot(camera.netd_mk * np.sqrt((1.0 / light**2).mean()), np.linalg.norm(fixed))
-        # One frame has one draw of what all its pixels share, 512 of rows and 640 of columns: their means, three times.
+        # A frame has one draw of the noise common to all pixels, 512 of rows, 640 of columns: three times their means.
         rows, columns = np.hypot(camera.sigma_v_mk, camera.sigma_tv_mk), np.hypot(camera.sigma_h_mk, camera.sigma_th_mk)
         shared = np.linalg.norm([camera.sigma_t_mk, rows / np.sqrt(512), columns / np.sqrt(640)])
-        # What the lens adds has no detail, and pixels' gains lie off by the 1.85 K to the shutter's 25 °C.
+        # The lens's own radiation is smooth, and gain errors act on the 1.85 K to the shutter's 25 °C.
         row, column = np.mgrid[:512, :640] + 0.5
         off = np.hypot(column - 320.0, row - 256.0) / camera.narcissus_radius_px - 1.0
         ring = camera.narcissus_mk * np.exp(-0.5 * (off / 0.25) ** 2) / light
@@ -443,10 +443,10 @@ def test_every_camera_reads_a_blackbody_right():
         assert abs(seen.mean() - ring.mean()) < 3.0 * lens * shared / light.min(), name
         assert seen.std() > 1.5 * noise_mk
         whole = np.linalg.norm([camera.shading_mk, ring.std(), gains, noise_mk])
-        # Ring and shading may be alike to a tenth of their product.
+        # Ring and shading may correlate up to a tenth of their product.
         alike = 0.1 * camera.shading_mk * ring.std() / whole**2
         assert seen.std() == pytest.approx(whole, rel=0.01 + alike), name
-        # Differences of neighbours hold the noise alone, which is white but for the tenths of rows and columns.
+        # Differences of neighbours contain only the noise, which is white except for the tenths of rows and columns.
         fine = np.diff(np.diff(seen, axis=0), axis=1)
         single = lens * np.hypot(
             np.sqrt((camera.netd_mk**2 - camera.sigma_tv_mk**2 - camera.sigma_th_mk**2 - camera.sigma_t_mk**2)

@@ -17,7 +17,7 @@ from thermorender.sensor.exposure import Exposure
 from thermorender.sensor.schedule import plan_row, schedule
 from thermorender.trajectory.path import pose
 
-# Nothing of the lens's own, so that powers are proportional to radiance.
+# No radiation of the lens, so that powers are proportional to radiance.
 CAMERA = replace(
     load_camera("zenmuse-xt2"), width=80, height=64, ffc_interval_s=0.0, narcissus_mk=0.0, shading_mk=0.0,
     shading_mk_per_k=0.0,
@@ -28,9 +28,9 @@ SLOPE = band_radiance_derivative(295.0, *CAMERA.band_um)
 
 
 def textured(camera, view, rows=slice(None), depth=None, finer=1.0):
-    """Radiance of ground with waves of 20 to 75 m and a span of about 1 K, seen from a pose; level where no `depth`.
+    """Radiance of ground with waves of 20 to 75 m and a range of about 1 K, seen from a pose; level if no `depth`.
 
-    The mean over a pixel where waves may be finer than that.
+    Averaged over a pixel where waves may be finer than that.
     """
     if finer > 8.0:
         size, pitch_um = (3 * camera.width, 3 * camera.height), camera.pixel_pitch_um / 3
@@ -49,7 +49,7 @@ def waving(camera, view, rows, depth, finer):
     x, y = (finer * (view[axis, 3] + far * ray[..., axis]) for axis in (0, 1))
     waves = 0.3 * np.sin(x / 6.0 + 1.0) * np.cos(y / 8.0) + 0.2 * np.cos((x + y) / 12.0)
     waves += 0.1 * np.sin((y - 0.3 * x) / 3.0)
-    # Linear in radiance: fast, and no matter here.
+    # Linear in radiance: fast, and irrelevant here.
     return (K295 + SLOPE * waves).astype(np.float32)
 
 
@@ -71,7 +71,7 @@ def test_response_to_a_ramp_and_its_weights(span_s):
     old, first, last = detector.response_weights(span_s, TAU)
     assert old + first + last == pytest.approx(1.0, abs=1e-12)
     assert last * span_s == pytest.approx(span_s - TAU + TAU * np.exp(-span_s / TAU), rel=1e-6)
-    # Two halves are one whole.
+    # Two halves equal one whole.
     half, a, b = detector.response_weights(0.5 * span_s, TAU)
     assert half * (a * 1.0 + b * 1.5) + a * 1.5 + b * 2.0 == pytest.approx(first * 1.0 + last * 2.0, rel=1e-9)
 
@@ -94,9 +94,9 @@ def test_response_agrees_with_a_numerical_solution():
 def test_rows_are_read_one_after_another():
     delays = detector.row_delays(CAMERA)
     assert np.diff(delays) == pytest.approx(63.5e-6) and delays.sum() == pytest.approx(0.0, abs=1e-12)
-    # No slower than the frames themselves.
+    # The read-out is not slower than the frames.
     assert np.diff(detector.row_delays(CAMERA, 1e-3)) == pytest.approx(1e-3 / 64)
-    # A step at time 0: each row knows of it for as long as since then.
+    # A step at time 0: each row has responded to it since then.
     dark, light = np.zeros((64, 80), np.float32), np.ones((64, 80), np.float32)
     out = np.empty((64, 80), np.float32)
     state = detector.PixelState(0.0, dark, light)
@@ -119,19 +119,19 @@ def test_motion_in_pixels_by_hand():
     assert relief(camera, down(0, 0, 100, 0)).motion_px(down(0, 0, 100, 0)) == pytest.approx(0.0, abs=1e-9)
     moved = relief(camera, down(2, 0, 110, 0), plane_depth(10.0)).motion_px(down(0, 0, 110, 0))
     assert moved == pytest.approx(f * 2 / 100, rel=1e-6)
-    # A turn about the optical axis moves each point by its chord: all but a fiftieth of the area by so much at most.
+    # A turn about the optical axis moves each point by its chord: at most this much for all but a fiftieth of the area.
     row, column = np.mgrid[4:512:8, 4:640:8]
     farthest = np.percentile(np.hypot(column - 320, row - 256), 98)
     chord = 2.0 * farthest * np.sin(np.radians(3.6) / 2)
     assert relief(camera, down(0, 0, 100, 3.6)).motion_px(down(0, 0, 100, 0)) == pytest.approx(chord, rel=1e-6)
-    # Above the horizon a shift moves nothing, a turn everything.
+    # Above the horizon a translation moves nothing, a rotation everything.
     level = lambda e, yaw: pose(e, 0, 100, yaw, 40.0)  # noqa: E731
     assert relief(camera, level(5, 0)).motion_px(level(0, 0)) == pytest.approx(0.0, abs=1e-9)
     assert relief(camera, level(0, 1)).motion_px(level(0, 0)) > f * np.radians(1) * np.cos(np.radians(60))
 
 
 @pytest.mark.parametrize("size", [(640, 512), (85, 53), (3, 2)])
-def test_the_grid_lies_in_the_middles_of_its_cells(size):
+def test_grid_points_are_the_centres_of_their_cells(size):
     camera = replace(load_camera("zenmuse-xt2"), width=size[0], height=size[1], principal_offset_px=(3.0, -2.0))
     grid = motion.grid_camera(camera)
     cell = 8 if size[0] == 640 else 1
@@ -141,7 +141,7 @@ def test_the_grid_lies_in_the_middles_of_its_cells(size):
 
 
 @pytest.mark.parametrize("distortion", [(0.0,) * 5, (-0.25, 0.06, 1e-3, -1e-3, 0.0)])
-def test_an_image_moved_over_level_ground_is_that_seen_from_there(distortion):
+def test_an_image_moved_over_level_ground_equals_the_view_from_there(distortion):
     camera = replace(load_camera("zenmuse-xt2"), width=160, height=128, distortion=distortion, focal_length_mm=4.0)
     here, there = pose(0, 0, 40, 10, -75, 2), pose(0.6, 0.4, 40.5, 13, -74, 0)
     seen, wanted = textured(camera, here), textured(camera, there)
@@ -149,15 +149,15 @@ def test_an_image_moved_over_level_ground_is_that_seen_from_there(distortion):
     moved = motion.moved(seen, column, row)
     inside = (column >= 0.0) & (column <= 159.0) & (row >= 0.0) & (row <= 127.0)
     assert 0.8 < inside.mean() < 1.0
-    # Cubic interpolation; off the grid of so wide and distorted a view a twentieth of a pixel.
+    # Cubic interpolation; for so wide and distorted a view the grid is a twentieth of a pixel off.
     whole = np.sqrt(np.mean((seen - wanted) ** 2))
     assert np.sqrt(np.mean((moved - wanted)[inside > 0] ** 2)) < 0.02 * whole
 
 
 @pytest.mark.parametrize("distortion", [(0.0,) * 5, (-0.2, 0.05, 1e-3, -1e-3, 0.0)])
 @pytest.mark.parametrize("ground", [(3.0, (0.0, 0.0)), (37.5, (0.0, 0.0)), (60.0, (0.0, 0.0)), (0.0, (0.6, -0.4))])
-def test_points_of_the_ground_move_as_all_cameras_see_them(ground, distortion):
-    """Cameras above level and steep ground and, looking up, below it; told by a view that is neither of the two."""
+def test_motion_of_ground_points_agrees_with_projection(ground, distortion):
+    """Cameras above level and steep ground and, looking up, below it; the relief is from a third view."""
     camera = replace(load_camera("zenmuse-xt2"), distortion=distortion)
     ground_m, slope = ground
     up = -75.0 if ground_m < 40.0 else 75.0
@@ -173,7 +173,7 @@ def test_points_of_the_ground_move_as_all_cameras_see_them(ground, distortion):
     np.testing.assert_allclose(np.stack([column, row], axis=-1)[y, x][inside], expected[inside], atol=0.03)
 
 
-def test_the_rim_of_what_stands_before_nothing_moves_with_it():
+def test_the_rim_of_an_object_before_the_sky_moves_with_it():
     camera = replace(CAMERA, width=160, height=128)
     depth = np.full((64, 80), np.inf)
     depth[16:48, 20:60] = 50.0
@@ -185,19 +185,19 @@ def test_the_rim_of_what_stands_before_nothing_moves_with_it():
     assert moved[:20] == pytest.approx(0.0, abs=1e-3)
 
 
-def test_a_camera_on_the_ground_is_no_division_by_nothing():
+def test_a_camera_on_the_ground_has_finite_motion():
     camera, here, there = load_camera("ideal"), pose(0, 0, 5, 0, -30), pose(0.01, 0, 5, 0, -30)
     for found in (relief(camera, here, plane_depth(5.0)), motion.Relief(camera, here, np.zeros((64, 80)))):
         assert np.isfinite(found.motion_px(there))
         assert np.isfinite(found.source_pixels(here, there)).all()
 
 
-def test_a_slope_stays_straight_where_it_is_moved():
+def test_a_linear_gradient_stays_linear_when_moved():
     column, row = np.meshgrid(np.arange(40, dtype=np.float32), np.arange(30, dtype=np.float32))
     for fraction in np.arange(0.0, 1.0, 1 / 32):
         moved = motion.moved(column + 2.0 * row, column + np.float32(fraction), row + np.float32(1.0 - fraction))
         wanted = (column + 2.0 * row + 2.0 - fraction)[3:-3, 3:-3]
-        # By whole 32nds of a pixel.
+        # In steps of whole 32nds of a pixel.
         np.testing.assert_allclose(moved[3:-3, 3:-3], wanted, atol=0.05)
 
 
@@ -209,29 +209,29 @@ def rocket(time_s):
     return pose(0.0, 204.0 * time_s, 100.0, 360.0 * time_s, -90.0)
 
 
-def exposure(camera, path, rate_hz=30.0, render_px=20.0, depth=None, finer=1.0, told=None):
+def exposure(camera, path, rate_hz=30.0, render_px=20.0, depth=None, finer=1.0, relief_depth=None):
     rendered = []
 
     def radiance_at(time_s, seen_by, lit_s):
         rendered.append(time_s)
         return textured(seen_by, path(time_s), depth=depth, finer=finer)
 
-    told = told or depth or plane_depth()
-    return Exposure(Sensor(camera, 0), radiance_at, path, told, 1.0 / rate_hz, render_px), rendered
+    relief_depth = relief_depth or depth or plane_depth()
+    return Exposure(Sensor(camera, 0), radiance_at, path, relief_depth, 1.0 / rate_hz, render_px), rendered
 
 
 def radiance_of(signal, taken):
-    """What a signal stands for [W m⁻² sr⁻¹]."""
+    """Radiance that corresponds to a signal [W m⁻² sr⁻¹]."""
     one = taken.sensor.power(np.ones_like(signal), at_rest(taken.sensor.camera), blurred=True)
     return signal / one
 
 
-# As wide a view as the camera's own and as slow a read-out, on coarser pixels, without the lens's blur.
+# As wide a view as the camera's and as slow a read-out, on coarser pixels, without the lens's blur.
 COARSE = replace(CAMERA, pixel_pitch_um=17.0 * 8, row_time_us=63.5 * 8, diffraction=False, blur_sigma_px=0.0)
 
 
 @pytest.mark.parametrize("render_px", [0.0, 20.0])
-def test_fast_motion_with_rolling_rows_is_right_against_64_instants_per_time_constant(render_px):
+def test_fast_motion_with_rolling_rows_agrees_with_64_instants_per_time_constant(render_px):
     taken, rendered = exposure(COARSE, rocket, render_px=render_px)
     now = textured(COARSE, rocket(0.0))
     signal, how = taken.signal(at_rest(COARSE), 0.0, now)
@@ -246,7 +246,7 @@ def test_fast_motion_with_rolling_rows_is_right_against_64_instants_per_time_con
 
 
 def past_of(camera, path, delays, rows, **ground):
-    """Radiance of some rows as 64 instants per time constant make it, (len(rows), W)."""
+    """Radiance of some rows from 64 instants per time constant, (len(rows), W)."""
     times = (np.arange(-8 * 64, 0) + 0.5) / 64 * TAU
     found = []
     for row in rows:
@@ -256,7 +256,7 @@ def past_of(camera, path, delays, rows, **ground):
 
 
 @pytest.mark.parametrize("speed", [10.0, 60.0])
-def test_sub_pixel_motion_is_right_from_one_image(speed):
+def test_one_image_suffices_for_sub_pixel_motion(speed):
     path = lambda time_s: pose(speed * time_s, 0.0, 100.0, 20.0, -60.0)  # noqa: E731
     taken, rendered = exposure(COARSE, path)
     now, rows = textured(COARSE, path(0.0)), range(3, 64, 12)
@@ -272,8 +272,8 @@ def test_sub_pixel_motion_is_right_from_one_image(speed):
 @pytest.mark.parametrize("speed", [*slow(30.0, 60.0), 200.0])
 @pytest.mark.parametrize("finer", [*slow(1.0), 8.0, *slow(40.0)])
 @pytest.mark.parametrize("slope", [pytest.param((0.0, 0.0), marks=pytest.mark.slow), (0.7, -0.5)])
-def test_the_error_of_the_lag_is_told(slope, finer, speed):
-    """Waves of 150 pixels to 1/5 of one, over level and steep ground."""
+def test_the_estimated_lag_error_is_near_the_true_one(slope, finer, speed):
+    """Waves with a length of 150 pixels down to 1/5 of one, over level and steep ground."""
     depth = plane_depth(0.0, slope)
     path = lambda time_s: pose(speed * time_s, 0.4 * speed * time_s, 100.0, 60.0 * time_s, -75.0)  # noqa: E731
     taken, _ = exposure(COARSE, path, depth=depth, finer=finer)
@@ -282,14 +282,14 @@ def test_the_error_of_the_lag_is_told(slope, finer, speed):
     rows = range(0, 64, 7)
     expected = past_of(COARSE, path, taken._delays, rows, depth=depth, finer=finer)
     error = 1e3 / SLOPE * np.sqrt(np.mean((radiance_of(signal, taken)[list(rows)] - expected) ** 2))
-    # An estimate, no bound.
+    # An estimate, not a bound.
     assert error < 1.2 * how["lag_mk"] < 6.0 * error, how
 
 
 @pytest.mark.parametrize("size", [(2, 1), (1, 9), (7, 50), (300, 3)])
 @pytest.mark.parametrize("speed", [0.0, 5.0, 60.0, 300.0])
 @pytest.mark.filterwarnings("error")
-def test_a_camera_of_few_pixels_is_told_an_error(size, speed):
+def test_a_camera_of_few_pixels_has_a_finite_lag_error(size, speed):
     camera = replace(COARSE, width=size[0], height=size[1])
     path = lambda time_s: pose(speed * time_s, 0.0, 100.0, 0.0, -80.0)  # noqa: E731
     signal, how = exposure(camera, path)[0].signal(at_rest(camera), 0.0, textured(camera, path(0.0)))
@@ -297,20 +297,20 @@ def test_a_camera_of_few_pixels_is_told_an_error(size, speed):
 
 
 def test_steep_ground_moves_by_its_depth():
-    """Told as level, it is seen where it is not."""
+    """Treated as level ground, it would be seen in the wrong place."""
     depth = plane_depth(0.0, (0.7, -0.5))
     path = lambda time_s: pose(200.0 * time_s, 0.0, 100.0, 0.0, -90.0)  # noqa: E731
     now, rows, found = textured(COARSE, path(0.0), depth=depth), range(3, 64, 12), []
-    for told in (depth, plane_depth()):
-        taken, _ = exposure(COARSE, path, depth=depth, told=told)
+    for assumed in (depth, plane_depth()):
+        taken, _ = exposure(COARSE, path, depth=depth, relief_depth=assumed)
         signal, _ = taken.signal(at_rest(COARSE), 0.0, now)
         expected = past_of(COARSE, path, taken._delays, rows, depth=depth)
         found.append(1e3 / SLOPE * np.sqrt(np.mean((radiance_of(signal, taken)[list(rows)] - expected) ** 2)))
-    # What is left is of the spacing of instants.
+    # The remaining error comes from the spacing of instants.
     assert found[0] < 0.5 * found[1]
 
 
-def test_a_slow_view_is_one_image_with_the_memory_of_those_before():
+def test_a_slow_view_needs_one_image_and_the_memory_of_earlier_ones():
     camera = replace(COARSE, row_time_us=0.0)
     slow = lambda time_s: pose(0.2 * time_s, 0.0, 100.0, 0.0, -90.0)  # noqa: E731
     taken, rendered = exposure(camera, slow, rate_hz=30.0)
@@ -338,28 +338,28 @@ def test_a_state_restored_gives_the_same_bytes(path):
     resumed, _ = exposure(COARSE, path)
     resumed.restore({name: np.array(value) for name, value in part.state().items()})
     assert read(resumed, 2) == frames[2]
-    # It is what is remembered that makes them so.
+    # The bytes are equal because of the restored state.
     fresh, _ = exposure(COARSE, path)
     assert read(fresh, 2) != frames[2]
 
 
-def test_a_frozen_image_is_the_last_one_before():
+def test_a_frozen_image_is_the_last_one_before_the_correction():
     camera = replace(COARSE, ffc_interval_s=0.2, ffc_duration_s=0.08)
     taken, _ = exposure(camera, lambda time_s: pose(0, 0, 100, 0, -90))
     scene = textured(camera, pose(0, 0, 100, 0, -90))
     counts = [taken.read(index, index / 30.0, scene + 0.1 * index)[0] for index in range(10)]
-    told = [taken.read(index, index / 30.0, scene)[1]["frozen"] for index in range(6, 10)]
+    frozen = [taken.read(index, index / 30.0, scene)[1]["frozen"] for index in range(6, 10)]
     assert all((counts[index] == counts[5]).all() for index in (6, 7, 8))
-    assert (counts[9] != counts[5]).any() and told == [True, True, True, False]
+    assert (counts[9] != counts[5]).any() and frozen == [True, True, True, False]
 
 
-def test_schedule_grows_coarser_with_age_and_is_bounded():
+def test_the_schedule_grows_coarser_with_age_and_is_bounded():
     delays = detector.row_delays(load_camera("zenmuse-xt2"))
     plan = schedule(5.0, delays, TAU, 40.0, 5.0 + delays[0] - 0.08)
     gaps = np.diff(plan.times_s)
     assert plan.times_s[0] == pytest.approx(5.0 + delays[0] - 0.08) and plan.times_s[-1] == 5.0 + delays[-1]
     assert plan.times_s[plan.own] == 5.0 and plan.own in plan.renders
-    # Three pixels at 40 pixels a time constant, and e^(8/3) times that at the oldest.
+    # Three pixels at 40 pixels a time constant, and e^(8/3) times as many at the oldest.
     assert gaps[-10:].max() == pytest.approx(3.2 / 40.0 * TAU, rel=0.02) and gaps[1] > 8.0 * gaps[-1]
     assert 8 <= len(plan.renders) <= 16 and 60 <= len(plan.times_s) <= 100
     assert len(schedule(5.0, delays, TAU, 1e5, 4.9).times_s) <= 403
@@ -367,25 +367,25 @@ def test_schedule_grows_coarser_with_age_and_is_bounded():
     assert len(few.renders) == 1 and len(few.times_s) <= 10
 
 
-def test_plan_says_what_the_pixels_memory_brings():
+def test_the_plan_reports_the_effect_of_the_pixels_memory():
     camera = load_camera("zenmuse-xt2")
     assert plan_row(camera)[1] == "by motion" and "10 ms" in plan_row(camera)[2]
     assert plan_row(replace(camera, time_constant_ms=0.0))[1] == "out"
 
 
 @pytest.mark.parametrize("cycles", [0.3, 0.7, 0.9])
-def test_a_wave_is_blurred_before_and_after_it_is_sampled(cycles):
+def test_a_wave_is_blurred_before_and_after_sampling(cycles):
     from thermorender.sensor.psf import otf
     from validation.sensor.study import blurred_before_and_after
 
     camera, times, count = load_camera("zenmuse-xt2"), 4, 160
-    # Cosines with their crests at the border are mirrored by themselves.
+    # Cosines with their crests at the border continue themselves when mirrored.
     wave = np.cos(2.0 * np.pi * cycles * (np.arange(times * count) + 0.5) / times) * np.ones((times * count, 1))
     before, after, sampled = blurred_before_and_after(wave, camera, times)
-    # The lens passes the wave's own frequency; blurred later, that which the samples show.
+    # The lens transmits the wave's own frequency; blurred after sampling, that of the samples.
     shown = min(cycles, 1.0 - cycles)
     crest = np.cos(2.0 * np.pi * cycles * (np.arange(count) + 0.5))
-    # Four samples' mean is what pixels average over a fine pixel's own sinc.
+    # The mean of four samples is the pixel's average over the fine pixel's own sinc.
     mean = np.sinc(cycles) / np.sinc(cycles / times)
     for image, passed in ((sampled, 1.0), (before, otf(camera, cycles)), (after, otf(camera, shown))):
         amplitude = 2.0 * (image[count // 2] * crest).mean()
@@ -393,7 +393,7 @@ def test_a_wave_is_blurred_before_and_after_it_is_sampled(cycles):
     assert cycles < 0.5 or abs(after).max() > 2.0 * abs(before).max()
 
 
-def test_finer_pixels_see_the_same():
+def test_finer_pixels_see_the_same_image():
     from validation.sensor.study import finer
 
     whole = replace(load_camera("zenmuse-xt2-9mm"), principal_offset_px=(3.0, -2.0))
@@ -403,7 +403,7 @@ def test_finer_pixels_see_the_same():
     assert (finer(camera, 4).width, finer(camera, 4).height) == (512, 512)
 
 
-def test_small_targets_are_whole_and_err_by_where_they_lie():
+def test_small_targets_keep_their_area_and_their_error_depends_on_position():
     from validation.sensor import study as validation
 
     lens = load_camera("zenmuse-xt2")
@@ -413,7 +413,7 @@ def test_small_targets_are_whole_and_err_by_where_they_lie():
     few = {record["side_px"]: record for record in validation._small_targets(lens)}
     assert few[0.5]["peak_mk"] < few[1.0]["peak_mk"] < few[3.0]["peak_mk"] < few[3.0]["contrast_mk"]
     assert all(0.0 < record["error_mk"] < record["worst_mk"] for record in few.values())
-    # A softer lens leaves less of what has been folded down.
+    # A softer lens leaves less aliasing.
     soft = validation._small_targets(replace(lens, blur_sigma_px=1.2))
     assert all(record["worst_mk"] < 0.6 * few[record["side_px"]]["worst_mk"] for record in soft)
 
@@ -422,7 +422,7 @@ def test_validation_measures_lag_blur_and_chain(tmp_path, monkeypatch):
     from scenes import write_terrain
     from validation.sensor import study as validation
 
-    # An eighth of its renders are enough to see that it measures.
+    # An eighth of its renders is enough to show that it measures.
     monkeypatch.setattr(validation, "REFERENCE", 8)
     sensor = validation.sensor
     folder = write_terrain(tmp_path / "scene", height=np.zeros((48, 48)), extra='[camera]\nmodel = "small.toml"\n')

@@ -1,4 +1,4 @@
-"""Things thinner than a pixel: what they add to an image is their projected area, from any distance."""
+"""Objects thinner than a pixel: they add their projected area to an image, from any distance."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def ground(side):
     return trimesh.Trimesh([[-h, -h, 0], [h, -h, 0], [h, h, 0], [-h, h, 0]], [[0, 1, 2], [0, 2, 3]])
 
 
-def thing(size, kelvin, place=(0.0, 0.0), yaw=0.0, name="thing"):
+def item(size, kelvin, place=(0.0, 0.0), yaw=0.0, name="item"):
     where, sides = [*map(float, place), 0.0], list(map(float, size))
     return (
         f'[[object]]\nname = "{name}"\nshape = "box"\nsize = {sides}\nposition = {where}\nyaw_deg = {yaw}\n'
@@ -31,18 +31,18 @@ def thing(size, kelvin, place=(0.0, 0.0), yaw=0.0, name="thing"):
 
 
 def added(tmp_path, up, size, kelvin, **turned):
-    """(what a thing adds to a nadir frame, what its projected area is worth), in ground area times radiance."""
+    """(increase of a nadir frame by an object, value of the object's projected area), in ground area times radiance."""
     side = 1.2 * up
-    path = write_mesh(tmp_path / "s", ground(side), GROUND_K, 1.0, sky=0.0, extra=thing(size, kelvin, **turned))
+    path = write_mesh(tmp_path / "s", ground(side), GROUND_K, 1.0, sky=0.0, extra=item(size, kelvin, **turned))
     scene = load_scene(path)
     pose = tr.pose(0, 0, up, pitch_deg=-90)
     image = tr.Renderer(scene, rays=1, edge_mk=1.0).radiance(pose).astype(np.float64)
     level = band_radiance(GROUND_K, *BAND)
-    # Its top looks into a sky of 0 K.
+    # Its top reflects a sky of 0 K.
     hot = emitted_radiance(load_library()["paint_black"].emissivity_at, kelvin, *BAND)
-    # The top of the thing hides ground that lies further off.
+    # The top of the object hides ground that is further away.
     pixel = ((up - size[2]) / scene.camera.focal_length_px) ** 2
-    # Elsewhere rounding would add up.
+    # Outside this region rounding errors would add up.
     image = np.where(np.abs(image - level) > 1e-5 * level, image, level)
     return float((image - level).sum()) * pixel, size[0] * size[1] * (hot - level)
 
@@ -57,14 +57,14 @@ def added(tmp_path, up, size, kelvin, **turned):
         (1000, (1.8, 4.2, 0.05), 330.0, {"yaw": 70.0, "place": (20.0, 11.0)}),
     ],
 )
-def test_a_thing_adds_its_area(tmp_path, up, size, kelvin, turned):
+def test_a_small_object_adds_its_projected_area(tmp_path, up, size, kelvin, turned):
     seen, expected = added(tmp_path, up, size, kelvin, **turned)
-    # 64 rays over a rectangle err by 2 % of its area, as those of turned squares and rods do; a small thing fills two
-    # thirds of its own, a rod crosses thirty pixels and more. Three standard errors.
+    # 64 rays over a rectangle give an error of 2 % of its area, also for turned squares and rods. A small object fills
+    # two thirds of its rectangle, a rod crosses thirty pixels and more. Three standard errors.
     assert seen == pytest.approx(expected, rel=0.09 if max(size) < 1 else 0.03)
 
 
-def test_boxes_are_round_connected_parts():
+def test_boxes_enclose_connected_parts():
     one = trimesh.creation.box(extents=(4.0, 0.04, 0.5))
     one.apply_transform(trimesh.transformations.rotation_matrix(0.7, [0, 0, 1], [0, 0, 0]))
     other = trimesh.creation.cylinder(radius=0.1, height=3.0)
@@ -82,7 +82,7 @@ def test_boxes_are_round_connected_parts():
     assert boxes([]).shape == (0, 8, 3)
 
 
-def test_rectangles_hold_all_that_a_band_covers():
+def test_rectangles_contain_all_pixels_that_a_band_covers():
     camera, random = load_scene("heath").camera, np.random.default_rng(3)
     pose = tr.pose(0, 0, 400, pitch_deg=-90)
     for _ in range(20):
@@ -106,7 +106,7 @@ def test_rectangles_hold_all_that_a_band_covers():
 def test_posts_are_seen_from_afar(tmp_path):
     random = np.random.default_rng(0)
     extra = "".join(
-        thing((0.04, 0.04, 2.0), 420.0, tuple(random.uniform(-20, 20, 2)), name=f"post {k}") for k in range(40)
+        item((0.04, 0.04, 2.0), 420.0, tuple(random.uniform(-20, 20, 2)), name=f"post {k}") for k in range(40)
     )
     scene = load_scene(write_mesh(tmp_path / "s", ground(200.0), GROUND_K, 1.0, sky=GROUND_K, extra=extra))
     renderer = tr.Renderer(scene, rays=1)
@@ -118,6 +118,6 @@ def test_posts_are_seen_from_afar(tmp_path):
         float(np.sqrt((((image - truth) / renderer.plan.radiance_per_mk) ** 2).mean()))
         for image in (frame.radiance, once)
     )
-    # The reference's own 256 rays, blind to where posts are, err by a fair part of that.
+    # The 256 rays of the reference, which do not know where posts are, have a sizeable part of that error.
     assert true < 0.1 * lost
     assert 0.5 * true < frame.budget_mk["sampling"] < 3 * true

@@ -29,7 +29,7 @@ def plane(side, up=0.0):
 
 
 def write(folder, mesh, material, temperature=300.0, sky=250.0, air=None, extra=""):
-    """A mesh scene of one material of the library, or of "black" or "sheen" (by angle), which it brings itself."""
+    """A mesh scene of one material from the library, or of "black" or "sheen" (by angle), which the scene brings."""
     write_mesh(folder, mesh, temperature, sky=sky, extra=extra)
     path = folder / "scene.toml"
     text = path.read_text().replace('source = "constant"\nvalue = 0.9', f'source = "material"\nmaterial = "{material}"')
@@ -49,14 +49,14 @@ def own_materials(folder):
     (spectra.parent / "index.csv").write_text("\n".join(rows) + "\n")
     (spectra / "black.csv").write_text("wavelength_um,emissivity,emissivity_std\n7,1,\n14,1,\n")
     lines = [",".join(["wavelength_um", *(f"at_{angle}" for angle in ANGLES)])]
-    # Twice as shiny at the band's end as at its start, so that band means would not do.
+    # Twice as shiny at the band's end as at its start, so that band means would not suffice.
     for wavelength, share in ((7, 0.7), (14, 1.4)):
         shiny = [1.0 - share * (1.0 - value) * (0.7 if value < 0.5 else 1.0) for value in SHEEN]
         lines.append(",".join([str(wavelength), *(f"{max(value, 0.0):.6f}" for value in shiny)]))
     (spectra / "sheen.csv").write_text("\n".join(lines) + "\n")
 
 
-def thing(name, material, temperature, size, position, rest="", shape="box"):
+def item(name, material, temperature, size, position, rest="", shape="box"):
     size, position = ([float(value) for value in values] for values in (size, position))
     return (
         f'[[object]]\nname = "{name}"\nshape = "{shape}"\nsize = {size}\nposition = {position}\n'
@@ -65,7 +65,7 @@ def thing(name, material, temperature, size, position, rest="", shape="box"):
 
 
 def directions(camera, pose):
-    """Unit directions (H, W, 3) through the pixels' middles."""
+    """Unit directions (H, W, 3) through the pixel centres."""
     row, column = np.mgrid[: camera.height, : camera.width] + 0.5
     local = camera.directions(np.stack([column, row], axis=-1).reshape(-1, 2))
     world = np.column_stack([local[:, :2], np.ones(len(local))]) @ pose[:3, :3].T
@@ -94,8 +94,8 @@ def test_level_mirror_under_an_isotropic_sky(tmp_path, material):
     cosine, seen = cosine[hit][::97], frame.radiance[hit][::97]
     assert cosine.min() < 0.02 and cosine.max() > 0.5
     exact = shown(scene.materials[0], cosine, 300.0, 250.0)
-    # 257 angles hold a material's emissivity to 3e-4 near grazing and 2e-5 elsewhere, of some 50 K by which sky and
-    # ground differ where the sky makes up most.
+    # 257 angles give a material's emissivity to 3e-4 near grazing and 2e-5 elsewhere, times some 50 K between sky and
+    # ground where the sky contributes most.
     limit = np.where(cosine < 0.1, 12e-3, 2e-3)
     if material == "sheen":
         # A table's bend between two of the 257: a quarter of their step of 0.0033 times the change of slope, 0.65.
@@ -113,17 +113,17 @@ def test_level_mirror_under_an_isotropic_sky(tmp_path, material):
 
 
 def test_a_mirror_that_shows_sky_states_its_error(tmp_path):
-    """The sky in it lies endlessly far, but the mirror is a surface, and what is beside it is not."""
+    """The sky in it is infinitely far away, but the mirror is a surface, and its surroundings are not."""
     scene = tr.load_scene(write(tmp_path / "s", plane(4e3), "water_fresnel"))
     frame = tr.Renderer(scene, rays=2).frame(tr.pose(0, 0, 30, pitch_deg=-10))
     shown = np.isfinite(frame.truth["depth"])
     assert shown.any() and not shown.all()
-    # Along the horizon rays of a pixel meet both.
+    # Along the horizon, the rays of a pixel meet both.
     assert (np.isfinite(frame.error_mk) != shown).mean() < 1.0 / len(shown)
 
 
 def even_air(folder, absorption=(2e-3, 1e-2)):
-    """A scene's [atmosphere] of 290 K and one density up to 2 km; 0.6 and 0.4 of the light with two absorptions."""
+    """The [atmosphere] of a scene: 290 K, one density up to 2 km; 0.6 and 0.4 of the light with two absorptions."""
     Atmosphere(
         lower_um=np.full(2, BAND[0]), upper_um=np.full(2, BAND[1]), weight=np.array([0.6, 0.4]), tilt=np.zeros(2),
         altitude_m=np.array([0.0, 2e3, 2001.0]), temperature=np.full(3, 290.0), density=np.array([[1.0, 1.0, 0.0]]),
@@ -134,9 +134,9 @@ def even_air(folder, absorption=(2e-3, 1e-2)):
 
 @pytest.mark.parametrize("track", ["", 'track = "still.csv"'])
 @pytest.mark.parametrize("material", ["gold_polished", "sheen"])
-def test_what_a_mirror_shows_lies_behind_the_air_between(tmp_path, material, track):
+def test_a_mirror_image_is_seen_through_the_air_between(tmp_path, material, track):
     """A level mirror, a black roof of 400 K above it, and a camera between them, all in air of one density."""
-    roof = thing("roof", "black", 400.0, (400, 400, 1), (0, 0, 60), track)
+    roof = item("roof", "black", 400.0, (400, 400, 1), (0, 0, 60), track)
     folder = write(tmp_path / "s", plane(100.0), material, 300.0, extra=roof)
     (folder / "still.csv").write_text("time_s,yaw_deg\n0,0\n1,0\n")
     (folder / "scene.toml").write_text(
@@ -172,7 +172,7 @@ def test_what_a_mirror_shows_lies_behind_the_air_between(tmp_path, material, tra
 @pytest.mark.parametrize(("height", "pitch"), [(1.5, -14.0), (120.0, -45.0), (3000.0, -60.0)])
 @pytest.mark.parametrize("material", ["water_fresnel", "silica_fused"])
 def test_level_mirror_behind_air(tmp_path, height, pitch, material):
-    # Small faces, as a chord over kilometres would lie deep in the air of a round Earth.
+    # Small faces, because a chord over kilometres would be deep in the air of a round Earth.
     scene = tr.load_scene(write(tmp_path / "s", plane(8.0 * height), material, 290.0, air=AIR))
     renderer = tr.Renderer(scene, rays=2)
     pose = tr.pose(0, 0, height, pitch_deg=pitch)
@@ -194,7 +194,7 @@ def test_level_mirror_behind_air(tmp_path, height, pitch, material):
         leaving[:, node] += (1.0 - emissivity) @ cool / cool.sum() * sky[:, node]
     exact = (passed * leaving).sum(axis=1) + added.sum(axis=1)
     plan = renderer.plan
-    # Channels as planned, the fit at blackbodies a thirtieth of its worst, 2 mK for the grid of lengths, 5 of the sky.
+    # Channels as planned, a thirtieth of the fit's worst error for blackbodies, 2 mK for the grid of lengths, 5 of sky.
     limit = plan.spectrum.channels_mk + plan.specular.error_mk / 30.0 + 2.0 + 5.0
     error = 1e3 * kelvin_apart(seen, exact)
     assert len(cosine) > 20 and np.abs(error).max() < limit, error
@@ -202,12 +202,12 @@ def test_level_mirror_behind_air(tmp_path, height, pitch, material):
 
 def test_a_mirror_image_is_where_geometry_puts_it(tmp_path):
     low, high = np.array([-2.0, 19.0, 3.0]), np.array([1.0, 22.0, 6.0])
-    extra = thing("hot", "black", 600.0, high - low, [*(0.5 * (low + high))[:2], low[2]])
+    extra = item("hot", "black", 600.0, high - low, [*(0.5 * (low + high))[:2], low[2]])
     scene = tr.load_scene(write(tmp_path / "s", plane(400.0), "water_fresnel", 290.0, extra=extra))
     renderer = tr.Renderer(scene, rays=16, samples=1, taps=1, edge_mk=np.inf)
     pose = tr.pose(0, 0, 5, pitch_deg=-14)
     frame = renderer.frame(pose)
-    # Seen from the camera's own mirror image the box stands as it is: a ray meets it between its slabs.
+    # From the mirror image of the camera the box appears directly: a ray meets it between its slabs.
     towards, truth = directions(scene.camera, pose), frame.truth
     flipped, eye = towards * [1, 1, -1], np.array([0.0, 0.0, -5.0])
     ends = np.sort(np.stack([(low - eye) / flipped, (high - eye) / flipped]), axis=0)
@@ -223,20 +223,20 @@ def test_a_mirror_image_is_where_geometry_puts_it(tmp_path):
     assert image.sum() > 1000
     apart = np.argwhere(clear).mean(axis=0) - np.argwhere(image).mean(axis=0)
     assert np.abs(apart).max() < 0.1 and (clear != image).sum() < 0.1 * np.sqrt(image.sum())
-    # Away from the outline: a blackbody of 600 K mirrored, or the sky.
+    # Away from the outline: the mirrored blackbody of 600 K, or the sky.
     import cv2
 
     near = np.ones((5, 5), np.uint8)
     inside = cv2.erode(image.astype(np.uint8), near) > 0
     outside = water & ~direct & (cv2.dilate((image | direct).astype(np.uint8), near) == 0) & (cosine > 0.1)
     error_mk = renderer.plan.specular.error_mk
-    # One channel tells what a fire and what the ground make of a band's reflectance, by how these bend between them.
+    # One channel estimates the band's reflectance for fire and ground from how these curve between them.
     assert error_mk < 10.0
     for where, seen in ((inside, 600.0), (outside, 250.0)):
         some = frame.radiance[where][::97], shown(scene.materials[0], cosine[where][::97], 290.0, seen)
         error = 1e3 * kelvin_apart(*some)
         assert np.abs(error).max() < (error_mk + 1.0 if seen == 600.0 else 2.0)
-    # The image is many kelvin, so an error of its place or strength would show.
+    # The image is many kelvin, so an error of its place or strength would be visible.
     assert kelvin_apart(*(shown(scene.materials[0], 0.3, 290.0, seen) for seen in (600.0, 250.0))) > 5.0
 
 
@@ -248,7 +248,7 @@ def test_isothermal_enclosure_with_mirrors_reads_the_wall(tmp_path, material):
     renderer = tr.Renderer(scene, rays=64, tolerance_mk=0.5)
     assert renderer.plan.specular
     frame = renderer.frame(tr.pose(-1, 0, 0, yaw_deg=60))
-    # A leak would show 200 K; what is reflected of black walls is right to a millionth of the worst error of all light.
+    # A leak would show 200 K; light reflected from black walls is right to a millionth of the worst error of all light.
     assert np.abs(frame.apparent_temperature - 300.0).max() < 1e-3 + 1e-6 * renderer.plan.specular.error_mk
 
 
@@ -256,8 +256,8 @@ def test_isothermal_enclosure_with_mirrors_reads_the_wall(tmp_path, material):
 def test_isothermal_air_is_invisible_on_the_way_to_a_mirror_too(tmp_path, track):
     folder = tmp_path / "s"
     rest = 'track = "t.csv"' if track else ""
-    wall = thing("wall", "black", 290.0, [200, 2, 60], [0, 150, 0], rest)
-    # Clouds near the ground, so that what is above the wall is as warm.
+    wall = item("wall", "black", 290.0, [200, 2, 60], [0, 150, 0], rest)
+    # Clouds near the ground, so that the air above the wall is as warm.
     air = '[atmosphere]\nfile = "air.npz"\ncloud_fraction = 1.0\ncloud_base_m = 100.0\n'
     write(folder, plane(400.0), "water_fresnel", 290.0, air=air, extra=wall)
     (folder / "t.csv").write_text(track or "")
@@ -271,8 +271,8 @@ def test_dynamic_mirrors_and_dynamic_objects_in_mirrors(tmp_path):
     frames = []
     for track in (None, "time_s,yaw_deg\n0,30\n"):
         rest = 'track = "t.csv"\n' if track else "yaw_deg = 30\n"
-        extra = thing("hot", "black", 340.0, [3, 3, 3], [0, 20, 3], rest)
-        extra += thing("plate", "gold_polished", 300.0, [4, 4, 0.5], [6, 14, 4], rest)
+        extra = item("hot", "black", 340.0, [3, 3, 3], [0, 20, 3], rest)
+        extra += item("plate", "gold_polished", 300.0, [4, 4, 0.5], [6, 14, 4], rest)
         folder = tmp_path / str(bool(track))
         write(folder, plane(100.0), "water_fresnel", 290.0, extra=extra)
         (folder / "t.csv").write_text(track or "")
@@ -281,7 +281,7 @@ def test_dynamic_mirrors_and_dynamic_objects_in_mirrors(tmp_path):
     apart = np.abs(moving.apparent_temperature - still.apparent_temperature)
     hot = np.isin(still.truth["material"], 1)
     assert (moving.truth["emissivity"][hot] == still.truth["emissivity"][hot]).mean() > 0.999
-    # What a mirror shows of black and of mirrors does not depend on the bake's rays but through what they reflect.
+    # The mirror image of black objects and of mirrors depends on the bake's rays only through what they reflect.
     assert np.percentile(apart, 99) < 0.02 and np.median(apart) < 1e-3
     plate = still.truth["emissivity"] < 0.1
     assert plate.sum() > 1000 and np.percentile(apart[plate], 90) < 0.05
@@ -289,14 +289,14 @@ def test_dynamic_mirrors_and_dynamic_objects_in_mirrors(tmp_path):
 
 @pytest.mark.parametrize("depth", [1, 2])
 def test_a_mirror_in_a_mirror(tmp_path, monkeypatch, depth):
-    """The sky in a wall of gold in water: where the wall is shown as diffuse, the frame tells by how much it errs."""
+    """The sky in a wall of gold in water: where the wall is rendered as diffuse, the frame reports its error."""
     monkeypatch.setattr(mirrors, "DEPTH", depth)
-    extra = thing("wall", "gold_polished", 330.0, [120, 2, 80], [0, 31, 0])
+    extra = item("wall", "gold_polished", 330.0, [120, 2, 80], [0, 31, 0])
     scene = tr.load_scene(write(tmp_path / "s", plane(400.0), "water_fresnel", 290.0, extra=extra))
     pose = tr.pose(0, 0, 5, pitch_deg=-18)
     renderer = tr.Renderer(scene, rays=1024)
     frame = renderer.frame(pose)
-    # Seen from the camera's own mirror image, the wall's front is 30 m ahead.
+    # From the mirror image of the camera, the wall's front is 30 m ahead.
     towards = directions(scene.camera, pose)
     flipped = towards * [1, 1, -1]
     place = [0, 0, -5] + flipped * (30.0 / flipped[..., 1:2])
@@ -321,7 +321,7 @@ def test_a_mirror_in_a_mirror(tmp_path, monkeypatch, depth):
         assert error_mk.max() < renderer.plan.specular.error_mk <= frame.budget_mk["mirrors"] < 30.0
 
 
-def test_without_such_materials_no_ray_is_cast_for_them(tmp_path, monkeypatch):
+def test_scenes_without_mirrors_cast_no_mirror_rays(tmp_path, monkeypatch):
     casts = []
     cast = Geometry.cast
     monkeypatch.setattr(Geometry, "cast", lambda self, *a, **k: casts.append(k) or cast(self, *a, **k))
@@ -338,7 +338,7 @@ def test_without_such_materials_no_ray_is_cast_for_them(tmp_path, monkeypatch):
         radiance.append(renderer.radiance(tr.pose(0, -4, 6, pitch_deg=-40)))
         counts.append(len(casts))
         plans.append(renderer.plan)
-    # A mirror in the mirror is one, too.
+    # A mirror seen in the mirror is a mirror, too.
     assert counts == [1, 3, 1]
     assert np.abs(radiance[1] - radiance[0]).max() > 0.1
     rows = [plan.rows()[-1] for plan in plans]
@@ -347,7 +347,7 @@ def test_without_such_materials_no_ray_is_cast_for_them(tmp_path, monkeypatch):
     assert [plan.as_dict()["specular"] for plan in plans] == [False, True, False]
 
 
-def test_plan_leaves_mirrors_out_where_all_is_of_one_temperature(tmp_path):
+def test_the_plan_leaves_mirrors_out_in_an_isothermal_scene(tmp_path):
     plans = [make_plan(tr.load_scene(write(tmp_path / f"{sky}", plane(9.0), "water_fresnel", 300.0, sky)))
              for sky in (300.0, 299.99, 280.0)]  # fmt: skip
     assert [plan.specular is not None for plan in plans] == [False, True, True]

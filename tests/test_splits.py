@@ -28,7 +28,7 @@ def test_crops_are_split_as_published():
     assert counts(assign(crops, "crop")) == (3511, 1003, 502)
 
 
-def test_sequences_stay_whole_whatever_the_order_of_the_entries():
+def test_sequences_stay_whole_in_any_order_of_the_entries():
     entries = sized(30, 12, 9, 7, 7, 7, 5, 3, 3, 2)
     split = assign(entries, "sequence", seed=3)
     for name in {each.sequence for each in entries}:
@@ -38,14 +38,14 @@ def test_sequences_stay_whole_whatever_the_order_of_the_entries():
 
 
 @pytest.mark.parametrize("sizes", [(9, 5, 4, 3, 2, 2, 1, 1), (6, 6, 5, 4, 4, 3), (20, 3, 2, 1), (1, 1, 1)])
-def test_shares_are_nearly_the_best_that_whole_groups_allow(sizes):
+def test_shares_are_nearly_the_best_for_whole_groups(sizes):
     total, wanted = sum(sizes), np.array((0.7, 0.2, 0.1))
     found = np.abs(np.array(counts(assign(sized(*sizes), "sequence"))) / total - wanted).sum()
     every = []
     for choice in itertools.product(range(3), repeat=len(sizes)):
         if set(choice) == {0, 1, 2}:
             every.append(np.abs(np.bincount(choice, sizes, 3) / total - wanted).sum())
-    # Not the best always, which is a knapsack, but within its smallest group.
+    # Not always the best, which is a knapsack problem, but within its smallest group.
     assert found <= min(every) + 2 * min(sizes) / total + 1e-12
 
 
@@ -54,7 +54,7 @@ def test_a_part_of_share_zero_stays_empty_and_no_other_does():
     assert min(counts(assign(sized(50, 1, 1), "sequence"))) == 1
 
 
-def test_parts_by_place_lie_apart():
+def test_parts_by_place_are_apart():
     generator = np.random.default_rng(5)
     # Villages of many views, scattered over 40 km on both sides of the date line.
     centres = generator.uniform(-0.2, 0.2, (40, 2))
@@ -75,7 +75,7 @@ def test_parts_by_place_lie_apart():
     apart = [metres(a.place, b.place) for a, b in itertools.combinations(entries, 2) if split[a.key] != split[b.key]]
     # The ellipsoid is up to 0.6 % off the sphere.
     assert min(apart) > 150.0 * 0.99
-    # A cell goes whole into one part, though its ends lie further apart than neighbours.
+    # A cell is wholly in one part, although its ends are further apart than neighbours.
     assert len({assign(entries, "place", cell_m=5e3, apart_m=1.0)[e.key] for e in entries[:12]}) == 1
 
 
@@ -102,7 +102,7 @@ def test_refusals():
 
 
 @pytest.mark.parametrize("name", ["split.json", "split.csv"])
-def test_a_split_comes_back_from_its_file(name, tmp_path):
+def test_a_split_survives_its_file(name, tmp_path):
     split = assign(sized(5, 4, 3, 2), "crop", seed=2)
     write_split(tmp_path / name, split)
     assert read_split(tmp_path / name) == split

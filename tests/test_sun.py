@@ -1,4 +1,4 @@
-"""Where the sun stands, its light through clear and cloudy air, the sky's long-wave, and moist air, against others."""
+"""The sun's position, its light through clear and cloudy air, the sky's long-wave, and moist air, against others."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def test_position_against_the_full_theory(time, latitude, longitude, azimuth, el
     assert np.hypot(aside, found[1] - elevation) < 0.011 + 5e-5
 
 
-def test_position_keeps_the_shape():
+def test_the_position_keeps_the_input_shape():
     time = np.datetime64("2018-07-28T00:00") + np.timedelta64(7, "m") * np.arange(200).reshape(4, 50)
     azimuth, elevation = sun.position_at(time, 47.0, 11.0)
     assert azimuth.shape == elevation.shape == (4, 50)
@@ -82,7 +82,7 @@ BIRD = [
 @pytest.mark.parametrize(("elevation", "pressure", "water", "aerosol", "albedo", "direct", "diffuse"), BIRD)
 def test_clear_sky_against_another_code(elevation, pressure, water, aerosol, albedo, direct, diffuse):
     found = sky.clear_sky(elevation, pressure, water, aerosol, albedo=albedo)
-    # The two write the coefficients of ozone and water with other numbers of digits: 1e-4.
+    # The two codes have the coefficients of ozone and water with different numbers of digits: 1e-4.
     np.testing.assert_allclose(found, (direct, diffuse), rtol=1.5e-4, atol=0.006)
 
 
@@ -123,7 +123,7 @@ def test_split_conserves_energy_and_makes_no_spike_at_the_horizon():
 
 
 def test_clouds_dim_as_measured():
-    """Kasten and Czeplak (1980): a quarter of the light is left under overcast, 1 − 0.75/2^3.4 under half a sky."""
+    """Kasten and Czeplak (1980): a quarter of the light remains under overcast, 1 − 0.75/2^3.4 under half a sky."""
     direct, diffuse = sky.clear_sky(50.0, 101325.0, 1.5, 0.1)
     clear = direct * np.sin(np.radians(50.0)) + diffuse
     for cloud, share in ((0.0, 1.0), (0.5, 0.929), (1.0, 0.25)):
@@ -136,7 +136,7 @@ def test_clouds_dim_as_measured():
 def test_longwave_among_other_published_laws(air, vapour):
     """Brutsaert, Water Resour. Res. 11 (1975) 742, and Dilley and O'Brien, Q. J. R. Meteorol. Soc. 124 (1998) 1391.
 
-    The laws differ among each other by 10 to 20 W m⁻² at such airs.
+    The laws differ from each other by 10 to 20 W m⁻² for such air.
     """
     black = STEFAN_BOLTZMANN * air**4
     brutsaert = 1.24 * (0.01 * vapour / air) ** (1.0 / 7.0) * black
@@ -163,5 +163,5 @@ def test_saturation(celsius, over, pascal):
     ("altitude", "pascal"), [(-500.0, 107478.0), (0.0, 101325.0), (1000.0, 89876.0), (5000.0, 54048.0)]
 )
 def test_pressure_of_the_standard_atmosphere(altitude, pascal):
-    """US Standard Atmosphere 1976, table I, by geometric altitude; ours takes it as geopotential: 5 m at 5 km."""
+    """US Standard Atmosphere 1976, table I, by geometric altitude; ours uses it as geopotential: 5 m at 5 km."""
     assert humidity.standard_pressure(altitude) == pytest.approx(pascal, rel=6e-4)

@@ -1,4 +1,4 @@
-"""Procedural scenes: repeatable to the byte, plausible in kelvin at any hour and weather, not to be had from colour."""
+"""Procedural scenes: repeatable to the byte, plausible at any hour and weather, not predictable from colour."""
 
 import csv
 from dataclasses import replace
@@ -31,7 +31,7 @@ except ImportError:  # Python 3.10
     import tomli as tomllib
 
 SCENES = Path(__file__).parents[1] / "scenes"
-# Small enough to be grown in a second or two.
+# Small enough to be generated in a second or two.
 SMALL = {"heath": (110.0, 0.5, 1.0), "village": (120.0, 0.5, 1.0), "ridge": (480.0, 3.0, 6.0)}
 
 
@@ -77,14 +77,14 @@ def by_class(folder):
 
 @pytest.fixture
 def unsolved(monkeypatch):
-    """No heat balance: a known field in place of the true temperature."""
+    """No heat balance: a known field replaces the true temperature."""
     field = lambda loaded, scene, progress=None: np.float32(280.0) + np.float32(0.05) * scene.classes  # noqa: E731
     monkeypatch.setattr(procedural_truth, "true_temperature", field)
     return field
 
 
 def class_residual(temperature, classes):
-    """Standard deviation left when each class's own mean is known [K]."""
+    """Standard deviation that remains when each class's mean is known [K]."""
     residual = temperature.astype(np.float64).copy()
     for value in np.unique(classes):
         residual[classes == value] -= residual[classes == value].mean()
@@ -92,14 +92,14 @@ def class_residual(temperature, classes):
 
 
 def colour_residual(temperature, picture):
-    """Standard deviation left by the best linear fit on red, green, blue and a constant [K]."""
+    """Standard deviation that remains after the best linear fit on red, green, blue and a constant [K]."""
     design = np.column_stack([picture.reshape(-1, 3) / 255.0, np.ones(temperature.size)])
     target = temperature.astype(np.float64).ravel()
     return (target - design @ np.linalg.lstsq(design, target, rcond=None)[0]).std()
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_small_scene_is_whole_and_plausible(kind):
+def test_a_small_scene_is_complete_and_plausible(kind):
     scene = small(kind)
     size, texel, post = SMALL[kind]
     n, p = round(size / texel), round(size / post)
@@ -108,16 +108,16 @@ def test_a_small_scene_is_whole_and_plausible(kind):
     assert scene.classes.shape == (n, n)
     assert set(np.unique(scene.classes)) <= set(scene.class_names)
     assert scene.deviations.columns(n * n).shape == (4, n * n)
-    # What the balance needs is known of every class.
+    # Every class has the properties that the balance needs.
     library = load_library()
     assert all(library[name].thermal for name in scene.class_names.values())
-    # Of the band, in clear air: below that of all long-wave, the colder the drier and thinner the air.
+    # In the band, under clear air: below that of all long-wave, and colder for drier and thinner air.
     assert 205.0 <= scene.sky_temperature <= 255.0
     assert scene.orthophoto.std() > 12.0
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_objects_and_flight_lie_inside(kind):
+def test_objects_and_flight_are_inside_the_scene(kind):
     scene = small(kind)
     half = 0.5 * scene.size_m
     assert scene.objects
@@ -141,7 +141,7 @@ def test_the_heath_has_a_warm_marker_near_its_middle():
     assert np.hypot(*marker["position"][:2]) < 20.0
 
 
-def test_same_seed_same_bytes_other_seed_other_place(truth, tmp_path):
+def test_the_same_seed_gives_the_same_bytes_and_another_seed_another_place(truth, tmp_path):
     one, other = truth("heath"), truth("heath", 1)
     two = procedural_truth.write(make("heath", 0, *SMALL["heath"]), tmp_path / "two", temperature_every=1)
     names = sorted(p.name for p in one.iterdir())
@@ -156,7 +156,7 @@ def test_same_seed_same_bytes_other_seed_other_place(truth, tmp_path):
     assert np.abs(difference).max() > 1.0
 
 
-def test_texts_with_quotes_and_backslashes_are_written_as_they_are():
+def test_texts_with_quotes_and_backslashes_are_written_unchanged():
     title = 'A "heath" of C:\\new, in\ntwo lines'
     (item, *_) = small("heath").objects
     scene = replace(small("heath"), title=title, objects=({**item, "name": 'the "marker"'},))
@@ -164,7 +164,7 @@ def test_texts_with_quotes_and_backslashes_are_written_as_they_are():
     assert spec["title"] == title and spec["object"][0]["name"] == 'the "marker"'
 
 
-def test_what_is_written_is_what_was_made(tmp_path, unsolved):
+def test_written_files_equal_the_generated_arrays(tmp_path, unsolved):
     scene = small("village")
     folder = procedural_truth.write(scene, tmp_path / "village")
     with rasterio.open(folder / "temperature.tif") as file:
@@ -215,7 +215,7 @@ def test_shipped_scene_is_small_and_hard_to_guess(kind):
         picture = file.read().transpose(1, 2, 0)
     assert classes.shape[0] == factor * temperature.shape[0]
     full = np.repeat(np.repeat(temperature, factor, 0), factor, 1)
-    # Knowing every texel's class, or its colour, leaves more than a kelvin open.
+    # Knowing every texel's class, or its colour, leaves an error of more than a kelvin.
     assert class_residual(full, classes) >= 1.0
     assert colour_residual(full[::4, ::4], picture[::4, ::4].astype(np.float64)) >= 1.0
     assert np.percentile(temperature, 0.5) > 265.0 and np.percentile(temperature, 99.5) < 330.0
@@ -225,7 +225,7 @@ def test_shipped_scene_is_small_and_hard_to_guess(kind):
     assert loaded.spec.weather == KINDS[kind].weather and not loaded.balanced
 
 
-def test_unknown_kind_lists_the_right_ones():
+def test_the_error_of_an_unknown_kind_lists_the_known_ones():
     with pytest.raises(
         ThermorenderError, match="kind='moor' is not a synthetic scene; choose one of heath, village, ridge"
     ):
@@ -233,7 +233,7 @@ def test_unknown_kind_lists_the_right_ones():
 
 
 @pytest.mark.filterwarnings("error")
-def test_the_largest_seeds_are_other_places_too():
+def test_the_largest_seeds_give_different_places():
     drawn = {stream(seed, "heat").integers(2**62) for seed in (2**63, 2**63 + 1, 2**64 - 1)}
     assert len(drawn) == 3
 
@@ -268,7 +268,7 @@ def test_a_folder_in_use_is_not_overwritten_unasked(tmp_path, unsolved):
     assert [p.name for p in tmp_path.iterdir()] == ["mine"]
 
 
-def test_nothing_is_left_behind_when_writing_fails(tmp_path, monkeypatch):
+def test_a_failed_write_leaves_nothing_behind(tmp_path, monkeypatch):
     def fail(flight):
         raise OSError("disk full")
 
@@ -286,8 +286,8 @@ def test_temperature_grid_must_divide(tmp_path):
 # --- truth and prediction -----------------------------------------------------------------------------------------
 
 
-def test_the_balance_predicts_the_truth_but_for_what_it_cannot_know(truth, monkeypatch, tmp_path):
-    """The written scene, asked for source="balance", errs by what was drawn and hidden, and by nothing else."""
+def test_the_balance_predicts_the_truth_except_for_hidden_properties(truth, monkeypatch, tmp_path):
+    """With source="balance" the written scene differs from the truth by its hidden random properties only."""
     from thermorender.render.heat.march import solved
 
     folder = truth("heath")
@@ -295,20 +295,20 @@ def test_the_balance_predicts_the_truth_but_for_what_it_cannot_know(truth, monke
     asked = shown.with_temperature(TemperatureSpec(source="balance"))
     predicted = solved(asked, [asked.time])[0].surfaces[0].temperature
     error = shown.surfaces[0].temperature - predicted
-    # Tables are good to a few kelvins at a clear noon, and texels stray by about one.
+    # Tables are accurate to a few kelvin at a clear noon, and texels deviate by about one.
     assert 0.5 < np.abs(error).mean() < 4.0 and error.std() > 0.7
 
     scene = small("heath")
     one = np.ones_like(scene.deviations.wetness)
     monkeypatch.setattr(procedural_truth, "drawn", lambda loaded, kind, seed: (loaded, 1.0))
     plain = procedural_truth.true_temperature(asked, replace(scene, deviations=Deviations(one, one, one, one)))
-    # Texels of a face may share a column where nothing tells them apart: 0.1 K.
+    # Texels of a face may share a column where no data distinguish them: 0.1 K.
     assert np.sqrt(((plain - predicted) ** 2).mean()) < 0.1
     hidden = procedural_truth.true_temperature(asked, scene) - predicted
     assert 0.4 < np.abs(hidden - hidden.mean()).mean() < 1.6
 
 
-def test_drawn_properties_are_those_of_the_tables_with_their_spread(tmp_path):
+def test_drawn_properties_have_the_mean_and_spread_of_the_tables(tmp_path):
     write_declared(small("village"), tmp_path)
     loaded = load_scene(tmp_path)
     count = 400
@@ -328,7 +328,7 @@ def test_drawn_properties_are_those_of_the_tables_with_their_spread(tmp_path):
     assert factor.mean() == pytest.approx(1.0, abs=0.04) and np.log(factor).std() == pytest.approx(0.2, rel=0.15)
     inside = np.array([scene.spec.weather.inside_c for scene, _ in made])
     assert inside.mean() == pytest.approx(20.0, abs=0.4) and inside.std() == pytest.approx(2.0, rel=0.15)
-    # The tables themselves are untouched; a soil beneath grass is the soil beside it.
+    # The tables themselves are unchanged; a soil beneath grass is the same as the soil beside it.
     (one, _), (again, _) = made[0], procedural_truth.drawn(loaded, "village", 0)
     named = {material.name: material.thermal for material in one.materials}
     assert named == {material.name: material.thermal for material in again.materials}
@@ -336,7 +336,7 @@ def test_drawn_properties_are_those_of_the_tables_with_their_spread(tmp_path):
     assert procedural_truth.drawn(loaded, "heath", 0)[1] != made[0][1]
 
 
-def test_wet_is_darker_and_dry_grass_yellower_with_scatter():
+def test_wet_soil_is_darker_and_dry_grass_yellower_with_scatter():
     for name, channel, sign in (("soil_loam", slice(None), -1.0), ("grass_dry", 0, -1.0)):
         canvas = Canvas(5, 400.0, 1.0)
         canvas.paint(np.ones(canvas.shape, np.float32), np.float32([0.3, 0.25, 0.2]), name)
@@ -344,9 +344,9 @@ def test_wet_is_darker_and_dry_grass_yellower_with_scatter():
         found = deviations_of(canvas)
         tint = np.log(canvas.albedo / before)
         seen = tint[..., channel] if channel == 0 else tint.mean(axis=-1)
-        # 0.6 of moisture is seen, whose share of wetness is 0.55 / √(0.55² + 0.30²): 0.53, and few patches to tell it.
+        # 0.6 of the moisture is visible, whose share of wetness is 0.55 / √(0.55² + 0.30²): 0.53, from few patches.
         assert sign * np.corrcoef(seen.ravel(), np.log(found.wetness).ravel())[0, 1] == pytest.approx(0.53, abs=0.17)
-        # Wettest against driest soil: a factor of two at most, as from dry to saturated.
+        # Wettest against driest soil: a factor of two at most, as between dry and saturated.
         assert 0.05 < seen.std() < 0.3
         if name == "grass_dry":
             red, _, blue = (tint[..., k][seen > 0.0] for k in range(3))
@@ -354,7 +354,7 @@ def test_wet_is_darker_and_dry_grass_yellower_with_scatter():
             assert np.exp(np.ptp(np.quantile(seen, [0.02, 0.98]))) < 2.2
 
 
-def test_deviations_belong_to_the_seed_alone():
+def test_deviations_depend_only_on_the_seed():
     first, second = small("heath").deviations, small("heath", 1).deviations
     later = make("heath", 0, *SMALL["heath"], time="2018-09-12T22:00Z").deviations
     for name, values in vars(first).items():
@@ -366,7 +366,7 @@ def test_deviations_belong_to_the_seed_alone():
 # --- hours and weathers -------------------------------------------------------------------------------------------
 
 
-def test_weather_changes_the_temperature_and_not_the_land(truth):
+def test_weather_changes_the_temperature_but_not_the_land(truth):
     day, night = truth("village"), truth("village", 0, NIGHT)
     for name in ("classes.tif", "elevation.tif", "flight.csv"):
         assert (day / name).read_bytes() == (night / name).read_bytes(), name
@@ -376,18 +376,18 @@ def test_weather_changes_the_temperature_and_not_the_land(truth):
         assert file.read().mean() > 60.0
 
 
-def test_an_afternoon_is_ordered_as_land_is(truth):
+def test_afternoon_temperatures_are_in_the_observed_order(truth):
     for kind, seed in (("heath", 0), ("village", 0)):
         found = by_class(truth(kind, seed))
         air = conditions(KINDS[kind].weather, KINDS[kind].latitude_deg, KINDS[kind].altitude_m).air_k
         assert found["asphalt"] > found["grass_green"] + 2.0
         assert found["grass_green"] > found["conifer"] + 0.5
         assert found["water"] < found["grass_green"]
-        # Trees follow the air: transpiring and half in shade 2 K below it, and two of the 1.5 K that draws move
+        # Trees follow the air: transpiring and half in shade, 2 K below it, plus two random deviations of 1.5 K.
         assert found["conifer"] == pytest.approx(air, abs=3.0)
 
 
-def test_thin_roofs_and_stone_change_places_at_night(truth):
+def test_the_order_of_thin_roofs_and_stone_reverses_at_night(truth):
     day, night = by_class(truth("village")), by_class(truth("village", 0, NIGHT))
     assert day["roof_shingle"] > day["concrete"] + 1.0
     assert night["roof_shingle"] < night["concrete"] - 1.0
@@ -406,10 +406,10 @@ def test_a_winter_morning_with_snow(truth):
     snow = np.isin(classes, [int(k) for k, name in names.items() if name == "snow"])
     assert snow.mean() > 0.5 and "water" not in found and "conifer" in found
     kelvin = stored(folder)
-    # Within half a post of the edge there is no mesh: texels there take on their neighbour's temperature.
+    # Within half a post of the edge there is no mesh: texels there take their neighbour's temperature.
     assert (kelvin * snow)[2:-2, 2:-2].max() <= 273.15 + 0.01
     assert 245.0 < np.median(kelvin[snow]) < 271.0
-    # Snow insulates: what lies bare is warmer.
+    # Snow insulates: bare places are warmer.
     assert found["granite"] > found["snow"]
     with rasterio.open(folder / "orthophoto.tif") as file:
         picture = file.read().mean(axis=0)
@@ -421,20 +421,20 @@ def test_old_snow_melts_at_the_melting_point(truth):
     assert 270.0 < found["snow"] <= 273.15 + 0.01 < found["grass_dry"]
 
 
-def test_snow_keeps_off_walls_warm_glass_and_open_water():
+def test_no_snow_on_walls_warm_glass_and_open_water():
     mild = replace(WINTER, air_low_c=-4.0, air_high_c=1.0, time=np.datetime64("2018-01-17T10:00:00"))
     bare, covered, frozen = (make("village", 0, *SMALL["village"], weather=w) for w in (None, mild, WINTER))
     bare, covered, frozen = (np.vectorize(s.class_names.get)(s.classes) for s in (bare, covered, frozen))
     for kept in ("water", "glass"):
         assert (covered[bare == kept] == kept).all()
-    # What bears ice bears snow.
+    # Surfaces that carry ice carry snow.
     assert not (frozen == "water").any() and (frozen[bare == "water"] == "snow").mean() > 0.9
     assert (covered[bare == "asphalt"] == "snow").mean() > 0.95
-    # Trees carry it in part.
+    # Trees carry part of it.
     assert 0.1 < (covered[bare == "broadleaf"] == "snow").mean() < 0.9
 
 
-def test_what_heats_itself_keeps_its_temperature_and_the_rest_follows_the_weather():
+def test_heated_objects_keep_their_temperature_and_others_follow_the_weather():
     items = [{"name": "fire", "temperature": 620.0, "heated": True}, {"name": "car", "temperature": 302.0}]
     fire, car = follows(items, (263.0, 0.0), (295.0, 600.0))
     assert fire == {"name": "fire", "temperature": 620.0} and car["temperature"] == 263.0
@@ -459,19 +459,19 @@ def test_the_sky_of_the_band():
     overcast = replace(clear, cloud=1.0)
     found = {w.cloud: conditions(w, *place) for w in (clear, overcast)}
     sky = {w.cloud: sky_temperature(w, found[w.cloud], 112.0) for w in (clear, overcast)}
-    # Black clouds 1500 m up are 9.75 K colder than the air below them, and the air between is warmer than they.
+    # Black clouds 1500 m up are 9.75 K colder than the air below them, and the air between is warmer than the clouds.
     air = found[1.0].air_k
     assert air - 9.75 < sky[1.0] < air - 2.0
-    # Through the window less comes down than at all wavelengths.
+    # Less radiation comes down in the window than at all wavelengths.
     assert sky[0.0] < (found[0.0].longwave_w_m2 / 5.670374e-8) ** 0.25 - 10.0
 
 
-def test_weathers_of_seeds_are_those_of_the_climate_told():
+def test_weathers_of_seeds_match_the_given_climate():
     made = [drawn_weather(seed) for seed in range(3000)]
     month = np.array([w.time.astype("M8[M]").astype(int) % 12 for w in made])
     hour = np.array([w.time.astype("M8[h]").astype(int) % 24 for w in made])
     mean = np.array([0.5 * (w.air_low_c + w.air_high_c) for w in made])
-    # Warsaw 1991–2020 (IMGW): January −1.5, April 9.1, July 19.7, October 8.9 °C; 250 draws of ± 3…4.5 K err by 0.3.
+    # Warsaw 1991–2020 (IMGW): January −1.5, April 9.1, July 19.7, October 8.9 °C; standard error of 250 draws 0.3 K.
     for number, celsius in ((0, -1.5), (3, 9.1), (6, 19.7), (9, 8.9)):
         assert mean[month == number].mean() == pytest.approx(celsius, abs=1.5)
     assert np.bincount(hour).min() > 80 and np.bincount(month).min() > 190
@@ -483,7 +483,7 @@ def test_weathers_of_seeds_are_those_of_the_climate_told():
         found = conditions(weather, 52.2, 112.0)
         assert np.isfinite(list(found)).all() and found.vapour_pa > 0.0
         assert 150.0 < sky_temperature(weather, found, 112.0) <= found.air_k + 0.5
-    # Higher land is colder by 6.5 K per km, and the weather knows no kind.
+    # Higher land is colder by 6.5 K per km, and the weather does not depend on the kind.
     assert weather_of("heath", 7).time == weather_of("ridge", 7).time
     assert weather_of("heath", 7).air_low_c - weather_of("ridge", 7).air_low_c == pytest.approx(9.3, abs=0.11)
 
@@ -538,15 +538,15 @@ def test_level_ground_sees_the_whole_sky_and_a_wall_hides_half():
     assert sky_view(surface, 1.0)[64, 62] == pytest.approx(0.5, abs=0.03)
 
 
-def test_a_slope_towards_the_sun_is_lit_best():
+def test_a_slope_towards_the_sun_gets_the_most_light():
     rows = np.arange(40, dtype=np.float32)[:, None] * np.ones((1, 40), np.float32)
-    # Heights grow to the north (row 0): the slope looks south.
+    # Heights grow to the north (row 0): the slope faces south.
     cosine = incidence(normals(39.0 - rows, 1.0), 180.0, 45.0)
     assert cosine[20, 20] == pytest.approx(1.0, abs=1e-6)
     assert incidence(normals(rows, 1.0), 180.0, 45.0)[20, 20] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_noise_is_standardised_and_streams_are_independent():
+def test_noise_has_unit_variance_and_streams_are_independent():
     field = fractal_noise(stream(3, "a"), (400, 400), 0.25, 8.0)
     assert field.std() == pytest.approx(1.0, abs=0.2) and abs(field.mean()) < 0.25
     again = fractal_noise(stream(3, "a"), (400, 400), 0.25, 8.0)

@@ -38,7 +38,7 @@ def part(tmp_path, mesh, suffix):
     return load(path)[0]
 
 
-def test_posts_lie_at_pixel_centres():
+def test_posts_are_at_pixel_centres():
     frame = terrain.frame_of(HEIGHT, NORTH_UP)
     vertices, _, _ = terrain.mesh(HEIGHT, NORTH_UP, frame, TEXELS)
     # The map's scale on its central meridian is 0.9996.
@@ -47,7 +47,7 @@ def test_posts_lie_at_pixel_centres():
 
 
 @pytest.mark.parametrize("grid", [NORTH_UP, SOUTH_UP])
-def test_faces_look_up_and_map_to_their_texels(grid):
+def test_faces_point_up_and_map_to_their_texels(grid):
     frame = terrain.frame_of(HEIGHT, grid)
     vertices, faces, uv = terrain.mesh(HEIGHT, grid, frame, TEXELS)
     assert (normals(vertices, faces)[:, 2] > 0.0).all()
@@ -57,15 +57,15 @@ def test_faces_look_up_and_map_to_their_texels(grid):
 
 
 @pytest.mark.parametrize("post", [(3, 3), (3, 4), (4, 3), (4, 4)])
-def test_a_missing_post_leaves_its_four_cells_out(post):
+def test_a_missing_post_removes_its_four_cells(post):
     height = HEIGHT.copy()
     height[post] = np.nan
     _, faces, _ = terrain.mesh(height, NORTH_UP, LocalFrame(52.0, 21.0, 100.0), TEXELS)
     assert len(faces) == 2 * (81 - 4) and np.isfinite(height.ravel()[faces]).all()
 
 
-def test_a_missing_post_lies_no_lower_than_the_others():
-    """It is in no face, but air is computed for all heights between the scene's corners."""
+def test_a_missing_post_is_not_lower_than_the_others():
+    """It is in no face, but the air is computed for all heights between the scene's corners."""
     height = HEIGHT + 2000.0
     height[3, 3] = np.nan
     vertices, _, _ = terrain.mesh(height, NORTH_UP, LocalFrame(52.0, 21.0, 2100.0), TEXELS)
@@ -111,8 +111,8 @@ def test_a_raster_that_runs_west_is_imported_like_one_that_runs_east(tmp_path):
 
 
 @pytest.mark.parametrize("degrees", [20, 45, 160])
-def test_turned_rasters_are_imported_whole(tmp_path, degrees):
-    """Their outermost corners are not the first and the last, and the rectangle around them is larger than they are."""
+def test_rotated_rasters_are_imported_whole(tmp_path, degrees):
+    """The outermost corners are not the first and the last, and the rectangle around the raster is larger than it."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     for name, bands, scale in (("e", np.full((1, 64, 64), 50, np.float32), 1.0),
                                ("o", np.full((3, 128, 128), 90, np.uint8), 0.5)):  # fmt: skip
@@ -122,18 +122,18 @@ def test_turned_rasters_are_imported_whole(tmp_path, degrees):
             width=bands.shape[2], crs=UTM, transform=transform,
         ) as file:  # fmt: skip
             file.write(bands)
-    told = import_terrain(tmp_path / "e.tif", tmp_path / "o.tif", tmp_path / "s")
-    assert told["post_m"] == pytest.approx(1.0) and told["texel_m"] == pytest.approx(0.5)
-    # 4096 posts, fewer by those at the rim.
-    assert (1.0 - told["share_without_height"]) * np.prod(told["posts"]) == pytest.approx(4096.0, rel=0.05)
+    report = import_terrain(tmp_path / "e.tif", tmp_path / "o.tif", tmp_path / "s")
+    assert report["post_m"] == pytest.approx(1.0) and report["texel_m"] == pytest.approx(0.5)
+    # 4096 posts, minus those at the rim.
+    assert (1.0 - report["share_without_height"]) * np.prod(report["posts"]) == pytest.approx(4096.0, rel=0.05)
     across, along = np.array([0, c, s, c + s]), np.array([0, s, -c, s - c])
     bounds = terrain.read_elevation(tmp_path / "e.tif")[1].bounds
     assert bounds[::2] == pytest.approx((LEFT + 64 * across.min(), LEFT + 64 * across.max()))
     assert bounds[1::2] == pytest.approx((TOP + 64 * along.min(), TOP + 64 * along.max()))
 
 
-def test_import_fills_islands_but_no_edge(tmp_path, call):
-    """A slope goes on through an island; what reaches the edge stays a hole; texels of filled cells are flagged."""
+def test_import_fills_islands_but_not_edges(tmp_path, call):
+    """A slope continues through an island; a gap at the edge stays a hole; texels of filled cells are flagged."""
     row, column = np.mgrid[:10, :10]
     height = 100.0 + 0.5 * column - 0.25 * row
     shown = height.copy()
@@ -163,12 +163,12 @@ def test_import_fills_islands_but_no_edge(tmp_path, call):
         ({"material": "aluminium_sheet"}, "measured over 3.2–12.5 µm only"),
     ],
 )
-def test_import_makes_no_scene_that_cannot_be_loaded(tmp_path, keywords, words):
+def test_import_refuses_scenes_that_could_not_be_loaded(tmp_path, keywords, words):
     with pytest.raises(ThermorenderError, match=words):
         import_terrain(tmp_path / "none.tif", tmp_path / "none.tif", tmp_path / "s", **keywords)
 
 
-def test_undeclared_placeholders_are_no_heights(tmp_path):
+def test_undeclared_placeholders_are_not_heights(tmp_path):
     height = np.full((1, 4, 4), 50.0, np.float32)
     height[0, 0] = -9999.0, 3.4e38, np.nan, 8848.0
     with rasterio.open(
@@ -200,14 +200,14 @@ def test_primitives_fill_their_size_on_their_base():
         assert (np.einsum("ij,ij->i", normals(vertices, faces), outward) > 0.0).all(), shape
 
 
-def test_glb_is_turned_from_y_up_and_its_image_lies_right(tmp_path):
+def test_glb_is_turned_from_y_up_and_its_image_is_the_right_way_up(tmp_path):
     from PIL import Image
 
     corners = [[0, 0, 0], [4, 0, 0], [4, 3, 0]]
     image = Image.new("RGB", (4, 4))
     image.putpixel((0, 3), (255, 0, 0))
     square = trimesh.Trimesh(corners, [[0, 1, 2]], process=False)
-    # Lower left corner of the image at the first corner: v of trimesh runs up.
+    # Lower left corner of the image at the first corner: trimesh's v points up.
     square.visual = trimesh.visual.TextureVisuals(
         uv=np.array([[0.1, 0.1], [0.9, 0.1], [0.9, 0.9]]),
         material=trimesh.visual.material.PBRMaterial(name="p", baseColorTexture=image),
@@ -221,7 +221,7 @@ def test_glb_is_turned_from_y_up_and_its_image_lies_right(tmp_path):
 @pytest.mark.parametrize("suffix", ["obj", "ply", "glb"])
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_corner_that_is_not_finite_is_refused_in_each_form(tmp_path, suffix, value):
-    """Left out, it would take its faces along."""
+    """If it were left out, its faces would be missing."""
     corners = np.array([[-5.0, 5, 0], [5, 5, 0], [5, -5, 0], [-5, -5, 0]])
     corners[0, 0] = value
     data = trimesh.Trimesh(corners, [[0, 3, 1], [1, 3, 2]], process=False).export(file_type=suffix)
@@ -242,11 +242,11 @@ def test_a_mirrored_part_still_faces_outward(tmp_path):
 def test_ground_of_a_mesh_with_vertical_walls():
     box = trimesh.creation.box(extents=(4.0, 4.0, 2.0))
     surface = SimpleNamespace(vertices=np.array(box.vertices), faces=np.array(box.faces, dtype=np.int32))
-    # Top of the box, over its rim's wall, and beside it; warnings are errors.
+    # Top of the box, above its wall, and beside it; warnings are errors.
     np.testing.assert_allclose(Ground((surface,))(np.array([0.5, 2.0, 9.0]), np.zeros(3)), [1.0, 1.0, np.nan])
 
 
-def test_holes_take_the_nearest_texel_that_is_known():
+def test_holes_take_the_nearest_known_texel():
     rng = np.random.default_rng(0)
     valid = rng.random((17, 23)) < 0.1
     known, position = np.argwhere(valid), np.argwhere(np.ones_like(valid))

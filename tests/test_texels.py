@@ -1,4 +1,4 @@
-"""Light of faces folded into texels and a constant per face: means are kept, whatever the map."""
+"""Light of faces split into texels and a constant per face: means are kept, for any map."""
 
 import numpy as np
 import pytest
@@ -16,8 +16,8 @@ def geometry_of(scene):
     return Geometry(activate(), scene.surfaces)
 
 
-def test_one_texel_shows_each_face_the_light_of_its_own(tmp_path):
-    """A long groove of right angle between level banks, all one texel: closed forms of both, through whole frames."""
+def test_faces_of_one_texel_keep_their_own_light(tmp_path):
+    """A long right-angled groove between level banks, all one texel: closed forms of both, through whole frames."""
     line = [(-3.0, 0.0), (-1.0, 0.0), (0.0, -1.0), (1.0, 0.0), (3.0, 0.0)]
     along = np.arange(-40.0, 41.0)
     vertices = [[x, y, z] for y in along for x, z in line]
@@ -30,7 +30,7 @@ def test_one_texel_shows_each_face_the_light_of_its_own(tmp_path):
     scene = tr.load_scene(write_mesh(tmp_path / "s", mesh, 300.0, emissivity, sky=250.0))
     frame = tr.Renderer(scene, rays=rays, tolerance_mk=0.5).frame(tr.pose(0, 0, 6, pitch_deg=-90))
     black, sky = (band_radiance(kelvin, 7.5, 13.5) for kelvin in (300.0, 250.0))
-    # Two plates of one width that meet at an angle α see each other by 1 − sin(α/2) (Howell, C-16).
+    # Two plates of one width that meet at an angle α see each other with a share of 1 − sin(α/2) (Howell, C-16).
     factor = 1.0 - np.sin(np.radians(45.0))
     received = (factor * emissivity * black + (1 - factor) * sky) / (1 - factor * (1 - emissivity))
     seen = frame.truth["position"]
@@ -38,12 +38,12 @@ def test_one_texel_shows_each_face_the_light_of_its_own(tmp_path):
     per_kelvin = band_radiance_derivative(300.0, 7.5, 13.5)
     level = (frame.radiance[bank] - emissivity * black - (1 - emissivity) * sky) / per_kelvin
     walls = (frame.radiance[groove] - emissivity * black - (1 - emissivity) * received) / per_kelvin
-    # Level banks see the sky alone: only single precision and tables err. A face of the groove errs as its rays do,
-    # and three metres of it, which the picture shows at least, are twelve faces.
+    # Level banks see only sky: only single precision and tables have errors. The error of a face of the groove is that
+    # of its rays; the picture shows at least three metres of it, which are twelve faces.
     error = (1 - emissivity) * (received - sky) / factor * np.sqrt(factor * (1 - factor) / rays) / per_kelvin
     assert np.abs(level).max() < 1e-3
     assert abs(walls.mean()) < 3.0 * error / np.sqrt(12.0) < 0.15
-    # Light shared between all faces of the texel would be kelvins off.
+    # Light averaged over all faces of the texel would be off by several kelvin.
     assert (1 - emissivity) * (received - sky) / per_kelvin > 2.0
 
 
@@ -59,13 +59,13 @@ def test_each_texel_knows_the_face_that_covers_it(tmp_path):
     edge = corner[:, 1:] - corner[:, :1]
     share = np.linalg.solve(edge.transpose(0, 2, 1), (place[covered] - corner[:, 0])[..., None])[..., 0]
     assert share.min() > -1e-3 and share.sum(axis=1).max() < 1 + 1e-3
-    # The elevation's middles span all but half a cell all round: 11/12 · 8/9 of the area. Texels' middles lie at a
+    # The elevation's cell centres span all but half a cell all round: 11/12 · 8/9 of the area. Texel centres are at a
     # quarter and three quarters of a cell, so each is plainly inside or outside.
     assert covered.sum() == 22 * 16
 
 
 def test_the_mean_of_each_face_is_kept(tmp_path):
-    # Steep faces: a texel lies on one of them and is seen on several.
+    # Steep faces: a texel is on one of them and is seen on several.
     random = np.random.default_rng(3)
     scene = tr.load_scene(write_terrain(tmp_path / "s", height=random.uniform(0, 6, (20, 20))))
     geometry = geometry_of(scene)
@@ -88,13 +88,13 @@ def test_the_mean_of_each_face_is_kept(tmp_path):
             shown = shown + share * texel[number]
             wanted = wanted + share * (emitted[number] + light[np.arange(geometry.face_count), material[number]])
     difference = shown + face - wanted
-    # The constant is a mean over some ten places: it errs by the scatter over the root of their number at most.
+    # The constant is a mean over some ten places: its error is at most the scatter over the root of their number.
     assert np.sqrt((difference.mean(axis=0) ** 2).mean()) < 0.5 * np.sqrt(left).mean()
     assert np.sqrt(left).mean() == pytest.approx(difference.std(axis=0).mean(), rel=0.3)
     assert np.sqrt((face**2).mean()) > 2 * np.sqrt((difference.mean(axis=0) ** 2).mean())
 
 
-def test_an_object_of_one_texel_shows_the_light_of_each_face(tmp_path):
+def test_an_object_of_one_texel_keeps_the_light_of_each_face(tmp_path):
     scene = tr.load_scene(write_mesh(tmp_path / "s", trimesh.creation.icosphere(subdivisions=2), 300.0, 0.8))
     geometry = geometry_of(scene)
     light = np.random.default_rng(0).uniform(1, 5, (geometry.face_count, 1)).astype(np.float32)
@@ -104,7 +104,7 @@ def test_an_object_of_one_texel_shows_the_light_of_each_face(tmp_path):
 
 
 def test_light_that_varies_over_faces(tmp_path):
-    # A plane of equilateral triangles under light with a gradient: its scatter inside them is known.
+    # A plane of equilateral triangles under light with a gradient: the scatter inside them is known.
     step, count = 0.5, 24
     up = step * np.sqrt(3) / 2
     vertices = [[(i + 0.5 * (j % 2)) * step, j * up, 0.0] for j in range(count) for i in range(count)]

@@ -1,4 +1,4 @@
-"""Thermal properties of materials: the shipped ones against published numbers, and the words of every refusal."""
+"""Thermal properties of materials: the shipped ones against published numbers, and the text of every error."""
 
 import csv
 
@@ -23,7 +23,7 @@ SHIPPED = data_folder("materials")
 LIBRARY = load_library()
 
 # Oke, Boundary Layer Climates (2nd ed. 1987), tables 2.1 and 7.4: the column of thermal admittance [J m⁻² K⁻¹ s^-½],
-# which no table of ours was made from. Soils lie between the dry and the saturated one; the steel there is another.
+# which none of our tables is based on. Soils are between the dry and the saturated one; the steel there is different.
 ADMITTANCE = {
     "sand_quartz": (620, 620), "water": (1545, 1545), "ice": (2080, 2080), "asphalt": (1205, 1205),
     "concrete": (1785, 1785), "brick_clay": (1065, 1065), "paint_black": (14475, 14475), "granite": (2220, 2220),
@@ -76,11 +76,11 @@ def edited(**cells):
     return "\n".join(lines) + "\n"
 
 
-# --- what ships -------------------------------------------------------------------------------------------
+# --- shipped tables ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", list(LIBRARY))
-def test_every_shipped_material_is_whole(name):
+def test_every_shipped_material_is_complete(name):
     thermal = LIBRARY[name].known_thermal()
     assert thermal.cover in COVERS
     for key, value in thermal.values.items():
@@ -89,7 +89,7 @@ def test_every_shipped_material_is_whole(name):
         if key in NUMBERS and value is not None:
             low, high, _ = NUMBERS[key]
             assert low <= value <= high and np.isfinite(value) and thermal.uncertainty[key] >= 0.0, key
-    # A number that is known exactly is one by definition.
+    # A number that is exact is one by definition.
     exact = {key for key, spread in thermal.uncertainty.items() if spread == 0.0}
     assert exact <= {"melting_k", "surface_resistance_s_m", "wetness", "water_share"}
     assert thermal.layers[-1].beneath in ("", *ENDS)
@@ -97,7 +97,7 @@ def test_every_shipped_material_is_whole(name):
     assert 0.0 < LIBRARY[name].solar_absorptance_std < 0.5
 
 
-def test_shipped_tables_are_those_of_materials_and_written_as_we_write():
+def test_shipped_tables_belong_to_materials_and_are_in_canonical_form():
     thermals = read_thermals(SHIPPED)
     assert sorted(thermals) == sorted(LIBRARY)
     for name, thermal in thermals.items():
@@ -108,7 +108,7 @@ def test_shipped_tables_are_those_of_materials_and_written_as_we_write():
 def test_thermal_inertia_against_published_admittances(name):
     low, high = ADMITTANCE[name]
     thermal = LIBRARY[name].thermal
-    # Three digits are printed, of k and of ρc too: 1 %. Rock and steel were taken from another book: 10 %.
+    # Three digits are printed, for k and for ρc: 1 %. Rock and steel were taken from another book: 10 %.
     slack = 0.1 if name in ("granite", "paint_black") else 0.01
     assert low * (1 - slack) <= thermal.inertia <= high * (1 + slack)
     assert thermal.inertia == pytest.approx(
@@ -122,13 +122,13 @@ def test_thermal_inertia_against_published_admittances(name):
      ("brick_clay", 0.61e-6)],
 )  # fmt: skip
 def test_diffusivity_against_published_values(name, diffusivity):
-    """The same tables' column of thermal diffusivity [m²/s]: two digits of it, of k and of ρc leave 3 %."""
+    """The same tables' column of thermal diffusivity [m²/s]: two digits for it, k and ρc leave 3 %."""
     thermal = LIBRARY[name].thermal
     found = thermal.conductivity_w_m_k / thermal.heat_capacity_j_m3_k
     assert found == pytest.approx(diffusivity, rel=0.03)
 
 
-def test_snow_conducts_as_another_fit_to_measurements_says():
+def test_conductivity_of_snow_agrees_with_another_fit_to_measurements():
     """Sturm et al. 1997 (doi:10.3189/S0022143000002781): quadratic in density above 156 kg/m³, scatter ± 0.1."""
     for name in ("snow", "snow_medium", "snow_coarse"):
         thermal = LIBRARY[name].thermal
@@ -137,7 +137,7 @@ def test_snow_conducts_as_another_fit_to_measurements_says():
         assert abs(thermal.conductivity_w_m_k - expected) < 0.13 and thermal.melting_k == 273.15
 
 
-def test_metals_are_sheets_and_leaves_stand_off_the_ground():
+def test_metals_are_sheets_and_leaves_are_above_the_ground():
     for name, material in LIBRARY.items():
         thermal = material.thermal
         if thermal.conductivity_w_m_k > 20.0:
@@ -146,15 +146,15 @@ def test_metals_are_sheets_and_leaves_stand_off_the_ground():
         assert (thermal.cover in ("water", "snow")) == (thermal.wetness == 1.0), name
 
 
-def test_what_no_measurement_gives_is_marked():
+def test_unmeasured_values_are_marked():
     thermal = LIBRARY["asphalt"].thermal
     assert {"thickness_m", "beneath", "wetness"} <= set(thermal.chosen)
     assert not {"conductivity_w_m_k", "density_kg_m3", "cover"} & set(thermal.chosen)
-    # How moist a soil is was chosen, and with it all that follows.
+    # Soil moisture was chosen, and all values that follow from it.
     assert "conductivity_w_m_k" in LIBRARY["soil_loam"].thermal.chosen
 
 
-# --- a table a person wrote -------------------------------------------------------------------------------
+# --- a hand-written table ---------------------------------------------------------------------------------
 
 
 def test_a_table_is_read_and_written_back(tmp_path):
@@ -167,7 +167,7 @@ def test_a_table_is_read_and_written_back(tmp_path):
     assert thermal.heat_capacity_j_m3_k == 2110 * 920
     write_text(tmp_path / "b.csv", table_text(thermal))
     assert read_thermal(tmp_path / "b.csv") == thermal
-    # A row that is empty says the same as none.
+    # An empty row has the same meaning as no row.
     write_text(tmp_path / "c.csv", TABLE + "melting_k,,,\n,,,\n")
     assert read_thermal(tmp_path / "c.csv") == thermal
     with pytest.raises(ThermorenderError, match=r"beneath='soil_loam' has not been looked up; .*load_library"):
@@ -208,11 +208,11 @@ FAULTS = [
 
 
 @pytest.mark.parametrize(("text", "words"), FAULTS)
-def test_faults_of_a_table_are_told(tmp_path, text, words):
+def test_faults_of_a_table_are_reported(tmp_path, text, words):
     write_text(tmp_path / "thermal" / "a.csv", text)
     with pytest.raises(ThermorenderError, match=words):
         read_thermal(tmp_path / "thermal" / "a.csv")
-    # `check` says so too: in a folder, and of the file alone.
+    # `check` reports it too: in a folder, and for the file alone.
     folder(tmp_path, {"asphalt": text})
     (tmp_path / "thermal" / "a.csv").unlink()
     for path in (tmp_path, tmp_path / "thermal" / "asphalt.csv"):
@@ -225,7 +225,7 @@ def test_check_finds_all_faults_at_once(tmp_path, run):
     sand = edited(beneath=["asphlt", "", "x"])
     circle = edited(beneath=["water", "", "x"])
     folder(tmp_path, {"granite": text, "sand_quartz": sand, "soil_dark": circle, "concret": TABLE})
-    told = [str(finding) for finding in check(tmp_path)]
+    reported = [str(finding) for finding in check(tmp_path)]
     expected = [
         "thermal/granite.csv, row 9: conductivity_w_m_k=750 is not within", "row 10: source of wetness is empty",
         "row 10: uncertainty of wetness=-1 is not within", "row 11: property='zzz'", "granite.csv: lacks density_kg_m3",
@@ -234,16 +234,16 @@ def test_check_finds_all_faults_at_once(tmp_path, run):
         "thermal/soil_dark.csv: beneath leads in a circle, soil_dark → water → soil_dark; leave the",
     ]  # fmt: skip
     for words in expected:
-        assert sum(words in line for line in told) == 1, (words, told)
-    assert len(told) == len(expected)
+        assert sum(words in line for line in reported) == 1, (words, reported)
+    assert len(reported) == len(expected)
     status, out, _ = run("check", tmp_path)
     assert status == 2 and "8 faults" in out
-    # What lies above a table that cannot be read is not blamed for it.
+    # Tables over an unreadable table are not blamed for it.
     folder(tmp_path / "b", {"soil_loam": "property,value,uncertainty,source\n", "asphalt": TABLE})
     assert [finding.where for finding in check(tmp_path / "b")] == ["thermal/soil_loam.csv"]
 
 
-# --- a scene's own tables lie over the shipped ------------------------------------------------------------
+# --- a scene's own tables override the shipped ones -------------------------------------------------------
 
 
 def test_a_scenes_table_replaces_the_shipped_one(tmp_path):
@@ -253,18 +253,18 @@ def test_a_scenes_table_replaces_the_shipped_one(tmp_path):
     assert own["granite"].thermal == LIBRARY["granite"].thermal
 
 
-def test_what_lies_beneath_is_the_scenes_too(tmp_path):
+def test_the_material_beneath_comes_from_the_scene_too(tmp_path):
     soil = edited(thickness_m=None, beneath=None, conductivity_w_m_k="2")
     own = load_library(folder(tmp_path, {"soil_loam": soil}))
     assert own["asphalt"].thermal.layers[1].conductivity_w_m_k == 2.0
     assert own["grass_green"].thermal.below.conductivity_w_m_k == 2.0
 
 
-def test_a_material_of_ones_own_has_what_its_folder_says(tmp_path):
+def test_a_user_material_has_the_properties_of_its_folder(tmp_path):
     rows = [ROW, ROW | {"name": "granite", "title": "Mine"}]
     own = load_library(folder(tmp_path / "a", {"tin": edited(beneath=["granite", "", "x"])}, rows))
     assert [layer.conductivity_w_m_k for layer in own["tin"].thermal.layers] == [0.75, 2.79]
-    # Without a table of its own it keeps the shipped one of its name.
+    # Without its own table it keeps the shipped one of the same name.
     assert own["granite"].title == "Mine" and own["granite"].thermal == LIBRARY["granite"].thermal
     bare = load_library(folder(tmp_path / "b", {}, [ROW]))["tin"]
     assert bare.thermal is None
@@ -286,12 +286,12 @@ def test_a_material_of_ones_own_has_what_its_folder_says(tmp_path):
         ({"asphalt": edited(beneath=["tin", "", "x"])}, r"beneath='tin' is not a material with thermal properties"),
     ],
 )  # fmt: skip
-def test_faults_of_an_overlay_are_told(tmp_path, thermals, words):
+def test_faults_of_an_overlay_are_reported(tmp_path, thermals, words):
     with pytest.raises(ThermorenderError, match=words):
         load_library(folder(tmp_path, thermals, [ROW]))
 
 
-def test_a_link_out_of_the_folder_is_refused(tmp_path):
+def test_a_link_that_leaves_the_folder_is_refused(tmp_path):
     folder(tmp_path / "m", {}, [ROW])
     write_text(tmp_path / "elsewhere.csv", TABLE)
     (tmp_path / "m" / "thermal").mkdir()
@@ -303,7 +303,7 @@ def test_a_link_out_of_the_folder_is_refused(tmp_path):
 # --- solar absorptance ------------------------------------------------------------------------------------
 
 
-def test_how_well_the_solar_absorptance_is_known(tmp_path):
+def test_the_uncertainty_of_the_solar_absorptance(tmp_path):
     read = read_library(folder(tmp_path / "a", {}, [ROW | {"solar_absorptance_std": "0.11"}]))["tin"]
     assert read.solar_absorptance_std == read.solar_uncertainty == 0.11
     assert "absorbs 0.40 ± 0.11;" in str(read)
@@ -315,7 +315,7 @@ def test_how_well_the_solar_absorptance_is_known(tmp_path):
     with pytest.raises(ThermorenderError, match=r"row 2: solar_absorptance_std=5 is not within 0…1"):
         read_library(bad)
     assert any("solar_absorptance_std=5 is not within" in str(finding) for finding in check(bad))
-    # Three samples and more tell their own: reflectances of the basalts, by hand.
+    # Three samples and more have their own: reflectances of the basalts, by hand.
     assert LIBRARY["basalt"].solar_absorptance_std == pytest.approx(np.std([0.783, 0.795, 0.752], ddof=1), abs=6e-4)
 
 
@@ -328,7 +328,7 @@ def test_a_material_is_written_with_its_table_or_not_at_all(tmp_path, monkeypatc
     assert read_thermals(tmp_path)["granite"].values == granite.thermal.values
     assert read_library(tmp_path)["granite"].solar_absorptance_std == granite.solar_absorptance_std
     before = {path: path.read_bytes() for path in tmp_path.rglob("*.csv")}
-    # Measured anew: the table of thermal properties stays.
+    # Measured again: the table of thermal properties stays.
     bare = read_library(folder(tmp_path / "other", {}, [ROW | {"name": "granite"}]))["granite"]
     write_material(bare, tmp_path, replace=True)
     assert read_thermals(tmp_path)["granite"] == read_thermals(SHIPPED)["granite"]
@@ -357,8 +357,8 @@ def test_show_prints_every_property_with_spread_and_source(run):
     assert "skin_conductance" not in out
 
 
-def test_diff_tells_what_differs(tmp_path, run):
-    """Over the shipped tables, and between two folders, also where a table stands without a row."""
+def test_diff_reports_the_differences(tmp_path, run):
+    """Over the shipped tables, and between two folders, also where a table has no row."""
     text = (SHIPPED / "thermal" / "asphalt.csv").read_text("utf-8")
     one = folder(tmp_path / "one", {"asphalt": text.replace("0.75,0.25", "0.9,0.25"), "tin": TABLE}, [ROW])
     two = folder(tmp_path / "two", {"asphalt": text}, [ROW])
@@ -372,7 +372,7 @@ def test_diff_tells_what_differs(tmp_path, run):
     assert "density_kg_m3" in out and "water_share" in out
 
 
-def test_merge_joins_tables_each_by_itself(tmp_path, run):
+def test_merge_joins_each_table_separately(tmp_path, run):
     one = folder(tmp_path / "one", {"asphalt": TABLE, "granite": edited(thickness_m=None, beneath=None)})
     two = folder(tmp_path / "two", {"asphalt": edited(wetness="0.5"), "tin": TABLE}, [ROW])
     status, _, complaint = run("merge", one, two, "-o", tmp_path / "out")
@@ -383,7 +383,7 @@ def test_merge_joins_tables_each_by_itself(tmp_path, run):
         made = load_library(out)
         assert made["asphalt"].thermal.wetness == wetness
         assert made["granite"].thermal.conductivity_w_m_k == made["tin"].thermal.conductivity_w_m_k == 0.75
-    # Spectrum of the one, thermal properties of the other.
+    # The spectrum of one, the thermal properties of the other.
     three = folder(tmp_path / "three", {}, [ROW])
     four = folder(tmp_path / "four", {"tin": TABLE})
     assert run("merge", three, four, "-o", tmp_path / "both")[0] == 0
@@ -401,6 +401,6 @@ def test_a_scenes_fingerprint_covers_them(tmp_path):
     assert copies[0].digest() == copies[1].digest() != copies[2].digest()
 
 
-def test_the_names_of_the_format_are_those_documented():
+def test_the_names_of_the_format_match_the_documentation():
     text = (SHIPPED / "README.md").read_text("utf-8")
     assert all(f"| `{key}` |" in text for key in PROPERTIES)

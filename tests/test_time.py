@@ -1,7 +1,7 @@
-"""The hour of a scene: [weather], instants with their zone, temperatures that follow a flight, and a day of one view.
+"""The hour of a scene: [weather], instants with zones, temperatures that change along a flight, a day of one view.
 
-The weather and the heat balance stand in here for their own modules, which have tests of their own: the air swings by a
-sine over the day, and a texel is so many kelvins warmer than the air as its material's number says.
+Weather and heat balance are stand-ins here, as both have their own tests: the air follows a sine over the day, and
+each texel is warmer than the air by the kelvins that its material's number gives.
 """
 
 import csv
@@ -62,8 +62,8 @@ class StandIn:
 
 
 @pytest.fixture(autouse=True)
-def marches(monkeypatch):
-    """The instants of each march of the heat balance; weather and balance are stand-ins."""
+def simulations(monkeypatch):
+    """The instants of each simulation of the heat balance; weather and balance are stand-ins."""
     done = []
 
     def declared_weather(spec, latitude_deg, longitude_deg, altitude_m):
@@ -102,13 +102,13 @@ def path():
     return tr.Trajectory(np.array([10.0, 160.0]), ends, np.array([[0.0, 1.0, 0.0, 0.0]] * 2))
 
 
-# --- weather itself -----------------------------------------------------------------------------------------------
+# --- weather ------------------------------------------------------------------------------------------------------
 
 
-def test_the_table_is_read_as_weather(scene, monkeypatch):
+def test_the_weather_table_is_read(scene, monkeypatch):
     monkeypatch.delitem(sys.modules, "thermorender.weather.declared")
     weather = scene.weather
-    # The named day's own limits and place, five days before and one after.
+    # The named day's limits and place, five days before and one after.
     assert 283.15 <= weather.air_k.min() < 283.3 and 295.0 < weather.air_k.max() <= 295.15 + 1e-6
     assert weather.longitude_deg == scene.frame.longitude_deg and weather.altitude_m == scene.altitude_m
     assert weather.time[0] <= NOON - np.timedelta64(4, "D") and weather.time[-1] >= NOON + 600 * MINUTE
@@ -150,7 +150,7 @@ def test_an_instant_is_utc(value):
 
 
 @pytest.mark.parametrize(
-    ("value", "told"),
+    ("value", "words"),
     [
         ("2018-07-28T14:30", "time=2018-07-28T14:30 has no zone; add Z for UTC"),
         (datetime(2018, 7, 28), "has no zone"),
@@ -163,17 +163,17 @@ def test_an_instant_is_utc(value):
         (5, "time=5 is not an instant"),
     ],
 )
-def test_what_is_no_instant_is_refused(value, told):
+def test_values_that_are_not_instants_are_refused(value, words):
     with pytest.raises(ThermorenderError) as error:
         instant("time", value)
-    assert told in str(error.value)
+    assert words in str(error.value)
 
 
 # --- scene files --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "words"),
     [
         (("time = 2018-07-28T14:30:00Z\n", ""), "key 'time' is missing in weather"),
         (("T14:30:00Z", "T14:30:00"), "weather.time=2018-07-28T14:30:00 has no zone; add Z"),
@@ -194,15 +194,15 @@ def test_what_is_no_instant_is_refused(value, told):
         (("[weather]", "[weathers]"), "unknown key 'weathers'"),
     ],
 )
-def test_a_weather_that_does_not_hold_together_is_refused(tmp_path, change, told):
+def test_inconsistent_weather_is_refused(tmp_path, change, words):
     assert DAY.count(change[0]) == 1
     with pytest.raises(ThermorenderError) as error:
         tr.load_scene(write(tmp_path / "tiny", DAY.replace(*change)))
-    assert told in str(error.value)
+    assert words in str(error.value)
 
 
 @pytest.mark.parametrize(
-    ("source", "extra", "told"),
+    ("source", "extra", "words"),
     [
         (
             'source = "balance"',
@@ -214,10 +214,10 @@ def test_a_weather_that_does_not_hold_together_is_refused(tmp_path, change, told
         ('source = "balances"', DAY, "give one of constant, raster, material, learned, balance"),
     ],
 )
-def test_a_balance_without_its_needs_is_refused(tmp_path, source, extra, told):
+def test_a_balance_without_its_required_inputs_is_refused(tmp_path, source, extra, words):
     with pytest.raises(ThermorenderError) as error:
         tr.load_scene(write(tmp_path / "tiny", extra, source))
-    assert told in str(error.value)
+    assert words in str(error.value)
 
 
 def test_a_sun_at_odds_with_the_hour_is_refused(tmp_path):
@@ -244,8 +244,8 @@ def test_a_mesh_needs_a_place(tmp_path):
 # --- scenes -------------------------------------------------------------------------------------------------------
 
 
-def test_a_scene_waits_for_its_temperatures(scene, marches):
-    assert scene.time == NOON and scene.balanced and not scene.temperature_state.solved and not marches
+def test_temperatures_of_a_scene_are_solved_on_demand(scene, simulations):
+    assert scene.time == NOON and scene.balanced and not scene.temperature_state.solved and not simulations
     assert np.isnan(scene.surfaces[0].temperature).all()
     assert "balance, to be solved for 2018-07-28T14:30:00Z" in str(scene)
     unsolved = (lambda: make_plan(scene), lambda: scene.surroundings_temperature,
@@ -253,9 +253,9 @@ def test_a_scene_waits_for_its_temperatures(scene, marches):
     for ask in unsolved:
         with pytest.raises(ThermorenderError, match=r"are not solved yet; take Renderer\(scene\).scene"):
             ask()
-    told = []
-    renderer = tr.Renderer(scene, rays=4, samples=1, progress=lambda what, share: told.append(what))
-    assert marches == [[NOON]] and told[0] == "marching the heat balance"
+    messages = []
+    renderer = tr.Renderer(scene, rays=4, samples=1, progress=lambda what, share: messages.append(what))
+    assert simulations == [[NOON]] and messages[0] == "marching the heat balance"
     solved = renderer.scene
     assert solved.temperature_state.solved and not scene.temperature_state.solved
     expected = scene.weather.at(NOON).air_k + 2.0 * scene.surfaces[0].material
@@ -267,20 +267,20 @@ def test_a_scene_waits_for_its_temperatures(scene, marches):
     assert expected.min() - 1e-3 <= kinetic.min() and kinetic.max() <= expected.max() + 1e-3
 
 
-def test_a_wrong_setting_is_told_before_the_march(scene, marches):
+def test_a_wrong_setting_is_refused_before_the_simulation(scene, simulations):
     with pytest.raises(ThermorenderError, match="rays=0 is not allowed"):
         tr.Renderer(scene, rays=0)
-    assert not marches
+    assert not simulations
 
 
-def test_the_same_scene_is_marched_once(scene, marches):
+def test_the_same_scene_is_simulated_once(scene, simulations):
     first = tr.Renderer(scene, rays=4, samples=1)
     small = scene.with_camera(replace(scene.camera, width=64, height=64))
     for other in (scene, small):
         assert tr.Renderer(other, rays=4, samples=1, like=first).baked.texels is first.baked.texels
-    assert len(marches) == 1
+    assert len(simulations) == 1
     later = tr.Renderer(scene.at(NOON + 60 * MINUTE), rays=4, samples=1, like=first)
-    assert len(marches) == 2 and later.scene.time == NOON + 60 * MINUTE
+    assert len(simulations) == 2 and later.scene.time == NOON + 60 * MINUTE
 
 
 def test_a_scene_at_another_instant(scene):
@@ -295,7 +295,7 @@ def test_a_scene_at_another_instant(scene):
     assert scene.with_weather(inside_c=21.0).digest() != digests[0]
 
 
-def test_a_truth_raster_is_of_the_scenes_own_instant(tmp_path):
+def test_a_truth_raster_is_valid_at_the_scenes_own_instant(tmp_path):
     scene = tr.load_scene(write_terrain(tmp_path / "tiny", extra=DAY))
     assert scene.truth_temperature_spec.source == "raster"
     assert scene.at(NOON).spec.truth_temperature is not None
@@ -303,7 +303,7 @@ def test_a_truth_raster_is_of_the_scenes_own_instant(tmp_path):
         _ = scene.at(NOON + MINUTE).truth_temperature_spec
 
 
-def test_little_weather_before_the_instant_is_told(scene):
+def test_too_little_weather_before_the_instant_gives_a_warning(scene):
     assert scene.weather_notes == ("the sky's long-wave was modelled",)
     scene = scene.with_weather(StandIn(NOON + 60 * MINUTE * np.arange(-13, 25), 21.0))
     assert "the weather begins 13.0 h before 2018-07-28T14:30:00Z" in scene.weather_notes[1]
@@ -322,7 +322,7 @@ def test_a_scene_without_an_hour_refuses_one(tmp_path, call):
         assert status == 2 and "--time=2018-07-28T14:30 has no zone" in errors
 
 
-def test_the_sun_stands_where_the_instant_puts_it(tmp_path):
+def test_the_sun_position_follows_the_instant(tmp_path):
     folder = write(tmp_path / "tiny")
     scene = tr.load_scene(folder).with_air("midlatitude-summer").with_temperature(TemperatureSpec("balance"))
     found = tr.Renderer(scene, rays=4, samples=1).scene.sun
@@ -338,16 +338,16 @@ def contents(folder):
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
-def test_a_flight_takes_its_temperatures_at_its_own_time(scene, path, marches, tmp_path):
+def test_a_flight_uses_temperatures_of_its_own_time(scene, path, simulations, tmp_path):
     renderer = tr.Renderer(scene, rays=4, samples=1)
     fly(renderer, path, tmp_path / "f", FlightOptions(rate_hz=0.1, products=("counts",)))
-    # One march for the renderer, one for all the rest of the flight.
-    assert [len(times) for times in marches] == [1, 3]
+    # One simulation for the renderer, one for all the rest of the flight.
+    assert [len(times) for times in simulations] == [1, 3]
     lines = [json.loads(line) for line in (tmp_path / "f/frames.jsonl").read_text().splitlines()]
     assert len(lines) == 16 and [line["time_s"] for line in lines[:2]] == [10.0, 20.0]
     assert lines[0]["time"] == "2018-07-28T14:30:00.000Z" and lines[15]["time"] == "2018-07-28T14:32:30.000Z"
     steps = [line["temperature"]["time"] for line in lines]
-    # The nearest minute, that of equal distance the even one, as Python rounds.
+    # The nearest minute; of two equally near ones the even one, as Python rounds.
     assert steps == [f"2018-07-28T14:3{round(k / 6)}:00Z" for k in range(16)]
     air = [float(scene.weather.at(NOON + k * MINUTE).air_k) for k in range(3)]
     changes = {line["temperature"]["time"][14:16]: line["temperature"]["change_mk"] for line in lines}
@@ -356,7 +356,7 @@ def test_a_flight_takes_its_temperatures_at_its_own_time(scene, path, marches, t
     flown = json.loads((tmp_path / "f/flight.json").read_text())
     assert flown["time"] == "2018-07-28T14:30:00.000Z" and flown["temperature_step_s"] == 60.0
     assert flown["weather"]["source"] == "named day" and flown["weather"]["notes"] == list(scene.weather.notes)
-    # A frame is that of the scene at its step's instant.
+    # A frame equals that of the scene at its step's instant.
     follower = timed.TimedRenderer(renderer, *path.span_s)
     alone = tr.Renderer(scene.at(NOON + 2 * MINUTE), rays=4, samples=1).radiance(path.pose(130.0))
     np.testing.assert_allclose(follower.at(130.0).radiance(path.pose(130.0)), alone, rtol=2e-6)
@@ -373,7 +373,7 @@ def test_light_is_traced_once_for_a_flight(scene, path, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("done", [3, 7, 12])
-def test_a_resume_over_steps_gives_the_same_bytes(scene, path, tmp_path, done, monkeypatch):
+def test_a_resumed_flight_over_steps_gives_the_same_bytes(scene, path, tmp_path, done, monkeypatch):
     monkeypatch.setattr(timed, "TOGETHER", 1)
     flight = FlightOptions(rate_hz=0.1, products=("counts", "display"))
     fly(tr.Renderer(scene, rays=4, samples=1), path, tmp_path / "whole", flight)
@@ -392,7 +392,7 @@ def test_a_resume_over_steps_gives_the_same_bytes(scene, path, tmp_path, done, m
         fly(other, path, tmp_path / "part", flight, resume=True)
 
 
-def test_part_of_a_flight_is_at_the_same_instants(scene, path, tmp_path):
+def test_part_of_a_flight_uses_the_same_instants(scene, path, tmp_path):
     renderer = tr.Renderer(scene, rays=4, samples=1)
     fly(renderer, path, tmp_path / "f", FlightOptions(rate_hz=0.05, products=("counts",), start_s=110.0, stop_s=130.0))
     lines = [json.loads(line) for line in (tmp_path / "f/frames.jsonl").read_text().splitlines()]
@@ -407,11 +407,11 @@ def test_a_flight_beyond_its_weather_is_refused(scene, path, tmp_path):
     assert not (tmp_path / "f").exists()
 
 
-def test_a_scene_without_an_hour_flies_as_before(tmp_path, path, marches):
+def test_a_scene_without_an_hour_needs_no_simulation(tmp_path, path, simulations):
     renderer = tr.Renderer(tr.load_scene(write_terrain(tmp_path / "tiny")), rays=4, samples=1)
     fly(renderer, path, tmp_path / "f", FlightOptions(rate_hz=0.02, products=("counts",)))
     lines = [json.loads(line) for line in (tmp_path / "f/frames.jsonl").read_text().splitlines()]
-    assert all(line["time"] is None and "temperature" not in line for line in lines) and not marches
+    assert all(line["time"] is None and "temperature" not in line for line in lines) and not simulations
     assert "weather" not in json.loads((tmp_path / "f/flight.json").read_text())
 
 
@@ -429,13 +429,13 @@ def test_the_local_solar_day():
         assert solar_midnight(NOON, longitude) == np.datetime64(f"2018-07-{begins}")
 
 
-def test_a_day_of_one_view(scene, marches, tmp_path):
+def test_a_day_of_one_view(scene, simulations, tmp_path):
     import cv2
 
     pose = tr.pose(0, 0, 12, pitch_deg=-90)
     rows = day(scene, pose, tmp_path / "d", 180, ("exr", "counts", "display", "video"), rays=4, samples=1)
     folder, first = tmp_path / "d", solar_midnight(NOON, scene.frame.longitude_deg)
-    assert [len(times) for times in marches] == [8] and marches[0][0] == first
+    assert [len(times) for times in simulations] == [8] and simulations[0][0] == first
     names = set(contents(folder))
     assert {"day.csv", "day.png", "day.mp4", "day.json", "frames.jsonl", "frame_000007.png"} <= names
     assert not any(".part" in name for name in names)
@@ -458,7 +458,7 @@ def test_a_day_of_one_view(scene, marches, tmp_path):
     assert float(table[3]["apparent_mean_k"]) == pytest.approx(mean, abs=2e-3)
     lines = [json.loads(line) for line in (folder / "frames.jsonl").read_text().splitlines()]
     assert [line["time"] for line in lines] == [row["time_utc"] for row in table]
-    # One scale: the same count has the same level in every frame.
+    # One common scale: the same count has the same level in every frame.
     level = {}
     for k in range(8):
         counts = cv2.imread(str(folder / f"frame_{k:06d}_counts.png"), cv2.IMREAD_UNCHANGED)
@@ -481,7 +481,7 @@ def test_a_day_that_is_stopped_leaves_nothing(scene, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["tiny"]
 
 
-def test_days_that_cannot_be_are_refused(scene, tmp_path, marches):
+def test_impossible_days_are_refused(scene, tmp_path, simulations):
     pose = tr.pose(0, 0, 12, pitch_deg=-90)
     for step in (0, 1, 7, 721, 1440):
         with pytest.raises(ThermorenderError, match=f"step_min={step} is not allowed; give minutes from 5 to 720"):
@@ -492,10 +492,10 @@ def test_days_that_cannot_be_are_refused(scene, tmp_path, marches):
     scene = scene.with_weather(StandIn(NOON + 60 * MINUTE * np.arange(-3, 4), 21.0))
     with pytest.raises(ThermorenderError, match="is not all inside its weather, 2018-07-28T11:30:00Z to"):
         day(scene, pose, tmp_path / "d")
-    assert not marches and not (tmp_path / "d").exists()
+    assert not simulations and not (tmp_path / "d").exists()
 
 
-def test_a_date_is_that_of_the_place(scene):
+def test_a_date_is_local_to_the_place(scene):
     noon = instant_of(scene, "2018-07-29")
     assert solar_midnight(noon, scene.frame.longitude_deg) == noon - 720 * MINUTE
     assert instant_of(scene, "2018-07-29T01:00+02:00") == np.datetime64("2018-07-28T23:00")
@@ -506,7 +506,7 @@ def test_a_date_is_that_of_the_place(scene):
 # --- command line -------------------------------------------------------------------------------------------------
 
 
-def test_verbs_at_an_instant(tmp_path, call, marches):
+def test_verbs_accept_an_instant(tmp_path, call, simulations):
     folder = write(tmp_path / "tiny")
     fast = ("--rays", "4", "--time", "2018-07-28T18:00+02:00")
     asked = np.datetime64("2018-07-28T16:00")
@@ -516,16 +516,16 @@ def test_verbs_at_an_instant(tmp_path, call, marches):
     frame = ("--pose", "0,0,12,0,-90,0", "--products", "counts,display")
     status, output, errors = call("render", folder, "-o", tmp_path / "r", *fast, *frame)
     assert status == 0, errors
-    told = json.loads((tmp_path / "r/frame_000000.json").read_text())
-    assert told["time"] == "2018-07-28T16:00:00Z" and told["weather"]["source"] == "named day"
-    assert len(told["weather"]["digest"]) == 32 and marches == [[asked], [asked]]
+    record = json.loads((tmp_path / "r/frame_000000.json").read_text())
+    assert record["time"] == "2018-07-28T16:00:00Z" and record["weather"]["source"] == "named day"
+    assert len(record["weather"]["digest"]) == 32 and simulations == [[asked], [asked]]
     status, output, errors = call("day", folder, "-o", tmp_path / "d", "--step-min", "720", "--rays", "4", *frame,
                                   "--time", "2018-07-27")  # fmt: skip
     assert status == 0 and "2 frames from 2018-07-26T22:" in output, errors
     assert (tmp_path / "d/day.png").is_file()
 
 
-def test_an_hour_that_changes_nothing_is_said(tmp_path, call):
+def test_a_warning_for_an_hour_that_changes_nothing(tmp_path, call):
     folder = write_terrain(tmp_path / "tiny", extra=DAY)
     status, _, errors = call("plan", folder, "--time", "2018-07-28T18:00Z")
     assert status == 0 and "note: temperatures of source 'raster' do not change with --time" in errors
@@ -534,6 +534,6 @@ def test_an_hour_that_changes_nothing_is_said(tmp_path, call):
 def test_a_balance_is_the_truth_of_a_comparison_without_a_raster(scene, path, tmp_path):
     options = Options(settings={"rays": 4, "samples": 1})
     found = compare([Flight.of(scene, path, 0.01)], tmp_path / "c", ("fok-1to1",), options)
-    (told,) = found["scenes"]
-    assert told["time"] == "2018-07-28T14:30:00Z" and told["weather"]["source"] == "named day"
+    (record,) = found["scenes"]
+    assert record["time"] == "2018-07-28T14:30:00Z" and record["weather"]["source"] == "named day"
     assert found["methods"]["C1 fok-1to1"]["errors"]["radiometric"]["ground"]["pixels"] > 0

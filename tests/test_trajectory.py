@@ -1,4 +1,4 @@
-"""Trajectories: interpolation, axes, heights, anchoring, and what a flight log can get wrong."""
+"""Trajectories: interpolation, axes, heights, anchoring, and the errors of flight logs."""
 
 import numpy as np
 import pytest
@@ -71,14 +71,14 @@ def test_slerp_turns_evenly_and_position_is_linear():
         assert np.array_equal(pose[3], [0.0, 0.0, 0.0, 1.0])
 
 
-def test_slerp_takes_the_shorter_way_whatever_the_quaternions_sign():
+def test_slerp_takes_the_shorter_way_for_either_sign_of_the_quaternion():
     quaternion = wxyz(Rotation.from_euler("z", [[170.0], [190.0]], degrees=True))
     for sign in (1.0, -1.0):
         path = Trajectory([0.0, 1.0], np.zeros((2, 3)), quaternion * np.array([[1.0], [sign]]))
         assert np.allclose(path.pose(0.5)[:3, :3], np.diag([-1.0, -1.0, 1.0]), atol=1e-14)
 
 
-def test_poses_give_back_what_went_in():
+def test_poses_survive_the_round_trip():
     generator = np.random.Generator(np.random.Philox(3))
     quaternion = generator.normal(size=(20, 4))
     quaternion /= np.linalg.norm(quaternion, axis=1)[:, None]
@@ -126,7 +126,7 @@ def test_frame_times_reach_the_end_despite_rounding():
         straight().frame_times(2.0, start_s=-1.0)
 
 
-def test_the_value_guards_itself():
+def test_invalid_trajectories_are_refused():
     path = straight()
     with pytest.raises(
         ThermorenderError, match="sample 2 at 1 s follows 1 s: time is running backwards or standing"
@@ -148,7 +148,7 @@ def test_the_value_guards_itself():
 # Axes
 
 
-def test_level_and_without_attitude_looks_north(tmp_path):
+def test_without_attitude_the_camera_looks_level_and_north(tmp_path):
     path = read(tmp_path, "time_s,east_m,north_m,up_m\n0,1,2,3\n")
     assert np.allclose(axes(path), [EAST, -UP, NORTH], atol=1e-14)
     assert np.allclose(path.position, [[1.0, 2.0, 3.0]])
@@ -197,7 +197,7 @@ def test_quaternion_is_body_frd_to_ned(tmp_path):
     assert np.allclose(axes(quaternion), axes(read(tmp_path, text)), atol=1e-12)
 
 
-def test_gimbal_without_yaw_follows_the_body_and_body_only_turns_the_lever(tmp_path):
+def test_gimbal_without_yaw_follows_the_body_and_the_body_turns_only_the_lever(tmp_path):
     text = "time_s,east_m,north_m,up_m,yaw_deg,roll_deg,gimbal_pitch_deg\n0,0,0,9,90,20,-90\n"
     assert np.allclose(axes(read(tmp_path, text)), [-NORTH, -EAST, -UP], atol=1e-14)
     text = "time_s,east_m,north_m,up_m,yaw_deg,gimbal_yaw_deg,gimbal_pitch_deg\n0,0,0,9,90,0,-90\n"
@@ -246,7 +246,7 @@ def test_latitude_and_longitude_agree_with_local_coordinates_to_a_millimetre(tmp
     assert np.abs(path.position - local).max() < 1e-3
 
 
-def test_north_and_down_are_those_of_the_place(tmp_path):
+def test_north_and_down_are_local_to_the_place(tmp_path):
     # 50 km east the vertical tilts by 50/6388 rad and north by longitude × sin(latitude).
     lat, lon, height = FRAME.geodetic_from_enu(np.array([50e3, 0.0, 1000.0]))
     text = (
@@ -296,7 +296,7 @@ def test_anchoring_moves_and_turns_rigidly():
     assert np.allclose(moved.position[0], [1000.0, -200.0, path.position[0, 2]])
     assert moved.first_heading_deg == pytest.approx(75.0)
     assert np.allclose(moved.position[:, 2], path.position[:, 2])
-    # What a camera sees of the flight's other positions does not change.
+    # The camera's view of the flight's other positions does not change.
     before, after = path.poses(), moved.poses()
     assert np.allclose(np.linalg.inv(before[0]) @ before[4], np.linalg.inv(after[0]) @ after[4], atol=1e-9)
     back = moved.anchored(*path.position[0, :2], path.first_heading_deg)
@@ -311,7 +311,7 @@ def test_first_heading():
     assert straight(step=(0.0, 0.0, 5.0)).first_heading_deg == pytest.approx(0.0)
     down = wxyz(Rotation.from_matrix(np.stack([-NORTH, -EAST, -UP], axis=-1)))
     assert Trajectory([0.0], [[0.0, 0.0, 9.0]], [down]).first_heading_deg == pytest.approx(90.0)
-    # Jitter before the flight moves off does not count.
+    # Jitter before the flight starts to move does not count.
     jitter = Trajectory([0.0, 1.0, 2.0], [[0, 0, 0], [-0.3, 0, 0], [4.0, 0, 0]], straight().quaternion)
     assert jitter.first_heading_deg == pytest.approx(90.0)
 
@@ -341,7 +341,7 @@ def test_an_anchored_log_above_ground_follows_the_new_ground(tmp_path):
 @pytest.mark.parametrize("height", ["alt_ellipsoid_m", "alt_geoid_m", "above_takeoff_m", "up_m"])
 def test_anchoring_brings_a_far_log_into_a_scene_without_georeference(tmp_path, height):
     far = LocalFrame(-33.9, 151.2, 0.0)
-    # The last point is 20 km away, where an altitude is 31 m more than local up.
+    # The last point is 20 km away, where an altitude is 31 m higher than local up.
     local = np.array([[0.0, 0.0, 80.0], [0.0, 30.0, 90.0], [0.0, 20e3, 85.0]])
     lat, lon, altitude = far.geodetic_from_enu(local)
     value = local[:, 2] if height == "up_m" else altitude
@@ -356,7 +356,7 @@ def test_anchoring_brings_a_far_log_into_a_scene_without_georeference(tmp_path, 
 # Command-line values
 
 
-def test_parsing():
+def test_command_line_values_are_parsed():
     assert parse_anchor("1.5, -2,30,270") == Anchor(1.5, -2.0, 30.0, 270.0)
     assert parse_mount("0,-90,0") == (0.0, -90.0, 0.0)
     assert parse_lever_arm("1,2,3") == (1.0, 2.0, 3.0)
@@ -371,7 +371,7 @@ def test_parsing():
 # Below ground
 
 
-def test_check_above_ground():
+def test_positions_below_ground_are_refused():
     path = straight(step=(0.0, 0.0, -30.0))
     assert check_above_ground(straight(), flat) == pytest.approx(50.0)
     with pytest.raises(
@@ -382,11 +382,11 @@ def test_check_above_ground():
         ThermorenderError, match=r"at 1\.000 s the camera is 5\.00 m below the lowest height allowed, 25"
     ):
         check_above_ground(path, flat, minimum_m=25.0)
-    # Off the terrain there is nothing to be below of.
+    # Outside the terrain there is no ground to be below.
     assert np.isnan(check_above_ground(path, lambda east, north: np.full(east.shape, np.nan)))
 
 
-# What a log can get wrong
+# Errors of a log
 
 LOCAL = "time_s,east_m,north_m,up_m"
 
@@ -538,12 +538,12 @@ LOCAL = "time_s,east_m,north_m,up_m"
         ("timestamp,x,y,z\n0,0,0,0\n", {}, "column 'time_s' is missing; .*the columns fit format='px4'"),
     ],
 )
-def test_messages(tmp_path, text, options, message):
+def test_bad_logs_are_refused_with_file_and_row(tmp_path, text, options, message):
     with pytest.raises(ThermorenderError, match=message):
         read(tmp_path, text, **options)
 
 
-def test_missing_and_binary_files(tmp_path):
+def test_missing_and_binary_files_are_refused(tmp_path):
     with pytest.raises(ThermorenderError, match=r"none\.csv cannot be read \(No such file"):
         read_trajectory(tmp_path / "none.csv")
     (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00\x81")
@@ -553,7 +553,7 @@ def test_missing_and_binary_files(tmp_path):
         read_trajectory([])
 
 
-# Foreign logs
+# Logs of other programs
 
 MAPPING = """
 [time]
@@ -608,7 +608,7 @@ def test_a_users_mapping_scales_shifts_fills_and_turns_axes(tmp_path):
         ('north_m = "n"', 'north_m = "missing"', r"column 'missing' \(north_m\) is missing; format="),
     ],
 )
-def test_mistakes_in_a_mapping(tmp_path, old, new, message):
+def test_mistakes_in_a_mapping_are_refused(tmp_path, old, new, message):
     mapping = write(tmp_path, MAPPING.replace(old, new), "mine.toml")
     with pytest.raises(ThermorenderError, match=message):
         read(tmp_path, "t,w,n,a,b,c,d\n1000,10,2,1,0,0,0\n", format=mapping)
@@ -638,7 +638,7 @@ def test_date_times_of_a_dji_log(tmp_path):
     header += "gimbal_pitch_deg,gimbal_roll_deg,local_datetime,subsec,utc_at_exposure\n"
     row = "47.2,8.5,40,0,0,0,0,-90,0,"
     options = {"frame": FRAME, "ground": flat, "format": "dji-gimbal"}
-    # Out of order, since the image counter starts again; the digits of 007 are milliseconds.
+    # Out of order, because the image counter starts again; the digits of 007 are milliseconds.
     stamps = ["2021:07:01 00:00:01,007,", "2021:06:30 23:59:58,5,"]
     path = read(tmp_path, header + "".join(row + s + "\n" for s in stamps), **options)
     assert np.allclose(path.time_s, [0.0, 2.507], atol=1e-6)
@@ -660,7 +660,7 @@ DJI += "gimbal_pitch_deg,gimbal_roll_deg,local_datetime,subsec,utc_at_exposure\n
 
 
 def test_two_images_in_one_second(tmp_path):
-    # The camera's clock tells whole seconds, and the column that would tell more is empty.
+    # The camera's clock has whole seconds, and the column with fractions is empty.
     options = {"frame": FRAME, "ground": flat, "format": "dji-gimbal"}
     stamps = ["10", "11", "11", "11", "13", "13"]
     rows = [f"47.2,8.5,{40 + k},0,0,0,0,-90,0,2022:06:02 14:22:{second},,\n" for k, second in enumerate(stamps)]
@@ -671,7 +671,7 @@ def test_two_images_in_one_second(tmp_path):
     ):
         read(tmp_path, DJI + "".join(rows), **options)
     spread = read(tmp_path, DJI + "".join(rows), duplicates="spread", **options)
-    # Within the second that the clock shows, never up to the next one; 2⁻²² s is what a double tells of 1970.
+    # Within the second that the clock shows, never up to the next one; a double resolves times since 1970 to 2⁻²² s.
     assert np.allclose(spread.time_s, [0.0, 1.0, 4 / 3, 5 / 3, 3.0, 3.5], atol=2.0**-21, rtol=0.0)
     assert np.allclose(spread.position[:, 2], 40.0 + np.arange(6))
     first = read(tmp_path, DJI + "".join(rows), duplicates="first", **options)
@@ -680,11 +680,11 @@ def test_two_images_in_one_second(tmp_path):
         read(tmp_path, DJI + "".join(rows), duplicates="all", **options)
 
 
-def test_spreading_keeps_within_the_last_digit(tmp_path):
+def test_spread_times_stay_within_the_last_digit(tmp_path):
     text = f"{LOCAL}\n0.25,0,0,0\n0.5,0,0,1\n0.5,0,0,2\n0.75,0,0,3\n"
     spread = read(tmp_path, text, duplicates="spread")
     assert np.allclose(spread.time_s, [0.25, 0.5, 0.505, 0.75], atol=1e-12)
-    # Time that runs backwards is no duplicate.
+    # Time that runs backwards is not a duplicate.
     for choice in ("refuse", "spread", "first"):
         with pytest.raises(ThermorenderError, match="row 3, column 'time_s': '1' follows '2' in row 2: time is"):
             read(tmp_path, f"{LOCAL}\n2,0,0,0\n1,0,0,0\n", duplicates=choice)
@@ -702,10 +702,10 @@ def test_real_rocket_reaches_its_apogee_nose_first():
     path = read_trajectory(real("ncsu_rocket", "jackpot_launch_1.csv"), format="rocket-firm", ground=flat)
     top = int(path.position[:, 2].argmax())
     assert path.position[top, 2] == pytest.approx(762.28, abs=0.05)
-    # On the rail, 20° off the vertical, and along the velocity as the motor burns out.
+    # On the rail, 20° off the vertical, then along the velocity while the motor burns.
     forward = path.rotation.as_matrix()[:, :, 2]
     assert np.degrees(np.arccos(forward[0, 2])) == pytest.approx(18.4, abs=1.0)
-    # The motor burns until 1212.0 s; half a second before, of which every row is here.
+    # The motor burns until 1212.0 s; half a second before, from which every row is here.
     burn = (path.time_s > 1211.31) & (path.time_s < 1211.86)
     assert burn.sum() == 50
     velocity = np.gradient(path.position, path.time_s, axis=0)[burn].mean(axis=0)
@@ -739,7 +739,7 @@ def test_real_uav_flight_looks_down_from_40_m():
 
 @pytest.mark.parametrize(("duplicates", "images"), [("spread", 64), ("first", 32)])
 def test_real_log_of_two_cameras_on_a_clock_of_seconds(tmp_path, duplicates, images):
-    # As the same aircraft writes it where the time of the exposure is not kept: a pair of images of one second.
+    # The same aircraft's log without the time of exposure: pairs of images with the same second.
     log = real("uav_thermal_flights", "kalmthout_heath_m3t_20240806.csv")
     header, *rows = (line.split(",") for line in log.read_text().splitlines())
     when = header.index("utc_at_exposure")
@@ -755,15 +755,14 @@ def test_real_log_of_two_cameras_on_a_clock_of_seconds(tmp_path, duplicates, ima
     assert (np.diff(path.time_s) > 0.0).all()
 
 
-def test_real_gimbal_flips_are_no_jumps():
+def test_real_gimbal_flips_are_not_jumps():
     log = real("uav_thermal_flights", "kalmthout_heath_m3t_20240806.csv")
     path = read_trajectory(log, format="dji-gimbal", anchor=Anchor(0.0, 0.0, 75.0, 90.0))
     assert len(path) == 32 and path.position[0, 2] == pytest.approx(75.0)
     rolls = [line.split(",")[8] for line in log.read_text().splitlines()[1:]]
     assert "+180.00" in rolls and "+0.00" in rolls
     turn = np.degrees((path.rotation[1:] * path.rotation[:-1].inv()).magnitude())
-    # Read by its angles alone, a flip would turn by 180°; only the aircraft's own turn round remains, in two
-    # steps.
+    # From its angles alone, a flip would be a turn by 180°; only the aircraft's own turn remains, in two steps.
     assert np.sort(turn)[:-2].max() < 3.0
     assert turn.max() < 100.0
 
@@ -772,7 +771,7 @@ def test_real_px4_log_is_continuous():
     files = [real("px4_pyulog", f"sample_vehicle_{what}_0.csv") for what in ("attitude", "local_position")]
     path = read_trajectory(files, format="px4", ground=flat)
     assert path.span_s[0] == pytest.approx(112.574307)
-    assert len(path) > 1000  # every time of either file within the span they share
+    assert len(path) > 1000  # every time of either file in their common span
     assert np.degrees((path.rotation[1:] * path.rotation[:-1].inv()).magnitude()).max() < 3.0
     # The log's own yaw, from its other file: −0.588 rad at the start.
     assert np.degrees(np.arctan2(*path.pose(112.6)[:2, 2])) == pytest.approx(np.degrees(-0.588), abs=0.5)

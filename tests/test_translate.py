@@ -1,4 +1,4 @@
-"""Pictures and videos translated by learned maps: counts, kinds of files, what is damaged, what is continued."""
+"""Pictures and videos translated by learned maps: counts, file types, damaged files, continued runs."""
 
 import json
 import os
@@ -50,7 +50,7 @@ def test_counts_are_the_nearest_of_the_exact_temperature_also_in_strips(model, t
     assert np.array_equal(Translation(model, texel_m).counts(rgb), expected)
 
 
-def test_a_picture_becomes_kelvin_and_a_picture_on_the_maps_scale(tmp_path):
+def test_a_picture_becomes_kelvin_and_a_preview_on_the_maps_scale(tmp_path):
     rgb = photograph()
     summary = translate(ONE, [write(tmp_path / "a.png", rgb)], tmp_path / "out")
     assert summary == {"done": 1, "passed over": 0, "failed": {}, "warning": None}
@@ -59,7 +59,7 @@ def test_a_picture_becomes_kelvin_and_a_picture_on_the_maps_scale(tmp_path):
     exact = brightness_temperature(ONE.radiance(Inputs(rgb)), 7.5, 13.5)
     assert np.abs(kelvin - exact).max() <= 0.02 + 1e-9
     grey = shown(tmp_path / "out" / "a.png")
-    # 14 and 24 °C are black and white, and so stay whatever else the picture holds.
+    # 14 and 24 °C are black and white, whatever else the picture contains.
     assert np.abs(grey - np.clip((exact - 287.15) / 10.0, 0.0, 1.0) * 255.0).max() <= 1.1
     line = json.loads((tmp_path / "out" / "translated.jsonl").read_text())
     assert line["share_outside_0_1"] == pytest.approx(np.mean((intensity < 0) | (intensity > 1)), abs=0.005)
@@ -72,7 +72,7 @@ def test_the_published_border_is_left_out_at_every_sampling_distance(tmp_path):
     rgb = photograph(30, 33)
     whole = Translation(NINE).counts(rgb)
     assert np.array_equal(Translation(NINE, inner=True).counts(rgb), whole[1:-1, 1:-1])
-    # What is left does not depend on what lies beyond the border.
+    # The rest does not depend on pixels beyond the border.
     texel_m = NINE.texel_m / 3.0
     framed = np.pad(rgb, ((20, 20), (20, 20), (0, 0)), constant_values=255)
     inner = Translation(NINE, texel_m, inner=True).counts(rgb)
@@ -85,10 +85,10 @@ def test_the_published_border_is_left_out_at_every_sampling_distance(tmp_path):
     assert "small.png is smaller than the border" in failed[small]
 
 
-# --- kinds of pictures ------------------------------------------------------------------------------------------
+# --- file types -------------------------------------------------------------------------------------------------
 
 
-def test_kinds_of_pictures_are_brought_to_rgb(tmp_path):
+def test_all_picture_types_are_converted_to_rgb(tmp_path):
     from PIL import Image
 
     rgb = photograph()
@@ -111,7 +111,7 @@ def test_kinds_of_pictures_are_brought_to_rgb(tmp_path):
     # Two pictures in one file, as drones write them.
     same("two.jpg", image, most=12, format="MPO", save_all=True, append_images=[image.rotate(90)], quality=98)
     exif = Image.Exif()
-    exif[0x0112] = 6  # to be turned right by a quarter
+    exif[0x0112] = 6  # to be rotated by a quarter turn to the right
     same("turned.png", image, np.rot90(rgb, -1), exif=exif)
 
 
@@ -182,7 +182,7 @@ def test_a_video_becomes_a_video_with_its_frames(suffix, tmp_path):
     import cv2
 
     path = video(tmp_path / "flight.avi")
-    path = path.rename(path.with_suffix(suffix))  # what it holds counts, not its name
+    path = path.rename(path.with_suffix(suffix))  # the content counts, not the name
     summary = translate(ONE, [path], tmp_path / "out", palette="ironbow", frames=True)
     assert summary["done"] == 1 and not summary["failed"]
     found = sorted((tmp_path / "out" / "flight_frames").iterdir())
@@ -198,10 +198,10 @@ def test_a_video_becomes_a_video_with_its_frames(suffix, tmp_path):
     assert np.abs(read[11][1].astype(int) - last).mean() < 12
 
 
-def test_videos_that_break_off_leave_nothing(tmp_path):
+def test_truncated_videos_leave_no_output(tmp_path):
     path = video(tmp_path / "cut.avi", frames=30)
     data = bytearray(path.read_bytes())
-    # Frames from the middle on are gone, what the header says of them is not.
+    # Frames from the middle on are missing, but the header still lists them.
     path.write_bytes(data[: len(data) // 2])
     empty = tmp_path / "empty.mp4"
     empty.write_bytes(b"")
@@ -212,7 +212,7 @@ def test_videos_that_break_off_leave_nothing(tmp_path):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="makes a name of bytes")
-def test_a_video_whose_name_is_not_unicode_is_told(tmp_path):
+def test_a_video_whose_name_is_not_unicode_is_reported(tmp_path):
     path = tmp_path / os.fsdecode(b"\xff.avi")
     video(tmp_path / "a.avi", frames=2).rename(path)
     summary = translate(ONE, [path], tmp_path / "out")
@@ -222,7 +222,7 @@ def test_a_video_whose_name_is_not_unicode_is_told(tmp_path):
 # --- many files -------------------------------------------------------------------------------------------------
 
 
-def test_a_damaged_file_is_named_and_the_others_are_done(tmp_path, call):
+def test_a_damaged_file_is_named_and_the_others_are_translated(tmp_path, call):
     folder = tmp_path / "in"
     folder.mkdir()
     for name in ("a.jpg", "b.jpg", "c.jpg", "d.png"):
@@ -236,7 +236,7 @@ def test_a_damaged_file_is_named_and_the_others_are_done(tmp_path, call):
     assert "b.jpg cannot be read as a picture" in first and "d.png cannot be read as a picture" in second
     names = {each.name for each in (tmp_path / "out").iterdir()}
     assert names == {"a.tif", "a.png", "c.tif", "c.png", "translate.json", "translated.jsonl"}
-    # Mended and continued: the others are not touched, even after an interruption in the midst of a line.
+    # Repaired and continued: the others are not touched, even after an interruption in the middle of a line.
     before = (tmp_path / "out" / "a.tif").stat().st_mtime_ns
     write(folder / "b.jpg", photograph(seed=9))
     (folder / "d.png").unlink()
@@ -248,8 +248,8 @@ def test_a_damaged_file_is_named_and_the_others_are_done(tmp_path, call):
     assert len((tmp_path / "out" / "translated.jsonl").read_text().splitlines()) == 3
 
 
-def test_what_a_killed_process_left_goes_and_a_changed_picture_is_done_anew(tmp_path, call):
-    # Pictures of one size in bytes.
+def test_files_of_a_killed_process_are_removed_and_a_changed_picture_is_translated_again(tmp_path, call):
+    # Pictures with equal file sizes.
     path, other = write(tmp_path / "a.bmp", photograph()), photograph(seed=9)
     assert call("translate", "fok-1to1", path, "-o", tmp_path / "out")[0] == 0
     (tmp_path / "out" / ".clip.0123abcd.part.mp4").write_bytes(b"half")
@@ -264,7 +264,7 @@ def test_what_a_killed_process_left_goes_and_a_changed_picture_is_done_anew(tmp_
     assert names == {"a.tif", "a.png", "translate.json", "translated.jsonl"}
 
 
-def test_a_map_of_a_file_and_one_changed_in_between(tmp_path, call):
+def test_a_map_changed_between_runs_is_refused(tmp_path, call):
     path = write(tmp_path / "a.png", photograph())
     save_map(ONE, tmp_path / "map.npz")
     assert call("translate", tmp_path / "map.npz", path, "-o", tmp_path / "out")[0] == 0
@@ -274,7 +274,7 @@ def test_a_map_of_a_file_and_one_changed_in_between(tmp_path, call):
     assert status == 2 and "translate.json was made with another model" in errors
 
 
-def test_another_range_and_texel_and_their_warning(tmp_path, call):
+def test_another_range_and_texel_give_a_warning(tmp_path, call):
     path = write(tmp_path / "a.png", photograph())
     status, _, errors = call(
         "translate", "fok-9to1", path, "-o", tmp_path / "out", "--texel-m", "0.5", "--range-c", "0,40"
@@ -289,13 +289,13 @@ def test_another_range_and_texel_and_their_warning(tmp_path, call):
 
 
 class _Warm:
-    """A predictor that cannot do without the weather."""
+    """A predictor that requires the weather."""
 
     needs, above_air = ("conditions",), True
 
 
 class _Plain:
-    """A predictor that sees each pixel by itself."""
+    """A predictor that treats each pixel separately."""
 
     needs, above_air = (), False
 

@@ -1,4 +1,4 @@
-"""What the flat-field correction does not hold: shading, gains that lie off, 1/f noise, a drifting scale, blinking."""
+"""Errors left by the flat-field correction: shading, gain errors, 1/f noise, a drifting scale, blinking pixels."""
 
 from dataclasses import fields, replace
 
@@ -12,7 +12,7 @@ from thermorender.sensor.chain import Moment, Sensor, at_rest, in_sequence, sens
 
 CAMERA = load_camera("zenmuse-xt2")
 BAND = CAMERA.band_um
-# The required keys of a camera, and nothing of its effects.
+# The required keys of a camera, without any of its effects.
 PLAIN = Camera(**{item.name: getattr(CAMERA, item.name) for item in fields(Camera)[:13]})
 SMALL = replace(PLAIN, width=128, height=96)
 
@@ -29,7 +29,7 @@ def per_mk(sensor):
 
 
 def wandered(camera, seed, corrected_s, time_s):
-    """What `chain.wandering` adds to nothing, in the NETD's millikelvins, (H, W)."""
+    """Addition of `chain.wandering` to zero, in millikelvin of the NETD, (H, W)."""
     moment = Moment(0, 0, 300.0, 300.0, False, time_s, corrected_s)
     image = wandering(np.zeros((camera.height, camera.width), np.float32), sensor_of(camera, seed), moment)
     return image / noise.noise_power(camera, 1.0)
@@ -49,7 +49,7 @@ def test_shading_is_smooth_of_the_stated_size_and_grows_with_the_case(corners):
     # Single precision: 2⁻²⁴ of the whole, 1 mK, at each of some steps, averaged over the pixels.
     assert [image.std() for image in seen] == pytest.approx([250.0, 450.0], rel=2e-3)
     assert abs(seen[0].mean()) < 2.0
-    # Nothing but up to three halves of a wave in both directions together: the cosine series by its definition.
+    # At most three halves of a wave in both directions together: the cosine series by its definition.
     row, column = (np.arange(n) + 0.5 for n in seen[0].shape)
     rest = seen[0].astype(float)
     for i in range(4):
@@ -61,7 +61,7 @@ def test_shading_is_smooth_of_the_stated_size_and_grows_with_the_case(corners):
     assert abs(np.corrcoef(other.ravel(), seen[0].ravel())[0, 1]) < 0.9
 
 
-def test_halves_of_a_frame_differ_as_real_ones_do():
+def test_halves_of_a_frame_differ_as_in_real_cameras():
     # Amplitudes fall with the number of halves; the sum of squares of nine of them is one.
     difference = []
     for seed in range(200):
@@ -70,7 +70,7 @@ def test_halves_of_a_frame_differ_as_real_ones_do():
     assert 0.7 < np.mean(difference) < 1.1
 
 
-def test_gains_that_lie_off_show_by_the_difference_from_the_shutter():
+def test_gain_errors_scale_with_the_difference_from_the_shutter():
     camera = replace(PLAIN, responsivity_percent=(0.3, 0.5), netd_mk=1e-3, bits=16)
     sensor = Sensor(camera, 1)
     corrected = at_rest(camera).case_k
@@ -82,19 +82,19 @@ def test_gains_that_lie_off_show_by_the_difference_from_the_shutter():
         seen -= plain.counts(plain.power(scene, moment), moment)
         full = float(np.diff(band_radiance(np.array(camera.count_range_k), *BAND))[0]) / (2**16 - 1)
         contrast = (band_radiance(kelvin, *BAND) - band_radiance(corrected, *BAND)) / full
-        # Steps of a count are even noise on both sides.
+        # Steps of a count add uniform noise on both sides.
         expected = np.hypot(np.hypot(0.003, 0.005) * contrast, np.sqrt(1.0 / 6.0) if contrast else 0.0)
         assert seen.std() == pytest.approx(expected, rel=0.01, abs=0.7)
         if kelvin == corrected + 30.0:
             blocks = seen.reshape(32, 16, 40, 16).mean(axis=(1, 3))
-            # Means over 256 pixels keep a sixteenth of their own deviations, and all of the smooth field.
+            # Means over 256 pixels keep a sixteenth of the pixels' deviations, and all of the smooth field.
             assert blocks.std() == pytest.approx(np.hypot(0.005, 0.003 / 16) * abs(contrast), rel=0.03)
 
 
 # --- 1/f noise --------------------------------------------------------------------------------------------------
 
 
-def test_flicker_grows_from_a_correction_by_its_octaves():
+def test_flicker_grows_after_a_correction_by_its_octaves():
     camera = replace(SMALL, flicker_mk=10.0)
     for corrected in (0, 37):
         assert not wandered(camera, 5, float(corrected), float(corrected)).any()
@@ -105,13 +105,13 @@ def test_flicker_grows_from_a_correction_by_its_octaves():
                 for n in range(1, 10)
             )
             seen = wandered(camera, 5, float(corrected), float(corrected + lag))
-            # A deviation of n values errs by 1/√(2n).
+            # A standard deviation of n values has a relative error of 1/√(2n).
             expected = 10.0 * np.sqrt(2.0 * changed)
             assert seen.std() == pytest.approx(expected, rel=4.0 / np.sqrt(2.0 * seen.size)), (corrected, lag)
             assert abs(seen.mean()) < 4.0 * expected / np.sqrt(seen.size)
 
 
-def test_its_spectrum_falls_as_one_over_the_frequency():
+def test_the_flicker_spectrum_falls_as_one_over_the_frequency():
     camera, ticks = replace(PLAIN, width=24, height=16, flicker_mk=1.0), 1024
     series = np.array([wandered(camera, 2, 0.0, float(tick)).ravel() for tick in range(ticks)])
     series = (series - series.mean(axis=0)) * np.hanning(ticks)[:, None]
@@ -120,9 +120,9 @@ def test_its_spectrum_falls_as_one_over_the_frequency():
     octaves = np.geomspace(1 / 128, 1 / 8, 9)
     parts = [(frequency >= a) & (frequency < b) for a, b in zip(octaves[:-1], octaves[1:], strict=True)]
     slope = np.polyfit(np.log(octaves[:-1]), np.log([power[part].mean() for part in parts]), 1)[0]
-    # Octaves ripple about the straight line by some percent.
+    # Octaves ripple around the straight line by a few percent.
     assert slope == pytest.approx(-1.0, abs=0.06)
-    # Holds of 2ⁿ ticks have triangles for covariances; 384 pixels tell the power of a frequency to 1/√384.
+    # Holds of 2ⁿ ticks have triangular covariances; 384 pixels give the power of a frequency to 1/√384.
     lag = np.arange(1, 512)
     held = [np.maximum(1.0 - lag / 2**n, 0.0) for n in range(10)]
     expected = 10.0 + 2.0 * np.cos(2.0 * np.pi * np.outer(frequency, lag)) @ sum(held)
@@ -134,7 +134,7 @@ def test_its_spectrum_falls_as_one_over_the_frequency():
 
 
 def test_covariance_of_instants_between_ticks():
-    # The same noise made otherwise: octaves with holds that begin anywhere, and straight lines between whole ticks.
+    # The same noise from another construction: octaves with holds that start anywhere, linear between whole ticks.
     rng, draws, span = np.random.default_rng(0), 4000, 80
     ticks = np.arange(span + 2)
     total = np.zeros((draws, span + 2))
@@ -152,23 +152,23 @@ def test_covariance_of_instants_between_ticks():
         variance = float(wander.covariance(0.0))
         error = np.sqrt((variance**2 + expected**2) / draws)
         assert abs((seen[:, 0] * seen[:, 1]).mean() - expected) < 3.5 * error, lag
-    # Neighbouring ticks share all but 2⁻ᵒ of each octave, and weigh a third together.
+    # Neighbouring ticks share all but 2⁻ᵒ of each octave, and have a weight of a third together.
     least = 10.0 - sum(0.5**octave for octave in range(10)) / 3.0
     assert wander.covariance(np.array([0.0, 5000.0])) == pytest.approx([least, 0.0])
 
 
-def test_the_whole_scale_drifts_as_its_octaves_and_between_ticks_evenly():
+def test_the_scale_drifts_by_its_octaves_and_linearly_between_ticks():
     camera = replace(PLAIN, width=2, height=2, scale_drift_mk=7.0)
     seeds = 1500
     seen = np.array([[wandered(camera, seed, 0.0, time_s) for time_s in (8.0, 8.25, 9.0)] for seed in range(seeds)])
     assert (np.ptp(seen, axis=(2, 3)) == 0.0).all()
     now, between, then = seen[:, :, 0, 0].T
     np.testing.assert_allclose(between, 0.75 * now + 0.25 * then, atol=1e-3)
-    # By the eighth tick those of 1, 2, 4, 8 and 16 s are new.
+    # By the eighth tick the octaves of 1, 2, 4, 8 and 16 s are new.
     assert now.std() == pytest.approx(7.0 * np.sqrt(10.0), rel=4.0 / np.sqrt(2.0 * seeds))
 
 
-def test_any_instant_has_its_value_without_those_before():
+def test_values_at_an_instant_do_not_depend_on_earlier_calls():
     camera = replace(SMALL, flicker_mk=10.0, scale_drift_mk=5.0, blinking_pixels=0.02, blinking_mk=300.0)
     moments = [in_sequence(replace(camera, ffc_interval_s=40.0), index, index / 9.0) for index in range(0, 900, 90)]
     assert moments[-1].corrected_s == 80.0 and moments[-1].time_s == 90.0
@@ -195,11 +195,11 @@ def test_blinking_pixels_jump_between_two_levels():
     moved = np.array([of.blinking(0.0, time_s) for time_s in times])
     levels = np.rint(moved / noise.noise_power(camera, 400.0)).astype(int)
     np.testing.assert_allclose(moved, levels * noise.noise_power(camera, 400.0), rtol=1e-6)
-    # Against the level at the correction there is the other one alone: up or down.
+    # Relative to the level at the correction there is one other level: up or down.
     assert (levels[0] == 0).all() and set(np.unique(levels)) == {-1, 0, 1}
     assert not ((levels.max(axis=0) == 1) & (levels.min(axis=0) == -1)).any()
     up = np.where((levels == -1).any(axis=0), levels + 1, levels)
-    # Mean time at a level, by the jumps; a Poisson process of N of them tells it to 1/√N. Of the jumps back within a
+    # Mean time at a level, from the jumps; N of them of a Poisson process give it to 1/√N. Of the jumps back within a
     # step half are missed: step/s of all.
     jumps = (up[1:] != up[:-1]).sum()
     pixels = up.shape[1]
@@ -212,7 +212,7 @@ def test_blinking_pixels_jump_between_two_levels():
     assert abs(spin.mean()) < 3.5 * spin.mean(axis=0).std() / np.sqrt(pixels)
 
 
-def test_what_a_camera_lacks_is_not_made():
+def test_effects_that_a_camera_lacks_are_not_computed():
     sensor, moment = Sensor(SMALL, 1), in_sequence(SMALL, 9, 1.0)
     sensor.counts(sensor.power(even(SMALL), moment), moment)
     assert not {"wander", "stray_growth"} & set(vars(sensor))

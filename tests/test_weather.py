@@ -1,4 +1,4 @@
-"""Weather: a station's file, a typical year's, a named day; what is missing modelled, what is wrong told."""
+"""Weather: a station's file, a typical year's, a named day; missing values are modelled, wrong ones reported."""
 
 import re
 from pathlib import Path
@@ -29,7 +29,7 @@ def sunlight(time, place=PLACE):
 
 
 def station(path, changes=None, days=3, step_h=1.0, clock_h=0.0, lines=None):
-    """Write a clean station's file of so many days, columns replaced or added by `changes`; None takes one out."""
+    """Write a clean station's file of `days` days, columns replaced or added by `changes`; None removes one."""
     time = START + np.timedelta64(int(3600 * step_h), "s") * np.arange(int(days * 24 / step_h))
     hour = np.arange(time.size) * step_h
     table = {
@@ -51,7 +51,7 @@ def station(path, changes=None, days=3, step_h=1.0, clock_h=0.0, lines=None):
 
 
 def but(*cells):
-    """A column of 60s with other values put first."""
+    """A column of 60s with other values at the start."""
     return [*cells, *[60.0] * (72 - len(cells))]
 
 
@@ -71,7 +71,7 @@ def test_weather_is_linear_in_time_and_refuses_instants_outside(tmp_path):
     assert "air_k: 282.15" in repr(weather) and "Long-wave is missing" in repr(weather)
 
 
-def test_weather_refuses_holes_and_times_that_stand(tmp_path):
+def test_weather_refuses_gaps_and_repeated_times(tmp_path):
     weather = read_station(station(tmp_path / "s.csv"), *PLACE)
     arrays = {name: getattr(weather, name) for name in weather.__dataclass_fields__}
     with pytest.raises(ThermorenderError, match="wind_m_s of a Weather"):
@@ -83,7 +83,7 @@ def test_weather_refuses_holes_and_times_that_stand(tmp_path):
 # --- a station ----------------------------------------------------------------------------------------------
 
 
-def test_what_a_station_leaves_out_is_modelled_and_said(tmp_path):
+def test_missing_columns_of_a_station_are_modelled_and_reported(tmp_path):
     changes = dict.fromkeys(("rh_percent", "wind_m_s", "sw_down_w_m2"))
     weather = read_station(station(tmp_path / "s.csv", changes), *PLACE, snow_depth_m=0.3)
     for word in ("Pressure", "Humidity", "Wind", "Rain", "Snow", "Short-wave", "Long-wave"):
@@ -113,25 +113,25 @@ def test_what_a_station_leaves_out_is_modelled_and_said(tmp_path):
         ({"snow_depth_cm": [12.0] * 72}, "snow_m", 0.12),
     ],
 )
-def test_units_are_those_of_the_names(tmp_path, changes, name, value):
-    # Half the saturation pressure at 20 °C, 2339.2 Pa (IAPWS): known to 0.25 %, what the deficit leaves to 0.5 %.
+def test_units_follow_the_column_names(tmp_path, changes, name, value):
+    # Half the saturation pressure at 20 °C, 2339.2 Pa (IAPWS): known to 0.25 %; the deficit gives it to 0.5 %.
     found = getattr(read_station(station(tmp_path / "s.csv", changes), *PLACE), name)
     np.testing.assert_allclose(found, value, rtol=5.5e-3 if name == "vapour_pa" else 1e-4)
 
 
-def test_rain_of_half_hours_is_a_rate(tmp_path):
+def test_half_hourly_rain_becomes_a_rate(tmp_path):
     path = station(tmp_path / "s.csv", {"rain_mm": [1.0] * 144}, step_h=0.5)
     np.testing.assert_allclose(read_station(path, *PLACE).rain_mm_h, 2.0)
 
 
-def test_global_light_is_kept_whatever_is_measured_beside_it(tmp_path):
+def test_global_light_is_kept_with_any_other_measurements(tmp_path):
     changes = {"sw_direct_normal_w_m2": lambda t: sunlight(t)[1], "sw_diffuse_w_m2": lambda t: sunlight(t)[2]}
     for kept in ((), ("sw_direct_normal_w_m2",), ("sw_diffuse_w_m2",), tuple(changes)):
         path = station(tmp_path / "s.csv", {name: changes[name] for name in kept})
         weather = read_station(path, *PLACE)
         height = np.sin(np.radians(np.maximum(weather.sun(weather.time)[1], 0.0)))
         total = weather.direct_w_m2 * height + weather.diffuse_w_m2
-        # The file holds tenths of W/m².
+        # The file has tenths of W/m².
         np.testing.assert_allclose(total, sunlight(weather.time)[0], atol=0.051)
         if kept:
             np.testing.assert_allclose(
@@ -139,7 +139,7 @@ def test_global_light_is_kept_whatever_is_measured_beside_it(tmp_path):
             )
 
 
-def test_photosynthetic_light_stands_for_short_wave(tmp_path):
+def test_photosynthetic_light_replaces_short_wave(tmp_path):
     path = station(tmp_path / "s.csv", {"sw_down_w_m2": None, "ppfd_umol_m2_s": lambda t: 2.05 * sunlight(t)[0]})
     weather = read_station(path, *PLACE)
     height = np.sin(np.radians(np.maximum(weather.sun(weather.time)[1], 0.0)))
@@ -149,15 +149,15 @@ def test_photosynthetic_light_stands_for_short_wave(tmp_path):
 
 
 def test_clouds_warm_the_sky(tmp_path):
-    """Long-wave by measured sun: a third of the light gone by day makes the night's sky warmer too."""
+    """Long-wave from measured sun: a third of the light missing by day makes the night's sky warmer too."""
     clear = read_station(station(tmp_path / "a.csv"), *PLACE)
     dull = read_station(station(tmp_path / "b.csv", {"sw_down_w_m2": lambda t: 0.66 * sunlight(t)[0]}), *PLACE)
     added = dull.longwave_w_m2 - clear.longwave_w_m2
-    # 0.84 c of the deficit of the clear sky to a black one, some 90 W/m²; the clear file's own cloud is below 0.03.
+    # 0.84 c of the difference of a clear sky from a black one, some 90 W/m²; the clear file's own cloud is below 0.03.
     assert 15.0 < added.min() < added.max() < 40.0
-    told = read_station(station(tmp_path / "c.csv", {"cloud_oktas": [8] * 72}), *PLACE)
-    black = 5.670374419e-8 * told.air_k**4
-    assert (0.9 * black < told.longwave_w_m2).all() and (told.longwave_w_m2 < black).all()
+    cloudy = read_station(station(tmp_path / "c.csv", {"cloud_oktas": [8] * 72}), *PLACE)
+    black = 5.670374419e-8 * cloudy.air_k**4
+    assert (0.9 * black < cloudy.longwave_w_m2).all() and (cloudy.longwave_w_m2 < black).all()
 
 
 @pytest.mark.parametrize(
@@ -197,13 +197,13 @@ def test_clouds_warm_the_sky(tmp_path):
         ({"sw_down_w_m2": [0.0] * 72}, "sw_down_w_m2 is 0 W/m² at most .* or was not measured"),
     ],
 )
-def test_a_bad_file_gets_one_sentence(tmp_path, changes, words):
+def test_a_bad_file_is_refused_in_one_sentence(tmp_path, changes, words):
     with pytest.raises(ThermorenderError, match=words) as error:
         read_station(station(tmp_path / "s.csv", changes), *PLACE)
     assert str(error.value).startswith(str(tmp_path / "s.csv")) and "\n" not in str(error.value)
 
 
-def test_files_that_are_no_table(tmp_path):
+def test_files_that_are_not_tables_are_refused(tmp_path):
     path = tmp_path / "s.csv"
     for text, words in (("a\n", "0 rows"), ("time_utc;air_c\n1;2\n1;2\n", "semicolons"), ("a,b\n1\n1\n", "1 cells")):
         path.write_text(text)
@@ -245,7 +245,7 @@ def test_long_gaps_are_refused(tmp_path):
         read_station(path, *PLACE)
 
 
-def test_offsets_at_night_are_clipped_and_said(tmp_path):
+def test_offsets_at_night_are_clipped_and_reported(tmp_path):
     path = station(tmp_path / "s.csv", {"sw_down_w_m2": lambda t: sunlight(t)[0] - 2.5})
     weather = read_station(path, *PLACE)
     assert weather.diffuse_w_m2.min() == 0.0
@@ -254,24 +254,24 @@ def test_offsets_at_night_are_clipped_and_said(tmp_path):
 
 @pytest.mark.parametrize("shift", [-7.0, -1.0, 1.0, 2.0])
 @pytest.mark.parametrize("days", [2, 12])
-def test_a_clock_that_is_off_is_told_by_the_sun(tmp_path, shift, days):
+def test_a_wrong_clock_is_detected_by_the_sun(tmp_path, shift, days):
     with pytest.raises(ThermorenderError, match=rf"sunlight is \d+ min .*looks like about UTC\{shift:+g} h"):
         read_station(station(tmp_path / "s.csv", days=days, clock_h=shift), *PLACE)
 
 
-def test_summer_time_in_part_of_a_file_is_seen(tmp_path):
+def test_summer_time_in_part_of_a_file_is_detected(tmp_path):
     late = [f"{t}Z" for t in START + np.timedelta64(3600, "s") * (np.arange(80 * 24) + (np.arange(80 * 24) > 60 * 24))]
     with pytest.raises(ThermorenderError, match=r"from 2018-09-18T00:30:00 on .*UTC\+1 h"):
         read_station(station(tmp_path / "s.csv", {"time_utc": late}, days=80), *PLACE)
 
 
-def test_labels_at_the_ends_of_hours_are_told(tmp_path):
+def test_labels_at_the_ends_of_hours_are_detected(tmp_path):
     weather = read_station(station(tmp_path / "s.csv", clock_h=0.5), *PLACE)
     assert any("30 min after the sun: times should be the middles" in note for note in weather.notes)
     assert not any("times should be" in note for note in read_station(station(tmp_path / "s.csv"), *PLACE).notes)
 
 
-def test_afternoon_clouds_are_no_clock(tmp_path):
+def test_afternoon_clouds_are_not_a_clock_error(tmp_path):
     def dimmed(time):
         hour = sun.solar_hour(time, PLACE[1])
         return sunlight(time)[0] * np.where(hour > 14.0, 0.3, 1.0)
@@ -281,7 +281,7 @@ def test_afternoon_clouds_are_no_clock(tmp_path):
         assert not any("after the sun" in note or "before the sun" in note for note in weather.notes)
 
 
-def test_other_ways_to_tell_time_and_columns(tmp_path):
+def test_other_formats_of_time_and_columns(tmp_path):
     first = read_station(station(tmp_path / "a.csv"), *PLACE)
     two = np.timedelta64(2, "h")
     path = station(tmp_path / "b.csv", {"time_utc": None, "time": lambda t: [f"{x}+02:00" for x in t + two]})
@@ -311,7 +311,7 @@ SITES = {
 def test_clear_sun_of_a_winter_day_in_a_high_valley():
     """Measured 2016-01-01 at 2317 m under a cloudless sky: bias and RMS of direct and diffuse, sun above 10°.
 
-    The model's direct is 9 % low there: 3 % is Bird's own figure, and 5 % an aerosol of 0.01 instead of the 0.03 taken.
+    The model's direct light is 9 % low there: 3 % is Bird's own figure, and 5 % an aerosol of 0.01 instead of 0.03.
     """
     name = "winter_us_alamosa_2016-01-01"
     measured = read_station(shared_data(f"weather/{name}.csv"), *SITES[name])
@@ -333,7 +333,7 @@ def test_modelled_longwave_against_a_pyrgeometer(name, error):
     measured = read_station(path, *SITES[name])
     modelled = read_station(path, *SITES[name], names={"lw_down_w_m2": "unused"})
     assert np.abs(modelled.longwave_w_m2 - measured.longwave_w_m2).mean() < error
-    # Worse than the error: a clear sky where there were clouds.
+    # A larger error than that: a clear sky where there were clouds.
     if "alamosa" not in name:
         clear = sky.longwave(measured.air_k, measured.vapour_pa, 0.0)
         assert np.abs(clear - measured.longwave_w_m2).mean() > error
@@ -343,7 +343,7 @@ def test_modelled_longwave_against_a_pyrgeometer(name, error):
 
 
 def hours(days, start):
-    """Ends of hours of so many days in local time, and the middles in UTC, of a zone of one hour."""
+    """Ends of the hours of `days` days in local time, and their middles in UTC, for a zone of one hour."""
     ends = np.datetime64(start, "s") + np.timedelta64(3600, "s") * (1 + np.arange(24 * days))
     return ends, ends - np.timedelta64(1800, "s") - np.timedelta64(3600, "s")
 
@@ -371,12 +371,12 @@ def write_epw(path, days=2, start="2007-07-20", changes=None, years=(2007,)):
     return path
 
 
-def test_hours_of_an_epw_file_end_in_its_zone(tmp_path):
+def test_hours_of_an_epw_file_are_in_its_zone(tmp_path):
     weather = read_epw(write_epw(tmp_path / "a.epw"), 2018)
     # The first hour ends at 01:00 UTC+1: its middle is 23:30 UTC of the day before.
     assert weather.time[0] == np.datetime64("2018-07-19T23:30") and weather.time.size == 48
     assert (weather.latitude_deg, weather.longitude_deg, weather.altitude_m) == (47.0, 11.0, 600.0)
-    # Radiation is the hour's: that of the sun in its middle. Temperature is of the end: the middle's is between two.
+    # Radiation is the hour's: that of the sun at its middle. Temperature is at its end: the middle's is a mean of two.
     np.testing.assert_allclose(weather.direct_w_m2, sunlight(hours(2, "2007-07-20")[1])[1], atol=0.006)
     assert weather.air_k[12] == pytest.approx(273.15 + 10.0 + 0.5 * 12.5)
     assert weather.vapour_pa[0] == pytest.approx(humidity.saturation_pressure(278.15))
@@ -393,13 +393,13 @@ def test_missing_fields_of_an_epw_file_are_modelled(tmp_path):
     assert 700.0 < weather.direct_w_m2.max() < 0.8 * 1000.0
 
 
-def test_a_typical_year_on_another_year(tmp_path):
+def test_a_typical_year_applies_to_another_year(tmp_path):
     path = write_epw(tmp_path / "a.epw", days=365, start="2007-01-01", years=(1999, 2003))
     weather = read_epw(path, np.datetime64("2020-03-01T00:00"))
     # A leap year with December before it and January after: 366 + 31 + 2 days.
     assert weather.time.size == 24 * 399 and (np.diff(weather.time) == np.timedelta64(1, "h")).all()
     assert weather.time[0] == np.datetime64("2019-11-30T23:30")
-    # In the last hour of the year of UTC the zone's year is the next.
+    # In the last hour of the UTC year, the zone's year is the next.
     assert read_epw(path, np.datetime64("2019-12-31T23:30")).time[0] == weather.time[0]
 
 
@@ -411,13 +411,13 @@ def test_a_typical_year_on_another_year(tmp_path):
      ({2: "nan"}, "row 9: 7/nan is not a date"),
      ({13: 0, 14: 0, 15: 0}, "global_w_m2 is 0 W/m² at most")],
 )  # fmt: skip
-def test_a_bad_epw_file_gets_one_sentence(tmp_path, changes, words):
+def test_a_bad_epw_file_is_refused_in_one_sentence(tmp_path, changes, words):
     with pytest.raises(ThermorenderError, match=words) as error:
         read_epw(write_epw(tmp_path / "a.epw", changes=changes), 2018)
     assert "\n" not in str(error.value)
 
 
-def test_a_gap_of_an_epw_file_is_told_by_its_own_date(tmp_path):
+def test_a_gap_of_an_epw_file_is_reported_with_the_files_date(tmp_path):
     lines = write_epw(tmp_path / "a.epw", days=2).read_text().splitlines()
     for k in range(12, 18):
         cells = lines[k].split(",")
@@ -435,7 +435,7 @@ def test_an_epw_file_without_a_zone_is_refused(tmp_path):
         read_epw(path, 2018)
 
 
-def test_a_weather_year_of_elsewhere_is_told(tmp_path):
+def test_a_weather_year_of_a_distant_place_is_reported(tmp_path):
     values = {"epw": write_epw(tmp_path / "a.epw"), "time": "2018-07-20T12:00Z"}
     typical = SimpleNamespace(**{**dict.fromkeys(KEYS), **values})
     near, far = (declared_weather(typical, latitude, 11.0, 600.0) for latitude in (47.3, -34.0))
@@ -444,7 +444,7 @@ def test_a_weather_year_of_elsewhere_is_told(tmp_path):
     assert any("900" in note and "km away" in note for note in far.notes)
 
 
-def test_an_epw_file_in_a_wrong_zone_is_told_by_the_sun(tmp_path):
+def test_an_epw_file_in_a_wrong_zone_is_detected_by_the_sun(tmp_path):
     path = write_epw(tmp_path / "a.epw", days=10)
     path.write_text(path.read_text().replace("47.0,11.0,1.0,", "47.0,11.0,-7.0,"))
     with pytest.raises(ThermorenderError, match="the sunlight is 480 min"):
@@ -467,7 +467,7 @@ def write_tmy3(path, days=2):
     return path
 
 
-def test_a_tmy3_table(tmp_path):
+def test_a_tmy3_table_is_read(tmp_path):
     weather = read_epw(write_tmy3(tmp_path / "a.csv"), 2018)
     assert weather.time[0] == np.datetime64("2018-07-19T23:30")
     np.testing.assert_allclose(weather.direct_w_m2, sunlight(hours(2, "2007-07-20")[1])[1], atol=0.051)
@@ -482,7 +482,7 @@ def test_a_tmy3_table(tmp_path):
 # --- a named day --------------------------------------------------------------------------------------------
 
 
-def test_a_named_day():
+def test_a_named_day_has_the_given_extremes():
     weather = named_day(np.datetime64("2018-07-28T14:30"), PLACE, 9.0, 22.0, 0.6, 3.0, 0.2)
     assert weather.time[0] <= np.datetime64("2018-07-23T14:30") and weather.time[-1] >= np.datetime64(
         "2018-07-29T14:00"
@@ -499,7 +499,7 @@ def test_a_named_day():
     np.testing.assert_allclose(weather.direct_w_m2, 0.8 * clear.direct_w_m2)
     # The air is clearer and drier than that of `sunlight`.
     assert 1.0 < clear.direct_w_m2.max() / sunlight(clear.time)[1].max() < 1.1
-    # The days repeat but for the sun's declination.
+    # The days repeat except for the sun's declination.
     np.testing.assert_allclose(weather.air_k[:48], weather.air_k[48:96], atol=0.05)
 
 
@@ -518,7 +518,7 @@ def test_a_named_day_beyond_the_polar_circle(date, lit, latitude):
     assert np.isfinite(weather.longwave_w_m2).all() and weather.longwave_w_m2.min() > 150.0
 
 
-def test_wind_by_the_hour():
+def test_a_named_day_takes_hourly_wind():
     wind = np.arange(24.0)
     weather = named_day(np.datetime64("2018-07-28T12:00"), PLACE, 9.0, 22.0, wind_m_s=wind)
     hour = sun.solar_hour(weather.time, PLACE[1])
@@ -533,12 +533,12 @@ def test_wind_by_the_hour():
      ({"cloud": 8}, "cloud=8 is not allowed"), ({"wind_m_s": -1.0}, "wind_m_s=-1.0 is not allowed"),
      ({"snow_depth_m": 30.0}, "snow_depth_m=30 is not allowed")],
 )  # fmt: skip
-def test_a_named_day_that_cannot_be(changes, words):
+def test_an_impossible_named_day_is_refused(changes, words):
     with pytest.raises(ThermorenderError, match=words):
         named_day(np.datetime64("2018-07-28T12:00"), PLACE, **{"air_low_c": 9.0, "air_high_c": 22.0, **changes})
 
 
-# --- what a scene declares ----------------------------------------------------------------------------------
+# --- a scene's declaration ----------------------------------------------------------------------------------
 
 KEYS = ("time", "file", "epw", "air_low_c", "air_high_c", "humidity", "wind_m_s", "cloud", "snow_depth_m")
 
@@ -561,19 +561,19 @@ def test_weather_of_a_scene(tmp_path):
 
 
 @pytest.mark.parametrize("altitude_m", [-600.0, 20_000.0, 100_000.0, np.nan])
-def test_no_weather_where_no_land_is(altitude_m):
-    """The standard atmosphere's pressure holds up to 11 km, and is no number from 44 km on."""
+def test_altitudes_without_land_are_refused(altitude_m):
+    """The standard atmosphere's pressure is valid up to 11 km, and is not a number from 44 km on."""
     spec = SimpleNamespace(**{**dict.fromkeys(KEYS), "time": "2018-07-21T12:00Z", "air_low_c": 9.0, "air_high_c": 22.0})
     with pytest.raises(ThermorenderError, match=rf"^\[weather\] the scene lies {altitude_m:g} m above"):
         declared_weather(spec, *PLACE[:2], altitude_m)
 
 
-def test_the_guide_names_the_columns_there_are():
+def test_the_guide_names_the_existing_columns():
     text = (Path(__file__).resolve().parents[1] / "docs" / "architecture.md").read_text("utf-8")
     table = text.partition("## Weather")[2].partition("\n## ")[0].partition("| quantity |")[2]
     named, last = set(), ""
     for name in re.findall(r"`([^`]+)`", table):
-        # "_hpa" stands for the name before it with that ending.
+        # "_hpa" is the preceding name with that ending.
         last = re.sub("_[a-z]+$", name, last) if name.startswith("_") else name
         named.add(last)
     assert named == set(COLUMNS)

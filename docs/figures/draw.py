@@ -25,7 +25,7 @@ def arrow(axes, start, end, colour=INK, width=1.8, text=None, offset=(0.0, 0.0))
 
 
 def canvas(width, height):
-    """A white figure of so many inches and equal axes in the same units, without frame."""
+    """A white figure with sizes in inches and equal axes in the same units, without frame."""
     figure, axes = plt.subplots(figsize=(width, height))
     axes.set(xlim=(0, width), ylim=(0, height), aspect="equal")
     axes.axis("off")

@@ -1,4 +1,4 @@
-"""Stability of air: nothing and far too much of it, paths of a millimetre and across a country, clouds and space."""
+"""Stability of air: none and far too much of it, paths of a millimetre and across a country, clouds and space."""
 
 from dataclasses import replace
 from functools import cache
@@ -26,7 +26,7 @@ def isothermal(kelvin=KELVIN):
 
 
 def even(absorption, top_k=KELVIN, scale_m=np.inf):
-    """Grey air, whose temperature changes evenly up to 10 km; of one density or one that falls exponentially [m⁻¹]."""
+    """Grey air whose temperature changes linearly up to 10 km; of one density or an exponentially falling one [m⁻¹]."""
     levels = np.array([0.0, _PATH_M, TOP_M])
     return Atmosphere(
         lower_um=np.array([BAND_UM[0]]), upper_um=np.array([BAND_UM[1]]), weight=np.ones(1), tilt=np.zeros(1),
@@ -42,7 +42,7 @@ def seen(air, wall_k, *path):
 
 
 def refused(job, words):
-    """Found of what has to be refused in a sentence with these words: 0 K, or NaN, which fails."""
+    """Found of a job that must be refused in a sentence with these words: 0 K, or NaN, which fails."""
     try:
         job()
     except ThermorenderError as error:
@@ -68,7 +68,7 @@ def grazing(which):
 
 @case("air", "black wall of 310 K through {:g} m of air of 290 K", (0.0, 1e-6))
 def near(range_m):
-    """Nothing lies between: the wall is seen as it is."""
+    """There is no air between: the wall is seen as it is."""
     return Found(seen(isothermal(), _WALL_K, 1000.0, 1000.0, range_m), _WALL_K, ROUNDING_K)
 
 
@@ -85,7 +85,7 @@ def depth(thick):
 def lapse(thick):
     """Black ground of 310 K. ∫ B(T(x)) d e^(−dx) dx by Gauss and Legendre over the first 40 mean free paths.
 
-    What the model's steps, light as a parabola in each, leave is to be no more than a millikelvin.
+    The model's steps, with light as a parabola in each, may leave at most a millikelvin.
     """
     node, weight = np.polynomial.legendre.leggauss(200)
     end, camera_m = min(1.0, 40.0 / max(thick, 1.0)), 9e3
@@ -98,7 +98,7 @@ def lapse(thick):
 
 @case("air", "isothermal sky and space as warm, from {:g} m, from the horizon to straight up", (0.0, 120.0, 1e4, 3e4))
 def directions(at_m):
-    """L_sky + τ B = B in every direction, the horizon's and those beside level among them; the worst of nine."""
+    """L_sky + τ B = B in every direction, including the horizon and directions next to level; the worst of nine."""
     air = isothermal()
     lowest = float(horizon_cos_zenith(at_m))
     cosine = np.array([lowest, 0.5 * lowest, -1e-9 if at_m else 0.0, 0.0, 1e-9, 1e-3, 0.1, 0.7, 1.0])
@@ -109,7 +109,7 @@ def directions(at_m):
 
 @case("air", "ground of 310 K under air of 290 K, straight down from {:g} km", (30.0, 100.0))
 def above(camera_km):
-    """An optical depth of 1 that falls by e in 2 km: from above it all the same. Depth to 1e-4 of it, of 20 K."""
+    """An optical depth of 1 that falls by e in 2 km: the same from any height above. Depth to 1e-4 of it, of 20 K."""
     wall, air = band_radiance(np.array([_WALL_K, KELVIN]), *BAND_UM)
     expected = float(brightness_temperature(np.exp(-1.0) * wall + (1.0 - np.exp(-1.0)) * air, *BAND_UM))
     found = seen(even(1.0 / 2e3, scale_m=2e3), _WALL_K, 1e3 * camera_km, 0.0, 1e3 * camera_km)
@@ -118,13 +118,13 @@ def above(camera_km):
 
 @case("air", "camera above the air's range is refused")
 def space():
-    """Not answered with an empty sky."""
+    """Refused, not answered with an empty sky."""
     return refused(lambda: isothermal().sky_radiance(HIGHEST_CAMERA_M + 1.0, 1.0), "out of range")
 
 
 @case("air", "sky a millimetre below a closed cloud")
 def below_cloud():
-    """The base is black and all there is, in every direction; a millimetre of lapse is 7e-6 K."""
+    """The base is black and fills every direction; a millimetre of lapse is 7e-6 K."""
     air = Atmosphere.standard("tropical").in_band(*BAND_UM).clouded(1.0, 2500.0)
     base = float(air.air_temperature(2500.0))
     kelvin = brightness_temperature(air.sky_radiance(2500.0 - 1e-3, [0.0, 0.01, 1.0]).sum(axis=-1), *BAND_UM)
@@ -133,7 +133,7 @@ def below_cloud():
 
 @case("air", "{} a cloud is refused", ("camera within", "ground behind"))
 def in_cloud(which):
-    """Neither clear air nor a guess."""
+    """Refused: neither clear air nor a guess."""
     air = isothermal().clouded(0.5, 1000.0)
     ends = (1000.1, 0.0) if which == "camera within" else (0.0, 1500.0)
     return refused(lambda: air.path(*ends, 2000.0), "above the cloud base")
@@ -141,7 +141,7 @@ def in_cloud(which):
 
 @case("air", "mirror facing a mirror 10 m away, all of 290 K, in air of depth {:g} per metre", (1e-3, 0.1, 10.0))
 def mirrors(absorption):
-    """In an isothermal enclosure, whose sky is deep air, mirrors look black too; a millikelvin and what is stated."""
+    """In an isothermal enclosure with deep air as sky, mirrors look black too; 1 mK and the stated error."""
     from thermorender.render.renderer import Renderer
     from thermorender.trajectory.path import pose
     from validation.budget.scenes import box, level

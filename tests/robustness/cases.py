@@ -1,4 +1,4 @@
-"""The list of stability cases: each a function of no arguments that returns what was found, expected and allowed."""
+"""The list of stability cases: each is a function without arguments that returns found, expected and allowed values."""
 
 from functools import partial
 from typing import NamedTuple
@@ -20,11 +20,11 @@ def case(group, name, values=(None,)):
     Parameters
     ----------
     group : str
-        What it belongs to: heat, light, sensor, air, …
+        Group of the case: heat, light, sensor, air, …
     name : str
-        Of the case; `{}` stands for the value.
+        Name of the case; `{}` is replaced by the value.
     values : sequence, optional
-        The function is called with each.
+        The function is called with each value.
     """
 
     def register(function):

@@ -1,7 +1,7 @@
-"""Work in a process that may be killed, starved or cheated: what the cases of faults do to others.
+"""Jobs that run in a process which may be killed, starved or disturbed: the cases of faults use them.
 
-`main` runs the job and in the folder that the command line names; it says "begun" when it is set up, goes on where an
-earlier one stopped, and ends with status 2 and a sentence where it is refused.
+`main` runs the job in the folder given on the command line. It prints "begun" when it is set up, continues where an
+earlier one stopped, and ends with status 2 and a sentence if it is refused.
 """
 
 import ctypes
@@ -56,11 +56,11 @@ material = "asphalt"
 {}
 """
 _NOBODY = 65534
-# Of a long flight: there and back [s].
+# Period of a long flight, there and back [s].
 ROUND_S = 50.0 / 9.0
 
 
-# --- what they fly over -----------------------------------------------------------------------------------------
+# --- scenes and paths -------------------------------------------------------------------------------------------
 
 
 def write_scene(folder, balance=False):
@@ -111,7 +111,7 @@ def _turns(seconds):
 
 
 def flight(folder, rate_hz=9.0, products=_PRODUCTS, **more):
-    """Fly `FRAMES` frames of all products into FOLDER/out, or go on with them."""
+    """Fly `FRAMES` frames of all products into FOLDER/out, or continue them."""
     from thermorender.output.flight import FlightOptions, fly
 
     drawn = renderer(folder.parent / "scene")
@@ -122,7 +122,7 @@ def flight(folder, rate_hz=9.0, products=_PRODUCTS, **more):
 
 
 def bake(folder):
-    """Trace the light of a scene with the cache in FOLDER/cache, and write what a frame then is."""
+    """Trace the light of a scene with the cache in FOLDER/cache, and write the resulting frame."""
     from thermorender.render.light import cache as kept
 
     os.environ["THERMORENDER_CACHE"] = str(folder / "cache")
@@ -133,7 +133,7 @@ def bake(folder):
 
 
 def heat(folder):
-    """A flight of minutes whose temperatures are marched, by light from a cache in FOLDER/cache."""
+    """A flight of minutes with simulated temperatures, and light from a cache in FOLDER/cache."""
     from thermorender.render.light import cache as kept
 
     os.environ["THERMORENDER_CACHE"] = str(folder / "cache")
@@ -163,25 +163,25 @@ def training(folder):
     found = train_network(replace(job, options=job.options | {"crops": 24}), "compact")
     with files.atomic(folder / "weights.npz") as part:
         np.savez(part, **found.state)
-    told = [(line["crops"], line["losses"], line["validation_mae_k"]) for line in read_log(folder / "run")]
-    formats.write_json(folder / "epochs.json", told)
+    epochs = [(line["crops"], line["losses"], line["validation_mae_k"]) for line in read_log(folder / "run")]
+    formats.write_json(folder / "epochs.json", epochs)
 
 
 # --- jobs in a hostile place ------------------------------------------------------------------------------------
 
 
 def starved(folder, *limits):
-    """Fly under limits to the size of a file, one after the other, then with room; tell what was no sentence."""
+    """Fly under file size limits, one after the other, then without; print the messages that were not sentences."""
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     wrong = []
     for limit in (*map(int, limits), resource.RLIM_INFINITY):
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
         wrong += _unlike_a_sentence(lambda: flight(folder), limit == resource.RLIM_INFINITY)
-    _tell(wrong)
+    _print(wrong)
 
 
 def writers(folder):
-    """Write a file of each kind where it has room for none, for a part, and for all but its last byte."""
+    """Write a file of each kind with room for none of it, for a part, and for all but its last byte."""
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     wrong = []
     for name, write in WRITERS.items():
@@ -196,7 +196,7 @@ def writers(folder):
             wrong += [f"{name}, {limit} of {size} bytes: {each}" for each in found]
             path.unlink(missing_ok=True)
     wrong += [path.name for path in folder.iterdir() if path.name.startswith(".")]
-    _tell(wrong)
+    _print(wrong)
 
 
 def write_picture(path):
@@ -273,12 +273,12 @@ WRITERS = {
 
 
 def shut_out(folder):
-    """As nobody, where this is root: fly into folders that may not be written, from one that may not be read."""
+    """As user nobody if this is root: fly into folders without write permission, from one without read permission."""
     os.environ["THERMORENDER_CACHE"] = str(folder / "cache")
     from thermorender.render.light import cache as kept
 
     kept.WORTH_RAYS = 0
-    # What is imported late is not for everybody to read.
+    # Late imports must not need files that not everybody may read.
     flight(folder)
     (folder / "out").rename(folder / "before")
     for name in ("mine", "shut"):
@@ -299,17 +299,17 @@ def shut_out(folder):
     wrong = _unlike_a_sentence(lambda: renderer(folder / "secret"), False)
     for place in ("shut/out", "shut/new", "before"):
         wrong += _unlike_a_sentence(lambda place=place: fly(drawn, straight(1.0), folder / place, resume=True), False)
-    # Without a cache everything works, and the reason is told.
+    # Without a cache everything works, and the reason is reported.
     options = FlightOptions(rate_hz=1.0)
     wrong += _unlike_a_sentence(lambda: fly(drawn, straight(1.0), folder / "mine" / "out", options), True)
     other = renderer(folder.parent / "scene", rays=16)
     if "cannot be written" not in str(other.baked.cache_note):
         wrong.append(f"note of a cache that cannot be written: {other.baked.cache_note}")
-    _tell(wrong)
+    _print(wrong)
 
 
 def backwards(folder):
-    """Fly while the clock goes backwards by an hour at every look, and all files are of the future."""
+    """Fly while the clock goes back by an hour at every reading, and all files are from the future."""
     now = [4e9]
 
     def clock():
@@ -331,20 +331,20 @@ def backwards(folder):
             flight(folder, progress=stop)
 
 
-# --- jobs whose memory is watched -------------------------------------------------------------------------------
+# --- jobs with watched memory -----------------------------------------------------------------------------------
 
 
 def frames(folder, count, kind="still"):
-    """Fly so many small frames; tell (frames, memory [MB], time of all cores [s]) after each part of 25.
+    """Fly `count` small frames; print (frames, memory [MB], time of all cores [s]) after each part of 25.
 
-    They show still ground; or, "busy", things that stand and one that moves, through air, with photographs. All there
-    is to see is seen in each round, so that what is made once, as a kernel for what comes into view, is made early.
+    They show still ground; "busy" adds still objects and a moving one, air and photographs. Each round shows all of
+    it, so kernels for objects that come into view are compiled early.
     """
-    told = []
+    printed = []
 
     def look(done, total):
         if done % 25 == 0:
-            told.append((done, memory_mb(), time.process_time()))
+            printed.append((done, memory_mb(), time.process_time()))
 
     from thermorender.output.flight import FlightOptions, fly
 
@@ -354,15 +354,15 @@ def frames(folder, count, kind="still"):
         products = (*products, "error", "visible", "radiometric")
     options = FlightOptions(rate_hz=9.0, products=products)
     fly(drawn, to_and_fro(int(count) / 9.0), folder / "out", options, progress=look)
-    _tell(told)
+    _print(printed)
 
 
 def busy(folder, seconds):
-    """Return a Renderer of a scene's folder with things that stand and one that moves for some seconds, through air."""
+    """Return a Renderer of a scene's folder with still objects and one that moves for some seconds, through air."""
     from thermorender.render.renderer import Renderer
     from thermorender.scene.load import load_scene
 
-    # Against the camera's way.
+    # Against the camera's direction of flight.
     rows = [f"{time},{('3,0,300', '-3,0,330')[turn % 2]}\n" for turn, time in enumerate(_turns(seconds))]
     (folder / "track.csv").write_text("time_s,east_m,north_m,temperature_k\n" + "".join(rows))
     with open(folder / "scene.toml", "a", encoding="utf-8") as file:
@@ -373,48 +373,48 @@ def busy(folder, seconds):
 
 
 def scenes(folder, count):
-    """Load, bake, fly and drop so many scenes; tell the memory after each [MB]."""
-    told = []
+    """Load, bake, fly and drop `count` scenes; print the memory after each [MB]."""
+    printed = []
     for _ in range(int(count)):
         renderer(folder.parent / "scene").frame(straight(1.0).pose(0.5))
-        told.append(memory_mb())
-    _tell(told)
+        printed.append(memory_mb())
+    _print(printed)
 
 
 def references(folder, count):
-    """Path trace so many frames of one scene; tell the memory after each [MB]."""
+    """Path trace `count` frames of one scene; print the memory after each [MB]."""
     from thermorender.render import reference
     from thermorender.scene.load import load_scene
 
-    # What its lens is told by, 8 bytes a pixel, would show if it were kept: 16 MB where the rest moves by 0.01 MB.
-    scene, told = small(load_scene(folder.parent / "scene"), 1600, 1280), []
+    # The lens is an array of 8 bytes a pixel and would show if it were kept: 16 MB where the rest varies by 0.01 MB.
+    scene, printed = small(load_scene(folder.parent / "scene"), 1600, 1280), []
     for _ in range(int(count)):
         reference.render(scene, straight(1.0).pose(0.5), samples=1, depth=2)
-        told.append(memory_mb())
-    _tell(told)
+        printed.append(memory_mb())
+    _print(printed)
 
 
 def memory_mb():
-    """Return the memory that this process holds of its own [MB].
+    """Return the memory that this process holds [MB], without shared files.
 
-    What was let go and its allocator keeps for the next, pieces of 8 and 16 MB here, is given back first. Pages of
-    files are left out: the system maps those of a library, 14 MB of LLVM's at a time, when it likes.
+    Memory that was freed and is kept by the allocator, in pieces of 8 and 16 MB here, is given back first. Pages of
+    files are left out: the system maps those of a library, 14 MB of LLVM's at a time, at arbitrary moments.
     """
     ctypes.CDLL(None).malloc_trim(0)
     resident, of_files = map(int, Path("/proc/self/statm").read_text(encoding="ascii").split()[1:3])
     return (resident - of_files) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-# --- how they speak ---------------------------------------------------------------------------------------------
+# --- output -----------------------------------------------------------------------------------------------------
 
 
 def sentence(text):
-    """Return whether a text is one line that says something."""
+    """Return whether a text is one non-empty line."""
     return bool(text.strip()) and "\n" not in text
 
 
 def _unlike_a_sentence(job, done):
-    """[What a job ended with], unless it was done or refused in a sentence, as it should be."""
+    """[The outcome of a job], unless it finished or was refused in a sentence, as it should be."""
     try:
         job()
     except ThermorenderError as error:
@@ -428,7 +428,7 @@ def _begun():
     print("begun", flush=True)
 
 
-def _tell(value):
+def _print(value):
     print(json.dumps(value), flush=True)
 
 
@@ -441,7 +441,7 @@ JOBS = {
 
 
 def main():
-    """Run JOB in FOLDER, with what else the command line gives."""
+    """Run JOB in FOLDER, with further arguments from the command line."""
     try:
         JOBS[sys.argv[1]](Path(sys.argv[2]), *sys.argv[3:])
     except ThermorenderError as error:

@@ -1,7 +1,7 @@
-"""Faults from outside: processes that are killed, disks that are full, folders that are shut, files that are damaged.
+"""Faults from outside: killed processes, full disks, folders without permission, damaged files.
 
-Nothing may be lost and nothing doubled. Values are counts: of files that differ from those of a run that nobody
-disturbed, of records, of things that were neither done nor refused in a sentence.
+Nothing may be lost and nothing doubled. Values are counts: of files that differ from those of an undisturbed run, of
+records, of jobs that neither finished nor were refused in a sentence.
 """
 
 import io
@@ -32,20 +32,20 @@ from tests.robustness.crash_targets import (
 from tests.robustness.fuzz.corpus import READERS, Reader
 from thermorender.errors import ThermorenderError
 
-# Lives that a job is killed in, and the longest any of them may take [s]: what takes longer hangs.
+# Number of kills of a job, and the longest time of each run [s]: a longer run hangs.
 KILLS, _MOST_S = 5, 900.0
-# Parts of a file that are left of it.
+# Parts of a file that remain.
 _CUTS = (0.0, 0.25, 0.5, 0.9)
 
 
-# --- processes and what they leave ------------------------------------------------------------------------------
+# --- processes and their files ----------------------------------------------------------------------------------
 
 
 @contextmanager
 def _place(balance=False):
-    """Give a folder with a scene beside it."""
+    """Yield a folder with a scene beside it."""
     with tempfile.TemporaryDirectory(prefix="thermorender-faults-") as folder:
-        # For nobody, too.
+        # Readable for user nobody, too.
         os.chmod(folder, 0o755)
         write_scene(Path(folder) / "scene", balance)
         (Path(folder) / "work").mkdir()
@@ -55,7 +55,7 @@ def _place(balance=False):
 def _start(job, folder, *arguments, **more):
     program = "from tests.robustness.crash_targets import main; main()"
     command = [sys.executable, "-c", program, job, folder, *arguments]
-    # Its threads are few, and the sums of a training depend on how many they are.
+    # It has few threads, because the sums of a training depend on their number.
     environment = os.environ | {"OMP_NUM_THREADS": "2", "MKL_NUM_THREADS": "2"} | {k: str(v) for k, v in more.items()}
     return subprocess.Popen(list(map(str, command)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment)
 
@@ -71,8 +71,8 @@ def _end(process):
     return process.returncode, (output.decode().splitlines() or [""])[-1], errors.decode().strip()
 
 
-def told(job, *arguments, balance=False):
-    """Return what a job tells at its end."""
+def printed(job, *arguments, balance=False):
+    """Return what a job prints at its end."""
     with _place(balance) as folder:
         status, last, errors = _end(_start(job, folder, *arguments))
     if status:
@@ -81,9 +81,9 @@ def told(job, *arguments, balance=False):
 
 
 def contents(folder):
-    """Return {name: bytes} of the files in a folder and below, but for a training's own, which tell seconds.
+    """Return {name: bytes} of the files in a folder and below, except a training's own files, which contain seconds.
 
-    What a process was writing to a cache when it was killed is removed after an hour by the next that writes there.
+    A cache file that a process was writing when it was killed is removed after an hour by the next writer.
     """
     return {
         str(path.relative_to(folder)): path.read_bytes()
@@ -94,13 +94,13 @@ def contents(folder):
 
 
 def differing(one, other):
-    """Return how many files of two `contents` differ or lack the other."""
+    """Return how many files of two `contents` differ or are in only one of them."""
     return float(sum(one.get(name) != other.get(name) for name in one | other))
 
 
 @cache
 def undisturbed(job):
-    """Return (contents, seconds that it worked) of a job that nobody disturbs."""
+    """Return (contents, run time in seconds) of a job that is not disturbed."""
     with _place(job in ("heat", "day")) as folder:
         process = _start(job, folder)
         process.stdout.readline()
@@ -113,13 +113,13 @@ def undisturbed(job):
 
 @cache
 def killed(job):
-    """Return (contents, times killed) of a job that is killed at random moments and begun again until it is done.
+    """Return (contents, number of kills) of a job that is killed at random moments and started again until it is done.
 
-    Every other time it is killed as soon as it is seen to write a file.
+    Every other time it is killed as soon as it writes a file.
     """
     _, seconds = undisturbed(job)
     generator, kills = np.random.default_rng(len(job)), 0
-    # What goes on where it was stopped has less before it each time.
+    # A job that continues where it was stopped has less to do each time.
     share = 1.0 if job in ("bake", "day") else 2.0 / KILLS
     with _place(job in ("heat", "day")) as folder:
         while True:
@@ -166,12 +166,12 @@ def both():
         found = contents(folder)
     refused = [errors for status, _, errors in ends if status == 2 and sentence(errors)]
     done = sum(status == 0 for status, _, _ in ends)
-    # Where the second comes when the first has ended it has nothing left to do.
+    # If the second starts after the first has ended, it has nothing left to do.
     wrong = sum("is being written by another process" not in errors for errors in refused) + (len(refused) + done != 2)
     return Found(differing(found, undisturbed("flight")[0]) + wrong + (not done), 0.0, 0.0)
 
 
-@case("faults", "the lock of a process that was killed is no lock: flights refused")
+@case("faults", "the lock of a killed process does not hold: flights refused")
 def stale():
     with _place() as folder:
         process = _start("flight", folder)
@@ -188,7 +188,7 @@ def stale():
 @case("faults", "flight on a disk that is full at each of its files, then with room: files that differ")
 def starved():
     whole, _ = undisturbed("flight")
-    # A byte less than the largest of each kind takes; the sensor's memory and the smallest images too.
+    # One byte less than the largest file of each kind takes; the sensor's memory and the smallest images too.
     kinds = {}
     for name, data in whole.items():
         kind = name.partition("_")[2][6:] or name
@@ -203,12 +203,12 @@ def starved():
 
 @case("faults", "writers of pictures, rasters, videos, arrays and checkpoints on a full disk: ends lost in silence")
 def writers():
-    return Found(float(len(told("writers"))), 0.0, 0.0)
+    return Found(float(len(printed("writers"))), 0.0, 0.0)
 
 
 @case("faults", "folders and files that a user has no right to: neither worked without nor refused in a sentence")
 def shut_out():
-    return Found(float(len(told("shut_out"))), 0.0, 0.0)
+    return Found(float(len(printed("shut_out"))), 0.0, 0.0)
 
 
 @case("faults", "flight and resumes while the clock goes backwards, over files of the future: files that differ")
@@ -220,7 +220,7 @@ def backwards():
         return Found(differing(contents(folder), undisturbed("flight")[0]), 0.0, 0.0)
 
 
-# --- processes that die -----------------------------------------------------------------------------------------
+# --- killed worker processes ------------------------------------------------------------------------------------
 
 
 class _Killed(subprocess.Popen):
@@ -232,7 +232,7 @@ class _Killed(subprocess.Popen):
 
 
 def _ends_in_a_sentence(job, words=""):
-    """1 where a job is not refused in a sentence, with some words."""
+    """1 if a job is not refused in a sentence with some words."""
     try:
         job()
     except ThermorenderError as error:
@@ -249,7 +249,7 @@ def worker(which):
     from thermorender.compare.machine import apart
     from thermorender.output.video import write_video
 
-    # Looked for once, by running it.
+    # Searched for once, by running it.
     imageio_ffmpeg.get_ffmpeg_exe()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.mp4"
@@ -261,11 +261,11 @@ def worker(which):
         return Found(_ends_in_a_sentence(lambda: apart(os._exit, 3), "was killed before it was done"), 0.0, 0.0)
 
 
-# --- files that are damaged -------------------------------------------------------------------------------------
+# --- damaged files ----------------------------------------------------------------------------------------------
 
 
 def _damaged(data):
-    """(what, bytes) of a cached file that must not be trusted."""
+    """(description, bytes) of a cached file that must not be trusted."""
     generator = np.random.default_rng(0)
     yield from ((f"cut to {share:g}", data[: int(share * len(data))]) for share in _CUTS)
     yield "random", generator.bytes(len(data))
@@ -301,7 +301,7 @@ def light(how):
             version = radiosity.VERSION
             stack.callback(setattr, radiosity, "VERSION", version)
             radiosity.VERSION = "another"
-            # By its own name, and under the name of the other.
+            # By its own name, and by the name of the other.
             other = kept.key(geometry, 64)
             wrong += other == name or kept.load(other) is not None
             path.rename(path.with_name(f"{other}.npz"))
@@ -336,7 +336,7 @@ def kernels():
     return Found(wrong, 0.0, 0.0)
 
 
-@case("faults", "LOWTRAN's results on disk, damaged: not made anew")
+@case("faults", "LOWTRAN's results on disk, damaged: not computed again")
 def lowtran():
     from thermorender.atmosphere import lowtran as program
 
@@ -374,7 +374,7 @@ def cut():
     return Found(float(len(wrong)), 0.0, 0.0)
 
 
-# What a file of arrays, of a model or of its weights is read by.
+# Readers of files with arrays, of a model or of its weights.
 _OF_ARRAYS = (
     "atmosphere", "absorption data", "map palette", "map trees", "map compact", "emissivity map", "checkpoint",
     "kept arrays",
@@ -382,7 +382,7 @@ _OF_ARRAYS = (
 
 
 class _Evil:
-    """What makes a file where it is unpickled."""
+    """An object that creates a file when it is unpickled."""
 
     def __init__(self, path):
         self.path = path
@@ -409,10 +409,10 @@ def pickles():
 
 
 def _pickled(path, marker):
-    """Yield what would make a file where it were unpickled, for each form that a model's file may have."""
+    """Yield the bytes that would create a file if unpickled, for each form that a model's file may have."""
     evil = _Evil(marker)
     yield pickle.dumps(evil)
-    # As torch.save writes it.
+    # As written by torch.save.
     archive = io.BytesIO()
     with zipfile.ZipFile(archive, "w") as file:
         file.writestr("archive/data.pkl", pickle.dumps(evil))
@@ -430,26 +430,26 @@ def _pickled(path, marker):
 
 
 def _growth(steps, memory):
-    """Slope of memory [MB], the median over pairs (Theil and Sen): a piece once held is none, one kept each time is.
+    """Slope of memory [MB], the median over pairs (Theil and Sen): a piece kept once does not count, one per step does.
 
-    0 where it shrinks.
+    0 if it shrinks.
     """
     from scipy.stats import theilslopes
 
     return max(float(theilslopes(memory, steps).slope), 0.0)
 
 
-# Long flights of small frames: how many, and of what.
+# Long flights of small frames: their number and kind.
 LONG = {
     "10 000 small frames of still ground": (10_000, "still"),
-    "1000 small frames of things that stand and move, through air, with photographs": (1000, "busy"),
+    "1000 small frames of still and moving objects, through air, with photographs": (1000, "busy"),
 }
 
 
 @cache
 def long_flight(which):
-    """Return (frames, memory [MB], core time [s]), (N,) each, along a flight of `LONG`, its start left out."""
-    found = np.array(told("frames", *LONG[which]))
+    """Return (frames, memory [MB], core time [s]), (N,) each, along a flight of `LONG`, without its start."""
+    found = np.array(printed("frames", *LONG[which]))
     return found[len(found) // 4 :].T
 
 
@@ -464,14 +464,14 @@ def steady(which):
     done, _, seconds = long_flight(which)
     each = np.diff(seconds) / np.diff(done)
     ratio = float(np.median(each[len(each) // 2 :]) / np.median(each[: len(each) // 2]))
-    # Other work on the machine makes a core slower by up to this; that it ended early is no fault.
+    # Other work on the machine makes a core slower by up to this; a faster end is not a fault.
     return Found(max(ratio, 1.0), 1.0, 0.3)
 
 
 @case("faults", "{}, then dropped: growth of memory [MB each]", ("scenes loaded and flown", "frames path traced"))
 def dropped(what):
-    """Of what would be kept: a scene's arrays and kernels' inputs, and what a path-traced frame's lens is told by."""
-    memory = told(*(("scenes", 100) if what.startswith("scenes") else ("references", 30)))
-    # What is made once is made by then, and what lies between the pieces of memory that are held grows little more.
+    """Memory that may be kept: a scene's arrays and kernels' inputs, and the lens of a path-traced frame."""
+    memory = printed(*(("scenes", 100) if what.startswith("scenes") else ("references", 30)))
+    # By then everything that is created once exists, and fragments between the kept pieces grow little more.
     later = memory[len(memory) // 2 :]
     return Found(_growth(range(len(later)), later), 0.0, 0.3)

@@ -1,6 +1,6 @@
-"""Stability of geometry: faulty meshes, cameras on, under and in the ground, maps' coordinates, a round Earth, holes.
+"""Stability of geometry: faulty meshes, cameras on, under and in the ground, map coordinates, a round Earth, holes.
 
-Pixels that carry a flag of the truth mask are told to be wrong, and count as right; what counts as wrong is any other.
+Pixels with a flag in the truth mask are known to be wrong and count as right; any other wrong pixel counts as wrong.
 """
 
 import tempfile
@@ -28,7 +28,7 @@ _FACES = [[0, 3, 1], [1, 3, 2]]
 _MAP = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
 # Radiance is in single precision, an ulp of 6e-8, and L over dL/dT some 70 K.
 _ROUNDING_K = 1e-5
-# Extra vertices and faces of meshes with faults, none of which hides the ground from above.
+# Extra vertices and faces of faulty meshes, none of which hides the ground from above.
 _FAULTS = {
     "duplicate triangles": ([], _FACES),
     "triangles without area": ([[0.0, 0.0, 0.0]], [[0, 0, 1], [0, 4, 2], [2, 2, 2]]),
@@ -75,24 +75,24 @@ def _viewed(scene, place, pitch_deg, yaw_deg=0.0, finer=1.0):
 
 
 def _worst(kelvin, expected):
-    """What lies farthest from what is expected; NaN where there is nothing, or something is not finite."""
+    """The value farthest from the expected one; NaN if there is none, or one is not finite."""
     return float(kelvin.flat[np.argmax(np.abs(kelvin - expected))]) if kelvin.size else np.nan
 
 
 def _even(mask):
-    """Where all eight neighbours show the same, (H, W) bool."""
+    """Where all eight neighbours have the same value, (H, W) bool."""
     return maximum_filter(mask, 3) == minimum_filter(mask, 3)
 
 
 def _reflecting(below):
-    """Apparent temperature of level ground under a sky or over a ground as warm as this [K]."""
+    """Apparent temperature of level ground under a sky, or above a ground, of this temperature [K]."""
     both = band_radiance(np.array([_GROUND_K, below]), *BAND_UM)
     return float(brightness_temperature(_HALF * both[0] + (1.0 - _HALF) * both[1], *BAND_UM))
 
 
 @case("geometry", "{}, of emissivity 0.5", _FAULTS)
 def faults(which):
-    """ε B(T) + (1 − ε) L_sky, as without; faces that stand in the ground's way are below it."""
+    """ε B(T) + (1 − ε) L_sky, as without the fault; faces that would hide the ground are below it."""
     more, faces = _FAULTS[which]
     kelvin, _ = shown((mesh(_CORNERS + more, _FACES + faces),), (0.0, 0.0, 30.0), -90.0, _HALF)
     return Found(_worst(kelvin, _reflecting(_SKY_K)), _reflecting(_SKY_K), _ROUNDING_K)
@@ -100,15 +100,15 @@ def faults(which):
 
 @case("geometry", "normals that look down, of emissivity 0.5: pixels without a flag")
 def flipped():
-    """They show light from below, and each says that it shows a back."""
+    """They show light from below, and each pixel is flagged as a back face."""
     kelvin, mask = shown((mesh(_CORNERS, np.array(_FACES)[:, ::-1]),), (0.0, 0.0, 30.0), -90.0, _HALF)
     wrong = np.where(mask & BEHIND, _reflecting(_SKY_K), kelvin)
     return Found(_worst(wrong, _reflecting(_SKY_K)), _reflecting(_SKY_K), _ROUNDING_K)
 
 
-@case("geometry", "one triangle, and what lies beside it")
+@case("geometry", "one triangle and its background")
 def triangle():
-    """Each of the two at its own temperature, but where they meet."""
+    """Each of the two at its own temperature, except where they meet."""
     kelvin, mask = shown((mesh(_CORNERS[:3], [[0, 2, 1]]),), (0.0, 0.0, 30.0), -90.0)
     off = np.abs(kelvin - np.where(mask & BACKGROUND, _BESIDE_K, _GROUND_K))
     return Found(float(off[_even(mask)].max()), 0.0, _ROUNDING_K if np.ptp(mask) else np.nan)
@@ -116,7 +116,7 @@ def triangle():
 
 @case("geometry", "camera {}: pixels without a flag", _CAMERAS)
 def cameras(which):
-    """Ground, sky or what lies beside, by the mask, but where these meet; from below and within all are backs."""
+    """Ground, sky or background, by the mask, except where they meet; from below and within all faces are backs."""
     place, pitch = _CAMERAS[which]
     surfaces = [mesh(_CORNERS, _FACES)]
     if "box" in which:
@@ -132,7 +132,7 @@ def cameras(which):
 
 @case("geometry", "a cliff of 40 m seen {}", ("from above", "from its foot"))
 def cliff(where):
-    """From straight above, its face of 320 K, at the image's middle, has no area; from below it is all there is."""
+    """From straight above, its face of 320 K, at the image's middle, has no area; from below it fills the view."""
     corners = [[-50, 50, 0], [0, 50, 0], [0, -50, 0], [-50, -50, 0], [0, 50, -40], [0, -50, -40], [50, 50, -40],
                [50, -50, -40]]  # fmt: skip
     faces = [[0, 3, 1], [1, 3, 2], [1, 2, 4], [4, 2, 5], [4, 5, 6], [6, 5, 7]]
@@ -147,7 +147,7 @@ def cliff(where):
 
 @case("geometry", "a hole of a quarter of the ground")
 def hole():
-    """What lies beside the ground, flagged, in a quarter of the pixels; the ground in the others."""
+    """A quarter of the pixels show the background, flagged; the others show the ground."""
     corners = [[x, y, 0.0] for y in (50.0, 0.0, -50.0) for x in (-50.0, 0.0, 50.0)]
     cells = [(0, 1, 3, 4), (3, 4, 6, 7), (4, 5, 7, 8)]
     faces = [face for a, b, c, d in cells for face in ([a, c, d], [a, d, b])]
@@ -159,7 +159,7 @@ def hole():
 
 @case("geometry", "a million triangles: a slope of 45° that warms evenly")
 def million():
-    """Its temperature at the image's middle, whose four pixels show 0.2 m of a hundredth of a kelvin per metre."""
+    """Its temperature at the image's middle: four pixels show 0.2 m, with a hundredth of a kelvin per metre."""
     side = np.linspace(-200.0, 200.0, 708)
     east, north = np.meshgrid(side, -side)
     index = np.arange(east.size).reshape(east.shape)
@@ -174,7 +174,7 @@ def million():
 
 @case("geometry", "map coordinates from {0[0]:g} to {0[1]:g}", ((0.0, 3.0), (-7.0, -4.0), (5.5, 8.5)))
 def repeated(span):
-    """A texture of two halves, 280 and 320 K, is seen three times: the middles of six stripes, the worst."""
+    """A texture of two halves, 280 and 320 K, is seen three times: the worst of the middles of six stripes."""
     low, high = span
     image = np.zeros((16, 64, 3), np.uint8)
     image[:, 32:] = 255
@@ -183,7 +183,7 @@ def repeated(span):
         part = _by_file(Path(folder), uv, image)
     warm = np.where(part.colour[..., 0] > 127, 320.0, 280.0)
     kelvin, _ = shown((replace(mesh(part.vertices, part.faces, kelvin=warm), uv=part.uv),), (0.0, 0.0, 150.0), -90.0)
-    # Stripes of a sixth of 100 m, in pixels of 0.785 m.
+    # Stripes of a sixth of 100 m, with pixels of 0.785 m.
     column = 80.0 + (np.arange(6) - 2.5) * 100.0 / 6.0 * 191.2 / 150.0
     expected = np.where((2.0 * low + np.arange(6)) % 2.0, 320.0, 280.0)
     off = kelvin[64, column.astype(int)] - expected
@@ -191,7 +191,7 @@ def repeated(span):
 
 
 def _by_file(folder, uv, image):
-    """The Part of level ground with a texture, by way of an OBJ."""
+    """The Part of level ground with a texture, read from an OBJ."""
     from PIL import Image
 
     Image.fromarray(image).save(folder / "texture.png")
@@ -207,9 +207,9 @@ def _by_file(folder, uv, image):
 
 
 def land(height, warm, post_m, corner, crs="EPSG:32633", **terrain):
-    """Return the Scene of black ground of heights (h, w) [m] and texels (n, m) [K] over the same, read from files.
+    """Return the Scene of black ground of heights (h, w) [m] and texels (n, m) [K] over the same area, read from files.
 
-    `corner` is the map's upper left one, (easting, northing) [m]; `terrain` goes into the scene file.
+    `corner` is the map's upper left corner, (easting, northing) [m]; `terrain` goes into the scene file.
     """
     import rasterio
 
@@ -242,7 +242,7 @@ def _middle(kelvin):
 
 @case("geometry", "ground at easting 5e5 m, northing 5e6 m, half a kelvin per metre: at a given place of the map")
 def utm():
-    """Camera 30 m above it. On the zone's middle meridian a metre is 0.9996 of the map's; a pixel shows 16 cm."""
+    """Camera 30 m above it. On the zone's central meridian a metre is 0.9996 of the map's; a pixel shows 16 cm."""
     warm = 280.0 + 0.5 * (np.arange(128) + 0.5) * np.ones((128, 1))
     scene = land(np.full((128, 128), 100.0), warm, 1.0, (5e5 - 64.0, 5e6 + 64.0))
     kelvin, _ = _viewed(scene, (10.25 / 0.9996, -7.0 / 0.9996, 30.0), -90.0)
@@ -251,7 +251,7 @@ def utm():
 
 @case("geometry", "a mesh at easting 5e5 m, northing 5e6 m is refused")
 def mesh_on_a_map():
-    """Single precision resolves half a metre there."""
+    """Single precision has a resolution of half a metre there."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "ground.obj"
         lines = [f"v {x + 5e5} {y + 5e6} {z}" for x, y, z in _CORNERS] + ["f 1 4 2", "f 2 4 3"]
@@ -261,16 +261,16 @@ def mesh_on_a_map():
 
 @case("geometry", "land of 100 km, posts of 50 m, a kelvin per km: {:g}° below level, from 1 km", (1.5, 2.0))
 def round_earth(below_deg):
-    """Where the ray meets a circle of the curvature from east to west there; on a flat Earth it is kelvins colder.
+    """Where the ray meets a circle with the local east-west curvature; on a flat Earth it is several kelvin colder.
 
-    Allowed is what four pixels see along the ground, in kelvin.
+    The tolerance is the extent of four pixels along the ground, in kelvin.
     """
     latitude = np.radians(45.0)
     radius = SEMI_MAJOR_AXIS_M / np.sqrt(1.0 - FLATTENING * (2.0 - FLATTENING) * np.sin(latitude) ** 2)
     scene = land(np.zeros((11, 2000)), 250.0 + 0.05 * np.arange(2000) * np.ones((11, 1)), 50.0, (45e4, 4983_253.0))
     kelvin, _ = _viewed(scene, (0.0, 0.0, 1000.0), -below_deg, yaw_deg=90.0, finer=100.0)
     slope = np.radians(below_deg)
-    # |(s cos a, R + h − s sin a)| = R, the nearer of two.
+    # |(s cos a, R + h − s sin a)| = R, the nearer of the two.
     half, apart = (radius + 1e3) * np.sin(slope), 1e3 * (2.0 * radius + 1e3)
     slant = half - np.sqrt(half**2 - apart)
     arc = radius * np.arctan2(slant * np.cos(slope), radius + 1e3 - slant * np.sin(slope))
@@ -289,16 +289,16 @@ def _slope(**terrain):
 
 @case("geometry", "an island of no data on a slope: pixels of it without a flag")
 def island():
-    """Cells of 13 m across are missing, and say so: what lies beside is seen, of 280 K."""
+    """Cells of 13 m across are missing and flagged: the background of 280 K is seen."""
     kelvin, mask = _slope()
     middle = (slice(54, 74), slice(70, 90))
-    told = (mask[middle] == BACKGROUND).all()
-    return Found(_worst(kelvin[middle], _BESIDE_K), _BESIDE_K, _ROUNDING_K if told else np.nan)
+    flagged = (mask[middle] == BACKGROUND).all()
+    return Found(_worst(kelvin[middle], _BESIDE_K), _BESIDE_K, _ROUNDING_K if flagged else np.nan)
 
 
 @case("geometry", "an island of no data on a slope, filled: where the ray meets the slope, a kelvin per metre")
 def filled():
-    """From 20 m west and 20 m up at 45° the ray is at −x, the slope at x/5 [m]: they meet at 0. A pixel sees 0.2 m."""
+    """From 20 m west and 20 m up at 45° the ray is at −x, the slope at x/5 [m]: they meet at 0. A pixel has 0.2 m."""
     kelvin, mask = _slope(fill=True)
-    told = (mask[54:74, 70:90] == (SURFACE | FILLED)).all() and not (mask[:, :4] & FILLED).any()
-    return Found(_middle(kelvin), 300.0, 0.02 if told else np.nan)
+    flagged = (mask[54:74, 70:90] == (SURFACE | FILLED)).all() and not (mask[:, :4] & FILLED).any()
+    return Found(_middle(kelvin), 300.0, 0.02 if flagged else np.nan)

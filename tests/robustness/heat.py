@@ -1,8 +1,8 @@
-"""Stability of the heat balance: thin and thick columns, any step, no wind and storm, nights that never end.
+"""Stability of the heat balance: thin and thick columns, any step, no wind and storm, nights without end.
 
-Steps are held against the same day in steps of half a minute. What a step may err by is the error of the scheme's
-answer to a wave, at twice the day's frequency and of whatever time constant errs most, times half the daily range of a
-surface without mass, and a millikelvin for Newton.
+Steps are compared with the same day in steps of half a minute. The allowed error of a step has two parts. One is the
+scheme's response error for a wave at twice the day's frequency, at the worst time constant, times half the daily range
+of a surface without mass. The other is a millikelvin for Newton's method.
 """
 
 from functools import cache
@@ -31,7 +31,7 @@ STEPS = {"1 s": 1.0, "1 min": 60.0, "15 min": 900.0, "1 h": 3600.0, "3 h": 10800
 
 
 def column(cuts, **changed):
-    """Return the balance.Ground of columns (C,) cut into layers, dry unless changed."""
+    """Return the balance.Ground of columns (C,) cut into layers, dry by default."""
     own = {
         "emissivity": 0.95, "log_wind": np.log(10.0 / 0.01), "log_heat": np.log(2.0 / 0.001), "height_m": 2.0,
         "resistance": 1e9, "wetness": 1.0, "open_water": 0.0, "leaves": 0.0, "held": 0.0, "melting": 0.0,
@@ -42,7 +42,7 @@ def column(cuts, **changed):
 
 
 def air(**changed):
-    """Return a balance.Forcing, dark, dry and of 288 K unless changed."""
+    """Return a balance.Forcing, dark, dry and of 288 K by default."""
     own = {
         "absorbed": 0.0, "longwave": 300.0, "sunlight": 0.0, "air_k": 288.0, "vapour_pa": 100.0, "wind_m_s": 3.0,
         "pressure_pa": 1e5, "rain_kg_m2_s": 0.0, "below_k": 288.0,
@@ -50,7 +50,7 @@ def air(**changed):
     return balance.Forcing(**(own | changed))
 
 
-def march(ground, act, state, begin_s, seconds, count):
+def simulate(ground, act, state, begin_s, seconds, count):
     """Yield (time [s], State) after each of `count` steps; `act(time)` gives the Forcing."""
     for number in range(count):
         at = begin_s + number * seconds
@@ -61,7 +61,7 @@ def march(ground, act, state, begin_s, seconds, count):
 
 @cache
 def everything():
-    """(Ground, day's Forcing by time) of all materials in all winds, winds varying fastest."""
+    """(Ground, day's Forcing by time) of all materials in all winds; the wind varies fastest."""
     cuts, rest = [], []
     for slabs, film, *numbers in MATERIALS.values():
         for wind in WINDS:
@@ -77,7 +77,7 @@ def everything():
                    wind_m_s=wind, below_k=kelvin, vapour_pa=1.0)  # fmt: skip
 
     ground = column(cuts, emissivity=emissivity)
-    *_, (_, state) = march(
+    *_, (_, state) = simulate(
         ground, day, balance.at_rest(np, [mean_k] * len(ground.capacity), ground), -DAY_S, 900.0, 96
     )
     return ground, day, state
@@ -88,7 +88,7 @@ def fine():
     """{time [s]: surface temperatures} of a day in fine steps, and the State at noon."""
     ground, day, begin = everything()
     found, noon = {}, None
-    for t, state in march(ground, day, begin, 0.0, FINE_S, round(DAY_S / FINE_S)):
+    for t, state in simulate(ground, day, begin, 0.0, FINE_S, round(DAY_S / FINE_S)):
         found[round(t)] = state.surface_k
         noon = state if round(t) == round(0.5 * DAY_S) else noon
     return found, noon
@@ -96,22 +96,22 @@ def fine():
 
 @cache
 def stepped(seconds):
-    """{time [s]: surface temperatures} of the same day in other steps; of half an hour from noon on in short ones."""
+    """{time [s]: surface temperatures} of the same day in other steps; short ones cover half an hour from noon on."""
     ground, day, state = everything()
     begin, length = 0.0, DAY_S
     if seconds < FINE_S:
         begin, length, state = 0.5 * DAY_S, SECOND_S, fine()[1]
-    run = march(ground, day, state, begin, seconds, round(length / seconds))
+    run = simulate(ground, day, state, begin, seconds, round(length / seconds))
     return {round(t): state.surface_k for t, state in run}
 
 
 @cache
 def answer_error(angle):
-    """Largest error of the scheme's answer to a wave of given phase per step, over all time constants [1].
+    """Largest error of the scheme's response to a wave of given phase per step, over all time constants [1].
 
-    dy/dt = (u − y)/τ with u = exp(iωt), in the periodic state, beside 1/(1 + iωτ).
+    dy/dt = (u − y)/τ with u = exp(iωt), in the periodic state, against 1/(1 + iωτ).
     """
-    gamma = 1.0 - 0.5**0.5  # of the scheme, written here anew
+    gamma = 1.0 - 0.5**0.5  # of the scheme, derived here again
     ahead, rate = (1.0 - gamma) / gamma, np.geomspace(1e-4, 1e5, 4000)
     solve = 1.0 / (1.0 + gamma * rate)
     first, second = np.exp(1j * gamma * angle), np.exp(1j * angle)
@@ -140,28 +140,28 @@ for _name in MATERIALS:
 def jump(step):
     """One step after a jump; the scheme's decay differs from exp(−Δt/τ) by 0.2074 of the jump at most, at Δt = 8 τ.
 
-    Of an isolated mode (1 + (1 − 2γ) z)/(1 − γ z)² stands for exp(z); later steps forget it with its square.
+    For an isolated mode (1 + (1 − 2γ) z)/(1 − γ z)² replaces exp(z); later steps forget it with its square.
     """
     seconds = STEPS[step]
     ground = column([layered([Slab(0.0005, 50.0, 3.9e6)], film=25.0)])
     begin = balance.at_rest(np, [np.array([288.0])] * len(ground.capacity), ground)
-    *_, (_, begin) = march(ground, lambda t: air(), begin, 0.0, 3600.0, 48)
+    *_, (_, begin) = simulate(ground, lambda t: air(), begin, 0.0, 3600.0, 48)
     after = air(air_k=318.0, below_k=318.0)
-    *_, (_, found) = march(ground, lambda t: after, begin, 0.0, seconds, 1)
-    *_, (_, exact) = march(ground, lambda t: after, begin, 0.0, seconds / 200.0, 200)
+    *_, (_, found) = simulate(ground, lambda t: after, begin, 0.0, seconds, 1)
+    *_, (_, exact) = simulate(ground, lambda t: after, begin, 0.0, seconds / 200.0, 200)
     return Found(float(found.surface_k[0]), float(exact.surface_k[0]), 0.2074 * 30.0)
 
 
 @case("heat", "metal sheet, one hour after that jump, steps of 15 min")
 def after_jump():
-    """Four steps leave 0.2074⁴ of the jump at most."""
+    """After four steps at most 0.2074⁴ of the jump remains."""
     ground = column([layered([Slab(0.0005, 50.0, 3.9e6)], film=25.0)])
     begin = balance.at_rest(np, [np.array([288.0])] * len(ground.capacity), ground)
-    *_, (_, begin) = march(ground, lambda t: air(), begin, 0.0, 3600.0, 48)
+    *_, (_, begin) = simulate(ground, lambda t: air(), begin, 0.0, 3600.0, 48)
     after = air(air_k=318.0, below_k=318.0)
     ends = []
     for count in (4, 600):
-        *_, (_, state) = march(ground, lambda t: after, begin, 0.0, 3600.0 / count, count)
+        *_, (_, state) = simulate(ground, lambda t: after, begin, 0.0, 3600.0 / count, count)
         ends.append(float(state.surface_k[0]))
     return Found(*ends, 0.2074**4 * 30.0 + NEWTON_K)
 
@@ -177,19 +177,19 @@ CLIMATES = {
 
 @case("heat", "{}, dry ground in balance", CLIMATES)
 def dry(climate):
-    """Three steps of 3 h beside the root of the surface's fluxes."""
+    """Three steps of 3 h against the root of the surface's fluxes."""
     return _balanced(air(**CLIMATES[climate]), resistance=1e9)
 
 
 @case("heat", "{}, wet ground in balance", CLIMATES)
 def wet(climate):
-    """The same of ground that evaporates freely, and takes dew or frost."""
+    """The same for ground that evaporates freely, with dew or frost."""
     return _balanced(air(**CLIMATES[climate]), resistance=0.0)
 
 
 @case("heat", "metal of emissivity 0.001, calm night")
 def bare_metal():
-    """Where a surface that hardly radiates ends: the balance of its fluxes [K]."""
+    """Final temperature of a surface that hardly radiates: the balance of its fluxes [K]."""
     return _balanced(air(wind_m_s=0.0), resistance=1e9, emissivity=1e-3)
 
 
@@ -211,13 +211,13 @@ def _balanced(act, **changed):
 
     exact = brentq(surplus, act.air_k - 60.0, act.air_k + 100.0, xtol=1e-9)
     begin = balance.at_rest(np, [np.array([act.air_k])] * len(ground.capacity), ground)
-    *_, (_, state) = march(ground, lambda t: act, begin, 0.0, 10800.0, 3)
+    *_, (_, state) = simulate(ground, lambda t: act, begin, 0.0, 10800.0, 3)
     return Found(float(state.surface_k[0]), exact, NEWTON_K)
 
 
 @case("heat", "energy of a day, as kelvin of a metre of soil")
 def energy():
-    """Heat that went in and heat that is there, of soil that freezes and thaws: what rounding leaves."""
+    """Heat supplied against heat stored, in soil that freezes and thaws: the remainder is rounding."""
     cut = layered([Slab(np.inf, 1.5, 2.2e6, 0.3)])
     water = [np.array([each]) for each in cut.water]
     ground = column([cut], water=water, room=water, resistance=100.0)

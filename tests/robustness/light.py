@@ -21,9 +21,9 @@ from thermorender.physics.planck import (
 )
 from thermorender.physics.surface import kinetic_temperature, reflected_radiance
 
-# Some ulp of radiance: what its integral may err by in the 64 terms of its sum.
+# Some ulp of radiance: the allowed error of its integral over the 64 terms of its sum.
 ROUNDING = 64.0 * np.finfo(float).eps
-# A line, the camera's band and nearly all there is [µm].
+# A line, the camera's band and nearly the whole spectrum [µm].
 _WHOLE = (1e-3, 10.0), (10.0, 1e7)
 _LAWS = [(kelvin, band) for kelvin in (2.0, 10.0, 100.0, 300.0, 3000.0, 1e4)
          for band in ((10.0, 10.000001), BAND_UM, (1e-3, 1e7))] + [(1.0, (1e-3, 1e7))]  # fmt: skip
@@ -35,7 +35,7 @@ def _kelvin(radiance):
 
 @case("light", "Planck's law and back, {0[0]:g} K, {0[1][0]:g} to {0[1][1]:.8g} µm", _LAWS)
 def there_and_back(law):
-    """An error of radiance δL/L is one of T δL / (dL/dT), here for its rounding."""
+    """An error of radiance δL/L gives T δL / (dL/dT); δL here is its rounding."""
     kelvin, band = law
     radiance = band_radiance(kelvin, *band)
     allowed = (np.spacing(radiance) + ROUNDING * radiance) / band_radiance_derivative(kelvin, *band)
@@ -44,7 +44,7 @@ def there_and_back(law):
 
 @case("light", "Planck's law and back, 1 K in the camera's band, whose radiance float64 does not hold")
 def too_faint():
-    """0, and back 0 K; allowed is the temperature of the least number there is."""
+    """0, and inverted 0 K; the tolerance is the temperature of the smallest float."""
     return Found(brightness_temperature(band_radiance(1.0, *BAND_UM), *BAND_UM), 1.0, _kelvin(5e-324))
 
 
@@ -58,9 +58,9 @@ def single_precision(kelvin):
 
 @case("light", "blackbody of a radiance of {:.0e} W m⁻² sr⁻¹, and back", (0.0, 1e-320, 1e-300, 1.0, 1e300))
 def any_radiance(radiance):
-    """Error of radiance, as kelvin. Allowed is its ulp, 64 ulp of the logarithm it is inverted by, and that of e⁻ˣ.
+    """Error of radiance, as kelvin. The tolerance is its ulp, 64 ulp of the inversion's logarithm, and that of e⁻ˣ.
 
-    Of 1e-320 there are 2000 ulp, and of its e⁻ˣ 400.
+    For 1e-320 that is 2000 ulp, and 400 of its e⁻ˣ.
     """
     kelvin = brightness_temperature(radiance, *BAND_UM)
     if not radiance:
@@ -73,9 +73,9 @@ def any_radiance(radiance):
 
 @case("light", "a band of 1 pm against the line in its middle, {:g} K", (3.0, 300.0, 10000.0))
 def line(kelvin):
-    """Its radiance is the line's times its width: nothing cancels. With x = c₂/(λT) e⁻ˣ errs by x ulp, and bends.
+    """Its radiance is the line's times its width: nothing cancels. With x = c₂/(λT), e⁻ˣ has x ulp error, and curves.
 
-    The mean over a width of w is off by (x w/λ)²/24.
+    The mean over a width w is off by (x w/λ)²/24.
     """
     band = 10.0, 10.0 + 1e-6
     middle, width = 0.5 * (band[0] + band[1]), band[1] - band[0]
@@ -88,7 +88,7 @@ def line(kelvin):
 
 @case("light", "all wavelengths against Stefan and Boltzmann, {:g} K", (1.0, 10.0, 300.0, 10000.0))
 def whole_spectrum(kelvin):
-    """π L = σ T⁴, to a part in 10⁹: what lies beyond 1 nm and 10 m."""
+    """π L = σ T⁴, to a part in 10⁹: the light beyond 1 nm and 10 m."""
     total = sum(band_radiance(kelvin, *band) for band in _WHOLE)
     return Found(float((np.pi * total / STEFAN_BOLTZMANN) ** 0.25), kelvin, 0.25e-9 * kelvin)
 
@@ -102,7 +102,7 @@ def whole_slope(kelvin):
 
 @case("light", "kinetic temperature behind a reflected sky, emissivity {:g}", (0.98, 0.5, 0.2))
 def inversion(emissivity):
-    """A grey surface of 300 K under a sky of 250 K; the table's inverse is held to 1 mK of radiance."""
+    """A grey surface of 300 K under a sky of 250 K; the table's inverse is accurate to 1 mK of radiance."""
 
     def same(wavelength_um):
         return np.full(np.shape(wavelength_um), emissivity)
@@ -113,13 +113,13 @@ def inversion(emissivity):
 
 @case("light", "level ground of 300 K under a sky of 255 K, emissivity {:g}", (0.0, 1e-6, 1e-3, 0.5, 1.0))
 def plane(emissivity):
-    """ε B(T) + (1 − ε) B(T_sky), the solver asked for a millikelvin; in single precision."""
+    """ε B(T) + (1 − ε) B(T_sky); the solver's tolerance is 1 mK; in single precision."""
     return _plane(grey("ground", emissivity), emissivity)
 
 
 @case("light", "level ground of 300 K under a sky of 255 K, a quarter a mirror's emissivity of 0, the rest black")
 def mixture():
-    """A mix is as its mean emissivity by area."""
+    """A mix has its mean emissivity by area."""
     return _plane(mix([(grey("dark", 1.0), 0.75), (grey("bright", 0.0), 0.25)]), 0.75)
 
 
@@ -140,7 +140,7 @@ def _plane(material, emissivity):
 
 @case("light", "closed cavity of 300 K, emissivity {:g}", (0.9, 0.1, 0.001, 1e-6))
 def closed(emissivity):
-    """A wall of any emissivity looks black; the solver is asked for 1 mK, where 0.001 needs thousands of bounces."""
+    """A wall of any emissivity looks black; the solver's tolerance is 1 mK; 0.001 takes thousands of bounces."""
     from validation.cavity import measure
 
     return Found(300.0 + 1e-3 * measure("closed", 0.0, emissivity, 16, "cpu")["error_mk"], 300.0, 1e-3)
@@ -148,7 +148,7 @@ def closed(emissivity):
 
 @case("light", "closed cavity of emissivity 0 is refused")
 def closed_mirror():
-    """It has no temperature of its own to be seen."""
+    """The mirror's own temperature is not visible."""
     from validation.cavity import measure
 
     with np.errstate(invalid="ignore"):
@@ -158,9 +158,9 @@ def closed_mirror():
 @case("light", "cavity with {0[0]:g} of its wall open to 250 K, emissivity {0[1]:g}",
       list(product((0.1, 1e-3), (0.9, 0.1, 0.001))))  # fmt: skip
 def open_cavity(setting):
-    """Closed form of the sphere; four standard errors of the share s that the rays of all faces see open.
+    """Closed form of the sphere; four standard errors of the open share s that the rays of all faces estimate.
 
-    With emissivity ε and N rays s errs by √(s(1−s)/N), the radiance by its slope in s times that; a millikelvin more
+    With emissivity ε and N rays s has an error of √(s(1−s)/N), the radiance its slope in s times that; plus 1 mK
     for the solver.
     """
     from validation.cavity import measure
@@ -181,7 +181,7 @@ def open_cavity(setting):
 
 @case("light", "cavity of 3000 K and emissivity 0.5, closed by a black wall of 100 K: {}", ("the wall", "the cavity"))
 def fire_and_ice(which):
-    """The wall is black and shows none of the cavity's light, a million times its own; the cavity lacks what it takes.
+    """The wall is black and shows none of the cavity's light, a million times its own; the cavity loses that light.
 
     x = ((1−s) ε B₁ + s B₂) / (1 − (1−ε)(1−s)) of a sphere; four standard errors of s, and an ulp of single precision.
     """
@@ -219,9 +219,9 @@ def fire_and_ice(which):
 
 @case("light", "terrain {:g} km from the origin, straight down", (5.0, 50.0))
 def far_away(kilometres):
-    """Black ground beside the same at the origin, RMS of a frame.
+    """Black ground compared with the same at the origin, RMS of a frame.
 
-    Single precision moves camera and hits by an ulp each: two of them over a texel, times the contrast of neighbours.
+    Single precision moves camera and hits by an ulp each: two ulp over a texel, times the contrast of neighbours.
     """
     from thermorender.render.renderer import Renderer
     from thermorender.trajectory.path import pose

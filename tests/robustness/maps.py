@@ -1,7 +1,7 @@
-"""Stability of learned maps: colours that none was trained on, noise, fits that colours do not settle, odd pictures in
-a training, one that explodes, and one that is killed or finds the disk full.
+"""Stability of learned maps: unseen colours, noise, fits that colours do not determine, unusual training pictures,
+a training that explodes, and one that is killed or runs out of disk.
 
-Networks are narrow here and trained for seconds; what is judged is that numbers stay finite and nothing is lost.
+Networks are narrow here and trained for seconds; the criteria are finite numbers and no lost data.
 """
 
 import tempfile
@@ -20,7 +20,7 @@ from thermorender.physics.planck import brightness_temperature
 
 COLOURS = {"black": (0, 0, 0), "white": (255, 255, 255), "grey": (128, 128, 128), "saturated magenta": (255, 0, 255),
            "one channel": (0, 0, 255)}  # fmt: skip
-# Thermal values are hundredths of a kelvin; of intensity 0…1, 280 K to 300 K.
+# Thermal values are hundredths of a kelvin; intensities 0…1 have a range of 280 K to 300 K.
 _KELVIN = np.arange(40000) / 100.0
 _COLD, _WARM = 280.0, 300.0
 _NETWORKS = ("unet-classes", "unet", "unet-gan", "pix2pix", "pix2pixhd", "cyclegan", "compact")
@@ -65,10 +65,10 @@ def kelvin(model, rgb):
 
 @case("maps", "{}: every colour gives a temperature, most [K above 290]", _NETWORKS)
 def every_colour(method):
-    """Of no network may a colour that it never saw become no number, or a temperature no ground has."""
+    """An unseen colour may not give any network NaN, or a temperature that no ground has."""
     model = trained(method)
     found = [kelvin(model, np.full((64, 64, 3), colour, np.uint8)) for colour in COLOURS.values()]
-    # Trained for seconds, it may be anywhere about its range; an explosion is not.
+    # After seconds of training, it may be anywhere around its range; an explosion is not allowed.
     return Found(float(np.abs(np.array(found) - 290.0).max()), 0.0, 200.0)
 
 
@@ -77,18 +77,18 @@ def shipped(name):
     model = load_model(f"procedural-{name}")
     noise = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
     found = [kelvin(model, noise), *(kelvin(model, np.full((9, 9, 3), each, np.uint8)) for each in COLOURS.values())]
-    # Both give means of what they were trained on, which was no colder than −62 °C and no hotter than 80 °C.
+    # Both return means of their training data, which were no colder than −62 °C and no hotter than 80 °C.
     return Found(max(float(np.abs(each - 290.0).max()) for each in found), 0.0, 80.0)
 
 
 @case("maps", "published 9-to-1 on white noise: deviation is the kernel's gain times the picture's [K]")
 def gain_of_noise():
-    """Σ of its squared coefficients is 4.3², so noise of the photograph leaves it 4.3 times as strong."""
+    """Σ of its squared coefficients is 4.3², so the photograph's noise is 4.3 times as strong in the result."""
     noise = np.random.default_rng(1).integers(0, 256, (600, 600, 3), np.uint8)
     model = load_model(TEMPERATURE_MAPS[1])
     intensity = model.intensity(model.radiance(Inputs(noise, model.texel_m)))[1:-1, 1:-1]
     gain = float(np.sqrt((PUBLISHED_9TO1.kernel**2).sum()))
-    # Of uniform values 0…255 over 255; 360 000 of them tell a deviation to 0.2 %, neighbours sharing taps to 0.6 %.
+    # Of uniform values 0…255 over 255; 360 000 of them give the deviation to 0.2 %, neighbours share taps: to 0.6 %.
     expected = 10.0 * gain * np.sqrt((256.0**2 - 1.0) / 12.0) / 255.0
     return Found(float(10.0 * intensity.std()), expected, 0.02 * expected)
 
@@ -105,7 +105,7 @@ def grey_fit(size):
     fitted = fit_correlation(job, size)
     found = _COLD + (_WARM - _COLD) * fitted.predict(grey[0].inputs, 0.2)
     true = _KELVIN[grey[0].values]
-    # A rounded value is half a hundredth off, the penalty less.
+    # A rounded value is half a hundredth off, the penalty's effect is smaller.
     return Found(float(np.abs(found - true)[2:-2, 2:-2].max()), 0.0, 0.02)
 
 
@@ -118,7 +118,7 @@ def odd_pictures(method):
     for number, level in enumerate((0, 255, 128)):
         odd[number] = replace(odd[number], inputs=Inputs(np.full((64, 64, 3), level, np.uint8), 0.2))
     odd[4] = replace(odd[4], valid=np.zeros((64, 64), bool))
-    # Values that stand for no temperature, such as a radiance below zero.
+    # Values without a temperature, such as a radiance below zero.
     table = _KELVIN.copy()
     odd[5] = replace(odd[5], values=np.full((64, 64), 7, np.uint16))
     table[7] = np.nan
@@ -149,7 +149,7 @@ def explodes():
 
 
 class _Cut(BaseException):
-    """The end of a process."""
+    """Stands in for the end of a process."""
 
 
 @case("maps", "a training that ends at {} and is resumed: weights that differ", ("its third step", "a full disk"))
@@ -158,7 +158,7 @@ def resumed(end):
 
     calls, original = iter(range(1, 100)), checkpoint.save_file
 
-    def told(what, share):
+    def stop(what, share):
         if end == "its third step" and next(calls) == 3:
             raise _Cut
 
@@ -172,7 +172,7 @@ def resumed(end):
         whole = loop.train_network(task("compact", pictures(), run=Path(folder) / "whole"), "compact")
         checkpoint.save_file = full
         try:
-            loop.train_network(replace(task("compact", pictures(), run=Path(folder) / "cut"), progress=told), "compact")
+            loop.train_network(replace(task("compact", pictures(), run=Path(folder) / "cut"), progress=stop), "compact")
         except _Cut:
             pass
         finally:

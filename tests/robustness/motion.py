@@ -1,7 +1,7 @@
-"""Stability of pixels that remember: views that turn, things that move and blink, any time constant and frame time.
+"""Stability of pixels with memory: views that turn, objects that move and blink, any time constant and frame time.
 
-Radiance is a closed form of place and time here, and nothing is rendered. Allowed is what frames state of their lag,
-and what lies farther back than they remember.
+Radiance is a closed form of place and time here, and nothing is rendered. The tolerance is the frames' stated lag plus
+the light from before their memory begins.
 """
 
 from dataclasses import replace
@@ -25,7 +25,7 @@ _PACES = tuple(product((0.0, 0.1, 10.0, 1e4), (1.0, 30.0, 1000.0)))
 
 
 def _camera(time_constant_ms):
-    """A small camera without blur, fall-off or noise, whose rows are read at once."""
+    """A small camera without blur, fall-off or noise, whose rows are read simultaneously."""
     return replace(
         load_camera(defaults.CAMERA), width=80, height=64, time_constant_ms=time_constant_ms, row_time_us=0.0,
         ffc_interval_s=0.0, diffraction=False, blur_sigma_px=0.0, illumination_exponent=0.0, vignetting=0.0,
@@ -33,13 +33,13 @@ def _camera(time_constant_ms):
 
 
 def _places(camera, at):
-    """(east, north) of the ground that pixels' middles show from a pose, each (H, W) [m]."""
+    """(east, north) of the ground under pixel centres from a pose, each (H, W) [m]."""
     ray, depth = _rays(camera, at)
     return tuple(at[axis, 3] + depth * ray[..., axis] for axis in (0, 1))
 
 
 def _rays(camera, at):
-    """(Directions of pixels' middles from a pose, (H, W, 3), how many of them it is to level ground, (H, W))."""
+    """(Directions of pixel centres from a pose, (H, W, 3); distance to level ground in these units, (H, W))."""
     row, column = np.mgrid[: camera.height, : camera.width] + 0.5
     slope = camera.directions(np.stack([column, row], axis=-1))[..., :2]
     ray = np.concatenate([slope, np.ones((*column.shape, 1))], axis=-1) @ at[:3, :3].T
@@ -47,7 +47,7 @@ def _rays(camera, at):
 
 
 def _read(pace, warm, path, movers=()):
-    """(warmth above the ground that the last of some frames shows (H, W) [K], its stated lag [K], its time [s]).
+    """(warmth above the ground in the last of some frames (H, W) [K], its stated lag [K], its time [s]).
 
     `warm` is a function of east and north [m] and time [s], [K].
     """
@@ -67,7 +67,7 @@ def _read(pace, warm, path, movers=()):
 
 
 def _judged(found, expected, stated, rises, tau):
-    """RMS of a frame: what it states; the lag where memory begins, of what rises so fast [K/s] by up to 45 K; and an
+    """RMS of a frame: its stated lag; the lag where memory begins, for a rise at this rate [K/s] by up to 45 K; and an
     ulp of radiance at 290 K, 4e-6 K, at each of some instants."""
     forgotten = np.exp(-MEMORY) * min(rises * tau, 45.0)
     return Found(float(np.sqrt(np.mean((found - expected) ** 2))), 0.0, stated + forgotten + 1e-4)
@@ -93,14 +93,14 @@ def _still(t):
 
 
 def _ramp(since_s, lag_s):
-    """Response to a ramp that began since then, a (t − τ (1 − e^(−t/τ))) for a of 1."""
+    """Response to a ramp that began then, a (t − τ (1 − e^(−t/τ))) for a of 1."""
     past = np.maximum(since_s, 0.0)
     return past + lag_s * np.expm1(-past / lag_s) if lag_s else past
 
 
 @case("motion", "a plate 45 K warmer that crosses at 20 m/s, a pixel of {0[0]:g} ms in frames of {0[1]:g} ms", _PACES)
 def crossing(pace):
-    """Warm over 8 m, and less over 4 m before and behind: four ramps at each place, of 0.2 s each. It is there last."""
+    """Warm over 8 m, less over 4 m before and behind: four ramps at each place, 0.2 s each. The last frame shows it."""
     speed, last = 20.0, 1e-3 * pace[1] * (_FRAMES - 1)
 
     def warmth(east, north, t, lag_s=0.0):
@@ -120,7 +120,7 @@ def crossing(pace):
 
 @case("motion", "a plate that blinks by 45 K at 5 Hz, a pixel of {0[0]:g} ms in frames of {0[1]:g} ms", _PACES)
 def blinking(pace):
-    """Up and down evenly over 4 m, for 80 s: each bend begins a ramp. Steps that end at bends are exact."""
+    """Rises and falls linearly over 4 m, for 80 s: each bend starts a ramp. Steps that end at bends are exact."""
     bends = np.arange(-800, 40) * 0.1
     steps = np.where(np.arange(bends.size) % 2, -900.0, 900.0)
     steps[0] = 450.0

@@ -1,4 +1,4 @@
-"""Stability of pixels: what is far smaller than one, textures of one texel and of thousands along a side, °C as K."""
+"""Stability of pixels: objects far smaller than a pixel, textures of one texel and of thousands a side, °C as K."""
 
 import tempfile
 from pathlib import Path
@@ -20,12 +20,12 @@ from thermorender.units import ZERO_CELSIUS_K
 
 _GROUND_K = 290.0
 _ADD = f"add {ZERO_CELSIUS_K} to °C"
-# Three standard errors of 64 rays over the rectangle round a small thing, which fills two thirds of it, in its area.
+# Three standard errors of 64 rays over the rectangle around a small object, which fills two thirds of its area.
 _RAYS = 0.09
 
 
 def _shown(surfaces, up, second=None, **settings):
-    """(Renderer, pose) of black ground, and of things of a second material on it, from straight above under no sky."""
+    """(Renderer, pose) of black ground, with objects of a second material on it, from straight above without sky."""
     from thermorender.render.renderer import Renderer
     from thermorender.trajectory.path import pose
     from validation.made_scenes import in_memory
@@ -37,16 +37,16 @@ def _shown(surfaces, up, second=None, **settings):
 
 @case("pixels", "spot of 1000 K, {:g} of a pixel", (4e-4, 2e-6))
 def spot(share):
-    """From 500 m, and of a centimetre from 5 km: the pixel's radiance rises by its share of the difference."""
+    """From 500 m, and for a centimetre from 5 km: the pixel's radiance rises by its share of the difference."""
     from validation.budget.scenes import box, level
 
     side, up = {4e-4: (0.013, 500.0), 2e-6: (0.01, 5000.0)}[share]
     ground = level(1.2 * up, np.zeros((1, 1), int), np.full((1, 1), _GROUND_K))
     paint = load_library()["paint_black"]
     pixel = up / 764.7
-    thing = box("thing", (0.3 * pixel, 0.4 * pixel), (side, side, 0.1 * side), 1000.0)
-    # The finest: at a rougher setting so little is not worth the rays.
-    renderer, pose = _shown([ground, thing], up, paint, edge_mk=1.0)
+    box_object = box("object", (0.3 * pixel, 0.4 * pixel), (side, side, 0.1 * side), 1000.0)
+    # The finest setting: at a coarser one so little light would not be worth the rays.
+    renderer, pose = _shown([ground, box_object], up, paint, edge_mk=1.0)
     image = renderer.radiance(pose)
     share = side**2 * (renderer.scene.camera.focal_length_px / (up - 0.1 * side)) ** 2
     dark = band_radiance(_GROUND_K, *BAND_UM)
@@ -59,10 +59,10 @@ def spot(share):
 
 @case("pixels", "texture of {:d} rows", (1, 16384))
 def texture(rows):
-    """Black ground of 250 and 350 K in turns, or of one of them: pixels show the mean of their radiance.
+    """Black ground alternating between 250 and 350 K, or of one of them: pixels show the mean of their radiance.
 
-    Some thousand pixels of the long one, with stripes across them, six in each: allowed is a hundredth of what these
-    differ by.
+    For some thousand pixels across the long one's stripes, six in each; the tolerance is a hundredth of the stripes'
+    difference.
     """
     from validation.budget.scenes import level
 
@@ -96,7 +96,7 @@ def hot_texel(up):
 @case("pixels", "-273 typed as {} is refused",
       ("temperature.value", "temperature.materials", "sky", "surroundings", "object"))  # fmt: skip
 def celsius(where):
-    """In one sentence, which tells what to add; 0 K is a sky's alone."""
+    """Refused in one sentence, which says what to add; only a sky may have 0 K."""
     wrong = dict.fromkeys(("value", "sky", "surroundings", "object"), 290.0) | {where.rpartition(".")[2]: -273.0}
     temperature = {"source": "constant", "value": wrong["value"]}
     if where == "temperature.materials":
@@ -116,7 +116,7 @@ def celsius(where):
 
 @case("pixels", "a raster of -273 is refused")
 def celsius_raster():
-    """As one of °C is that somebody took for kelvin."""
+    """Values like °C that were taken for kelvin."""
     from tests.robustness.geometry import land
 
     return refused(lambda: land(np.zeros((4, 4)), np.full((4, 4), -273.0), 1.0, (5e5, 5e6)), _ADD)
@@ -125,6 +125,6 @@ def celsius_raster():
 @case("pixels", "a constant image displayed by {}: how far apart its darkest and its brightest byte are",
       ("linear", "plateau", "local"))  # fmt: skip
 def constant(mode):
-    """Nothing is divided by a range of nothing; the counts are all the same, and so is what is shown."""
+    """No division by an empty range; all counts are equal, and so is the picture."""
     counts = np.full((64, 80), 7000, np.uint16)
     return Found(float(np.ptp(DisplaySettings(mode=mode).image(counts)[1].astype(float))), 0.0, 0.0)

@@ -1,7 +1,7 @@
-"""What single precision costs along the chain: each link beside the same in double precision, RMS.
+"""Cost of single precision along the chain: each link against the same in double precision, RMS.
 
-Rays are cast by Embree, which has no double precision; their twin meets the plane of the face that was hit. Allowed are
-some ulp: of metres and texels by what neighbouring texels differ, of radiance by its slope.
+Rays are cast by Embree, which has no double precision; the reference meets the plane of the hit face. The tolerance is
+a few ulp: metres and texels times the difference of neighbouring texels, radiance by its slope.
 """
 
 from types import SimpleNamespace
@@ -15,7 +15,7 @@ from thermorender.physics.planck import band_radiance, band_radiance_derivative,
 
 _SIDE_TEXELS = 400
 _SLOPE = float(band_radiance_derivative(300.0, *BAND_UM))
-# An ulp of radiance at 300 K is at most so much [K].
+# Largest ulp of radiance at 300 K [K].
 _ULP_K = float(np.finfo(np.float32).eps * band_radiance(300.0, *BAND_UM)) / _SLOPE
 
 
@@ -42,8 +42,8 @@ def _ground(side_m):
 
 
 def _read(up):
-    """What pixel centres over rough ground read, from straight above: (single precision, in double at the same points,
-    in double at points found in double), radiance; and the ulp allowed to points and to places on the map [K]."""
+    """Values at pixel centres over rough ground, from straight above: (single precision, in double at the same points,
+    in double at points found in double), radiance; and the ulp allowed for points and for places on the map [K]."""
     from thermorender.render.geometry import Channels, Geometry, opaque_view, view_ray
     from thermorender.render.pixels.sampling import CameraRays
     from thermorender.render.variant import activate
@@ -94,20 +94,20 @@ def _read(up):
 
 @case("precision", "rays and where they hit, from {:g} m", (30.0, 120.0, 1200.0, 10000.0))
 def rays(up):
-    """The ground is as large as the view, so that texels are a pixel wide from any height."""
+    """The ground is as large as the view, so texels are a pixel wide from any height."""
     _, there, exact, metres, texels = _read(up)
     return Found(_rms_k(there, exact), 0.0, metres + texels)
 
 
 @case("precision", "places on the map and texels read, from {:g} m", (30.0, 120.0, 1200.0, 10000.0))
 def look_up(up):
-    """In single precision from the gradients of the map on; a place errs by metres of the world, too."""
+    """In single precision from the gradients of the map on; a place has an error in world metres, too."""
     single, there, _, metres, texels = _read(up)
     return Found(_rms_k(single, there), 0.0, metres + texels + 4.0 * _ULP_K)
 
 
 def _lit():
-    """(Plan, scene, single and double precision of what texels emit)."""
+    """(Plan, scene, single and double precision of the texels' emission)."""
     from thermorender.render.light import texels
     from thermorender.render.plan import make_plan
     from validation.made_scenes import terrain
@@ -118,7 +118,7 @@ def _lit():
 
 @case("precision", "emission of texels")
 def emission():
-    """By table of temperature; the same table in double precision."""
+    """From a table of temperature; the reference is the same table in double precision."""
     plan, scene, texels = _lit()
     (surface,) = scene.surfaces
     material, temperature = surface.material.reshape(-1), surface.temperature.reshape(-1)
@@ -132,7 +132,7 @@ def emission():
 
 @case("precision", "light between surfaces, kept and reflected")
 def light():
-    """Nodes are solved in double precision and summed in single; half an ulp and one for each node of the sum."""
+    """Nodes are solved in double precision and summed in single; half an ulp plus one for each node of the sum."""
     from thermorender.render.geometry import Geometry
     from thermorender.render.light import environment, radiosity
     from thermorender.render.variant import activate
@@ -179,13 +179,13 @@ def air(up):
         view = Air(types, scene, plan.spectrum).view(np.array([0.0, 0.0, up]), box)
         channels = [types.Float(float(value)) for value in values]
         found.append(np.array(view.at_camera(hit, channels, origin, towards)[0], np.float64))
-    # Lengths stand on the grid to an ulp of their logarithm times its columns, which light changes little along.
+    # Grid lengths have an ulp of their logarithm times the columns, along which light changes little.
     return Found(_rms_k(*found), 0.0, 16.0 * _ULP_K)
 
 
 @case("precision", "optics and absorption of the sensor")
 def optics():
-    """Blur, irradiance and power; the blur adds up a hundred numbers, whose errors are independent."""
+    """Blur, irradiance and power; the blur adds a hundred numbers with independent errors."""
     from thermorender.sensor.chain import OPTICS, Sensor, in_sequence
 
     sensor = Sensor(_ground(100.0).camera, seed=0)
@@ -203,7 +203,7 @@ def optics():
 
 @case("precision", "pixels' memory over 10 000 frames of {:g} ms", (0.1, 16.7))
 def memory(frame_ms):
-    """Time constant of 10 ms; errors decay with it: those of some ulp in each of τ/Δt frames, and of the weights."""
+    """Time constant of 10 ms; errors decay with it: some ulp in each of τ/Δt frames, and those of the weights."""
     from thermorender.sensor.detector import advanced, response_weights, steady
 
     tau_s, step_s, rng = 0.010, 1e-3 * frame_ms, np.random.default_rng(0)
@@ -219,7 +219,7 @@ def memory(frame_ms):
 
 @case("precision", "apparent temperature, 200 … 1000 K")
 def apparent():
-    """By table, from radiance to kelvin in single precision; the table errs by less than 0.1 mK."""
+    """From a table, from radiance to kelvin in single precision; the table's error is below 0.1 mK."""
     from thermorender.frame import apparent_temperature
 
     kelvin = np.linspace(200.0, 1000.0, 10_001)

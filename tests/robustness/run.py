@@ -1,6 +1,6 @@
-"""Cases at the edges, each with its expected value, its tolerance in kelvin and a verdict.
+"""Cases at the limits, each with expected value, tolerance in kelvin and a verdict.
 
-A study adds its own with `cases.case` in a module of this folder, which is named in `_GROUPS`.
+A study adds its cases with `cases.case` in a module of this folder, which is listed in `_GROUPS`.
 """
 
 import time
@@ -32,7 +32,7 @@ _FORMS = (("expected_k", "{:.6g}"), ("found_k", "{:.6g}"), ("error_k", "{:.1e}")
 
 
 def run(groups=(), progress=None):
-    """Return what every case, or those of some groups, finds; plain numbers.
+    """Return the results of every case, or of some groups; plain numbers.
 
     Parameters
     ----------
@@ -45,8 +45,8 @@ def run(groups=(), progress=None):
     -------
     dict
         machine, versions, seconds, failed (how many), and cases: [{group, name, expected_k, found_k, error_k,
-        tolerance_k, passed, seconds, raised}]. A case that raises an error has failed, with numbers that are None and
-        the error's words in `raised`; elsewhere that is None.
+        tolerance_k, passed, seconds, raised}]. A case that raises an error has failed: its numbers are None, and
+        `raised` is the error's message; otherwise `raised` is None.
 
     Raises
     ------
@@ -57,13 +57,13 @@ def run(groups=(), progress=None):
     for group in groups:
         if group not in known:
             raise ThermorenderError(f"group {group!r} is unknown; give some of {', '.join(known)}")
-    tell = progress or (lambda what, share: None)
+    report = progress or (lambda what, share: None)
     chosen = [each for each in CASES if not groups or each[0] in groups]
     begin, cases = time.perf_counter(), []
     for number, (group, name, job) in enumerate(chosen):
-        tell(group, number / len(chosen))
+        report(group, number / len(chosen))
         cases.append({"group": group, "name": name, **judged(job)})
-    tell("measured", 1.0)
+    report("measured", 1.0)
     return {
         "machine": machine(), "versions": versions(), "seconds": time.perf_counter() - begin,
         "failed": sum(not case["passed"] for case in cases), "cases": cases,
@@ -71,11 +71,11 @@ def run(groups=(), progress=None):
 
 
 def judged(job):
-    """Return what a case found and whether that is allowed, as in the result of `run`."""
+    """Return a case's values and whether they are allowed, as in the result of `run`."""
     start, found, raised = time.perf_counter(), None, None
     try:
         found = job()
-    except Exception as error:  # whatever breaks is what the case is there to show
+    except Exception as error:  # a case exists to show whatever breaks
         raised = f"{type(error).__name__}: {error}"
     seconds = time.perf_counter() - start
     numbers = dict.fromkeys(("expected_k", "found_k", "error_k", "tolerance_k"))
@@ -104,9 +104,9 @@ def table(path, result):
     lines = [
         "# Stability",
         "",
-        f"{held} of {len(result['cases'])} cases hold, in {result['seconds']:.0f} s. A case holds where what it finds",
-        "differs from what is expected by no more than is allowed, in kelvin or in what its name says; each says in",
-        "its code where that comes from. Errors of steps are the largest of a day, and of some winds.",
+        f"{held} of {len(result['cases'])} cases hold, in {result['seconds']:.0f} s. A case holds if its value differs",
+        "from the expected one by at most the allowed error, in kelvin or in the unit in its name. The code of each",
+        "case derives the allowed error. Errors of steps are the largest of a day, and of some winds.",
     ]
     for group in dict.fromkeys(case["group"] for case in result["cases"]):
         lines += ["", f"## {group}", "", f"| {' | '.join(HEADER)} |", "|---" + "|--:" * 4 + "|---|--:|"]

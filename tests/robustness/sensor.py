@@ -1,4 +1,4 @@
-"""Stability of the sensor: scenes of no light and of far too much, and pixels that are read seldom."""
+"""Stability of the sensor: scenes without light and with far too much, and pixels that are read seldom."""
 
 from dataclasses import replace
 from itertools import product
@@ -20,7 +20,7 @@ _PACES = tuple(product((0.0, 1e-3, 1.0, 100.0, 1e4), (1.0, 30.0, 1000.0)))
 
 @case("sensor", "scene of {0[0]:g} K in {0[1]} gain: the end of the range is read", tuple(product((0.0, 1e4), _GAINS)))
 def beyond_the_range(scene):
-    """All pixels are cut off at the first or last count, whose temperature is the range's, to a count."""
+    """All pixels are clipped at the first or last count, whose temperature is the range's limit, to a count."""
     kelvin, gain = scene
     camera = replace(load_camera(defaults.CAMERA), gain=gain)
     image = np.full((camera.height, camera.width), band_radiance(kelvin, *camera.band_um), np.float32)
@@ -33,7 +33,7 @@ def beyond_the_range(scene):
 
 @case("sensor", "scene of 0 to 1e6 K in {} gain: counts never fall as it warms", _GAINS)
 def no_wrapping(gain):
-    """The largest fall of what is read from one pixel to a warmer one; 16 384 of them, none."""
+    """The largest fall of the reading from one pixel to a warmer one, over 16 384 pixels: none."""
     kelvin, camera = _warming(gain)
     seen = _read_k(sensor_of(camera, 0).counts_at_rest(band_radiance(kelvin, *camera.band_um)), camera)
     return Found(float(np.maximum(-np.diff(seen.ravel()), 0.0).max()), 0.0, 0.0)
@@ -55,17 +55,17 @@ def _read_k(counts, camera):
 
 
 def _warming(gain):
-    """Temperatures of 128 × 128 pixels, each warmer than the one before [K], and a camera without noise or blur."""
+    """Temperatures of 128 × 128 pixels, each warmer than the previous [K], and a camera without blur and noise."""
     plain = load_camera("ideal")
     camera = replace(plain, width=128, height=128, gain=gain, bits=14, range_c=(-25.0, 135.0), netd_mk=1e-6)
-    # Evenly within the widest range, and beyond it by orders of magnitude.
+    # Linear within the widest range, and beyond it by orders of magnitude.
     kelvin = np.concatenate([np.linspace(0.0, 900.0, 128 * 128 - 100), np.geomspace(910.0, 1e6, 100)])
     return kelvin.reshape(128, 128), camera
 
 
 @case("sensor", "step of 10 K, a pixel of {0[0]:g} ms read each {0[1]:g} ms", _PACES)
 def step(pace):
-    """10 (1 − exp(−t/τ)) after fifty frames, whatever the time constant; each rounds by 2⁻²³ of it at most."""
+    """10 (1 − exp(−t/τ)) after fifty frames, for any time constant; each rounds by 2⁻²³ of it at most."""
     tau, span = (1e-3 * each for each in pace)
     state = steady(0.0, np.zeros((2, 2), np.float32))
     for number in range(1, 51):
@@ -76,10 +76,10 @@ def step(pace):
 
 @case("sensor", "heat of a step from 10 to 15 K, a pixel of {0[0]:g} ms in {0[1]:g} ms", _PACES)
 def heat(pace):
-    """What comes in is sent out again or kept: ∫P dt = ∫S dt + τ (S₁ − S₀), per second of the step.
+    """Incoming heat is sent out or stored: ∫P dt = ∫S dt + τ (S₁ − S₀), per second of the step.
 
-    S is integrated by Gauss' rule over spans of time constants, to the last bits: some 2⁻⁵², and τ/t times it of what
-    is kept.
+    S is integrated by Gauss' rule over spans of time constants, to the last bits: some 2⁻⁵², and τ/t times that for the
+    stored part.
     """
     tau, span = (1e-3 * each for each in pace)
     ends = np.unique(np.minimum(np.append(tau * np.arange(0.0, 41.0, 2.0), span), span))
@@ -100,7 +100,7 @@ def heat(pace):
 
 @case("sensor", "power that rises by 10 K per second, a pixel of {:g} ms read at 9 Hz", (10.0, 1000.0))
 def ramp(milliseconds):
-    """10 (t − τ (1 − exp(−t/τ))), exact in any step."""
+    """10 (t − τ (1 − exp(−t/τ))), exact for any step."""
     tau, state = 1e-3 * milliseconds, steady(0.0, np.zeros((2, 2)))
     for number in range(1, 10):
         state = advanced(state, number / 9.0, np.full((2, 2), 10.0 * number / 9.0), tau)
@@ -109,5 +109,5 @@ def ramp(milliseconds):
 
 @case("sensor", "weights of a time step of {:g} time constants", (1e-12, 1e-6, 1.0, 1e3, 1e9))
 def weights(share):
-    """They add up to one, so that a steady 300 K stays there."""
+    """They add up to one, so a steady 300 K stays."""
     return Found(300.0 * float(sum(response_weights(share, 1.0))), 300.0, 300.0 * 16.0 * np.finfo(float).eps)

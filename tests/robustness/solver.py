@@ -1,6 +1,6 @@
-"""Stability of the light solver: surfaces that reflect nearly all, its bound, what it refuses; and errors for run time.
+"""Stability of the light solver: nearly perfect reflectors, its bound, its refusals; and errors against run time.
 
-A random closed system stands for surfaces of which each sees 64 others, with light that is known beforehand.
+A random closed system models surfaces that each see 64 others, with known light.
 """
 
 from dataclasses import replace
@@ -21,7 +21,7 @@ _PER_K = float(band_radiance_derivative(300.0, *BAND_UM))
 
 @cache
 def closed():
-    """A Transport of faces that see each other alone, and none the sky."""
+    """A Transport of faces that see only each other, and no sky."""
     random = np.random.Generator(np.random.Philox(0))
     rows = [np.unique(random.integers(0, _FACES, _RAYS), return_counts=True) for _ in range(2 * _FACES)]
     start = np.concatenate([[0], np.cumsum([len(seen) for seen, _ in rows])])
@@ -34,9 +34,9 @@ def closed():
 
 @cache
 def known(emissivity):
-    """(light of 250 to 350 K on the faces (F, 1), reflectance (F, 1), the Environment that makes it).
+    """(light of 250 to 350 K on the faces (F, 1), reflectance (F, 1), the Environment that produces it).
 
-    Light x stands first; what must come from outside for it, x − K ρ x, in extended precision.
+    Light x is chosen first; then the external light it requires, x − K ρ x, in extended precision.
     """
     operator, random = closed().operator, np.random.Generator(np.random.Philox(1))
     exact = band_radiance(random.uniform(250.0, 350.0, (_FACES, 1)), *BAND_UM)
@@ -48,7 +48,7 @@ def known(emissivity):
 
 
 def solved(emissivity, tolerance_k):
-    """(largest error [K], bound [K]) of light that is known, solved to a tolerance [K]."""
+    """(largest error [K], bound [K]) of known light, solved to a tolerance [K]."""
     exact, rho, outside = known(emissivity)
     found, bound = radiosity.solve(closed(), np.zeros((_FACES, 1)), rho, outside, tolerance_k * _PER_K)
     return float(np.abs(found - exact).max()) / _PER_K, float(bound.max()) / _PER_K
@@ -56,7 +56,7 @@ def solved(emissivity, tolerance_k):
 
 @case("solver", "closed system, emissivity {:g}: its error by its bound", (0.5, 0.1, 1e-3, 1e-5, 1e-6))
 def bound(emissivity):
-    """‖(1 − K ρ)⁻¹‖∞ is 1/ε: up to a million. Allowed is the bound, and that times an ulp of what comes in."""
+    """‖(1 − K ρ)⁻¹‖∞ is 1/ε: up to a million. Allowed is the bound, plus that times an ulp of the incoming light."""
     error, stated = solved(emissivity, 1e-3)
     ulp = np.finfo(float).eps * band_radiance(350.0, *BAND_UM) / _PER_K
     return Found(error, 0.0, stated + ulp / emissivity)
@@ -64,7 +64,7 @@ def bound(emissivity):
 
 @case("solver", "closed system, emissivity {:g}: its bound by the millikelvin asked for", (0.5, 1e-3, 1e-6))
 def reached(emissivity):
-    """What it claims is what was asked."""
+    """The stated error is the requested tolerance."""
     return Found(solved(emissivity, 1e-3)[1], 0.0, 1e-3)
 
 
@@ -75,12 +75,12 @@ def refusal(which):
     return refused(lambda: solved(*asked[:2]), asked[2])
 
 
-# --- error for run time: the time beside each is that of the setting; the first of a kind prepares the others --
+# --- error against run time: each time is that of the setting; the first of a kind prepares the others ----------
 
 
 @case("solver", "closed system, emissivity 0.01, solved to {:g} K", (10.0, 1.0, 0.1, 1e-2, 1e-3, 1e-6, 1e-9))
 def tolerance(asked_k):
-    """Each asks for no more than that."""
+    """The error is not above the requested tolerance."""
     return Found(solved(0.01, asked_k)[0], 0.0, asked_k)
 
 
@@ -90,7 +90,7 @@ def rays_per_face(rays):
     from validation.cavity import measure
 
     black, sky = band_radiance(np.array([300.0, 250.0]), *BAND_UM)
-    # x = (1−s) (ε B + ρ x) + s S: its slope in s, of one face's rays, with x as it is.
+    # x = (1−s) (ε B + ρ x) + s S: its slope in s, for one face's rays, at constant x.
     received = (0.25 * black + 0.5 * sky) / 0.75
     noise = 0.5 * abs(0.5 * (black + received) - sky) * np.sqrt(0.25 / rays) / _PER_K
     return Found(1e-3 * measure("bowl", 0.5, 0.5, rays, "cpu")["error_mk"], 0.0, 4.0 * float(noise) + 1e-3)

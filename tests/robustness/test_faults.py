@@ -1,4 +1,4 @@
-"""Faults from outside: the cases hold, each can fail, and what they found stays mended."""
+"""Faults from outside: the cases hold, each can fail, and the faults they found stay fixed."""
 
 import errno
 import os
@@ -17,10 +17,10 @@ from thermorender.errors import ThermorenderError
 from thermorender.learned.networks import checkpoint
 from thermorender.output.video import write_video
 
-# Marched flights and trainings take longer; the network's own tests kill one of these, too. Fewer frames of things than
-# a thousand tell of what is made once, not of what grows; what made it grow is in test_flight.py.
+# Simulated flights and trainings take longer; the network's own tests kill one of these, too. Fewer frames than a
+# thousand show growth from what is created once, not per frame; that fault is tested in test_flight.py.
 SLOW = ("heat killed", "training killed", "1000 small frames")
-# What is timed is for a quiet machine.
+# Timed cases need a quiet machine.
 CASES = {
     name: job
     for group, name, job in cases.CASES
@@ -39,7 +39,7 @@ def _fewer_kills():
         each.cache_clear()
 
 
-# What takes many processes, one after the other, or hundreds of frames.
+# Cases with many processes, one after the other, or hundreds of frames.
 LONG = (
     "killed at random", "two flights", "full at each", "clock goes", "is killed: neither", "kernels on disk", "growth"
 )  # fmt: skip
@@ -52,16 +52,16 @@ LONG = (
         *slow(*(name for name in CASES if any(words in name for words in LONG))),
     ],
 )
-def test_it_holds(name, capfd):
+def test_cases_of_faults_hold(name, capfd):
     found = stability.judged(CASES[name])
     assert found["passed"], found
 
 
-def test_files_that_differ_or_lack_are_counted():
+def test_different_and_missing_files_are_counted():
     assert faults.differing({"a": b"1", "b": b"2", "c": b"3"}, {"a": b"1", "b": b"x", "d": b"4"}) == 3
 
 
-def test_a_disk_that_fails_when_it_syncs_is_told(tmp_path, monkeypatch):
+def test_a_disk_that_fails_at_sync_is_reported(tmp_path, monkeypatch):
     def full(handle):
         raise OSError(code, os.strerror(code))
 
@@ -86,7 +86,7 @@ with files.atomic_folder(Path(sys.argv[1]), overwrite=True) as part:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
-def test_what_a_killed_process_left_of_a_folder_goes_and_that_of_a_living_one_stays(tmp_path):
+def test_partial_folders_of_killed_processes_are_removed_and_those_of_living_ones_kept(tmp_path):
     target = tmp_path / "a"
     dead = subprocess.Popen([sys.executable, "-c", DYING, target], stdout=subprocess.PIPE)
     assert dead.stdout.readline() == b"writing\n"
@@ -105,7 +105,7 @@ def test_what_a_killed_process_left_of_a_folder_goes_and_that_of_a_living_one_st
 
 def test_a_flight_killed_at_its_first_files_leaves_nothing(tmp_path, monkeypatch):
     crash_targets.write_scene(tmp_path / "scene")
-    # Before its folder is tried to the end, and while its first file is written.
+    # Before its folder is fully tested, and while its first file is written.
     with monkeypatch.context() as killed:
         killed.setattr(files, "_remove", lambda path: None)
         files.make_folder(tmp_path / "work" / "out")
@@ -115,13 +115,13 @@ def test_a_flight_killed_at_its_first_files_leaves_nothing(tmp_path, monkeypatch
     assert not [path.name for path in (tmp_path / "work" / "out").iterdir() if path.name.startswith(".")]
 
 
-def test_a_second_process_is_kept_out_of_a_study_that_goes_on(tmp_path, call_module):
+def test_a_second_process_is_kept_out_of_a_running_study(tmp_path, call_module):
     with files.in_use(tmp_path):
         status, _, errors = call_module("validation.budget", "-o", tmp_path)
     assert status == 2 and "is being written by another process" in errors
 
 
-def test_a_translation_cut_short_is_made_anew(tmp_path, call):
+def test_a_truncated_translation_is_made_again(tmp_path, call):
     formats.write_image(tmp_path / "in.png", np.random.default_rng(0).integers(0, 255, (40, 50, 3)).astype(np.uint8))
     arguments = ("translate", "fok-1to1", tmp_path / "in.png", "-o", tmp_path / "out")
     assert call(*arguments)[0] == 0
@@ -129,11 +129,11 @@ def test_a_translation_cut_short_is_made_anew(tmp_path, call):
     (tmp_path / "out" / "in.tif").write_bytes(whole[:100])
     assert call(*arguments, "--resume")[0] == 0
     assert (tmp_path / "out" / "in.tif").read_bytes() == whole
-    # Once in the list, too.
+    # Only once in the list, too.
     assert len((tmp_path / "out" / "translated.jsonl").read_text().splitlines()) == 1
 
 
-def test_a_frame_of_a_translated_video_cut_short_is_made_anew(tmp_path, call):
+def test_a_truncated_frame_of_a_translated_video_is_made_again(tmp_path, call):
     write_video(tmp_path / "in.mp4", crash_targets.images(tmp_path), 8.0)
     arguments = ("translate", "fok-1to1", tmp_path / "in.mp4", "-o", tmp_path / "out", "--frames")
     assert call(*arguments)[0] == 0

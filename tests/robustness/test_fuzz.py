@@ -1,4 +1,4 @@
-"""Readers under damaged files; and that what must be found there is found."""
+"""Readers of damaged files, and checks that the fuzzer finds known faults."""
 
 import warnings
 
@@ -13,7 +13,7 @@ COUNT = 100
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_the_whole_file_is_read(name, tmp_path):
+def test_the_undamaged_file_is_read(name, tmp_path):
     reader = READERS[name]
     reader.make(tmp_path)
     assert not list(fuzz._infinite(reader.read(tmp_path / reader.file)))
@@ -21,7 +21,7 @@ def test_the_whole_file_is_read(name, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", fuzz.USES)
-def test_the_whole_file_is_used(name, tmp_path):
+def test_the_undamaged_file_is_used(name, tmp_path):
     reader = READERS[name]
     reader.make(tmp_path)
     found = fuzz.USES[name](tmp_path / reader.file)
@@ -34,17 +34,17 @@ def test_damaged_files_are_refused_in_a_sentence_or_read_as_finite():
     assert not faults, faults[:5]
     assert all(sum(of.values()) == COUNT for of in counts.values())
     assert sum(of["accepted"] > 0 for of in counts.values()) > 0.8 * len(counts)
-    # What goes on after damage may do all of it anew.
+    # A job that continues after damage may do all of it again.
     assert sum(of["refused"] > 0 for of in counts.values()) > 0.9 * len(counts)
 
 
 @pytest.mark.slow
-def test_what_is_read_is_used():
+def test_accepted_files_can_be_used():
     counts, faults = fuzz.run(COUNT, ["sounding", "mesh obj"], rendered=2)
     assert not faults and all(of["rendered"] >= 2 and of["accepted"] >= of["rendered"] for of in counts.values())
 
 
-# Of ten thousand each, those that once broke a reader (True: what used it); none may again.
+# Inputs out of ten thousand each that once broke a reader (True: its use); none may again.
 BROKE = [
     ("track", True, [106, 400, 459]),
     ("thermal properties", False, [2437]),
@@ -74,7 +74,7 @@ BROKE = [
 
 
 def judged(name, path):
-    """Read a file: what is accepted is finite, and what is not is refused in a sentence."""
+    """Read a file: an accepted file is finite, and a refused one is refused in a sentence."""
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
         try:
@@ -88,7 +88,7 @@ def judged(name, path):
 
 @pytest.mark.parametrize("name", READERS)
 def test_a_few_damaged_files_are_refused_in_a_sentence_or_read_as_finite(name, tmp_path):
-    """Without a process of their own: some of the many, and those that once broke this reader."""
+    """Without a separate process: some of the many inputs, and those that once broke this reader."""
     READERS[name].make(tmp_path)
     path = tmp_path / READERS[name].file
     whole = path.read_bytes()
@@ -99,13 +99,13 @@ def test_a_few_damaged_files_are_refused_in_a_sentence_or_read_as_finite(name, t
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "used", "numbers"), BROKE)
-def test_what_once_broke_a_reader_is_refused_or_read(name, used, numbers):
+def test_inputs_that_once_broke_a_reader_are_refused_or_read(name, used, numbers):
     job, limits = (fuzz.USES[name], fuzz.RENDERING) if used else (READERS[name].read, fuzz.READING)
     ends = fuzz._ends(name, job, numbers, 0, limits)
     assert {end.kind for end in ends} <= {"refused", "accepted"}, ends
 
 
-def test_an_input_can_be_made_again():
+def test_an_input_is_reproducible():
     whole = b"a = 1.5\nb = [2, 3]\n"
     found = [fuzz.damaged(whole, "camera", number) for number in range(200)]
     assert found == [fuzz.damaged(whole, "camera", number) for number in range(200)]

@@ -1,4 +1,4 @@
-"""Stability cases hold, and are told on one page."""
+"""Stability cases hold, and are written on one page."""
 
 import json
 
@@ -26,8 +26,8 @@ def test_all_but_heat_hold_and_are_written(tmp_path):
 
 
 @pytest.fixture
-def anew():
-    """Days that are kept for several cases are marched again, now and afterwards."""
+def fresh_caches():
+    """Days that several cases share are simulated again, now and afterwards."""
     kept = (heat.everything, heat.fine, heat.stepped, heat.answer_error)
     for each in kept:
         each.cache_clear()
@@ -37,7 +37,7 @@ def anew():
 
 
 def own_cases(*words, group="heat"):
-    """The cases of a group whose name holds one of some words, as {name: what `judged` tells}."""
+    """The cases of a group whose name contains one of some words, as {name: result of `judged`}."""
     return {
         name: stability.judged(job)
         for own, name, job in cases.CASES
@@ -46,7 +46,7 @@ def own_cases(*words, group="heat"):
 
 
 @pytest.mark.slow
-def test_heat_holds(anew):
+def test_heat_holds(fresh_caches):
     found = {name: stability.judged(job) for group, name, job in cases.CASES if group == "heat"}
     assert len(found) > 40 and [name for name, each in found.items() if not each["passed"]] == []
 
@@ -60,7 +60,7 @@ def raises():
     [(lambda: Found(300.0005, 300.0, 1e-3), True), (lambda: Found(300.002, 300.0, 1e-3), False),
      (lambda: Found(np.nan, 300.0, 1e-3), False), (lambda: Found(300.0, 300.0, np.inf), False), (raises, False)],
 )  # fmt: skip
-def test_verdicts(job, passed, tmp_path, monkeypatch, call_module):
+def test_verdicts_and_exit_status(job, passed, tmp_path, monkeypatch, call_module):
     monkeypatch.setattr(cases, "CASES", [("light", "made up", job)])
     monkeypatch.setattr(stability, "CASES", cases.CASES)
     status, output, _ = call_module("tests.robustness", "-o", tmp_path)

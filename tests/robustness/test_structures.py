@@ -1,7 +1,7 @@
-"""Readers under files of the right form with anything in them: documents whose values, keys and lists are exchanged,
-and tables of any cells. What Hypothesis finds to break a reader it makes as small as it can.
+"""Readers of well-formed files with arbitrary content: documents with exchanged values, keys and lists, and tables
+with arbitrary cells. Hypothesis shrinks an input that breaks a reader.
 
-Byte by byte damage is in test_fuzz.py.
+Damage byte by byte is in test_fuzz.py.
 """
 
 import json
@@ -39,7 +39,7 @@ def places(value, path=()):
 
 @st.composite
 def changed(draw, whole):
-    """The document with up to three of its values exchanged, left out, doubled or joined by another."""
+    """The document with up to three of its values exchanged, removed, doubled or joined by another."""
     document = json.loads(json.dumps(whole))
     for _ in range(draw(st.integers(1, 3))):
         paths = list(places(document))
@@ -53,7 +53,7 @@ def changed(draw, whole):
             case "value":
                 parent[key] = draw(VALUES)
             case "kin":
-                # What is right in another place.
+                # A value that is valid in another place.
                 other = document
                 for step in draw(st.sampled_from(paths)):
                     other = other[step]
@@ -68,7 +68,7 @@ def changed(draw, whole):
 
 
 @st.composite
-def retold(draw, whole):
+def rearranged(draw, whole):
     """The table with cells, columns and rows exchanged."""
     rows = [line.split(",") for line in whole.splitlines()]
     cells = st.one_of(NUMBERS.map(str), WORDS, st.sampled_from([cell for row in rows for cell in row]))
@@ -91,7 +91,7 @@ def retold(draw, whole):
 
 
 @pytest.mark.parametrize("name", DOCUMENTS)
-def test_documents_with_anything_in_them(name, tmp_path):
+def test_documents_with_arbitrary_content_are_refused_or_read(name, tmp_path):
     reader = READERS[name]
     reader.make(tmp_path)
     path = tmp_path / reader.file
@@ -103,7 +103,7 @@ def test_documents_with_anything_in_them(name, tmp_path):
         try:
             path.write_text(toml_text(document) if toml else json.dumps(document), encoding="utf-8")
         except (OverflowError, TypeError, ValueError):
-            # Words that are not Unicode, numbers that have no text, and what TOML has no form for.
+            # Words that are not Unicode, numbers without a text form, and values that TOML cannot express.
             return
         judged(name, path)
 
@@ -111,12 +111,12 @@ def test_documents_with_anything_in_them(name, tmp_path):
 
 
 @pytest.mark.parametrize("name", TABLES)
-def test_tables_with_anything_in_them(name, tmp_path):
+def test_tables_with_arbitrary_content_are_refused_or_read(name, tmp_path):
     reader = READERS[name]
     reader.make(tmp_path)
     path = tmp_path / reader.file
 
-    @given(retold(path.read_text(encoding="utf-8")))
+    @given(rearranged(path.read_text(encoding="utf-8")))
     def check(text):
         path.write_bytes(text.encode(errors="surrogatepass"))
         judged(name, path)

@@ -133,7 +133,7 @@ def aerosol_factors(runs, weight, absorption, terms):
             mean = lowtran.spectral_weights(runs[0].wavenumber, *band)
             excess = depth / (mean @ depth) - 1.0
             through = np.exp(-(amounts @ absorption[which].T)) * weight[which]
-            # Two more rows: no change of the mean, and a pull to 1 where the gases tell nothing.
+            # Two more rows: no change of the mean, and a pull to 1 where the gases have no effect.
             heavy = len(runs)
             left = np.vstack([through, heavy * weight[which], 0.003 * np.sqrt(heavy) * np.eye(len(which))])
             right = np.r_[passed @ (mean * excess), 0.0, np.zeros(len(which))]

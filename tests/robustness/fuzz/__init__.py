@@ -1,1 +1,1 @@
-"""Damaged files for every reader: a corpus of small whole files, the damage, and what accepted inputs are used for."""
+"""Damaged files for every reader: a corpus of small undamaged files, the damage, and uses of accepted inputs."""

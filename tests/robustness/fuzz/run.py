@@ -1,9 +1,9 @@
-"""Readers fed with damaged files: each must refuse in a sentence of our own, or accept what is finite and usable.
+"""Readers fed with damaged files: each must refuse in one sentence, or accept a finite and usable file.
 
-A reader has a small whole file, which is changed at random: bytes, cuts and repeats; in texts also numbers and lines,
-in archives of arrays these. The seed, the reader's name and the input's number decide each input, so that any of them
-can be made again. A process of its own reads them, with limits to memory and time, so that one that crashes or hangs is
-counted and passed over. Some of what is accepted is put to use, likewise: rendered, and what is seen is finite.
+A reader has a small undamaged file, which is changed at random: bytes, cuts and repeats; in texts also numbers and
+lines, in archives of arrays the arrays. The seed, the reader's name and the input's number determine each input, so
+any of them can be reproduced. A separate process reads them, with limits to memory and time, so one that crashes or
+hangs is counted and skipped. Some accepted files are also used: they are rendered, and the frame must be finite.
 """
 
 import io
@@ -28,9 +28,9 @@ from tests.robustness.fuzz.corpus import READERS
 from tests.robustness.fuzz.uses import USES
 from thermorender.errors import ThermorenderError
 
-# What reading one input may take [s, bytes], and rendering one, where the first compiles kernels.
+# Limits for reading one input [s, bytes], and for rendering one, where the first compiles kernels.
 READING, RENDERING = (5, 1 << 30), (60, 1 << 32)
-# Values that numbers of a text are replaced by.
+# Replacements for numbers of a text.
 _NUMBERS = (
     "nan", "inf", "-inf", "1e308", "-1e308", "1e-320", "0", "-0.0", "-1", "9" * 25, "1e999", "0x10", "1_000", "",
     "true", '"x"', "[]", "1.5.2", "٣", "−5", "1,5",
@@ -41,23 +41,23 @@ HEADER = (
     "reader", "refused", "accepted", "foreign errors", "not finite", "too slow", "crashed", "rendered", "refused then",
 )  # fmt: skip
 _KINDS = ("refused", "accepted", "foreign", "infinite", "slow", "crashed")
-# What these are called where what was accepted is used.
+# Their names where an accepted file is used.
 _USED = {"refused": "unfit", "accepted": "rendered"}
 _FINE = {*_USED, *_USED.values()}
 
 
 @dataclass(frozen=True)
 class End:
-    """What became of an input.
+    """The outcome of an input.
 
     Attributes
     ----------
     reader, number : str, int
-        Which makes it again.
+        These reproduce the input.
     kind : str
-        refused or accepted; unfit or rendered where it was used; faults: foreign, infinite, slow or crashed.
+        refused or accepted; unfit or rendered if it was used; faults: foreign, infinite, slow or crashed.
     what : str
-        Of a fault, the error or the place of the value.
+        For a fault, the error or the place of the value.
     """
 
     reader: str
@@ -71,8 +71,8 @@ def run(
 ):  # fmt: skip
     """Return ({reader: {kind: inputs}}, [End, …]) of `count` damaged files for each of some readers, or of all.
 
-    Kinds are refused, accepted, foreign, infinite, slow, crashed: each input is one; and of those accepted rendered and
-    unfit: refused only when used.
+    Each input has one of the kinds refused, accepted, foreign, infinite, slow, crashed. Accepted ones may also be
+    rendered or unfit: refused only when used.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def run(
     progress : callable, optional
         Called with (what, share done).
     rendered : int
-        How many of the accepted inputs of each reader are rendered.
+        Number of accepted inputs of each reader that are rendered.
     """
     names = list(names) or list(READERS)
     for name in names:
@@ -114,7 +114,7 @@ def rows(counts):
 
 
 def damaged(whole: bytes, reader: str, number: int, seed: int = 0) -> bytes:
-    """Return input `number` of a reader: its whole file's bytes with up to four changes."""
+    """Return input `number` of a reader: the undamaged file's bytes with up to four changes."""
     rng = np.random.default_rng([seed, zlib.crc32(reader.encode()), number])
     for _ in range(1 + rng.integers(4)):
         if _is_text(whole):
@@ -128,8 +128,8 @@ def damaged(whole: bytes, reader: str, number: int, seed: int = 0) -> bytes:
 
 
 def _ends(name, job, numbers, seed, limits):
-    """What becomes of each of some inputs of a reader in a job: [End, …]."""
-    # Of a process without threads: LightGBM's would be missing in a copy of one that has used them.
+    """Outcomes of inputs of a reader in a job: [End, …]."""
+    # The parent process has no threads: LightGBM's would be missing in a copy of a process that has used them.
     context = multiprocessing.get_context("forkserver")
     numbers, ends, (most_s, _) = list(numbers), [], limits
     with tempfile.TemporaryDirectory(prefix="thermorender-fuzz-") as folder:
@@ -144,7 +144,7 @@ def _ends(name, job, numbers, seed, limits):
             there.close()
             for number in rest:
                 try:
-                    # Twice the limit: what hangs in foreign code is not interrupted by a signal.
+                    # Twice the limit: foreign code that hangs is not interrupted by a signal.
                     if not here.poll(2 * most_s + 10):
                         raise EOFError
                     kind, what = here.recv()
@@ -163,20 +163,20 @@ def _ends(name, job, numbers, seed, limits):
 
 
 def _work(pipe, name, job, path, whole, numbers, seed, limits):
-    """Do the job on inputs and send what became of each."""
+    """Do the job on inputs and send the outcome of each."""
     most_s, most_bytes = limits
-    # What is imported, and what is made once of the whole file, is not counted.
+    # Imports, and values computed once from the undamaged file, are not counted.
     path.write_bytes(whole)
     with suppress(Exception):
         job(path)
     used = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
     resource.setrlimit(resource.RLIMIT_AS, (used + most_bytes, resource.RLIM_INFINITY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    # Libraries in C tell of damage on their own.
+    # Libraries in C print their own messages about damage.
     for stream in (1, 2):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
     signal.signal(signal.SIGALRM, _too_slow)
-    # A warning is no fault here, whatever whoever calls makes of warnings.
+    # A warning is not a fault here, whatever the caller's filters are.
     warnings.simplefilter("ignore")
     for number in numbers:
         path.write_bytes(damaged(whole, name, number, seed))
@@ -204,7 +204,7 @@ def _is_sentence(words):
 
 
 def _infinite(value, where="", depth=0):
-    """Yield where values are not finite."""
+    """Yield the places where values are not finite."""
     if depth > 8:
         return
     if isinstance(value, np.ndarray):
@@ -270,7 +270,7 @@ def _overwrite(whole, rng):
 
 
 def _number(whole, rng):
-    """One of a text's numbers by another value."""
+    """Replace one of a text's numbers."""
     places = list(re.finditer(rb"[-+]?\d[\d.eE+-]*", whole))
     if not places:
         return _flip(whole, rng)
@@ -279,7 +279,7 @@ def _number(whole, rng):
 
 
 def _lines(whole, rng):
-    """Lines of a text left out, doubled, exchanged or cut."""
+    """Remove, double, exchange or cut lines of a text."""
     lines = whole.split(b"\n")
     one, other = rng.integers(len(lines), size=2)
     kind = rng.integers(4)
@@ -295,7 +295,7 @@ def _lines(whole, rng):
 
 
 def _cell(whole, rng):
-    """A separator more, or one fewer, or another."""
+    """Add, remove or replace a separator."""
     marks = [at for at, byte in enumerate(whole) if byte in b',;=:[]{}"']
     if not marks:
         return _flip(whole, rng)
@@ -305,7 +305,7 @@ def _cell(whole, rng):
 
 
 def _chunk(whole, rng):
-    """One chunk of a PNG changed, and its checksum made anew; of pixels mostly as they are once unpacked."""
+    """Change one chunk of a PNG and compute its checksum again; pixels are mostly unpacked first."""
     chunks, place = [], len(_PNG)
     while place < len(whole):
         size = int.from_bytes(whole[place : place + 4], "big")
@@ -316,7 +316,7 @@ def _chunk(whole, rng):
     at, change = rng.integers(len(chunks)), _OF_BYTES[rng.integers(len(_OF_BYTES))]
     kind, data = chunks[at]
     if kind == b"IDAT" and rng.random() < 0.8:
-        # Of what is damaged already, as much as can be unpacked.
+        # If it is damaged already, as much as can be unpacked.
         with suppress(zlib.error):
             chunks[at] = kind, zlib.compress(change(zlib.decompressobj().decompress(data, 1 << 20), rng))
     else:
@@ -327,7 +327,7 @@ def _chunk(whole, rng):
 
 
 def _array(whole, rng):
-    """One array of an .npz with other values, another shape or type, or without it."""
+    """Change one array of an .npz: other values, another shape or type, or remove it."""
     try:
         with np.load(io.BytesIO(whole)) as kept:
             arrays = dict(kept)

@@ -1,7 +1,7 @@
-"""What readers accept, put to use: frames of a small scene with it, and pictures through maps.
+"""Uses of accepted inputs: frames of a small scene with the input, and pictures through maps.
 
-Each use takes the path of a damaged file that its reader has accepted, and gives arrays that must be finite. It may
-still refuse in a sentence of our own what a file alone does not tell: a track beside the terrain, say.
+Each use takes the path of a damaged file that its reader has accepted, and returns arrays that must be finite. It may
+still refuse, in one sentence, what a file alone does not show: a track beside the terrain, for example.
 """
 
 import re
@@ -32,7 +32,7 @@ _WARM, _GREY = 'source = "constant"\nvalue = 290.0\n', 'source = "constant"\nval
 
 
 def _load(folder, terrain=_RASTERS, temperature=_WARM, emissivity=_GREY, around="[sky]\ntemperature = 250\n", more=""):
-    """The Scene of a scene file of these tables in a folder, which is given rasters where it has none."""
+    """The Scene of a scene file with these tables in a folder, which gets rasters if it has none."""
     from thermorender.scene.load import load_scene
 
     folder = Path(folder)
@@ -66,7 +66,7 @@ def _frame(scene, pose=None):
 
 
 def _in_library(path, directional):
-    """A frame of ground of a spectrum, from a library of the scene's own."""
+    """A frame of ground with a spectrum from the scene's own library."""
     library = path.parent / "materials"
     (library / "spectra").mkdir(parents=True, exist_ok=True)
     (library / "spectra" / "tried.csv").write_bytes(path.read_bytes())
@@ -114,12 +114,12 @@ def _mapped(path):
 
 
 def _along(path, read):
-    """A frame from the middle of a log, whose reader gives the pose there."""
+    """A frame from the middle of a log, at the reader's pose."""
     return _frame(_base(), read(path)[1])
 
 
 def _through(path, air='file = "air.npz"\n'):
-    """A frame through an atmosphere, by a camera of its band."""
+    """A frame through an atmosphere, by a camera of the same band."""
     camera = READERS["camera"]
     camera.make(path.parent)
     table = path.with_name(camera.file)
@@ -134,7 +134,7 @@ def _by_tape7(path):
 
 
 def _indexed(path):
-    """A frame of ground of the first material that a library's index names."""
+    """A frame of ground of the first material in a library's index."""
     from thermorender.materials.library import read_library
 
     library = path.parent / "materials"
@@ -145,7 +145,7 @@ def _indexed(path):
 
 
 def _selected(path):
-    """A frame of ground of the first material that a selection of samples makes."""
+    """A frame of ground of the first material in a selection of samples."""
     from thermorender.materials.from_samples import read_selection
     from thermorender.materials.store import write_materials
 
@@ -175,7 +175,7 @@ def _by_network(path):
 
 
 def _shown(path, **tables):
-    """A frame of the scene of these tables, which name the file."""
+    """A frame of the scene with these tables, which refer to the file."""
     return _frame(_load(path.parent, **tables))
 
 
@@ -193,7 +193,7 @@ material = "asphalt"
 track = "track.csv"
 """
 
-# By the name of the reader. What those that are left out read is no part of a scene.
+# By the name of the reader. Readers that are left out do not read parts of a scene.
 USES = {
     "camera": partial(_shown, more='[camera]\nmodel = "camera.toml"\n'),
     "trajectory mapping": _mapped,

@@ -1,4 +1,4 @@
-"""A small whole file for each reader of the package, and the reader: what damaged files are made from."""
+"""A small undamaged file for each reader of the package, and the reader: the basis of damaged files."""
 
 from tests.robustness.fuzz.corpus import arrays, images, kept, meshes, settings, tables  # noqa: F401
 from tests.robustness.fuzz.corpus.registry import READERS, Reader

@@ -84,7 +84,7 @@ def _write_exr(path):
 def _exr(path):
     from thermorender.output.exr import read_exr
 
-    # Pixels are as the file has them: without surface they are NaN.
+    # Pixels are as in the file: without a surface they are NaN.
     return read_exr(path)[1]
 
 
@@ -140,7 +140,7 @@ def _temperatures(path):
     from thermorender.scene.raster import read_band
 
     kelvin = read_band(path)
-    # It may be unknown, or what a temperature is not: whoever lays it on a surface looks.
+    # It may be unknown, or not a possible temperature: the code that puts it on a surface checks.
     return kelvin[np.isfinite(kelvin)]
 
 
@@ -203,14 +203,14 @@ def _write_video(path):
 
 
 def _translated(path):
-    """Translate a video; what it is refused with is raised."""
+    """Translate a video; raise the error with which it is refused."""
     from thermorender.footage.radiometric_files import read_temperature
     from thermorender.learned.temperature_map import load_model
     from thermorender.learned.translate import UnreadableError, translate
 
     with TemporaryDirectory(dir=path.parent) as folder:
-        told = translate(load_model(TEMPERATURE_MAPS[0]), [path], folder, frames=True)
-        for sentence in told["failed"].values():
+        report = translate(load_model(TEMPERATURE_MAPS[0]), [path], folder, frames=True)
+        for sentence in report["failed"].values():
             raise UnreadableError(sentence)
         return [read_temperature(frame) for frame in Path(folder).rglob("*.tif")]
 

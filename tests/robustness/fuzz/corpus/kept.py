@@ -1,4 +1,4 @@
-"""What the package writes for itself and reads again: data sets, trainings, flights, translations, results, caches."""
+"""Files that the package writes and reads itself: data sets, trainings, flights, translations, results, caches."""
 
 import json
 import shutil
@@ -19,7 +19,7 @@ _CARD = {"name": "made", "origin": "made", "licence": "CC0"}
 
 @contextmanager
 def _copied(folder):
-    """Give a copy of a folder, which goes again."""
+    """Yield a copy of a folder, which is removed afterwards."""
     with TemporaryDirectory() as place:
         yield Path(shutil.copytree(folder, Path(place) / "copy"))
 
@@ -87,11 +87,11 @@ for _name in ("settings.json", "log.jsonl"):
     reader(f"training's {_name}", _name, lambda path: _write_training(path.parent))(_of_training)
 
 
-# --- what is gone on with: it must end as it would have, or be refused ----------------------------------------------
+# --- continued jobs: they must end as they would have, or be refused ------------------------------------------------
 
 
 def _finished(folder, go_on, whole):
-    """Go on in a copy of a folder; where what is there then is not as in the whole one that is an error."""
+    """Continue in a copy of a folder; a result that differs from the complete one is an error."""
     with _copied(folder) as copy:
         go_on(copy)
         found = _contents(copy)
@@ -112,7 +112,7 @@ def _renderer():
     from tests.robustness.crash_targets import renderer, write_scene
 
     with TemporaryDirectory() as folder:
-        # A flight tells the name of its scene.
+        # A flight records the name of its scene.
         return renderer(write_scene(Path(folder) / "scene"))
 
 
@@ -121,7 +121,7 @@ class _StoppedError(Exception):
 
 
 def _fly(folder, frames=3):
-    """Hover for three small frames, or go on with those whose files are as they were written, up to some."""
+    """Hover for three small frames, or continue with those whose files are unchanged, up to some number."""
     from thermorender.output.flight import FlightOptions, fly
     from thermorender.trajectory.path import Trajectory
 
@@ -159,7 +159,7 @@ def _translate(photographs, folder, count=2):
 
 
 def _write_translation(path):
-    """Of two photographs one is translated."""
+    """Translate one of two photographs."""
     generator, place = np.random.default_rng(0), path.parent / "photographs"
     place.mkdir()
     for number in range(2):
@@ -187,7 +187,7 @@ for _name in ("translate.json", "translated.jsonl"):
 def _arrays(path):
     found = formats.read_arrays(path, 7)
     if found is None:
-        raise ThermorenderError("they are made anew")
+        raise ThermorenderError("they are computed again")
     if any(not np.array_equal(found[name], values) for name, values in _ARRAYS.items()):
         raise AssertionError("damaged arrays were taken for whole")
     return found
@@ -210,5 +210,5 @@ def _write_result(path):
 def _result(path):
     from validation.verdicts import gathered
 
-    # Numbers of what was not found are NaN.
+    # Missing numbers are NaN.
     return [(each.scene, each.holds) for _, verdicts, _ in gathered(path.parents[1]) for each in verdicts or ()]

@@ -1,4 +1,4 @@
-"""What a reader under test is, and the list of all of them."""
+"""The definition of a reader under test, and the list of all of them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,11 +12,11 @@ class Reader:
     Attributes
     ----------
     file : str
-        Name of the file it is fed with, as it lies in a folder.
+        Name of its input file in a folder.
     make : callable
-        Folder → None; writes that file, whole, and what it needs beside it.
+        Folder → None; writes that file, undamaged, and the files it needs beside it.
     read : callable
-        Path → what was read, of which all numbers must be finite.
+        Path → the content, of which all numbers must be finite.
     """
 
     file: str
@@ -28,7 +28,7 @@ READERS: dict[str, Reader] = {}
 
 
 def reader(name, file, source):
-    """Register a reader: `source` is a function of the path that makes the file, its text, or a shipped file."""
+    """Register a reader: `source` is a function of the path that writes the file, its text, or a shipped file."""
 
     def register(read):
         def make(folder):

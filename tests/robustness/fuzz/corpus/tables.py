@@ -154,7 +154,7 @@ def _write_px4(path):
 
 
 def of_px4(path):
-    """Return what `of_log` does of the two files that PX4's log makes."""
+    """Return the result of `of_log` for the two files that PX4's log becomes."""
     return of_log([path, path.with_name("attitude.csv")], "px4")
 
 

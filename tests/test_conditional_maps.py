@@ -1,4 +1,4 @@
-"""Maps that are told relief, hour and weather as a scene's temperatures: against hand-made maps of known answers."""
+"""Conditional maps, with relief, hour and weather as inputs, as a scene's temperatures: against maps made by hand."""
 
 import json
 import pickle
@@ -29,14 +29,14 @@ BEGIN, AT = np.datetime64("2018-07-27T00:00:00"), np.datetime64("2018-07-28T12:0
 HOUR = np.timedelta64(3600, "s")
 STATION = '[weather]\ntime = 2018-07-28T12:00:00Z\nfile = "station.csv"\n'
 BLACK = '[emissivity]\nsource = "constant"\nvalue = 1.0\n'
-LEARNED = 'source = "learned"\nmodel = "told.npz"'
+LEARNED = 'source = "learned"\nmodel = "above.npz"'
 DOWN = tr.pose(0, 0, 6, pitch_deg=-90)
 # Temperatures of texels and radiances of pixels are in single precision: a few ulp of 300 K.
 TOLERANCE_K = 5e-4
 
 
 def air_k(time):
-    """What the station says: a kelvin more each hour."""
+    """The station's air temperature: it rises by 1 K an hour."""
     return 270.0 + (time - BEGIN) / HOUR
 
 
@@ -45,10 +45,10 @@ def above_air(kelvin):
 
 
 def by_sunlight(kelvin_m2_w):
-    """Kelvin above the air in proportion to the sunlight on the ground."""
-    told = ExtraInputs(("sunlight",), ("air_k",))
-    names = names_of_columns(told)
-    return Linear(told, kelvin_m2_w * (np.array(names) == "sunlight"), 0.0)
+    """Kelvin above the air, proportional to the sunlight on the ground."""
+    extra = ExtraInputs(("sunlight",), ("air_k",))
+    names = names_of_columns(extra)
+    return Linear(extra, kelvin_m2_w * (np.array(names) == "sunlight"), 0.0)
 
 
 def save(path, predictor, **options):
@@ -63,7 +63,7 @@ def save(path, predictor, **options):
 
 def written(folder, predictor, black=True, weather=STATION, **options):
     folder.mkdir(parents=True)
-    save(folder / "told.npz", predictor)
+    save(folder / "above.npz", predictor)
     rows = "".join(f"{BEGIN + hour * HOUR}Z,{270.0 + hour}\n" for hour in range(61))
     (folder / "station.csv").write_text("time_utc,air_k\n" + rows)
     write_balance(folder, weather, source=LEARNED, **options)
@@ -86,7 +86,7 @@ def assert_seen(frame, kelvin, tolerance=TOLERANCE_K):
 
 
 def path_of(minutes):
-    """A trajectory that hangs over the middle, looking down."""
+    """A trajectory that hovers over the middle, looking down."""
     time_s = np.arange(minutes + 1) * 60.0
     return tr.Trajectory(time_s, np.tile([0.0, 0.0, 6.0], (minutes + 1, 1)), np.tile([0.0, 1.0, 0.0, 0.0],
                                                                                        (minutes + 1, 1)))  # fmt: skip
@@ -107,17 +107,17 @@ def test_black_ground_is_as_much_warmer_than_the_air_as_the_map_says(tmp_path):
         renderer = tr.Renderer(scene.at(AT + hours * HOUR), rays=4)
         assert_seen(renderer.frame(DOWN), air_k(AT + hours * HOUR) + 5.0)
         assert renderer.scene.time == AT + hours * HOUR and renderer.scene.temperature_state.solved
-    # The shipped sky is not the map's: no ground that reflects nothing shows it.
+    # The shipped sky is not that of the map: ground without reflection does not show it.
     other = scene.with_sky(200.0)
     assert_seen(tr.Renderer(other, rays=4).frame(DOWN), air_k(AT) + 5.0)
 
 
-def test_grass_and_sand_show_it_under_the_scene_s_sky(tmp_path):
+def test_grass_and_sand_have_the_maps_temperature_under_the_scenes_sky(tmp_path):
     """Through kinetic temperature and back, though the map was trained under a sky 30 K colder."""
     scene = tr.load_scene(written(tmp_path / "s", above_air(5.0), black=False))
     renderer = tr.Renderer(scene, rays=4)
     assert_seen(renderer.frame(DOWN), air_k(AT) + 5.0, 5e-3)
-    # Grass reflects the sky, so it is warmer than it looks.
+    # Grass reflects the sky, so its temperature is higher than its apparent one.
     assert renderer.scene.surfaces[0].temperature.min() > air_k(AT) + 5.1
 
 
@@ -127,12 +127,12 @@ def test_level_ground_follows_its_sunlight(tmp_path):
         at = AT + hours * HOUR
         now, (_, elevation) = scene.weather.at(at), scene.weather.sun(at)
         sunlight = now.direct_w_m2 * max(np.sin(np.radians(elevation)), 0.0) + now.diffuse_w_m2
-        # Sunlight is known to 1e-5 of itself (its own test), at most 20 K here.
+        # Sunlight has a relative error of 1e-5 (tested separately), here at most 20 K.
         assert_seen(tr.Renderer(scene.at(at), rays=4).frame(DOWN), air_k(at) + 0.02 * sunlight, 1e-3)
     assert sunlight == 0.0
 
 
-def test_metal_tells_nothing_is_flagged_and_as_warm_as_the_air(tmp_path):
+def test_metal_is_flagged_and_as_warm_as_the_air(tmp_path):
     folder = written(tmp_path / "s", above_air(5.0), black=False, classes=np.repeat([[1, 2]], 32, 0).repeat(16, 1))
     text = (folder / "scene.toml").read_text()
     (folder / "scene.toml").write_text(text.replace('2 = "sand_quartz"', '2 = "aluminium_polished"'))
@@ -140,9 +140,9 @@ def test_metal_tells_nothing_is_flagged_and_as_warm_as_the_air(tmp_path):
     fallback = (solved.surfaces[0].flags & FALLBACK) > 0
     metal = solved.surfaces[0].material == [one.name for one in solved.materials].index("aluminium_polished")
     np.testing.assert_array_equal(fallback, metal)
-    assert metal.mean() == 0.5 and solved.temperature_state.report["told"]["share_fallback"] == 0.5
+    assert metal.mean() == 0.5 and solved.temperature_state.report["above"]["share_fallback"] == 0.5
     np.testing.assert_allclose(solved.surfaces[0].temperature[metal], air_k(AT), atol=TOLERANCE_K)
-    # Another hour begins anew.
+    # Another hour starts again.
     again = tr.Renderer(solved.at(AT + HOUR), rays=4).scene
     np.testing.assert_array_equal((again.surfaces[0].flags & FALLBACK) > 0, metal)
 
@@ -150,13 +150,13 @@ def test_metal_tells_nothing_is_flagged_and_as_warm_as_the_air(tmp_path):
 # --- flights and records ----------------------------------------------------------------------------------------
 
 
-def test_a_flight_follows_its_time_and_tells_the_weather(tmp_path):
+def test_a_flight_follows_its_time_and_records_the_weather(tmp_path):
     scene = tr.load_scene(written(tmp_path / "s", above_air(5.0)))
     renderer = tr.Renderer(scene, rays=4)
     fly(renderer, path_of(3), tmp_path / "f", FlightOptions(rate_hz=1 / 60, products=("exr",)))
     lines = [json.loads(line) for line in (tmp_path / "f/frames.jsonl").read_text().splitlines()]
     assert [line["temperature"]["time"] for line in lines] == [f"2018-07-28T12:0{n}:00Z" for n in range(4)]
-    # A kelvin an hour.
+    # One kelvin an hour.
     np.testing.assert_allclose([line["temperature"]["change_mk"] for line in lines[1:]], 1e3 / 60, atol=0.1)
     from thermorender.output.exr import read_exr
 
@@ -164,25 +164,25 @@ def test_a_flight_follows_its_time_and_tells_the_weather(tmp_path):
         found = read_exr(tmp_path / f"f/frame_{number:06d}.exr")[0]["apparent_temperature"]
         middle = found[found.shape[0] // 2, found.shape[1] // 2]
         assert middle == pytest.approx(air_k(AT + number * HOUR // 60) + 5.0, abs=TOLERANCE_K)
-    told = json.loads((tmp_path / "f/flight.json").read_text())
-    assert told["weather"]["source"] == "station.csv" and told["temperature_step_s"] == 60.0
-    assert told["map"]["name"] == "told" and told["map"] == weather_of(renderer.scene)["map"]
+    record = json.loads((tmp_path / "f/flight.json").read_text())
+    assert record["weather"]["source"] == "station.csv" and record["temperature_step_s"] == 60.0
+    assert record["map"]["name"] == "above" and record["map"] == weather_of(renderer.scene)["map"]
 
 
-def test_a_flight_does_not_go_on_with_another_map_of_the_same_name(tmp_path):
-    """By night both give the air's temperature, so that the scenes begin alike."""
+def test_a_flight_is_not_continued_with_another_map_of_the_same_name(tmp_path):
+    """At night both give the air's temperature, so the scenes start equal."""
     folder = written(tmp_path / "s", by_sunlight(0.02), weather=STATION.replace("12:00", "00:00"))
     first = tr.Renderer(tr.load_scene(folder), rays=4)
     flight = FlightOptions(rate_hz=1 / 60, products=("exr",))
     with pytest.raises(KeyboardInterrupt):
         fly(first, path_of(2), tmp_path / "f", flight, progress=lambda done, total: interrupt())
-    save(folder / "told.npz", by_sunlight(0.05))
+    save(folder / "above.npz", by_sunlight(0.05))
     second = tr.Renderer(tr.load_scene(folder), rays=4)
     np.testing.assert_array_equal(second.scene.surfaces[0].temperature, first.scene.surfaces[0].temperature)
     assert first.scene.digest() != second.scene.digest()
     with pytest.raises(ThermorenderError, match="was flown with scene_digest="):
         fly(second, path_of(2), tmp_path / "f", flight, resume=True)
-    save(folder / "told.npz", by_sunlight(0.02))
+    save(folder / "above.npz", by_sunlight(0.02))
     third = tr.Renderer(tr.load_scene(folder), rays=4)
     assert third.scene.digest() == first.scene.digest()
     assert fly(third, path_of(2), tmp_path / "f", flight, resume=True)["rendered"] == 2
@@ -193,26 +193,26 @@ def interrupt():
 
 
 def test_a_scene_keeps_the_map_it_was_loaded_with(tmp_path):
-    """Also where the file is another by the time of the frame, or gone."""
+    """Also if the file has changed by the time of the frame, or is gone."""
     folder = written(tmp_path / "s", above_air(5.0))
     scene = tr.load_scene(folder)
-    save(folder / "told.npz", above_air(9.0))
+    save(folder / "above.npz", above_air(9.0))
     renderer = tr.Renderer(scene, rays=4)
     assert_seen(renderer.frame(DOWN), air_k(AT) + 5.0)
-    (folder / "told.npz").unlink()
+    (folder / "above.npz").unlink()
     assert_seen(tr.Renderer(scene.at(AT + HOUR), rays=4).frame(DOWN), air_k(AT + HOUR) + 5.0)
     assert_seen(tr.Renderer(renderer.scene.at(AT - HOUR), rays=4).frame(DOWN), air_k(AT - HOUR) + 5.0)
 
 
-def test_how_numbers_are_printed_is_no_part_of_the_digest(tmp_path):
-    """colour-science has NumPy print as it did in 1.13, in every process that has imported it."""
+def test_the_digest_does_not_depend_on_print_options(tmp_path):
+    """colour-science makes NumPy print as in 1.13, in every process that has imported it."""
     scene = tr.load_scene(written(tmp_path / "s", by_sunlight(0.02)))
     own, weather = scene.digest(), scene.weather_digest()
     with np.printoptions(legacy="1.13"):
         assert scene.digest() == own and scene.weather_digest() == weather
 
 
-def test_baked_scenes_and_frames_go_to_processes_that_have_no_files(tmp_path):
+def test_baked_scenes_and_frames_work_in_processes_without_the_files(tmp_path):
     folder = written(tmp_path / "s", by_sunlight(0.02))
     renderer = tr.Renderer(tr.load_scene(folder), rays=4)
     frame = renderer.frame(DOWN)
@@ -237,18 +237,18 @@ assert frame.truth["mask"].any() and frame.time == baked.scene.time
 # --- verbs ------------------------------------------------------------------------------------------------------
 
 
-def test_verbs_take_them(tmp_path, call):
+def test_verbs_accept_conditional_maps(tmp_path, call):
     folder = written(tmp_path / "s", above_air(5.0))
     (folder / "flight.csv").write_text("time_s,lat,lon,alt_m\n")
     status, output, errors = call("plan", folder, "--rays", 4)
     assert status == 0 and "at 2018-07-28T12:00:00Z" in output, errors
-    assert "told: 0.0% of the intensities lie outside 0…1, 0.0% of the texels fall back" in output
+    assert "above: 0.0% of the intensities lie outside 0…1, 0.0% of the texels fall back" in output
     night = ("--time", "2018-07-28T02:00Z")
     status, _, errors = call("render", folder, "-o", tmp_path / "r", "--pose", "0,0,6,0,-90,0", "--rays", 4, *night)
     assert status == 0, errors
-    told = json.loads((tmp_path / "r/frame_000000.json").read_text())
-    assert told["time"] == "2018-07-28T02:00:00Z" and told["weather"]["source"] == "station.csv"
-    assert told["map"]["name"] == "told" and told["map"]["share_fallback"] == 0.0
+    record = json.loads((tmp_path / "r/frame_000000.json").read_text())
+    assert record["time"] == "2018-07-28T02:00:00Z" and record["weather"]["source"] == "station.csv"
+    assert record["map"]["name"] == "above" and record["map"]["share_fallback"] == 0.0
     arguments = ("day", folder, "-o", tmp_path / "d", "--step-min", 720, "--products", "exr", "--pose", "0,0,6,0,-90,0")
     status, _, errors = call(*arguments, "--rays", 4)
     assert status == 0, errors
@@ -261,7 +261,7 @@ def test_verbs_take_them(tmp_path, call):
         assert float(row["apparent_mean_k"]) - float(row["air_k"]) == pytest.approx(5.0, abs=TOLERANCE_K)
 
 
-def test_a_map_in_place_of_the_scene_s_own_source(tmp_path, call):
+def test_a_map_replaces_the_scenes_own_source(tmp_path, call):
     folder = written(tmp_path / "s", above_air(5.0))
     text = (folder / "scene.toml").read_text()
     (folder / "scene.toml").write_text(text.replace(LEARNED, 'source = "balance"', 1))
@@ -275,16 +275,16 @@ def test_a_map_in_place_of_the_scene_s_own_source(tmp_path, call):
     assert status == 2 and "does not belong to learned map 'mine', which gives kelvin above the air" in errors
 
 
-def test_another_ground_sampling_distance_is_told(tmp_path, call):
+def test_another_ground_sampling_distance_gives_a_warning(tmp_path, call):
     folder = written(tmp_path / "s", above_air(5.0))
-    save(folder / "told.npz", above_air(5.0), texel_m=0.1, texel_range_m=(0.05, 0.2))
+    save(folder / "above.npz", above_air(5.0), texel_m=0.1, texel_range_m=(0.05, 0.2))
     status, _, errors = call("plan", folder, "--rays", 4)
     assert status == 0
-    assert errors.count("warning: learned map 'told' was trained at 0.05–0.2 m a pixel and meets 0.5 m") == 1
+    assert errors.count("warning: learned map 'above' was trained at 0.05–0.2 m a pixel and meets 0.5 m") == 1
 
 
-def test_compare_takes_files_and_maps_that_are_told(tmp_path):
-    """The truth is what the map says, so its errors vanish; a file's own name is not where it lies."""
+def test_compare_accepts_files_and_conditional_maps(tmp_path):
+    """The truth comes from the map, so its errors vanish; a file's name is not its location."""
     folder = written(tmp_path / "s", above_air(5.0))
     text = (folder / "scene.toml").read_text()
     constant = text.replace(LEARNED, f'source = "constant"\nvalue = {air_k(AT) + 5.0}', 1)
@@ -294,12 +294,12 @@ def test_compare_takes_files_and_maps_that_are_told(tmp_path):
     write_raster(folder / "temperature.tif", raster[None].astype(np.float32), 0.5, nodata=np.nan)
     (folder / "scene.toml").write_text(constant + '[truth]\ntemperature = "temperature.tif"\n')
     plain = save(tmp_path / "plain.npz", Correlation(np.zeros((1, 1, 3)), 0.5))
-    told = str(folder / "told.npz")
+    above = str(folder / "above.npz")
     flown = Flight.of(tr.load_scene(folder), path_of(0))
-    summary = compare([flown], tmp_path / "c", [str(plain), told], Options(settings={"rays": 4}))
-    assert {"B plain", "C1 plain", "C1 told"} < set(summary["methods"]) and "B told" not in summary["methods"]
-    assert summary["methods"]["C1 told"]["errors"]["radiometric"]["ground"]["mae_k"] < TOLERANCE_K
-    assert summary["scenes"][0]["maps"]["C1 told"]["told"]["share_outside_0_1"] == 0.0
+    summary = compare([flown], tmp_path / "c", [str(plain), above], Options(settings={"rays": 4}))
+    assert {"B plain", "C1 plain", "C1 above"} < set(summary["methods"]) and "B above" not in summary["methods"]
+    assert summary["methods"]["C1 above"]["errors"]["radiometric"]["ground"]["mae_k"] < TOLERANCE_K
+    assert summary["scenes"][0]["maps"]["C1 above"]["above"]["share_outside_0_1"] == 0.0
     shutil.copy(plain, tmp_path / "other.npz")
     with pytest.raises(ThermorenderError, match="two methods are called 'plain'; give maps"):
         compare([flown], tmp_path / "e", [str(plain), str(tmp_path / "other.npz")], Options(settings={"rays": 4}))
@@ -313,7 +313,7 @@ def test_refusals(tmp_path):
     folder = written(tmp_path / "s", above_air(5.0))
     text = (folder / "scene.toml").read_text()
     (folder / "scene.toml").write_text(text.replace(STATION, ""))
-    with pytest.raises(ThermorenderError, match=r"told.npz' needs the weather; add \[weather\] with time and one of"):
+    with pytest.raises(ThermorenderError, match=r"above.npz' needs the weather; add \[weather\] with time and one of"):
         tr.load_scene(folder)
     trained = "[temperature.trained]\ntime = 2018-07-28T12:00:00Z\nair_low_c = 3.0\nair_high_c = 9.0\nhumidity = 0.5\n"
     trained += "wind_m_s = 2.0\ncloud = 0.0\n"
@@ -322,14 +322,14 @@ def test_refusals(tmp_path):
         tr.load_scene(folder)
     mesh = write_mesh(tmp_path / "m", trimesh.creation.box((4.0, 4.0, 1.0)))
     with pytest.raises(ThermorenderError, match="needs a terrain with an elevation raster, and this one is a mesh; "):
-        tr.load_scene(mesh).with_temperature(TemperatureSpec("learned", model=str(folder / "told.npz")))
+        tr.load_scene(mesh).with_temperature(TemperatureSpec("learned", model=str(folder / "above.npz")))
 
 
-def test_a_map_that_says_when_it_was_trained_is_told_the_hour_all_the_same(tmp_path):
+def test_a_map_with_a_training_time_still_takes_the_hour_as_input(tmp_path):
     folder = written(tmp_path / "s", above_air(5.0))
     day = {"time": "2018-07-28T06:00Z", "air_low_c": 3.0, "air_high_c": 9.0, "humidity": 0.5, "wind_m_s": 2.0,
            "cloud": 0.0}  # fmt: skip
-    save(folder / "told.npz", above_air(5.0), trained=day)
+    save(folder / "above.npz", above_air(5.0), trained=day)
     scene = tr.load_scene(folder)
     assert isinstance(scene.temperature_state.source, Conditional)
     assert_seen(tr.Renderer(scene, rays=4).frame(DOWN), air_k(AT) + 5.0)
