@@ -92,7 +92,7 @@ def test_outputs_are_refused_before_the_work(words, where, call, tmp_path):
         (("fit-camera",), "a.txt", "give one that ends in .toml"),
         (("materials", "plot"), "a.jpg", "give one that ends in .png"),
         (("materials", "plot"), "full", "give one that ends in .png"),
-        (("bench",), "full", "is a folder or no ordinary file"),
+        (("bench",), "full", "is not an ordinary file"),
         (("train",), "full", "give one that ends in .npz"),
         (("make-scene",), "full", "exists and is not empty; give a new folder"),
         (("import-terrain",), "full", "exists and is not empty; give a new folder"),

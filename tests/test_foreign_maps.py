@@ -31,7 +31,7 @@ def put(folder, header=HEADER, **arrays):
 
 
 def refused(path, words=""):
-    with pytest.raises(ThermorenderError, match=r"m\.npz is no learned map of format 1 \(.*" + words) as told:
+    with pytest.raises(ThermorenderError, match=r"m\.npz is not a learned map of format 1 \(.*" + words) as told:
         load_map(path)
     assert "\n" not in str(told.value) and len(str(told.value)) < 400 + len(str(path))
 
@@ -49,15 +49,15 @@ def test_the_header_that_the_others_are_made_of_is_a_map(tmp_path):
         ({"range_k": [300.0]}, "range_k is not two numbers"),
         ({"range_k": [float("nan"), 300.0]}, "it holds NaN, which is not finite"),
         ({"band_um": [13.5, 7.5]}, "band_um does not rise"),
-        ({"texel_m": 0.0}, "texel_m is no number above 0"),
+        ({"texel_m": 0.0}, "texel_m is not a number above 0"),
         ({"texel_range_m": [0.6, 0.4]}, "texel_range_m does not rise"),
-        ({"sky_temperature": "cold"}, "sky_temperature is no number"),
-        ({"error_k": -1.0}, "error_k is no number"),
-        ({"trained": "noon"}, "trained or about is no table"),
-        ({"name": "../../mine"}, "is no name of a file"),
-        ({"name": "a\\b"}, "is no name of a file"),
-        ({"name": ".."}, "is no name of a file"),
-        ({"name": 5}, "name is no text"),
+        ({"sky_temperature": "cold"}, "sky_temperature is not a number"),
+        ({"error_k": -1.0}, "error_k is not a number"),
+        ({"trained": "noon"}, "trained or about is not a table"),
+        ({"name": "../../mine"}, "cannot be a file"),
+        ({"name": "a\\b"}, "cannot be a file"),
+        ({"name": ".."}, "cannot be a file"),
+        ({"name": 5}, "name is not a text"),
         ({"predictor": ["correlation"]}, ""),
         ({"extra": 1}, "extra"),
         ({"of_predictor": {"intercept": float("nan"), "above_air": False}}, "not finite"),

@@ -320,7 +320,7 @@ def test_what_is_no_map_of_these_is_refused(tmp_path):
     narrow = linear.Linear(rows.ExtraInputs(), np.zeros(5), 0.0)
     for bad in (replace(grown, text="tree\nno"), replace(grown, extra=rows.ExtraInputs(("slope",))),
                 replace(colours, cell=24.0), narrow):  # fmt: skip
-        with pytest.raises(ThermorenderError, match=r"is no learned map of format 1 \(.*\); make one with"):
+        with pytest.raises(ThermorenderError, match=r"is not a learned map of format 1 \(.*\); make one with"):
             through_a_file(bad, tmp_path)
 
 

@@ -270,7 +270,7 @@ def test_a_map_in_place_of_the_scene_s_own_source(tmp_path, call):
     mean = float(output.partition("mean ")[2].partition(" K")[0])
     assert mean == pytest.approx(air_k(AT) - 3.0, abs=0.005)
     status, _, errors = call("render", folder, "-o", tmp_path / "q", *common, "--range-c", "0,20")
-    assert status == 2 and "does not belong to learned map 'mine', which gives kelvin above the air" in errors
+    assert status == 2 and "does not apply to learned map 'mine', which predicts kelvin above the air" in errors
 
 
 def test_another_ground_sampling_distance_is_told(tmp_path, call):
