@@ -278,7 +278,7 @@ def test_another_ground_sampling_distance_is_told(tmp_path, call):
     save(folder / "told.npz", above_air(5.0), texel_m=0.1, texel_range_m=(0.05, 0.2))
     status, _, errors = call("plan", folder, "--rays", 4)
     assert status == 0
-    assert errors.count("warning: learned map 'told' was trained at 0.05–0.2 m a pixel and meets 0.5 m") == 1
+    assert errors.count("warning: learned map 'told' was trained at 0.05–0.2 m a pixel; at 0.5 m texture") == 1
 
 
 def test_compare_takes_files_and_maps_that_are_told(tmp_path):

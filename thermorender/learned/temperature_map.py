@@ -127,7 +127,7 @@ class TemperatureMap:
         return self.predictor.needs
 
     def radiance(self, inputs: Inputs) -> np.ndarray:
-        """Return apparent band radiance, (h, w) float64 [W m⁻² sr⁻¹]; not clipped: negative where no temperature exists.
+        """Return apparent band radiance, (h, w) float64 [W m⁻² sr⁻¹]; negative where no temperature exists.
 
         Parameters
         ----------
