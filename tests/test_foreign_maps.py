@@ -70,7 +70,7 @@ def test_wrong_headers(tmp_path, change, words):
 
 def test_wrong_coefficients(tmp_path):
     for kernel, words in ((KERNEL * np.nan, "not finite"), (np.zeros((17, 17, 3)), "17 wide, more than 15"),
-                          (np.zeros((0, 0, 3)), "no kernel"), (KERNEL.astype(str) + "x", "")):  # fmt: skip
+                          (np.zeros((0, 0, 3)), "with odd k"), (KERNEL.astype(str) + "x", "")):  # fmt: skip
         refused(put(tmp_path, kernel=kernel), words)
     refused(put(tmp_path), "kernel")
     told = {"terrain": ["sunlight"], "conditions": ["air_k"], "offset": 0.0}
@@ -164,4 +164,4 @@ def test_damaged_trees_are_refused_before_lightgbm_reads_them(tmp_path, text, da
         "no checksum": lambda: of_trees(tmp_path, text, checksum=None),
     }[damage]()
     monkeypatch.setattr(lightgbm, "Booster", None)
-    refused(path, "its trees are damaged: their checksum is another")
+    refused(path, "its trees are damaged: their checksum differs")

@@ -446,5 +446,5 @@ def test_linear_refuses():
     inputs, kelvin = linear_example(0, 290.0, np.random.default_rng(3))
     with pytest.raises(ThermorenderError, match="penalty=-1 is not allowed; give 0 or more"):
         linear.fit_linear(task_of("correlation+", [example(inputs, kelvin)], penalty=-1))
-    with pytest.raises(ThermorenderError, match="no condition air_k"):
+    with pytest.raises(ThermorenderError, match="lack the condition air_k"):
         linear.fit_linear(task_of("correlation+", [example(replace(inputs, conditions={"wind_m_s": 1.0}), kelvin)]))
