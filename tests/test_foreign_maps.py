@@ -82,7 +82,7 @@ def test_wrong_coefficients(tmp_path):
     refused(put(tmp_path, alone, weight=np.zeros(28)), "does not take the air's temperature")
     for cell, value in ((0.0, 0.0), (1e-300, 0.0), (64.0, np.nan)):
         palette = HEADER | {"predictor": "palette", "of_predictor": {"cell": cell}}
-        refused(put(tmp_path, palette, value=np.full((4, 4, 4), value), count=np.zeros((4, 4, 4), int)), "cells have a wrong size")
+        refused(put(tmp_path, palette, value=np.full((4, 4, 4), value), count=np.zeros((4, 4, 4), int)), "wrong size")
 
 
 class _Runs:

@@ -235,9 +235,9 @@ def test_materials_known_not_to_occur_are_left_out(model):
     whole, part = model.probabilities(described)[0].astype(float), fewer.probabilities(described)[0]
     sure = whole[:, kept].sum(axis=-1) > 1e-3
     assert part[sure] == pytest.approx((whole[:, kept] / whole[:, kept].sum(axis=-1, keepdims=True))[sure], abs=1e-3)
-    with pytest.raises(ThermorenderError, match="knows no 'snow' to leave out; it tells apart"):
+    with pytest.raises(ThermorenderError, match="does not have the material 'snow' to leave out; it has"):
         model.without(["snow"])
-    with pytest.raises(ThermorenderError, match="has 1 materials left without asphalt, sand_quartz; leave it two"):
+    with pytest.raises(ThermorenderError, match="has 1 materials left without asphalt, sand_quartz; keep two"):
         model.without(["asphalt", "sand_quartz"])
 
 
@@ -251,7 +251,7 @@ def test_a_map_is_read_as_it_was_written(model, tmp_path):
 
 
 def test_more_materials_than_a_class_raster_tells_apart_are_refused(model, tmp_path):
-    """255 stands for unknown texels and 0 for none, so a map may tell 254 materials apart."""
+    """255 stands for unknown texels and 0 for none, so a map may have 254 materials."""
     for count in (254, 255):
         width = len(model.layers[-1][0])
         last = (np.zeros((width, count), np.float32), np.zeros(count, np.float32))
@@ -260,7 +260,7 @@ def test_more_materials_than_a_class_raster_tells_apart_are_refused(model, tmp_p
         )
         save_map(many, tmp_path / f"{count}.npz")
     assert len(load_map(tmp_path / "254.npz").materials) == 254
-    with pytest.raises(ThermorenderError, match="255.npz is no .*tells 255 materials apart, not 2…254"):
+    with pytest.raises(ThermorenderError, match="255.npz is not .*has 255 materials, not 2…254"):
         load_map(tmp_path / "255.npz")
     rgb, number = np.zeros((16, 32, 3), np.uint8), 1 + np.arange(512).reshape(16, 32) % 200
     pictures = [
@@ -284,7 +284,7 @@ def test_a_file_that_is_no_map_is_refused(model, tmp_path, damage):
         save_map(replace(model, materials=("grass_green",)), path)
     else:
         save_map(replace(model, mean=model.mean * np.float32(np.nan)), path)
-    with pytest.raises(ThermorenderError, match=r"m\.npz is no emissivity map \(.+\); make one with"):
+    with pytest.raises(ThermorenderError, match=r"m\.npz is not an emissivity map \(.+\); make one with"):
         load_map(path)
 
 
@@ -419,11 +419,11 @@ def test_empty_borders_stay_filled_and_are_not_counted_unknown(scene):
         ('model = "own.npz"\n', "emissivity.fallback is missing; source='learned' needs it"),
         ('fallback = "granite"\n', "emissivity.model is missing; source='learned' needs it"),
         ('model = "lost.npz"\nfallback = "granite"\n', "emissivity.model='lost.npz' does not exist"),
-        ('model = "scene.toml"\nfallback = "granite"\n', "scene.toml is no emissivity map"),
+        ('model = "scene.toml"\nfallback = "granite"\n', "scene.toml is not an emissivity map"),
         ('model = "own.npz"\nfallback = "granit"\n', "fallback uses material 'granit'.* closest are granite"),
         ('model = "own.npz"\nfallback = "granite"\nconfidence = 1.5\n', "emissivity.confidence=1.5 is not allowed"),
         ('model = "own.npz"\nfallback = "granite"\nwithout = "snow"\n', "without='snow' is not allowed; give a list"),
-        ('model = "own.npz"\nfallback = "granite"\nwithout = ["snow"]\n', "knows no 'snow' to leave out"),
+        ('model = "own.npz"\nfallback = "granite"\nwithout = ["snow"]\n', "material 'snow' to leave out"),
     ],
 )  # fmt: skip
 def test_scene_files_that_cannot_be_used(scene, text, words):
@@ -634,7 +634,7 @@ def test_the_verbs_train_and_map(scene, tmp_path):
     assert done.exit_code == 0 and "sand_quartz" in done.output, done.output
     assert len(list((tmp_path / "mapped").iterdir())) == 5
     failed = run("map-materials", scene, "--without", "snow", "-o", tmp_path / "none", "--model", scene / "own.npz")
-    assert "knows no 'snow' to leave out" in str(failed.exception) and not (tmp_path / "none").exists()
+    assert "material 'snow' to leave out" in str(failed.exception) and not (tmp_path / "none").exists()
     failed = run("map-materials", scene, "--confidence", "2", "-o", tmp_path / "none", "--model", scene / "own.npz")
     assert "confidence=2 is not allowed; give a number 0…1" in str(failed.exception)
     assert not (tmp_path / "none").exists()
