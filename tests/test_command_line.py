@@ -142,6 +142,6 @@ def test_one_study_does_not_need_the_folder_of_all(tmp_path, call_module, monkey
     monkeypatch.chdir(tmp_path)
     (tmp_path / "validation").write_text("in the way")
     status, _, errors = call_module("validation.trainings", "nothing", "-o", "out")
-    assert status == 2 and "nothing is no folder of a training" in errors
+    assert status == 2 and "nothing is not the folder of a training" in errors
     status, _, errors = call_module("validation")
     assert status == 2 and "output folder validation cannot be made: File exists" in errors

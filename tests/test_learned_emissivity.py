@@ -266,7 +266,7 @@ def test_more_materials_than_a_class_raster_tells_apart_are_refused(model, tmp_p
     pictures = [
         Labelled(rgb, number.astype(np.uint8), {k: f"{which}{k}" for k in range(1, 201)}, 0.5, which) for which in "ab"
     ]
-    with pytest.raises(ThermorenderError, match="a, b name 400 materials; an emissivity map tells 2…254 apart"):
+    with pytest.raises(ThermorenderError, match="a, b name 400 materials, but an emissivity map has 2…254"):
         train(pictures, 0.5, "many")
 
 

@@ -409,7 +409,7 @@ def test_values_that_stand_for_no_temperature_are_left_out():
 
 
 def test_too_few_pairs_are_refused():
-    with pytest.raises(ThermorenderError, match="2 pairs are too few to train a network"):
+    with pytest.raises(ThermorenderError, match="2 pairs are too few to train and validate"):
         Crops(task_of("unet", [example(0), example(1)]), 64, False)
 
 
@@ -581,7 +581,7 @@ def test_what_half_precision_cannot_hold_is_kept_whole(tmp_path):
         (lambda header, arrays: header.update(width=16000), "size mismatch"),
         (lambda header, arrays: header.update(published="no"), "neither true nor false"),
         (lambda header, arrays: header.update(above_air=True), "not told the air's temperature"),
-        (lambda header, arrays: header["encoding"].update(scale=-1.0), "a scale that is none"),
+        (lambda header, arrays: header["encoding"].update(scale=-1.0), "its scale is not above 0"),
         (lambda header, arrays: header["encoding"].update(offset=1e300), "too large"),
         (lambda header, arrays: header["encoding"].update(told={"terrain": [], "conditions": [1]}), "without a name"),
         (lambda header, arrays: arrays.popitem(), "Missing key"),

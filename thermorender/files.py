@@ -244,7 +244,7 @@ def check_output_file(path: PathLike, suffixes: Sequence[str] = ()) -> None:
     """
     path = Path(path)
     if suffixes and path.suffix.lower() not in suffixes:
-        raise ThermorenderError(f"{path} has the wrong suffix; give a name that ends in {' or '.join(suffixes)}")
+        raise ThermorenderError(f"{path} has the wrong suffix; give one that ends in {' or '.join(suffixes)}")
     _refuse_other_than_file(path)
     with _beside(path) as part:
         part.touch()
