@@ -16,13 +16,9 @@ BELIEVED_MARGIN = 2.0
 
 
 def kinetic_from_map(
-    model: TemperatureMap,
-    inputs: Inputs,
-    material: np.ndarray,
-    materials: Sequence[Material],
-    sky_temperature: float | None = None,
-    stand_in: float | None = None,
-) -> tuple[np.ndarray, np.ndarray, float]:
+    model: TemperatureMap, inputs: Inputs, material: np.ndarray, materials: Sequence[Material],
+    sky_temperature: float | None = None, stand_in: float | None = None,
+) -> tuple[np.ndarray, np.ndarray, float]:  # fmt: skip
     """Return (temperature (h, w) float64 [K], trusted (h, w) bool, share of intensities outside 0…1).
 
     The map gives *apparent* temperature under its training sky; that sky's reflection is removed per material.

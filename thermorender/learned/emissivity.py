@@ -135,12 +135,9 @@ class Mapped:
 
 
 def map_materials(
-    model: EmissivityMap,
-    rgb: np.ndarray,
-    texel_m: float,
-    progress: Callable[[float], object] | None = None,
+    model: EmissivityMap, rgb: np.ndarray, texel_m: float, progress: Callable[[float], object] | None = None,
     keep: Callable[[slice, slice, np.ndarray], object] | None = None,
-) -> Mapped:
+) -> Mapped:  # fmt: skip
     """Return the Mapped of an orthophoto.
 
     Parameters
@@ -273,16 +270,9 @@ def load_map(name: files.PathLike) -> EmissivityMap:
                 raise ValueError("it was made by another version or for other features")
             layers = tuple((_floats(file[f"weight{n}"]), _floats(file[f"bias{n}"])) for n in range(head["layers"]))
             model = EmissivityMap(
-                name=str(head["name"]),
-                materials=tuple(map(str, head["materials"])),
-                texel_m=float(head["texel_m"]),
-                mean=_floats(file["mean"]),
-                scale=_floats(file["scale"]),
-                layers=layers,
-                centres=_floats(file["centres"]),
-                threshold=float(head["threshold"]),
-                about=dict(head["about"]),
-            )
+                str(head["name"]), tuple(map(str, head["materials"])), float(head["texel_m"]), _floats(file["mean"]),
+                _floats(file["scale"]), layers, _floats(file["centres"]), float(head["threshold"]), dict(head["about"]),
+            )  # fmt: skip
         _check(model)
     # A damaged file can raise many kinds of errors in zipfile, zlib, json or NumPy.
     except Exception as error:

@@ -56,13 +56,9 @@ class Labelled:
 
 
 def train(
-    labelled: Iterable[Labelled],
-    texel_m: float,
-    name: str,
-    augmentations: int = 0,
-    seed: int = 0,
+    labelled: Iterable[Labelled], texel_m: float, name: str, augmentations: int = 0, seed: int = 0,
     progress: Callable[[str, float], object] | None = None,
-) -> tuple[EmissivityMap, np.ndarray]:
+) -> tuple[EmissivityMap, np.ndarray]:  # fmt: skip
     """Return (EmissivityMap, confusion (C, C) int) trained on labelled orthophotos.
 
     Parameters
@@ -96,21 +92,14 @@ def train(
         ) from None
     report = progress or (lambda what, share: None)
     generator = np.random.Generator(np.random.Philox(seed))
-    described, truth, held_out, names, sources, labels = [], [], [], [], [], np.zeros(2, dtype=np.int64)
+    names, sources, labels, parts = [], [], np.zeros(2, dtype=np.int64), []
     for number, item in enumerate(labelled):
         report("describing the orthophotos", number / (number + 5.0))  # their number is not known in advance
         sources.append(item.source)
         labels += np.count_nonzero(item.material), item.material.size
         for found, values, held in _described(item, texel_m, name, augmentations, generator):
-            for value in np.unique(values):
-                if item.names[value] not in names:
-                    names.append(item.names[value])
-            number_of = np.array([names.index(item.names[k]) if k in item.names and item.names[k] in names else 0
-                                  for k in range(256)])  # fmt: skip
-            described.append(found)
-            truth.append(number_of[values])
-            held_out.append(held)
-    described, truth, held_out = (np.concatenate(parts) for parts in (described, truth, held_out))
+            parts.append((found, _numbered(values, item.names, names), held))
+    described, truth, held_out = map(np.concatenate, zip(*parts, strict=True))
     count = np.bincount(truth[~held_out], minlength=len(names))
     _check_labels(sources, names, count)
     drawn = _drawn(truth, np.flatnonzero(~held_out), count, generator)
@@ -119,26 +108,18 @@ def train(
     layers = _layers(standard, truth[drawn], len(names), seed, report)
     centres, distance = _centres(standard[:, NEAR], seed)
     model = EmissivityMap(
-        name=name,
-        materials=tuple(names),
-        texel_m=float(texel_m),
-        mean=np.float32(mean),
-        scale=np.float32(scale),
-        layers=tuple((np.float32(weight), np.float32(bias)) for weight, bias in layers),
-        centres=np.float32(centres),
-        threshold=float(_THRESHOLD_MARGIN * np.quantile(distance, _THRESHOLD_QUANTILE)),
-        about={},
-    )
+        name, tuple(names), float(texel_m), np.float32(mean), np.float32(scale),
+        layers=tuple((np.float32(weight), np.float32(bias)) for weight, bias in layers), centres=np.float32(centres),
+        threshold=float(_THRESHOLD_MARGIN * np.quantile(distance, _THRESHOLD_QUANTILE)), about={},
+    )  # fmt: skip
     confusion = _confusion(model, described[held_out], truth[held_out])
+    accuracy = round(float(np.trace(confusion) / confusion.sum()), 4) if confusion.any() else None
     model.about.update(
         trained_on="; ".join(sources),
         split=f"one block of {BLOCK_TEXELS * texel_m:g} m in {_HELD_OUT_ONE_IN} held out",
-        augmentations=augmentations,
-        seed=seed,
-        texels=int(len(drawn)),
-        held_out_texels=int(held_out.sum()),
-        held_out_accuracy=round(float(np.trace(confusion) / confusion.sum()), 4) if confusion.any() else None,
-    )
+        augmentations=augmentations, seed=seed, texels=int(len(drawn)), held_out_texels=int(held_out.sum()),
+        held_out_accuracy=accuracy,
+    )  # fmt: skip
     untested = [name for name, row in zip(names, confusion, strict=True) if not row.any()]
     not_tested = [f"{', '.join(untested)}, of which no texel was held out"] if untested else []
     if labels[0] < labels[1]:
@@ -146,6 +127,12 @@ def train(
     if not_tested:
         model.about["not_tested"] = "; ".join(not_tested)
     return model, confusion
+
+
+def _numbered(values, own, names):
+    """Labels as indices into `names`, a list that grows by the names of new labels; `own` is {label: name}."""
+    names += dict.fromkeys(own[value] for value in np.unique(values) if own[value] not in names)
+    return np.array([names.index(own[k]) if own.get(k) in names else 0 for k in range(256)])[values]
 
 
 def _check_labels(sources, names, count):

@@ -48,12 +48,9 @@ class Learner:
     MOVED = {"net": ("net",)}
 
     def __init__(
-        self,
-        net: nn.Module,
-        others: dict[str, nn.Module],
-        optimiser: Callable[[Iterable[nn.Parameter]], torch.optim.Optimizer],
-        weight: float,
-    ) -> None:
+        self, net: nn.Module, others: dict[str, nn.Module],
+        optimiser: Callable[[Iterable[nn.Parameter]], torch.optim.Optimizer], weight: float,
+    ) -> None:  # fmt: skip
         self.net, self.applied, self.weight = net, net, weight
         self.parts = {"net": net, **others}
         self.optimisers = {
