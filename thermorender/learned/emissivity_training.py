@@ -117,7 +117,7 @@ def train(
     model.about.update(
         trained_on="; ".join(sources),
         split=f"one block of {BLOCK_TEXELS * texel_m:g} m in {_HELD_OUT_ONE_IN} held out",
-        augmentations=augmentations, seed=seed, texels=int(len(drawn)), held_out_texels=int(held_out.sum()),
+        augmentations=augmentations, seed=seed, texels=len(drawn), held_out_texels=int(held_out.sum()),
         held_out_accuracy=accuracy,
     )  # fmt: skip
     untested = [name for name, row in zip(names, confusion, strict=True) if not row.any()]

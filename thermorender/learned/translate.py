@@ -280,7 +280,7 @@ def _video(how, source, outputs, report_share):
         str(source).encode()
     except UnicodeEncodeError:
         # OpenCV would abort the process.
-        raise UnreadableError(f"{ascii(str(source))} is not valid Unicode; rename the video") from None
+        raise UnreadableError(f"{str(source)!a} is not valid Unicode; rename the video") from None
     reader = cv2.VideoCapture(str(source))
     with ExitStack() as stack:
         stack.callback(reader.release)

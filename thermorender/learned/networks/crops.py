@@ -57,9 +57,7 @@ class Crops:
         held = task.held_out if task.held_out is not None else np.arange(count) % 10 == 9
         self.train, self.held = np.flatnonzero(~held), np.flatnonzero(held)
         if not len(self.train) or not len(self.held):
-            raise ThermorenderError(
-                f"{count} pairs are too few to train and validate a network; give 10 or more"
-            )
+            raise ThermorenderError(f"{count} pairs are too few to train and validate a network; give 10 or more")
         self._cuts, self._mixed = max(1, _CUT_PIXELS // (side * side)), _MIXED_PIXELS // _CUT_PIXELS
         self._pool, self._blocks = ThreadPoolExecutor(1), {}
 

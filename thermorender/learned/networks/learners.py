@@ -5,6 +5,7 @@ all families. Invalid pixels do not count: there a discriminator sees the genera
 """
 
 from collections.abc import Callable, Iterable
+from typing import ClassVar
 
 import torch
 from torch import nn
@@ -45,7 +46,7 @@ class Learner:
     """
 
     # Parts that each optimiser updates.
-    MOVED = {"net": ("net",)}
+    MOVED: ClassVar = {"net": ("net",)}
 
     def __init__(
         self, net: nn.Module, others: dict[str, nn.Module],
@@ -124,7 +125,7 @@ class Adversarial(Learner):
     discriminator's loss is halved, which slows it down.
     """
 
-    MOVED = {"net": ("net",), "discriminator": ("discriminator",)}
+    MOVED: ClassVar = {"net": ("net",), "discriminator": ("discriminator",)}
 
     def step(self, batch: Batch) -> dict[str, torch.Tensor]:
         """Take a step of the discriminator, then of the generator; return {name: loss}."""
@@ -156,7 +157,7 @@ class Scaled(Learner):
         Perceptual loss, with the weight of feature matching.
     """
 
-    MOVED = {"net": ("net",), "discriminator": ("discriminator",)}
+    MOVED: ClassVar = {"net": ("net",), "discriminator": ("discriminator",)}
     perceived = None
 
     def step(self, batch: Batch) -> dict[str, torch.Tensor]:
@@ -228,7 +229,7 @@ class Cycle(Learner):
     Photographs come from the first half of a batch, thermal pictures from the second half, which are other crops.
     """
 
-    MOVED = {"net": ("net", "back"), "discriminators": ("photographs", "thermals")}
+    MOVED: ClassVar = {"net": ("net", "back"), "discriminators": ("photographs", "thermals")}
 
     def step(self, batch: Batch) -> dict[str, torch.Tensor]:
         """Take a step of the generators, then of the discriminators; return {name: loss}."""
