@@ -92,7 +92,7 @@ def test_outputs_are_refused_before_the_work(words, where, call, tmp_path):
         (("fit-camera",), "a.txt", "give one that ends in .toml"),
         (("materials", "plot"), "a.jpg", "give one that ends in .png"),
         (("materials", "plot"), "full", "give one that ends in .png"),
-        (("bench",), "full", "is a folder or no ordinary file"),
+        (("bench",), "full", "is not an ordinary file"),
         (("train",), "full", "give one that ends in .npz"),
         (("make-scene",), "full", "exists and is not empty; give a new folder"),
         (("import-terrain",), "full", "exists and is not empty; give a new folder"),
@@ -142,6 +142,6 @@ def test_one_study_does_not_need_the_common_folder(tmp_path, call_module, monkey
     monkeypatch.chdir(tmp_path)
     (tmp_path / "validation").write_text("in the way")
     status, _, errors = call_module("validation.trainings", "nothing", "-o", "out")
-    assert status == 2 and "nothing is no folder of a training" in errors
+    assert status == 2 and "nothing is not the folder of a training" in errors
     status, _, errors = call_module("validation")
     assert status == 2 and "output folder validation cannot be made: File exists" in errors

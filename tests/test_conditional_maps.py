@@ -272,7 +272,7 @@ def test_a_map_replaces_the_scenes_own_source(tmp_path, call):
     mean = float(output.partition("mean ")[2].partition(" K")[0])
     assert mean == pytest.approx(air_k(AT) - 3.0, abs=0.005)
     status, _, errors = call("render", folder, "-o", tmp_path / "q", *common, "--range-c", "0,20")
-    assert status == 2 and "does not belong to learned map 'mine', which gives kelvin above the air" in errors
+    assert status == 2 and "does not apply to learned map 'mine', which predicts kelvin above the air" in errors
 
 
 def test_another_ground_sampling_distance_gives_a_warning(tmp_path, call):
@@ -280,7 +280,7 @@ def test_another_ground_sampling_distance_gives_a_warning(tmp_path, call):
     save(folder / "above.npz", above_air(5.0), texel_m=0.1, texel_range_m=(0.05, 0.2))
     status, _, errors = call("plan", folder, "--rays", 4)
     assert status == 0
-    assert errors.count("warning: learned map 'above' was trained at 0.05–0.2 m a pixel and meets 0.5 m") == 1
+    assert errors.count("warning: learned map 'above' was trained at 0.05–0.2 m a pixel; at 0.5 m texture") == 1
 
 
 def test_compare_accepts_files_and_conditional_maps(tmp_path):

@@ -254,9 +254,9 @@ def test_checks_leave_nothing_behind(tmp_path):
     ("check", "path", "words"),
     [
         (files.check_output_file, "file/below", "below cannot be written: Not a directory"),
-        (files.check_output_file, "folder", "folder is a folder or no ordinary file; give the name of a file"),
+        (files.check_output_file, "folder", "folder is not an ordinary file; give the name of a file"),
         (files.check_output_file, "x" * 300, "cannot be written: File name too long"),
-        (files.check_output_file, os.devnull, "is a folder or no ordinary file"),
+        (files.check_output_file, os.devnull, "is not an ordinary file"),
         (files.check_output_file, "/proc/thermorender/a", "a cannot be written: No such file"),
         (files.check_output_folder, "file", "output folder .*file cannot be made: File exists"),
         (files.check_output_folder, "file/below", "output folder .*below cannot be made: Not a directory"),
@@ -266,7 +266,7 @@ def test_checks_leave_nothing_behind(tmp_path):
         (files.check_new_folder, "folder", "folder exists and is not empty; give a new folder"),
         (files.check_new_folder, "file/below", "below cannot be written: Not a directory"),
         (files.check_new_folder, "x" * 300, "cannot be written: File name too long"),
-        (files.check_new_folder, "/proc", "/proc is where a file system is mounted; give a folder below it"),
+        (files.check_new_folder, "/proc", "/proc is a mount point; give a folder below it"),
     ],
 )
 def test_unwritable_outputs_are_reported_before_the_work(check, path, words, tmp_path):
@@ -320,7 +320,7 @@ def test_each_kind_of_cached_files_has_its_folder(tmp_path, monkeypatch):
     monkeypatch.setenv("THERMORENDER_CACHE", str(tmp_path))
     folders = [cache_folder(kind) for kind in CACHED]
     assert len(set(folders)) == len(folders) and all(folder.parent == tmp_path for folder in folders)
-    with pytest.raises(ValueError, match="kind='x' is not kept; give one of light, lowtran"):
+    with pytest.raises(ValueError, match="kind='x' is not cached; give one of light, lowtran"):
         cache_folder("x")
     monkeypatch.delenv("THERMORENDER_CACHE")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))

@@ -235,9 +235,9 @@ def test_excluded_materials_get_no_probability(model):
     whole, part = model.probabilities(described)[0].astype(float), fewer.probabilities(described)[0]
     sure = whole[:, kept].sum(axis=-1) > 1e-3
     assert part[sure] == pytest.approx((whole[:, kept] / whole[:, kept].sum(axis=-1, keepdims=True))[sure], abs=1e-3)
-    with pytest.raises(ThermorenderError, match="knows no 'snow' to leave out; it tells apart"):
+    with pytest.raises(ThermorenderError, match="does not have the material 'snow' to leave out; it has"):
         model.without(["snow"])
-    with pytest.raises(ThermorenderError, match="has 1 materials left without asphalt, sand_quartz; leave it two"):
+    with pytest.raises(ThermorenderError, match="has 1 materials left without asphalt, sand_quartz; keep two"):
         model.without(["asphalt", "sand_quartz"])
 
 
@@ -260,13 +260,13 @@ def test_more_materials_than_a_class_raster_can_hold_are_refused(model, tmp_path
         )
         save_map(many, tmp_path / f"{count}.npz")
     assert len(load_map(tmp_path / "254.npz").materials) == 254
-    with pytest.raises(ThermorenderError, match=r"255.npz is no .*tells 255 materials apart, not 2…254"):
+    with pytest.raises(ThermorenderError, match=r"255.npz is not .*has 255 materials, not 2…254"):
         load_map(tmp_path / "255.npz")
     rgb, number = np.zeros((16, 32, 3), np.uint8), 1 + np.arange(512).reshape(16, 32) % 200
     pictures = [
         Labelled(rgb, number.astype(np.uint8), {k: f"{which}{k}" for k in range(1, 201)}, 0.5, which) for which in "ab"
     ]
-    with pytest.raises(ThermorenderError, match="a, b name 400 materials; an emissivity map tells 2…254 apart"):
+    with pytest.raises(ThermorenderError, match="a, b name 400 materials, but an emissivity map has 2…254"):
         train(pictures, 0.5, "many")
 
 
@@ -284,7 +284,7 @@ def test_file_that_is_not_a_map_is_refused(model, tmp_path, damage):
         save_map(replace(model, materials=("grass_green",)), path)
     else:
         save_map(replace(model, mean=model.mean * np.float32(np.nan)), path)
-    with pytest.raises(ThermorenderError, match=r"m\.npz is no emissivity map \(.+\); make one with"):
+    with pytest.raises(ThermorenderError, match=r"m\.npz is not an emissivity map \(.+\); make one with"):
         load_map(path)
 
 
@@ -419,11 +419,11 @@ def test_empty_borders_stay_filled_and_do_not_count_as_unknown(scene):
         ('model = "own.npz"\n', "emissivity.fallback is missing; source='learned' needs it"),
         ('fallback = "granite"\n', "emissivity.model is missing; source='learned' needs it"),
         ('model = "lost.npz"\nfallback = "granite"\n', "emissivity.model='lost.npz' does not exist"),
-        ('model = "scene.toml"\nfallback = "granite"\n', "scene.toml is no emissivity map"),
+        ('model = "scene.toml"\nfallback = "granite"\n', "scene.toml is not an emissivity map"),
         ('model = "own.npz"\nfallback = "granit"\n', "fallback uses material 'granit'.* closest are granite"),
         ('model = "own.npz"\nfallback = "granite"\nconfidence = 1.5\n', "emissivity.confidence=1.5 is not allowed"),
         ('model = "own.npz"\nfallback = "granite"\nwithout = "snow"\n', "without='snow' is not allowed; give a list"),
-        ('model = "own.npz"\nfallback = "granite"\nwithout = ["snow"]\n', "knows no 'snow' to leave out"),
+        ('model = "own.npz"\nfallback = "granite"\nwithout = ["snow"]\n', "material 'snow' to leave out"),
     ],
 )  # fmt: skip
 def test_wrong_scene_files_are_refused(scene, text, words):
@@ -634,7 +634,7 @@ def test_train_and_map_commands(scene, tmp_path):
     assert done.exit_code == 0 and "sand_quartz" in done.output, done.output
     assert len(list((tmp_path / "mapped").iterdir())) == 5
     failed = run("map-materials", scene, "--without", "snow", "-o", tmp_path / "none", "--model", scene / "own.npz")
-    assert "knows no 'snow' to leave out" in str(failed.exception) and not (tmp_path / "none").exists()
+    assert "material 'snow' to leave out" in str(failed.exception) and not (tmp_path / "none").exists()
     failed = run("map-materials", scene, "--confidence", "2", "-o", tmp_path / "none", "--model", scene / "own.npz")
     assert "confidence=2 is not allowed; give a number 0…1" in str(failed.exception)
     assert not (tmp_path / "none").exists()

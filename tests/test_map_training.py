@@ -167,7 +167,7 @@ def test_card_without_a_name(tmp_path):
         ("correlation-1to1", {"penalty": None}, "penalty=None .* give a number from 0 up"),
         ("correlation-1to1", {"penalty": [1]}, r"penalty=\[1\] .* give a number from 0 up"),
         ("correlation-1to1", {"cell": 3}, "'correlation-1to1' has no option 'cell'; it has intercept, penalty"),
-        ("palette", {"cell": 0}, "cell=0 is no side of a palette's cells; give 2…64"),
+        ("palette", {"cell": 0}, "cell=0 is not allowed for a palette; give 2…64"),
         ("trees", {"cell": 3}, "'trees' has no option 'cell'; it has none"),
         ("correlation-2x2", {}, "method 'correlation-2x2' is unknown; "),
         ("correlation-17x17", {}, "method 'correlation-17x17' is unknown; "),

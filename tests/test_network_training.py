@@ -402,7 +402,7 @@ def test_a_folder_of_another_training_is_refused(tmp_path):
     best.rename(tmp_path / "r" / "best.safetensors")
     last = tmp_path / "r" / "last.safetensors"
     last.write_bytes(last.read_bytes()[:-100])
-    with pytest.raises(ThermorenderError, match="is no checkpoint of this training"):
+    with pytest.raises(ThermorenderError, match="is not a checkpoint of this training"):
         train_network(task_of("compact", examples(11), tmp_path / "r", resume=True, **SMALL), "compact")
 
 

@@ -411,7 +411,7 @@ def test_values_without_a_temperature_are_left_out():
 
 
 def test_too_few_pairs_are_refused():
-    with pytest.raises(ThermorenderError, match="2 pairs are too few to train a network"):
+    with pytest.raises(ThermorenderError, match="2 pairs are too few to train and validate"):
         Crops(task_of("unet", [example(0), example(1)]), 64, False)
 
 
@@ -583,9 +583,9 @@ def test_weights_beyond_half_precision_keep_full_precision(tmp_path):
         (lambda header, arrays: header.update(width=16000), "size mismatch"),
         (lambda header, arrays: header.update(published="no"), "neither true nor false"),
         (lambda header, arrays: header.update(above_air=True), "does not take the air's temperature"),
-        (lambda header, arrays: header["encoding"].update(scale=-1.0), "a scale that is none"),
+        (lambda header, arrays: header["encoding"].update(scale=-1.0), "its scale is not above 0"),
         (lambda header, arrays: header["encoding"].update(offset=1e300), "too large"),
-        (lambda header, arrays: header["encoding"].update(told={"terrain": [], "conditions": [1]}), "without a name"),
+        (lambda header, arrays: header["encoding"].update(told={"terrain": [], "conditions": [1]}), "has no name"),
         (lambda header, arrays: arrays.popitem(), "Missing key"),
         (lambda header, arrays: arrays.update(more=np.zeros(3)), "Unexpected key"),
         (lambda header, arrays: arrays.update({"entry.bias": np.full(4, 1e300)}), "not finite"),

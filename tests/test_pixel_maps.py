@@ -320,7 +320,7 @@ def test_files_that_are_not_such_maps_are_refused(tmp_path):
     narrow = linear.Linear(rows.ExtraInputs(), np.zeros(5), 0.0)
     for bad in (replace(grown, text="tree\nno"), replace(grown, extra=rows.ExtraInputs(("slope",))),
                 replace(colours, cell=24.0), narrow):  # fmt: skip
-        with pytest.raises(ThermorenderError, match=r"is no learned map of format 1 \(.*\); make one with"):
+        with pytest.raises(ThermorenderError, match=r"is not a learned map of format 1 \(.*\); make one with"):
             through_a_file(bad, tmp_path)
 
 
@@ -446,5 +446,5 @@ def test_linear_refuses_unusable_inputs():
     inputs, kelvin = linear_example(0, 290.0, np.random.default_rng(3))
     with pytest.raises(ThermorenderError, match="penalty=-1 is not allowed; give 0 or more"):
         linear.fit_linear(task_of("correlation+", [example(inputs, kelvin)], penalty=-1))
-    with pytest.raises(ThermorenderError, match="no condition air_k"):
+    with pytest.raises(ThermorenderError, match="lack the condition air_k"):
         linear.fit_linear(task_of("correlation+", [example(replace(inputs, conditions={"wind_m_s": 1.0}), kelvin)]))

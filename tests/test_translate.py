@@ -324,4 +324,4 @@ def test_refusals(tmp_path):
     refused("a.png exists; give another folder", [path], tmp_path)
     refused("a.png exists; give another folder", [path], tmp_path, resume=True)
     plain = replace(warm, name="plain", method="palette", predictor=_Plain())
-    refused("'plain' .palette. has no border to leave out; leave --inner away", [path], out, model=plain, inner=True)
+    refused("'plain' .palette. has no border .*; run it without --inner", [path], out, model=plain, inner=True)

@@ -1,8 +1,8 @@
-"""Files and folders that are written whole or not at all, and refused before the work where they cannot be.
+"""Atomic writes of files and folders, and checks before the work that an output can be written.
 
-What is written has a temporary name beside its place, and takes its name when it is complete. A failure or an
-interruption leaves nothing behind. A killed process leaves the old file or the new one, and perhaps a temporary one.
-Processes that write the same file do not meet: the last one's is there. Folders have locks.
+Output goes to a temporary name in the same folder and is renamed when complete. A failure or an interruption leaves
+nothing behind. A killed process leaves the old file or the new one, and perhaps a temporary one. When several processes
+write the same file, the last one wins. Folders have locks.
 """
 
 import errno
@@ -12,25 +12,28 @@ import secrets
 import shutil
 import time
 import zlib
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from thermorender.errors import ThermorenderError
 
-# That file systems allow to a name, and letters of it that a temporary name repeats: 200 bytes at most.
+# Longest file name that file systems allow [bytes]; letters of it that a temporary name repeats, 200 bytes at most.
 _MOST_BYTES, _REPEATED = 255, 50
 # The lock inside a folder in use.
 _LOCK = ".lock"
 
+PathLike = str | os.PathLike[str]
 
-# --- whole or not at all ----------------------------------------------------------------------------------------
+
+# --- atomic writes ----------------------------------------------------------------------------------------------
 
 
 @contextmanager
-def atomic(path):
-    """Give a temporary path beside a file; it takes the file's name only if the block ends without error.
+def atomic(path: PathLike) -> Iterator[Path]:
+    """Yield a temporary path with the suffix of `path`; rename it to `path` if the block ends without error.
 
-    It ends as `path` does, as many writers tell the format by that. Missing folders are made.
+    Missing folders are made.
 
     Raises
     ------
@@ -45,21 +48,21 @@ def atomic(path):
 
 
 @contextmanager
-def atomic_folder(path, overwrite=False):
-    """Give a temporary folder; it takes the name `path` only if the block ends without error.
+def atomic_folder(path: PathLike, overwrite: bool = False) -> Iterator[Path]:
+    """Yield a temporary folder; rename it to `path` if the block ends without error.
 
     Parameters
     ----------
     path : path
         Must not exist, or be empty.
     overwrite : bool
-        Whether a folder that holds something may be there, which is then removed.
+        Replace a folder that is not empty.
 
     Raises
     ------
     ThermorenderError
-        The folder is in use, or cannot be made, or another process writes it; nothing is left behind, and an old folder
-        stays as it was.
+        The folder is not empty, cannot be made, or another process is writing it. Nothing is left behind, and an old
+        folder stays as it was.
     """
     given, path = path, Path(os.path.realpath(path))
     _refuse_used_folder(given, overwrite)
@@ -80,10 +83,7 @@ def atomic_folder(path, overwrite=False):
 
 
 def _exchange(part, path, old):
-    """Give a folder's name to its temporary one, which then is the folder that was there; `old` is its name meanwhile.
-
-    None refuses a folder that holds something.
-    """
+    """Swap the folders `part` and `path`, through the name `old`; where that is None, `path` must be empty."""
     if path.exists() and old is None:
         path.rmdir()
     elif path.exists():
@@ -100,7 +100,7 @@ def _exchange(part, path, old):
 
 @contextmanager
 def _beside(path):
-    """Give a temporary path beside a place, in a folder made where missing; afterwards there is nothing under it."""
+    """Yield a temporary path in the folder of `path`, made if missing; remove it afterwards."""
     part = path.with_name(f".{path.stem[:_REPEATED]}.{secrets.token_hex(4)}.part{path.suffix}")
     with _parents(path):
         try:
@@ -112,7 +112,7 @@ def _beside(path):
 
 @contextmanager
 def _parents(path):
-    """Make the folders above a place for a block, and remove those still empty; say in a sentence what fails."""
+    """Make the folders above `path` for a block, then remove those still empty; raise OS errors as one sentence."""
     made = _missing(path.parent)
     try:
         if len(os.fsencode(path.name)) > _MOST_BYTES:
@@ -121,7 +121,7 @@ def _parents(path):
             path.parent.mkdir(parents=True, exist_ok=True)
         yield
     except (OSError, RuntimeError) as error:
-        # RuntimeError: that of the writers of images and videos.
+        # Writers of images and videos raise RuntimeError.
         reason = getattr(error, "strerror", None) or str(error)
         raise ThermorenderError(
             f"{path} cannot be written: {reason}; check the folder, its permissions and the disk"
@@ -131,12 +131,12 @@ def _parents(path):
 
 
 def _short(path):
-    """The beginning of a name with the checksum of it all: short, and no other's."""
+    """The beginning of a file's name with the checksum of the whole: short and unique."""
     return f"{path.name[:_REPEATED]}-{zlib.crc32(os.fsencode(path.name)):08x}"
 
 
-def remove_parts(folder, name=r".+", older_s=0.0):
-    """Remove the temporary files that killed processes left of files in a folder.
+def remove_parts(folder: Path, name: str = r".+", older_s: float = 0.0) -> None:
+    """Remove the temporary files that killed processes left in a folder.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def remove_parts(folder, name=r".+", older_s=0.0):
     name : str
         Regular expression of the files' names without suffix.
     older_s : float
-        Only what was last written so long ago [s], where other processes may be writing now.
+        Keep younger files [s], which other processes may be writing.
     """
     pattern = re.compile(rf"\.({name})\.[0-9a-f]{{8}}\.part(\.[^.]*)?")
     for path in folder.iterdir():
@@ -157,8 +157,8 @@ def remove_parts(folder, name=r".+", older_s=0.0):
 
 
 @contextmanager
-def output_folder(path):
-    """Give a folder for output, made where it is missing; if the block fails with nothing written, it goes again."""
+def output_folder(path: PathLike) -> Iterator[Path]:
+    """Yield a folder for output, made if missing; remove it again if it is still empty after the block."""
     made = _missing(path)
     try:
         yield make_folder(path)
@@ -167,19 +167,19 @@ def output_folder(path):
 
 
 @contextmanager
-def in_use(folder, wait=False):
-    """Keep other processes that ask for a folder out of it; a lock in the folder, which ends with the process.
+def in_use(folder: PathLike, wait: bool = False) -> Iterator[None]:
+    """Lock a folder against other processes; the lock ends with the process.
 
     Parameters
     ----------
     folder : path
     wait : bool
-        Wait for another process that has it, instead of refusing.
+        Wait for another process that holds the lock, instead of raising.
 
     Raises
     ------
     ThermorenderError
-        Another process has it, or it cannot be written to.
+        Another process holds the lock, or the folder cannot be written to.
     """
     with _locked(Path(folder) / _LOCK, folder, wait):
         yield
@@ -203,16 +203,16 @@ def _locked(path, folder, wait=False):
     try:
         yield
     finally:
-        # While it is held: whoever waits for it sees that it is gone, and makes its own. Not that of another process,
-        # in a folder that has taken the place of this one.
+        # Removed while held: a waiting process sees that it is gone and makes its own. A lock of another process, in a
+        # folder that replaced this one, stays.
         with suppress(OSError):
             if os.path.samestat(held, os.stat(path)):
                 path.unlink()
         lock.release()
 
 
-def make_folder(path):
-    """Create a folder for output, or raise a sentence saying why it cannot be written to."""
+def make_folder(path: PathLike) -> Path:
+    """Create a folder for output and return it; raise ThermorenderError if it cannot be written to."""
     path = Path(path)
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -220,8 +220,7 @@ def make_folder(path):
         raise ThermorenderError(
             f"output folder {path} cannot be made: {error.strerror}; give a folder that can be written"
         ) from None
-    # Tried, since permissions do not tell all: of a file system that is read-only, or of one that takes no files.
-    # Named as other temporary files are, by which it is removed where a process is killed here.
+    # A trial file also finds read-only file systems and those without files. `remove_parts` knows its name.
     trial = path / f".trial.{secrets.token_hex(4)}.part"
     try:
         trial.touch()
@@ -234,31 +233,31 @@ def make_folder(path):
     return path
 
 
-def check_output_file(path, suffixes=()):
-    """Refuse, before the work for it, a file that cannot be written; leave nothing behind.
+def check_output_file(path: PathLike, suffixes: Sequence[str] = ()) -> None:
+    """Raise ThermorenderError if a file cannot be written; leave nothing behind.
 
     Parameters
     ----------
     path : path
     suffixes : sequence of str
-        What its name may end in, such as ".toml"; anything where empty.
+        Allowed suffixes, such as ".toml"; any if empty.
     """
     path = Path(path)
     if suffixes and path.suffix.lower() not in suffixes:
-        raise ThermorenderError(f"{path} is no name for this file; give one that ends in {' or '.join(suffixes)}")
+        raise ThermorenderError(f"{path} has the wrong suffix; give one that ends in {' or '.join(suffixes)}")
     _refuse_other_than_file(path)
     with _beside(path) as part:
         part.touch()
 
 
-def check_output_folder(path):
-    """Refuse, before the work for it, a folder that cannot be made or written to; leave nothing behind."""
+def check_output_folder(path: PathLike) -> None:
+    """Raise ThermorenderError if a folder cannot be made or written to; leave nothing behind."""
     with output_folder(path):
         pass
 
 
-def check_new_folder(path):
-    """Refuse, before the work for it, a folder that is in use or cannot be made; leave nothing behind."""
+def check_new_folder(path: PathLike) -> None:
+    """Raise ThermorenderError if a folder is not empty or cannot be made; leave nothing behind."""
     _refuse_used_folder(path)
     with _beside(Path(os.path.realpath(path))) as part:
         part.mkdir()
@@ -266,7 +265,7 @@ def check_new_folder(path):
 
 def _refuse_other_than_file(path):
     if os.path.lexists(path) and not path.is_file():
-        raise ThermorenderError(f"{path} is a folder or no ordinary file; give the name of a file")
+        raise ThermorenderError(f"{path} is not an ordinary file; give the name of a file")
 
 
 def _refuse_used_folder(path, overwrite=False):
@@ -274,19 +273,19 @@ def _refuse_used_folder(path, overwrite=False):
     if os.path.lexists(path) and not os.path.isdir(path):
         raise ThermorenderError(f"{path} is a file; give the path of a folder to make")
     if os.path.ismount(path):
-        raise ThermorenderError(f"{path} is where a file system is mounted; give a folder below it")
+        raise ThermorenderError(f"{path} is a mount point; give a folder below it")
     if os.path.isdir(path) and not overwrite and any(path.iterdir()):
         raise ThermorenderError(f"{path} exists and is not empty; give a new folder")
 
 
 def _missing(path):
-    """Which of a folder and those above it do not exist, the deepest first."""
+    """Which of a folder and its parents do not exist, the deepest first."""
     path = Path(path)
     return [folder for folder in (path, *path.parents) if not os.path.lexists(folder)]
 
 
 def _remove_empty(folders):
-    """Remove those folders that are empty, in the order given."""
+    """Remove the empty ones of some folders, in this order."""
     for folder in folders:
         with suppress(OSError):
             folder.rmdir()
@@ -297,13 +296,13 @@ def _remove(path):
         path.unlink()
 
 
-def on_disk(*paths):
-    """Wait until files are on the disk, and their names in the folders that hold them.
+def on_disk(*paths: PathLike) -> None:
+    """Wait until files and the entries of their folders are on the disk (fsync).
 
     Raises
     ------
     ThermorenderError
-        The disk is full after all, or broken.
+        The disk is full or broken.
     """
     for path in (*paths, *{Path(path).parent for path in paths}):
         try:
@@ -313,7 +312,7 @@ def on_disk(*paths):
             finally:
                 os.close(handle)
         except OSError as error:
-            # Windows opens no folder, and syncs nothing that was opened to be read; some file systems sync no folder.
+            # Windows cannot open folders nor sync files opened for reading; some file systems cannot sync folders.
             if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
                 raise ThermorenderError(
                     f"{path} did not reach the disk: {error.strerror}; check the disk and continue with --resume"

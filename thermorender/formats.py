@@ -1,29 +1,36 @@
-"""Text, JSON, arrays, pictures and rasters: read, and written whole or not at all; checksums of what they hold."""
+"""Text, JSON, arrays, pictures and rasters: reading, atomic writing, checksums."""
+
+from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from thermorender.errors import ThermorenderError
-from thermorender.files import atomic
+from thermorender.files import PathLike, atomic
 
-# Where a dict on file keeps the checksum of its other values.
+if TYPE_CHECKING:
+    import numpy as np
+
+# Key of a dict's checksum on file.
 _SEAL = "checksum"
 
 
 # --- text -------------------------------------------------------------------------------------------------------
 
 
-def read_text(path, kind="UTF-8"):
-    """Return the text of a UTF-8 file, without the byte order mark that spreadsheets put first.
+def read_text(path: PathLike, kind: str = "UTF-8") -> str:
+    """Return the text of a UTF-8 file without its byte order mark.
 
     Parameters
     ----------
     path : path
     kind : str
-        What programs call such a file, for the message.
+        Name of the file type in programs, for the error message.
     """
     try:
         text = Path(path).read_text(encoding="utf-8-sig")
@@ -36,18 +43,18 @@ def read_text(path, kind="UTF-8"):
         raise ThermorenderError(f"{path} cannot be read ({error.strerror}); give a text file") from error
 
 
-def write_text(path, text):
-    """Write a text in UTF-8, with the line ends that it has."""
+def write_text(path: PathLike, text: str) -> None:
+    """Write a text in UTF-8; line ends stay as they are."""
     with atomic(path) as part:
         part.write_bytes(text.encode())
 
 
-def write_json(path, value):
+def write_json(path: PathLike, value: Any) -> None:
     """Write a value as indented JSON."""
     write_text(path, json.dumps(value, indent=2) + "\n")
 
 
-def checksum(path):
+def checksum(path: PathLike) -> str:
     """Return the BLAKE2b checksum of a file's bytes, 32 hexadecimal digits."""
     import hashlib
 
@@ -58,29 +65,23 @@ def checksum(path):
     return state.hexdigest()
 
 
-def sealed(value):
-    """Return a dict of plain values with the checksum of them all as JSON, for `unsealed`."""
+def sealed(value: dict[str, Any]) -> dict[str, Any]:
+    """Return a dict of plain values with the checksum of its JSON, for `unsealed`."""
     return value | {_SEAL: digest(json.dumps(value), {})}
 
 
-def unsealed(value):
-    """Return the dict that `sealed` was given.
-
-    Raises
-    ------
-    ValueError
-        It is none, or not as it was.
-    """
+def unsealed(value: Any) -> dict[str, Any]:
+    """Return the dict that `sealed` was given; raise ValueError if `value` is not a dict or was changed."""
     if not isinstance(value, dict):
-        raise ValueError("no dict")
+        raise ValueError("it is not a dict")
     rest = {name: each for name, each in value.items() if name != _SEAL}
     if value != sealed(rest):
-        raise ValueError("its checksum is not that of its values")
+        raise ValueError("its checksum does not match its values")
     return rest
 
 
-def append_json(path, *values):
-    """Append values to a file of JSON lines, at once; they are on the disk when this returns."""
+def append_json(path: PathLike, *values: Any) -> None:
+    """Append values to a file of JSON lines in one write; they are on the disk when this returns."""
     try:
         with open(path, "a", encoding="utf-8") as file:
             file.write("".join(json.dumps(value) + "\n" for value in values))
@@ -92,13 +93,13 @@ def append_json(path, *values):
         ) from None
 
 
-def finite_json(text):
+def finite_json(text: str) -> Any:
     """Return the value of a JSON text.
 
     Raises
     ------
     ValueError
-        It is no JSON, or a number in it is not finite or takes more than 64 bits.
+        It is not JSON, or holds a number that is not finite or takes more than 64 bits.
     """
 
     def number(kind, digits):
@@ -111,13 +112,13 @@ def finite_json(text):
     return json.loads(text, **{name: partial(number, kind) for name, kind in kinds.items()})
 
 
-def read_json_lines(path):
-    """Return the values of a file of JSON lines, none where there is no file; a last line cut short is cut away.
+def read_json_lines(path: Path) -> list[Any]:
+    """Return the values of a file of JSON lines, [] if it does not exist; remove an incomplete last line from it.
 
     Raises
     ------
     ValueError
-        A whole line that is no JSON.
+        A complete line is not JSON.
     """
     text = read_text(path) if path.exists() else ""
     whole = text[: text.rfind("\n") + 1]
@@ -126,10 +127,10 @@ def read_json_lines(path):
     return [json.loads(line) for line in whole.splitlines()]
 
 
-# --- pictures and rasters: made in memory, since neither OpenCV nor GDAL tells that a disk is full ------------------
+# --- pictures and rasters: encoded in memory, since neither OpenCV nor GDAL reports a full disk -------------------
 
 
-def write_image(path, image):
+def write_image(path: PathLike, image: np.ndarray) -> None:
     """Write (H, W) uint8 or uint16, or (H, W, 3) uint8 RGB, as PNG or TIFF by the path's suffix."""
     import cv2
     import numpy as np
@@ -138,12 +139,12 @@ def write_image(path, image):
     with atomic(path) as part:
         encoded, data = cv2.imencode(Path(path).suffix, np.ascontiguousarray(ordered))
         if not encoded:
-            raise OSError(f"no encoder took a {image.dtype} image")
+            raise OSError(f"OpenCV cannot encode a {image.dtype} image")
         part.write_bytes(data)
 
 
-def decoded(data, flags):
-    """Return the picture in bytes as OpenCV has it with its `flags`, or None where there is none; no word is said."""
+def decoded(data: bytes, flags: int) -> np.ndarray | None:
+    """Return a picture decoded by OpenCV with its `flags`, or None if that fails; nothing is printed."""
     import cv2
     import numpy as np
 
@@ -152,15 +153,15 @@ def decoded(data, flags):
     try:
         return cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error:
-        # Of nothing at all, and of more pixels than it allows.
+        # No bytes, or more pixels than OpenCV allows.
         return None
     finally:
         cv2.utils.logging.setLogLevel(before)
 
 
 @contextmanager
-def atomic_raster(path):
-    """As `atomic`, for GDAL: give the name of a file in memory, which is written when the block ends without error."""
+def atomic_raster(path: PathLike) -> Iterator[str]:
+    """As `atomic`, for GDAL: yield the name of a file in memory; write it to `path` if the block ends without error."""
     from rasterio.io import MemoryFile
 
     with MemoryFile(ext=Path(path).suffix) as memory:
@@ -169,26 +170,26 @@ def atomic_raster(path):
             part.write_bytes(memory.getbuffer())
 
 
-# --- arrays of our own --------------------------------------------------------------------------------------------
+# --- arrays -------------------------------------------------------------------------------------------------------
 
 
-def write_arrays(path, what, arrays):
-    """Write {name: array} to be read by `read_arrays` alone; `what` tells of what they are the arrays."""
+def write_arrays(path: PathLike, what: object, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write {name: array} for `read_arrays`; `what` identifies what they belong to."""
     import numpy as np
 
     with atomic(path) as part:
         np.savez(part, **arrays, checksum=digest(what, arrays))
 
 
-def read_arrays(path, what):
-    """Return the {name: array} that `write_arrays` wrote, or None where they are absent, damaged or of something else.
+def read_arrays(path: PathLike, what: object) -> dict[str, np.ndarray] | None:
+    """Return the {name: array} that `write_arrays` wrote for `what`, or None if they are missing, damaged or others.
 
-    A ZIP's own checksums do not tell of members that its table lacks.
+    The checksum also finds members that are missing from the ZIP's table.
     """
     import numpy as np
 
-    # Damage shows as nearly any exception of zipfile's and NumPy's parsers. Opened here, because NumPy leaves a file
-    # open that it cannot read.
+    # A damaged file can raise almost any exception in zipfile and NumPy. NumPy does not close a file that it cannot
+    # read, so it is opened here.
     with suppress(Exception), open(path, "rb") as file, np.load(file, allow_pickle=False) as stored:
         arrays = dict(stored)
         if str(arrays.pop("checksum")) == digest(what, arrays):
@@ -196,8 +197,8 @@ def read_arrays(path, what):
     return None
 
 
-def digest(what, arrays):
-    """Return the checksum of named arrays; of their types and shapes too, as equal bytes may mean other numbers."""
+def digest(what: object, arrays: Mapping[str, np.ndarray]) -> str:
+    """Return the checksum of `what` and of named arrays with their types and shapes."""
     import hashlib
 
     import numpy as np

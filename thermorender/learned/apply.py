@@ -1,22 +1,29 @@
-"""From a learned map's apparent radiance to each texel's kinetic temperature, flagged where that is ill-posed."""
+"""Kinetic temperature of each texel from a learned map's apparent radiance, flagged where that is ill-posed."""
+
+from collections.abc import Sequence
 
 import numpy as np
 
+from thermorender.learned.temperature_map import Inputs, TemperatureMap
+from thermorender.materials.material import Material
 from thermorender.physics.surface import kinetic_temperature
 
-# Below this band emissivity an apparent temperature says little about the kinetic one: an error of 1 K in the
-# apparent becomes more than 2 K, and an error in the assumed sky counts for as much as the surface.
+# Below this band emissivity, an error of 1 K in apparent temperature becomes more than 2 K in kinetic temperature, and
+# an error in the assumed sky counts as much as the surface.
 LOWEST_EMISSIVITY = 0.5
-# Kinetic temperatures are believed up to twice the width of the trained range beyond its ends.
+# Kinetic temperatures are trusted up to twice the width of the trained range beyond its ends.
 BELIEVED_MARGIN = 2.0
 
 
-def kinetic_from_map(model, inputs, material, materials, sky_temperature=None, stand_in=None):
+def kinetic_from_map(
+    model: TemperatureMap, inputs: Inputs, material: np.ndarray, materials: Sequence[Material],
+    sky_temperature: float | None = None, stand_in: float | None = None,
+) -> tuple[np.ndarray, np.ndarray, float]:  # fmt: skip
     """Return (temperature (h, w) float64 [K], trusted (h, w) bool, share of intensities outside 0…1).
 
-    The map gives *apparent* temperature under the sky it was trained under; the reflection of that sky is taken
-    out per material. Where the map cannot be trusted (low emissivity, no temperature, or one far outside the
-    trained range) another temperature stands in and `trusted` is False.
+    The map gives *apparent* temperature under its training sky; that sky's reflection is removed per material.
+    `trusted` is False where emissivity is low, or the temperature does not exist or is far outside the trained range.
+    There `stand_in` replaces it.
 
     Parameters
     ----------
@@ -26,9 +33,9 @@ def kinetic_from_map(model, inputs, material, materials, sky_temperature=None, s
         Index into `materials`.
     materials : sequence of Material
     sky_temperature : float, optional
-        Of the sky of this hour, for a map that takes hour and weather as input, in place of the map's own [K].
+        Sky of this hour, for a map that takes hour and weather as input [K]; the map's training sky by default.
     stand_in : float, optional
-        Temperature where the map cannot be trusted [K]; the material's own by default.
+        Temperature where the map is not trusted [K]; the material's own by default.
     """
     sky = model.sky_temperature if sky_temperature is None else sky_temperature
     apparent = model.radiance(inputs)
@@ -45,9 +52,7 @@ def kinetic_from_map(model, inputs, material, materials, sky_temperature=None, s
         other = own.temperature if stand_in is None else stand_in
         temperature[here] = other
         if own.band_emissivity(*model.band_um, middle) >= LOWEST_EMISSIVITY:
-            kinetic = kinetic_temperature(
-                apparent[here], own.emissivity_at, sky, model.band_um, believed
-            )
+            kinetic = kinetic_temperature(apparent[here], own.emissivity_at, sky, model.band_um, believed)
             trusted[here] = np.isfinite(kinetic)
             temperature[here] = np.where(np.isfinite(kinetic), kinetic, other)
     outside = float(np.mean((intensity < 0.0) | (intensity > 1.0)))

@@ -1,13 +1,18 @@
 """Linear correlation from RGB to thermal intensity: each pixel from the k × k colours around it.
 
-The two published maps carry the coefficients of the method's authors (Students' Space Association, Warsaw University of
-Technology, "Generation of artificial infrared camera images for visual navigation simulation", equation 9).
+The coefficients of the two published maps are from Students' Space Association, Warsaw University of Technology,
+"Generation of artificial infrared camera images for visual navigation simulation", equation 9.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from thermorender.learned.temperature_map import Inputs
 
 # Largest neighbourhood: 3 × 15² coefficients.
 MOST_SIDE = 15
@@ -24,7 +29,7 @@ class Correlation:
     intercept : float
         0 in the published form.
     above_air : bool
-        Whether it gives kelvin above the air instead of intensity.
+        Whether it predicts kelvin above the air instead of intensity.
     """
 
     kernel: np.ndarray
@@ -32,18 +37,18 @@ class Correlation:
     above_air: bool = False
 
     @property
-    def needs(self):
-        """Names of the fields of Inputs that are needed."""
+    def needs(self) -> tuple[str, ...]:
+        """Names of the required fields of Inputs."""
         return ("conditions",) if self.above_air else ()
 
-    def predict(self, inputs, texel_m):
+    def predict(self, inputs: "Inputs", texel_m: float) -> np.ndarray:
         """Return intensity, or kelvin above the air, (h, w) float64.
 
         Notes
         -----
-        Cross-correlation centred on the pixel, without a flip. At the border the edge pixels are repeated, so
-        the outermost ring (which the published method leaves out, see `inner`) is extrapolated. An image at another
-        ground sampling distance than `texel_m` meets the neighbourhood laid out at that.
+        Cross-correlation centred on the pixel. Edge pixels are repeated at the border, so the outermost ring, which the
+        published method leaves out (see `inner`), is extrapolated. For an image at another ground sampling distance
+        than `texel_m`, the kernel's taps are spaced accordingly.
         """
         import cv2
 
@@ -53,45 +58,45 @@ class Correlation:
             cv2.filter2D(image[..., c], cv2.CV_64F, kernel[..., c], borderType=cv2.BORDER_REPLICATE) for c in range(3)
         )
 
-    def inner(self, image, spacing=1.0):
-        """Return an image without the border that the published form leaves out: (h − k + 1, w − k + 1).
+    def inner(self, image: np.ndarray, spacing: float = 1.0) -> np.ndarray:
+        """Return an image without the border that the published method leaves out: (h − k + 1, w − k + 1).
 
         `spacing` is as for `reach`.
         """
         ring = self.reach(spacing)
         return image[ring : image.shape[0] - ring, ring : image.shape[1] - ring]
 
-    def reach(self, spacing=1.0):
-        """Return how many pixels from a pixel its neighbourhood ends, where its taps lie `spacing` pixels apart."""
+    def reach(self, spacing: float = 1.0) -> int:
+        """Return the radius of the neighbourhood [pixels], with taps `spacing` pixels apart."""
         return math.ceil(len(self.kernel) // 2 * spacing + 0.5 * max(spacing - 1.0, 0.0) + 1.0) - 1
 
     def _kernel_at(self, spacing):
-        """Kernel whose taps lie `spacing` texels apart: bilinear between texels, averaged over a tap's area."""
+        """Kernel with taps `spacing` texels apart: bilinear between texels, averaged over a tap's area."""
         size = len(self.kernel)
         radius = int(np.ceil(size / 2 * spacing + 1))
         texel = np.arange(-radius, radius + 1)
-        # Share of each texel in each tap, along one axis: linear interpolation, widened by a box where a tap
-        # covers more than one texel.
+        # Share of each texel in each tap along one axis: linear interpolation, averaged where a tap covers more than
+        # one texel.
         fine = (np.arange(64) + 0.5) / 64 - 0.5
         offset = (np.arange(size) - size // 2) * spacing
         sample = offset[:, None] + fine * max(spacing - 1.0, 0.0)
         share = np.clip(1.0 - np.abs(sample[:, None, :] - texel[:, None]), 0.0, 1.0).mean(axis=-1)
         return np.einsum("ia,jb,ijc->abc", share, share, self.kernel)
 
-    def header(self):
-        """Return what the file's text says of it."""
+    def header(self) -> dict[str, Any]:
+        """Return its entries in the file's header."""
         return {"intercept": self.intercept, "above_air": self.above_air}
 
-    def arrays(self):
-        """Return what the file holds of it."""
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return its arrays in the file."""
         return {"kernel": self.kernel}
 
     @classmethod
-    def of(cls, header, arrays):
+    def of(cls, header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> "Correlation":
         """Return the Correlation of `header` and `arrays`."""
         kernel = np.asarray(arrays["kernel"], np.float64)
         if kernel.ndim != 3 or kernel.shape[0] != kernel.shape[1] or len(kernel) % 2 != 1 or kernel.shape[2] != 3:
-            raise ValueError("it has no kernel")
+            raise ValueError("its kernel is not k × k × 3 with odd k")
         if len(kernel) > MOST_SIDE:
             raise ValueError(f"its kernel is {len(kernel)} wide, more than {MOST_SIDE}")
         intercept, above_air = float(header["intercept"]), header["above_air"]

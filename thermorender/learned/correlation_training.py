@@ -1,10 +1,9 @@
-"""Least squares of thermal intensity on k × k colours, in one pass: the fit of a Correlation.
+"""Training of a Correlation: least squares of thermal intensity on k × k colours, in one pass.
 
-Normal equations are summed exactly. Colours are bytes and the target is cut into bytes, so every product is a whole
-number below 2¹⁶, of which 256 add up to less than 2²⁴: single precision holds such sums exactly, in whatever order a
-fast matrix product takes them. Blocks of 256 are then summed in double precision, exact up to 2⁵³. The condition of the
-3 × 3 equations on photographs is about 1e7, so rounding matters: in single precision throughout it costs 0.01 in a
-coefficient.
+Normal equations are summed exactly. Colours are bytes and the target is split into bytes, so every product is an
+integer below 2¹⁶. A sum of 256 is below 2²⁴, exact in single precision and in any order. Blocks of 256 are then
+summed in double precision, exact up to 2⁵³. The condition number of the 3 × 3 equations on photographs is about 1e7:
+single precision throughout would cost 0.01 in a coefficient.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -15,38 +14,38 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 from thermorender.learned.correlation import Correlation
 from thermorender.learned.rows import at_texel
-from thermorender.learned.training import Example
+from thermorender.learned.training import Example, Task
 
-# Terms of a sum that single precision holds exactly: 255² of them stay below 2²⁴.
+# Terms of a sum that is exact in single precision: 256 × 255² is below 2²⁴.
 _BLOCK = 256
-# Bytes that the target's intensity is cut into: 1e-12 of its range.
+# Bytes that the target's intensity is split into: 1e-12 of its range.
 _BYTES = 5
-# Shares of the largest eigenvalue of the equations below which they do not tell a direction.
+# Directions whose eigenvalue is below this share of the largest one are undetermined.
 _DEPENDENT = 1e-10
-# Pictures that wait for a thread, so that memory stays bounded.
+# Pictures in the queue for threads, which bounds memory.
 _AT_ONCE = 16
-# Rows and columns of a product that is taken at once: OpenBLAS would share a larger one of _BLOCK terms among threads
-# of its own, which hinder each other where pictures are shared among threads already.
+# Rows and columns of one matrix product. OpenBLAS would split a larger one among its own threads, which slow down the
+# threads that already work on other pictures.
 _TILE = 32
-# Neighbourhoods that are laid out one by one at a time.
+# Most neighbourhoods that are copied at a time.
 _MOST_PICKED = 16 * _BLOCK
 
 
-def fit_correlation(task, size):
+def fit_correlation(task: Task, size: int) -> Correlation:
     """Return the Correlation of size × size colours that fits a Task best.
 
     Parameters
     ----------
     task : Task
-        Options: intercept, bool (the published form has none); penalty, weight of the coefficients' squares beside the
-        mean square error, for colours in 0…1; above_air, bool, to learn kelvin above the air instead of intensity.
+        Options: intercept, bool (the published form has none); penalty, weight of the squared coefficients added to the
+        mean squared error, for colours in 0…1; above_air, bool, to learn kelvin above the air instead of intensity.
     size : int
         Odd.
 
     Raises
     ------
     ThermorenderError
-        Pictures smaller than the neighbourhood only, or colours that do not tell the coefficients apart.
+        All pictures are smaller than the neighbourhood, or their colours do not determine the coefficients.
     """
     above_air = task.options.get("above_air", False)
     table, n = _Table(task.temperature if above_air else task.intensity), 3 * size * size
@@ -71,7 +70,7 @@ def fit_correlation(task, size):
 
 
 def _at_texel(example, texel_m):
-    """An Example at a ground sampling distance [m]; thermal values, which stand for others, are picked, no means."""
+    """An Example at a ground sampling distance [m]; thermal values are codes, so they keep the nearest."""
     import cv2
 
     inputs = at_texel(example.inputs, texel_m)
@@ -89,14 +88,14 @@ def _air_k(example):
     """The air's temperature of an example [K]."""
     if "air_k" not in example.inputs.conditions:
         raise ThermorenderError(
-            "above_air=true needs the air's temperature of every pair, and one has none; give a data set with weather, "
-            "or leave it out"
+            "above_air=true needs the air's temperature of every pair, but one lacks it; give a data set with weather, "
+            "or leave above_air out"
         )
     return example.inputs.conditions["air_k"]
 
 
-def solved(normal, size, intercept, penalty):
-    """Return the Correlation of summed normal equations, (n + 2, n + 2) as by `_equations`, n = 3 size²."""
+def solved(normal: np.ndarray, size: int, intercept: bool, penalty: float) -> Correlation:
+    """Return the Correlation that solves normal equations, (n + 2, n + 2) as by `_equations`, n = 3 size²."""
     n = 3 * size * size
     count = normal[n, n]
     used = np.arange(n + 1 if intercept else n)
@@ -109,17 +108,17 @@ def solved(normal, size, intercept, penalty):
     if values[0] <= _DEPENDENT * values[-1]:
         kept = int((values > _DEPENDENT * values[-1]).sum())
         raise ThermorenderError(
-            f"the pictures tell {kept} of {len(used)} coefficients only, as where they are grey or of one colour; give "
+            f"the pictures determine only {kept} of {len(used)} coefficients, for example because they are grey; give "
             "coloured pictures, or --set penalty=1e-6"
         )
     found = vectors @ ((vectors.T @ right) / values)
-    # Once more with what is left over, for the digits that the eigenvectors' rounding cost.
+    # One step of iterative refinement, against rounding in the eigenvectors.
     found += vectors @ ((vectors.T @ (right - left @ found)) / values)
     return Correlation(found[:n].reshape(size, size, 3), float(found[n]) if intercept else 0.0)
 
 
 class _Table:
-    """The bytes of each value's intensity, with the intensity of all bytes 0 and of each step."""
+    """Table of each pixel value's intensity, split into bytes; `zero` is the intensity of all bytes 0."""
 
     def __init__(self, intensity):
         self.zero, high = float(intensity.min()), float(intensity.max())
@@ -132,14 +131,14 @@ class _Table:
         return self._whole.take(values)[..., None].view(np.uint8)[..., :_BYTES]
 
     def joined(self, sums):
-        """(..., 2) of sums, (..., 1 + _BYTES), of 1 and of each byte: of 1, and of the intensity above `zero`."""
+        """Sums of 1 and of the intensity above `zero`, (..., 2), from sums of 1 and of each byte, (..., 1 + _BYTES)."""
         return np.stack([sums[..., 0], sums[..., 1:] @ self._weights], axis=-1)
 
 
 def _equations(example, size, table, less=0.0):
     """AᵀA and AᵀI of a picture, (n + 2, n + 2) float64, columns being n colours (row, column, channel), 1 and I.
 
-    `less` is taken from all of I. What lies below the diagonal is not filled.
+    `less` is subtracted from I. Only the upper triangle is filled.
     """
     ring, n = size // 2, 3 * size * size
     total = np.zeros((n + 2, n + 2))
@@ -152,7 +151,7 @@ def _equations(example, size, table, less=0.0):
         valid = cv2.erode(valid.astype(np.uint8), np.ones((size, size), np.uint8), borderValue=1) > 0
     rows, columns = (slice(ring, side - ring) for side in valid.shape)
     valid, values = valid[rows, columns], example.values[rows, columns]
-    # Neighbourhoods share their colours' products, so that all of them cost less than half of them one by one.
+    # Neighbourhoods share products of colours: all of them together cost less than half of them one by one.
     if 2 * np.count_nonzero(valid) > valid.size:
         total += _everywhere(example.inputs.rgb, values, size, table)
         total -= _picked(example.inputs.rgb, values, ~valid, size, table)
@@ -165,35 +164,36 @@ def _equations(example, size, table, less=0.0):
 def _everywhere(rgb, values, size, table):
     """`_equations` of all neighbourhoods, with the intensity counted from the table's zero.
 
-    The product of two rows of a neighbourhood is that of two rows of the picture, whichever neighbourhood they are in:
-    each row is multiplied by itself and the next ones once, and the products are summed over where they stand.
+    The product of two picture rows is the same in every neighbourhood that holds them. So each row is multiplied by
+    itself and the next ones once, and the products are summed over the neighbourhoods.
     """
     rows, columns = values.shape
     height, wide, n = len(rgb), 3 * size, 3 * size * size
     lines, total = rgb.transpose(0, 2, 1), np.zeros((n + 2, n + 2))
     for first in range(0, columns, _BLOCK):
         count = min(_BLOCK, columns - first)
-        # Of each row its colours at all shifts along it; below the last stand some that no neighbourhood asks for.
+        # Each row's colours at all shifts along it; the rows added at the end are not used by any neighbourhood.
         a = np.zeros((height + size - 1, wide, count), dtype=np.float32)
         for shift in range(size):
             a[:height, 3 * shift : 3 * shift + 3] = lines[..., first + shift : first + shift + count]
-        # Rows of a neighbourhood follow one another, so that each is a view of `a`.
+        # Rows of a neighbourhood are consecutive, so each neighbourhood is a view of `a`.
         around = np.lib.stride_tricks.as_strided(a, (height, n, count), a.strides)
         products = _multiplied(a[:height], around.transpose(0, 2, 1))
         for above in range(size):
             left = slice(above * wide, (above + 1) * wide)
             here = products[above : above + rows, :, : n - left.start]
             total[left, left.start : n] += here.sum(axis=0, dtype=np.float64)
-        told = np.empty((rows, 1 + _BYTES, count), dtype=np.float32)
-        told[:, 0] = 1.0
-        told[:, 1:] = table.bytes(values[:, first : first + count]).transpose(0, 2, 1)
-        total[:n, n:] += table.joined(_multiplied(around[:rows], told.transpose(0, 2, 1)).sum(axis=0, dtype=np.float64))
-        total[n, n:] += table.joined(told.sum(axis=2).sum(axis=0, dtype=np.float64))
+        target = np.empty((rows, 1 + _BYTES, count), dtype=np.float32)
+        target[:, 0] = 1.0
+        target[:, 1:] = table.bytes(values[:, first : first + count]).transpose(0, 2, 1)
+        mixed = _multiplied(around[:rows], target.transpose(0, 2, 1))
+        total[:n, n:] += table.joined(mixed.sum(axis=0, dtype=np.float64))
+        total[n, n:] += table.joined(target.sum(axis=2).sum(axis=0, dtype=np.float64))
     return total
 
 
 def _picked(rgb, values, picked, size, table):
-    """`_everywhere` of some neighbourhoods only, (rows, columns) bool."""
+    """`_everywhere` for some neighbourhoods only, `picked`, (rows, columns) bool."""
     n = 3 * size * size
     total = np.zeros((n + 2, n + 2))
     row, column = np.nonzero(picked)

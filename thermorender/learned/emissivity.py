@@ -1,14 +1,16 @@
-"""RGB → emissivity: which materials each texel of an orthophoto may be of, told from its colour and texture.
+"""RGB → emissivity: the likely materials of each texel of an orthophoto, from its colour and texture.
 
-A small fully connected network, trained elsewhere (`emissivity_training`), gives the probability of each material;
-the three most probable are kept as shares of a mix. Confidence is the largest probability, and 0 for texels unlike
-anything the map was trained on: those and all below a threshold are *unknown*, and the scene's declared fallback
-stands in. Emissivity itself is not learned: it comes from the material table.
+A small fully connected network (trained in `emissivity_training`) gives the probability of each material. The three
+most probable are kept as shares of a mix. Confidence is the largest probability, or 0 for texels unlike the training
+data. Texels below a threshold of confidence are *unknown*; the scene's fallback material replaces them. Emissivity
+itself is not learned: it comes from the material table.
 """
 
 import json
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,11 +19,11 @@ from thermorender.errors import ThermorenderError
 from thermorender.learned.emissivity_features import HALO_TEXELS, NAMES, NEAR, features
 
 SHIPPED = {"procedural": Path(__file__).with_name("emissivity_procedural.npz")}
-# A byte holds the number of a texel's material; 0 stands for no picture there and 255 for an unknown material.
+# Materials are bytes in rasters, where 0 means no picture and 255 an unknown material.
 MOST_MATERIALS = 254
-# An orthophoto may be this many times coarser than the map's own grid: beyond, its texture is another.
+# An orthophoto may be this many times coarser than the map's grid; beyond, texture looks different.
 COARSEST_RATIO = 2.5
-_TILE_TEXELS = 512  # on the map's own grid
+_TILE_TEXELS = 512  # on the map's grid
 _CHUNK_TEXELS = 8192
 _FORMAT = 2
 
@@ -34,36 +36,35 @@ class EmissivityMap:
     ----------
     name : str
     materials : tuple of str
-        Names of the C materials it tells apart, in the order of its probabilities.
+        Names of its C materials, in the order of its probabilities.
     texel_m : float
-        Ground sampling distance it was trained at [m].
+        Ground sampling distance of its training [m].
     mean, scale : (F,) float32
-        Of the features, by which they are standardised.
+        Mean and scale that standardise the features.
     layers : tuple of (weight (n, m), bias (m,)) float32
-        Of the network: rectified linear units between, softmax at the end.
+        The network's layers: rectified linear units, softmax at the end.
     centres : (K, len(NEAR)) float32
         Typical standardised features of the training texels' near surroundings.
     threshold : float
-        Distance from the nearest centre above which a texel is unlike anything trained on.
+        Distance from the nearest centre above which a texel is unlike the training data.
     about : dict
-        Where it comes from: scenes, seeds, split, accuracy on texels held out, and what that did not test.
+        Its training: scenes, seeds, split, accuracy on held-out texels, and what was not tested.
     """
 
     name: str
-    materials: tuple
+    materials: tuple[str, ...]
     texel_m: float
     mean: np.ndarray
     scale: np.ndarray
-    layers: tuple
+    layers: tuple[tuple[np.ndarray, np.ndarray], ...]
     centres: np.ndarray
     threshold: float
-    about: dict
+    about: dict[str, Any]
 
-    def probabilities(self, described):
+    def probabilities(self, described: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return (probabilities (N, C) float32, novelty (N,) float32) of features, (N, F).
 
-        Novelty is the distance from the nearest centre over `threshold`: above 1, the texel is unlike anything
-        trained on.
+        Novelty is the distance from the nearest centre over `threshold`; above 1, a texel is unlike the training data.
         """
         standard = (described - self.mean) / self.scale
         value = standard
@@ -78,27 +79,27 @@ class EmissivityMap:
         distance = np.sqrt(np.maximum(squared.min(axis=-1) + (near**2).sum(axis=-1), 0.0))
         return value, distance / np.float32(self.threshold)
 
-    def without(self, materials):
+    def without(self, materials: Sequence[str]) -> "EmissivityMap":
         """Return this map for land where some of its materials are known not to occur.
 
         Raises
         ------
         ThermorenderError
-            A material the map does not tell anyway, or fewer than two are left.
+            The map does not have such a material, or fewer than two are left.
         """
         for material in materials:
             if material not in self.materials:
                 raise ThermorenderError(
-                    f"emissivity map {self.name!r} knows no {material!r} to leave out; it tells apart "
+                    f"emissivity map {self.name!r} does not have the material {material!r} to leave out; it has "
                     f"{', '.join(self.materials)}"
                 )
         kept = [k for k, material in enumerate(self.materials) if material not in materials]
         if len(kept) < 2:
             raise ThermorenderError(
                 f"emissivity map {self.name!r} has {len(kept)} materials left without {', '.join(materials)}; "
-                "leave it two or more"
+                "keep two or more"
             )
-        # The softmax over the outputs that stay is the probability given that none of the others is there.
+        # The softmax over the remaining outputs is the probability on condition that the others do not occur.
         weight, bias = self.layers[-1]
         layers = (*self.layers[:-1], (weight[:, kept], bias[kept]))
         return replace(self, materials=tuple(self.materials[k] for k in kept), layers=layers)
@@ -116,16 +117,16 @@ class EmissivityMap:
 
 @dataclass(frozen=True, eq=False)
 class Mapped:
-    """What a map makes of an orthophoto.
+    """The materials of an orthophoto by a map.
 
     Attributes
     ----------
     index : (h, w, 3) uint8
-        The three most probable materials, the most probable first, as numbers in `EmissivityMap.materials`.
+        The three most probable materials, the most probable first, as indices into `EmissivityMap.materials`.
     share : (h, w, 3) float32
         Their probabilities, scaled to a sum of one.
     confidence : (h, w) float32
-        Probability of the first, 0 where the texel is unlike anything trained on.
+        Probability of the first; 0 where the texel is unlike the training data.
     """
 
     index: np.ndarray
@@ -133,7 +134,10 @@ class Mapped:
     confidence: np.ndarray
 
 
-def map_materials(model, rgb, texel_m, progress=None, keep=None):
+def map_materials(
+    model: EmissivityMap, rgb: np.ndarray, texel_m: float, progress: Callable[[float], object] | None = None,
+    keep: Callable[[slice, slice, np.ndarray], object] | None = None,
+) -> Mapped:  # fmt: skip
     """Return the Mapped of an orthophoto.
 
     Parameters
@@ -142,10 +146,10 @@ def map_materials(model, rgb, texel_m, progress=None, keep=None):
     rgb : (h, w, 3) uint8
         sRGB.
     texel_m : float
-        Its ground sampling distance [m]: it is brought to the model's own, and the probabilities back to its texels.
+        Its ground sampling distance [m]; it is resampled to the model's, and the probabilities back.
     progress : callable (share done), optional
     keep : callable (rows, columns, probabilities (C, h', w')), optional
-        Is given every tile's probabilities.
+        Called with each tile's probabilities.
 
     Raises
     ------
@@ -154,7 +158,7 @@ def map_materials(model, rgb, texel_m, progress=None, keep=None):
 
     Notes
     -----
-    Works tile by tile: beyond the result it needs about 0.4 GB, whatever the size of the orthophoto.
+    It works tile by tile, with about 0.4 GB besides the result for any size of orthophoto.
     """
     import cv2
 
@@ -163,12 +167,12 @@ def map_materials(model, rgb, texel_m, progress=None, keep=None):
     ratio = [of_grid / of_texels for of_grid, of_texels in zip(grid_shape, shape, strict=True)]
     count = min(len(model.materials), 3)
     result = Mapped(np.zeros((*shape, 3), np.uint8), np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32))
-    # Whole blocks of tiled rasters, for those who write what `keep` is given.
+    # Whole blocks of tiled rasters, for callers that write what `keep` receives.
     tile = int(np.clip(_TILE_TEXELS / max(ratio) // 256, 1, 6)) * 256
     starts = [(top, left) for top in range(0, shape[0], tile) for left in range(0, shape[1], tile)]
     for number, (top, left) in enumerate(starts):
         here = (slice(top, min(top + tile, shape[0])), slice(left, min(left + tile, shape[1])))
-        # Centres of the tile's texels on the model's grid, and the part of that grid around them.
+        # Positions of the tile's texel centres on the model's grid, and the part of that grid around them.
         position = [(np.arange(part.start, part.stop) + 0.5) * r - 0.5 for part, r in zip(here, ratio, strict=True)]
         inner = [
             (max(int(np.floor(line[0])), 0), min(int(np.floor(line[-1])) + 2, size))
@@ -199,14 +203,14 @@ def map_materials(model, rgb, texel_m, progress=None, keep=None):
     return result
 
 
-def to_grid(rgb, texel_m, model):
-    """Return an orthophoto, (h, w, 3) uint8, at the ground sampling distance of an EmissivityMap."""
+def to_grid(rgb: np.ndarray, texel_m: float, model: EmissivityMap) -> np.ndarray:
+    """Return an orthophoto, (h, w, 3) uint8, resampled to the ground sampling distance of an EmissivityMap."""
     import cv2
 
     if not texel_m <= COARSEST_RATIO * model.texel_m:
         raise ThermorenderError(
             f"the orthophoto has texels of {texel_m:.3g} m, but emissivity map {model.name!r} was trained at "
-            f"{model.texel_m:g} m and reads at most {COARSEST_RATIO * model.texel_m:g} m; give a finer orthophoto, or "
+            f"{model.texel_m:g} m and takes at most {COARSEST_RATIO * model.texel_m:g} m; give a finer orthophoto, or "
             "train a map on it with `thermorender train emissivity`"
         )
     size = [max(1, round(n * texel_m / model.texel_m)) for n in rgb.shape[:2]]
@@ -217,14 +221,14 @@ def to_grid(rgb, texel_m, model):
 
 
 def _on_grid(model, image, inner):
-    """Probabilities and, last, novelty of a part of an image on the model's grid, (C + 1, h, w) float32."""
+    """Probabilities of a part of an image on the model's grid and, last, its novelty, (C + 1, h, w) float32."""
     (top, bottom), (left, right) = inner
     up, over = max(top - HALO_TEXELS, 0), max(left - HALO_TEXELS, 0)
     part = image[up : bottom + HALO_TEXELS, over : right + HALO_TEXELS]
     described = features(part)[top - up : bottom - up, left - over : right - over]
     described = described.reshape(-1, len(NAMES))
     planes = np.empty((len(model.materials) + 1, len(described)), dtype=np.float32)
-    # A few texels at a time stay in the processor's cache.
+    # A chunk of texels fits the processor's cache.
     for start in range(0, len(described), _CHUNK_TEXELS):
         chunk = slice(start, start + _CHUNK_TEXELS)
         probabilities, planes[-1, chunk] = model.probabilities(described[chunk])
@@ -232,8 +236,8 @@ def _on_grid(model, image, inner):
     return planes.reshape(-1, bottom - top, right - left)
 
 
-def save_map(model, path):
-    """Write an EmissivityMap as arrays and one JSON text."""
+def save_map(model: EmissivityMap, path: files.PathLike) -> None:
+    """Write an EmissivityMap as arrays and a JSON text, .npz."""
     head = {
         "format": _FORMAT, "name": model.name, "materials": model.materials, "texel_m": model.texel_m,
         "features": NAMES, "threshold": model.threshold, "layers": len(model.layers), "about": model.about,
@@ -245,13 +249,13 @@ def save_map(model, path):
         np.savez_compressed(file, **arrays)
 
 
-def load_map(name):
+def load_map(name: files.PathLike) -> EmissivityMap:
     """Return the EmissivityMap of a file, or a shipped one by name.
 
     Raises
     ------
     ThermorenderError
-        There is none, or the file is no emissivity map this version reads.
+        It does not exist, or is not an emissivity map that this version reads.
     """
     path = SHIPPED.get(str(name), Path(name))
     if not path.is_file():
@@ -266,22 +270,15 @@ def load_map(name):
                 raise ValueError("it was made by another version or for other features")
             layers = tuple((_floats(file[f"weight{n}"]), _floats(file[f"bias{n}"])) for n in range(head["layers"]))
             model = EmissivityMap(
-                name=str(head["name"]),
-                materials=tuple(map(str, head["materials"])),
-                texel_m=float(head["texel_m"]),
-                mean=_floats(file["mean"]),
-                scale=_floats(file["scale"]),
-                layers=layers,
-                centres=_floats(file["centres"]),
-                threshold=float(head["threshold"]),
-                about=dict(head["about"]),
-            )
+                str(head["name"]), tuple(map(str, head["materials"])), float(head["texel_m"]), _floats(file["mean"]),
+                _floats(file["scale"]), layers, _floats(file["centres"]), float(head["threshold"]), dict(head["about"]),
+            )  # fmt: skip
         _check(model)
-    # A damaged archive fails in zipfile, zlib, json or NumPy, each with errors of its own.
+    # A damaged file can raise many kinds of errors in zipfile, zlib, json or NumPy.
     except Exception as error:
         reason = str(error).partition("\n")[0] or type(error).__name__
         raise ThermorenderError(
-            f"{path} is no emissivity map ({reason}); make one with `thermorender train emissivity`"
+            f"{path} is not an emissivity map ({reason}); make one with `thermorender train emissivity`"
         ) from None
     return model
 
@@ -294,9 +291,9 @@ def _floats(values):
 
 
 def _check(model):
-    """Refuse arrays that do not fit each other, and more materials than have a number."""
+    """Raise ValueError if arrays do not fit each other or there are too many materials."""
     if not 2 <= len(model.materials) <= MOST_MATERIALS:
-        raise ValueError(f"it tells {len(model.materials)} materials apart, not 2…{MOST_MATERIALS}")
+        raise ValueError(f"it has {len(model.materials)} materials, not 2…{MOST_MATERIALS}")
     widths = [len(NAMES), *(len(bias) for _, bias in model.layers)]
     shapes = [weight.shape for weight, _ in model.layers]
     fits = shapes == list(zip(widths[:-1], widths[1:], strict=True)) and widths[-1] == len(model.materials)

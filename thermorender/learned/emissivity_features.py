@@ -1,9 +1,7 @@
-"""What describes a texel to the emissivity map: its colour, and the colour and texture around it.
+"""Features of a texel for the emissivity map: its colour, and the colour and texture around it.
 
-Colour is CIELAB (D65), where distances are about as large as people see them. Around the texel it is averaged over
-Gaussian windows, and texture is told by its spread in them, by the gradient of lightness and by its coherence, which
-is high where it has one direction (furrows, roofs, roads). Windows are counted in texels of the grid the map was
-trained on: an orthophoto of another ground sampling distance is brought to that first.
+As in `features`, without statistics of the whole picture. Windows are counted in texels of the map's training grid, so
+an orthophoto is first resampled to its ground sampling distance.
 """
 
 import numpy as np
@@ -12,8 +10,8 @@ from thermorender.learned.features import blurred, lab, structure
 
 # Standard deviations of the windows [texels].
 WINDOWS_TEXELS = (1.5, 4.0, 10.0)
-# Texels around a tile that its features depend on: a window is cut at three standard deviations, and spreads and
-# gradients are taken of values that are neighbours' already.
+# Radius that a texel's features depend on: windows end at three standard deviations, and gradients use neighbours'
+# blurred values.
 HALO_TEXELS = 32
 NAMES = (
     "L", "a", "b",
@@ -21,20 +19,19 @@ NAMES = (
     *(f"{what} spread {window:g}" for window in WINDOWS_TEXELS for what in ("L", "chroma")),
     "gradient", "coherence",
 )  # fmt: skip
-# Those of the texel and its near surroundings. The wide windows tell what else is about, in combinations that no
-# training ground has all of.
+# Features of the texel and its near surroundings. Wide windows see combinations of ground that training cannot cover.
 NEAR = tuple(k for k, name in enumerate(NAMES) if not name.endswith(f"{WINDOWS_TEXELS[-1]:g}") and name != "coherence")
 
 
-def features(rgb):
-    """Return what describes each texel, (h, w, len(NAMES)) float32.
+def features(rgb: np.ndarray) -> np.ndarray:
+    """Return the features of each texel, (h, w, len(NAMES)) float32.
 
     Parameters
     ----------
     rgb : (h, w, 3) uint8
-        sRGB on the grid the map was trained on; edges are repeated outwards.
+        sRGB on the map's training grid; edges are repeated outwards.
     """
-    # Centred, so that a spread is no small difference of large squares in single precision.
+    # Centred, because the variance is a difference of squares in single precision.
     image = lab(rgb) - np.float32((50.0, 0.0, 0.0))
     found = [image]
     spreads = []

@@ -1,12 +1,12 @@
-"""Training of an emissivity map from orthophotos whose materials are known, wholly or here and there.
+"""Training of an emissivity map from orthophotos with known materials, fully or partly labelled.
 
-The recipe: bring each orthophoto to one ground sampling distance, optionally augment it, describe
-every texel, draw texels with rare materials favoured, fit scikit-learn's multilayer perceptron, and note how far
-typical texels lie from each other, so that a texel unlike all of them is found out later. One block of ground in
-five is never trained on and tells the accuracy.
+Each orthophoto is resampled to one ground sampling distance and optionally augmented. Texels are drawn with rare
+materials favoured, and scikit-learn's multilayer perceptron is fitted to their features. Distances between typical
+texels set the threshold of novelty. One block of ground in five is held out to measure the accuracy.
 """
 
 import warnings
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +15,8 @@ from thermorender.errors import ThermorenderError
 from thermorender.learned.emissivity import MOST_MATERIALS, EmissivityMap, to_grid
 from thermorender.learned.emissivity_features import NEAR, features
 
-# Side of the blocks of ground that are trained on or held out as a whole [texels]: neighbours look alike, so single
-# texels held out would be no test.
+# Side of the blocks of ground that are trained on or held out as a whole [texels]: neighbours look alike, so holding
+# out single texels would test nothing.
 BLOCK_TEXELS = 24
 _HELD_OUT_ONE_IN = 5
 _HIDDEN = (96, 64)
@@ -24,36 +24,41 @@ _MOST_SAMPLES = 360_000
 _MOST_PER_IMAGE = 400_000
 _EPOCHS = 20
 _CENTRES = 160
-# The novelty threshold: this quantile of the training texels' distances from their centres, times this margin.
+# Texels tested at a time.
+_AT_ONCE = 200_000
+# Novelty threshold: this quantile of the training texels' distances from their centres, times this margin.
 _THRESHOLD_QUANTILE = 0.998
 _THRESHOLD_MARGIN = 1.15
 
 
 @dataclass(frozen=True)
 class Labelled:
-    """An orthophoto and what is known of it.
+    """An orthophoto with labels.
 
     Attributes
     ----------
     rgb : (h, w, 3) uint8
         sRGB.
     material : (h, w) uint8
-        Number of each texel's material in `names`; 0 where it is unknown.
+        Number of each texel's material in `names`; 0 where unknown.
     names : dict of int to str
     texel_m : float
         Ground sampling distance [m].
     source : str
-        Where it comes from, for the record.
+        Origin, for the record.
     """
 
     rgb: np.ndarray
     material: np.ndarray
-    names: dict
+    names: dict[int, str]
     texel_m: float
     source: str
 
 
-def train(labelled, texel_m, name, augmentations=0, seed=0, progress=None):
+def train(
+    labelled: Iterable[Labelled], texel_m: float, name: str, augmentations: int = 0, seed: int = 0,
+    progress: Callable[[str, float], object] | None = None,
+) -> tuple[EmissivityMap, np.ndarray]:  # fmt: skip
     """Return (EmissivityMap, confusion (C, C) int) trained on labelled orthophotos.
 
     Parameters
@@ -62,17 +67,17 @@ def train(labelled, texel_m, name, augmentations=0, seed=0, progress=None):
     texel_m : float
         Ground sampling distance to train at [m].
     name : str
-        Of the map.
+        Name of the map.
     augmentations : int
-        How many times each orthophoto is also taken with random exposure, white balance, contrast and saturation. Use
-        it where the map is meant for other orthophotos than these.
+        Number of extra versions of each orthophoto, with random exposure, white balance, contrast and saturation. Use
+        it if the map is meant for other orthophotos.
     seed : int
-        Same seed, same map (with the same versions of the libraries).
+        The same seed gives the same map with the same versions of the libraries.
     progress : callable (what, share), optional
 
     Returns
     -------
-    confusion : rows the true material, columns the most probable one, counted over the ground held out.
+    confusion : rows are the true material, columns the most probable one, counted over the held-out ground.
 
     Raises
     ------
@@ -80,92 +85,41 @@ def train(labelled, texel_m, name, augmentations=0, seed=0, progress=None):
         scikit-learn is missing, an orthophoto is too coarse, or fewer than two materials have texels to train on.
     """
     try:
-        from sklearn.cluster import MiniBatchKMeans
-        from sklearn.exceptions import ConvergenceWarning
-        from sklearn.neural_network import MLPClassifier
+        import sklearn  # noqa: F401
     except ImportError:
         raise ThermorenderError(
             "training an emissivity map needs scikit-learn; install it with `pip install thermorender[train]`"
         ) from None
-    tell = progress or (lambda what, share: None)
+    report = progress or (lambda what, share: None)
     generator = np.random.Generator(np.random.Philox(seed))
-    described, truth, held_out, names, sources, labels = [], [], [], [], [], np.zeros(2, dtype=np.int64)
+    names, sources, labels, parts = [], [], np.zeros(2, dtype=np.int64), []
     for number, item in enumerate(labelled):
-        tell("describing the orthophotos", number / (number + 5.0))  # how many come is not known before the last
+        report("describing the orthophotos", number / (number + 5.0))  # their number is not known in advance
         sources.append(item.source)
         labels += np.count_nonzero(item.material), item.material.size
         for found, values, held in _described(item, texel_m, name, augmentations, generator):
-            for value in np.unique(values):
-                if item.names[value] not in names:
-                    names.append(item.names[value])
-            number_of = np.array([names.index(item.names[k]) if k in item.names and item.names[k] in names else 0
-                                  for k in range(256)])  # fmt: skip
-            described.append(found)
-            truth.append(number_of[values])
-            held_out.append(held)
-    described, truth, held_out = (np.concatenate(parts) for parts in (described, truth, held_out))
-    if len(names) > MOST_MATERIALS:
-        raise ThermorenderError(
-            f"{', '.join(sources)} name {len(names)} materials; an emissivity map tells 2…{MOST_MATERIALS} apart, so "
-            "label fewer"
-        )
+            parts.append((found, _numbered(values, item.names, names), held))
+    described, truth, held_out = map(np.concatenate, zip(*parts, strict=True))
     count = np.bincount(truth[~held_out], minlength=len(names))
-    if len(names) < 2 or (count == 0).any():
-        missing = [n for n, k in zip(names, count, strict=True) if k == 0]
-        raise ThermorenderError(
-            f"an emissivity map needs texels of two or more materials, but {', '.join(sources)} "
-            + (f"has too few of {', '.join(missing)}" if missing else f"has those of {', '.join(names) or 'none'} only")
-            + "; label more ground"
-        )
+    _check_labels(sources, names, count)
     drawn = _drawn(truth, np.flatnonzero(~held_out), count, generator)
     mean, scale = described[drawn].mean(axis=0), described[drawn].std(axis=0) + 1e-3
     standard = (described[drawn] - mean) / scale
-    tell("fitting the network", 0.0)
-    network = MLPClassifier(
-        _HIDDEN, alpha=1e-4, batch_size=256, learning_rate_init=2e-3, max_iter=1, warm_start=True, random_state=seed
-    )
-    with warnings.catch_warnings():
-        # The number of passes is given; that the fit would change further is no news.
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        for epoch in range(_EPOCHS):
-            # Large steps first, then smaller and smaller ones.
-            network.set_params(learning_rate_init=2e-3 * 0.5 * (1.0 + np.cos(np.pi * epoch / _EPOCHS)))
-            network.fit(standard, truth[drawn])
-            tell("fitting the network", (epoch + 1) / _EPOCHS)
-    layers = list(zip(network.coefs_, network.intercepts_, strict=True))
-    if len(names) == 2:
-        # One logistic output stands for two materials: a softmax over 0 and it.
-        weight, bias = layers[-1]
-        layers[-1] = (np.hstack([0.0 * weight, weight]), np.hstack([0.0 * bias, bias]))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        clusters = MiniBatchKMeans(min(_CENTRES, len(standard)), random_state=seed, n_init=1, batch_size=4096)
-        distance = clusters.fit_transform(standard[:, NEAR]).min(axis=1)
+    layers = _layers(standard, truth[drawn], len(names), seed, report)
+    centres, distance = _centres(standard[:, NEAR], seed)
     model = EmissivityMap(
-        name=name,
-        materials=tuple(names),
-        texel_m=float(texel_m),
-        mean=np.float32(mean),
-        scale=np.float32(scale),
-        layers=tuple((np.float32(weight), np.float32(bias)) for weight, bias in layers),
-        centres=np.float32(clusters.cluster_centers_),
-        threshold=float(_THRESHOLD_MARGIN * np.quantile(distance, _THRESHOLD_QUANTILE)),
-        about={},
-    )
-    confusion = np.zeros((len(names), len(names)), dtype=np.int64)
-    for start in range(0, held_out.sum(), 200_000):
-        part = np.flatnonzero(held_out)[start : start + 200_000]
-        best = model.probabilities(described[part])[0].argmax(axis=-1)
-        np.add.at(confusion, (truth[part], best), 1)
+        name, tuple(names), float(texel_m), np.float32(mean), np.float32(scale),
+        layers=tuple((np.float32(weight), np.float32(bias)) for weight, bias in layers), centres=np.float32(centres),
+        threshold=float(_THRESHOLD_MARGIN * np.quantile(distance, _THRESHOLD_QUANTILE)), about={},
+    )  # fmt: skip
+    confusion = _confusion(model, described[held_out], truth[held_out])
+    accuracy = round(float(np.trace(confusion) / confusion.sum()), 4) if confusion.any() else None
     model.about.update(
         trained_on="; ".join(sources),
         split=f"one block of {BLOCK_TEXELS * texel_m:g} m in {_HELD_OUT_ONE_IN} held out",
-        augmentations=augmentations,
-        seed=seed,
-        texels=len(drawn),
-        held_out_texels=int(held_out.sum()),
-        held_out_accuracy=round(float(np.trace(confusion) / confusion.sum()), 4) if confusion.any() else None,
-    )
+        augmentations=augmentations, seed=seed, texels=len(drawn), held_out_texels=int(held_out.sum()),
+        held_out_accuracy=accuracy,
+    )  # fmt: skip
     untested = [name for name, row in zip(names, confusion, strict=True) if not row.any()]
     not_tested = [f"{', '.join(untested)}, of which no texel was held out"] if untested else []
     if labels[0] < labels[1]:
@@ -175,13 +129,81 @@ def train(labelled, texel_m, name, augmentations=0, seed=0, progress=None):
     return model, confusion
 
 
+def _numbered(values, own, names):
+    """Labels as indices into `names`, a list that grows by the names of new labels; `own` is {label: name}."""
+    names += dict.fromkeys(own[value] for value in np.unique(values) if own[value] not in names)
+    return np.array([names.index(own[k]) if own.get(k) in names else 0 for k in range(256)])[values]
+
+
+def _check_labels(sources, names, count):
+    """Raise ThermorenderError if there are too many materials, or too few texels to train on; `count` is per name."""
+    if len(names) > MOST_MATERIALS:
+        raise ThermorenderError(
+            f"{', '.join(sources)} name {len(names)} materials, but an emissivity map has 2…{MOST_MATERIALS}; label "
+            "fewer"
+        )
+    if len(names) < 2 or (count == 0).any():
+        missing = [n for n, k in zip(names, count, strict=True) if k == 0]
+        raise ThermorenderError(
+            f"an emissivity map needs texels of two or more materials, but {', '.join(sources)} "
+            + (f"has too few of {', '.join(missing)}" if missing else f"has those of {', '.join(names) or 'none'} only")
+            + "; label more ground"
+        )
+
+
+def _layers(standard, truth, count, seed, report):
+    """The (weight, bias) layers of a network fitted to standardised features."""
+    from sklearn.exceptions import ConvergenceWarning
+    from sklearn.neural_network import MLPClassifier
+
+    report("fitting the network", 0.0)
+    network = MLPClassifier(
+        _HIDDEN, alpha=1e-4, batch_size=256, learning_rate_init=2e-3, max_iter=1, warm_start=True, random_state=seed
+    )
+    with warnings.catch_warnings():
+        # The number of epochs is fixed, so this warning is expected.
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        for epoch in range(_EPOCHS):
+            # The rate falls by a cosine.
+            network.set_params(learning_rate_init=2e-3 * 0.5 * (1.0 + np.cos(np.pi * epoch / _EPOCHS)))
+            network.fit(standard, truth)
+            report("fitting the network", (epoch + 1) / _EPOCHS)
+    layers = list(zip(network.coefs_, network.intercepts_, strict=True))
+    if count == 2:
+        # scikit-learn has one logistic output for two classes, which is a softmax over 0 and it.
+        weight, bias = layers[-1]
+        layers[-1] = (np.hstack([0.0 * weight, weight]), np.hstack([0.0 * bias, bias]))
+    return layers
+
+
+def _centres(near, seed):
+    """(cluster centres (K, n) of features (N, n), each row's distance from the nearest)."""
+    from sklearn.cluster import MiniBatchKMeans
+    from sklearn.exceptions import ConvergenceWarning
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        clusters = MiniBatchKMeans(min(_CENTRES, len(near)), random_state=seed, n_init=1, batch_size=4096)
+        distance = clusters.fit_transform(near).min(axis=1)
+    return clusters.cluster_centers_, distance
+
+
+def _confusion(model, described, truth):
+    """Counts (C, C) of (true material, most probable material) over texels."""
+    confusion = np.zeros((len(model.materials),) * 2, dtype=np.int64)
+    for start in range(0, len(truth), _AT_ONCE):
+        part = slice(start, start + _AT_ONCE)
+        np.add.at(confusion, (truth[part], model.probabilities(described[part])[0].argmax(axis=-1)), 1)
+    return confusion
+
+
 def _described(item, texel_m, name, augmentations, generator):
-    """Yield (features (n, F), labels (n,), held out (n,)) of an orthophoto as it is and augmented."""
+    """Yield (features (n, F), labels (n,), held out (n,)) of an orthophoto and its augmented versions."""
     import cv2
 
     grid = EmissivityMap(name, (), texel_m, None, None, (), None, 0.0, {})
     rgb = to_grid(item.rgb, item.texel_m, grid)
-    # The texel at the middle lends its label: where texels are mixed, shares of labels then are shares of area.
+    # Nearest-neighbour labels, so that shares of labels are shares of area where texels are mixed.
     labels = cv2.resize(item.material, rgb.shape[1::-1], interpolation=cv2.INTER_NEAREST)
     rows, columns = np.nonzero(labels)
     across = -(-labels.shape[1] // BLOCK_TEXELS)
@@ -195,7 +217,7 @@ def _described(item, texel_m, name, augmentations, generator):
 
 
 def _augmented(rgb, generator):
-    """Return an orthophoto as another camera on another day might have given it."""
+    """An orthophoto with random exposure, white balance, contrast and saturation."""
     exposure = np.exp(generator.normal(0.0, 0.3))
     balance = np.exp(generator.normal(0.0, 0.06, 3))
     contrast = np.exp(generator.normal(0.0, 0.15))
@@ -207,7 +229,7 @@ def _augmented(rgb, generator):
 
 
 def _drawn(truth, allowed, count, generator):
-    """Texels to train on: of each material in proportion to the square root of its area, each at most once."""
+    """Texels to train on, each at most once; each material's number is proportional to the square root of its area."""
     wish = np.sqrt(count / count.sum())
     wish = _MOST_SAMPLES * wish / wish.sum()
     chance = np.minimum(wish / np.maximum(count, 1), 1.0)[truth[allowed]]

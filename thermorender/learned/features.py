@@ -1,10 +1,10 @@
-"""What describes a pixel to learned maps: its colour, the colour and texture around it, and the picture it is part of.
+"""Features of a pixel for learned maps: its colour, the colour and texture around it, statistics of the whole picture.
 
-Colour is CIELAB (D65), where distances are about as large as people see them. Around the pixel it is averaged over
-Gaussian windows, each twice as wide as the one before, and texture is told by its spread in them, by the gradient of
-lightness and by its coherence, which is high where it has one direction (furrows, roofs, roads). Of the whole picture
-medians, spreads and shares of dark and bright pixels stand beside: they tell exposure, season and snow. Windows are
-counted in pixels, so a picture of another ground sampling distance is brought to the map's first (`rows.at_texel`).
+Colour is CIELAB (D65), nearly uniform to the eye. It is averaged over Gaussian windows, each twice as wide as the one
+before. Texture is the spread in these windows, the gradient of lightness and its coherence, which is high where there
+is one direction (furrows, roofs, roads). Medians, spreads and shares of dark and bright pixels of the whole picture
+indicate exposure, season and snow. Windows are counted in pixels, so pictures are first resampled to the map's ground
+sampling distance (`rows.at_texel`).
 """
 
 import numpy as np
@@ -13,15 +13,15 @@ from thermorender.physics.srgb import decoded
 
 # Standard deviations of the windows [pixels].
 WINDOWS = (1.0, 2.0, 4.0, 8.0, 16.0)
-# Of those that contrast is taken against, and that gradients are averaged over.
+# Windows that contrast is taken against, and that gradients are averaged over.
 _CONTRAST_WINDOWS = (4.0, 16.0)
 _GRADIENT_WINDOWS = (2.0, 8.0)
-# Pixels around one that its features depend on: a window is cut at three standard deviations, and gradients are taken
-# of neighbours' blurred values.
+# Radius that a pixel's features depend on [pixels]: windows end at three standard deviations, and gradients use
+# neighbours' blurred values.
 HALO = 52
-# Lightness below and above which a pixel counts as dark or bright: deep shadow, and snow or clouds.
+# Lightness below and above which a pixel counts as dark (deep shadow) or bright (snow, clouds).
 _DARK, _BRIGHT = 15.0, 85.0
-# Of a larger picture every second, third, … row and column tells the whole.
+# Larger pictures are subsampled by rows and columns for the statistics of the whole.
 _MOST_PIXELS_OF_WHOLE = 100_000
 WHOLE = (*(f"median {c}" for c in "Lab"), *(f"spread of {c}" for c in "Lab"), "dark", "bright")
 NAMES = (
@@ -35,33 +35,32 @@ NAMES = (
 )  # fmt: skip
 
 
-def lab(rgb):
+def lab(rgb: np.ndarray) -> np.ndarray:
     """Return CIELAB (D65), (..., 3) float32, of sRGB bytes."""
     import colour
 
-    # The eye of the standard needs no more than a byte per channel: each is linearised once.
     light = decoded(np.arange(256) / 255.0)[rgb]
     to_xyz = colour.models.RGB_COLOURSPACE_sRGB.matrix_RGB_to_XYZ
     return colour.XYZ_to_Lab(light @ to_xyz.T).astype(np.float32)
 
 
-def blurred(image, window):
-    """Return an image's Gaussian mean of standard deviation `window` [pixels], cut at three; edges are repeated."""
+def blurred(image: np.ndarray, window: float) -> np.ndarray:
+    """Return an image's Gaussian mean with standard deviation `window` [pixels], cut at three; edges are repeated."""
     import cv2
 
     size = 2 * int(np.ceil(3.0 * window)) + 1
     return cv2.GaussianBlur(image, (size, size), window, borderType=cv2.BORDER_REPLICATE)
 
 
-def structure(lightness, window):
+def structure(lightness: np.ndarray, window: float) -> tuple[np.ndarray, np.ndarray]:
     """Return (gradient, coherence), (h, w) float32, of lightness, (h, w) float32, within a Gaussian window [pixels].
 
-    Gradient is log(1 + root mean square [per pixel]); coherence lies between 0, no direction, and 1, one only.
+    Gradient is log(1 + root mean square [per pixel]); coherence is from 0, no direction, to 1, a single one.
 
     Notes
     -----
-    From the eigenvalues of the structure tensor: their sum, and the share of their difference. Förstner & Gülch 1987,
-    "A fast operator for detection and precise location of distinct points, corners and centres of circular features".
+    Sum of the structure tensor's eigenvalues, and their difference over the sum. Förstner & Gülch 1987, "A fast
+    operator for detection and precise location of distinct points, corners and centres of circular features".
     """
     import cv2
 
@@ -74,8 +73,8 @@ def structure(lightness, window):
     return np.log1p(np.sqrt(total)), coherence
 
 
-def whole_picture(rgb):
-    """Return what `WHOLE` names of a picture, (len(WHOLE),) float32: spread is half the range of the middle 68 %."""
+def whole_picture(rgb: np.ndarray) -> np.ndarray:
+    """Return statistics `WHOLE` of a picture, (len(WHOLE),) float32; spread is half the range of the middle 68 %."""
     every = int(np.ceil(np.sqrt(max(rgb.shape[0] * rgb.shape[1] / _MOST_PIXELS_OF_WHOLE, 1.0))))
     image = lab(rgb[::every, ::every]).reshape(-1, 3)
     low, middle, high = np.percentile(image, (16.0, 50.0, 84.0), axis=0)
@@ -83,17 +82,17 @@ def whole_picture(rgb):
     return np.float32([*middle, *(0.5 * (high - low)), dark, bright])
 
 
-def features(rgb, whole):
-    """Return what describes each pixel, (len(NAMES), h, w) float32.
+def features(rgb: np.ndarray, whole: np.ndarray) -> np.ndarray:
+    """Return the features of each pixel, (len(NAMES), h, w) float32.
 
     Parameters
     ----------
     rgb : (h, w, 3) uint8
         sRGB, at the map's ground sampling distance; edges are repeated outwards.
     whole : (len(WHOLE),) float32
-        Of the picture that this is, or is a part of, as by `whole_picture`.
+        Statistics of the picture that contains this part, as by `whole_picture`.
     """
-    # Centred, so that a spread is no small difference of large squares in single precision.
+    # Centred, because the variance is a difference of squares in single precision.
     centre = np.float32((50.0, 0.0, 0.0))
     image = lab(rgb) - centre
     found = np.empty((len(NAMES), *rgb.shape[:2]), np.float32)

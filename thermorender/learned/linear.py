@@ -1,37 +1,41 @@
-"""Kelvin above the air as a mixture of typical materials: least squares on what they would be here, by colour.
+"""Kelvin above the air as a mixture of typical materials, by ridge regression.
 
-The heat balance says how warm a few typical materials are in the open and in shade (`conditions`). How much of the open
-sunlight a texel gets lies between, so each of them has a temperature there. Colour tells what the ground is made of:
-each of these temperatures, and sunlight, its past and the hidden part of the sky, has a coefficient that is a quadratic
-of CIELAB. So warmth grows with the weather as the balance says, further than was seen in training. Beside these stand
-what the terrain and the station tell, each by itself. Coefficients are those of ridge regression on standardised
-columns; where the terrain knows nothing its columns are 0, and one that says so is 1.
+The heat balance gives the temperatures of a few typical materials in the open and in shade (`conditions`). A texel's
+share of the open sunlight interpolates between them. These temperatures, sunlight, its history and the hidden part of
+the sky each have a coefficient that is quadratic in CIELAB, since colour indicates material. So the prediction follows
+the heat balance beyond the weather of the training. Relief and station data are additional columns. Columns are
+standardised; where there is no terrain its columns are 0, and an indicator column is 1.
 """
 
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from thermorender.errors import ThermorenderError
 from thermorender.learned.features import lab
 from thermorender.learned.rows import CLASSES, ExtraInputs, at_shape, at_texel, drawn
+from thermorender.learned.temperature_map import Inputs
+from thermorender.learned.training import Task
 
-# Planes of a terrain whose names begin so are sunlight on the ground [W m⁻²], now or over the hours before.
+# Name prefix of terrain planes of sunlight on the ground [W m⁻²], now or over the hours before.
 _SUNLIGHT = "sun"
-# What the sunlight in the open is made of.
+# Conditions that sunlight in the open is computed from.
 _IN_THE_OPEN = ("direct_w_m2", "diffuse_w_m2", "sun_elevation_deg")
-# Less than this sunlight in the open [W m⁻²] warms nothing; more than so many times it is no reflection but noise.
+# Least sunlight in the open to divide by [W m⁻²]; a greater share of it than this is noise, not reflection.
 _LEAST_SUNLIGHT, _MOST_SHARE = 5.0, 3.0
-# Lightness is counted from the middle in halves of its range, a and b in these units and no further than three.
+# Lightness is scaled to −1…1, a and b by these units and clipped at ±3.
 _CHROMA, _MOST_CHROMA = 20.0, 3.0
-# Pixels drawn from an example: neighbours say the same.
+# Pixels drawn from an example; neighbours add little.
 _MOST_ROWS = 2500
-# Pixels whose columns are laid out at a time.
+# Pixels computed at a time.
 _CHUNK = 1 << 15
-# A column that spreads less than this share of its own size is constant, but for rounding.
+# A column whose spread is less than this share of its mean is constant up to rounding.
 _CONSTANT = 1e-6
-# What each quantity spreads by where it varies at all, by how its name begins, and each colour's term. A column that
-# spreads less, as the weather of one hour or the slopes of a plain, would else be believed far beyond that.
+# Usual spread of each quantity, by the beginning of its name, and of each colour term. Columns that vary less, such as
+# the weather of one hour or the slopes of a plain, are penalised more, so that they do not dominate elsewhere.
 _USUAL = (
     ("air_k", 5.0), ("vapour_pa", 200.0), ("wind_m_s", 1.0), ("direct_w_m2", 100.0), ("diffuse_w_m2", 30.0),
     ("longwave", 20.0), ("snow_m", 0.05), ("air_day_k", 1.0), ("rain_day_mm", 1.0), ("sun_elevation_deg", 10.0),
@@ -49,9 +53,9 @@ class Linear:
     Attributes
     ----------
     extra : ExtraInputs
-        What it takes as input besides the picture.
+        Inputs besides the picture.
     weight : (K,) float64
-        Of the columns [K per unit of each].
+        Weights of the columns [K per unit of each].
     offset : float
         Prediction where every column is 0 [K].
     """
@@ -63,17 +67,17 @@ class Linear:
     above_air = True
 
     @property
-    def needs(self):
-        """Names of the fields of Inputs that are needed."""
+    def needs(self) -> tuple[str, ...]:
+        """Names of the required fields of Inputs."""
         return self.extra.needs
 
-    def predict(self, inputs, texel_m):
-        """Return kelvin above the air, (h, w) float64; an image at another texel is brought to the map's and back.
+    def predict(self, inputs: Inputs, texel_m: float) -> np.ndarray:
+        """Return kelvin above the air, (h, w) float64; an image at another texel is resampled to the map's and back.
 
         Raises
         ------
         ThermorenderError
-            A plane of the terrain or a condition is missing.
+            A terrain plane or a condition is missing.
         """
         image = at_texel(inputs, texel_m)
         self.extra.check(image)
@@ -86,17 +90,19 @@ class Linear:
             found[here] = self.of_values({**lab_planes(image.rgb[here]), **terrain, **image.conditions})
         return at_shape(found, inputs.rgb.shape[:2])
 
-    def of_values(self, values, multiplied=None):
-        """Return kelvin above the air of pixels, as `columns` takes them.
+    def of_values(
+        self, values: Mapping[str, ArrayLike], multiplied: Iterable[tuple[str, np.ndarray]] | None = None
+    ) -> np.ndarray:
+        """Return kelvin above the air of pixels, with `values` as for `columns`.
 
-        `multiplied` are their `grounds`, where they are known already.
+        `multiplied` are their `grounds`, if already known.
         """
         colours = np.stack(np.broadcast_arrays(1.0, *_colours(values)))
         planes = [plane for _, plane in multiplied or grounds(values, self.extra)]
         alone, many = len(_COLOURS) - 1, len(_COLOURS)
         slopes, rest = np.split(self.weight[alone:], [many * len(planes)])
         found = self.offset + np.tensordot(self.weight[:alone], colours[1:], 1)
-        # What each ground is multiplied by is a quadratic of colour: one product of matrices for all of them.
+        # The factor of each ground is a quadratic of colour: one matrix product for all of them.
         for plane, factor in zip(planes, np.tensordot(slopes.reshape(-1, many), colours, 1), strict=True):
             found += plane * factor
         for (_, column), weight in zip(_others(values, self.extra), rest, strict=True):
@@ -104,16 +110,16 @@ class Linear:
                 found += weight * column
         return found
 
-    def header(self):
-        """Return what the file's text says of it."""
+    def header(self) -> dict[str, Any]:
+        """Return its entries in the file's header."""
         return {"terrain": self.extra.terrain, "conditions": self.extra.conditions, "offset": self.offset}
 
-    def arrays(self):
-        """Return what the file holds of it."""
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return its arrays in the file."""
         return {"weight": self.weight}
 
     @classmethod
-    def of(cls, header, arrays):
+    def of(cls, header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> "Linear":
         """Return the Linear of `header` and `arrays`."""
         extra = ExtraInputs(tuple(header["terrain"]), tuple(header["conditions"]))
         if not extra.above_air:
@@ -126,19 +132,19 @@ class Linear:
         return cls(extra, weight, offset)
 
 
-def names_of_columns(extra):
+def names_of_columns(extra: ExtraInputs) -> list[str]:
     """Return the names of `columns`."""
     nothing = np.zeros(0)
     return [name for name, _ in columns(dict.fromkeys([*"Lab", *extra.terrain, *extra.conditions], nothing), extra)]
 
 
-def columns(values, extra):
-    """Give (name, array, or a number that holds for all pixels) of each column, one after the other.
+def columns(values: Mapping[str, ArrayLike], extra: ExtraInputs) -> Iterator[tuple[str, ArrayLike]]:
+    """Yield (name, array, or one number for all pixels) of each column.
 
     Parameters
     ----------
     values : mapping of str to array or number
-        By pixel: "L", "a" and "b" of CIELAB, and what `extra` names.
+        By pixel: "L", "a" and "b" of CIELAB, and the inputs in `extra`.
     extra : ExtraInputs
     """
     colours = (None, *_colours(values))
@@ -150,7 +156,7 @@ def columns(values, extra):
 
 
 def _colours(values):
-    """What `_COLOURS` names but for the first, of CIELAB."""
+    """The terms `_COLOURS` without the first, from CIELAB."""
     light, a, b = (np.asarray(values[channel]) for channel in "Lab")
     light = light / 50.0 - 1.0
     a, b = (np.clip(channel / _CHROMA, -_MOST_CHROMA, _MOST_CHROMA) for channel in (a, b))
@@ -158,11 +164,11 @@ def _colours(values):
 
 
 def _others(values, extra):
-    """Give (name, array or number) of what stands by itself: the terrain, where there is none, and the station."""
+    """Yield (name, array or number) of the columns without colour: relief, "no terrain", and conditions."""
     unknown = np.zeros(np.shape(values["L"]), bool)
     for name in extra.terrain:
         unknown = unknown | np.isnan(values[name])
-        # Sunlight is among what colour multiplies.
+        # Sunlight is among the `grounds`.
         if not name.startswith(_SUNLIGHT):
             yield name, _known(values[name], 0.0)
     yield "no terrain", unknown
@@ -170,11 +176,11 @@ def _others(values, extra):
         yield name, values[name]
 
 
-def grounds(values, extra):
-    """Give (name, plane) of what colour multiplies, 0 where there is no terrain.
+def grounds(values: Mapping[str, ArrayLike], extra: ExtraInputs) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield (name, plane) of the quantities that are multiplied by colour terms; 0 where there is no terrain.
 
-    First "as MATERIAL", kelvin above the air of each typical material that the conditions tell, in the sunlight that
-    the terrain has there; then sunlight, its past, and the hidden part of the sky.
+    First "as MATERIAL", kelvin above the air of each typical material in the conditions, in the pixel's sunlight; then
+    sunlight, its history, and the hidden part of the sky.
     """
     known = extra.conditions
     materials = [name[5:] for name in known if name.startswith("open_") and f"shade_{name[5:]}" in known]
@@ -197,12 +203,12 @@ def grounds(values, extra):
 
 
 def _known(plane, otherwise):
-    """A terrain's plane with a number where there is no terrain."""
+    """A terrain plane with NaN replaced by a number."""
     return np.where(np.isnan(plane), np.asarray(plane).dtype.type(otherwise), plane)
 
 
 def _usual(name):
-    """What a column usually spreads by; 0 where that is not known."""
+    """The usual spread of a column; 0 if unknown."""
     found = 1.0
     for part in name.split(" × "):
         known = (spread for start, spread in _USUAL if part.startswith(start))
@@ -210,22 +216,21 @@ def _usual(name):
     return found
 
 
-def lab_planes(rgb):
-    """Return {"L", "a", "b": array} of sRGB, as `columns` takes them."""
+def lab_planes(rgb: np.ndarray) -> dict[str, np.ndarray]:
+    """Return {"L", "a", "b": array} of sRGB, for `columns`."""
     return dict(zip("Lab", np.moveaxis(lab(rgb), -1, 0), strict=True))
 
 
-def fit_linear(task):
-    """Return the Linear that learns a Task.
+def fit_linear(task: Task) -> Linear:
+    """Return the Linear trained on a Task.
 
-    Its option `penalty` is the penalty λ: the mean squared error plus λ times the sum of the squared coefficients of
-    standardised columns is smallest. A column is standardised by its spread, or by what it usually spreads by where
-    that is more.
+    It minimises the mean squared error plus λ, the option `penalty`, times the sum of the squared coefficients of
+    standardised columns. A column is standardised by its spread or its usual spread, the greater of the two.
 
     Raises
     ------
     ThermorenderError
-        A negative `penalty`, examples without the air's temperature, or nothing to learn from.
+        `penalty` is negative, examples have no air temperature, or no pixel is valid.
     """
     penalty = float(task.options["penalty"])
     if not 0.0 <= penalty < np.inf:
@@ -233,8 +238,8 @@ def fit_linear(task):
     first = ExtraInputs.of(task.examples[0].inputs)
     if not first.above_air:
         raise ThermorenderError(
-            "the pairs have no condition air_k, the air's temperature, that correlation+ adds to; give a data set "
-            "with weather, or take correlation-9to1"
+            "the pairs lack the condition air_k, the air's temperature, which correlation+ needs; give a data set with "
+            "weather, or take correlation-9to1"
         )
     sums = Sums(first)
     for each in drawn(task, sums.extra, _MOST_ROWS):
@@ -245,28 +250,28 @@ def fit_linear(task):
 
 
 class Sums:
-    """All sums that means, variances and covariances of the columns and the target are made of.
+    """The sums behind means, variances and covariances of the columns and the target.
 
     Attributes
     ----------
     extra : ExtraInputs
-        As given, without numbers of classes, which are no quantities.
+        As given, without class numbers, which are not quantities.
     """
 
-    def __init__(self, extra):
+    def __init__(self, extra: ExtraInputs) -> None:
         self.extra = ExtraInputs(tuple(name for name in extra.terrain if name != CLASSES), extra.conditions)
         self._size = len(names_of_columns(self.extra))
         self._products = np.zeros((self._size + 2, self._size + 2))
 
-    def add(self, values, target):
-        """Add pixels, as `columns` takes them, and their kelvin above the air, (n,)."""
+    def add(self, values: Mapping[str, ArrayLike], target: np.ndarray) -> None:
+        """Add pixels, with `values` as for `columns`, and their kelvin above the air, (n,)."""
         table = np.ones((self._size + 2, target.size))
         for row, (_, column) in zip(table, columns(values, self.extra), strict=False):
             row[:] = column
         table[self._size] = target
         self._products += table @ table.T
 
-    def solved(self, penalty):
+    def solved(self, penalty: float) -> Linear:
         """Return the Linear of ridge regression with this penalty."""
         size, count = self._size, self._products[-1, -1]
         mean = self._products[-1, :-1] / count
@@ -278,6 +283,6 @@ class Sums:
         among = covariance[:size, :size][np.ix_(varies, varies)] / np.outer(scale, scale)
         usual = np.array([_usual(name) for name in names_of_columns(self.extra)])[varies]
         among[np.diag_indices_from(among)] += penalty * np.maximum(usual / scale, 1.0) ** 2
-        # The least of all solutions where columns repeat each other and nothing is penalised.
+        # The minimum-norm solution if columns are dependent and the penalty is 0.
         weight[varies] = np.linalg.lstsq(among, covariance[size, :size][varies] / scale, rcond=None)[0] / scale
         return Linear(self.extra, weight, float(mean[size] - weight @ mean[:size]))

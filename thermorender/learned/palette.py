@@ -1,18 +1,22 @@
-"""A palette: each cell of colour space has an intensity, the mean of the training pixels of that colour.
+"""A palette: each cell of colour space has the mean intensity of the training pixels of that colour.
 
-Cells are cubes of CIELAB. A cell with few pixels says little, so its mean is drawn towards that of the cell twice as
-wide around it, that one's towards the next wider, up to the whole; a colour never seen has the wider cell's. Intensity
-is linear in band radiance, so its means are means of radiance.
+Cells are cubes of CIELAB. The mean of a cell with few pixels is shrunk towards that of the cell twice as wide around
+it, and so on up to the whole; an unseen colour has the wider cell's value. Intensity is linear in band radiance, so
+these are means of radiance.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.learned.features import lab
+from thermorender.learned.temperature_map import Inputs
+from thermorender.learned.training import Task
 
-# CIELAB of sRGB lies within −128…128 in a and b, and 0…100 in L: a cube of this side holds it.
+# sRGB has −128…128 in a and b and 0…100 in L of CIELAB: a cube of this side holds it.
 _SIDE = 256.0
 _FINEST, _COARSEST = 2.0, 64.0
 # Pixels whose colours are computed at a time.
@@ -30,7 +34,7 @@ class Palette:
     value : (n, n, n) float64
         Intensity, by cells of L, a and b; n is a power of two.
     count : (n, n, n) int64
-        Pixels it was learned from.
+        Training pixels of each cell.
     """
 
     cell: float
@@ -40,40 +44,40 @@ class Palette:
     needs = ()
     above_air = False
 
-    def predict(self, inputs, texel_m):
-        """Return intensity, (h, w) float64; each pixel's is that of its colour, at any ground sampling distance."""
+    def predict(self, inputs: Inputs, texel_m: float) -> np.ndarray:
+        """Return intensity, (h, w) float64, by colour alone, at any ground sampling distance."""
         return self.value.ravel()[cells(inputs.rgb, self.cell, len(self.value))]
 
-    def unseen(self, inputs):
-        """Return where a pixel is of a colour never seen, (h, w) bool: its cell held none when it was trained."""
+    def unseen(self, inputs: Inputs) -> np.ndarray:
+        """Return where a pixel's cell has no training pixels, (h, w) bool."""
         return self.count.ravel()[cells(inputs.rgb, self.cell, len(self.value))] == 0
 
-    def header(self):
-        """Return what the file's text says of it."""
+    def header(self) -> dict[str, Any]:
+        """Return its entries in the file's header."""
         return {"cell": self.cell}
 
-    def arrays(self):
-        """Return what the file holds of it."""
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return its arrays in the file."""
         return {"value": self.value, "count": self.count}
 
     @classmethod
-    def of(cls, header, arrays):
+    def of(cls, header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> "Palette":
         """Return the Palette of `header` and `arrays`."""
         found = cls(float(header["cell"]), np.asarray(arrays["value"], np.float64), arrays["count"])
         if not _FINEST <= found.cell <= _COARSEST or not np.isfinite([found.value, found.count]).all():
-            raise ValueError("it has no cells, or values that are not finite")
+            raise ValueError("its cells have a wrong size, or values that are not finite")
         if found.value.shape != found.count.shape or found.value.shape != (cells_along(found.cell),) * 3:
-            raise ValueError("no palette")
+            raise ValueError("its arrays have a wrong shape")
         return found
 
 
-def cells_along(cell):
-    """Return how many cells of this side the cube has along each axis: a power of two."""
+def cells_along(cell: float) -> int:
+    """Return the number of cells of this side along each axis of the cube: a power of two."""
     return 2 ** int(np.ceil(np.log2(_SIDE / cell)))
 
 
-def cells(rgb, cell, along):
-    """Return each colour's cell, (h, w) int64: its number along L, a and b in one, as `numpy.ravel_multi_index`."""
+def cells(rgb: np.ndarray, cell: float, along: int) -> np.ndarray:
+    """Return each colour's cell, (h, w) int64: its flat index along L, a and b, as by `numpy.ravel_multi_index`."""
     flat = rgb.reshape(-1, 3)
     found = np.empty(len(flat), np.int64)
     for start in range(0, len(flat), _CHUNK):
@@ -83,24 +87,24 @@ def cells(rgb, cell, along):
     return found.reshape(rgb.shape[:-1])
 
 
-def fit_palette(task):
-    """Return the Palette that learns a Task.
+def fit_palette(task: Task) -> Palette:
+    """Return the Palette trained on a Task.
 
-    Its options: `cell`, a cell's side in CIELAB, and `shrinkage`, the number of pixels with which a cell's own mean
-    weighs as much as the wider cell's.
+    Options: `cell`, a cell's side in CIELAB, and `shrinkage`, the number of pixels at which a cell's own mean counts as
+    much as the wider cell's.
 
     Raises
     ------
     ThermorenderError
-        An option out of range, or no pixel to learn from.
+        An option is out of range, or no pixel is valid.
     """
     cell, shrinkage = float(task.options["cell"]), float(task.options["shrinkage"])
     if not _FINEST <= cell <= _COARSEST:
         raise ThermorenderError(
-            f"cell={cell:g} is no side of a palette's cells; give {_FINEST:g}…{_COARSEST:g}, in units of CIELAB"
+            f"cell={cell:g} is not allowed for a palette; give {_FINEST:g}…{_COARSEST:g}, in units of CIELAB"
         )
     if not 0.0 <= shrinkage < np.inf:
-        raise ThermorenderError(f"shrinkage={shrinkage:g} is no number of pixels; give 0 or more")
+        raise ThermorenderError(f"shrinkage={shrinkage:g} is not allowed; give a number of pixels of 0 or more")
     along = cells_along(cell)
     total, count = np.zeros(along**3), np.zeros(along**3, np.int64)
     for number, example in enumerate(task.examples):
@@ -118,15 +122,15 @@ def fit_palette(task):
     return Palette(cell, shrunk(total.reshape(shape), count.reshape(shape), shrinkage), count.reshape(shape))
 
 
-def shrunk(total, count, shrinkage):
-    """Return the mean of each cell, (n, n, n) float64, drawn towards that of the cell twice as wide around it.
+def shrunk(total: np.ndarray, count: np.ndarray, shrinkage: float) -> np.ndarray:
+    """Return the mean of each cell, (n, n, n) float64, shrunk towards that of the cell twice as wide around it.
 
     Parameters
     ----------
     total, count : (n, n, n)
-        Sum and number of a cell's values; n is a power of two, and one cell at least holds some.
+        Sum and number of a cell's values; n is a power of two, and at least one cell is not empty.
     shrinkage : float
-        The cell's own mean weighs count / (count + shrinkage).
+        The weight of the cell's own mean is count / (count + shrinkage).
     """
     n = len(count)
     if n == 1:
@@ -134,6 +138,6 @@ def shrunk(total, count, shrinkage):
     wide = [image.reshape(n // 2, 2, n // 2, 2, n // 2, 2).sum(axis=(1, 3, 5)) for image in (total, count)]
     around = shrunk(*wide, shrinkage).repeat(2, axis=0).repeat(2, axis=1).repeat(2, axis=2)
     weight = count + shrinkage
-    # Nothing was seen, and nothing draws: the wider cell's.
+    # An empty cell without shrinkage has the wider cell's mean.
     alone = weight == 0.0
     return np.where(alone, around, (total + shrinkage * around) / np.where(alone, 1.0, weight))

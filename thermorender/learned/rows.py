@@ -1,10 +1,10 @@
-"""Rows of a table: what maps that learn from single pixels are given, at the map's own ground sampling distance.
+"""Table rows for maps that learn from single pixels, at the map's ground sampling distance.
 
-A row is a pixel. Its columns are what describes it in the picture (`features`), what the terrain knows of it, and hour
-and weather, the same for all pixels of a picture.
+A row is a pixel. Its columns are its picture `features`, its relief, and hour and weather, which are the same for all
+pixels of a picture.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,24 +12,24 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 from thermorender.learned.features import HALO, NAMES, features, whole_picture
 from thermorender.learned.temperature_map import Inputs
+from thermorender.learned.training import Task
 
-# A picture is taken as it is where its ground sampling distance differs from the map's by less than this share.
+# A picture is not resampled if its ground sampling distance differs from the map's by less than this share.
 _SAME_TEXEL = 0.1
-# A coarser one is enlarged by no more than this: what it has no texture of would only cost memory.
+# A coarser picture is enlarged at most this much: more would cost memory and add no texture.
 _MOST_ENLARGED = 2.0
-# Side of the parts that a large picture is described in [pixels].
+# Side of the tiles for features of a large picture [pixels].
 _TILE = 768
-# Side of the part of a picture that pixels are drawn from [pixels]: to describe a whole one takes five times as long.
+# Side of the window of a picture that pixels are drawn from [pixels]; features of a whole one take five times as long.
 _WINDOW = 256
-# A terrain's plane that holds numbers of classes, with no order.
+# The terrain plane that holds class numbers, which have no order.
 CLASSES = "material"
 
 
-def at_texel(inputs, texel_m):
-    """Return Inputs brought to a ground sampling distance [m]: themselves where theirs is that or unknown.
+def at_texel(inputs: Inputs, texel_m: float | None) -> Inputs:
+    """Return Inputs resampled to a ground sampling distance [m], or unchanged if theirs is the same or unknown.
 
-    Colours are averaged over areas or interpolated; the terrain's planes, which may hold classes and NaN, keep the
-    nearest value.
+    Colours are averaged or interpolated; terrain planes, which may hold classes and NaN, keep the nearest value.
     """
     import cv2
 
@@ -48,8 +48,8 @@ def at_texel(inputs, texel_m):
     return replace(inputs, rgb=rgb, texel_m=inputs.texel_m / ratio, terrain=terrain, depth=depth)
 
 
-def at_shape(image, shape):
-    """Return an image resampled to (rows, columns): means over areas where that is fewer, else interpolated."""
+def at_shape(image: np.ndarray, shape: Sequence[int]) -> np.ndarray:
+    """Return an image resampled to (rows, columns): averaged over areas if that is fewer pixels, else interpolated."""
     import cv2
 
     if image.shape[:2] == tuple(shape):
@@ -60,7 +60,7 @@ def at_shape(image, shape):
 
 @dataclass(frozen=True)
 class ExtraInputs:
-    """Names of what a map takes as input besides the picture, each sorted.
+    """Names of a map's inputs besides the picture, sorted.
 
     Attributes
     ----------
@@ -68,59 +68,55 @@ class ExtraInputs:
         Fields of Inputs.
     """
 
-    terrain: tuple = ()
-    conditions: tuple = ()
+    terrain: tuple[str, ...] = ()
+    conditions: tuple[str, ...] = ()
 
     def __post_init__(self):
         if not all(isinstance(name, str) for name in (*self.terrain, *self.conditions)):
-            raise ValueError("it takes something without a name as input")
+            raise ValueError("one of its inputs has no name")
 
     @classmethod
-    def of(cls, inputs):
-        """Return the names that Inputs have."""
+    def of(cls, inputs: Inputs) -> "ExtraInputs":
+        """Return the names of all terrain planes and conditions of Inputs."""
         return cls(tuple(sorted(inputs.terrain)), tuple(sorted(inputs.conditions)))
 
     @property
-    def needs(self):
-        """Names of the fields of Inputs that are needed."""
+    def needs(self) -> tuple[str, ...]:
+        """Names of the required fields of Inputs."""
         return tuple(name for name in ("terrain", "conditions") if getattr(self, name))
 
     @property
-    def above_air(self):
-        """Whether the air's temperature is an input, so that kelvin above it are learned."""
+    def above_air(self) -> bool:
+        """Whether air temperature is an input, so that the target is kelvin above it."""
         return "air_k" in self.conditions
 
-    def check(self, inputs):
-        """Refuse Inputs that lack something.
-
-        Raises
-        ------
-        ThermorenderError
-            The message names it.
-        """
+    def check(self, inputs: Inputs) -> None:
+        """Raise ThermorenderError if Inputs lack a plane or condition; the message names it."""
         for what in ("terrain", "conditions"):
             given = getattr(inputs, what)
             missing = [name for name in getattr(self, what) if name not in given]
             if missing:
                 raise ThermorenderError(
                     f"{what} of a picture have {', '.join(sorted(given)) or 'nothing'} and lack {', '.join(missing)}, "
-                    "which the map was trained with; give those, or train the map without them"
+                    "which the map was trained with; add them, or train the map without them"
                 )
 
     @property
-    def columns(self):
+    def columns(self) -> tuple[str, ...]:
         """Names of the columns of `tiles`."""
         return (*NAMES, *self.terrain, *self.conditions)
 
-    def tiles(self, inputs, window=None):
-        """Give ((rows, columns) slices, (len(columns), h, w) float32) of a picture, part by part.
+    def tiles(
+        self, inputs: Inputs, window: tuple[int, int, int, int] | None = None
+    ) -> Iterator[tuple[tuple[slice, slice], np.ndarray]]:
+        """Yield ((rows, columns) slices, (len(columns), h, w) float32) of a picture, tile by tile.
 
         Parameters
         ----------
         inputs : Inputs
             At the map's ground sampling distance.
         window : (4,) ints, optional
-            First and last row and column of the part that is asked for; the whole by default.
+            First row, end row, first column and end column of the part to describe; the whole by default.
         """
         self.check(inputs)
         whole = whole_picture(inputs.rgb)
@@ -149,11 +145,11 @@ class Drawn:
     Attributes
     ----------
     number : int
-        Of the example.
+        Index of the example.
     inputs : Inputs
         At the map's ground sampling distance.
     window : (4,) ints
-        First and last row and column of the part that they lie in.
+        First row, end row, first column and end column of the window that holds them.
     pixels : (n,) int
         Row times width plus column, ascending.
     target : (n,) float64
@@ -162,20 +158,20 @@ class Drawn:
 
     number: int
     inputs: Inputs
-    window: tuple
+    window: tuple[int, int, int, int]
     pixels: np.ndarray
     target: np.ndarray
 
 
-def drawn(task, extra, most) -> Iterator[Drawn]:
-    """Give the Drawn of each example of a Task: as many pixels of each, `most`, or all where it has fewer.
+def drawn(task: Task, extra: ExtraInputs, most: int) -> Iterator[Drawn]:
+    """Yield the Drawn of each example of a Task: `most` pixels of each, or all if it has fewer.
 
-    They are drawn from a part of the picture that is placed about one of its valid pixels at random.
+    They are drawn from a window placed at random around one of the picture's valid pixels.
 
     Raises
     ------
     ThermorenderError
-        No example has a pixel to learn from, or one lacks what the others have.
+        No example has a valid pixel, or one lacks an input that others have.
     """
     generator = np.random.Generator(np.random.Philox(task.seed))
     empty = True
@@ -189,7 +185,7 @@ def drawn(task, extra, most) -> Iterator[Drawn]:
         usable = example.valid & np.isfinite(target)
         shape = inputs.rgb.shape[:2]
         if shape != target.shape:
-            # A pixel all of whose parts are valid.
+            # Only pixels that are valid over their whole area.
             target = at_shape(np.where(usable, target, 0.0), shape)
             usable = at_shape(usable.astype(np.float32), shape) > 0.999
         window = _window(usable, generator)
@@ -208,7 +204,7 @@ def drawn(task, extra, most) -> Iterator[Drawn]:
 
 
 def _window(usable, generator):
-    """First and last row and column of a part of a picture, about a pixel of it that can be used."""
+    """A random window (first row, end row, first column, end column) around a usable pixel."""
     within = np.flatnonzero(usable)
     if not within.size:
         return 0, 0, 0, 0

@@ -1,16 +1,16 @@
-"""A learned map from a photograph to apparent temperature: what every method shares, and its file.
+"""A learned map from a photograph to apparent temperature, for every method, and its file.
 
-A method is a *predictor*: from what is known of each pixel it gives an intensity, linear in band radiance, 0 and 1
-standing for two temperatures; or, where it is told the air's temperature, kelvin above that. Around it the map says for
-which band, camera, ground sampling distance, sky, hour and weather it was trained, and from what.
+A map holds a *predictor*. From each pixel's inputs it predicts an intensity, linear in band radiance, where 0 and 1 are
+two temperatures of the map. If air temperature is an input, it predicts kelvin above the air instead. The map also
+records its training: data, band, camera, ground sampling distance, sky, hour and weather.
 
-A map is one file: arrays and a JSON text in NumPy's .npz, nothing that runs.
+A map is one file, NumPy's .npz: arrays and a JSON text, no code.
 """
 
 import hashlib
 import json
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -27,17 +27,16 @@ from thermorender.schema import did_you_mean, shortened
 from thermorender.units import ZERO_CELSIUS_K
 
 FORMAT = 1
-# An image may be so many times finer or coarser than what the map was trained at, at each end of its range, without a
-# warning.
+# An image may be this many times finer or coarser than the range trained on, without a warning.
 TEXEL_MARGIN = 1.25
-# Sky assumed where nobody states it: that of a clear mid-latitude summer day in the band [K].
+# Default sky: a clear mid-latitude summer day in the band [K].
 ASSUMED_SKY_K = 255.0
-# Slopes are of no less than this share of the radiance at the range's warm end.
+# Slopes are taken at no less than this share of the radiance at the range's warm end.
 _LEAST_OF_COLD = 0.05
-# The largest network of full width, pix2pixHD's, takes 365 megabytes in half precision.
 _HOTTEST_K = 1e4
+# The largest network, pix2pixHD at full width, takes 365 MB in half precision.
 _MOST_BYTES = 1 << 30
-# Kinds of predictors: {name in the file: (module, class)}; a module is imported when a map of it is read.
+# Predictors: {name in the file: (module, class)}; a module is imported when a map that needs it is read.
 PREDICTORS = {
     "correlation": ("thermorender.learned.correlation", "Correlation"),
     "palette": ("thermorender.learned.palette", "Palette"),
@@ -49,21 +48,20 @@ PREDICTORS = {
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """What a map may know of a picture.
+    """A picture and the extra inputs that a map may take.
 
     Attributes
     ----------
     rgb : (h, w, 3) uint8
         sRGB.
     texel_m : float or None
-        Ground sampling distance [m]; None takes the picture for one of the map's own.
+        Ground sampling distance [m]; None means the map's own.
     terrain : dict of str to (h, w) float32
-        What a terrain knows per pixel and a photograph does not, as by `thermorender.render.heat.relief`; NaN where
-        there is no terrain.
+        Relief, as by `thermorender.render.heat.relief`; NaN where there is no terrain.
     conditions : dict of str to float
-        Hour and weather in numbers, as by `thermorender.render.heat.conditions`.
+        Hour and weather, as by `thermorender.render.heat.conditions`.
     depth : (h, w) float32 or None
-        Distance from the camera to what each pixel shows [m], as a lidar tells it; NaN where it tells nothing.
+        Distance from the camera, as a lidar measures it [m]; NaN where unknown.
     """
 
     rgb: np.ndarray
@@ -81,32 +79,32 @@ class TemperatureMap:
     ----------
     name : str
     method : str
-        Of `thermorender train`.
+        Method of `thermorender train`.
     predictor : object
-        With `predict(inputs, texel_m)`, (h, w) float64; `needs`, the names of Inputs' fields without which it cannot
-        work; `above_air`, whether it gives kelvin above the air instead of intensity; `header()` and `arrays()`, what
-        its class's `of(header, arrays)` makes it from; where a pixel depends on those around it only,
-        `reach(spacing)`, how far, taps lying `spacing` pixels apart: large pictures are then translated in strips; and
-        where it tells the standard deviation of its error for each pixel, `with_spread(inputs)`, both.
+        Has `predict(inputs, texel_m)`, (h, w) float64; `needs`, names of the required fields of Inputs; `above_air`,
+        whether it predicts kelvin above the air instead of intensity; `header()` and `arrays()`, from which its class's
+        `of(header, arrays)` makes it. A predictor that uses only a pixel's neighbourhood has `reach(spacing)`, its
+        radius with taps `spacing` pixels apart; large pictures are then translated in strips. One that estimates the
+        standard deviation of its error has `with_spread(inputs)`, which returns both.
     range_k : (2,) tuple of float
         Temperatures of intensity 0 and 1 [K].
     band_um : (2,) tuple of float
-        Of the camera it was trained with [µm].
+        Band of the training camera [µm].
     texel_m : float
         Ground sampling distance it is applied at [m].
     texel_range_m : (2,) tuple of float
-        Finest and coarsest it was trained at [m].
+        Finest and coarsest ground sampling distance of the training [m].
     camera : str
     sky_temperature : float
-        Isotropic sky its thermal pictures were taken under, a mean where they were several [K].
+        Isotropic sky of the training pictures, their mean [K].
     source : str
     trained : dict or None
-        When and in what weather its pictures were taken, where that was one: keys and values of a scene's [weather], a
-        named day's. None otherwise: it cannot be moved to another hour unless the scene says it.
+        Hour and weather of the training pictures, if all had the same: keys and values of a scene's [weather], a named
+        day's. If None, the map can be moved to another hour only where the scene states them.
     error_k : float or None
-        One standard deviation of its own error [K]; None: unknown.
+        Standard deviation of its error [K]; None: unknown.
     about : dict
-        Data set and what of it was trained on, conditions, settings, versions.
+        Data set and its split, conditions, settings, versions.
     """
 
     name: str
@@ -124,97 +122,96 @@ class TemperatureMap:
     about: dict = field(default_factory=dict)
 
     @property
-    def needs(self):
-        """Names of the fields of Inputs, besides rgb, without which this map cannot work."""
+    def needs(self) -> tuple[str, ...]:
+        """Names of the required fields of Inputs besides rgb."""
         return self.predictor.needs
 
-    def radiance(self, inputs):
-        """Return apparent band radiance, (h, w) float64 [W m⁻² sr⁻¹]; never clipped, so where it is negative no
-        temperature exists.
+    def radiance(self, inputs: Inputs) -> np.ndarray:
+        """Return apparent band radiance, (h, w) float64 [W m⁻² sr⁻¹]; negative where no temperature exists.
 
         Parameters
         ----------
         inputs : Inputs
-            An image at another ground sampling distance is brought to the map's, and the result back.
+            An image at another ground sampling distance is resampled to the map's, and the result back.
 
         Raises
         ------
         ThermorenderError
-            Something that the map needs is missing.
+            A required input is missing.
         """
         return self._radiance_of(self._predicted(inputs)[0], inputs)
 
-    def translated(self, inputs):
+    def translated(self, inputs: Inputs) -> tuple[np.ndarray, np.ndarray | None]:
         """Return (apparent band radiance, standard deviation of its error), (h, w) float64 [W m⁻² sr⁻¹] and [K].
 
-        The second is None where the method tells none for single pixels. It is what the map has found on its training
-        pictures: of colours, hours and weathers unlike those it knows nothing.
+        The second is None where the method has no estimate per pixel. It was learned on the training pictures and is
+        not valid for other colours, hours or weather.
         """
         found, spread = self._predicted(inputs)
         radiance = self._radiance_of(found, inputs)
         if spread is not None and not self.predictor.above_air:
             cold, warm = band_radiance(np.array(self.range_k), *self.band_um)
-            # At the range's cold end where no temperature exists.
+            # The range's cold end where no temperature exists.
             usable = np.maximum(radiance, min(cold, _LEAST_OF_COLD * warm))
             spread = spread * (warm - cold) * kelvin_per_radiance(usable, *self.band_um)
         return radiance, spread
 
     def _predicted(self, inputs):
-        """What the predictor says of an Inputs, and the standard deviation of that or None."""
+        """The predictor's output, and its standard deviation or None."""
         for name in self.needs:
             if getattr(inputs, name) is None or not len(getattr(inputs, name)):
                 raise ThermorenderError(
                     f"learned map {self.name!r} needs {_WORDS[name]}, which a picture alone does not have; give it "
-                    "with a scene that has [weather], or take a map that sees colour only"
+                    "with a scene that has [weather], or take a map that needs colour only"
                 )
         if hasattr(self.predictor, "with_spread"):
             return self.predictor.with_spread(inputs)
         return self.predictor.predict(inputs, self.texel_m), None
 
     def _radiance_of(self, found, inputs):
-        """Band radiance of what the predictor says."""
+        """Band radiance of the predictor's output."""
         if self.predictor.above_air:
             return self._radiance_at(np.maximum(found + inputs.conditions["air_k"], 1.0))
         cold, warm = band_radiance(np.array(self.range_k), *self.band_um)
         return cold + found * (warm - cold)
 
     def _radiance_at(self, temperature):
-        """Band radiance of temperatures [K], by table where that is shorter than the picture."""
+        """Band radiance of temperatures [K], by a table if it has fewer entries than the picture has pixels."""
         if not np.ptp(temperature) / RadianceTable.SPACING_K < temperature.size:
             return band_radiance(temperature, *self.band_um)
         grid = RadianceTable.grid(temperature.min(), temperature.max())
         return RadianceTable(grid, band_radiance(grid, *self.band_um))(temperature)
 
-    def digest(self):
-        """Return a fingerprint (hex) of all that its temperatures depend on."""
+    def digest(self) -> str:
+        """Return a checksum (hex) of everything that its temperatures depend on."""
         plain = [getattr(self, name) for name in ("range_k", "band_um", "texel_m", "sky_temperature")]
         state = hashlib.blake2b(json.dumps([plain, self.predictor.header()], sort_keys=True).encode(), digest_size=16)
         for name, values in sorted(self.predictor.arrays().items()):
             state.update(name.encode() + np.ascontiguousarray(values).tobytes())
         return state.hexdigest()
 
-    def intensity(self, radiance):
+    def intensity(self, radiance: np.ndarray) -> np.ndarray:
         """Return intensities of band radiances [W m⁻² sr⁻¹]: 0 and 1 at the ends of the map's range."""
         cold, warm = band_radiance(np.array(self.range_k), *self.band_um)
         return (radiance - cold) / (warm - cold)
 
-    def texel_warning(self, texel_m):
-        """Return a sentence where a ground sampling distance [m] lies outside the range trained on, else None."""
+    def texel_warning(self, texel_m: float | None) -> str | None:
+        """Return a warning if a ground sampling distance [m] is outside the range trained on, else None."""
         low, high = self.texel_range_m
         if texel_m is None or low / TEXEL_MARGIN <= texel_m <= high * TEXEL_MARGIN:
             return None
         return (
-            f"learned map {self.name!r} was trained at {low:.3g}–{high:.3g} m a pixel and meets {texel_m:.3g} m: its "
-            "texture is another there"
+            f"learned map {self.name!r} was trained at {low:.3g}–{high:.3g} m a pixel; at {texel_m:.3g} m texture "
+            "looks different"
         )
 
-    def ranged(self, range_c):
+    def ranged(self, range_c: Sequence[float]) -> "TemperatureMap":
         """Return this map with other temperatures for intensity 0 and 1 (coldest, warmest) [°C].
 
         Raises
         ------
         ThermorenderError
-            The first is not below the second, or the map gives temperatures of its own.
+            The first is not below the second, or the map predicts kelvin above the air.
         """
         low, high = (float(limit) for limit in range_c)
         if not -ZERO_CELSIUS_K < low < high:
@@ -222,8 +219,8 @@ class TemperatureMap:
                 f"range_c=({low:g}, {high:g}) is not a range; give coldest and warmest in °C, coldest first"
             )
         if self.predictor.above_air:
-            raise ThermorenderError(f"range_c=({low:g}, {high:g}) does not belong to learned map {self.name!r}, which "
-                                    "gives kelvin above the air; leave it out")  # fmt: skip
+            raise ThermorenderError(f"range_c=({low:g}, {high:g}) does not apply to learned map {self.name!r}, which "
+                                    "predicts kelvin above the air; leave it out")  # fmt: skip
         return replace(self, range_k=(low + ZERO_CELSIUS_K, high + ZERO_CELSIUS_K))
 
     def __repr__(self):
@@ -251,8 +248,8 @@ _PLAIN = ("name", "method", "range_k", "band_um", "texel_m", "texel_range_m", "c
           "trained", "error_k", "about")  # fmt: skip
 
 
-def save_map(model, path):
-    """Write a TemperatureMap as one file, .npz."""
+def save_map(model: TemperatureMap, path: files.PathLike) -> None:
+    """Write a TemperatureMap as one .npz file."""
     predictor = model.predictor
     kind = next(kind for kind, (_, name) in PREDICTORS.items() if type(predictor).__name__ == name)
     header = {"format": FORMAT, "predictor": kind, **{name: getattr(model, name) for name in _PLAIN}}
@@ -261,13 +258,13 @@ def save_map(model, path):
         np.savez_compressed(part, header=np.array(json.dumps(header)), **predictor.arrays())
 
 
-def load_map(path):
+def load_map(path: files.PathLike) -> TemperatureMap:
     """Return the TemperatureMap of a file.
 
     Raises
     ------
     ThermorenderError
-        No file, or one that is no map of this format; or what maps of its method need is not installed.
+        The file is missing or not a map of this format, or a package that its method needs is not installed.
     """
     import importlib
 
@@ -277,7 +274,7 @@ def load_map(path):
             arrays = _arrays(file)
         header = formats.finite_json(str(arrays.pop("header")))
         if header.pop("format") != FORMAT:
-            raise ValueError("another format")
+            raise ValueError("its format has another number")
         module, name = PREDICTORS[header.pop("predictor")]
         predictor = getattr(importlib.import_module(module), name).of(header.pop("of_predictor"), arrays)
         header = {key: tuple(value) if isinstance(value, list) else value for key, value in header.items()}
@@ -291,16 +288,16 @@ def load_map(path):
         ) from None
     except OSError as error:
         raise ThermorenderError(f"learned map {path} cannot be read: {error.strerror}; give a .npz of a map") from None
-    # A damaged archive fails in zipfile, zlib, json or NumPy, each with errors of its own.
+    # A damaged file can raise many kinds of errors in zipfile, zlib, json or NumPy.
     except (Exception, MemoryError) as error:
         why = shortened(" ".join(str(error).split())) or type(error).__name__
         raise ThermorenderError(
-            f"{path} is no learned map of format {FORMAT} ({why}); make one with `thermorender train`"
+            f"{path} is not a learned map of format {FORMAT} ({why}); make one with `thermorender train`"
         ) from None
 
 
 def _arrays(file):
-    """{name: array} of an open .npz; one that unpacks to more than a map holds is refused before it does."""
+    """{name: array} of an open .npz; one that would unpack to too much is refused first."""
     with zipfile.ZipFile(file) as archive:
         size = sum(item.file_size for item in archive.infolist())
     if size > _MOST_BYTES:
@@ -311,7 +308,7 @@ def _arrays(file):
 
 
 def _usable(model):
-    """Return a TemperatureMap after refusing values that nothing could be computed with."""
+    """Return a TemperatureMap after checking its values."""
     for name in ("range_k", "band_um", "texel_range_m"):
         value = getattr(model, name)
         if not (isinstance(value, tuple) and len(value) == 2 and all(map(_positive, value))):
@@ -322,17 +319,17 @@ def _usable(model):
         raise ValueError(f"range_k ends above {_HOTTEST_K:g} K")
     for name in ("texel_m", "sky_temperature"):
         if not _positive(getattr(model, name)):
-            raise ValueError(f"{name} is no number above 0")
+            raise ValueError(f"{name} is not a number above 0")
     if model.error_k is not None and not _positive(model.error_k) and model.error_k != 0:
-        raise ValueError("error_k is no number from 0 up")
+        raise ValueError("error_k is not a number of 0 or more")
     for name in ("name", "method", "camera", "source"):
         if not isinstance(getattr(model, name), str):
-            raise ValueError(f"{name} is no text")
-    # Files are called by it.
+            raise ValueError(f"{name} is not a text")
+    # Files are named after it.
     if not model.name.isprintable() or set(model.name) & set("/\\") or not model.name.strip(". "):
-        raise ValueError(f"its name {model.name!r} is no name of a file")
+        raise ValueError(f"its name {model.name!r} cannot be a file's name")
     if not (model.trained is None or isinstance(model.trained, dict)) or not isinstance(model.about, dict):
-        raise ValueError("trained or about is no table")
+        raise ValueError("trained or about is not a table")
     return model
 
 
@@ -345,7 +342,7 @@ _FOK = {
     "band_um": BAND_UM,
     # 120 m, the campaign's greatest height, times 17 µm over 13 mm.
     "texel_m": 120.0 * 17e-6 / 13e-3,
-    # "From altitudes up to 120 metres": the lowest is not published, half of it assumed.
+    # "From altitudes up to 120 metres": the lowest is not published; half is assumed.
     "texel_range_m": (60.0 * 17e-6 / 13e-3, 120.0 * 17e-6 / 13e-3),
     "camera": CAMERA,
     "sky_temperature": ASSUMED_SKY_K,
@@ -358,13 +355,13 @@ MODELS = {
 SHIPPED = {name: Path(__file__).with_name("maps") / f"{name}.npz" for name in TRAINED_MAPS}
 
 
-def load_model(name, range_c=None):
-    """Return the learned map of this name or file, its temperature range replaced by `range_c` [°C] where given.
+def load_model(name: files.PathLike, range_c: Sequence[float] | None = None) -> TemperatureMap:
+    """Return the learned map of a name or file, with the temperature range `range_c` [°C] if given.
 
     Raises
     ------
     ThermorenderError
-        An unknown name, a file that is none, or a range whose first value is not below its second.
+        The name is unknown, the file is not a map, or the range does not rise.
     """
     if str(name).endswith(".npz"):
         model = load_map(name)

@@ -1,4 +1,4 @@
-"""Training of learned temperature maps: what every method is given."""
+"""Training of learned temperature maps: the data and settings of every method."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,15 +11,15 @@ from thermorender.learned.temperature_map import Inputs
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """A picture to learn from.
+    """A training picture.
 
     Attributes
     ----------
     inputs : Inputs
     values : (h, w) uint16 or uint8
-        Of the thermal picture.
+        Pixels of the thermal picture.
     valid : (h, w) bool
-        Where both show the same.
+        Where photograph and thermal picture show the same.
     """
 
     inputs: Inputs
@@ -29,32 +29,32 @@ class Example:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What a method is to learn.
+    """A training task.
 
     Attributes
     ----------
     examples : sequence of Example
-        Each is read when it is asked for.
+        Each is read when it is accessed.
     intensity : (n,) float64
-        Intensity that each value of the thermal pictures stands for; n is one more than the largest.
+        Intensity of each pixel value of the thermal pictures; n is one more than the largest value.
     temperature : (n,) float64
-        Apparent temperature that it stands for [K].
+        Apparent temperature of each pixel value [K].
     seed : int
     progress : callable
         Called with (what, share done).
     options : dict
-        Of the method, as by `methods.Method.options`.
+        Options of the method, as in `training_methods.Method.options`.
     texel_m : float or None
-        Ground sampling distance that the map will be applied at [m]; methods that see texture learn at it. None takes
+        Ground sampling distance that the map will be applied at [m]; methods that use texture learn at it. None takes
         the pictures as they are.
     texel_range_m : (2,) tuple of float
-        Finest and coarsest of the pictures [m].
+        Finest and coarsest ground sampling distance of the pictures [m].
     held_out : (count,) bool or None
-        Examples that say when to stop and are not learned from; None leaves it to the method.
+        Examples for early stopping, not learned from; None lets the method choose.
     run : Path or None
-        Folder of a training that takes long: checkpoints, log and sample pictures; None for methods without.
+        Folder for checkpoints, log and sample pictures of a long training; None for other methods.
     resume : bool
-        Continue the training of that folder.
+        Continue the training in that folder.
     """
 
     examples: Sequence[Example]

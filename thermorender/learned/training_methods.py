@@ -12,18 +12,18 @@ from thermorender.schema import did_you_mean
 
 @dataclass(frozen=True)
 class Method:
-    """A way to learn a map.
+    """A training method.
 
     Attributes
     ----------
     fit : callable
         Task → predictor.
     plus : bool
-        Whether it is given the terrain's relief, hour and weather.
+        Whether it takes relief, hour and weather as input.
     options : dict of str to value
-        What may be chosen, with its default.
+        Its options with their defaults.
     classes : bool
-        Whether it learns from numbers of classes, such as an oracle's materials; others leave them out.
+        Whether it can use class numbers, such as an oracle's materials, as input.
     long : bool
         Whether it is trained step by step, in a folder from which it can be resumed.
     """
@@ -84,13 +84,13 @@ METHODS |= {name: _network(name, recipe) for name, recipe in RECIPES.items()}
 _NXN = re.compile(r"correlation-(\d+)x\1")
 
 
-def method(name):
-    """Return the Method of a name; correlation-NxN for any odd N up to 15.
+def method(name: str) -> Method:
+    """Return the Method of a name, one of `METHODS` or correlation-NxN with odd N up to 15.
 
     Raises
     ------
     ThermorenderError
-        There is none; the message lists them.
+        The name is unknown; the message lists all names.
     """
     if name in METHODS:
         return METHODS[name]

@@ -1,17 +1,19 @@
-"""Pictures and videos translated by a learned map: what a thermal camera would have seen, by colour alone.
+"""Translation of pictures and videos into apparent temperature by a learned map, from colour alone.
 
-Of each picture a 16-bit TIFF of apparent temperature and an 8-bit picture are written, of each video a video and, where
-asked for, the same of its frames. The 8-bit pictures share one scale, the range of the map, so that they can be
-compared. `translate.json` tells the settings, `translated.jsonl` what is done.
+Each picture gives a 16-bit TIFF of apparent temperature and an 8-bit picture; each video gives a video and optionally
+the same two files per frame. All 8-bit pictures share one scale, the range of the map. `translate.json` holds the
+settings, `translated.jsonl` the finished files.
 """
 
 import json
 import math
 import warnings
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,40 +27,40 @@ from thermorender.sensor.palettes import palette as known_palette
 from thermorender.versions import versions
 
 PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")
-# Videos that are read, with the codec of those written.
+# Suffixes of videos, with the codec for writing.
 VIDEOS = {".mp4": "mp4v", ".avi": "MJPG"}
-# Several pictures in one JPEG, as drones write them, are opened at the first.
+# Of a JPEG that holds several pictures, as drones write them, the first is read.
 _FORMATS = ("JPEG", "PNG", "TIFF", "BMP", "WEBP")
-# Depths of which a photograph's are not: 16 and 32-bit grey.
+# 16 and 32-bit grey, which photographs do not have.
 _DEEP_GREY = ("I", "I;16", "I;16B", "I;16L", "F")
-# Less opaque pixels show nothing.
+# Pixels with less alpha count as empty.
 _LEAST_ALPHA = 128
-# Pictures are translated in strips of so many pixels.
+# Most pixels of the strips that pictures are translated in.
 _STRIP = 1 << 21
-# An image may be so many times finer or coarser than the map: beyond, one pixel or none lies in its neighbourhood.
+# An image may be this many times finer or coarser than the map; beyond, its neighbourhood holds one pixel or none.
 _MOST_SPACING = 64.0
-# Frames that a video may lack of what its header says, which some writers only estimate.
+# Share of frames that a video may lack of its header's number, which some writers only estimate.
 _MISSING_FRAMES = 0.01
 RECORD, DONE = "translate.json", "translated.jsonl"
 
 
 class UnreadableError(ThermorenderError):
-    """A file among others that cannot be translated."""
+    """A file cannot be translated; others can."""
 
 
 @dataclass(frozen=True, eq=False)
 class Translation:
-    """How pictures are translated.
+    """Settings of a translation.
 
     Attributes
     ----------
     model : TemperatureMap
     texel_m : float or None
-        Ground sampling distance of the pictures [m]; None takes them for the map's own.
+        Ground sampling distance of the pictures [m]; None means the map's own.
     palette : str
-        Of the 8-bit pictures.
+        Palette of the 8-bit pictures.
     inner : bool
-        Leave the border out within which edge pixels are repeated, as published; else pictures keep their size.
+        Leave out the border in which edge pixels are repeated, as published; else pictures keep their size.
 
     Raises
     ------
@@ -74,7 +76,7 @@ class Translation:
     def __post_init__(self):
         model = self.model
         if model.needs:
-            # Which refuses it in its own words.
+            # This raises the error that names the missing inputs.
             model.radiance(Inputs(np.zeros((1, 1, 3), np.uint8)))
         if self.texel_m is not None and not 1.0 / _MOST_SPACING <= self.texel_m / model.texel_m <= _MOST_SPACING:
             raise ThermorenderError(
@@ -83,16 +85,16 @@ class Translation:
             )
         if self.inner and not hasattr(model.predictor, "inner"):
             raise ThermorenderError(
-                f"learned map {model.name!r} ({model.method}) has no border to leave out; leave --inner away"
+                f"learned map {model.name!r} ({model.method}) has no border to leave out; run it without --inner"
             )
         known_palette(self.palette)
 
     @cached_property
-    def display(self):
+    def display(self) -> DisplaySettings:
         """The DisplaySettings of the 8-bit pictures."""
         return DisplaySettings("linear", self.palette)
 
-    def counts(self, rgb, known=None):
+    def counts(self, rgb: np.ndarray, known: np.ndarray | None = None) -> np.ndarray:
         """Return apparent temperature of a picture, (h, w) uint16, `TLINEAR_STEP_K` kelvin a count; 0 where unknown.
 
         Parameters
@@ -100,11 +102,11 @@ class Translation:
         rgb : (h, w, 3) uint8
             sRGB.
         known : (h, w) bool, optional
-            Where it shows something.
+            Where the picture is not empty.
         """
         height, width = rgb.shape[:2]
         predictor = self.model.predictor
-        # Features of other predictors may tell of the whole picture.
+        # Other predictors may use the whole picture.
         local = hasattr(predictor, "reach")
         reach = predictor.reach(self._spacing) if local else 0
         rows = max(_STRIP // width, 4 * reach, 1) if local else height
@@ -120,12 +122,12 @@ class Translation:
             found = predictor.inner(found, self._spacing)
         return found
 
-    def picture(self, counts):
+    def picture(self, counts: np.ndarray) -> np.ndarray:
         """Return counts as an 8-bit picture, the map's range from black to white: (h, w) grey or (h, w, 3) RGB."""
         return self.display.shown(counts, self._ends)
 
-    def share_outside(self, counts):
-        """Return the share of known counts outside the map's range, 0 where none are known."""
+    def share_outside(self, counts: np.ndarray) -> float:
+        """Return the share of known counts outside the map's range, 0 if none are known."""
         known = counts[counts > 0]
         return float(np.mean((known < self._ends[0]) | (known > self._ends[1]))) if known.size else 0.0
 
@@ -140,13 +142,16 @@ class Translation:
 
 @lru_cache(4)
 def _steps(lower_um, upper_um):
-    """Radiances at which one count ends and the next begins, (65535,) [W m⁻² sr⁻¹]."""
+    """Radiances at the limits between counts, (65535,) [W m⁻² sr⁻¹]."""
     return band_radiance((np.arange(65535) + 0.5) * TLINEAR_STEP_K, lower_um, upper_um)
 
 
-def translate(model, paths, output, texel_m=None, palette="white-hot", inner=False, frames=False, resume=False,
-              progress=None):  # fmt: skip
-    """Translate pictures and videos into a folder; one that cannot be read does not stop the others.
+def translate(
+    model: TemperatureMap, paths: Sequence[files.PathLike], output: files.PathLike, texel_m: float | None = None,
+    palette: str = "white-hot", inner: bool = False, frames: bool = False, resume: bool = False,
+    progress: Callable[[str, float], object] | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Translate pictures and videos into a folder; an unreadable one does not stop the others.
 
     Parameters
     ----------
@@ -158,9 +163,9 @@ def translate(model, paths, output, texel_m=None, palette="white-hot", inner=Fal
     texel_m, palette, inner
         As for `Translation`.
     frames : bool
-        Write the frames of videos too.
+        Also write the frames of videos.
     resume : bool
-        Continue in a folder of the same settings: what is done is passed over.
+        Continue in a folder of the same settings and skip finished files.
     progress : callable, optional
         Called with (what, share done).
 
@@ -172,15 +177,16 @@ def translate(model, paths, output, texel_m=None, palette="white-hot", inner=Fal
     Raises
     ------
     ThermorenderError
-        Nothing to translate, two files of one name, outputs that exist or other settings than before.
+        There is nothing to translate, two files would have the same output, outputs exist, or the settings differ from
+        those of the folder.
     """
-    tell = progress or (lambda what, share: None)
+    report = progress or (lambda what, share: None)
     how = Translation(model, texel_m, palette, inner)
     sources = _sources(paths)
     outputs = {source: _outputs(source, Path(output), frames) for source in sources}
     _refuse_clashes(outputs, resume)
     settings = {
-        "model": _told(model), "texel_m": texel_m, "palette": palette, "inner": inner, "frames": frames,
+        "model": _record_of(model), "texel_m": texel_m, "palette": palette, "inner": inner, "frames": frames,
         "kelvin_per_count": TLINEAR_STEP_K,
     }  # fmt: skip
     done, failed, passed = 0, {}, 0
@@ -194,13 +200,13 @@ def translate(model, paths, output, texel_m=None, palette="white-hot", inner=Fal
             if name in before:
                 _forget(folder / DONE, name)
 
-            def told(share, number=number):
-                tell("translating", (number + share) / len(sources))
+            def report_share(share, number=number):
+                report("translating", (number + share) / len(sources))
 
-            told(0.0)
+            report_share(0.0)
             try:
                 if source.suffix.lower() in VIDEOS:
-                    facts = _video(how, source, outputs[source], told)
+                    facts = _video(how, source, outputs[source], report_share)
                 else:
                     facts = _picture(how, source, outputs[source])
             except UnreadableError as error:
@@ -213,20 +219,21 @@ def translate(model, paths, output, texel_m=None, palette="white-hot", inner=Fal
     return {"done": done, "passed over": passed, "failed": failed, "warning": model.texel_warning(texel_m)}
 
 
-def read_picture(path):
-    """Return (sRGB (h, w, 3) uint8, where it shows something (h, w) bool or None for everywhere) of a picture's file.
+def read_picture(path: files.PathLike) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return (sRGB (h, w, 3) uint8, where it is not empty (h, w) bool or None for everywhere) of a picture's file.
 
-    Turned as its EXIF says. Grey, palettes, CMYK (without its profile) and 16-bit colour are brought to 8-bit RGB.
+    It is rotated by its EXIF orientation. Grey, palettes, CMYK (without its profile) and 16-bit colour become 8-bit
+    RGB.
 
     Raises
     ------
     UnreadableError
-        A damaged file, one of another kind, 16-bit grey, or too large.
+        The file is damaged, of another format, 16-bit grey, or too large.
     """
     from PIL import Image, ImageOps
 
     try:
-        # Pillow warns of large pictures, and of what is odd but not wrong.
+        # Pillow warns about large pictures and harmless oddities.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             with Image.open(path, formats=_FORMATS) as image:
@@ -242,7 +249,7 @@ def read_picture(path):
         raise UnreadableError(
             f"{path} has more than {2 * Image.MAX_IMAGE_PIXELS / 1e6:.0f} million pixels; cut it into pieces"
         ) from None
-    # Whatever is malformed inside, each format has errors of its own for it.
+    # Each format raises its own kinds of errors for a damaged file.
     except Exception as error:
         raise UnreadableError(
             f"{path} cannot be read as a picture ({' '.join(str(error).split()) or type(error).__name__}); give a "
@@ -265,14 +272,14 @@ def _picture(how, source, outputs):
     return {"shape": list(counts.shape), "share_outside_0_1": how.share_outside(counts)}
 
 
-def _video(how, source, outputs, told):
-    """Translate a video frame by frame; outputs are its file and, where frames are asked for, their folder."""
+def _video(how, source, outputs, report_share):
+    """Translate a video frame by frame; outputs are its file and, if frames are requested, their folder."""
     import cv2
 
     try:
         str(source).encode()
     except UnicodeEncodeError:
-        # With which OpenCV would end the process.
+        # OpenCV would abort the process.
         raise UnreadableError(f"{str(source)!a} is not valid Unicode; rename the video") from None
     reader = cv2.VideoCapture(str(source))
     with ExitStack() as stack:
@@ -300,7 +307,7 @@ def _video(how, source, outputs, told):
                 _write_counts(how, counts, folder / f"{number:06d}.tif", folder / f"{number:06d}.png")
             number += 1
             outside += how.share_outside(counts)
-            told(number / max(declared, number))
+            report_share(number / max(declared, number))
             whole, image = reader.read()
         writer.release()
         _refuse_cut(part, number)
@@ -310,7 +317,7 @@ def _video(how, source, outputs, told):
 
 
 def _refuse_cut(path, frames):
-    """Refuse a video that does not hold the frames written to it: OpenCV does not tell that a disk is full."""
+    """Raise OSError if a video lacks frames that were written: OpenCV does not report a full disk."""
     import cv2
 
     reader, found = cv2.VideoCapture(str(path)), 0
@@ -364,14 +371,14 @@ def _outputs(source, folder, frames):
 
 
 def _refuse_clashes(outputs, resume):
-    """Refuse two files that would be written as one, and outputs that are there and not from before."""
+    """Raise ThermorenderError if two sources have the same output, or an output exists."""
     owner, sources = {}, {source.resolve() for source in outputs}
     for source, written in outputs.items():
         for path in written:
             if path in owner:
                 raise ThermorenderError(
-                    f"{owner[path]} and {source} would both be written as {path.name}; translate them into folders of "
-                    "their own"
+                    f"{owner[path]} and {source} would both be written as {path.name}; translate them into different "
+                    "folders"
                 )
             owner[path] = source
             if path.resolve() in sources or (path.exists() and not resume):
@@ -379,11 +386,11 @@ def _refuse_clashes(outputs, resume):
 
 
 def _begin(folder, settings, resume):
-    """Write the record, or hold it against that of before; return {path: (bytes, `_sizes`)} of what is done."""
+    """Write the record, or compare it with the existing one; return {path: (checksum, `_sizes`)} of finished files."""
     path = folder / RECORD
     if resume:
         files.remove_parts(folder)
-    # As it is read back.
+    # Types as after reading it back.
     settings = json.loads(json.dumps(settings))
     if not path.exists():
         formats.write_json(path, settings | {"versions": versions()})
@@ -394,7 +401,7 @@ def _begin(folder, settings, resume):
         before = json.loads(formats.read_text(path))
         other = next((key for key in settings if before.get(key) != settings[key]), None)
     except (ValueError, AttributeError):
-        raise ThermorenderError(f"{path} is no record of translations; give another folder") from None
+        raise ThermorenderError(f"{path} is not a record of translations; give another folder") from None
     if other:
         raise ThermorenderError(
             f"{path} was made with another {other}; continue with the same settings, or give another folder"
@@ -403,11 +410,11 @@ def _begin(folder, settings, resume):
     try:
         return {line["source"]: (line["checksum"], line["files"]) for line in formats.read_json_lines(path)}
     except (ValueError, KeyError, TypeError):
-        raise ThermorenderError(f"{path} is no list of translations; give another folder") from None
+        raise ThermorenderError(f"{path} is not a list of translations; give another folder") from None
 
 
 def _forget(path, source):
-    """Take the line of a source that is done once more out of the list of what is done."""
+    """Remove a source from the list of finished files."""
     kept = [line for line in formats.read_json_lines(path) if line["source"] != source]
     formats.write_text(path, "".join(json.dumps(line) + "\n" for line in kept))
 
@@ -416,12 +423,12 @@ def _checksum(source):
     try:
         return formats.checksum(source)
     except OSError:
-        # Which is told when it is read.
+        # Reading the file will report the error.
         return None
 
 
 def _sizes(outputs):
-    """{name: bytes} of files, of a folder [files, bytes] that it holds; without those that are not there."""
+    """{name: bytes} of existing files; for a folder [number of files, bytes]."""
     return {path.name: _held(path) if path.is_dir() else path.stat().st_size for path in outputs if path.exists()}
 
 
@@ -430,7 +437,7 @@ def _held(folder):
     return [len(sizes), sum(sizes)]
 
 
-def _told(model):
-    """What the record says of a map: its plain values, and a digest of what it computes with."""
+def _record_of(model):
+    """A map's entry in the record: plain values, and a digest of everything it computes with."""
     plain = ("name", "method", "range_k", "band_um", "texel_m", "camera", "sky_temperature", "source")
     return {name: getattr(model, name) for name in plain} | {"digest": model.digest()}

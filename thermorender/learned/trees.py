@@ -1,18 +1,20 @@
-"""Boosted trees from what describes a pixel to its temperature; LightGBM's, kept as its own text.
+"""Boosted trees from a pixel's features to its temperature, by LightGBM and stored as its text.
 
-With the terrain's relief, hour and weather as inputs they give kelvin above the air, else intensity. A leaf says one
-number for all weathers that reach it; so there the trees learn what the mixture of typical materials (`linear`) leaves
-over, which spreads less and does not grow with the sun. Ke et al. 2017, "LightGBM: a highly efficient gradient boosting
-decision tree".
+With relief, hour and weather as inputs they predict kelvin above the air, else intensity. A leaf predicts one number
+for all weather that reaches it. So with weather the trees learn the residual of a mixture of typical materials
+(`linear`), which varies less and does not grow with the sun. Ke et al. 2017, "LightGBM: a highly efficient gradient
+boosting decision tree".
 
-A checksum in the file shows damage to the text. It does not show intent: LightGBM can crash on a text that somebody
-made to crash it, so load trees only from people you trust.
+A checksum in the file shows accidental damage only. A crafted text can crash LightGBM: load trees only from people you
+trust.
 """
 
 from collections import deque
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -21,22 +23,23 @@ from thermorender.errors import ThermorenderError
 from thermorender.learned.features import NAMES
 from thermorender.learned.linear import Linear, Sums
 from thermorender.learned.rows import CLASSES, ExtraInputs, at_shape, at_texel, drawn
+from thermorender.learned.temperature_map import Inputs
+from thermorender.learned.training import Task
 
-# Rows drawn from an example, and numbers of all rows' columns together: 1 GB in single precision.
+# Most rows of an example, and most numbers in the whole table: 1 GB in single precision.
 _MOST_ROWS = 1000
 _MOST_NUMBERS = 250_000_000
-# Pictures that wait to be described, so that memory stays bounded.
+# Pictures in the queue for their features, which bounds memory.
 _AT_ONCE = 4
-# Neighbours in a data set's order are frames of one flight. So where the task holds none out, the examples are cut into
-# runs, and every eighth run is held out to say when to stop. With fewer runs than eight none is, and the number of
-# trees is that given.
+# Neighbours in a data set are frames of one flight. So without a given split, examples are cut into runs, and every
+# eighth run is held out for early stopping. With fewer than eight runs there is no early stopping.
 _RUNS = 40
 _HELD_OUT_ONE_IN = 8
-# A frame of 640 × 512 pixels then takes 0.6 to 4 s on two cores, by how coarse it is; 100 fewer cost 1 % of error.
+# A frame of 640 × 512 pixels takes 0.6 to 4 s on two cores, by its resolution; 100 trees fewer cost 1 % of error.
 _MOST_TREES = 250
 _PATIENCE = 20
 _SETTINGS = {
-    # The mean absolute error is what maps are scored by; the squared one gave 2 % more of it on road scenes held out.
+    # Maps are scored by mean absolute error; training on squared error gave 2 % more of it on held-out road scenes.
     "objective": "l1",
     "num_leaves": 63,
     "max_depth": 8,
@@ -47,9 +50,9 @@ _SETTINGS = {
     "force_row_wise": True,
     "verbosity": -1,
 }
-# Weight of the coefficients' squares of what the trees begin with, as in `linear.Sums.solved`.
+# Ridge penalty of the linear base, as in `linear.Sums.solved`.
 _PENALTY = 1e-2
-# Rows that its columns are laid out for at a time.
+# Rows that the linear base is computed for at a time.
 _CHUNK = 1 << 14
 
 
@@ -62,9 +65,9 @@ class Trees:
     text : str
         The model as LightGBM writes it.
     extra : ExtraInputs
-        What it takes as input besides the picture.
+        Inputs besides the picture.
     begin : Linear or None
-        What the trees are added to, where the air's temperature is an input.
+        The linear base that the trees are added to, if air temperature is an input.
     """
 
     text: str
@@ -72,22 +75,22 @@ class Trees:
     begin: Linear | None = None
 
     @property
-    def needs(self):
-        """Names of the fields of Inputs that are needed."""
+    def needs(self) -> tuple[str, ...]:
+        """Names of the required fields of Inputs."""
         return self.extra.needs
 
     @property
-    def above_air(self):
-        """Whether it gives kelvin above the air instead of intensity."""
+    def above_air(self) -> bool:
+        """Whether it predicts kelvin above the air instead of intensity."""
         return self.extra.above_air
 
-    def predict(self, inputs, texel_m):
+    def predict(self, inputs: Inputs, texel_m: float) -> np.ndarray:
         """Return intensity, or kelvin above the air, (h, w) float64.
 
         Raises
         ------
         ThermorenderError
-            A plane of the terrain or a condition is missing, or LightGBM is.
+            A terrain plane, a condition or LightGBM is missing.
         """
         image = at_texel(inputs, texel_m)
         found = np.empty(image.rgb.shape[:2])
@@ -96,7 +99,7 @@ class Trees:
             found[here] = self.of_rows(table).reshape(found[here].shape)
         return at_shape(found, inputs.rgb.shape[:2])
 
-    def of_rows(self, table):
+    def of_rows(self, table: np.ndarray) -> np.ndarray:
         """Return intensity, or kelvin above the air, (n,) float64, of rows, (n, columns) float32."""
         found = self._booster.predict(table)
         if self.begin is not None:
@@ -104,8 +107,8 @@ class Trees:
                 found[here] += self.begin.of_values(values)
         return found
 
-    def importances(self):
-        """Return {column: share of what all splits lowered the training error by}, the greatest first."""
+    def importances(self) -> dict[str, float]:
+        """Return {column: its share of the reduction of training error by all splits}, the greatest first."""
         gain = self._booster.feature_importance("gain")
         order = np.argsort(-gain, kind="stable")
         return {self.extra.columns[number]: float(gain[number] / max(gain.sum(), 1e-300)) for number in order}
@@ -116,103 +119,99 @@ class Trees:
         try:
             return lightgbm.Booster(model_str=self.text)
         except lightgbm.basic.LightGBMError as error:
-            raise ValueError("no trees") from error
+            raise ValueError("LightGBM cannot read its trees") from error
 
-    def header(self):
-        """Return what the file's text says of it."""
+    def header(self) -> dict[str, Any]:
+        """Return its entries in the file's header."""
         begin = {} if self.begin is None else {"begin": self.begin.header()}
         return {
             "terrain": self.extra.terrain, "conditions": self.extra.conditions, "features": NAMES,
             "checksum": _checksum(self.arrays()["trees"]), **begin,
         }  # fmt: skip
 
-    def arrays(self):
-        """Return what the file holds of it."""
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return its arrays in the file."""
         begin = {} if self.begin is None else self.begin.arrays()
         return {"trees": np.frombuffer(self.text.encode(), np.uint8), **begin}
 
     @classmethod
-    def of(cls, header, arrays):
-        """Return the Trees of `header` and `arrays`.
-
-        Raises
-        ------
-        ValueError
-            The text is not the one that was saved, or its columns are others.
-        """
+    def of(cls, header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> "Trees":
+        """Return the Trees of `header` and `arrays`; raise ValueError if the text or its columns were changed."""
         if header.get("checksum") != _checksum(arrays["trees"]):
-            raise ValueError("its trees are damaged: their checksum is another")
+            raise ValueError("its trees are damaged: their checksum differs")
         extra = ExtraInputs(tuple(header["terrain"]), tuple(header["conditions"]))
         begin = Linear.of(header["begin"], arrays) if extra.above_air else None
         if begin is not None and not set(begin.extra.columns) <= set(extra.columns):
-            raise ValueError("what its trees begin with takes other inputs")
+            raise ValueError("its linear base has inputs that its trees lack")
         found = cls(arrays["trees"].tobytes().decode(), extra, begin)
         if tuple(header["features"]) != NAMES or found._booster.num_feature() != len(found.extra.columns):
-            raise ValueError("other features")
+            raise ValueError("its features are not those of this version")
         return found
 
 
-def fit_trees(task):
-    """Return the Trees that learn a Task.
+def fit_trees(task: Task) -> Trees:
+    """Return the Trees trained on a Task.
 
-    As many pixels are drawn from each example; the absolute error is minimised, and trees are added until that of the
-    runs held out has not fallen for a while. Where the air's temperature is an input they begin with a Linear.
+    The same number of pixels is drawn from each example and the absolute error is minimised. Trees are added until the
+    error of the held-out runs stops falling. If air temperature is an input, they are added to a Linear.
 
     Raises
     ------
     ThermorenderError
-        LightGBM is missing, or there is nothing to learn from.
+        LightGBM is missing, or no pixel is valid.
     """
     lightgbm = _lightgbm()
     extra = ExtraInputs.of(task.examples[0].inputs)
+    learned, watched = _learned_and_watched(task, extra)
+    begin = None
+    if extra.above_air:
+        sums = Sums(extra)
+        for here, values in _by_column(extra, learned[0]):
+            sums.add(values, learned[1][here])
+        begin = sums.solved(_PENALTY)
+        for rows, target in (learned, watched):
+            for here, values in _by_column(extra, rows):
+                target[here] -= begin.of_values(values)
+    classes = [extra.columns.index(CLASSES)] if CLASSES in extra.terrain else []
+    train, held = (lightgbm.Dataset(*part, categorical_feature=classes) for part in (learned, watched))
+    callbacks = [lambda now: task.progress("growing trees", (now.iteration + 1) / _MOST_TREES)]
+    if len(watched[0]):
+        callbacks.append(lightgbm.early_stopping(_PATIENCE, verbose=False))
+    grown = lightgbm.train(
+        _SETTINGS | {"seed": task.seed % 2**31}, train, _MOST_TREES, callbacks=callbacks,
+        valid_sets=[held.set_reference(train)] if len(watched[0]) else [],
+    )  # fmt: skip
+    return Trees(grown.model_to_string(num_iteration=grown.best_iteration), extra, begin)
+
+
+def _learned_and_watched(task, extra):
+    """((rows, target) to learn from, (rows, target) for early stopping) of a Task; the second may be empty."""
     most = min(_MOST_ROWS, max(_MOST_NUMBERS // len(extra.columns) // len(task.examples), 1))
     held = held_out(len(task.examples)) if task.held_out is None else task.held_out
-    rows = {part: np.empty((np.count_nonzero(held == part) * most, len(extra.columns)), np.float32) for part in (0, 1)}
-    target, used = {part: np.empty(len(rows[part])) for part in rows}, [0, 0]
+    rows = [np.empty((np.count_nonzero(held == part) * most, len(extra.columns)), np.float32) for part in (0, 1)]
+    target, used = [np.empty(len(table)) for table in rows], [0, 0]
 
-    def kept(each, table):
+    def keep(each, table):
         part = int(held[each.number])
         here = slice(used[part], used[part] + each.pixels.size)
         rows[part][here], target[part][here] = table.result(), each.target
         used[part] = here.stop
 
-    # Pictures are described by threads while the next ones are read; they are kept in their order.
+    # Threads compute features while the next pictures are read; the order of examples is kept.
     waiting = deque()
     with ThreadPoolExecutor() as pool:
         for each in drawn(task, extra, most):
             waiting.append((each, pool.submit(_table, extra, each)))
             if len(waiting) > _AT_ONCE:
-                kept(*waiting.popleft())
+                keep(*waiting.popleft())
         while waiting:
-            kept(*waiting.popleft())
-    learned, watched = (0, 1) if used[0] else (1, 0)
-    begin = None
-    if extra.above_air:
-        sums = Sums(extra)
-        for here, values in _by_column(extra, rows[learned][: used[learned]]):
-            sums.add(values, target[learned][here])
-        begin = sums.solved(_PENALTY)
-        for part in (0, 1):
-            for here, values in _by_column(extra, rows[part][: used[part]]):
-                target[part][here] -= begin.of_values(values)
-    settings = _SETTINGS | {"seed": task.seed % 2**31}
-    classes = [extra.columns.index(CLASSES)] if CLASSES in extra.terrain else []
-    parts = [
-        lightgbm.Dataset(rows[part][: used[part]], target[part][: used[part]], categorical_feature=classes)
-        for part in (0, 1)
-    ]
-    callbacks = [lambda now: task.progress("growing trees", (now.iteration + 1) / _MOST_TREES)]
-    if used[watched]:
-        callbacks.append(lightgbm.early_stopping(_PATIENCE, verbose=False))
-    grown = lightgbm.train(
-        settings, parts[learned], _MOST_TREES, callbacks=callbacks,
-        valid_sets=[parts[watched].set_reference(parts[learned])] if used[watched] else [],
-    )  # fmt: skip
-    return Trees(grown.model_to_string(num_iteration=grown.best_iteration), extra, begin)
+            keep(*waiting.popleft())
+    parts = [(rows[part][: used[part]], target[part][: used[part]]) for part in (0, 1)]
+    return parts if used[0] else parts[::-1]
 
 
-def held_out(count):
-    """Return which of so many examples are held out, (count,) bool: every eighth run of them."""
+def held_out(count: int) -> np.ndarray:
+    """Return which of `count` examples are held out, (count,) bool: every eighth run."""
     run = np.arange(count) * min(count, _RUNS) // count
     return run % _HELD_OUT_ONE_IN == _HELD_OUT_ONE_IN - 1
 
@@ -228,7 +227,7 @@ def _table(extra, each):
 
 
 def _by_column(extra, table):
-    """Give (slice, {column: (n,) values}) of rows, some at a time."""
+    """Yield (slice, {column: (n,) values}) of rows, chunk by chunk."""
     for start in range(0, len(table), _CHUNK):
         here = slice(start, min(start + _CHUNK, len(table)))
         yield here, dict(zip(extra.columns, table[here].T, strict=True))

@@ -1,6 +1,9 @@
-"""A recipe's networks and learner, built."""
+"""Building of a recipe's networks and learner."""
+
+from __future__ import annotations
 
 from functools import partial
+from typing import TYPE_CHECKING
 
 import torch
 from torch import nn
@@ -12,9 +15,13 @@ from thermorender.learned.networks.architectures.pix2pix import PatchDiscriminat
 from thermorender.learned.networks.architectures.pix2pixhd import ResidualGenerator, ScaledDiscriminators
 from thermorender.learned.networks.architectures.plain import Autoencoder, Dense
 
+if TYPE_CHECKING:
+    from thermorender.learned.networks.encoding import Encoding
+    from thermorender.learned.networks.recipes import Recipe
+
 # Width of the published discriminators.
 _JUDGE = 64
-# CycleGAN's generator halves twice where pix2pixHD's halves four times.
+# CycleGAN's generator has two halvings, pix2pixHD's four.
 _CYCLE_HALVINGS = 2
 _NETS = {
     "autoencoder": lambda encoding, width: Autoencoder(encoding.channels, width),
@@ -27,29 +34,27 @@ _NETS = {
     "compact": lambda encoding, width: Compact(encoding.channels, width, encoding.mixed),
 }
 _OPTIMISERS = {"adam": torch.optim.Adam, "nadam": torch.optim.NAdam, "adamw": torch.optim.AdamW}
-
-
 _KINDS = {
     "regression": learners.Regression, "classes": learners.Classes, "adversarial": learners.Adversarial,
     "scales": learners.Scaled, "cycle": learners.Cycle, "robust": learners.Robust,
 }  # fmt: skip
 
 
-def kind_of(recipe):
+def kind_of(recipe: Recipe) -> type[learners.Learner]:
     """Return the class of a Recipe's Learner."""
     return _KINDS[recipe.learner]
 
 
-def net_of(recipe, encoding, width):
-    """Return the network of a Recipe that is applied in the end, with weights to begin with."""
+def net_of(recipe: Recipe, encoding: Encoding, width: int) -> nn.Module:
+    """Return the network that a Recipe trains and applies, with initial weights."""
     return _NETS[recipe.net](encoding, width)
 
 
-def learner_of(recipe, encoding, width, rate):
+def learner_of(recipe: Recipe, encoding: Encoding, width: int, rate: float) -> learners.Learner:
     """Return the Learner of a Recipe."""
     net, seen = net_of(recipe, encoding, width), encoding.channels
     kind, others = kind_of(recipe), {}
-    # Of width 64 beside a generator of full width, and narrower by as much as that is.
+    # 64 with a generator of full width, and proportionally narrower with a narrower one.
     beside = max(8, _JUDGE * width // recipe.width)
     if kind is learners.Adversarial:
         others = {"discriminator": PatchDiscriminator(seen + 1, beside)}

@@ -1,6 +1,7 @@
-"""The state of a training in one file of safetensors, which holds numbers and text and nothing that runs."""
+"""Checkpoints: the state of a training in one safetensors file, which holds numbers and text but no code."""
 
 import json
+from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -8,10 +9,11 @@ from safetensors.torch import save_file
 
 from thermorender import files, formats
 from thermorender.errors import ThermorenderError
+from thermorender.learned.networks.learners import Learner
 
 
-def save(path, learner, facts):
-    """Write all networks and optimisers of a Learner, and facts (plain values), all or nothing."""
+def save(path: files.PathLike, learner: Learner, facts: dict[str, Any]) -> None:
+    """Write all networks and optimisers of a Learner, and facts (plain values), atomically."""
     tensors, groups = {}, {}
     for name, part in learner.parts.items():
         for key, value in part.state_dict().items():
@@ -22,31 +24,31 @@ def save(path, learner, facts):
             for key, value in values.items():
                 tensors[f"optimiser/{name}/{index}/{key}"] = torch.as_tensor(value).cpu().contiguous()
         groups[name] = [{k: v for k, v in group.items() if k != "params"} for group in kept["param_groups"]]
-    told = {"facts": json.dumps(facts), "groups": json.dumps(groups)}
+    texts = {"facts": json.dumps(facts), "groups": json.dumps(groups)}
     with files.atomic(path) as part:
         try:
-            save_file(tensors, part, told | {"checksum": _checksum(told, tensors)})
+            save_file(tensors, part, texts | {"checksum": _checksum(texts, tensors)})
         except SafetensorError as error:
             raise OSError(str(error)) from error
     files.on_disk(path)
 
 
-def load(path, learner):
-    """Bring a Learner to the state of a file; return its facts.
+def load(path: files.PathLike, learner: Learner) -> dict[str, Any]:
+    """Restore a Learner from a file and return the file's facts.
 
     Raises
     ------
     ThermorenderError
-        A file that is missing, damaged or of another training.
+        The file is missing, damaged or of another training.
     """
     try:
         with safe_open(path, framework="pt") as file:
-            told = file.metadata()
+            texts = file.metadata()
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-        # Weights of which a bit fell over are as good numbers as any.
-        if told.pop("checksum") != _checksum(told, tensors):
+        # Weights with a flipped bit would pass as valid numbers.
+        if texts.pop("checksum") != _checksum(texts, tensors):
             raise ValueError("its bytes are not those that were written")
-        facts, groups = json.loads(told["facts"]), json.loads(told["groups"])
+        facts, groups = json.loads(texts["facts"]), json.loads(texts["groups"])
         for name, part in learner.parts.items():
             start = f"net/{name}/"
             part.load_state_dict({key.removeprefix(start): v for key, v in tensors.items() if key.startswith(start)})
@@ -60,14 +62,14 @@ def load(path, learner):
             own = optimiser.state_dict()["param_groups"]
             kept = [{**group, "params": mine["params"]} for group, mine in zip(groups[name], own, strict=True)]
             optimiser.load_state_dict({"state": state, "param_groups": kept})
-    # What is damaged or of another training shows in the parsers of safetensors, JSON and PyTorch.
+    # A wrong file can raise many kinds of errors in safetensors, JSON and PyTorch.
     except Exception as error:
         raise ThermorenderError(
-            f"{path} is no checkpoint of this training ({' '.join(str(error).split())[:200]}); begin anew in another "
-            "--run folder"
+            f"{path} is not a checkpoint of this training ({' '.join(str(error).split())[:200]}); start again in "
+            "another --run folder"
         ) from None
     return facts
 
 
-def _checksum(told, tensors):
-    return formats.digest(sorted(told.items()), {name: tensors[name].numpy() for name in sorted(tensors)})
+def _checksum(texts, tensors):
+    return formats.digest(sorted(texts.items()), {name: tensors[name].numpy() for name in sorted(tensors)})

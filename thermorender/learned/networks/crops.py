@@ -1,11 +1,11 @@
-"""Squares cut from the examples of a Task, in an order that the seed and their number alone decide.
+"""Square crops of the examples of a Task, in an order that depends on the seed only.
 
-A picture that was read is cut several times, and the squares of some pictures are mixed, so that reading costs little
-and neighbours in the order differ. Crop number k is the same however training came there, which is what lets it be
-resumed.
+Each picture is cropped several times when it is read, and the crops of several pictures are shuffled. So reading costs
+little and consecutive crops differ. Crop number k is always the same, so a training can be resumed.
 """
 
 import hashlib
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -14,17 +14,17 @@ import numpy as np
 from thermorender.errors import ThermorenderError
 from thermorender.learned.temperature_map import Inputs
 
-# Pixels of the squares that are cut from a picture when it is read, and of those of several that are mixed.
+# Pixels that are cropped from a picture when it is read, and pixels of the crops that are shuffled together.
 _CUT_PIXELS, _MIXED_PIXELS = 1 << 19, 1 << 25
-# Training pictures that tell one data set from another, about.
+# Approximate number of training pictures in a data set's checksum.
 _LOOKED_AT = 16
-# A square is drawn anew, up to so many times, where less than this of it is valid.
+# A crop with a smaller valid share is drawn again, up to this number of draws.
 _LEAST_VALID, _DRAWS = 0.3, 4
 
 
 @dataclass(frozen=True, eq=False)
 class Crop:
-    """A square of a picture.
+    """A square crop of a picture.
 
     Attributes
     ----------
@@ -57,18 +57,16 @@ class Crops:
         held = task.held_out if task.held_out is not None else np.arange(count) % 10 == 9
         self.train, self.held = np.flatnonzero(~held), np.flatnonzero(held)
         if not len(self.train) or not len(self.held):
-            raise ThermorenderError(
-                f"{count} pairs are too few to train a network and to tell when it is best; give 10 at least"
-            )
+            raise ThermorenderError(f"{count} pairs are too few to train and validate a network; give 10 or more")
         self._cuts, self._mixed = max(1, _CUT_PIXELS // (side * side)), _MIXED_PIXELS // _CUT_PIXELS
         self._pool, self._blocks = ThreadPoolExecutor(1), {}
 
-    def close(self):
-        """Read no further."""
+    def close(self) -> None:
+        """Stop reading pictures."""
         self._pool.shutdown(cancel_futures=True)
 
-    def digest(self, validation):
-        """Return a fingerprint (hex) of the crops of `validation`, and of some of the training pictures."""
+    def digest(self, validation: Iterable[Crop]) -> str:
+        """Return a checksum (hex) of the crops of `validation` and of some training pictures."""
         found = hashlib.blake2b(digest_size=16)
         for crop in validation:
             found.update(crop.inputs.rgb.tobytes() + crop.target.tobytes() + crop.valid.tobytes())
@@ -77,17 +75,17 @@ class Crops:
             found.update(inputs.rgb.tobytes() + target.tobytes())
         return found.hexdigest()
 
-    def batch(self, first, size):
-        """Return crops number `first` to `first + size` of the endless order, a list of Crop."""
+    def batch(self, first: int, size: int) -> list[Crop]:
+        """Return `size` crops of the endless order, from number `first` on."""
         return [self._of(number) for number in range(first, first + size)]
 
-    def validation(self):
+    def validation(self) -> list[Crop]:
         """Return a crop of each held-out example, the same each time."""
         return [self._cut(self.read(k), np.random.default_rng([self.task.seed, 1, k])) for k in self.held]
 
     def _of(self, number):
         block, within = divmod(number, self._mixed * self._cuts)
-        # The next block is read while the second half of one is learned from.
+        # The next block is read during the second half of the current one.
         for each in (block, *([block + 1] if 2 * within >= self._mixed * self._cuts else [])):
             if each not in self._blocks:
                 places = range(each * self._mixed, (each + 1) * self._mixed)
@@ -101,26 +99,27 @@ class Crops:
         return self._cut(pictures[picture].result(), generator, mirrored=True)
 
     def _read_at(self, place):
-        """What stands at a place of the order of pictures, each of which comes once in every epoch."""
+        """`read` the picture at a place of the endless order, in which each picture comes once per epoch."""
         epoch, within = divmod(place, len(self.train))
         order = np.random.default_rng([self.task.seed, 2, epoch]).permutation(len(self.train))
         inputs, target, valid = self.read(self.train[order[within]])
-        # In half precision, as data sets hold them: many pictures wait at a time.
+        # In half precision, as in data sets, because many pictures wait in memory.
         terrain = {name: np.asarray(plane, np.float16) for name, plane in inputs.terrain.items()}
         return replace(inputs, terrain=terrain), target, valid
 
-    def read(self, number):
+    def read(self, number: int) -> tuple[Inputs, np.ndarray, np.ndarray]:
         """Return (Inputs, target (h, w) float32, valid (h, w) bool) of an example."""
         example = self.task.examples[int(number)]
         if self.above_air:
             if "air_k" not in example.inputs.conditions:
                 raise ThermorenderError(
-                    f"pair number {number} lacks the condition air_k, which others have; leave it out, or tell its air"
+                    f"pair number {number} lacks the condition air_k, which others have; remove the pair, or add its "
+                    "air temperature"
                 )
             target = self.task.temperature[example.values] - example.inputs.conditions["air_k"]
         else:
             target = self.task.intensity[example.values]
-        # Where a value stands for no temperature, as below zero radiance, there is nothing to learn.
+        # Values without a temperature (radiance below zero) are not learned from.
         valid = example.valid & np.isfinite(target)
         return example.inputs, np.where(valid, target, 0.0).astype(np.float32), valid
 
@@ -138,7 +137,7 @@ class Crops:
         def part(plane, mode="constant"):
             plane = plane[here][:, ::step]
             if plane.shape[:2] != (self.side, self.side):
-                # A picture smaller than the square stands in its corner, its edges repeated.
+                # A smaller picture fills the crop's corner; its edges are repeated.
                 around = [(0, self.side - n) for n in plane.shape[:2]] + [(0, 0)] * (plane.ndim - 2)
                 plane = np.pad(plane, around, mode)
             return np.ascontiguousarray(plane)

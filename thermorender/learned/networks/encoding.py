@@ -1,43 +1,44 @@
-"""What a network is shown: planes of a picture, in units of about one.
+"""Encoding of a network's inputs: planes of a picture, scaled to about one, for training and application.
 
-Hour and weather reach it as the temperatures that typical materials have under them at each pixel, never as numbers for
-the whole picture: of these a campaign holds no more than it has flights, and networks that were shown them erred no
-less.
-
-Training and application encode in this one place.
+Hour and weather are encoded as the temperatures of typical materials at each pixel, not as numbers for the whole
+picture. A campaign has only as many such numbers as flights, and networks that took them were no more accurate.
 """
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from thermorender.errors import ThermorenderError
 from thermorender.learned.linear import Linear, grounds, lab_planes
+from thermorender.learned.networks.crops import Crops
 from thermorender.learned.rows import CLASSES, ExtraInputs, at_texel
+from thermorender.learned.temperature_map import Inputs
 
-# Training pictures that tell the statistics, about; and the least and greatest spread of a target, in its own unit;
-# what it is measured from is less than the latter, too.
+# Approximate number of training pictures in the statistics.
 _LOOKED_AT = 180
+# Least and greatest scale of a target, in its unit; its offset is also below the latter.
 _LEAST_SCALE, _MOST_SCALE = 1e-3, 1e6
-# A depth is given as the logarithm of its ratio to this [m].
+# Depth is encoded as the logarithm of its ratio to this [m].
 _DEPTH_M = 100.0
-# A terrain's planes are divided by these, by how their names begin.
+# Units of terrain planes, by the beginning of their names.
 _UNITS = (("normal_", 1.0), ("above_m", 5.0), ("sky_view", 1.0), ("sun", 300.0))
 
 
 @dataclass(frozen=True)
 class Encoding:
-    """How Inputs become a network's numbers.
+    """Encoding of Inputs.
 
     Attributes
     ----------
     extra : ExtraInputs
-        What it is shown besides the picture.
+        Inputs besides the picture.
     depth : bool
-        Whether it is shown the depth, and where that is known.
+        Whether depth is an input, with a plane that is 1 where it is known.
     offset, scale : float
-        The target is (intensity, or kelvin above the air, less `offset`) / `scale`.
+        The encoded target is (intensity or kelvin above the air − `offset`) / `scale`.
     base : Linear or None
         A linear predictor whose kelvin are the last plane.
     """
@@ -49,16 +50,19 @@ class Encoding:
     base: Linear | None = None
 
     @classmethod
-    def measured(cls, crops, depth, offset=None, scale=None, base=None):
-        """Return the Encoding for the examples of Crops, with all that they hold besides the picture as input.
+    def measured(
+        cls, crops: Crops, depth: bool, offset: float | None = None, scale: float | None = None,
+        base: Linear | None = None,
+    ) -> "Encoding":  # fmt: skip
+        """Return the Encoding for the examples of Crops, with all their terrain planes and conditions as input.
 
         Parameters
         ----------
         crops : Crops
         depth : bool
         offset, scale : float, optional
-            Of the target; by default its mean and standard deviation, or where kelvin above the air are learned, which
-            begin with a mixture of such, 0 and their root mean square.
+            Of the target; by default its mean and standard deviation, or 0 and its root mean square for kelvin above
+            the air.
         base : Linear, optional
         """
         first = ExtraInputs.of(crops.read(crops.train[0])[0])
@@ -68,8 +72,8 @@ class Encoding:
             inputs, target, valid = crops.read(k)
             if depth and inputs.depth is None:
                 raise ThermorenderError(
-                    "the pairs have no depth, which option depth=true shows the network; give a data set with depth, "
-                    "or leave the option out"
+                    "the pairs have no depth, which option depth=true takes as input; give a data set with depth, or "
+                    "leave the option out"
                 )
             extra.check(inputs)
             learned = target[valid].astype(np.float64)
@@ -82,30 +86,30 @@ class Encoding:
         return cls(extra, depth, float(offset), float(scale), base)
 
     @property
-    def needs(self):
-        """Names of the fields of Inputs that are needed."""
+    def needs(self) -> tuple[str, ...]:
+        """Names of the required fields of Inputs."""
         return (*self.extra.needs, *(["depth"] if self.depth else ()))
 
     @cached_property
-    def mixed(self):
-        """Number of planes, the last, that are temperatures: of typical materials, and the base's."""
+    def mixed(self) -> int:
+        """Number of the last planes that are temperatures: of typical materials, and of the base."""
         if not self.extra.terrain:
             return 0
         return sum(name.startswith("as ") for name, _ in grounds(_Nothing(), self.extra)) + (self.base is not None)
 
     @property
-    def channels(self):
+    def channels(self) -> int:
         """Number of planes."""
         relief = len(self.extra.terrain) + 1 if self.extra.terrain else 0
         return 3 + 2 * self.depth + relief + self.mixed
 
-    def planes(self, inputs):
+    def planes(self, inputs: Inputs) -> np.ndarray:
         """Return the planes of Inputs, (channels, h, w) float32: the picture in −1…1 first.
 
         Raises
         ------
         ThermorenderError
-            The inputs lack a plane or a condition.
+            The inputs lack a terrain plane or a condition.
         """
         self.extra.check(inputs)
         found = np.zeros((self.channels, *inputs.rgb.shape[:2]), np.float32)
@@ -135,35 +139,35 @@ class Encoding:
                 found[number] = (self.base.of_values(values, multiplied) - self.offset) / self.scale
         return found
 
-    def at_range(self, inputs, texel_range_m):
-        """Return Inputs brought to the nearest ground sampling distance that was trained at."""
+    def at_range(self, inputs: Inputs, texel_range_m: tuple[float, float]) -> Inputs:
+        """Return Inputs resampled to the nearest ground sampling distance of the training."""
         if inputs.texel_m is None:
             return inputs
         return at_texel(inputs, float(np.clip(inputs.texel_m, *texel_range_m)))
 
-    def header(self):
-        """Return what a file's text says of it."""
+    def header(self) -> dict[str, Any]:
+        """Return its entries in a file's header."""
         plain = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "extra"}
-        # The key that files of this format have.
+        # The file format names extra inputs "told".
         return {"told": asdict(self.extra), **plain, "base": self.base and self.base.header()}
 
-    def arrays(self):
-        """Return what a file holds of it."""
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return its arrays in a file."""
         return {f"base/{name}": values for name, values in (self.base.arrays() if self.base else {}).items()}
 
     @classmethod
-    def of(cls, header, arrays):
+    def of(cls, header: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> "Encoding":
         """Return the Encoding of a header and arrays."""
         extra = ExtraInputs(**{name: tuple(names) for name, names in header["told"].items()})
         scale, offset = float(header["scale"]), float(header["offset"])
         if not (abs(offset) < _MOST_SCALE and 0.0 < scale < _MOST_SCALE):
-            raise ValueError("it encodes with numbers that are not finite or too large, or a scale that is none")
+            raise ValueError("its offset or scale is not finite or too large, or its scale is not above 0")
         base = Linear.of(header["base"], {"weight": arrays["base/weight"]}) if header["base"] else None
         return cls(extra, bool(header["depth"]), offset, scale, base)
 
 
 class _Nothing(dict):
-    """Stands for the values of no pixel."""
+    """The values of an empty picture."""
 
     def __missing__(self, name):
         return np.zeros(0)

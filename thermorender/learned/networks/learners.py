@@ -1,10 +1,10 @@
-"""How each family of networks takes one step of training, and what it gives when it is applied.
+"""Training step and prediction of each family of networks.
 
-A learner holds its networks and optimisers by name, so that whoever saves, loads, watches or moves them need not know
-which family they belong to. Pixels that are not valid count nowhere: a discriminator is shown the generator's own
-there.
+A learner holds its networks and optimisers by name, so that the code that saves, loads or moves them is the same for
+all families. Invalid pixels do not count: there a discriminator sees the generator's own output.
 """
 
+from collections.abc import Callable, Iterable
 from typing import ClassVar
 
 import torch
@@ -12,7 +12,7 @@ from torch import nn
 from torch.nn import functional
 from torch.optim.swa_utils import AveragedModel
 
-# Of the mean of weights: with 8 about the last tenth of the steps counts.
+# Exponent of the mean of weights: with 8, about the last tenth of the steps counts.
 _POWER = 8.0
 # Grey levels of `unet-classes`.
 LEVELS = 256
@@ -21,34 +21,37 @@ LEVELS = 256
 class Batch:
     """Crops as tensors: planes (n, c, h, w), target and valid (n, 1, h, w), encoded."""
 
-    def __init__(self, planes, target, valid):
+    def __init__(self, planes: torch.Tensor, target: torch.Tensor, valid: torch.Tensor) -> None:
         self.planes, self.target, self.valid = planes, target, valid
 
-    def mean(self, values):
-        """Return the mean of (n, 1, h, w) values where they are valid."""
+    def mean(self, values: torch.Tensor) -> torch.Tensor:
+        """Return the mean of (n, 1, h, w) values over valid pixels."""
         return (values * self.valid).sum() / self.valid.sum().clamp(min=1.0)
 
 
 class Learner:
-    """What all learners share.
+    """Base class of all learners.
 
     Attributes
     ----------
     net : nn.Module
-        What is trained.
+        The network to train.
     applied : nn.Module
-        What is applied in the end: `net`, unless a learner says otherwise.
+        The network to apply after training; `net` by default.
     parts : dict of str to nn.Module
-        All networks that training needs, `net` as "net" among them.
+        All networks of the training, including `net` as "net".
     optimisers : dict of str to Optimizer
     weight : float
-        Of the second loss beside the first.
+        Weight of the second loss; the first has 1.
     """
 
-    # Which of the parts each optimiser moves.
+    # Parts that each optimiser updates.
     MOVED: ClassVar = {"net": ("net",)}
 
-    def __init__(self, net, others, optimiser, weight):
+    def __init__(
+        self, net: nn.Module, others: dict[str, nn.Module],
+        optimiser: Callable[[Iterable[nn.Parameter]], torch.optim.Optimizer], weight: float,
+    ) -> None:  # fmt: skip
         self.net, self.applied, self.weight = net, net, weight
         self.parts = {"net": net, **others}
         self.optimisers = {
@@ -56,21 +59,21 @@ class Learner:
             for name, parts in self.MOVED.items()
         }
 
-    def descend(self, name, loss):
-        """Let an optimiser take a step down a loss."""
+    def descend(self, name: str, loss: torch.Tensor) -> None:
+        """Take a step of one optimiser."""
         optimiser = self.optimisers[name]
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         _shared_gradients(optimiser)
         optimiser.step()
 
-    def forward(self, batch):
+    def forward(self, batch: Batch) -> torch.Tensor:
         """Return the encoded translation of a Batch, (n, 1, h, w)."""
         return self.net(batch.planes).float()
 
     @staticmethod
-    def predict(net, planes):
-        """Return a network's translation, (n, 1, h, w), or that and its standard deviation, (n, 2, h, w): encoded."""
+    def predict(net: nn.Module, planes: torch.Tensor) -> torch.Tensor:
+        """Return the encoded translation, (n, 1, h, w), or with its standard deviation, (n, 2, h, w)."""
         return net(planes).float()
 
 
@@ -87,9 +90,9 @@ def _shared_gradients(optimiser):
 
 
 class Regression(Learner):
-    """A network alone, by mean squared error."""
+    """A single network, by mean squared error."""
 
-    def step(self, batch):
+    def step(self, batch: Batch) -> dict[str, torch.Tensor]:
         """Take a step; return {name: loss}."""
         loss = batch.mean((self.forward(batch) - batch.target) ** 2)
         self.descend("net", loss)
@@ -97,35 +100,35 @@ class Regression(Learner):
 
 
 class Classes(Regression):
-    """Grey levels as classes of their own, by binary cross-entropy of each."""
+    """Grey levels as classes, by binary cross-entropy of each."""
 
-    def step(self, batch):
+    def step(self, batch: Batch) -> dict[str, torch.Tensor]:
         """Take a step; return {name: loss}."""
         level = (batch.target.clamp(0.0, 1.0) * (LEVELS - 1)).round().long()
         score = self.net(batch.planes).float()
-        # Of all classes but the right one softplus(score), of that one softplus(−score) = softplus(score) − score.
+        # softplus(score) for wrong classes, and softplus(−score) = softplus(score) − score for the right one.
         every = functional.softplus(score).sum(dim=1, keepdim=True) - score.gather(1, level)
         loss = batch.mean(every / LEVELS)
         self.descend("net", loss)
         return {"bce": loss}
 
     @staticmethod
-    def predict(net, planes):
+    def predict(net: nn.Module, planes: torch.Tensor) -> torch.Tensor:
         """Return the likeliest grey level, 0…1, (n, 1, h, w)."""
         return net(planes).argmax(dim=1, keepdim=True).float() / (LEVELS - 1)
 
 
 class Adversarial(Learner):
-    """A generator and a discriminator that sees the picture beside its translation: pix2pix.
+    """A generator, and a discriminator that sees both picture and translation: pix2pix.
 
-    Loss of the generator: cross-entropy of being taken for real, plus `weight` times the mean absolute error. That of
-    the discriminator is halved, which slows it down beside the generator.
+    The generator's loss is the cross-entropy of being judged real, plus `weight` times the mean absolute error. The
+    discriminator's loss is halved, which slows it down.
     """
 
     MOVED: ClassVar = {"net": ("net",), "discriminator": ("discriminator",)}
 
-    def step(self, batch):
-        """Take a step of the discriminator, then one of the generator; return {name: loss}."""
+    def step(self, batch: Batch) -> dict[str, torch.Tensor]:
+        """Take a step of the discriminator, then of the generator; return {name: loss}."""
         made = self.forward(batch)
         real = torch.where(batch.valid > 0.0, batch.target, made.detach())
         judged = self.parts["discriminator"]
@@ -139,26 +142,26 @@ class Adversarial(Learner):
         return {"l1": error, "gan": fooled, "discriminator": against}
 
     @staticmethod
-    def against(discriminator, batch, thermal, real):
-        """Return the cross-entropy of a judgement and what it should be."""
+    def against(discriminator: nn.Module, batch: Batch, thermal: torch.Tensor, real: float) -> torch.Tensor:
+        """Return the cross-entropy of the discriminator's judgement for the label `real`, 0 or 1."""
         judged = discriminator(torch.cat([batch.planes, thermal], dim=1)).float()
         return functional.binary_cross_entropy_with_logits(judged, torch.full_like(judged, real))
 
 
 class Scaled(Learner):
-    """A generator against discriminators at several scales, by least squares and by their features: pix2pixHD.
+    """A generator and discriminators at several scales, by least squares and feature matching: pix2pixHD.
 
     Attributes
     ----------
     perceived : Perception or None
-        Loss that is added, as much as the features'.
+        Perceptual loss, with the weight of feature matching.
     """
 
     MOVED: ClassVar = {"net": ("net",), "discriminator": ("discriminator",)}
     perceived = None
 
-    def step(self, batch):
-        """Take a step of the generator, then one of the discriminators; return {name: loss}."""
+    def step(self, batch: Batch) -> dict[str, torch.Tensor]:
+        """Take a step of the generator, then of the discriminators; return {name: loss}."""
         made = self.forward(batch)
         real = torch.where(batch.valid > 0.0, batch.target, made.detach())
         judges = self.parts["discriminator"].requires_grad_(False)
@@ -166,22 +169,22 @@ class Scaled(Learner):
         with torch.no_grad():
             wanted = self._features(batch, real)
         fooled = _squares(seen, 1.0)
-        # Every layer but the judgement, the mean over scales.
+        # All layers but the judgement, averaged over scales.
         alike = sum(
             (a.float() - b.float()).abs().mean() / len(seen)
             for scale, other in zip(seen, wanted, strict=True) for a, b in zip(scale[:-1], other[:-1], strict=True)
         )  # fmt: skip
         loss = fooled + self.weight * alike
-        told = {"gan": fooled, "features": alike}
+        losses = {"gan": fooled, "features": alike}
         if self.perceived is not None:
-            told["vgg"] = self.perceived(made, real)
-            loss = loss + self.weight * told["vgg"]
+            losses["vgg"] = self.perceived(made, real)
+            loss = loss + self.weight * losses["vgg"]
         self.descend("net", loss)
         judges.requires_grad_(True)
         against = 0.5 * sum(_squares(self._features(batch, each), truth)
                             for each, truth in ((real, 1.0), (made.detach(), 0.0)))  # fmt: skip
         self.descend("discriminator", against)
-        return told | {"discriminator": against, "l1": batch.mean((made.detach() - batch.target).abs())}
+        return losses | {"discriminator": against, "l1": batch.mean((made.detach() - batch.target).abs())}
 
     def _features(self, batch, thermal):
         return self.parts["discriminator"].features(torch.cat([batch.planes, thermal], dim=1))
@@ -192,20 +195,20 @@ def _squares(scales, real):
 
 
 class History(nn.Module):
-    """The last pictures that a generator made: its discriminator is shown one of them half of the time.
+    """Buffer of a generator's last pictures; its discriminator sees one of them half of the time.
 
-    It is a part of the learner, so that a checkpoint keeps it.
+    It is a part of the learner, so checkpoints include it.
     """
 
     SIZE = 50
 
-    def __init__(self, channels, side):
+    def __init__(self, channels: int, side: int) -> None:
         super().__init__()
         self.register_buffer("pictures", torch.zeros(self.SIZE, channels, side, side))
         self.register_buffer("count", torch.zeros((), dtype=torch.int64))
 
-    def forward(self, made):
-        """Return a batch of pictures, some of them older ones that the new take the place of."""
+    def forward(self, made: torch.Tensor) -> torch.Tensor:
+        """Return a batch in which older pictures replace some of the new ones."""
         shown = []
         for each in made.detach():
             if self.count < self.SIZE:
@@ -221,21 +224,21 @@ class History(nn.Module):
 
 
 class Cycle(Learner):
-    """Two generators that undo each other, each against a discriminator: CycleGAN, which needs no pairs.
+    """Two generators, each the inverse of the other and with a discriminator: CycleGAN, which needs no pairs.
 
-    Photographs are the first half of a batch, thermal pictures the second half, of other crops.
+    Photographs come from the first half of a batch, thermal pictures from the second half, which are other crops.
     """
 
     MOVED: ClassVar = {"net": ("net", "back"), "discriminators": ("photographs", "thermals")}
 
-    def step(self, batch):
-        """Take a step of the generators, then one of the discriminators; return {name: loss}."""
+    def step(self, batch: Batch) -> dict[str, torch.Tensor]:
+        """Take a step of the generators, then of the discriminators; return {name: loss}."""
         net, back, photographs, thermals = (self.parts[name] for name in ("net", "back", "photographs", "thermals"))
         half = len(batch.planes) // 2
         photograph, thermal, valid = batch.planes[:half], batch.target[half:], batch.valid[half:]
         judges = nn.ModuleList([photographs, thermals]).requires_grad_(False)
         made, drawn = net(photograph).float(), back(thermal).float()
-        # Where a thermal picture holds nothing, neither is asked for anything.
+        # Invalid thermal pixels do not count.
         again = net(drawn).float()
         cycle = (back(made).float() - photograph).abs().mean() + ((again - thermal).abs() * valid).mean()
         fooled = _square(thermals(made), 1.0) + _square(photographs(drawn), 1.0)
@@ -257,15 +260,16 @@ def _square(judged, real):
 
 
 class Robust(Learner):
-    """The compact network: absolute error of values and slopes, and a spread that is fitted to what errors remain.
+    """The compact network: absolute error of values and slopes, and a spread that is fitted to the remaining errors.
 
-    Applied is the mean of its weights over the last steps, which errs less than any one of them while the rate is high.
+    The applied network has the mean of the weights over the last steps, which is more accurate than the weights of any
+    single step.
     """
 
-    # Of the slopes beside the values.
+    # Weight of the slopes; values have 1.
     SLOPES = 0.5
-    # Greatest length of a step's gradient, of the spread's layer and of all others: each alone, since where the spread
-    # is far too small its gradient is many times theirs.
+    # Greatest gradient norm, for the spread's layer and for all others separately: the gradient of a spread that is far
+    # too small is many times theirs.
     _MOST = 1.0
 
     def __init__(self, net, others, optimiser, weight):
@@ -273,19 +277,19 @@ class Robust(Learner):
         self.parts["mean"] = AveragedModel(net, avg_fn=_recent)
         self.applied = self.parts["mean"].module
 
-    def step(self, batch):
+    def step(self, batch: Batch) -> dict[str, torch.Tensor]:
         """Take a step; return {name: loss}."""
         mean, spread = self.net(batch.planes)
         error = mean - batch.target
         absolute = batch.mean(error.abs())
         slopes = sum(_slope(error, batch.valid, axis) for axis in (2, 3))
-        # Laplace's likelihood of the errors as they are: the spread does not pull at the mean.
+        # Laplace likelihood of the detached errors: the spread does not influence the mean.
         likelihood = batch.mean(error.detach().abs() * torch.exp(-spread) + spread)
         self.descend("net", absolute + self.SLOPES * slopes + likelihood)
         return {"l1": absolute, "slopes": slopes, "likelihood": likelihood}
 
-    def descend(self, name, loss):
-        """Let an optimiser take a step down a loss, of bounded length."""
+    def descend(self, name: str, loss: torch.Tensor) -> None:
+        """Take a step of one optimiser with clipped gradients."""
         optimiser = self.optimisers[name]
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
@@ -298,20 +302,20 @@ class Robust(Learner):
         self.parts["mean"].update_parameters(self.net)
 
     @staticmethod
-    def predict(net, planes):
+    def predict(net: nn.Module, planes: torch.Tensor) -> torch.Tensor:
         """Return the translation and its standard deviation, (n, 2, h, w)."""
         mean, spread = net(planes)
-        # Laplace's law of scale b has the standard deviation √2 b.
+        # The Laplace distribution of scale b has standard deviation √2 b.
         return torch.cat([mean, torch.exp(spread) * 2.0**0.5], dim=1)
 
 
 def _recent(mean, weight, steps):
-    """The mean of weights over the last steps, a fixed share of them all: Karras et al., arXiv:2312.02696, eq. 1."""
+    """The mean of weights over the last steps, a fixed share of all: Karras et al., arXiv:2312.02696, eq. 1."""
     return mean + (weight - mean) * (1.0 - (1.0 - 1.0 / (steps + 1.0)) ** _POWER)
 
 
 def _slope(error, valid, axis):
-    """Mean absolute difference of neighbours along an axis, where both are valid."""
+    """Mean absolute difference of valid neighbours along an axis."""
     n = valid.shape[axis]
     both = valid.narrow(axis, 1, n - 1) * valid.narrow(axis, 0, n - 1)
     return (error.diff(dim=axis).abs() * both).sum() / both.sum().clamp(min=1.0)

@@ -1,15 +1,15 @@
-"""One loop that trains every network.
+"""The training loop of all networks.
 
     for each step of the recipe's crops:
-        draw the next crops, encode them, let the learner take a step
+        draw the next crops, encode them, take a step of the learner
         after every epoch: validate, write sample pictures, a line of the log and a checkpoint
 
-An epoch is as many crops as there are training pictures. All that is random hangs on the seed and the number of the
-step, so a training that was stopped and resumed ends where it would have ended, at the same number of threads. One that
-explodes is stopped, and its best state so far is what it found.
+An epoch is as many crops as there are training pictures. All random numbers depend on the seed and the step only, so a
+resumed training gives the same result as an uninterrupted one with the same number of threads. A training that explodes
+is stopped and returns its best state.
 
-The run's folder holds `settings.json`, `log.jsonl`, `last.safetensors` (all that is needed to go on),
-`best.safetensors` (the network with the least validation error) and `samples/`.
+The run's folder holds `settings.json`, `log.jsonl`, `last.safetensors` (the state to resume from), `best.safetensors`
+(the network with the least validation error) and `samples/`.
 """
 
 import json
@@ -38,40 +38,41 @@ from thermorender.learned.networks.learners import Batch
 from thermorender.learned.networks.packing import coarsest_steps
 from thermorender.learned.networks.predictor import MOST_WIDTH, Network, device, state_of
 from thermorender.learned.networks.recipes import recipe_of
+from thermorender.learned.training import Task
 from thermorender.versions import versions
 
 LAST, BEST = "last.safetensors", "best.safetensors"
-# A loss beyond this has exploded; the greatest rate of learning leaves room to see that.
+# A greater loss means that the training has exploded; the greatest learning rate.
 _EXPLODED, _MOST_RATE = 1e6, 1e3
 _MOST_SIDE = 4096
+# Share of the training in which the "cosine" schedule rises.
 _WARMING = 0.1
-# Seeds that PyTorch takes.
+# Number of seeds in PyTorch.
 _SEEDS = 1 << 63
 # Base width below which oneDNN is not used.
 _NARROW = 16
-# Of the linear map that a network begins with, that of `correlation+`.
+# Penalty of a network's linear base, that of `correlation+`.
 _BASE_PENALTY = 1e-3
+# Validation crops in sample pictures, and in a batch.
 _SHOWN = 4
-# Validation crops that a network is given at a time.
 _AT_ONCE = 4
 # Validation crops that say how coarse the file's weights may be.
 _LOOKED_AT = 32
 
 
-def train_network(task, method):
-    """Return the Network that learns a Task.
+def train_network(task: Task, method: str) -> Network:
+    """Return the Network trained on a Task.
 
-    Its options: `width`; `batch`; `crops`, how many are seen; `side`, of those [pixels]; `rate`, of learning; `every`,
-    crops between validations (0: as many as there are training pictures); `bf16`, whether convolutions are computed
-    with 8 bits of mantissa where the machine can; `tensorboard`, whether losses are written for it too; `depth`,
-    whether the network is shown the depth; `published`, see `Network`; `vgg`, file of the weights of the perceptual
-    loss; `architecture`, of `unet`: see `recipes`; `tolerance_mk`, by how much the file's weights may change what the
-    network gives, on average over validation crops: they are kept as coarse as that allows (0: in half precision).
+    Options: `width`; `batch`; `crops`, their total number; `side` of the crops [pixels]; `rate`, the learning rate;
+    `every`, crops between validations (0: as many as there are training pictures); `bf16`, compute convolutions in
+    bfloat16 if the machine can; `tensorboard`, also log for it; `depth`, take depth as input; `published`, see
+    `Network`; `vgg`, file of the perceptual loss's weights; `architecture` of `unet`, see `recipes`; `tolerance_mk`,
+    mean change of the output on validation crops that coarser weights in the file may cause (0: half precision) [mK].
 
     Raises
     ------
     ThermorenderError
-        A run's folder that is in use or of other settings, too few pairs, or a training that explodes at once.
+        The run's folder is in use or has other settings, there are too few pairs, or the training explodes at once.
     """
     options = task.options
     recipe = recipe_of(method, options.get("architecture"))
@@ -81,17 +82,18 @@ def train_network(task, method):
         folder = files.make_folder(Path(task.run or stack.enter_context(tempfile.TemporaryDirectory())))
         if first:
             stack.enter_context(files.in_use(folder))
-        told = recipe.plus and "air_k" in task.examples[0].inputs.conditions
-        crops = Crops(task, int(options.get("side", recipe.side)), told)
+        above_air = recipe.plus and "air_k" in task.examples[0].inputs.conditions
+        crops = Crops(task, int(options.get("side", recipe.side)), above_air)
         began = time.perf_counter(), _core_seconds()
         target = (None, None) if recipe.target is None else recipe.target
-        encoding = Encoding.measured(crops, bool(options.get("depth")), *target, _base(task, crops) if told else None)
+        base = _base(task, crops) if above_air else None
+        encoding = Encoding.measured(crops, bool(options.get("depth")), *target, base)
         torch.manual_seed(task.seed % _SEEDS)
         learner = learner_of(recipe, encoding, int(options["width"]), float(options["rate"]))
         if options.get("vgg"):
             learner.perceived = Perception(options["vgg"]).to(device())
         run = _Run(task, method, recipe, crops, encoding, learner, folder, first, world)
-        # What is learned before the first step is training, too.
+        # The linear base and the encoding count as training time.
         run.seconds, run.core_seconds = time.perf_counter() - began[0], _core_seconds() - began[1]
         try:
             run.train()
@@ -101,7 +103,7 @@ def train_network(task, method):
 
 
 def _refuse(method, recipe, options):
-    """Refuse settings that nothing could be trained with, before anything is written."""
+    """Raise ThermorenderError for invalid options, before anything is written."""
     size, total, width, rate = options["batch"], options["crops"], options["width"], options["rate"]
     if size < recipe.least_batch or total < size:
         raise ThermorenderError(
@@ -119,16 +121,16 @@ def _refuse(method, recipe, options):
         )
     if not 0.0 <= options["tolerance_mk"] < math.inf:
         raise ThermorenderError(
-            f"tolerance_mk={options['tolerance_mk']:g} is not allowed for {method!r}; give 0 or a number above"
+            f"tolerance_mk={options['tolerance_mk']:g} is not allowed for {method!r}; give a number of 0 or more"
         )
     if not 0.0 < rate <= _MOST_RATE:
         raise ThermorenderError(f"rate={rate:g} is not allowed for {method!r}; give a number in 0…{_MOST_RATE:g}")
 
 
 def _base(task, crops):
-    """The linear map that a network begins with, of all training pictures and no others."""
-    own = _Chosen(task.examples, crops.train)
-    return fit_linear(replace(task, examples=own, options={"penalty": _BASE_PENALTY}, held_out=None))
+    """A network's linear base, trained on the training pictures."""
+    chosen = _Chosen(task.examples, crops.train)
+    return fit_linear(replace(task, examples=chosen, options={"penalty": _BASE_PENALTY}, held_out=None))
 
 
 class _Chosen(Sequence):
@@ -143,7 +145,7 @@ class _Chosen(Sequence):
 
 
 class _Run:
-    """A training on its way."""
+    """A training in progress."""
 
     def __init__(self, task, method, recipe, crops, encoding, learner, folder, first, world):
         self.task, self.method, self.recipe, self.crops, self.encoding = task, method, recipe, crops, encoding
@@ -159,13 +161,13 @@ class _Run:
         self.validated = crops.validation()
         if not any(crop.valid.any() for crop in self.validated):
             raise ThermorenderError(
-                f"none of {len(crops.held)} validation pairs has a valid pixel, so that nothing tells when a network "
-                "is best; give pairs whose pictures overlap"
+                f"none of {len(crops.held)} validation pairs has a valid pixel, so networks cannot be compared; give "
+                "pairs whose pictures overlap"
             )
         self.kelvin = _Kelvin(task, crops, encoding)
         self.board = _board(folder) if options["tensorboard"] and first else None
 
-    def train(self):
+    def train(self) -> None:
         """Train to the end, or until the losses explode."""
         self._begin()
         losses, began = {}, None
@@ -176,7 +178,7 @@ class _Run:
             self.done += self.size * self.world
             for name, value in found.items():
                 losses.setdefault(name, []).append(value)
-            self._tell(found)
+            self._report(found)
             if not all(math.isfinite(value) and abs(value) < _EXPLODED for value in found.values()):
                 self._stop(found)
             elif self.done % self.every < self.size * self.world or self.done >= self.total:
@@ -188,7 +190,7 @@ class _Run:
                     self.stopped = "training exploded"
                 losses, began = {}, None
 
-    def found(self):
+    def found(self) -> Network:
         """Return the Network of the best state."""
         best = self.folder / BEST
         if not best.exists():
@@ -245,7 +247,7 @@ class _Run:
                 yield crop, *self.kelvin(crop, each)
 
     def _begin(self):
-        """Write what the run is, or go on where it stopped."""
+        """Write the run's settings, or resume it."""
         settings = {"method": self.method, "seed": self.task.seed, "options": self.task.options, "world": self.world,
                     "examples": [len(self.task.examples), self.crops.digest(self.validated)],
                     "encoding": self.encoding.header()}  # fmt: skip
@@ -271,7 +273,7 @@ class _Run:
         else:
             formats.write_json(path, settings | {"versions": versions()})
         if self.first and not last.exists():
-            # It was stopped before the first whole epoch.
+            # It was stopped in the first epoch.
             runs.cut_log(self.folder, 0)
             (self.folder / BEST).unlink(missing_ok=True)
         _agreed(0.0)
@@ -285,16 +287,16 @@ class _Run:
                 runs.cut_log(self.folder, self.done)
 
     def _step(self):
-        """Let the learner take a step; return {loss: value}."""
+        """Take a step of the learner; return {loss: value}."""
         self._set_rate()
         torch.manual_seed((self.task.seed * 1_000_003 + self.done) % _SEEDS)
-        # Each process of a data-parallel training takes its own crops.
+        # Each process of a data-parallel training has its own crops.
         batch = self._encoded(self.crops.batch(self.done + self.size * _rank(), self.size))
         for part in self.learner.parts.values():
             part.train()
         onednn = torch.backends.mkldnn
         before = onednn.enabled
-        # On some CPUs oneDNN's gradients of convolutions of so few channels free memory twice (PyTorch 2.13).
+        # On some CPUs, oneDNN's gradients of convolutions with few channels free memory twice (PyTorch 2.13).
         onednn.enabled = before and int(self.task.options["width"]) >= _NARROW
         try:
             with torch.autocast(device(), torch.bfloat16, enabled=bool(self.half)):
@@ -315,7 +317,7 @@ class _Run:
         return Batch(planes.contiguous(memory_format=torch.channels_last), target, valid)
 
     def _set_rate(self):
-        """Set the rate of learning that the recipe's schedule has here."""
+        """Set the learning rate by the recipe's schedule."""
         share = self.done / self.total
         factor = {
             "constant": 1.0,
@@ -329,7 +331,7 @@ class _Run:
     def _end_of_epoch(self, losses):
         """Validate, and write the log, sample pictures and checkpoints."""
         found = list(self._guessed(self.learner.applied, bool(self.half)))
-        # A guess that is no number has to show, so only what is not valid is left out.
+        # Only invalid pixels are left out, so that NaN in the output is noticed.
         off = [np.abs(guessed - true)[crop.valid] for crop, true, guessed in found]
         error = float(np.concatenate(off).mean(dtype=np.float64))
         facts = {"crops": self.done, "seconds": self.seconds, "core_seconds": self.core_seconds}
@@ -348,10 +350,10 @@ class _Run:
             for name, value in (*losses.items(), ("validation_mae_k", error)):
                 self.board.add_scalar(name, value, self.done)
 
-    def _tell(self, losses):
-        told = " ".join(f"{name} {value:.3g}" for name, value in losses.items())
-        known = f", validation {self.best:.2f} K at best" if math.isfinite(self.best) else ""
-        line = f"{self.method}: {self.done} of {self.total} crops, {told}{known}"
+    def _report(self, losses):
+        now = " ".join(f"{name} {value:.3g}" for name, value in losses.items())
+        best = f", validation {self.best:.2f} K at best" if math.isfinite(self.best) else ""
+        line = f"{self.method}: {self.done} of {self.total} crops, {now}{best}"
         self.task.progress(line, min(self.done / self.total, 1.0))
 
     def _stop(self, losses):
@@ -360,14 +362,14 @@ class _Run:
 
 
 class _Applied:
-    """A network alone, as a checkpoint holds it."""
+    """A single network, in the form that checkpoints take."""
 
     def __init__(self, net):
         self.parts, self.optimisers = {"net": net}, {}
 
 
 class _Kelvin:
-    """Apparent temperatures of a crop and of what a network gave for it [K]."""
+    """Apparent temperatures of a crop and of a network's output for it [K]."""
 
     def __init__(self, task, crops, encoding):
         known = np.isfinite(task.temperature) & np.isfinite(task.intensity)
@@ -385,13 +387,13 @@ class _Kelvin:
 
 
 def _core_seconds():
-    """Time that the machine's cores have worked for this process, all threads [s]."""
+    """CPU time of this process, all threads [s]."""
     used = resource.getrusage(resource.RUSAGE_SELF)
     return used.ru_utime + used.ru_stime
 
 
 def _agreed(value):
-    """The mean of a number over the processes of a data-parallel training, which wait for each other here."""
+    """The mean of a number over the processes of a data-parallel training; waits for all of them."""
     if not (torch.distributed.is_available() and torch.distributed.is_initialized()):
         return value
     shared = torch.tensor(value, dtype=torch.float64, device=device())
@@ -400,7 +402,7 @@ def _agreed(value):
 
 
 def _process():
-    """(whether this process writes, number of processes) of a data-parallel training; one alone writes."""
+    """(whether this is the one process that writes, number of processes) of a data-parallel training."""
     world = int(os.environ.get("WORLD_SIZE", "1"))
     if world > 1 and not torch.distributed.is_initialized():
         torch.distributed.init_process_group("nccl" if torch.cuda.is_available() else "gloo")

@@ -17,10 +17,10 @@ from thermorender.learned.rows import at_shape
 # lies further from a pixel than the margin does not reach it in the compact network [pixels].
 _MOST_SIDE, _OVERLAP, _MARGIN = 2048, 640, 288
 MOST_WIDTH = 1 << 14
-# Greatest number in single precision; what is no number is not below it.
+# Greatest number in single precision; NaN is not below it.
 _MOST = np.finfo(np.float32).max
 _FLAGS = ("above_air", "published")
-# How PyTorch counts what batch norm saw, which nothing is computed from.
+# PyTorch's counter of batches in batch norm, which the output does not depend on.
 _COUNTED = "num_batches_tracked"
 
 
@@ -70,13 +70,13 @@ class Network:
 
     @property
     def needs(self):
-        """Names of the fields of Inputs that are needed."""
+        """Names of the required fields of Inputs."""
         return self.encoding.needs
 
     @cached_property
     def net(self):
-        """The network itself, on the device that it runs on, its weights as they are kept."""
-        # Without memory, until the weights are known to be those of its layers.
+        """The network with its weights, on the device that it runs on."""
+        # On the meta device, until the weights are known to fit its layers.
         with torch.device("meta"):
             net = net_of(self.recipe, self.encoding, self.width)
         weights = {name: torch.from_numpy(np.asarray(values, np.float32)) for name, values in self.state.items()}
@@ -103,7 +103,7 @@ class Network:
         return self.encoding.offset + scale * mean, scale * spread[0] if spread else None
 
     def _applied(self, planes):
-        """What the network makes of a picture: (1 or 2, h, w), encoded."""
+        """The network's encoded output for a picture, (1 or 2, h, w)."""
         recipe, kind, net = self.recipe, kind_of(self.recipe), self.net
 
         def apply(part):
@@ -111,7 +111,7 @@ class Network:
             with torch.inference_mode():
                 return kind.predict(net, given)[0].cpu().numpy()
 
-        # Dropout draws from a generator of its own, and leaves the caller's as it was.
+        # Dropout has its own random state and does not change the caller's.
         with torch.random.fork_rng(enabled=self.published):
             if self.published:
                 torch.manual_seed(0)
@@ -165,7 +165,7 @@ class Network:
             raise ValueError("it has weights that are not finite")
         encoding, limits = Encoding.of(header["encoding"], arrays), tuple(map(float, header["texel_range_m"]))
         if not (len(limits) == 2 and 0.0 < limits[0] <= limits[1] < np.inf):
-            raise ValueError("its range of ground sampling distances is none")
+            raise ValueError("its range of ground sampling distances does not rise from above 0")
         if header["above_air"] and "air_k" not in encoding.extra.conditions:
             raise ValueError("it does not take the air's temperature as input")
         state = {name: values for name, values in arrays.items() if name not in encoding.arrays()}

@@ -1,4 +1,4 @@
-"""The networks by name, each with its hyper-parameters and where they come from.
+"""The networks by name, each with its hyper-parameters and their sources.
 
 Two studies are followed. FOK: Generation of Artificial Infrared Camera Images for Visual Navigation Simulation, which
 trained pix2pix and pix2pixHD with "default training settings": those of Isola et al. (arXiv:1611.07004) and Wang et al.
@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 
 from thermorender.errors import ThermorenderError
 
-# Crops of FOK's Table 2: 3511 pictures times epochs. DLR tells "over 4000" pairs.
+# Crops of FOK's Table 2: 3511 pictures times epochs. DLR states "over 4000" pairs.
 _FOK, _DLR = 3511, 4000
 _PIX2PIX_RATE, _PIX2PIX_BETAS = 2e-4, (0.5, 0.999)
 
@@ -31,7 +31,7 @@ class Recipe:
     width : int
         Channels of its outermost level; of the architecture `dense`, the size of the hidden layer.
     learner : str
-        How it takes a step, of `building`.
+        Its learner, of `building`.
     optimiser : {"adam", "nadam", "adamw"}
     rate : float
         To begin with.
@@ -41,21 +41,21 @@ class Recipe:
         to 0.
     batch : int
     published_crops : int or None
-        That the study's own training saw; None: not published.
+        Training crops of the study; None: not published.
     crops : int
-        To be seen unless told otherwise.
+        Default number of training crops.
     target : (offset, scale), or None
         Of the target's intensity: (0.5, 0.5) is −1…1; None: measured on the training pictures.
     side : int
-        Of the squares that it learns from [pixels]; may be chosen for those that are given whole pictures.
+        Side of the training crops [pixels]; may be chosen for networks that take whole pictures.
     whole : bool
-        Whether pictures of any size are given to it whole; else squares of `side`, blended.
+        Whether it takes pictures of any size whole; else squares of `side`, blended.
     multiple : int
-        Sides that it takes are multiples of this [pixels].
+        Sides of its input are multiples of this [pixels].
     plus : bool
-        Whether it is given the terrain's relief, hour and weather.
+        Whether it takes relief, hour and weather as input.
     weight : float
-        Of the second loss beside the first: λ of the papers.
+        Weight of the second loss, λ in the papers; the first has 1.
     """
 
     net: str
@@ -78,17 +78,17 @@ class Recipe:
 
     @property
     def bounded(self):
-        """Whether what it gives lies in −1…1."""
+        """Whether its output is in −1…1."""
         return self.target == (0.5, 0.5)
 
     @property
     def least_batch(self):
-        """Fewest crops of a step; of a cycle's, half are photographs and half thermal pictures."""
+        """Fewest crops of a step; in a cycle, half are photographs and half thermal pictures."""
         return 2 if self.learner == "cycle" else 1
 
     @property
     def all_options(self):
-        """What may be chosen, with its default."""
+        """Its options with their defaults."""
         common = {"width": self.width, "batch": self.batch, "crops": self.crops, "rate": self.rate, "every": 0,
                   "bf16": True, "tensorboard": False, "tolerance_mk": 0.0}  # fmt: skip
         side = {"side": self.side} if self.whole else {}
@@ -115,7 +115,7 @@ RECIPES = {
     # λ 10 of feature matching, and of VGG's where its weights are given.
     "pix2pixhd": Recipe("pix2pixhd", 64, "scales", "adam", _PIX2PIX_RATE, "halfway", 1, _FOK * 200, _FOK * 200,
                         _PIX2PIX_BETAS, (0.5, 0.5), weight=10.0, options={"vgg": ""}),
-    # λ 10 of the cycle; two crops make a batch of one pair that belongs to nobody.
+    # λ 10 of the cycle; two crops make a batch of one unpaired photograph and thermal picture.
     "cyclegan": Recipe("cyclegan", 64, "cycle", "adam", _PIX2PIX_RATE, "halfway", 2, _FOK * 200, None, _PIX2PIX_BETAS,
                        (0.5, 0.5), weight=10.0),
     "compact": _compact(False),

@@ -1,23 +1,25 @@
-"""What a training's folder tells: its settings, and the log of its epochs. Neither needs PyTorch."""
+"""Settings and log of a training's folder, read without PyTorch."""
 
 import json
 from pathlib import Path
+from typing import Any
 
 from thermorender import formats
 from thermorender.errors import ThermorenderError
+from thermorender.files import PathLike
 
 _EPOCH = ("crops", "seconds", "core_seconds", "validation_mae_k")
 _KINDS = {"method": str, "seed": int, "options": dict, "examples": list}
 SETTINGS, LOG, SAMPLES = "settings.json", "log.jsonl", "samples"
 
 
-def read_settings(folder):
+def read_settings(folder: PathLike) -> dict[str, Any]:
     """Return the settings of a run's folder, a dict with method, seed, options, examples and more.
 
     Raises
     ------
     ThermorenderError
-        The folder is that of no training.
+        The folder is not that of a training.
     """
     path = Path(folder) / SETTINGS
     try:
@@ -29,32 +31,32 @@ def read_settings(folder):
             raise ValueError
     except ValueError:
         raise ThermorenderError(
-            f"{folder} is no folder of a training: it has no {SETTINGS} of one; give what `train --run` wrote"
+            f"{folder} is not the folder of a training: it has no valid {SETTINGS}; give a folder that `train --run` "
+            "wrote"
         ) from None
     return found
 
 
-def read_log(folder):
+def read_log(folder: PathLike) -> list[dict[str, Any]]:
     """Return the epochs of a run's folder, a list of {crops, seconds, core_seconds, losses, validation_mae_k}.
 
-    A line that was cut short is passed over.
+    Incomplete lines are skipped.
     """
     path = Path(folder) / LOG
     found = []
     for line in formats.read_text(path).splitlines() if path.is_file() else ():
         try:
             epoch = formats.finite_json(line)
-            told = isinstance(epoch, dict) and all(
-                isinstance(epoch.get(name), int | float) and epoch[name] >= 0 for name in _EPOCH
-            )
         except ValueError:
-            told = False
-        if told:
+            continue
+        if isinstance(epoch, dict) and all(
+            isinstance(epoch.get(name), int | float) and epoch[name] >= 0 for name in _EPOCH
+        ):
             found.append(epoch)
     return found
 
 
-def cut_log(folder, crops):
-    """Take away the epochs that ended after so many crops."""
+def cut_log(folder: PathLike, crops: int) -> None:
+    """Remove the epochs after `crops` crops from the log."""
     kept = [line for line in read_log(folder) if line["crops"] <= crops]
     formats.write_text(Path(folder) / LOG, "".join(json.dumps(line) + "\n" for line in kept))

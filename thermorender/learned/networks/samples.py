@@ -1,10 +1,10 @@
-"""A picture of what a network makes of some validation crops: photograph, truth, translation and error, a row each."""
+"""Sample pictures of a training: photograph, truth, translation and error of validation crops, a row each."""
 
 import numpy as np
 
 from thermorender import formats
 
-# Errors are shown from blue to red up to so much [K]; truth and translation on one grey scale a row.
+# Errors are shown from blue to red up to this [K]; truth and translation share a grey scale in each row.
 ERROR_K = 10.0
 _GAP = 4
 

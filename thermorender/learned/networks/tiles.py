@@ -1,13 +1,17 @@
 """Pictures of any size through a network that takes squares: overlapping tiles, blended."""
 
+from collections.abc import Callable
+
 import numpy as np
 
-# Pixels along a side that networks join into one place, at most but for those that take squares of one size.
+# Greatest total stride of the networks that take squares of any size [pixels].
 _JOINED = 16
 
 
-def stitched(apply, planes, sides, overlap, margin):
-    """Return what a network makes of a picture, (out, h, w) float32.
+def stitched(
+    apply: Callable[[np.ndarray], np.ndarray], planes: np.ndarray, sides: tuple[int, int], overlap: int, margin: int
+) -> np.ndarray:
+    """Return a network's output for a picture, (out, h, w) float32.
 
     Parameters
     ----------
@@ -16,12 +20,12 @@ def stitched(apply, planes, sides, overlap, margin):
     planes : (c, h, w) float32
         Mirrored at its edges where it is smaller than a tile.
     sides : (2,) tuple of int
-        Of tiles, multiples of 16 [pixels].
+        Sides of the tiles, multiples of 16 [pixels].
     overlap : int
-        By how much neighbours overlap at least [pixels].
+        Least overlap of neighbouring tiles [pixels].
     margin : int
-        What of the overlap is not taken from either end, as the network lacks what lies beyond [pixels]. Over the rest
-        one tile fades into the other by Hann's window, so that no seam is sharper than that.
+        Part of the overlap at each tile's edge that is not used, because the network lacks its surroundings there
+        [pixels]. Tiles are blended over the rest with a Hann window.
     """
     height, width = planes.shape[1:]
     lacking = [_length(n, side) - n for side, n in zip(sides, (height, width), strict=True)]
@@ -41,26 +45,26 @@ def stitched(apply, planes, sides, overlap, margin):
     return (total / weights)[:, :height, :width]
 
 
-def joints(length, side, overlap):
-    """Return where, along an axis of so many pixels, one tile of `stitched` has faded into the next by half: floats."""
+def joints(length: int, side: int, overlap: int) -> np.ndarray:
+    """Return the middles of the overlaps between tiles of `stitched` along an axis of `length` pixels [pixels]."""
     places = _places(_length(length, side), side, overlap)
     return 0.5 * (places[:-1] + places[1:] + side)
 
 
 def _length(length, side):
-    """Pixels that tiles cover, at least `length`."""
-    # Tiles begin at multiples of what a network joins into one place, so that all of them join the same pixels.
+    """Pixels that the tiles cover, at least `length`."""
+    # Tiles begin at multiples of the stride, so that all of them have the same pixel grid.
     return max(side, length + -length % _JOINED)
 
 
 def _places(length, side, overlap):
-    """Where tiles begin, evenly spaced."""
+    """First pixels of the tiles, evenly spaced."""
     count = 1 if length <= side else 1 + int(np.ceil((length - side) / (side - overlap)))
     return (np.linspace(0, length - side, count) / _JOINED).round().astype(int) * _JOINED
 
 
 def _windows(length, side, overlap, fade):
-    """[(where a tile begins, its weights)]: each fades into the next in the middle of their overlap."""
+    """[(first pixel of a tile, its weights)]: neighbours are blended in the middle of their overlap."""
     places, middles = _places(length, side, overlap), joints(length, side, overlap)
     within = np.arange(side) + 0.5
     found = []
@@ -75,5 +79,5 @@ def _windows(length, side, overlap, fade):
 
 
 def _rise(distance, fade):
-    """From 0 to 1 over `fade` pixels about 0, the rising half of Hann's window."""
+    """From 0 to 1 over `fade` pixels around 0: the rising half of a Hann window."""
     return np.sin(0.5 * np.pi * np.clip(distance / fade + 0.5, 0.0, 1.0)) ** 2

@@ -1,1 +1,1 @@
-"""The networks themselves: layers and how they are joined, with their sources."""
+"""Architectures of the networks, with their sources."""

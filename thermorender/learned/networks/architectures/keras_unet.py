@@ -1,22 +1,22 @@
-"""The U-Net that Keras shows for segmenting pictures of pets, which the DLR study took for infrared.
+"""The U-Net of Keras' example for segmenting pictures of pets, which the DLR study used for infrared.
 
 Chollet, Image segmentation with a U-Net-like architecture, keras.io/examples/vision/oxford_pets_image_segmentation
 (2019, revised 2020): a strided convolution of 32, three levels of two separable convolutions (64, 128, 256) with
-pooling and a residual, four levels of two transposed convolutions (256, 128, 64, 32) with enlargement and a residual.
-There are no connections across: what the middle has lost does not come back.
+pooling and a residual, four levels of two transposed convolutions (256, 128, 64, 32) with upsampling and a residual.
+There are no skip connections from encoder to decoder.
 """
 
 import math
 
-from torch import nn
+from torch import Tensor, nn
 
 _DOWN = (2, 4, 8)
 _UP = (8, 4, 2, 1)
-# Keras' batch norm: 0.99 of the running statistics stay, and 1e-3 is added to the variance.
+# Keras' batch norm has momentum 0.99, PyTorch's 0.01.
 _NORM = {"momentum": 0.01, "eps": 1e-3}
-# What strides of two add to a picture of even sides, to the right and below.
+# Keras' "same" padding for strides of two and even sides: right and bottom.
 _SAME = (0, 1, 0, 1)
-# All levels together halve the sides four times.
+# Four halvings.
 MULTIPLE = 16
 
 
@@ -31,7 +31,7 @@ class KerasUNet(nn.Module):
         Channels of the outermost level, 32 as published: with 3 classes 2.06 million parameters.
     """
 
-    def __init__(self, channels=3, width=32, out=1):
+    def __init__(self, channels: int = 3, width: int = 32, out: int = 1) -> None:
         super().__init__()
         self.entry = nn.Sequential(
             nn.ZeroPad2d(_SAME), nn.Conv2d(channels, width, 3, 2), nn.BatchNorm2d(width, **_NORM), nn.ReLU()
@@ -47,13 +47,13 @@ class KerasUNet(nn.Module):
             before = n
         self.exit = nn.Conv2d(before, out, 3, 1, 1)
         for layer in self.modules():
-            # Keras draws all of them so.
+            # Keras' default.
             if isinstance(layer, nn.Conv2d | nn.ConvTranspose2d):
                 nn.init.xavier_uniform_(layer.weight)
                 if layer.bias is not None:
                     nn.init.zeros_(layer.bias)
 
-    def forward(self, x):
+    def forward(self, x: Tensor) -> Tensor:
         """Return (n, out, h, w) of (n, channels, h, w)."""
         x = self.entry(x)
         for level in (*self.down, *self.up):

@@ -1,4 +1,4 @@
-"""Perceptual loss of pix2pixHD: how unlike two pictures are to a network that was trained to name things.
+"""Perceptual loss of pix2pixHD: the difference of two pictures in the features of a classification network.
 
 Johnson et al., ECCV 2016, arXiv:1603.08155, with the layers and weights of pix2pixHD (Wang et al., arXiv:1711.11585,
 section 3.3): relu1_1 to relu5_1 of VGG-19 by 1/32, 1/16, 1/8, 1/4 and 1. The network's weights are not shipped.
@@ -8,10 +8,11 @@ import torch
 from torch import nn
 
 from thermorender.errors import ThermorenderError
+from thermorender.files import PathLike
 
-# VGG-19's convolutions up to relu5_1, a pooling at each 0.
+# Channels of VGG-19's convolutions up to relu5_1; 0 is a pooling.
 _LAYERS = (64, 64, 0, 128, 128, 0, 256, 256, 256, 256, 0, 512, 512, 512, 512, 0, 512)
-# Which of its layers are compared, each with its weight.
+# {index of a compared layer: its weight}.
 _COMPARED = {1: 1.0 / 32.0, 6: 1.0 / 16.0, 11: 1.0 / 8.0, 20: 1.0 / 4.0, 29: 1.0}
 
 
@@ -21,15 +22,15 @@ class Perception(nn.Module):
     Parameters
     ----------
     path : path
-        safetensors file with VGG-19's weights under the names that torchvision gives them, features.0.weight and on.
+        safetensors file with VGG-19's weights under torchvision's names, such as features.0.weight.
 
     Raises
     ------
     ThermorenderError
-        A file that is missing or holds something else.
+        The file is missing or holds something else.
     """
 
-    def __init__(self, path):
+    def __init__(self, path: PathLike) -> None:
         super().__init__()
         layers, before = [], 3
         for width in _LAYERS:
@@ -41,16 +42,16 @@ class Perception(nn.Module):
 
             kept = load_file(path)
             self.load_state_dict({name: kept[name] for name in self.state_dict()})
-        # What is missing or damaged shows in the parsers of safetensors and PyTorch.
+        # A wrong file can raise many kinds of errors in safetensors and PyTorch.
         except Exception as error:
             raise ThermorenderError(
                 f"vgg={path} holds no weights of VGG-19 ({' '.join(str(error).split())[:120]}); give a safetensors "
-                "file of torchvision's, or leave the option out"
+                "file with torchvision's names, or leave the option out"
             ) from None
         self.requires_grad_(False)
 
-    def forward(self, found, wanted):
-        """Return the loss of (n, 1, h, w) pictures, −1…1."""
+    def forward(self, found: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
+        """Return the loss of (n, 1, h, w) pictures in −1…1."""
         both = torch.cat([found, wanted]).expand(-1, 3, -1, -1)
         loss = 0.0
         for number, layer in enumerate(self.features):

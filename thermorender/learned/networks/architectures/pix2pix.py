@@ -1,9 +1,9 @@
-"""The networks of pix2pix: a U-Net of as many halvings as its square has, and a discriminator that judges patches.
+"""The networks of pix2pix: a U-Net that halves its square down to one pixel, and a discriminator of patches.
 
 Isola et al., Image-to-Image Translation with Conditional Adversarial Networks, CVPR 2017, arXiv:1611.07004, appendix
-6.1. Encoder C64-C128-C256-C512-C512-C512-C512-C512, decoder CD512-CD512-CD512-C512-C256-C128-C64, C being convolution,
-batch norm and ReLU, CD the same with half of it dropped out; all convolutions are of 4×4 with stride 2, and each
-level's output is handed to the decoder's. The discriminator C64-C128-C256-C512 sees 70×70 pixels at each place.
+6.1. Encoder C64-C128-C256-C512-C512-C512-C512-C512, decoder CD512-CD512-CD512-C512-C256-C128-C64. C is convolution,
+batch norm and ReLU; CD also has 50 % dropout. All convolutions are 4×4 with stride 2, with skip connections at each
+level. The discriminator C64-C128-C256-C512 has a receptive field of 70×70 pixels.
 """
 
 import torch
@@ -11,16 +11,16 @@ from torch import nn
 
 # 256 = 2⁸ pixels shrink to one.
 LEVELS = 8
-# Decoder levels that drop out, from the innermost but one outwards.
+# Number of decoder levels with dropout, from the second innermost outwards.
 _DROPPED = 3
 _DROPOUT = 0.5
 _SLOPE = 0.2
-# Standard deviation of the weights to begin with; that of batch norm's scales is about 1.
+# Standard deviation of initial weights, and of batch norm's initial scales around 1.
 _SPREAD = 0.02
 
 
-def initialised(net):
-    """Return a network with weights drawn as published: normal, of standard deviation 0.02, and no bias."""
+def initialised(net: nn.Module) -> nn.Module:
+    """Return a network with weights drawn as published: normal with standard deviation 0.02, biases 0."""
     for layer in net.modules():
         if isinstance(layer, nn.Conv2d | nn.ConvTranspose2d):
             nn.init.normal_(layer.weight, 0.0, _SPREAD)
@@ -37,12 +37,12 @@ class UNet256(nn.Module):
     Parameters
     ----------
     channels : int
-        Of the input; the output has one, from −1 to 1.
+        Channels of the input; the output has one, from −1 to 1.
     width : int
-        Channels of the outermost level; 64 as published, which makes 54.41 million parameters.
+        Channels of the outermost level; 64 as published, with 54.41 million parameters.
     """
 
-    def __init__(self, channels=3, width=64):
+    def __init__(self, channels: int = 3, width: int = 64) -> None:
         super().__init__()
         widths = [width * min(2**level, 8) for level in range(LEVELS)]
         self.down, self.up = nn.ModuleList(), nn.ModuleList()
@@ -50,7 +50,7 @@ class UNet256(nn.Module):
             outermost, innermost = level == 0, level == LEVELS - 1
             before = channels if outermost else widths[level - 1]
             inside = out if innermost else 2 * out
-            # A batch of one has no statistics at the innermost level's single pixel.
+            # The innermost level's single pixel has no statistics in a batch of one.
             normed = not (outermost or innermost)
             self.down.append(nn.Sequential(
                 *([] if outermost else [nn.LeakyReLU(_SLOPE)]),
@@ -65,7 +65,7 @@ class UNet256(nn.Module):
             ))  # fmt: skip
         initialised(self)
 
-    def forward(self, x):
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return (n, 1, h, w) of (n, channels, h, w)."""
         kept = []
         for layer in self.down:
@@ -78,24 +78,26 @@ class UNet256(nn.Module):
 
 
 class PatchDiscriminator(nn.Module):
-    """The 70×70 discriminator: of (n, channels, h, w) a number for each place, above 0 where it looks real.
+    """The 70×70 discriminator: for (n, channels, h, w) one number per place, above 0 where it looks real.
 
     Parameters
     ----------
     channels : int
-        Of the picture and its translation together.
+        Channels of the picture and its translation together.
     width : int
-        64 as published, which makes 2.77 million parameters.
+        64 as published, with 2.77 million parameters.
     norm : type of layer
         nn.BatchNorm2d in pix2pix, nn.InstanceNorm2d in its successors.
     padding : int
-        Of every convolution: 1, and 2 in pix2pixHD.
+        Padding of every convolution: 1, or 2 in pix2pixHD.
     """
 
-    def __init__(self, channels=4, width=64, norm=nn.BatchNorm2d, padding=1):
+    def __init__(
+        self, channels: int = 4, width: int = 64, norm: type[nn.Module] = nn.BatchNorm2d, padding: int = 1
+    ) -> None:
         super().__init__()
         widths = [channels, width, 2 * width, 4 * width, 8 * width, 1]
-        # Instance norm, as used, has no offset of its own.
+        # Instance norm has no offset here.
         biased = norm is not nn.BatchNorm2d
         self.layers = nn.ModuleList()
         for number, (before, after) in enumerate(zip(widths[:-1], widths[1:], strict=True)):
@@ -105,7 +107,7 @@ class PatchDiscriminator(nn.Module):
             self.layers.append(nn.Sequential(conv, *between, *([] if last else [nn.LeakyReLU(_SLOPE)])))
         initialised(self)
 
-    def features(self, x):
+    def features(self, x: torch.Tensor) -> list[torch.Tensor]:
         """Return the output of every layer, the judgement last."""
         found = []
         for layer in self.layers:
@@ -113,6 +115,6 @@ class PatchDiscriminator(nn.Module):
             found.append(x)
         return found
 
-    def forward(self, x):
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return the judgement, (n, 1, h', w')."""
         return self.features(x)[-1]

@@ -2,8 +2,8 @@
 
 Wang et al., High-Resolution Image Synthesis and Semantic Manipulation with Conditional GANs, CVPR 2018,
 arXiv:1711.11585, section 3.2 and appendix: generator c7s1-64, d128, d256, d512, d1024, nine residual blocks R1024,
-u512, u256, u128, u64, c7s1; all with instance norm. The same with two halvings and R256 is CycleGAN's generator (Zhu et
-al., ICCV 2017, arXiv:1703.10593, appendix 7.2).
+u512, u256, u128, u64, c7s1; all with instance norm. With two halvings and R256 it is CycleGAN's generator (Zhu et al.,
+ICCV 2017, arXiv:1703.10593, appendix 7.2).
 """
 
 import torch
@@ -22,14 +22,14 @@ class ResidualGenerator(nn.Module):
     Parameters
     ----------
     channels, out : int
-        Of the input and the output, which is from −1 to 1.
+        Channels of the input and the output, which is from −1 to 1.
     width : int
         Channels of the outermost level. 64 with four halvings is pix2pixHD's global generator, 182.4 million
         parameters; 64 with two is CycleGAN's, 11.4 million.
     halvings : int
     """
 
-    def __init__(self, channels=3, width=64, halvings=4, out=1):
+    def __init__(self, channels: int = 3, width: int = 64, halvings: int = 4, out: int = 1) -> None:
         super().__init__()
         norm = nn.InstanceNorm2d
         layers = [nn.ReflectionPad2d(3), nn.Conv2d(channels, width, 7), norm(width), nn.ReLU()]
@@ -43,7 +43,7 @@ class ResidualGenerator(nn.Module):
         layers += [nn.ReflectionPad2d(3), nn.Conv2d(width, out, 7)]
         self.layers = initialised(nn.Sequential(*layers))
 
-    def forward(self, x):
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return (n, out, h, w) of (n, channels, h, w)."""
         return torch.tanh(self.layers(x))
 
@@ -51,23 +51,24 @@ class ResidualGenerator(nn.Module):
 class _Residual(nn.Module):
     def __init__(self, width):
         super().__init__()
-        half = (nn.ReflectionPad2d(1), nn.Conv2d(width, width, 3), nn.InstanceNorm2d(width))
-        other = (nn.ReflectionPad2d(1), nn.Conv2d(width, width, 3), nn.InstanceNorm2d(width))
-        self.layers = nn.Sequential(*half, nn.ReLU(), *other)
+        first, second = (
+            (nn.ReflectionPad2d(1), nn.Conv2d(width, width, 3), nn.InstanceNorm2d(width)) for _ in range(2)
+        )
+        self.layers = nn.Sequential(*first, nn.ReLU(), *second)
 
     def forward(self, x):
         return x + self.layers(x)
 
 
 class ScaledDiscriminators(nn.Module):
-    """Patch discriminators of the picture and of the same at half its size: 5.5 million parameters at width 64."""
+    """Patch discriminators of the picture at full and half size: 5.5 million parameters at width 64."""
 
-    def __init__(self, channels=4, width=64):
+    def __init__(self, channels: int = 4, width: int = 64) -> None:
         super().__init__()
         self.scales = nn.ModuleList(PatchDiscriminator(channels, width, nn.InstanceNorm2d, 2) for _ in range(SCALES))
 
-    def features(self, x):
-        """Return, for each scale, the output of every layer."""
+    def features(self, x: torch.Tensor) -> list[list[torch.Tensor]]:
+        """Return the output of every layer, for each scale."""
         found = []
         for each in self.scales:
             found.append(each.features(x))

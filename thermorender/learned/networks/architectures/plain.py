@@ -1,10 +1,10 @@
-"""The two networks that the DLR study found wanting: an autoencoder, and one that joins every pixel to every other.
+"""The two networks that did not converge in the DLR study: an autoencoder and a fully connected network.
 
-Neither is specified there beyond its name. The autoencoder is the U-Net of pix2pix down to 16 pixels a side, without
-the connections across; the other has one hidden layer, whose size is swept to show what it costs.
+The study gives only their names. The autoencoder is the U-Net of pix2pix down to 16 pixels a side, without skip
+connections; the other has one hidden layer of chosen size.
 """
 
-from torch import nn
+from torch import Tensor, nn
 
 from thermorender.learned.networks.architectures.pix2pix import initialised
 
@@ -12,17 +12,17 @@ HALVINGS = 4
 
 
 class Autoencoder(nn.Module):
-    """Convolutions down to a narrow middle and back, for pictures whose sides are multiples of 16 pixels.
+    """A convolutional autoencoder, for pictures whose sides are multiples of 16 pixels.
 
     Parameters
     ----------
     channels : int
-        Of the input; the output has one, linear.
+        Channels of the input; the output has one, linear.
     width : int
         Channels of the outermost level.
     """
 
-    def __init__(self, channels=3, width=64):
+    def __init__(self, channels: int = 3, width: int = 64) -> None:
         super().__init__()
         widths = [channels, *(width * 2**level for level in range(HALVINGS))]
         layers = []
@@ -33,13 +33,13 @@ class Autoencoder(nn.Module):
         layers.append(nn.ConvTranspose2d(width, 1, 4, 2, 1))
         self.layers = initialised(nn.Sequential(*layers))
 
-    def forward(self, x):
+    def forward(self, x: Tensor) -> Tensor:
         """Return (n, 1, h, w) of (n, channels, h, w)."""
         return self.layers(x)
 
 
 class Dense(nn.Module):
-    """Every pixel joined to every other through one hidden layer, for squares of one size.
+    """A fully connected network with one hidden layer, for squares of one size.
 
     Parameters
     ----------
@@ -47,15 +47,15 @@ class Dense(nn.Module):
     hidden : int
         Size of the hidden layer.
     side : int
-        Of the square [pixels].
+        Side of the square [pixels].
     """
 
-    def __init__(self, channels=3, hidden=1024, side=64):
+    def __init__(self, channels: int = 3, hidden: int = 1024, side: int = 64) -> None:
         super().__init__()
         self.side = side
         pixels = side * side
         self.layers = nn.Sequential(nn.Linear(channels * pixels, hidden), nn.ReLU(), nn.Linear(hidden, pixels))
 
-    def forward(self, x):
+    def forward(self, x: Tensor) -> Tensor:
         """Return (n, 1, side, side) of (n, channels, side, side)."""
         return self.layers(x.flatten(1)).view(-1, 1, self.side, self.side)
