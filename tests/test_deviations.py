@@ -32,7 +32,7 @@ def test_texels_stray_as_columns_in_the_open_do(level):
 
     The two marches differ in their steps, which moves all alike, and in single precision (5 mK, test_heat_device.py).
     """
-    from thermorender.render.heat.march import solved
+    from thermorender.render.heat.simulation import solved
 
     names = [material.name for material in level.materials]
     columns = open_ground.columns(level.materials, level.weather, station_roughness_m=open_ground.STATION_ROUGHNESS_M)
@@ -70,7 +70,7 @@ def test_texels_stray_as_columns_in_the_open_do(level):
 
 
 def test_only_the_texels_that_stray_move(level):
-    from thermorender.render.heat.march import solved
+    from thermorender.render.heat.simulation import solved
 
     wet = np.ones(level.surfaces[0].material.shape, np.float32)
     wet[:8, :8] = 3.0

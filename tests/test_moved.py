@@ -47,7 +47,7 @@ def written(folder, extra=TABLES, **options):
 @pytest.fixture(scope="module", autouse=True)
 def _short_marches():
     """The march begins as late as it may: here nobody asks how true it is, only what is made of it."""
-    from thermorender.render.heat import march as heat
+    from thermorender.render.heat import simulation as heat
     from thermorender.scene import open_ground
 
     with pytest.MonkeyPatch.context() as patch:
@@ -69,7 +69,7 @@ def scene(tmp_path_factory):
 @pytest.fixture(scope="module")
 def tools():
     """The modules that bring Mitsuba, once they are wanted."""
-    from thermorender.render.heat import march as heat
+    from thermorender.render.heat import simulation as heat
     from thermorender.render.heat import moved
 
     return heat, moved
@@ -317,7 +317,7 @@ def test_refusals(tmp_path, call, tools):
 
 def test_a_scene_that_moves_nothing_imports_none_of_it():
     code = "import thermorender as tr; tr.Renderer(tr.load_scene('heath'), rays=1)"
-    absent = ("thermorender.render.heat.moved", "thermorender.materials.shifted", "thermorender.render.heat.march")
+    absent = ("thermorender.render.heat.moved", "thermorender.materials.shifted", "thermorender.render.heat.simulation")
     check = f"import sys\n{code}\nfound = [n for n in {absent!r} if n in sys.modules]\nsys.exit(str(found or ''))"
     run = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True)
     assert not run.stderr.strip(), run.stderr

@@ -288,7 +288,7 @@ def test_temperature_grid_must_divide(tmp_path):
 
 def test_the_balance_predicts_the_truth_but_for_what_it_cannot_know(truth, monkeypatch, tmp_path):
     """The written scene, asked for source="balance", errs by what was drawn and hidden, and by nothing else."""
-    from thermorender.render.heat.march import solved
+    from thermorender.render.heat.simulation import solved
 
     folder = truth("heath")
     shown = load_scene(folder)

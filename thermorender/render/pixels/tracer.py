@@ -1,24 +1,40 @@
-"""From a pose to radiance: rays are cast, what they hit is looked up, passed through the air, and averaged in pixels.
+"""From a pose to radiance: rays are cast, radiance at their hits is read, passed through the air, and averaged in
+pixels.
 
-What a point of a surface sends to the camera lies ready in texels and faces (`thermorender.render.light.texels`), so a
-frame is casting rays, fetching these, and summing; band radiance is averaged over a pixel's rays, never temperature.
-Pixels that show an edge get more rays, in stages, until their error is small enough.
+Texels and faces hold the radiance that surfaces send to the camera (`thermorender.render.light.texels`). A frame
+therefore only casts rays, reads these values and sums. Band radiance is averaged over a pixel's rays, never
+temperature. Pixels that show an edge get more rays, in stages, until their error is small enough.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
 from thermorender.render import mirrors
-from thermorender.render.geometry import Hit, view_ray
+from thermorender.render.air import AirView, Vacuum
+from thermorender.render.arrays import Jit, view_ray
+from thermorender.render.geometry import Hit
+from thermorender.render.layers import Layer
 from thermorender.render.pixels.footprint import PLACES, OnMap, Reading
-from thermorender.render.pixels.sampling import RING, STAGES, UNSEEN, edge_step, typical_edge_estimate
+from thermorender.render.pixels.sampling import (
+    RING,
+    STAGES,
+    UNSEEN,
+    CameraRays,
+    Footprint,
+    edge_step,
+    typical_edge_estimate,
+)
 from thermorender.render.pixels.slender import Rectangles
+from thermorender.render.plan import Plan
 
-# A thing with edges all round errs by more than one edge: of 3000 turned squares and rods 1.3 to 1.4 times.
+# Error of a detail with edges all round, relative to one edge: 1.3 to 1.4 for 3000 rotated squares and rods.
 _ISLAND = 1.5
-# Inverse depth of the sky in a mirror [1/m]: above 0, which tells that nothing is hit.
+# Inverse depth of the sky in a mirror [1/m]: above 0, which means that nothing is hit.
 _ENDLESS = 1e-37
 
 
@@ -31,15 +47,15 @@ class Refined:
     pixels : (n,) int64
         Flat numbers.
     step : (n,)
-        By how much radiance differs in a pixel, at most.
+        Largest difference of radiance in a pixel.
     first, last : int
-        Number of the first of these rays, and of all that the pixels have got.
+        Number of the first of these rays, and total number of rays of the pixels.
     within : Rectangles or None
-        Parts of the pixels in which these rays are; None where it is all of them.
+        Parts of the pixels that contain these rays; None for whole pixels.
     """
 
-    pixels: np.ndarray
-    step: np.ndarray
+    pixels: NDArray[np.int64]
+    step: NDArray[Any]
     first: int
     last: int
     within: Rectangles | None
@@ -47,21 +63,21 @@ class Refined:
 
 @dataclass(frozen=True)
 class Sampling:
-    """What is known of the sampling error of an image.
+    """How an image was sampled, for its sampling error.
 
     Attributes
     ----------
     hit : (H, W) bool
-        Whether a pixel's ray meets a surface.
+        Whether a pixel's ray hits a surface.
     step : (H, W) float32 or None
-        As by `edge_step`; None where edges were not looked for.
+        From `edge_step`; None without a search for edges.
     refined : list of Refined
-        Pixels that got more rays; later entries hold for their pixels.
+        Pixels that got more rays; later entries replace earlier ones for their pixels.
     """
 
-    hit: np.ndarray
-    step: np.ndarray | None
-    refined: list = field(default_factory=list)
+    hit: NDArray[np.bool_]
+    step: NDArray[np.float32] | None
+    refined: list[Refined] = field(default_factory=list)
 
 
 class Tracer:
@@ -73,44 +89,47 @@ class Tracer:
         The static scene first, then each dynamic object, all seen from this pose.
     rays : CameraRays
     medium : Vacuum or AirView
-        What lies between the camera and what it sees.
+        Between the camera and the surfaces.
     plan : Plan
-        How many rays and taps.
+        Number of rays and taps.
     slender : callable
-        Returns the Rectangles of pixels that may show things thinner than they are.
+        Returns the Rectangles of pixels that may show details thinner than a pixel.
     """
 
-    def __init__(self, layers, rays, medium, plan, slender):
+    def __init__(
+        self, layers: Sequence[Layer], rays: CameraRays, medium: Vacuum | AirView, plan: Plan,
+        slender: Callable[[], Rectangles],
+    ) -> None:  # fmt: skip
         self._slender = slender
         self._layers, self.rays, self._medium = layers, rays, medium
         self._samples, self._mi = plan.samples, layers[0].geometry.mi
         self._reading = Reading(self._mi, plan.taps, max(plan.taps, PLACES), 1.0 / plan.samples)
         self._once, self._judge = Reading(self._mi, 1, 1, 1.0), Reading(self._mi, PLACES, 1, 1.0, judges=True)
 
-    def image(self, edge_limit):
-        """Return (image (channels, H, W) float32, Sampling): the mean over each pixel's rays of what they see.
+    def image(self, edge_limit: float) -> tuple[NDArray[np.float32], Sampling]:
+        """Return (image (channels, H, W) float32, Sampling): the mean radiance over each pixel's rays.
 
         Parameters
         ----------
         edge_limit : float
-            Error, in the unit of the image's channels added up, from which on a pixel that shows an edge gets more
+            Error, in the unit of the sum of the image's channels, above which a pixel that shows an edge gets more
             rays; infinite: never.
         """
         mi, rays = self._mi, self.rays
         several = sum(len(layer.geometry.surfaces) for layer in self._layers) > 1
-        total = None
+        total: list[Jit] = []
         for cell in rays.footprints(self._samples):
             hit, values = self._shade(cell, self._reading)
-            total = values if total is None else [a + b for a, b in zip(total, values, strict=True)]
+            total = [a + b for a, b in zip(total, values, strict=True)] if total else values
         channels = len(total)
         total = [value / self._samples for value in total]
-        # One or two more channels tell where the edges are.
+        # One or two more channels show the edges.
         x, y = cell.slope
         near = dr.sqrt(1.0 + x * x + y * y) / (hit.distance + hit.mirrored)
         total.append(dr.select(hit.valid, dr.maximum(near, _ENDLESS), 0.0))
         if several and edge_limit < np.inf:
             total.append(mi.Float(hit.surface))
-        # A target of its own for each channel: several scatters into one array would each cast the rays again.
+        # One target per channel: several scatters into one array would each cast the rays again.
         sides = rays.height + 2 * RING, rays.width + 2 * RING
         targets = [dr.zeros(mi.Float, sides[0] * sides[1]) for _ in total]
         for target, value in zip(targets, total, strict=True):
@@ -132,16 +151,16 @@ class Tracer:
             refined += self._refine(flat, thin.pixels, np.zeros(len(thin.pixels)), edge_limit, thin)
         return image, Sampling(met, step, refined)
 
-    def anew(self, pixels, count, random):
-        """Return (channels, n): the mean over `count` rays of pixels by flat number, each read as a judge does.
+    def resampled(self, pixels: NDArray[np.integer], count: int, random: np.random.Generator) -> NDArray[np.float32]:
+        """Return (channels, n): the mean over `count` other rays of pixels by flat number, each read as a judge does.
 
-        Rays stand where a random generator puts them: the mean errs, but by nothing that an image errs by.
+        Rays are at random offsets, so the error of the mean is independent of the image's.
         """
         shift = random.random((len(pixels), 2))
         _, values = self._shade(self.rays.finer(self.rays.position[pixels], 0, count, shift=shift), self._judge)
         return np.stack([np.array(dr.block_sum(value, count)) for value in values]) / count
 
-    def slopes(self, sampling):
+    def slopes(self, sampling: Sampling) -> list[list[Jit]]:
         """Return the slopes of all rays that an image with this Sampling casts, [(x/z, y/z), …]."""
         rays = self.rays
         found = [cell.slope for cell in rays.footprints(self._samples)]
@@ -153,32 +172,38 @@ class Tracer:
         dr.eval(found)
         return found
 
-    def _refine(self, image, pixels, unseen, edge_limit, within=None):
-        """Replace pixels of an image (channels, H W) by the mean of more rays until these err little enough.
+    def _refine(
+        self, image: NDArray[np.float32], pixels: NDArray[np.int64], unseen: NDArray[Any], edge_limit: float,
+        within: Rectangles | None = None,
+    ) -> list[Refined]:  # fmt: skip
+        """Replace pixels of an image (channels, H W) by the mean of more rays until their error is small enough.
 
         Parameters
         ----------
         image : (channels, H W) array
         pixels : (n,) int
         unseen : (n,) array
-            By how much radiance may differ in a pixel although no ray tells.
+            Difference of radiance that a pixel may contain although no ray shows it.
         edge_limit : float
             As of `image`.
         within : Rectangles, optional
-            Parts of the pixels to which these rays go; what is outside of them counts by its area.
+            Parts of the pixels for these rays; the rest of the pixel counts by its area.
 
         Returns
         -------
         list of Refined
         """
-        refined, total, low, high = [], 0.0, np.inf, -np.inf
+        refined: list[Refined] = []
+        total: Any = 0.0
+        low: Any = np.inf
+        high: Any = -np.inf
         share, outside, spread = np.ones(len(pixels)), np.zeros((len(image), len(pixels))), np.zeros(len(pixels))
         if within is not None:
             share = within.share
             around, spread = self._outside(pixels, within)
             outside, spread = (1.0 - share) * around, (1.0 - share) * spread
         first = 0
-        # What is thin may slip between the first rays: it gets all.
+        # Thin details may lie between the first rays, so they get all rays at once.
         for last in STAGES if within is None else STAGES[-1:]:
             if not pixels.size:
                 break
@@ -194,7 +219,9 @@ class Tracer:
             total, outside, first = total[:, on], outside[:, on], last
         return refined
 
-    def _rays_in(self, pixels, first, last, within):
+    def _rays_in(
+        self, pixels: NDArray[np.int64], first: int, last: int, within: Rectangles | None
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
         """(sums (channels, n), least (n,), most (n,)) of rays first … last − 1 of pixels, or of parts of them."""
         _, values = self._shade(self.rays.finer(self.rays.position[pixels], first, last, within), self._once)
         guide = sum(values)
@@ -203,29 +230,25 @@ class Tracer:
         ends = (np.array(dr.block_reduce(op, guide, last - first)) for op in (dr.ReduceOp.Min, dr.ReduceOp.Max))
         return sums, *ends
 
-    def _outside(self, pixels, within):
-        """(mean (channels, n), span (n,)) of a pixel's rays that lie outside of their Rectangles."""
+    def _outside(
+        self, pixels: NDArray[np.int64], within: Rectangles
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """(mean (channels, n), range (n,)) of a pixel's rays outside their Rectangles."""
         count = STAGES[0]
         _, values = self._shade(self.rays.finer(self.rays.position[pixels], 0, count), self._once)
         dr.eval(values)
         values = np.stack([np.array(value) for value in values]).reshape(len(values), -1, count)
         out = self.rays.outside(within, count)
-        # A rectangle that is the whole pixel leaves none.
+        # No ray is outside a rectangle that fills its pixel.
         number = np.maximum(out.sum(axis=1), 1)
         guide = values.sum(axis=0)
         span = np.where(out, guide, -np.inf).max(axis=1) - np.where(out, guide, np.inf).min(axis=1)
         return (values * out).sum(axis=2) / number, np.where(out.any(axis=1), span, 0.0)
 
-    def _shade(self, cell, reading):
-        """Return (hit, channels): what the rays of cells hit, and the mean over these of what comes from there.
-
-        Parameters
-        ----------
-        cell : Footprint
-        reading : Reading
-        """
+    def _shade(self, cell: Footprint, reading: Reading) -> tuple[Hit, list[Jit]]:
+        """Return (hits of the rays of cells, mean radiance over the cells as channels)."""
         layers = self._layers
-        best, surfaces = None, 0
+        best, surfaces = list[Any](), 0
         for number, layer in enumerate(layers):
             hit, values, mirror = self._trace(layer, cell, reading)
             own = [hit.distance, hit.valid, hit.face, hit.surface + surfaces, self._mi.UInt32(number), *mirror, *values]
@@ -241,8 +264,8 @@ class Tracer:
             hit, total = replace(hit, mirrored=mirrored), [a + b for a, b in zip(total, added, strict=True)]
         return hit, self._medium.at_camera(hit, total, ray.o, ray.d)
 
-    def _trace(self, layer, cell, reading):
-        """(hit, channels, (texel, row) as by `mirrors.met`) of one layer, without mirrors and before the medium."""
+    def _trace(self, layer: Layer, cell: Footprint, reading: Reading) -> tuple[Hit, list[Jit], tuple[Jit, Jit]]:
+        """(hit, channels, (texel, row) from `mirrors.met`) of one layer, without mirrors and before the medium."""
         mi, geometry, outgoing = self._mi, layer.geometry, layer.outgoing
         rotation, origin = layer.view
         ray = view_ray(mi, rotation, origin, *cell.slope)
@@ -254,7 +277,7 @@ class Tracer:
         if outgoing.rest:
             total += self._once.mean(geometry, outgoing.rest, hit, position, on_map, cell.middle)[0]
         if outgoing.faces:
-            # Squares of texels hold many faces, and the light on them.
+            # Squares of texels contain many faces with their light.
             own = outgoing.faces.at(hit.face, hit.valid & (level == 0))
             total = [a + b for a, b in zip(total, own, strict=True)]
         return hit, total, mirrors.met(layer, hit, position)
