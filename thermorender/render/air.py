@@ -30,7 +30,7 @@ _LOWEST_M, _STEP, _KEPT = 0.1, 1.03, 16
 
 
 def refuse_camera(scene: Scene, positions: ArrayLike) -> None:
-    """Raise for cameras at local positions (..., 3) that are outside the range of the scene's air or above its clouds."""
+    """Raise for cameras at local positions (..., 3) outside the range of the scene's air or above its clouds."""
     if scene.air is None:
         return
     heights = altitude(positions, scene.altitude_m)
@@ -46,16 +46,9 @@ def refuse_camera(scene: Scene, positions: ArrayLike) -> None:
 
 
 class Vacuum:
-    """No air: channels arrive unchanged.
+    """No air: channels arrive unchanged. `sky` and `background` (C,) are seen by rays that hit nothing."""
 
-    Parameters
-    ----------
-    mi : module
-    sky, background : (C,) floats
-        Channels of rays that hit nothing, above and below the horizon.
-    """
-
-    def __init__(self, mi: Mitsuba, sky: ArrayLike, background: ArrayLike) -> None:
+    def __init__(self, mi: Mitsuba, sky: Floats, background: Floats) -> None:
         rows = (sky, background)
         self._sky, self._background = ([dr.opaque(mi.Float, float(value)) for value in row] for row in rows)
 
@@ -69,31 +62,18 @@ class Vacuum:
 
 
 class Air:
-    """The air of a scene, which makes views of single camera positions.
-
-    Parameters
-    ----------
-    mi : module
-    scene : Scene
-    spectrum : Spectrum
-    """
+    """The air of a scene, which makes views of single camera positions."""
 
     def __init__(self, mi: Mitsuba, scene: Scene, spectrum: Spectrum) -> None:
+        assert scene.air is not None
         self._mi, self._air, self._solver = mi, scene.air, spectrum.solver
         self._altitude_m, self._background_k = scene.altitude_m, scene.surroundings_temperature
         self._seen: dict[int, Floats] = {}
 
     def view(self, origin: Floats, box: Floats, clear: bool = False) -> "AirView":
-        """Return the AirView from a camera position.
+        """Return the AirView from a camera position `origin` (3,) [m] to surfaces in a `box` (2, 3) [m].
 
-        Parameters
-        ----------
-        origin : (3,) array
-            In the scene's local frame [m].
-        box : (2, 3) array
-            Lowest and highest corner of all surfaces [m].
-        clear : bool
-            Whether paths to surfaces transmit all light and emit none.
+        With `clear`, paths to surfaces transmit all light and emit none.
         """
         base = self._altitude_m
         camera = float(altitude(origin, base))
@@ -134,14 +114,10 @@ class PathGrid:
 
     Parameters
     ----------
-    mi : module
-    air : Atmosphere
     from_m : float
         Altitude of the start above sea level [m].
-    limits : (2,) floats
-        Lowest and highest altitude of the end [m].
-    lengths : (2,) floats
-        Shortest and longest path [m].
+    limits, lengths : (2,) floats
+        Lowest and highest altitude of the end, shortest and longest path [m].
     cells : callable
         Returns (..., C) numbers from (transmittances, path radiances) of paths, each (..., n).
     """
@@ -190,7 +166,6 @@ class AirView:
 
     Parameters
     ----------
-    mi : module
     grid : PathGrid
         Weights of the channels and path radiance, K + 1 numbers.
     base : float
@@ -242,11 +217,8 @@ def background(air: Atmosphere, camera_m: float, ground_m: float, temperature: f
 
     Parameters
     ----------
-    air : Atmosphere
-    camera_m, ground_m : float
-        Altitudes of the camera and of the black ground beyond the scene [m].
-    temperature : float
-        Of that ground [K].
+    camera_m, ground_m, temperature : float
+        Altitudes of the camera and of the black ground beyond the scene [m], and its temperature [K].
     position : (n,) array
         Square root of the distance of the zenith angle's cosine from the horizon's, 0 at the horizon, 1 straight down
         or up.

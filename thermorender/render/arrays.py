@@ -47,13 +47,7 @@ def view_ray(mi: Mitsuba, rotation: list[Jit], origin: Jit, x: Jit, y: Jit) -> J
 
 
 class Channels:
-    """A few numbers per texel or face, stored side by side so that one gather reads them all.
-
-    Parameters
-    ----------
-    mi : module
-    values : (n, channels) float array
-    """
+    """Numbers per texel or face, (n, channels), stored side by side so that one gather reads them all."""
 
     def __init__(self, mi: Mitsuba, values: ArrayLike) -> None:
         source = np.asarray(values, dtype=np.float32)

@@ -21,21 +21,14 @@ if TYPE_CHECKING:
 
 
 class DeviceScene:
-    """The arrays of a BakedScene on the device, all derived from it.
-
-    Parameters
-    ----------
-    baked : BakedScene
-    geometry : Geometry
-        Of its surfaces.
-    """
+    """The arrays of a BakedScene on the device, all derived from it."""
 
     def __init__(self, baked: "BakedScene", geometry: Geometry) -> None:
         scene, plan, mi = baked.scene, baked.plan, geometry.mi
         self.geometry, self._mi = geometry, mi
         tables = mirrors.DeviceTables(mi, plan.specular, scene, plan.spectrum) if plan.specular else None
         mirror = None
-        if baked.mirror_black is not None:
+        if tables and baked.mirror_black is not None:
             mirror = mirrors.Mirror(mi, tables, flat(scene, "material"), baked.mirror_black)
         self._outgoing = OutgoingRadiance.of(geometry, baked.texels, baked.faces, mirror)
         self._faces, self._light = baked.faces, baked.static_light
@@ -50,7 +43,8 @@ class DeviceScene:
         else:
             self._air = Air(mi, scene, plan.spectrum)
         self._last_medium: tuple[Any, Any] = None, None
-        self._last_light = self._last_outgoing = self._last_medium
+        self._last_light: tuple[Any, Any] = None, None
+        self._last_outgoing: tuple[Any, Any] = None, None
 
     def layers(self, pose: Floats, placements: Sequence[Placement]) -> list[Layer]:
         """Return the Layers of a view from `pose`: the static scene and each object at its Placement."""
@@ -111,7 +105,7 @@ class DeviceScene:
                 for item, placement in zip(self.objects, lit, strict=True)
             ]
             outgoing = self._outgoing
-            if self._light is not None:
+            if self._light is not None and self._faces is not None:
                 light = self._faces.copy()
                 for _, (faces, added), _ in found:
                     light[faces] += added
@@ -119,10 +113,10 @@ class DeviceScene:
             errors = [(faces, *error) for _, (faces, _), error in found]
             last = self._last_light = key, (outgoing, [own for own, *_ in found], errors)
         outgoing, light, errors = last[1]
-        key, last = (key, tuple(each.temperature for each in placements)), self._last_outgoing
-        if last[0] != key:
+        shown, last = (key, tuple(each.temperature for each in placements)), self._last_outgoing
+        if last[0] != shown:
             each = zip(self.objects, placements, light, strict=True)
-            last = self._last_outgoing = key, [item.outgoing(one.temperature, own) for item, one, own in each]
+            last = self._last_outgoing = shown, [item.outgoing(one.temperature, own) for item, one, own in each]
         return outgoing, last[1], errors
 
 

@@ -8,6 +8,7 @@ weaker by the product of two reflectances.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import drjit as dr
 import numpy as np
@@ -29,7 +30,7 @@ from thermorender.scene.scene import Scene
 # {name of a dynamic object: {column of its track: value}}.
 Objects = Mapping[str, Mapping[str, float]]
 # As from `DynamicObject.light`.
-_Exchange = tuple[Floats, tuple[NDArray[np.int64], NDArray[np.float32]], tuple[Floats, Floats]]
+_Exchange = tuple[Floats, tuple[NDArray[np.int64], NDArray[np.float32]], tuple[Floats, NDArray[Any]]]
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,6 @@ class Placement:
 
     Attributes
     ----------
-    name : str
     pose : (4, 4) float64
         From the object's own frame to the scene's.
     temperature : float
@@ -65,7 +65,6 @@ def placements(
 
     Parameters
     ----------
-    scene : Scene
     time_s : float
         On their tracks [s].
     objects : dict, optional
@@ -132,21 +131,9 @@ class StaticLight:
 
 
 class DynamicObject:
-    """An object with a track, on the render side.
+    """An object with a track, on the render side, with its `geometry` in its own frame.
 
-    Parameters
-    ----------
-    mi : module
-    tracked : TrackedObject
-    plan : Plan
-    materials : sequence of Material
-    tables : DeviceTables or None
-        Of the scene's directional materials; None where these are rendered as diffuse.
-
-    Attributes
-    ----------
-    geometry : Geometry
-        In the object's own frame.
+    `tables` holds the scene's directional materials; None where these are rendered as diffuse.
     """
 
     def __init__(
@@ -164,28 +151,17 @@ class DynamicObject:
     def light(self, placement: Placement, geometry: Geometry, static: StaticLight | None) -> _Exchange:
         """Return (light reflected by each own face, (faces, light added to them), squared errors) at a Placement.
 
-        Parameters
-        ----------
-        placement : Placement
-        geometry : Geometry
-            Of the static scene.
-        static : StaticLight or None
-            None where reflection is left out.
+        `geometry` is the static scene's; `static` is None where reflection is left out.
 
         Returns
         -------
         own : (F, K)
             In each channel [W m⁻² sr⁻¹].
-        faces : (n,) int64
-            Of the static scene.
-        added : (n, K) float32
-            Change of their reflected light due to the object, in each channel [W m⁻² sr⁻¹].
+        faces, added : (n,) int64, (n, K) float32
+            Faces of the static scene, and the change of their reflected light in each channel [W m⁻² sr⁻¹].
         own_square : (F,), square : (n,)
-            Squared standard errors of these due to the number of rays, in the band [W² m⁻⁴ sr⁻²].
-
-        Notes
-        -----
-        The errors assume independent rays. For the evenly spread Sobol rays they are too large rather than too small.
+            Squared standard errors of these due to the number of rays, in the band [W² m⁻⁴ sr⁻²]. They assume
+            independent rays; for the evenly spread Sobol rays they are too large rather than too small.
         """
         if static is None:
             channels = self._plan.spectrum.channels
@@ -228,12 +204,12 @@ class DynamicObject:
         codes, ends, fronts = list[Jit](), list[Jit](), list[Jit]()
         for own_from, sign in ((origin, 1.0), (reverse, -1.0)):
             own = self.geometry.cast(mi.Ray3f(mi.Point3f(own_from), mi.Vector3f(sign * direction)))
-            end = geometry.cast(mi.Ray3f(mi.Point3f(start), sign * along))
-            there = dr.select(end.valid, end.face, others + radiosity.background_code(mi, sign * along))
-            codes.append(dr.select(own.distance < end.distance, known + own.face, there))
+            other = geometry.cast(mi.Ray3f(mi.Point3f(start), sign * along))
+            there = dr.select(other.valid, other.face, others + radiosity.background_code(mi, sign * along))
+            codes.append(dr.select(own.distance < other.distance, known + own.face, there))
             ends.append(there)
-            normal = mi.Vector3f(*geometry.normals.at(end.face, end.valid))
-            fronts.append(end.valid & (dr.dot(normal, sign * along) < 0.0))
+            normal = mi.Vector3f(*geometry.normals.at(other.face, other.valid))
+            fronts.append(other.valid & (dr.dot(normal, sign * along) < 0.0))
         dr.eval(codes, ends, fronts)
         met, met_reverse = (np.array(values, dtype=np.int64) for values in codes)
         end, end_reverse = (np.array(values, dtype=np.int64) for values in ends)
@@ -250,9 +226,9 @@ class DynamicObject:
         ends_on, changes, squares = [], [], []
         for first, hidden, front in ((met, end_reverse, fronts[0]), (met_reverse, end, fronts[1])):
             hit = np.flatnonzero((first < others) & np.array(front))
-            face, own = first[hit], hit // rays
-            weight = self.geometry.area[own] / (rays * geometry.area[face])
-            change = (leaving[own] - static.seen[hidden[hit]]) * static.reflectance[face]
+            face, source_face = first[hit], hit // rays
+            weight = self.geometry.area[source_face] / (rays * geometry.area[face])
+            change = (leaving[source_face] - static.seen[hidden[hit]]) * static.reflectance[face]
             ends_on.append(face)
             squares.append((change.sum(axis=1) * weight) ** 2)
             changes.append((change @ spectrum.share.T) * weight[:, None])

@@ -55,7 +55,6 @@ class Geometry:
     ----------
     mi : module
         Mitsuba with a variant active.
-    surfaces : sequence of Surface
 
     Attributes
     ----------
@@ -138,9 +137,10 @@ class Geometry:
         """Return the records of faces, two Vector4f: gradient and offset of the column, then of the row."""
         return tuple(dr.gather(self.mi.Vector4f, self._record, 2 * face + k, active) for k in (0, 1))
 
-    def map_position(self, record: Sequence[Jit], point: Jit) -> tuple[Jit, ...]:
+    def map_position(self, record: Sequence[Jit], point: Jit) -> tuple[Jit, Jit]:
         """Return (column, row) of points of a face on the texel map, in texels from the upper left corner."""
-        return tuple(dr.fma(g.x, point.x, dr.fma(g.y, point.y, dr.fma(g.z, point.z, g.w))) for g in record)
+        column, row = (dr.fma(g.x, point.x, dr.fma(g.y, point.y, dr.fma(g.z, point.z, g.w))) for g in record)
+        return column, row
 
     def normal(self, record: Sequence[Jit]) -> Jit:
         """Return a vector along the normal of a face; zero where its map is constant."""
@@ -367,7 +367,7 @@ def _map_records(surface: Surface, part: slice) -> Floats:
     return np.concatenate([gradient, offset[..., None]], axis=-1).reshape(-1, 8)
 
 
-def positions(vertices: ArrayLike) -> NDArray[np.float32]:
+def positions(vertices: NDArray[np.floating]) -> NDArray[np.float32]:
     """Return vertices (V, 3) flat, (3 V,) float32, with the four bytes of padding that Embree reads."""
     whole = np.empty(3 * len(vertices) + 1, np.float32)
     whole[:-1] = np.ravel(vertices)

@@ -51,7 +51,7 @@ class OutgoingRadiance:
         values = [part.at(texel, active) for part in (self.texels, self.rest) if part]
         return self._on(face, sum(values, list[Jit]()), active)
 
-    def at(self, geometry: Geometry, hit: Hit, position: Sequence[Jit]) -> list[Jit]:
+    def at(self, geometry: Geometry, hit: Hit, position: tuple[Jit, Jit]) -> list[Jit]:
         """Return all channels at positions (column, row) of a Hit, bilinear, as a list of Float."""
         lattice = geometry.lattice(hit.surface, hit.valid)
         values = [geometry.bilinear(part, lattice, *position, hit.valid) for part in (self.texels, self.rest) if part]
@@ -63,9 +63,15 @@ class OutgoingRadiance:
 
 
 @dataclass(frozen=True)
-class Layer:
-    """A ray caster, the view (rotation, origin) in its frame, and the radiance that leaves its surfaces."""
+class Shape:
+    """A ray caster, and the view (rotation, origin) in its frame."""
 
     geometry: Geometry
     view: tuple[list[Jit], Jit]
-    outgoing: OutgoingRadiance | None
+
+
+@dataclass(frozen=True)
+class Layer(Shape):
+    """A Shape with the radiance that leaves its surfaces."""
+
+    outgoing: OutgoingRadiance

@@ -24,6 +24,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
+from thermorender.atmosphere.model import Atmosphere
 from thermorender.physics.fresnel import COSINES
 from thermorender.render.air import PathGrid
 from thermorender.render.arrays import Channels, Floats, Jit, Mitsuba, aligned
@@ -45,15 +46,7 @@ _SKY_IN_MIRROR_M = 1e6
 class Mirror:
     """Data of the directional texels of one layer.
 
-    Parameters
-    ----------
-    mi : module
-    tables : DeviceTables
-        Of the scene.
-    material : (T,) uint8
-        Number of each texel's material.
-    black : (n, K) array
-        From `black_of`.
+    `material` holds the number of each texel's material, (T,); `black` (n, K) comes from `black_of`.
     """
 
     def __init__(self, mi: Mitsuba, tables: "DeviceTables", material: NDArray[np.integer], black: Floats) -> None:
@@ -68,19 +61,11 @@ class Mirror:
 
 
 class DeviceTables:
-    """ReflectanceTables on the device.
-
-    Parameters
-    ----------
-    mi : module
-    tables : ReflectanceTables
-    scene : Scene
-    spectrum : Spectrum
-    """
+    """ReflectanceTables on the device."""
 
     def __init__(self, mi: Mitsuba, tables: ReflectanceTables, scene: Scene, spectrum: Spectrum) -> None:
         self.number, self._mi = tables.number, mi
-        self._path = None if scene.air is None else _paths(mi, tables.at_m, scene, spectrum)
+        self._path = None if scene.air is None else _paths(mi, scene.air, tables.at_m, scene, spectrum)
         self._at_m = None if scene.air is None else dr.opaque(mi.Float, tables.at_m)
         self.count = tables.matrix.shape[-2]
         self._weight = [dr.opaque(mi.Float, float(value)) for value in tables.weight]
@@ -165,7 +150,7 @@ def black_of(
     return np.stack([np.interp(warm, grid, channel) for channel in table.T], axis=1)
 
 
-def met(layer: Layer, hit: Hit, position: Sequence[Jit]) -> tuple[Jit, Jit]:
+def met(layer: Layer, hit: Hit, position: tuple[Jit, Jit]) -> tuple[Jit, Jit]:
     """Return (flat number of the texel at a Hit, its row among the layer's mirrors from 1 on; 0 where it is none)."""
     mi, mirror = layer.geometry.mi, layer.outgoing.mirror
     if not mirror:
@@ -186,13 +171,8 @@ def correction(
         The static scene first, in whose frame the rays are.
     depth : int
         Largest number of reflections by mirrors; the next mirror is taken as diffuse.
-    origin, direction : Point3f, Vector3f
-    distance : Float
-        To the point hit [m].
-    number : UInt32
-        Of the layer hit.
-    face, texel, row : UInt32
-        Of the Hit in it, and from `met`.
+    distance, number, face, texel, row
+        Of the hit: distance [m], layer, face, and the result of `met`.
     """
     mirror = next(layer.outgoing.mirror for layer in layers if layer.outgoing.mirror)
     nothing = tuple(type(distance)(0.0) for _ in range(mirror.black.count + 1))
@@ -246,7 +226,7 @@ def _reflected(
 
 
 def _seen(layers: Sequence[Layer], depth: int, origin: Jit, direction: Jit) -> tuple[list[Jit], Jit, Jit]:
-    """(channels, distance, whole path length) seen by rays in the first layer's frame, with up to `depth` reflections."""
+    """(channels, distance, whole path length) of rays in the first layer's frame, with up to `depth` reflections."""
     first, best = layers[0], list[Jit]()
     mi = first.geometry.mi
     for place, layer in enumerate(layers):
@@ -280,7 +260,7 @@ def last_steps(layers: Sequence[Layer], *ray: Jit) -> list[Jit]:
     return found
 
 
-def _paths(mi: Mitsuba, at_m: float, scene: Scene, spectrum: Spectrum) -> PathGrid:
+def _paths(mi: Mitsuba, air: Atmosphere, at_m: float, scene: Scene, spectrum: Spectrum) -> PathGrid:
     """PathGrid from mirrors: the share of each channel in each channel, and the light that the air adds to it."""
     box = box_of(scene)
     low, high = (min(at_m, scene.altitude_m + box[0, 2]), max(at_m, scene.altitude_m + box[1, 2]))
@@ -290,7 +270,7 @@ def _paths(mi: Mitsuba, at_m: float, scene: Scene, spectrum: Spectrum) -> PathGr
         shares = np.einsum("kn,...n,nj->...kj", spectrum.basis, passed, spectrum.solver)
         return np.concatenate([shares, (added @ spectrum.basis.T)[..., None]], -1).reshape(*passed.shape[:-1], -1)
 
-    return PathGrid(mi, scene.air, at_m, (low, high), (1.0, farthest(scene)), cells)
+    return PathGrid(mi, air, at_m, (low, high), (1.0, farthest(scene)), cells)
 
 
 def _transformed(

@@ -204,7 +204,6 @@ def make_plan(
 
     Parameters
     ----------
-    scene : Scene
     quality : {"fast", "standard", "high"}
         Sets the four numbers that follow.
     samples, taps : int, optional
@@ -225,7 +224,7 @@ def make_plan(
     samples, taps, edge_mk, rays = checked(quality, samples, taps, edge_mk, rays, tolerance_mk)
     scene.refuse_disagreement()
     scene.refuse_unsolved()
-    band = tuple(scene.camera.band_um)
+    band = scene.camera.band_um
     envelope = _envelope(scene)
     coldest, warmest = min(envelope.temperatures), max(envelope.temperatures)
     wavelength, weight = quadrature(*band)
@@ -292,7 +291,7 @@ def _envelope(scene: Scene) -> Envelope:
     objects = [(material, temperature) for material, both in extremes.items() for temperature in sorted(both)]
     height = [limit(surface.vertices[:, 2]) for surface in scene.surfaces for limit in (np.min, np.max)]
     return Envelope(
-        band_um=tuple(scene.camera.band_um),
+        band_um=scene.camera.band_um,
         ground=(min(ground), max(ground)),
         objects=objects,
         sky_temperature=scene.spec.sky_temperature,

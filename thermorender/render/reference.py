@@ -43,14 +43,12 @@ def render(
 
     Parameters
     ----------
-    scene : Scene
     pose : (4, 4) array
         world_from_camera.
     samples : int
         Paths per pixel.
     depth : int
         Longest path, in surfaces.
-    seed : int
     device : {"auto", "cpu", "cuda"}
     integrator : {"path", "direct"}
         Mitsuba's; "direct" includes one reflection only.
@@ -98,7 +96,6 @@ def frame(
 
     Parameters
     ----------
-    renderer : Renderer
     pose, samples, depth, progress
         As in `render`.
     """
@@ -136,7 +133,7 @@ def mitsuba_scene(mi: Mitsuba, scene: Scene, pose: Floats, integrator: str, dept
     # Mitsuba keeps registered classes until the process ends. Large arrays therefore belong to the instances, which end
     # with their scene; `loaded` holds the arrays only until the instances exist.
     loaded = SimpleNamespace(texels=_texel_reader(mi, scene))
-    outside = scene.spec.sky_temperature, scene.surroundings_temperature
+    outside = scene.sky_temperature, scene.surroundings_temperature
     mi.register_texture(name, _texture(mi, outside, middle, loaded))
     mi.register_bsdf(f"{name}-mirror", _mirror(mi, loaded))
     camera = scene.camera
@@ -226,7 +223,7 @@ def _mesh(mi: Mitsuba, name: str, number: int, surface: Surface, terrain_count: 
     properties = mi.Properties()
     texture = {"type": name, "surface": number}
     diffuse = {"type": "diffuse", "reflectance": {**texture, "what": "reflectance"}}
-    emitter = {"type": "area", "radiance": {**texture, "what": "emission"}}
+    emitter: dict[str, Any] = {"type": "area", "radiance": {**texture, "what": "emission"}}
     if mirrors[np.unique(surface.material)].any():
         properties["bsdf"] = mi.load_dict({"type": f"{name}-mirror", "surface": number})
         # The angle of emission is known only at a hit, so the emitter is not sampled.
@@ -317,7 +314,7 @@ def _planck(wavelength: Jit, temperature: Jit) -> Jit:
     return C1L / wavelength**5 / (dr.exp(C2 / (wavelength * temperature)) - 1.0)
 
 
-def _texture(mi: Mitsuba, outside: tuple[float | None, float], horizon_m: float, loaded: SimpleNamespace) -> type:
+def _texture(mi: Mitsuba, outside: tuple[float, float], horizon_m: float, loaded: SimpleNamespace) -> type:
     """The texture: spectral radiance emitted at the angle of view, or the reflectance of diffuse materials."""
 
     class Thermal(mi.Texture):

@@ -94,10 +94,11 @@ def make_tables(scene: Scene, spectrum: Spectrum, envelope: Envelope) -> Reflect
     ]
     row = np.zeros(len(scene.materials), dtype=np.uint8)
     row[list(seen)] = 1 + np.arange(len(seen))
-    stacked = [np.stack([getattr(case, name) for case in cases]) for name in ("matrix", "environment")]
+    matrix, environment = (np.stack([getattr(case, name) for case in cases]) for name in ("matrix", "environment"))
     weight = spectrum.solver.sum(axis=0)
-    worst = [max(getattr(case, name) for case in cases) for name in ("effect_mk", "error_mk")]
-    return ReflectanceTables(row, *stacked, weight, *worst, float(np.mean([at_m for at_m, *_ in seen.values()])))
+    effect_mk, error_mk = (max(getattr(case, name) for case in cases) for name in ("effect_mk", "error_mk"))
+    at_m = float(np.mean([at_m for at_m, *_ in seen.values()]))
+    return ReflectanceTables(row, matrix, environment, weight, effect_mk, error_mk, at_m)
 
 
 class _Case:

@@ -19,7 +19,7 @@ from thermorender.render.arrays import opaque_view, view_ray
 from thermorender.render.baked import BakedScene, Progress, bake
 from thermorender.render.dynamic import Objects, placements
 from thermorender.render.geometry import Geometry, refuse_other_surfaces
-from thermorender.render.layers import Layer, OutgoingRadiance
+from thermorender.render.layers import Layer, OutgoingRadiance, Shape
 from thermorender.render.pixels import slender
 from thermorender.render.pixels.sampling import CameraRays
 from thermorender.render.pixels.tracer import Sampling, Tracer
@@ -233,7 +233,7 @@ class Renderer:
     def sky(
         self, pose: ArrayLike, camera: Camera | None = None, time_s: float = 0.0, objects: Objects | None = None
     ) -> NDArray[np.bool_]:
-        """Return where a pixel's middle looks above the horizon and shows no surface, (H, W); `camera` as of `visible`."""
+        """Return where a pixel's middle is above the horizon without a surface, (H, W); `camera` as of `visible`."""
         view = self._view(pose, time_s, objects)
         layers = self.baked.device.layers(view.pose, view.placements)
         valid, _, up, *_ = truth.pixel_middles(layers, self._camera_rays(camera))
@@ -245,7 +245,7 @@ class Renderer:
 
         `camera` as of `visible`.
         """
-        at_rest = Layer(self._geometry, opaque_view(self._geometry.mi, checked_pose(pose)), None)
+        at_rest = Shape(self._geometry, opaque_view(self._geometry.mi, checked_pose(pose)))
         return np.asarray(truth.pixel_middles([at_rest], self._camera_rays(camera))[4], np.float32)
 
     def objects_seen(

@@ -52,7 +52,6 @@ class Points:
     ----------
     wavelength_um, weight : (Q,) float64
         [µm].
-    air : Atmosphere or None
     node : (Q,) int
         The air's node of each point; zeros without air.
     """
@@ -73,7 +72,8 @@ class Points:
             for low, high in zip(air.lower_um, air.upper_um, strict=True)
         ]
         node = np.repeat(np.arange(air.nodes), [len(part[0]) for part in parts])
-        return cls(*(np.concatenate(part) for part in zip(*parts, strict=True)), air, node)
+        wavelength, weight = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return cls(wavelength, weight, air, node)
 
     def planck(self, temperature: ArrayLike) -> Floats:
         """Return a blackbody's radiance at each point, including the weight, (..., Q) [W m⁻² sr⁻¹]."""
@@ -98,7 +98,6 @@ class Spectrum:
 
     Attributes
     ----------
-    points : Points
     label : (Q,) int
         Node of each point.
     emissivity : (M, N) float64
@@ -193,7 +192,6 @@ class Envelope:
         Of an isotropic sky [K]; None with air.
     surroundings_temperature : float
         [K].
-    air : Atmosphere or None
     altitude_m : (2,) floats
         Of the lowest and the highest surface above sea level.
     """
@@ -223,6 +221,7 @@ class Envelope:
         objects = _black(points, [temperature for _, temperature in self.objects]) if self.objects else ground[:0]
         background = _black(points, [self.surroundings_temperature])
         if self.air is None:
+            assert self.sky_temperature is not None
             return np.concatenate([_black(points, [self.sky_temperature]), background]), ground, objects
         at, cosine = np.meshgrid(self.altitude_m, _SKY_COSINES)
         sky = self.air.sky_radiance(at.ravel(), cosine.ravel())
@@ -263,8 +262,6 @@ def make_spectrum(materials: Sequence[Material], envelope: Envelope, tolerance_m
 
     Parameters
     ----------
-    materials : sequence of Material
-    envelope : Envelope
     tolerance_mk : float
         Largest error of nodes and channels allowed on the envelope [mK].
     reflects : bool

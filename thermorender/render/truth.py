@@ -16,7 +16,7 @@ from thermorender.physics.fresnel import COSINES
 from thermorender.physics.planck import band_radiance, spectral_radiance
 from thermorender.render.arrays import Floats, aligned, view_ray
 from thermorender.render.dynamic import Placement
-from thermorender.render.layers import Layer
+from thermorender.render.layers import Shape
 from thermorender.render.pixels.sampling import CameraRays
 from thermorender.render.reflectance import directional
 from thermorender.render.spectrum import REFERENCE_K
@@ -34,17 +34,7 @@ Image = NDArray[Any]
 def truth(
     baked: "BakedScene", rays: CameraRays, pose: Floats, placements: Sequence[Placement]
 ) -> dict[str, NDArray[Any]]:
-    """Return {name: image} of the ground truth at the pixels' middles; the images are those of `Frame.truth`.
-
-    Parameters
-    ----------
-    baked : BakedScene
-    rays : CameraRays
-    pose : (4, 4) array
-        world_from_camera.
-    placements : sequence of Placement
-        Of the dynamic objects.
-    """
+    """Return {name: image} of the ground truth at the pixels' middles, as `Frame.truth` has it."""
     scene, camera, layers = baked.scene, rays.camera, baked.device.layers(pose, placements)
     warm = [placement.temperature for placement in placements]
     by_angle = directional(scene.materials)
@@ -76,28 +66,19 @@ def truth(
 
 
 def pixel_middles(
-    layers: Sequence[Layer], rays: CameraRays, facing: bool = False
+    layers: Sequence[Shape], rays: CameraRays, facing: bool = False
 ) -> tuple[Image, Image, Image, Image, Image, list[Image]]:
     """Return the surface points at the pixels' middles as images (H, W): valid, texel, up, cosine, depth, position.
 
-    Parameters
-    ----------
-    layers : sequence of Layer
-        Of a view: the static scene's and those of dynamic objects.
-    rays : CameraRays
-    facing : bool
-        Whether to compute the cosine between normal and view; 0 otherwise.
-
     Returns
     -------
-    valid : bool
-        Whether a surface is hit.
+    valid, up : bool
+        Whether a surface is hit, and whether the ray points to the horizon or above.
     texel : uint32
         Its number over all surfaces of the layers.
-    up : bool
-        Whether the ray points to the horizon or above.
     cosine, depth : float32
-        Of the angle at the surface, below 0 on its back; along the optical axis [m], infinity where nothing is hit.
+        Of the angle at the surface, below 0 on its back, computed only if `facing`; along the optical axis [m],
+        infinity where nothing is hit.
     position : list of three float32
         In the local frame [m].
     """
@@ -137,17 +118,7 @@ def pixel_middles(
 def targets(
     baked: "BakedScene", camera: Camera, pose: Floats, placements: Sequence[Placement]
 ) -> dict[str, dict[str, Any]]:
-    """Return {object: {pixel, in_view, visible, range_m}} of the scene's objects, as `Frame.targets` has it.
-
-    Parameters
-    ----------
-    baked : BakedScene
-    camera : Camera
-    pose : (4, 4) array
-        world_from_camera.
-    placements : sequence of Placement
-        Of the dynamic objects.
-    """
+    """Return {object: {pixel, in_view, visible, range_m}} of the scene's objects, as `Frame.targets` has it."""
     middles = dict(baked.scene.targets)
     for tracked, placement in zip(baked.scene.tracked_objects, placements, strict=True):
         corner = np.concatenate([surface.vertices for surface in tracked.surfaces])

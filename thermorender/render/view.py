@@ -26,8 +26,6 @@ class View:
 
     Attributes
     ----------
-    baked : BakedScene
-    rays : CameraRays
     pose : (4, 4) float64
         world_from_camera.
     placements : tuple of Placement

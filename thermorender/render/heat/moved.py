@@ -36,6 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from thermorender.errors import ThermorenderError
+from thermorender.materials.material import Material
 from thermorender.materials.shifted import PROPERTIES, shifted
 from thermorender.render.geometry import Geometry
 from thermorender.render.heat.simulation import solved
@@ -44,6 +45,7 @@ from thermorender.scene.scene import Scene
 from thermorender.scene.surface import FALLBACK, UNMOVED
 from thermorender.scene.temperature_state import Moved as MovedSource
 from thermorender.units import ZERO_CELSIUS_K, utc_text
+from thermorender.weather.series import Weather
 
 # Error of a balance with the right properties, one standard deviation w [K]: chosen.
 BALANCE_ERROR_K = 0.5
@@ -63,6 +65,8 @@ _MEDIAN_OF_SQUARE = 0.4549
 _OF_ERROR = 16.0
 
 Progress = Callable[[str, float], object]
+# A weather, and an instant in it.
+Instant = tuple[Weather, np.datetime64]
 
 
 @dataclass(frozen=True)
@@ -194,7 +198,8 @@ class Carried:
     """
 
     def __init__(self, scene: Scene, there: Scene, here: Scene, before: Expected) -> None:
-        self.scene, self.there, self.here, self.before = scene, there, here, before
+        assert there.time is not None
+        self.scene, self.before, self.here, self.trained = scene, before, here.weather, (there.weather, there.time)
         terrain = scene.surfaces[: scene.terrain_count]
         self.shape = [surface.material.shape for surface in terrain]
         material = np.concatenate([surface.material.ravel() for surface in terrain])
@@ -218,7 +223,7 @@ class Carried:
         """Return the map Moved to an instant, given the Expected of that instant."""
         kelvin, rest = after.kelvin, BALANCE_ERROR_K**2
         shared, spread = self.ratio * _product(self.before, after), self.ratio * _product(after, after)
-        correlation = _correlation(self.there, self.here, at)
+        correlation = _correlation(self.trained, (self.here, at))
         error = self.ratio * self.error
         whole = self.own + rest + error
         gain = (shared + correlation * rest + correlation**_OF_ERROR * error) / whole
@@ -236,7 +241,7 @@ class Carried:
             for surface, mask in zip(self.scene.surfaces, self._split(unmoved), strict=False)
         ]
         report = {
-            "trained": utc_text(self.there.time),
+            "trained": utc_text(self.trained[1]),
             "mean_absolute_difference_k": round(float(np.abs(self.difference[~self.failed]).mean()), 3)
             if not self.failed.all() else None,
             "mean_uncertainty_k": round(float(std.mean(dtype=np.float64)), 3),
@@ -253,7 +258,7 @@ class Carried:
 
     def _ground_changes(self, at: np.datetime64, kelvin: NDArray[Any]) -> NDArray[np.bool_]:
         """Where the ground is white, wet or melting at only one of the instants."""
-        both = (self.there.weather, self.there.time), (self.here.weather, at)
+        both = self.trained, (self.here, at)
         white = [bool(weather.at(instant).snow_m > 0.0) for weather, instant in both]
         wet = [_wet(*each) for each in both]
         if white[0] != white[1] or wet[0] != wet[1]:
@@ -279,21 +284,21 @@ def _kelvin(scene: Scene) -> NDArray[np.float32]:
     return np.concatenate([surface.temperature.ravel() for surface in scene.surfaces[: scene.terrain_count]])
 
 
-def _is_snow(material: Any) -> bool:
+def _is_snow(material: Material) -> bool:
     parts = getattr(material, "parts", None) or ((material, 1.0),)
     return any(part.thermal is not None and part.thermal.cover == "snow" for part, _ in parts)
 
 
-def _wet(weather: Any, at: np.datetime64) -> bool:
+def _wet(weather: Weather, at: np.datetime64) -> bool:
     """Whether rain has fallen in the hours before an instant, or since the weather begins."""
     hours = at - np.arange(_WET_H) * np.timedelta64(3600, "s")
     return float(weather.at(np.maximum(hours, weather.time[0])).rain_mm_h.sum()) > _WET_MM
 
 
-def _correlation(there: Scene, here: Scene, at: np.datetime64) -> float:
+def _correlation(there: Instant, here: Instant) -> float:
     """ρ between the trained instant and another, of the error that no property explains."""
     both = []
-    for weather, instant in ((there.weather, there.time), (here.weather, at)):
+    for weather, instant in (there, here):
         recent = np.maximum(instant + _RECENT, weather.time[0])
         seen = weather.at(recent)
         sine = np.sin(np.radians(np.maximum(weather.sun(recent)[1], 0.0)))
@@ -302,7 +307,7 @@ def _correlation(there: Scene, here: Scene, at: np.datetime64) -> float:
             "air": float(seen.air_k[-1]),
             "wind": float(seen.wind_m_s.mean()),
         })  # fmt: skip
-    hours = float((at - there.time) / np.timedelta64(1, "h"))
+    hours = float((here[1] - there[1]) / np.timedelta64(1, "h"))
     # The nearest way round the clock, and round the year.
     away = {
         "hour": abs((hours + 12.0) % 24.0 - 12.0),

@@ -10,15 +10,8 @@ from thermorender.scene.surface import Surface
 
 
 def texel_points(geometry: Geometry, texels: NDArray[np.integer], face: NDArray[np.integer]) -> NDArray[np.float32]:
-    """Return the middles of texels in space, (n, 3) float32 [m].
-
-    Parameters
-    ----------
-    geometry : Geometry
-    texels : (n,) int array
-        Numbers of texels over all surfaces, ascending.
-    face : (n,) int array
-        The face that covers each.
+    """Return the middles of `texels` in space, (n, 3) float32 [m]: ascending numbers over all surfaces; `face` covers
+    each.
     """
     spot = np.empty((len(texels), 3), dtype=np.float32)
     for number, surface in enumerate(geometry.surfaces):
@@ -32,15 +25,9 @@ def texel_points(geometry: Geometry, texels: NDArray[np.integer], face: NDArray[
 
 
 def sun_cosine(geometry: Geometry, point: Jit, normal: Jit, towards: NDArray[np.float64]) -> Jit:
-    """Return the cosine of the sun's rays at points, 0 in shadow, Float.
+    """Return the cosine of the sun's rays at points a little above the surface, 0 in shadow, Float.
 
-    Parameters
-    ----------
-    geometry : Geometry
-    point, normal : mi.Point3f, mi.Vector3f
-        Points a little above the surface.
-    towards : (3,) floats
-        Direction to the sun.
+    `towards` is the direction to the sun, (3,).
     """
     mi = geometry.mi
     sun = mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in towards))

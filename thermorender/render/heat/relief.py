@@ -192,8 +192,8 @@ def mapped(
     from thermorender.learned.temperature_map import Inputs
 
     source = scene.temperature_state.source
-    assert isinstance(source, Conditional)
-    spec, surface, model, solved = scene.spec, scene.surfaces[0], source.model, {}
+    assert isinstance(source, Conditional) and scene.spec.weather is not None
+    surface, model, solved = scene.surfaces[0], source.model, {}
     planes_of: dict[np.datetime64, Planes] = dict.fromkeys(times, {})
     if "terrain" in model.needs:
         planes_of = reliefs(scene, times, geometry, progress)
@@ -207,7 +207,7 @@ def mapped(
         report: dict[str, Any] = {}
         texels = Texels(surface.colour, surface.material, scene.materials, scene.grid, surface.texel_m, scene.where,
                         report)  # fmt: skip
-        given = conditions(scene.weather, time, spec.weather.inside_c)
+        given = conditions(scene.weather, time, scene.spec.weather.inside_c)
         # Where the map fails, the air's temperature follows the hour; a material's own does not.
         values, flags = from_map(model, Inputs(surface.colour, surface.texel_m, planes, given), texels, sky,
                                  given["air_k"])  # fmt: skip

@@ -155,12 +155,13 @@ class _Simulation:
         self, scene: Scene, geometry: Geometry, asked: "list[np.datetime64]", deviations: Deviations | None
     ) -> None:
         self.scene, self.geometry, self.mi, self.asked = scene, geometry, geometry.mi, asked
+        assert scene.spec.weather is not None
         self.weather, self.inside_k = scene.weather, scene.spec.weather.inside_c + ZERO_CELSIUS_K
         terrain = scene.surfaces[: scene.terrain_count]
         self.faces = int(geometry.face_start[scene.terrain_count])
         self.texels = int(geometry.texel_start[scene.terrain_count])
         self.material = np.concatenate([surface.material.ravel() for surface in terrain])
-        self.deviations = deviations and deviations.columns(self.texels)
+        self.deviations = None if deviations is None else deviations.columns(self.texels)
         corner = np.concatenate([surface.vertices[surface.faces] for surface in terrain])
         across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
         if across[:, 2].sum() < 0.0:
@@ -256,18 +257,20 @@ class _Simulation:
         material = np.concatenate([self.face_material[: self.faces], self.material[texels]])
         kind = mi.UInt32(aligned(self.row[material], np.uint32))
         row = lambda values: dr.gather(mi.Float, mi.Float(aligned(values)), kind)  # noqa: E731
-        rows = lambda values: None if values is None else [row(each) for each in values]  # noqa: E731
-        ground = Ground(**{
-            name: rows(values) if isinstance(values, list) or values is None else row(values)
+        rows = lambda values: [row(each) for each in values]  # noqa: E731
+        properties: dict[str, Any] = {
+            name: rows(values) if isinstance(values, list) else None if values is None else row(values)
             for name, values in self.columns.ground._asdict().items()
-        })  # fmt: skip
+        }
+        ground = Ground(**properties)
         # A face has the deviations of the texel at its middle.
         column = np.concatenate([self.face_texel[: self.faces], texels])
         if self.deviations is not None:
             ground = _varied(ground, *(mi.Float(aligned(each[column])) for each in self.deviations[1:]))
         reflected = row(1.0 - self.columns.absorptance) * mi.Float(aligned(self.reflects[column]))
         begin = self.state
-        state = State(row(begin.surface_k), rows(begin.layers_k), row(begin.film), rows(begin.liquid))
+        liquid = None if begin.liquid is None else rows(begin.liquid)
+        state = State(row(begin.surface_k), rows(begin.layers_k), row(begin.film), liquid)
         absorptance = dr.clip(1.0 - reflected, 0.02, 0.98)
         above_m = point[:, 2] + np.float32(self.scene.altitude_m - self.weather.altitude_m)
         cooler = np.float32(-humidity.LAPSE_K_M) * above_m
@@ -291,7 +294,7 @@ class _Simulation:
         """
         mi, own = self.mi, None
         light: _Light | None = None
-        self.arrives: NDArray[Any] | None = None
+        self.arrives: Any = None
         steps = _steps(self.start, self.asked)
         first_s = float((self.asked[0] - self.start) / np.timedelta64(1, "s"))
         if first_s and self.deviations is None and not self.scene.spec.temperature.brightness:
@@ -309,15 +312,16 @@ class _Simulation:
         for number, (at, seconds) in enumerate(steps):
             if own is not None and at >= first_s - _OWN_S - 1e-6:
                 index = mi.UInt32(aligned(np.concatenate([np.arange(self.faces), self.faces + own]), np.uint32))
-                each = lambda values, index=index: values and [dr.gather(mi.Float, v, index) for v in values]  # noqa: E731
-                state = State(*each([state.surface_k]), each(state.layers_k), *each([state.film]), each(state.liquid))
+                own_of = lambda values, index=index: [dr.gather(mi.Float, each, index) for each in values]  # noqa: E731
+                surface_k, *layers_k, film = own_of([state.surface_k, *state.layers_k, state.film])
+                state = State(surface_k, layers_k, film, state.liquid and own_of(state.liquid))
                 columns, _ = self._columns(texels)
                 _evaluate(state)
                 own = None
             if light is None or at >= light.until:
                 light = self._light(at, state.surface_k, columns)
-            stages = [self._forcing(at + offset, light, columns) for offset in balance.stage_times(seconds)]
-            state, _ = balance.step(_Library, state, columns.ground, *stages, dr.opaque(mi.Float, seconds))
+            first, second = (self._forcing(at + offset, light, columns) for offset in balance.stage_times(seconds))
+            state, _ = balance.step(_Library, state, columns.ground, first, second, dr.opaque(mi.Float, seconds))
             _evaluate(state)
             progress((number + 1) / len(steps))
             if self.start + np.timedelta64(round(at + seconds), "s") in self.asked:
@@ -383,7 +387,7 @@ class _Simulation:
             leaves = np.column_stack([
                 self.reflectance * (own + before[:, 0]), emitted + (1.0 - self.emissivity) * (sky + before[:, 1])
             ])  # fmt: skip
-            beyond = np.float32([self.mean(leaves[:, 0]), self.mean(leaves[:, 1])])
+            beyond = np.array([self.mean(leaves[:, 0]), self.mean(leaves[:, 1])], np.float32)
             self.arrives = self.operator @ leaves + self.background[:, None] * beyond
         upload = lambda values: mi.Float(aligned(values[: self.faces]))  # noqa: E731
         until = _LIGHT_S * (np.floor(at_s / _LIGHT_S + 1e-9) + 1.0)

@@ -53,7 +53,7 @@ def traced(
 
 
 def key(geometry: Geometry, rays: int, seed: int = 0) -> str:
-    """Return the name of a scene's traced light: a hash of its surfaces, the rays, the seed and the program's version."""
+    """Return the name of a scene's traced light: a hash of its surfaces, the rays, the seed and the versions."""
     digest = hashlib.blake2b(digest_size=20)
     # The ray casters of CPU and GPU differ in the last digits, so each has its own files.
     mi = geometry.mi
@@ -86,12 +86,7 @@ def load(name: str) -> radiosity.Transport | None:
 def store(name: str, transport: radiosity.Transport, limit: int | None = None) -> str | None:
     """Store a Transport under `name`; return None, or the reason why that was not possible.
 
-    Parameters
-    ----------
-    name : str
-    transport : Transport
-    limit : int, optional
-        Largest total size of the files [bytes]; LIMIT where None. The least recently used are removed.
+    All files together take at most `limit` bytes, LIMIT where None; the least recently used are removed.
     """
     limit = LIMIT if limit is None else limit
     arrays = {field.name: np.asarray(getattr(transport, field.name)) for field in fields(transport)}
@@ -136,4 +131,4 @@ def _feed(digest: "hashlib.blake2b", values: NDArray[Any]) -> None:
     """Add an array to a hash, with type and shape, as equal bytes may represent other numbers."""
     values = np.ascontiguousarray(values)
     digest.update(f"{values.dtype.str}{values.shape}".encode())
-    digest.update(values.reshape(-1).view(np.uint8))
+    digest.update(values.reshape(-1).view(np.uint8).data)

@@ -72,7 +72,7 @@ def of_scene(scene: Scene, plan: Plan, geometry: Geometry) -> Environment:
     spectrum = plan.spectrum
     background = spectrum.black([scene.surroundings_temperature])[0]
     if scene.air is None:
-        return even(spectrum.black([scene.spec.sky_temperature])[0], background, geometry.face_count)
+        return even(spectrum.black([scene.sky_temperature])[0], background, geometry.face_count)
     height = altitude(np.concatenate([s.vertices[s.faces].mean(axis=1) for s in geometry.surfaces]), scene.altitude_m)
     low, high = float(height.min()), float(height.max())
     levels = np.linspace(low, high, 1 + max(1, int(np.ceil((high - low) / _LEVEL_M))))
@@ -102,7 +102,7 @@ def _sunlight(scene: Scene, spectrum: Spectrum, geometry: Geometry, at_m: float)
     mi, towards = geometry.mi, sun.direction(scene.sun.elevation_deg, scene.sun.azimuth_deg)
     passed = scene.air.sun_transmittance(at_m, towards[2])
     points = spectrum.points
-    share = points.air.shares(sun.BRIGHTNESS_TEMPERATURE_K)[points.node]
+    share = scene.air.shares(sun.BRIGHTNESS_TEMPERATURE_K)[points.node]
     light = (1.0 - scene.air.cloud_fraction) * sun.irradiance(points.wavelength_um) * points.weight * share
     light = spectrum.gathered(light * passed[points.node]) / np.pi
     rays_of, seen = radiosity.FaceRays(geometry, _SUN_POINTS // 2), np.empty(geometry.face_count)

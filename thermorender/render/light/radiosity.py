@@ -124,7 +124,6 @@ def trace(geometry: Geometry, rays: int, progress: Callable[[float], object] | N
 
     Parameters
     ----------
-    geometry : Geometry
     rays : int
         Rays per face, 1…65536; odd numbers are rounded up, for two equal halves. Powers of two spread most evenly.
     progress : callable, optional
@@ -174,7 +173,6 @@ def solve(
 
     Parameters
     ----------
-    transport : Transport
     emitted, reflectance : (F, N)
         Mean emitted radiance [W m⁻² sr⁻¹] and reflectance of each face at each node.
     environment : Environment

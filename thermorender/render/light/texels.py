@@ -30,15 +30,7 @@ def face_means(
 ) -> Iterator[tuple[Floats, Floats]]:  # fmt: skip
     """Yield, for each slice of nodes, mean emitted radiance and reflectance of each face, both (F, n) float64.
 
-    Parameters
-    ----------
-    geometry : Geometry
-    plan : Plan
-    material : (T,) uint8
-        Number of each texel's material.
-    temperature : (T,) float32
-        Kinetic temperature of each texel [K].
-    blocks : sequence of slice
+    `material` and `temperature` are those of all texels, (T,) numbers and [K].
     """
     mi, count, spectrum = geometry.mi, geometry.face_count, plan.spectrum
     grid = RadianceTable.grid(plan.coldest, plan.warmest)
@@ -77,14 +69,7 @@ def emitted(
 ) -> list[NDArray[np.float32]]:
     """Return the emission of each texel into each channel, a list of K arrays (T,) float32 [W m⁻² sr⁻¹].
 
-    Parameters
-    ----------
-    plan : Plan
-    materials : sequence of Material
-    material : (T,) uint8
-        Number of each texel's material.
-    temperature : (T,) float32
-        [K].
+    `material` and `temperature` are those of all texels, (T,) numbers and [K].
     """
     found = [np.empty(len(material), dtype=np.float32) for _ in range(plan.spectrum.channels)]
     limits = float(temperature.min()), float(temperature.max())
@@ -103,24 +88,20 @@ def emitted(
 def bake_channel(
     geometry: Geometry, covers: Jit, emitted: NDArray[np.float32], material: NDArray[np.uint8],
     light: NDArray[np.float32],
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:  # fmt: skip
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:  # fmt: skip
     """Return (radiance of each texel (T,), correction of each face (F,), remaining scatter (F,)), float32.
+
+    Radiance and correction are in W m⁻² sr⁻¹. The scatter is the mean square, in their unit squared, of deviations
+    within a face that a constant does not restore.
 
     Parameters
     ----------
-    geometry : Geometry
     covers : UInt32
         The face that covers each texel, from `Geometry.face_of_texel`.
-    emitted : (T,) float32
-        Emitted band radiance of each texel [W m⁻² sr⁻¹].
-    material : (T,) uint8
+    emitted, material : (T,) float32 and uint8
+        Emitted band radiance [W m⁻² sr⁻¹] and material of each texel.
     light : (F, M) float32
         Band radiance that each material would reflect on each face [W m⁻² sr⁻¹].
-
-    Notes
-    -----
-    Radiance and correction are in W m⁻² sr⁻¹. The scatter is the mean square, in their unit squared, of deviations
-    within a face that a constant does not restore.
     """
     mi, count, kinds = geometry.mi, *light.shape
     # One more row, the mean, for texels without a face, which only blend into their neighbours.
@@ -148,8 +129,7 @@ def bake_channel(
 def light(incident: NDArray[np.float32], reflected: Floats) -> NDArray[np.float32]:
     """Return the radiance that each material reflects on each face, (F, M) float32 [W m⁻² sr⁻¹].
 
-    `incident` is that of each face at each node, (F, N) float32 [W m⁻² sr⁻¹], `reflected` a material's share of each,
-    (M, N).
+    It is computed from the `incident` radiance of each face at each node, (F, N), and the share reflected, (M, N).
     """
     return incident @ reflected.T.astype(np.float32)
 
@@ -159,14 +139,10 @@ def variation(geometry: Geometry, reflected: NDArray[Any], noise: Floats, sample
 
     Parameters
     ----------
-    geometry : Geometry
-    reflected : (F,)
-        Light that each face would reflect with the mean reflectance of all.
-    noise : (F,)
-        Its Monte Carlo error, which also makes neighbours differ.
+    reflected, noise : (F,)
+        Light that each face would reflect with the mean reflectance of all, and its Monte Carlo error.
     samples : int
         Vertices of each surface whose faces are compared with their neighbours.
-    seed : int
 
     Notes
     -----
@@ -187,8 +163,8 @@ def variation(geometry: Geometry, reflected: NDArray[Any], noise: Floats, sample
         side, owner = side[order], owner[order]
         shared = (side[1:] == side[:-1]).all(axis=1)
         one, other = owner[1:][shared], owner[:-1][shared]
-        corner = [surface.vertices[surface.faces[numbers - first]] for numbers in (one, other)]
-        normal = [np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]) for c in corner]
+        corners = [surface.vertices[surface.faces[numbers - first]] for numbers in (one, other)]
+        normal = [np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]) for c in corners]
         length = [np.linalg.norm(n, axis=1) for n in normal]
         flat = np.einsum("ij,ij->i", *normal) > 0.99 * length[0] * length[1]
         one, other = one[flat], other[flat]

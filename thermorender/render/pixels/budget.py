@@ -39,23 +39,7 @@ def budget_mk(
     baked: "BakedScene", tracer: Tracer, pose: Floats, placements: Sequence[Placement], radiance: NDArray[np.float32],
     sampling: Sampling,
 ) -> dict[str, float]:  # fmt: skip
-    """Return {cause: estimated root mean square error [mK]} of a frame, as `Frame.budget_mk`.
-
-    Means are over the pixels that show a surface.
-
-    Parameters
-    ----------
-    baked : BakedScene
-    tracer : Tracer
-        Of the view.
-    pose : (4, 4) array
-        world_from_camera.
-    placements : sequence of Placement
-        Of the dynamic objects.
-    radiance : (H, W) float32
-        [W m⁻² sr⁻¹].
-    sampling : Sampling
-    """
+    """Return {cause: estimated root mean square error [mK]} of a frame over the pixels that show a surface."""
     errors = sampling_error(baked.plan, tracer, radiance, sampling)
     parts = _everywhere(baked)
     light, mirrored = _light(baked, tracer.rays, pose, placements, _PIXELS)
@@ -70,10 +54,7 @@ def error_mk(
     baked: "BakedScene", tracer: Tracer, pose: Floats, placements: Sequence[Placement], radiance: NDArray[np.float32],
     sampling: Sampling,
 ) -> NDArray[np.float32]:  # fmt: skip
-    """Return the estimated error of each pixel by all causes, (H, W) float32 [mK at 300 K]; NaN without a surface.
-
-    Parameters as of `budget_mk`.
-    """
+    """Return the estimated error of each pixel by all causes, (H, W) float32 [mK at 300 K]; NaN without a surface."""
     errors = sampling_error(baked.plan, tracer, radiance, sampling)
     rays = tracer.rays
     light = np.zeros(radiance.size)
@@ -142,7 +123,7 @@ def sampling_error(
 ) -> NDArray[np.float32]:
     """Return the estimated error of each pixel due to its rays and texture, (H, W) float32 [W m⁻² sr⁻¹].
 
-    It is NaN where a pixel shows no surface. Parameters as of `budget_mk`.
+    It is NaN where a pixel shows no surface.
     """
     span = contrast(radiance)
     # Without a search for edges any contrast may be one.
@@ -157,8 +138,8 @@ def sampling_error(
     guess += (_LEAST_MK * plan.radiance_per_mk) ** 2
     random = np.random.Generator(np.random.Philox(0))
     found = np.full(guess.shape, np.nan, dtype=np.float32)
-    for part, (count, again) in zip((sampling.hit.ravel() & ~finer, finer & ~thin, thin), _AUDITED, strict=True):
-        pixels = np.flatnonzero(part)
+    for mask, (count, again) in zip((sampling.hit.ravel() & ~finer, finer & ~thin, thin), _AUDITED, strict=True):
+        pixels = np.flatnonzero(mask)
         if not pixels.size:
             continue
         known = guess[pixels].astype(np.float64)
@@ -170,6 +151,6 @@ def sampling_error(
         square = off[0].astype(np.float64) * off[1] / (chance[number] * pixels.size)
         mean = max(square.mean() + _SURE * square.std() / np.sqrt(count), 0.0)
         # Rays may miss something thin, so they cannot lower the prediction there.
-        least = 1.0 if part is thin else 0.0
+        least = 1.0 if mask is thin else 0.0
         found[pixels] = np.sqrt(known * max(mean / known.mean(), least))
     return found.reshape(radiance.shape)

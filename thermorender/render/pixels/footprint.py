@@ -60,7 +60,7 @@ class OnMap:
             step = turned - share * direction
             changes.append((dr.dot(column, step), dr.dot(row, step)))
             nearer.append(share / distance)
-        return cls(*changes, (nearer[0], nearer[1]))
+        return cls(changes[0], changes[1], (nearer[0], nearer[1]))
 
     @property
     def area(self) -> Jit:
@@ -76,16 +76,8 @@ class OnMap:
 class Reading:
     """Points at which the cells of rays are read: `few` where a cell holds about a texel or less, else `many`.
 
-    Parameters
-    ----------
-    mi : module
-    few : int
-    many : int
-    share : float
-        Of a pixel that is a cell.
-    judges : bool
-        Whether to read single texels instead of squares, and cells larger than a face at the hit only, since their
-        surroundings may be hidden.
+    A cell is a `share` of a pixel. `judges` read single texels instead of squares, and cells larger than a face at the
+    hit only, since their surroundings may be hidden.
     """
 
     def __init__(self, mi: Mitsuba, few: int, many: int, share: float, judges: bool = False) -> None:

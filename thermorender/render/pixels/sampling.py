@@ -65,7 +65,6 @@ class CameraRays:
 
     Attributes
     ----------
-    camera : Camera
     width, height : int
         Of its image [px].
     order : (H·W,) int64
@@ -100,7 +99,7 @@ class CameraRays:
         self._net = [mi.Float(aligned(values)) for values in self._offsets.T]
 
     def slopes(self, right: Jit, down: Jit, index: Jit = None) -> list[Jit]:
-        """Return the slopes (x/z, y/z) of offsets 0…1 in pixels at `index` in the order, by default all with the ring."""
+        """Return the slopes (x/z, y/z) of offsets 0…1 in pixels at `index` in the order, or in all with the ring."""
         return self._sloped(right, down, index)[0]
 
     def footprints(self, samples: int) -> list["Footprint"]:
@@ -133,19 +132,11 @@ class CameraRays:
         self, position: NDArray[np.integer], first: int, last: int, within: "Rectangles | None" = None,
         shift: Floats | None = None,
     ) -> "Footprint":  # fmt: skip
-        """Return the Footprints of rays first … last − 1 of the pixels at `position`, side by side per pixel.
+        """Return the Footprints of rays first … last − 1 of the pixels at `position` in the order, side by side per
+        pixel.
 
-        The pixel, or its part `within`, is divided into `last` cells; each ray has the cell that contains it.
-
-        Parameters
-        ----------
-        position : (n,) int
-            In the order of `order`.
-        first, last : int
-        within : Rectangles, optional
-            One for each pixel.
-        shift : (n, 2), optional
-            Cyclic shift of the rays of each pixel within their cells, in sides of a cell.
+        The pixel, or its part in the Rectangles `within`, is divided into `last` cells; each ray has the cell that
+        contains it. `shift` (n, 2) moves the rays of each pixel cyclically within their cells, in sides of a cell.
         """
         mi = self._mi
         # Opaque: literals would compile the kernel again for each stage.
@@ -172,9 +163,10 @@ class CameraRays:
             )
             offset = [dr.fma(value, a, b) for value, a, b in zip(offset, sides, corner, strict=True)]
             size = [value * part for value, part in zip(size, sides, strict=True)]
-        return self._footprint(*offset, size, middle, index)
+        right, down = offset
+        return self._footprint(right, down, size, middle, index)
 
-    def outside(self, within: "Rectangles", count: int) -> NDArray[np.bool_]:
+    def outside(self, within: "Rectangles", count: int) -> Any:
         """Return which of the first `count` rays of pixels are outside their Rectangles, (n, count) bool."""
         from_corner = self._offsets[:count] - within.corner[:, None]
         return ~((from_corner >= 0.0) & (from_corner < within.size[:, None])).all(axis=-1)
@@ -228,18 +220,9 @@ def edge_step(
 ) -> NDArray[np.float32]:
     """Return the difference of radiance that an edge may cause within each pixel, (H, W) float32.
 
-    Parameters
-    ----------
-    radiance : (H + 2 RING, W + 2 RING) float32
-        Of the image with its ring.
-    inverse_depth : (H + 2 RING, W + 2 RING) float32
-        1/depth along the optical axis [1/m], 0 where nothing is hit.
-    surface : (H + 2 RING, W + 2 RING) float32, optional
-        Number of the surface seen.
-
-    Notes
-    -----
-    The largest difference of a pixel from any of its eight neighbours, times the confidence that it contains an edge.
+    The inputs (H + 2 RING, W + 2 RING) float32 are images with their ring: radiance, 1/depth along the optical axis
+    [1/m] with 0 where nothing is hit, and the number of the surface seen. The result is the largest difference of a
+    pixel from any of its eight neighbours, times the confidence that it contains an edge.
     """
     import cv2
 

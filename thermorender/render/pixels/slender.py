@@ -91,13 +91,7 @@ def boxes(surfaces: Sequence[Surface]) -> Floats:
 def rectangles(parts: Sequence[tuple[Floats, Floats]], pose: Floats, camera: Camera) -> Rectangles:
     """Return the Rectangles of pixels that may show parts seen thinner than a pixel and a half.
 
-    Parameters
-    ----------
-    parts : sequence of (corners (n, 8, 3), world_from_own (4, 4))
-        From `boxes`, and the pose of their frame.
-    pose : (4, 4) array
-        world_from_camera.
-    camera : Camera
+    `parts` holds boxes (n, 8, 3) from `boxes` with the pose of their frame, world_from_own (4, 4).
     """
     corners = np.concatenate([corners @ own[:3, :3].T + own[:3, 3] for corners, own in parts])
     local = (corners - pose[:3, 3]) @ pose[:3, :3]

@@ -87,11 +87,8 @@ class Tracer:
     ----------
     layers : sequence of Layer
         The static scene first, then each dynamic object, all seen from this pose.
-    rays : CameraRays
     medium : Vacuum or AirView
         Between the camera and the surfaces.
-    plan : Plan
-        Number of rays and taps.
     slender : callable
         Returns the Rectangles of pixels that may show details thinner than a pixel.
     """
@@ -109,11 +106,8 @@ class Tracer:
     def image(self, edge_limit: float) -> tuple[NDArray[np.float32], Sampling]:
         """Return (image (channels, H, W) float32, Sampling): the mean radiance over each pixel's rays.
 
-        Parameters
-        ----------
-        edge_limit : float
-            Error, in the unit of the sum of the image's channels, above which a pixel that shows an edge gets more
-            rays; infinite: never.
+        `edge_limit` is the error, in the unit of the sum of the channels, above which a pixel that shows an edge gets
+        more rays; infinite: never.
         """
         mi, rays = self._mi, self.rays
         several = sum(len(layer.geometry.surfaces) for layer in self._layers) > 1
@@ -151,7 +145,7 @@ class Tracer:
             refined += self._refine(flat, thin.pixels, np.zeros(len(thin.pixels)), edge_limit, thin)
         return image, Sampling(met, step, refined)
 
-    def resampled(self, pixels: NDArray[np.integer], count: int, random: np.random.Generator) -> NDArray[np.float32]:
+    def resampled(self, pixels: NDArray[np.integer], count: int, random: np.random.Generator) -> NDArray[Any]:
         """Return (channels, n): the mean over `count` other rays of pixels by flat number, each read as a judge does.
 
         Rays are at random offsets, so the error of the mean is independent of the image's.
@@ -160,10 +154,10 @@ class Tracer:
         _, values = self._shade(self.rays.finer(self.rays.position[pixels], 0, count, shift=shift), self._judge)
         return np.stack([np.array(dr.block_sum(value, count)) for value in values]) / count
 
-    def slopes(self, sampling: Sampling) -> list[list[Jit]]:
+    def slopes(self, sampling: Sampling) -> list[Sequence[Jit]]:
         """Return the slopes of all rays that an image with this Sampling casts, [(x/z, y/z), …]."""
         rays = self.rays
-        found = [cell.slope for cell in rays.footprints(self._samples)]
+        found: list[Sequence[Jit]] = [cell.slope for cell in rays.footprints(self._samples)]
         for part in sampling.refined:
             position = rays.position[part.pixels]
             found.append(rays.finer(position, part.first, part.last, part.within).slope)
@@ -173,31 +167,21 @@ class Tracer:
         return found
 
     def _refine(
-        self, image: NDArray[np.float32], pixels: NDArray[np.int64], unseen: NDArray[Any], edge_limit: float,
+        self, image: NDArray[np.float32], pixels: NDArray[Any], unseen: NDArray[Any], edge_limit: float,
         within: Rectangles | None = None,
     ) -> list[Refined]:  # fmt: skip
-        """Replace pixels of an image (channels, H W) by the mean of more rays until their error is small enough.
+        """Replace pixels of an image (channels, H W) by the mean of more rays until their error is below `edge_limit`.
 
-        Parameters
-        ----------
-        image : (channels, H W) array
-        pixels : (n,) int
-        unseen : (n,) array
-            Difference of radiance that a pixel may contain although no ray shows it.
-        edge_limit : float
-            As of `image`.
-        within : Rectangles, optional
-            Parts of the pixels for these rays; the rest of the pixel counts by its area.
-
-        Returns
-        -------
-        list of Refined
+        `unseen` (n,) is the difference of radiance that each of the `pixels` may contain although no ray shows it. With
+        Rectangles `within` the rays go to these parts; the rest of the pixel counts by its area.
         """
         refined: list[Refined] = []
         total: Any = 0.0
         low: Any = np.inf
         high: Any = -np.inf
-        share, outside, spread = np.ones(len(pixels)), np.zeros((len(image), len(pixels))), np.zeros(len(pixels))
+        share: NDArray[Any] = np.ones(len(pixels))
+        outside: NDArray[Any] = np.zeros((len(image), len(pixels)))
+        spread: NDArray[Any] = np.zeros(len(pixels))
         if within is not None:
             share = within.share
             around, spread = self._outside(pixels, within)
@@ -221,23 +205,21 @@ class Tracer:
 
     def _rays_in(
         self, pixels: NDArray[np.int64], first: int, last: int, within: Rectangles | None
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    ) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
         """(sums (channels, n), least (n,), most (n,)) of rays first … last − 1 of pixels, or of parts of them."""
         _, values = self._shade(self.rays.finer(self.rays.position[pixels], first, last, within), self._once)
         guide = sum(values)
         dr.eval(values, guide)
         sums = np.stack([np.array(dr.block_sum(value, last - first)) for value in values])
-        ends = (np.array(dr.block_reduce(op, guide, last - first)) for op in (dr.ReduceOp.Min, dr.ReduceOp.Max))
-        return sums, *ends
+        least, most = (np.array(dr.block_reduce(op, guide, last - first)) for op in (dr.ReduceOp.Min, dr.ReduceOp.Max))
+        return sums, least, most
 
-    def _outside(
-        self, pixels: NDArray[np.int64], within: Rectangles
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def _outside(self, pixels: NDArray[np.int64], within: Rectangles) -> tuple[NDArray[Any], NDArray[Any]]:
         """(mean (channels, n), range (n,)) of a pixel's rays outside their Rectangles."""
         count = STAGES[0]
-        _, values = self._shade(self.rays.finer(self.rays.position[pixels], 0, count), self._once)
-        dr.eval(values)
-        values = np.stack([np.array(value) for value in values]).reshape(len(values), -1, count)
+        _, channels = self._shade(self.rays.finer(self.rays.position[pixels], 0, count), self._once)
+        dr.eval(channels)
+        values = np.stack([np.array(value) for value in channels]).reshape(len(channels), -1, count)
         out = self.rays.outside(within, count)
         # No ray is outside a rectangle that fills its pixel.
         number = np.maximum(out.sum(axis=1), 1)
@@ -249,16 +231,15 @@ class Tracer:
         """Return (hits of the rays of cells, mean radiance over the cells as channels)."""
         layers = self._layers
         best, surfaces = list[Any](), 0
-        for number, layer in enumerate(layers):
+        for place, layer in enumerate(layers):
             hit, values, mirror = self._trace(layer, cell, reading)
-            own = [hit.distance, hit.valid, hit.face, hit.surface + surfaces, self._mi.UInt32(number), *mirror, *values]
+            own = [hit.distance, hit.valid, hit.face, hit.surface + surfaces, self._mi.UInt32(place), *mirror, *values]
             nearer = best and hit.distance < best[0]
             best = [dr.select(nearer, a, b) for a, b in zip(own, best, strict=True)] if best else own
             surfaces += len(layer.geometry.surfaces)
-        (distance, valid, face, surface, *mirror), total = best[:7], best[7:]
+        (distance, valid, face, surface, number, texel, row), total = best[:7], best[7:]
         hit, ray = Hit(valid, distance, face, surface), view_ray(self._mi, *layers[0].view, *cell.slope)
         if any(layer.outgoing.mirror for layer in layers):
-            number, texel, row = mirror
             met = ray.o, ray.d, distance, number, face, texel, row
             added, mirrored = mirrors.correction(layers, mirrors.DEPTH, *met)
             hit, total = replace(hit, mirrored=mirrored), [a + b for a, b in zip(total, added, strict=True)]
