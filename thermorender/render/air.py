@@ -164,16 +164,8 @@ class PathGrid:
 class AirView:
     """The air seen from one camera position.
 
-    Parameters
-    ----------
-    grid : PathGrid
-        Weights of the channels and path radiance, K + 1 numbers.
-    base : float
-        Altitude of the local frame's origin [m].
-    background : (2, n) array
-        From the function `background`.
-    horizon : float
-        Cosine of the horizon's zenith angle.
+    `grid` holds the weights of the channels and the path radiance, K + 1 numbers; `base` is the altitude of the local
+    frame's origin [m], `background` (2, n) from the function of that name, `horizon` the cosine of its zenith angle.
     """
 
     def __init__(self, mi: Mitsuba, grid: PathGrid, base: float, background: Floats, horizon: float) -> None:

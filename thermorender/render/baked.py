@@ -205,26 +205,14 @@ def bake(
 
 @dataclass(frozen=True, eq=False)
 class _Light:
-    """Light between surfaces at all nodes.
+    """Light between surfaces at all nodes."""
 
-    Attributes
-    ----------
-    incident : (F, N) float32
-        Mean incident radiance of each face [W m⁻² sr⁻¹].
-    noise, reflectance : (F,)
-        A draw of the Monte Carlo error of each face's reflected radiance [W m⁻² sr⁻¹], and mean reflectance.
-    bounds, mean_reflectance : (N,)
-        Error bound of `incident` [W m⁻² sr⁻¹], and mean reflectance over all faces.
-    static : StaticLight or None
-        None without dynamic objects.
-    """
-
-    incident: NDArray[np.float32]
-    noise: Floats
-    reflectance: Floats
-    bounds: Floats
-    mean_reflectance: Floats
-    static: StaticLight | None
+    incident: NDArray[np.float32]  # (F, N) mean incident radiance of each face [W m⁻² sr⁻¹]
+    noise: Floats  # (F,) a draw of the Monte Carlo error of each face's reflected radiance [W m⁻² sr⁻¹]
+    reflectance: Floats  # (F,) mean over the nodes
+    bounds: Floats  # (N,) error bound of `incident` [W m⁻² sr⁻¹]
+    mean_reflectance: Floats  # (N,) mean over the faces
+    static: StaticLight | None  # None without dynamic objects
 
 
 def _solve(

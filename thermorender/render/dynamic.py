@@ -35,22 +35,12 @@ _Exchange = tuple[Floats, tuple[NDArray[np.int64], NDArray[np.float32]], tuple[F
 
 @dataclass(frozen=True)
 class Placement:
-    """Pose and temperature of a dynamic object at one time.
-
-    Attributes
-    ----------
-    pose : (4, 4) float64
-        From the object's own frame to the scene's.
-    temperature : float
-        [K].
-    lit : Placement or None
-        The Placement whose light is used instead; None for its own.
-    """
+    """Pose and temperature of a dynamic object at one time."""
 
     name: str
-    pose: Floats
-    temperature: float
-    lit: "Placement | None" = None
+    pose: Floats  # (4, 4) from the object's own frame to the scene's
+    temperature: float  # [K]
+    lit: "Placement | None" = None  # the Placement whose light is used instead; None for its own
 
     @property
     def key(self) -> tuple[bytes, float]:
@@ -61,17 +51,10 @@ class Placement:
 def placements(
     scene: Scene, time_s: float, objects: Objects | None = None, lit_s: float | None = None
 ) -> tuple[Placement, ...]:
-    """Return the Placement of each dynamic object of a scene at a time, in their order.
+    """Return the Placement of each dynamic object of a scene at a time on their tracks [s], in their order.
 
-    Parameters
-    ----------
-    time_s : float
-        On their tracks [s].
-    objects : dict, optional
-        {name: {column of its track: value}} to use instead of the track's.
-    lit_s : float, optional
-        Time whose light they receive and give [s]. Near it this saves tracing the light, as costly as the rest of a
-        frame.
+    `objects` replaces values of the tracks: {name: {column of its track: value}}. `lit_s` is the time whose light they
+    receive and give [s]; near it this saves tracing the light, as costly as the rest of a frame.
 
     Raises
     ------
@@ -104,17 +87,10 @@ def placements(
 
 @dataclass(frozen=True)
 class StaticLight:
-    """Light of the static scene, for dynamic objects.
+    """Light of the static scene, for dynamic objects."""
 
-    Attributes
-    ----------
-    reflectance : (F, N) float32
-        Of each face at each node.
-    seen : (F + SKY_BINS + 1, N) float32
-        Radiance that leaves each face, and that of the sky's bins and of the surroundings [W m⁻² sr⁻¹].
-    """
-
-    reflectance: NDArray[np.float32]
+    reflectance: NDArray[np.float32]  # (F, N) of each face at each node
+    # (F + SKY_BINS + 1, N) radiance that leaves faces, and that of the sky's bins and of the surroundings [W m⁻² sr⁻¹].
     seen: NDArray[np.float32]
 
     @classmethod

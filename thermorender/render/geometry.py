@@ -27,25 +27,13 @@ _ASIDE = (0.3717, 0.4693, 0.8010)
 
 @dataclass(frozen=True)
 class Hit:
-    """Where rays end: Dr.Jit arrays, one entry per ray.
+    """Where rays end: Dr.Jit arrays, one entry per ray."""
 
-    Attributes
-    ----------
-    valid : Bool
-        Whether the ray hits a surface.
-    distance : Float
-        Along the ray [m]; infinite for a miss.
-    face, surface : UInt32
-        Numbers over the whole scene; 0 for a miss.
-    mirrored : Float
-        From a mirror to the point seen in it [m]; 0 without a mirror.
-    """
-
-    valid: Jit
-    distance: Jit
-    face: Jit
-    surface: Jit
-    mirrored: Jit = 0.0
+    valid: Jit  # whether the ray hits a surface
+    distance: Jit  # along the ray [m]; infinite for a miss
+    face: Jit  # number over the whole scene; 0 for a miss
+    surface: Jit  # number over the whole scene; 0 for a miss
+    mirrored: Jit = 0.0  # from a mirror to the point seen in it [m]; 0 without a mirror
 
 
 class Geometry:

@@ -16,25 +16,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class OutgoingRadiance:
-    """Radiance that leaves surfaces towards a camera: channels of texels and corrections of faces.
+    """Radiance that leaves surfaces towards a camera: channels of texels and corrections of faces."""
 
-    Attributes
-    ----------
-    texels : Channels
-        From `Geometry.averaged`, read at every tap of a pixel: all channels, or the first spectral channel, which
-        carries nearly all radiance.
-    rest : Channels or None
-        The other spectral channels, about a hundredth of the first, read once per ray.
-    faces : Channels or None
-        Corrections added to all channels of the texels.
-    mirror : Mirror or None
-        Data of the directional texels; None where the layer has none.
-    """
-
+    # From `Geometry.averaged`, read at every tap: all channels, or the first spectral one, which carries nearly all.
     texels: Channels
-    rest: Channels | None = None
-    faces: Channels | None = None
-    mirror: "Mirror | None" = None
+    rest: Channels | None = None  # the other spectral channels, about a hundredth of the first, read once per ray
+    faces: Channels | None = None  # corrections added to all channels of the texels
+    mirror: "Mirror | None" = None  # data of the directional texels
 
     @classmethod
     def of(

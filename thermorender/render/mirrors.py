@@ -76,18 +76,9 @@ class DeviceTables:
     def reflected(self, kind: Jit, cosine: Jit, black: list[Jit], seen: list[Jit], valid: Jit, up: Jit) -> list[Jit]:
         """Return the light that materials reflect into each channel, minus that of a blackbody, [Float].
 
-        Parameters
-        ----------
-        kind : UInt32
-            Rows of the tables.
-        cosine : Float
-            Of the angle of view.
-        black, seen : list of Float
-            Channels of the blackbody and of the incident light.
-        valid : Bool
-            Whether the incident light comes from a surface; elsewhere from the environment.
-        up : Float
-            Cosine of the zenith angle of the direction seen in the mirror.
+        `kind` is the row in the tables, `cosine` that of the angle of view, `black` and `seen` the channels of the
+        blackbody and of the incident light. Where `valid` is False the light comes from the environment, at a cosine of
+        zenith angle `up`.
         """
         mi, count, lines = self._mi, self.count, self._directions
         own, other = ([*light, bent(self.band(light))] for light in (black, seen))

@@ -92,13 +92,7 @@ def frame(
     renderer: Renderer, pose: ArrayLike, samples: int = 64, depth: int = 8,
     progress: Callable[[float], object] | None = None,
 ) -> Frame:  # fmt: skip
-    """Return the Frame of a pose with its radiance path traced; sensor and truth are the renderer's.
-
-    Parameters
-    ----------
-    pose, samples, depth, progress
-        As in `render`.
-    """
+    """Return the Frame of a pose with its radiance path traced; sensor and truth are the renderer's."""
     radiance = render(renderer.scene, pose, samples, depth, renderer.seed, progress=progress)
     plan = {"engine": "reference", "paths": samples, "depth": depth}
     return renderer.frame_of(radiance.astype(np.float32), pose, plan)
@@ -107,13 +101,6 @@ def frame(
 def squared_error(frame: NDArray[Any], first: NDArray[Any], second: NDArray[Any]) -> tuple[float, float]:
     """Return (mean squared error, its standard error) of an image against two independent noisy references.
 
-    Parameters
-    ----------
-    frame, first, second : (…) arrays
-        The image to measure, and two renders of the truth with independent noise.
-
-    Notes
-    -----
     mean((f − a)(f − b)) is an unbiased estimate of mean((f − truth)²): the noise of a and b is independent, so it does
     not add up as in mean((f − a)²).
     """

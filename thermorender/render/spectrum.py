@@ -46,20 +46,12 @@ _CHUNK = 256
 
 @dataclass(frozen=True)
 class Points:
-    """Fine quadrature of a band.
+    """Fine quadrature of a band."""
 
-    Attributes
-    ----------
-    wavelength_um, weight : (Q,) float64
-        [µm].
-    node : (Q,) int
-        The air's node of each point; zeros without air.
-    """
-
-    wavelength_um: Floats
-    weight: Floats
+    wavelength_um: Floats  # (Q,)
+    weight: Floats  # (Q,) [µm]
     air: Atmosphere | None
-    node: NDArray[np.integer]
+    node: NDArray[np.integer]  # (Q,) the air's node of each point; zeros without air
 
     @classmethod
     def of(cls, band_um: tuple[float, float], air: Atmosphere | None = None) -> "Points":
@@ -179,30 +171,15 @@ class Spectrum:
 
 @dataclass(frozen=True)
 class Envelope:
-    """Range of temperatures and light of a scene.
-
-    Attributes
-    ----------
-    band_um : (2,) floats
-    ground : (2,) floats
-        Coldest and warmest temperature of the terrain [K].
-    objects : list of (material, temperature)
-        Objects, each material at its extremes [K].
-    sky_temperature : float or None
-        Of an isotropic sky [K]; None with air.
-    surroundings_temperature : float
-        [K].
-    altitude_m : (2,) floats
-        Of the lowest and the highest surface above sea level.
-    """
+    """Range of temperatures and light of a scene."""
 
     band_um: tuple[float, float]
-    ground: tuple[float, float]
-    objects: list[tuple[int, float]]
-    sky_temperature: float | None
-    surroundings_temperature: float
+    ground: tuple[float, float]  # coldest and warmest temperature of the terrain [K]
+    objects: list[tuple[int, float]]  # (material, temperature [K]), each material at its extremes
+    sky_temperature: float | None  # of an isotropic sky [K]; None with air
+    surroundings_temperature: float  # [K]
     air: Atmosphere | None
-    altitude_m: tuple[float, float]
+    altitude_m: tuple[float, float]  # of the lowest and the highest surface above sea level
 
     @property
     def temperatures(self) -> list[float]:
@@ -258,25 +235,16 @@ class Envelope:
 
 
 def make_spectrum(materials: Sequence[Material], envelope: Envelope, tolerance_mk: float, reflects: bool) -> Spectrum:
-    """Return the Spectrum of a scene.
+    """Return the Spectrum of a scene, with errors up to `tolerance_mk` on the envelope; one node unless it `reflects`.
 
-    Parameters
-    ----------
-    tolerance_mk : float
-        Largest error of nodes and channels allowed on the envelope [mK].
-    reflects : bool
-        Whether reflection is solved; otherwise there is one node.
+    A material's reflection of a node's light is not its mean reflectance in the node. It is a least-squares fit, over
+    the envelope's light, to the reflection at the points, regularised towards the mean. This corrects most variation
+    within a node and needs a third of the nodes.
 
     Raises
     ------
     ThermorenderError
         The tolerance is not reached with 64 nodes.
-
-    Notes
-    -----
-    A material's reflection of a node's light is not its mean reflectance in the node. It is a least-squares fit, over
-    the envelope's light, to the reflection at the points, regularised towards the mean. This corrects most variation
-    within a node and needs a third of the nodes.
     """
     points = Points.of(envelope.band_um, envelope.air)
     spectra = np.array([material.emissivity_at(points.wavelength_um) for material in materials])

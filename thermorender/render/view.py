@@ -22,20 +22,12 @@ from thermorender.scene.scene import Scene
 
 @dataclass(frozen=True)
 class View:
-    """A baked scene seen from one pose at one time.
-
-    Attributes
-    ----------
-    pose : (4, 4) float64
-        world_from_camera.
-    placements : tuple of Placement
-        Of the dynamic objects.
-    """
+    """A baked scene seen from one pose at one time."""
 
     baked: BakedScene
     rays: CameraRays
-    pose: Floats
-    placements: tuple[Placement, ...]
+    pose: Floats  # (4, 4) world_from_camera
+    placements: tuple[Placement, ...]  # of the dynamic objects
 
     def tracer(self, through_air: bool = True) -> Tracer:
         """Return the Tracer of this view."""

@@ -151,17 +151,10 @@ def balances(scene: Scene) -> tuple[Scene, Scene]:
 
 @dataclass(frozen=True)
 class Expected:
-    """Result of the heat balance for the terrain's texels at an instant.
+    """Result of the heat balance for the terrain's texels at an instant."""
 
-    Attributes
-    ----------
-    kelvin : (T,) float32
-    changes : (P, T) float16
-        Effect of one standard deviation of each of `PROPERTIES` [K], to 0.05 %.
-    """
-
-    kelvin: NDArray[np.float32]
-    changes: NDArray[np.float16]
+    kelvin: NDArray[np.float32]  # (T,)
+    changes: NDArray[np.float16]  # (P, T) effect of one standard deviation of each of `PROPERTIES` [K], to 0.05 %
 
 
 def expected(
@@ -187,14 +180,7 @@ def expected(
 class Carried:
     """Differences of a map's texels from the balance at the trained instant, to be moved to others.
 
-    Parameters
-    ----------
-    scene : Scene
-        With the map.
-    there, here : Scene
-        Of `balances`.
-    before : Expected
-        At the trained instant.
+    `there` and `here` come from `balances`; `before` is the Expected at the trained instant.
     """
 
     def __init__(self, scene: Scene, there: Scene, here: Scene, before: Expected) -> None:

@@ -26,24 +26,12 @@ _ALL = slice(None)
 
 @dataclass(frozen=True)
 class Environment:
-    """Light from beyond the surfaces, at the spectral nodes.
+    """Light from beyond the surfaces, at the spectral nodes [W m⁻² sr⁻¹]."""
 
-    Attributes
-    ----------
-    sky : (A, B, N) float64
-        Radiance of the sky at each level of altitude, in each of `radiosity.SKY_BINS` bins of zenith angle.
-    level : (F, A) float64
-        Interpolation weight of each level at a face's altitude.
-    background : (N,) float64
-        Radiance of the surroundings below the horizon.
-    direct : (F, N) float64 or None
-        The sun's irradiance on each face over π, where included.
-    """
-
-    sky: Floats
-    level: Floats
-    background: Floats
-    direct: Floats | None = None
+    sky: Floats  # (A, B, N) at each level of altitude, in each of `radiosity.SKY_BINS` bins of zenith angle
+    level: Floats  # (F, A) interpolation weight of each level at a face's altitude
+    background: Floats  # (N,) surroundings below the horizon
+    direct: Floats | None = None  # (F, N) the sun's irradiance on each face over π, where included
 
     def light(self, up: Floats, down: Floats, part: slice = _ALL) -> Floats:
         """Return the radiance on a part of the faces, (n, N), whose rays see shares of sky (n, B) and background (n,).

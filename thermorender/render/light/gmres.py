@@ -15,23 +15,13 @@ STEPS = 16
 
 
 def gmres(operator: Any, rho: Floats, source: Floats, wanted: Floats) -> Floats:
-    """Return x with |source − x + K ρ x| ≤ wanted for every face, or the closest after STEPS steps.
+    """Return x with |source − x + K ρ x| ≤ wanted (N,) for every face, or the closest after STEPS steps.
 
-    Parameters
-    ----------
-    operator : (F, F) sparse array
-        K.
-    rho, source : (F, N)
-        Reflectance and right-hand side of each face, a system per node.
-    wanted : (N,)
-        Largest residual allowed at each node.
-
-    Notes
-    -----
-    Every node has its own Krylov space, but all take their steps together, so K is read once per step. A common space
-    would converge as slowly as the worst of all reflectances. `scipy.sparse.linalg.gmres` solves one system at a time,
-    so it would read K for every node and step. It also limits the root mean square, while here the largest residual
-    counts.
+    `operator` is K, a sparse array (F, F); `rho` and `source` are reflectance and right-hand side, (F, N), a system per
+    node. Every node has its own Krylov space, but all take their steps together, so K is read once per step. A common
+    space would converge as slowly as the worst of all reflectances. `scipy.sparse.linalg.gmres` solves one system at a
+    time, so it would read K for every node and step. It also limits the root mean square, while here the largest
+    residual counts.
     """
     count, nodes = source.shape
     size = _norm(source)

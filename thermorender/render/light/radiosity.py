@@ -54,30 +54,15 @@ _CHORDS = 4096
 
 @dataclass(frozen=True)
 class Transport:
-    """Surfaces seen by the faces' rays, independent of any temperature.
+    """Surfaces seen by the faces' rays, independent of any temperature."""
 
-    Attributes
-    ----------
-    rays : int
-        Rays per face in each of the two halves.
-    start : (2 F + 1,) int64
-        Rows 2 i and 2 i + 1, the hits of the first and second half of face i's rays, are start[row]:start[row + 1].
-    seen : (nnz,) int32
-        Faces hit, ascending in each row.
-    hits : (nnz,) uint16
-        Number of rays that hit them.
-    up : (F, 2, SKY_BINS) uint16
-        Rays of each half that see the sky, by zenith angle.
-    down : (F, 2) uint16
-        Rays of each half that see the surroundings below the horizon.
-    """
-
-    rays: int
+    rays: int  # per face in each of the two halves
+    # (2 F + 1,) rows 2 i and 2 i + 1, the hits of the halves of face i's rays, are start[row]:start[row + 1].
     start: NDArray[np.int64]
-    seen: NDArray[np.int32]
-    hits: NDArray[np.uint16]
-    up: NDArray[np.uint16]
-    down: NDArray[np.uint16]
+    seen: NDArray[np.int32]  # (nnz,) faces hit, ascending in each row
+    hits: NDArray[np.uint16]  # (nnz,) number of rays that hit them
+    up: NDArray[np.uint16]  # (F, 2, SKY_BINS) rays of each half that see the sky, by zenith angle
+    down: NDArray[np.uint16]  # (F, 2) rays of each half that see the surroundings below the horizon
 
     def __getstate__(self) -> dict[str, Any]:
         # The operator is as large as the rest, from which it is computed again.
@@ -223,17 +208,8 @@ def noise(
     """Return a draw of the Monte Carlo error of each face's reflected radiance, (F,) [W m⁻² sr⁻¹], summed over nodes.
 
     Only the root mean square over many faces is meaningful: it is one standard error. Draws of other nodes of the same
-    transport add with their signs.
+    transport add with their signs. Parameters as of `solve`, with its result `incident`.
 
-    Parameters
-    ----------
-    transport, emitted, reflectance, environment
-        As given to `solve`.
-    incident : (F, N)
-        Its result.
-
-    Notes
-    -----
     The two halves of the rays see the solved radiosity J = e + ρ x as x₁ and x₂. If they were independent, (x₁ − x₂) /
     2 would have the variance of their mean's error. But they fill each other's gaps, so it is 1.0 to 1.4 times too
     large in open scenes. The error is itself light and is reflected: δ = K ρ δ + (x₁ − x₂) / 2 to first order, which

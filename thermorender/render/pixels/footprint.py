@@ -27,19 +27,11 @@ _NEAREST = 0.5
 
 @dataclass(frozen=True)
 class OnMap:
-    """The cell of a ray on the texel map of the plane that the ray hit.
+    """The cell of a ray on the texel map of the plane that the ray hit."""
 
-    Attributes
-    ----------
-    across, along : (column, row)
-        Change of the position from one side of the cell to the other, at its middle [texels].
-    nearer : (right, down)
-        Relative change of the inverse distance.
-    """
-
-    across: tuple[Jit, Jit]
-    along: tuple[Jit, Jit]
-    nearer: tuple[Jit, Jit]
+    across: tuple[Jit, Jit]  # change of (column, row) from the left to the right side of the cell [texels]
+    along: tuple[Jit, Jit]  # from its upper to its lower side [texels]
+    nearer: tuple[Jit, Jit]  # (right, down) relative change of the inverse distance
 
     @classmethod
     def of(

@@ -174,22 +174,12 @@ class CameraRays:
 
 @dataclass(frozen=True)
 class Footprint:
-    """A ray and the part of a pixel that it represents.
+    """A ray and the part of a pixel, its cell, that it represents."""
 
-    Attributes
-    ----------
-    slope : (x/z, y/z)
-        Of the ray.
-    across, along : (x/z, y/z)
-        Change of the slope from one side of the cell to the other.
-    middle : (right, down)
-        Of the cell, from the ray, in sides of the cell.
-    """
-
-    slope: list[Jit]
-    across: list[Jit]
-    along: list[Jit]
-    middle: list[Jit]
+    slope: list[Jit]  # (x/z, y/z) of the ray
+    across: list[Jit]  # change of the slope from the left to the right side of the cell
+    along: list[Jit]  # from its upper to its lower side
+    middle: list[Jit]  # (right, down) of the cell, from the ray, in sides of the cell
 
 
 def _round(mi: Mitsuba, values: Sequence[Jit], shift: Floats, index: Jit) -> list[Jit]:

@@ -31,19 +31,11 @@ _TURNS = Rotation.from_rotvec([angle * axis for axis in np.eye(3) for angle in n
 
 @dataclass(frozen=True)
 class Rectangles:
-    """Parts of pixels that show something thin.
+    """Parts of pixels that show something thin."""
 
-    Attributes
-    ----------
-    pixels : (n,) int64
-        Flat numbers, ascending.
-    corner, size : (n, 2) float64
-        Of the rectangle: (right, down) of its upper left corner in the pixel, 0…1, and its sides.
-    """
-
-    pixels: NDArray[np.int64]
-    corner: Floats
-    size: Floats
+    pixels: NDArray[np.int64]  # (n,) flat numbers, ascending
+    corner: Floats  # (n, 2) (right, down) of the upper left corner in the pixel, 0…1
+    size: Floats  # (n, 2) sides [px]
 
     @property
     def share(self) -> Floats:

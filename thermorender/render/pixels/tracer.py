@@ -40,44 +40,22 @@ _ENDLESS = 1e-37
 
 @dataclass(frozen=True)
 class Refined:
-    """Pixels that got more rays.
+    """Pixels that got more rays."""
 
-    Attributes
-    ----------
-    pixels : (n,) int64
-        Flat numbers.
-    step : (n,)
-        Largest difference of radiance in a pixel.
-    first, last : int
-        Number of the first of these rays, and total number of rays of the pixels.
-    within : Rectangles or None
-        Parts of the pixels that contain these rays; None for whole pixels.
-    """
-
-    pixels: NDArray[np.int64]
-    step: NDArray[Any]
-    first: int
-    last: int
-    within: Rectangles | None
+    pixels: NDArray[np.int64]  # (n,) flat numbers
+    step: NDArray[Any]  # (n,) largest difference of radiance in a pixel
+    first: int  # number of the first of these rays
+    last: int  # total number of rays of the pixels
+    within: Rectangles | None  # parts of the pixels that contain these rays; None for whole pixels
 
 
 @dataclass(frozen=True)
 class Sampling:
-    """How an image was sampled, for its sampling error.
+    """How an image was sampled, for its sampling error."""
 
-    Attributes
-    ----------
-    hit : (H, W) bool
-        Whether a pixel's ray hits a surface.
-    step : (H, W) float32 or None
-        From `edge_step`; None without a search for edges.
-    refined : list of Refined
-        Pixels that got more rays; later entries replace earlier ones for their pixels.
-    """
-
-    hit: NDArray[np.bool_]
-    step: NDArray[np.float32] | None
-    refined: list[Refined] = field(default_factory=list)
+    hit: NDArray[np.bool_]  # (H, W), whether a pixel's ray hits a surface
+    step: NDArray[np.float32] | None  # (H, W) from `edge_step`; None without a search for edges
+    refined: list[Refined] = field(default_factory=list)  # pixels with more rays; later entries replace earlier ones
 
 
 class Tracer:
