@@ -207,13 +207,9 @@ def altitude(points: ArrayLike, altitude_m: float) -> Floats:
 def background(air: Atmosphere, camera_m: float, ground_m: float, temperature: float, position: Floats) -> Floats:
     """Return the band radiance of rays that hit nothing, (2, n): below and above the horizon [W m⁻² sr⁻¹].
 
-    Parameters
-    ----------
-    camera_m, ground_m, temperature : float
-        Altitudes of the camera and of the black ground beyond the scene [m], and its temperature [K].
-    position : (n,) array
-        Square root of the distance of the zenith angle's cosine from the horizon's, 0 at the horizon, 1 straight down
-        or up.
+    `camera_m`, `ground_m` and `temperature` are altitudes of the camera and of the black ground beyond the scene [m],
+    and its temperature [K]. `position` (n,) is the square root of the distance of the zenith angle's cosine from the
+    horizon's: 0 at the horizon, 1 straight down or up.
     """
     horizon = float(horizon_cos_zenith(camera_m))
     rise = np.square(position)

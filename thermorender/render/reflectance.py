@@ -33,36 +33,18 @@ _SMALLEST = 1e-4
 
 @dataclass(frozen=True)
 class ReflectanceTables:
-    """How directional materials reflect, by the cosine of the angle of view at `COSINES`.
+    """How directional materials reflect, by the cosine of the angle of view at `COSINES`."""
 
-    Attributes
-    ----------
-    number : (M,) uint8
-        1 + row in these tables for each material of the scene; 0 for Lambertian ones.
-    matrix : (D, 257, K, K + 1) float64
-        Difference in each channel between the reflections of two lights, per difference of their channels and of b ln
-        b, their band radiance times its natural logarithm.
-    environment : (D, 257, S, K) float64
-        Reflection of the sky at S − 1 zenith angles, and of the surroundings last, minus the reflection that `matrix`
-        implies for no light [W m⁻² sr⁻¹].
-    weight : (K,) float64
-        Of the channels in the band radiance.
-    effect_mk : float
-        Estimate from above of the largest change if these materials were diffuse, over the envelope's light up to 80°:
-        mirror and diffuse surface may see any two of its lights [mK at 300 K].
-    error_mk : float
-        Largest error of `matrix`, over the envelope's light up to 80° [mK].
-    at_m : float
-        Mean altitude of the mirrors above sea level [m].
-    """
-
-    number: NDArray[np.uint8]
+    number: NDArray[np.uint8]  # (M,) 1 + row in these tables for each material of the scene; 0 for Lambertian ones
+    # (D, 257, K, K + 1) difference of two reflections in each channel, per difference of channels and of b ln b.
     matrix: Floats
+    # (D, 257, S, K) reflection of the sky at S − 1 zenith angles and of the surroundings, minus that of no light.
     environment: Floats
-    weight: Floats
+    weight: Floats  # (K,) of the channels in the band radiance
+    # Largest change if diffuse, over the envelope's light up to 80°, estimated from above [mK at 300 K].
     effect_mk: float
-    error_mk: float
-    at_m: float
+    error_mk: float  # largest error of `matrix`, over the envelope's light up to 80° [mK]
+    at_m: float  # mean altitude of the mirrors above sea level [m]
 
 
 def directional(materials: Sequence[Material]) -> list[int]:

@@ -208,16 +208,8 @@ class Renderer:
             shapes = [(self._geometry, self.scene.surfaces)]
             shapes += [(Geometry(mi, one.surfaces), one.surfaces) for one in self.scene.tracked_objects]
             self._coloured = [(shape, _colours(shape, surfaces)) for shape, surfaces in shapes]
-        placed = placements(self.scene, time_s, objects)
-        poses = [np.eye(4), *(placement.pose for placement in placed)]
-        layers = [
-            Layer(shape, opaque_view(mi, np.linalg.inv(own) @ pose), outgoing)
-            for (shape, outgoing), own in zip(self._coloured, poses, strict=True)
-        ]
-        nothing, rays = Vacuum(mi, *np.zeros((2, 4))), self._camera_rays(camera)
-        parts = parts_of(self.scene, self._geometry, [shape for shape, _ in self._coloured[1:]], placed)
-        thin = partial(slender.rectangles, parts, pose, rays.camera)
-        found, _ = Tracer(layers, rays, nothing, self.plan, thin).image(_VISIBLE_EDGE)
+        nothing = Vacuum(mi, *np.zeros((2, 4)))
+        found, _ = self._tracer(self._coloured, nothing, pose, time_s, objects, camera).image(_VISIBLE_EDGE)
         return bytes_from_linear(np.moveaxis(found[:3], 0, -1)), found[3] > 0.999
 
     def texels(self, pose: ArrayLike, time_s: float = 0.0, objects: Objects | None = None) -> NDArray[np.int64]:
@@ -279,17 +271,12 @@ class Renderer:
         shapes = [self._geometry, *(item.geometry for item in self.baked.device.objects)]
         ends = np.cumsum([shape.texel_start[-1] for shape in shapes])
         parts = np.split(np.asarray(values, np.float32), ends[:-1])
-        placed = placements(self.scene, time_s, objects)
-        poses = [np.eye(4), *(placement.pose for placement in placed)]
-        layers = [
-            Layer(shape, opaque_view(mi, np.linalg.inv(own) @ pose), OutgoingRadiance(shape.averaged(part[:, None])))
-            for shape, part, own in zip(shapes, parts, poses, strict=True)
+        leaving = [
+            (shape, OutgoingRadiance(shape.averaged(part[:, None]))) for shape, part in zip(shapes, parts, strict=True)
         ]
         outside = np.array([self.scene.sky_temperature, self.scene.surroundings_temperature])
         outside = band_radiance(outside, *self.plan.band_um)
-        rays, bodies = self._camera_rays(), parts_of(self.scene, self._geometry, shapes[1:], placed)
-        thin = partial(slender.rectangles, bodies, pose, rays.camera)
-        tracer = Tracer(layers, rays, Vacuum(mi, *outside[:, None]), self.plan, thin)
+        tracer = self._tracer(leaving, Vacuum(mi, *outside[:, None]), pose, time_s, objects)
         return tracer.image(self.plan.edge_mk * self.plan.radiance_per_mk)[0][0]
 
     def rays(self, pose: ArrayLike) -> list[Sequence[Any]]:
@@ -318,17 +305,23 @@ class Renderer:
         sampling: Sampling | None = None,
     ) -> Frame:  # fmt: skip
         return Frame(
-            radiance=radiance,
-            pose=view.pose,
-            time_s=float(time_s),
-            index=_whole("index", index),
-            seed=self.seed,
-            camera=self.scene.camera,
-            plan=plan,
-            time=self.scene.time,
-            _view=view,
-            _sampling=sampling,
-        )
+            radiance=radiance, pose=view.pose, time_s=float(time_s), index=_whole("index", index), seed=self.seed,
+            camera=self.scene.camera, plan=plan, time=self.scene.time, _view=view, _sampling=sampling,
+        )  # fmt: skip
+
+    def _tracer(
+        self, leaving: Sequence[tuple[Geometry, OutgoingRadiance]], medium: Vacuum, pose: NDArray[np.float64],
+        time_s: float, objects: Objects | None, camera: Camera | None = None,
+    ) -> Tracer:  # fmt: skip
+        """The Tracer of a view of other radiance than the baked one; dynamic objects follow the static scene."""
+        placed, rays, mi = placements(self.scene, time_s, objects), self._camera_rays(camera), self._geometry.mi
+        poses = [np.eye(4), *(placement.pose for placement in placed)]
+        layers = [
+            Layer(shape, opaque_view(mi, np.linalg.inv(own) @ pose), outgoing)
+            for (shape, outgoing), own in zip(leaving, poses, strict=True)
+        ]
+        parts = parts_of(self.scene, self._geometry, [shape for shape, _ in leaving[1:]], placed)
+        return Tracer(layers, rays, medium, self.plan, partial(slender.rectangles, parts, pose, rays.camera))
 
     def _camera_rays(self, camera: Camera | None = None) -> CameraRays:
         camera = camera or self.scene.camera

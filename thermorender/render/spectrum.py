@@ -86,37 +86,19 @@ class Points:
 
 @dataclass(frozen=True)
 class Spectrum:
-    """Nodes and channels of one scene.
-
-    Attributes
-    ----------
-    label : (Q,) int
-        Node of each point.
-    emissivity : (M, N) float64
-        Planck-weighted emissivity of each material in each node.
-    reflected : (M, K, N) float64
-        Share of each node's light that each material reflects into each channel.
-    share : (K, N) float64
-        Of each node's light in each channel.
-    basis : (K, n) float64
-        Share of each of the air's nodes in each channel; ones without air.
-    solver : (n, K) float64
-        Matrix from a path's transmittance in the air's nodes to the weights of the channels behind it.
-    nodes_mk : float
-        Largest error of the nodes in reflected light, over the envelope's light and some of its paths [mK].
-    channels_mk : float
-        Largest error of the channels in radiance of surfaces, over the envelope's light and paths [mK]; 0 without air.
-    """
+    """Nodes and channels of one scene."""
 
     points: Points
-    label: NDArray[np.integer]
-    emissivity: Floats
-    reflected: Floats
-    share: Floats
-    basis: Floats
+    label: NDArray[np.integer]  # (Q,) node of each point
+    emissivity: Floats  # (M, N) Planck-weighted, of each material in each node
+    reflected: Floats  # (M, K, N) share of each node's light that each material reflects into each channel
+    share: Floats  # (K, N) of each node's light in each channel
+    basis: Floats  # (K, n) share of each of the air's nodes in each channel; ones without air
+    # (n, K) matrix from a path's transmittance in the air's nodes to the weights of the channels behind it.
     solver: Floats
+    # Largest error of the nodes in reflected light, over the envelope's light and some of its paths [mK].
     nodes_mk: float
-    channels_mk: float
+    channels_mk: float  # the same of the channels in radiance of surfaces, over all paths; 0 without air
 
     @property
     def nodes(self) -> int:
