@@ -380,6 +380,6 @@ def test_ground_less_than_a_metre_below_clouds(tmp_path):
 @pytest.mark.parametrize("altitude", [-600.0, 30_100.0, 100_000.0])
 def test_surfaces_where_no_air_is_known_are_refused_by_their_altitude(tmp_path, altitude):
     scene = tr.load_scene(write(tmp_path / "s", plane(4.0), AIR + f"altitude_m = {altitude}\n"))
-    words = rf"scene.toml: surfaces are at {altitude:.7g} … {altitude:.7g} m above sea level, outside the range of the air"
+    words = rf"surfaces are at {altitude:.7g} … {altitude:.7g} m above sea level, outside the range of the air"
     with pytest.raises(ThermorenderError, match=words):
         tr.Renderer(scene)

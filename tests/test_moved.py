@@ -69,8 +69,8 @@ def scene(tmp_path_factory):
 @pytest.fixture(scope="module")
 def tools():
     """The modules that bring Mitsuba, once they are wanted."""
-    from thermorender.render.heat import simulation as heat
     from thermorender.render.heat import moved
+    from thermorender.render.heat import simulation as heat
 
     return heat, moved
 
